@@ -1,0 +1,1 @@
+//! File formats: what is written to and read from disk.

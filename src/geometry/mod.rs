@@ -1,0 +1,1 @@
+//! Surfaces: ray queries, fusion of depth maps, simplification, unwrapping.

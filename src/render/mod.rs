@@ -1,0 +1,3 @@
+//! From a scene and a camera to pixels.
+
+pub mod gpu;

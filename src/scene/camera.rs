@@ -1,0 +1,116 @@
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::SceneError;
+
+/// Pinhole intrinsics in pixels. Pixel (i, j) covers `[i, i+1)×[j, j+1)`; its centre is at +0.5.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Image width.
+    pub width: u32,
+    /// Image height.
+    pub height: u32,
+    /// Focal length, horizontally.
+    pub fx: f64,
+    /// Focal length, vertically.
+    pub fy: f64,
+    /// Principal point from the left edge.
+    pub cx: f64,
+    /// Principal point from the top edge.
+    pub cy: f64,
+}
+
+impl Intrinsics {
+    /// The same camera at another image size. Uses the *actual* new size, so rounding is accounted for.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
+    }
+}
+
+/// A posed pinhole camera: `p_camera = rotation · p_world + translation`, OpenCV axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    intrinsics: Intrinsics,
+    rotation: DMat3,
+    translation: DVec3,
+}
+
+impl Camera {
+    /// Validates and takes intrinsics and the world→camera pose. The rotation is made orthonormal.
+    ///
+    /// # Errors
+    /// If a number is not finite, the image is empty, a focal length is not positive, or the matrix is not close
+    /// to a rotation (determinant within 1 % of 1).
+    pub fn new(intrinsics: Intrinsics, rotation: DMat3, translation: DVec3) -> Result<Self, SceneError> {
+        let k = &intrinsics;
+        if k.width == 0 || k.height == 0 {
+            return Err(SceneError::new("image size", "at least 1×1", format!("{}×{}", k.width, k.height)));
+        }
+        if !(k.fx > 0.0 && k.fy > 0.0 && k.fx.is_finite() && k.fy.is_finite()) {
+            return Err(SceneError::new("focal length", "positive numbers", format!("{}, {}", k.fx, k.fy)));
+        }
+        if !(k.cx.is_finite() && k.cy.is_finite()) {
+            return Err(SceneError::new("principal point", "finite numbers", format!("{}, {}", k.cx, k.cy)));
+        }
+        if !(rotation.is_finite() && translation.is_finite()) {
+            return Err(SceneError::new("pose", "finite numbers", format!("{rotation} {translation}")));
+        }
+        let det = rotation.determinant();
+        if (det - 1.0).abs() > 0.01 {
+            return Err(SceneError::new("pose", "a rotation (determinant 1)", format!("determinant {det:.4}")));
+        }
+        let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize());
+        Ok(Self { intrinsics, rotation, translation })
+    }
+
+    /// Intrinsics.
+    #[must_use]
+    pub fn intrinsics(&self) -> &Intrinsics {
+        &self.intrinsics
+    }
+
+    /// World→camera rotation.
+    #[must_use]
+    pub fn rotation(&self) -> DMat3 {
+        self.rotation
+    }
+
+    /// World→camera translation.
+    #[must_use]
+    pub fn translation(&self) -> DVec3 {
+        self.translation
+    }
+
+    /// Camera centre in world space.
+    #[must_use]
+    pub fn center(&self) -> DVec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+
+    /// World point to camera space; `.z` is its depth.
+    #[must_use]
+    pub fn to_camera(&self, world: DVec3) -> DVec3 {
+        self.rotation * world + self.translation
+    }
+
+    /// Continuous pixel position of a camera-space point; meaningless for z ≤ 0.
+    #[must_use]
+    pub fn project(&self, p: DVec3) -> DVec2 {
+        let k = &self.intrinsics;
+        DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy)
+    }
+
+    /// Camera-space ray with z = 1 through continuous pixel position `uv`.
+    #[must_use]
+    pub fn ray(&self, uv: DVec2) -> DVec3 {
+        let k = &self.intrinsics;
+        DVec3::new((uv.x - k.cx) / k.fx, (uv.y - k.cy) / k.fy, 1.0)
+    }
+
+    /// The same pose with the image resized to `width`×`height`.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        Self { intrinsics: self.intrinsics.resized(width.max(1), height.max(1)), ..*self }
+    }
+}

@@ -1,0 +1,76 @@
+use super::SceneError;
+
+/// How the order of a splat and a mesh layer is decided (METHODS 4.4). `render::contract` has the formulas.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OrderMode {
+    /// The HERA paper's rule: one decision per splat and layer at the splat's own projection, overridden per
+    /// pixel where the mesh is more than λ in front of the mean.
+    #[default]
+    Stable,
+    /// As `Stable`, but a pixel follows the splat's decision only where its mesh depth is within λ of the depth
+    /// that was decided on; elsewhere the mean is compared with the pixel's own depth.
+    SurfaceConsistent,
+    /// The mean is compared with every pixel's own mesh depth (the paper's ablation; order flickers).
+    Direct,
+}
+
+/// Space in which colours are stored and blended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ColorSpace {
+    /// sRGB-encoded, Rec. 709 primaries (`srgb_rec709_display`): what photographs are trained in.
+    #[default]
+    SrgbDisplay,
+    /// Linear light, Rec. 709 primaries (`lin_rec709_display`).
+    LinearDisplay,
+}
+
+/// Everything that turns splats and meshes into pixels besides their own parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Composition {
+    /// Rule of depth order.
+    pub mode: OrderMode,
+    /// λ in world units: how far in front of a mean a mesh pixel must be to override `Stable`'s decision.
+    /// Infinite turns the override off.
+    pub lambda: f32,
+    /// Mesh layers kept per pixel, nearest first: 1, 2 or 4.
+    pub layers: u32,
+    /// Space of blending.
+    pub color_space: ColorSpace,
+    /// RGB behind everything, in `color_space`.
+    pub background: [f32; 3],
+    /// Splats with depth ≤ `near` are culled; mesh fragments likewise. World units.
+    pub near: f32,
+}
+
+impl Default for Composition {
+    fn default() -> Self {
+        Self {
+            mode: OrderMode::Stable,
+            lambda: f32::INFINITY,
+            layers: 1,
+            color_space: ColorSpace::SrgbDisplay,
+            background: [0.0; 3],
+            near: 0.2,
+        }
+    }
+}
+
+impl Composition {
+    /// # Errors
+    /// If λ is negative or NaN, `layers` is not 1, 2 or 4, `near` is not positive or the background not finite.
+    pub fn validate(&self) -> Result<(), SceneError> {
+        if self.lambda.is_nan() || self.lambda < 0.0 {
+            return Err(SceneError::new("lambda", "a number ≥ 0", self.lambda.to_string()));
+        }
+        if !matches!(self.layers, 1 | 2 | 4) {
+            return Err(SceneError::new("layers", "1, 2 or 4", self.layers.to_string()));
+        }
+        if !(self.near > 0.0 && self.near.is_finite()) {
+            return Err(SceneError::new("near", "a positive number", self.near.to_string()));
+        }
+        if !self.background.iter().all(|c| c.is_finite()) {
+            return Err(SceneError::new("background", "finite numbers", format!("{:?}", self.background)));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,197 @@
+use glam::{Vec2, Vec3};
+
+use super::{SceneError, check_finite, check_len, sh};
+
+/// A row-major image of `channels` floats per texel, first row at the top.
+///
+/// Texel (i, j) has its centre at UV ((i+½)/width, (j+½)/height); UV (0, 0) is the top-left corner, as in glTF.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Texture {
+    width: u32,
+    height: u32,
+    channels: u32,
+    texels: Vec<f32>,
+}
+
+impl Texture {
+    /// Validates and takes `texels` `[height·width·channels]`.
+    ///
+    /// # Errors
+    /// If the size is 0 or above 16384, the length is wrong or a value is not finite.
+    pub fn new(width: u32, height: u32, channels: u32, texels: Vec<f32>) -> Result<Self, SceneError> {
+        if !(1..=16384).contains(&width) || !(1..=16384).contains(&height) {
+            return Err(SceneError::new("texture size", "1 to 16384 texels a side", format!("{width}×{height}")));
+        }
+        check_len("texels", texels.len(), width as usize * height as usize * channels as usize)?;
+        check_finite("texels", &texels, channels.max(1) as usize)?;
+        Ok(Self { width, height, channels, texels })
+    }
+
+    /// A texture of zeros. Sizes are clamped to 1..=16384.
+    #[must_use]
+    pub fn zeros(width: u32, height: u32, channels: u32) -> Self {
+        let (width, height) = (width.clamp(1, 16384), height.clamp(1, 16384));
+        let texels = vec![0.0; width as usize * height as usize * channels as usize];
+        Self { width, height, channels, texels }
+    }
+
+    /// Width in texels.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in texels.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Floats per texel.
+    #[must_use]
+    pub fn channels(&self) -> u32 {
+        self.channels
+    }
+
+    /// All values, `[height·width·channels]`.
+    #[must_use]
+    pub fn texels(&self) -> &[f32] {
+        &self.texels
+    }
+
+    /// Mip levels for trilinear sampling: halving while both sides stay even, at most [`Self::MAX_LEVELS`], so that
+    /// every coarser texel is the exact mean of 2×2 finer ones and charts do not bleed far (METHODS 4.3).
+    #[must_use]
+    pub fn mip_levels(&self) -> u32 {
+        let halvings = self.width.trailing_zeros().min(self.height.trailing_zeros());
+        (1 + halvings).min(Self::MAX_LEVELS)
+    }
+
+    /// Cap on mip levels: packed charts with gutters of 2⁴ texels stay apart to level 4.
+    pub const MAX_LEVELS: u32 = 5;
+}
+
+/// The maps of a mesh (METHODS 4.1): zeroth SH coefficient and opacity at one resolution, higher bands at another.
+///
+/// Mesh colour = max(0, 0.5 + Σ Y_k T_k(uv)), opacity = σ(A(uv)).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Atlas {
+    base: Texture,
+    bands: Option<Texture>,
+    sh_degree: u32,
+}
+
+impl Atlas {
+    /// * `base`: 4 channels: RGB of SH coefficient 0, opacity logit.
+    /// * `bands`: 3·((d+1)²−1) channels for degree d = 1..3: RGB of coefficient 1, RGB of coefficient 2, …
+    ///
+    /// # Errors
+    /// If the channel counts are none of these.
+    pub fn new(base: Texture, bands: Option<Texture>) -> Result<Self, SceneError> {
+        if base.channels != 4 {
+            return Err(SceneError::new("base channels", "4 (SH DC RGB, opacity)", base.channels.to_string()));
+        }
+        let sh_degree = match bands.as_ref().map(Texture::channels) {
+            None => 0,
+            Some(c) => (1..=sh::MAX_DEGREE)
+                .find(|&d| c as usize == 3 * (sh::coefficients(d) - 1))
+                .ok_or_else(|| SceneError::new("band channels", "9, 24 or 45", c.to_string()))?,
+        };
+        Ok(Self { base, bands, sh_degree })
+    }
+
+    /// DC RGB and opacity logit.
+    #[must_use]
+    pub fn base(&self) -> &Texture {
+        &self.base
+    }
+
+    /// Bands 1 to `sh_degree`, if any.
+    #[must_use]
+    pub fn bands(&self) -> Option<&Texture> {
+        self.bands.as_ref()
+    }
+
+    /// SH degree of the mesh colour, 0 to 3.
+    #[must_use]
+    pub fn sh_degree(&self) -> u32 {
+        self.sh_degree
+    }
+
+    /// Number of floats in both textures.
+    #[must_use]
+    pub fn floats(&self) -> usize {
+        self.base.texels.len() + self.bands.as_ref().map_or(0, |b| b.texels.len())
+    }
+}
+
+/// A triangle mesh with per-corner UVs and its atlas. Rendered double-sided.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    corner_uvs: Vec<[Vec2; 3]>,
+    atlas: Atlas,
+}
+
+impl Mesh {
+    /// * `positions` `[V]`: world positions.
+    /// * `triangles` `[F]`: indices into `positions`.
+    /// * `corner_uvs` `[F]`: UV of each corner of each triangle, v downwards.
+    ///
+    /// # Errors
+    /// If there is no triangle, an index is out of range, lengths differ or a value is not finite.
+    pub fn new(
+        positions: Vec<Vec3>,
+        triangles: Vec<[u32; 3]>,
+        corner_uvs: Vec<[Vec2; 3]>,
+        atlas: Atlas,
+    ) -> Result<Self, SceneError> {
+        if triangles.is_empty() {
+            return Err(SceneError::new("triangles", "at least one triangle", "none"));
+        }
+        check_len("corner_uvs", corner_uvs.len(), triangles.len())?;
+        check_finite("positions", bytemuck::cast_slice(&positions), 3)?;
+        check_finite("corner_uvs", bytemuck::cast_slice(&corner_uvs), 6)?;
+        for (i, t) in triangles.iter().enumerate() {
+            if let Some(v) = t.iter().find(|&&v| v as usize >= positions.len()) {
+                return Err(SceneError::new(
+                    format!("triangles[{i}]"),
+                    format!("indices below {}", positions.len()),
+                    v.to_string(),
+                ));
+            }
+        }
+        Ok(Self { positions, triangles, corner_uvs, atlas })
+    }
+
+    /// World positions, `[V]`.
+    #[must_use]
+    pub fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
+    /// Vertex indices, `[F]`.
+    #[must_use]
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.triangles
+    }
+
+    /// Per-corner UVs, `[F]`.
+    #[must_use]
+    pub fn corner_uvs(&self) -> &[[Vec2; 3]] {
+        &self.corner_uvs
+    }
+
+    /// The maps.
+    #[must_use]
+    pub fn atlas(&self) -> &Atlas {
+        &self.atlas
+    }
+
+    /// The same geometry with other maps.
+    #[must_use]
+    pub fn with_atlas(self, atlas: Atlas) -> Self {
+        Self { atlas, ..self }
+    }
+}

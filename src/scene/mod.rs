@@ -1,0 +1,73 @@
+//! What a hybrid scene *is*: plain, validated data. No file formats, no GPU.
+//!
+//! Frames and units: world space is right-handed and has the capture's own unit of length. Camera space is
+//! OpenCV's (x right, y down, z forward); **depth always means camera-space z**, for splats and meshes alike.
+//! Colours are display-referred (sRGB-encoded) unless [`Composition::color_space`] says otherwise.
+
+mod camera;
+mod composition;
+mod mesh;
+pub mod sh;
+mod splats;
+
+pub use camera::{Camera, Intrinsics};
+pub use composition::{ColorSpace, Composition, OrderMode};
+pub use mesh::{Atlas, Mesh, Texture};
+pub use splats::Splats;
+
+/// Splats, meshes and the rule by which they are blended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HybridScene {
+    /// The 3D Gaussians; may be empty.
+    pub splats: Splats,
+    /// The textured, semi-transparent meshes; may be empty, in which case the scene is plain 3DGS.
+    pub meshes: Vec<Mesh>,
+    /// How both are put into one depth order and blended.
+    pub composition: Composition,
+}
+
+impl HybridScene {
+    /// Number of optimised floats: 11 + 3·(d+1)² per splat, the atlas texels, and 3 per mesh vertex.
+    ///
+    /// This is the budget in which hybrids and pure splats are compared (METHODS 8, "total floats").
+    #[must_use]
+    pub fn total_floats(&self) -> usize {
+        let splats = self.splats.len() * (11 + 3 * sh::coefficients(self.splats.sh_degree()));
+        let meshes: usize = self.meshes.iter().map(|m| m.atlas().floats() + 3 * m.positions().len()).sum();
+        splats + meshes
+    }
+}
+
+/// A value that cannot be part of a scene: the field, and what is wrong with it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: expected {expected}, found {found}")]
+pub struct SceneError {
+    /// Name of the field, with an index where one element is at fault: `means[17]`.
+    pub field: String,
+    /// What would have been accepted.
+    pub expected: String,
+    /// What was there.
+    pub found: String,
+}
+
+impl SceneError {
+    pub(crate) fn new(field: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { field: field.into(), expected: expected.into(), found: found.into() }
+    }
+}
+
+/// Error unless `array` has `expected` elements.
+fn check_len(field: &str, found: usize, expected: usize) -> Result<(), SceneError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(SceneError::new(field, format!("{expected} elements"), format!("{found}")))
+}
+
+/// Error naming the first element of `values` (rows of `width` floats) that is not finite.
+fn check_finite(field: &str, values: &[f32], width: usize) -> Result<(), SceneError> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(()),
+        Some(i) => Err(SceneError::new(format!("{field}[{}]", i / width), "finite numbers", values[i].to_string())),
+    }
+}

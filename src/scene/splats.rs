@@ -1,0 +1,130 @@
+use glam::{Quat, Vec3};
+
+use super::{SceneError, check_finite, check_len, sh};
+
+/// `N` anisotropic 3D Gaussians in the parameters that are optimised (METHODS 2.1).
+///
+/// Every array has the same length and only finite values; rotations are not zero.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Splats {
+    means: Vec<Vec3>,
+    rotations: Vec<Quat>,
+    log_scales: Vec<Vec3>,
+    opacity_logits: Vec<f32>,
+    sh_degree: u32,
+    sh: Vec<[f32; 3]>,
+}
+
+impl Splats {
+    /// Validates and takes the arrays.
+    ///
+    /// * `means` `[N]`: world position.
+    /// * `rotations` `[N]`: local to world; normalised here. (`glam` stores x, y, z, w.)
+    /// * `log_scales` `[N]`: natural logarithm of the standard deviation along each local axis, world units.
+    /// * `opacity_logits` `[N]`: opacity = 1/(1+e^-l).
+    /// * `sh` `[N·(sh_degree+1)²]`: RGB coefficients, splat-major, order of [`sh::basis`], *without* the +0.5.
+    ///
+    /// # Errors
+    /// If lengths differ, a value is not finite, a rotation is zero or `sh_degree` exceeds 3.
+    pub fn new(
+        means: Vec<Vec3>,
+        mut rotations: Vec<Quat>,
+        log_scales: Vec<Vec3>,
+        opacity_logits: Vec<f32>,
+        sh_degree: u32,
+        sh: Vec<[f32; 3]>,
+    ) -> Result<Self, SceneError> {
+        if sh_degree > sh::MAX_DEGREE {
+            return Err(SceneError::new("sh_degree", "0 to 3", sh_degree.to_string()));
+        }
+        let n = means.len();
+        check_len("rotations", rotations.len(), n)?;
+        check_len("log_scales", log_scales.len(), n)?;
+        check_len("opacity_logits", opacity_logits.len(), n)?;
+        check_len("sh", sh.len(), n * sh::coefficients(sh_degree))?;
+        check_finite("means", bytemuck::cast_slice(&means), 3)?;
+        check_finite("log_scales", bytemuck::cast_slice(&log_scales), 3)?;
+        check_finite("opacity_logits", &opacity_logits, 1)?;
+        check_finite("sh", bytemuck::cast_slice(&sh), 3 * sh::coefficients(sh_degree))?;
+        for (i, q) in rotations.iter_mut().enumerate() {
+            // In f64, so that any finite non-zero f32 quaternion survives.
+            let unit = q.as_dquat().normalize();
+            if !unit.is_finite() {
+                return Err(SceneError::new(format!("rotations[{i}]"), "a non-zero quaternion", q.to_string()));
+            }
+            *q = unit.as_quat();
+        }
+        Ok(Self { means, rotations, log_scales, opacity_logits, sh_degree, sh })
+    }
+
+    /// No splats at all.
+    #[must_use]
+    pub fn empty(sh_degree: u32) -> Self {
+        Self {
+            means: vec![],
+            rotations: vec![],
+            log_scales: vec![],
+            opacity_logits: vec![],
+            sh_degree: sh_degree.min(sh::MAX_DEGREE),
+            sh: vec![],
+        }
+    }
+
+    /// Number of splats.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// True if there are no splats.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// World positions, `[N]`.
+    #[must_use]
+    pub fn means(&self) -> &[Vec3] {
+        &self.means
+    }
+
+    /// Unit quaternions local→world, `[N]`.
+    #[must_use]
+    pub fn rotations(&self) -> &[Quat] {
+        &self.rotations
+    }
+
+    /// Log standard deviations, `[N]`.
+    #[must_use]
+    pub fn log_scales(&self) -> &[Vec3] {
+        &self.log_scales
+    }
+
+    /// Opacity logits, `[N]`.
+    #[must_use]
+    pub fn opacity_logits(&self) -> &[f32] {
+        &self.opacity_logits
+    }
+
+    /// Degree of the spherical harmonics, 0 to 3.
+    #[must_use]
+    pub fn sh_degree(&self) -> u32 {
+        self.sh_degree
+    }
+
+    /// All SH coefficients, `[N·(d+1)²]` RGB, splat-major.
+    #[must_use]
+    pub fn sh(&self) -> &[[f32; 3]] {
+        &self.sh
+    }
+
+    /// The `(d+1)²` RGB coefficients of splat `i`.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn sh_of(&self, i: usize) -> &[[f32; 3]] {
+        let k = sh::coefficients(self.sh_degree);
+        &self.sh[i * k..(i + 1) * k]
+    }
+}
