@@ -1,1 +1,8 @@
-//! The compute pipeline on wgpu.
+//! The compute pipeline on wgpu. `device` is the only file that talks to wgpu; every stage is one WGSL file of the
+//! same name in `shaders/`.
+
+mod device;
+mod shader;
+mod view;
+
+pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};

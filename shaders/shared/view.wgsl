@@ -1,0 +1,38 @@
+// What every stage knows of the view being rendered. `View::words` in render/gpu/view.rs writes the same layout.
+
+const TILE: u32 = 16u;                  // pixels per tile side
+const PIXELS: u32 = 256u;               // pixels per tile
+
+const MODE_STABLE: u32 = 0u;
+const MODE_SURFACE_CONSISTENT: u32 = 1u;
+const MODE_DIRECT: u32 = 2u;
+
+struct View {
+    row_x: vec4f,                       // world→camera, rows of [R|t]
+    row_y: vec4f,
+    row_z: vec4f,
+    center: vec4f,                      // camera centre, world; w unused
+    focal: vec2f,                       // pixels
+    principal: vec2f,                   // pixels, continuous coordinates
+    size: vec2u,                        // image, pixels
+    tiles: vec2u,                       // image, tiles
+    background: vec4f,                  // rgb; w unused
+    n_splats: u32,
+    sh_degree: u32,                     // active degree, ≤ the stored one
+    mode: u32,
+    n_triangles: u32,
+    near: f32,
+    lambda: f32,                        // 3.4e38 stands for infinity (WGSL has no literal for it)
+    pair_capacity: u32,                 // (tile, splat) pairs that fit the buffers
+    band_degree: u32,                   // active SH degree of mesh maps
+}
+
+fn to_camera(v: View, p: vec3f) -> vec3f {
+    let h = vec4f(p, 1.0);
+    return vec3f(dot(v.row_x, h), dot(v.row_y, h), dot(v.row_z, h));
+}
+
+// Index of this thread's workgroup in a dispatch that may be folded into two dimensions.
+fn group_index(group: vec3u, groups: vec3u) -> u32 {
+    return group.x + group.y * groups.x;
+}

@@ -1,0 +1,164 @@
+//! Shader text: the embedded WGSL files and the small preprocessor that specialises them.
+//!
+//! Directives are comment lines, so that a file stays close to plain WGSL:
+//! * `//#import shared/x.wgsl [with NAME=value …]` inserts a file; `$NAME` in it becomes `value`.
+//! * `//#if NAME` or `//#if !NAME`, `//#else`, `//#end`: keep lines if the define is not 0.
+//! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced; A and B are numbers or defines (`B` may be `NAME+1`).
+//!
+//! Every define is also emitted as `const NAME: u32`.
+
+use std::collections::BTreeMap;
+
+macro_rules! embed {
+    ($($name:literal),* $(,)?) => {
+        const FILES: &[(&str, &str)] = &[$(($name, include_str!(concat!("../../../shaders/", $name)))),*];
+    };
+}
+
+embed!["shared/atomic_add.wgsl", "shared/view.wgsl",];
+
+/// Names and values that specialise a shader.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Defines(BTreeMap<&'static str, u32>);
+
+impl Defines {
+    /// The same defines with one more.
+    pub(crate) fn with(mut self, name: &'static str, value: u32) -> Self {
+        self.0.insert(name, value);
+        self
+    }
+
+    fn value(&self, text: &str) -> u32 {
+        let (name, plus) = match text.split_once('+') {
+            Some((a, b)) => (a.trim(), b.trim().parse().expect("a number after '+'")),
+            None => (text.trim(), 0),
+        };
+        let value = name.parse().ok().or_else(|| self.0.get(name).copied());
+        value.unwrap_or_else(|| panic!("shader define {name} is not set")) + plus
+    }
+
+    fn holds(&self, condition: &str) -> bool {
+        match condition.trim().strip_prefix('!') {
+            Some(name) => self.value(name) == 0,
+            None => self.value(condition) != 0,
+        }
+    }
+}
+
+/// The complete WGSL of `file` for these defines. Panics on a malformed shader file: they are part of the program.
+pub(crate) fn preprocess(file: &str, defines: &Defines) -> String {
+    let mut out = String::new();
+    for (name, value) in &defines.0 {
+        out.push_str(&format!("const {name}: u32 = {value}u;\n"));
+    }
+    let text = load(file);
+    let lines: Vec<&str> = text.lines().collect();
+    expand(&lines, defines, &mut out);
+    out
+}
+
+fn load(file: &str) -> &'static str {
+    let found = FILES.iter().find(|(name, _)| *name == file);
+    found.unwrap_or_else(|| panic!("shader {file} is not embedded")).1
+}
+
+fn expand(lines: &[&str], defines: &Defines, out: &mut String) {
+    let mut i = 0;
+    while i < lines.len() {
+        let Some(directive) = lines[i].trim_start().strip_prefix("//#") else {
+            out.push_str(lines[i]);
+            out.push('\n');
+            i += 1;
+            continue;
+        };
+        if let Some(import) = directive.strip_prefix("import ") {
+            let (file, arguments) = import.split_once(" with ").unwrap_or((import, ""));
+            let mut text = load(file.trim()).to_owned();
+            for pair in arguments.split_whitespace() {
+                let (name, value) = pair.split_once('=').expect("NAME=value after 'with'");
+                text = text.replace(&format!("${name}"), value);
+            }
+            expand(&text.lines().collect::<Vec<_>>(), defines, out);
+            i += 1;
+            continue;
+        }
+        let (body, otherwise, next) = block(lines, i);
+        if let Some(condition) = directive.strip_prefix("if ") {
+            expand(if defines.holds(condition) { body } else { otherwise }, defines, out);
+        } else if let Some(range) = directive.strip_prefix("for ") {
+            let (name, range) = range.split_once(" in ").expect("'for i in A..B'");
+            let (from, to) = range.split_once("..").expect("'A..B'");
+            for value in defines.value(from)..defines.value(to) {
+                let text = body.join("\n").replace(&format!("${}", name.trim()), &value.to_string());
+                expand(&text.lines().collect::<Vec<_>>(), defines, out);
+            }
+        } else {
+            panic!("unknown shader directive {directive}");
+        }
+        i = next;
+    }
+}
+
+/// Body, else-body and the line after the block that starts at `start`.
+fn block<'a>(lines: &'a [&'a str], start: usize) -> (&'a [&'a str], &'a [&'a str], usize) {
+    let (mut depth, mut middle) = (0, None);
+    for (i, line) in lines.iter().enumerate().skip(start) {
+        match line.trim_start().strip_prefix("//#").map(str::trim) {
+            Some(d) if d.starts_with("if ") || d.starts_with("for ") => depth += 1,
+            Some("else") if depth == 1 => middle = Some(i),
+            Some("end") if depth == 1 => {
+                let end_of_body = middle.unwrap_or(i);
+                let otherwise = middle.map_or(&lines[i..i], |m| &lines[m + 1..i]);
+                return (&lines[start + 1..end_of_body], otherwise, i + 1);
+            }
+            Some("end") => depth -= 1,
+            _ => {}
+        }
+    }
+    panic!("shader block without //#end: {}", lines[start]);
+}
+
+/// How a shader uses one binding of group 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Access {
+    Uniform,
+    Read,
+    ReadWrite,
+}
+
+/// The bindings of group 0 in a preprocessed shader, in order of their numbers.
+pub(crate) fn bindings(wgsl: &str) -> Vec<(u32, Access)> {
+    let mut found = Vec::new();
+    for line in wgsl.lines() {
+        let Some(rest) = line.trim_start().strip_prefix("@group(0) @binding(") else { continue };
+        let (number, rest) = rest.split_once(')').expect("a closing bracket");
+        let access = match rest {
+            r if r.contains("var<uniform>") => Access::Uniform,
+            r if r.contains("read_write") => Access::ReadWrite,
+            _ => Access::Read,
+        };
+        found.push((number.parse().expect("a binding number"), access));
+    }
+    found.sort_by_key(|b| b.0);
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_nest_and_loops_substitute() {
+        let defines = Defines::default().with("N", 2).with("OFF", 0);
+        let source = "//#for i in 0..N+1\na$i\n//#if OFF\nx\n//#else\ny$i\n//#end\n//#end\nz";
+        let mut out = String::new();
+        expand(&source.lines().collect::<Vec<_>>(), &defines, &mut out);
+        assert_eq!(out, "a0\ny0\na1\ny1\na2\ny2\nz\n");
+    }
+
+    #[test]
+    fn bindings_are_found() {
+        let wgsl = "@group(0) @binding(1) var<storage, read> a: array<f32>;\n@group(0) @binding(0) var<uniform> v: V;";
+        assert_eq!(bindings(wgsl), vec![(0, Access::Uniform), (1, Access::Read)]);
+    }
+}

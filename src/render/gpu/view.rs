@@ -1,0 +1,64 @@
+//! What a frame is rendered with: the host's side of `shaders/shared/view.wgsl`.
+
+use glam::Vec3;
+
+use crate::scene::{Camera, Composition, OrderMode};
+
+/// Everything the shaders know of one view.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View {
+    pub(crate) camera: Camera,
+    pub(crate) composition: Composition,
+    pub(crate) n_splats: u32,
+    /// Active SH degree of splats.
+    pub(crate) sh_degree: u32,
+    /// Active SH degree of mesh maps.
+    pub(crate) band_degree: u32,
+    pub(crate) n_triangles: u32,
+    pub(crate) pair_capacity: u32,
+}
+
+/// Number of words of the uniform buffer.
+pub(crate) const VIEW_WORDS: usize = 36;
+
+/// Side of a tile in pixels.
+pub(crate) const TILE: u32 = 16;
+
+impl View {
+    /// Tiles across and down.
+    pub(crate) fn tiles(&self) -> (u32, u32) {
+        let k = self.camera.intrinsics();
+        (k.width.div_ceil(TILE), k.height.div_ceil(TILE))
+    }
+
+    /// Pixels.
+    pub(crate) fn pixels(&self) -> usize {
+        let k = self.camera.intrinsics();
+        k.width as usize * k.height as usize
+    }
+
+    /// The uniform's words, in the order of the WGSL struct.
+    pub(crate) fn words(&self) -> [u32; VIEW_WORDS] {
+        let (k, c) = (self.camera.intrinsics(), &self.composition);
+        let (r, t) = (self.camera.rotation().as_mat3(), self.camera.translation().as_vec3());
+        let center: Vec3 = self.camera.center().as_vec3();
+        let mut words = Vec::with_capacity(VIEW_WORDS);
+        for (row, t) in [(r.row(0), t.x), (r.row(1), t.y), (r.row(2), t.z)] {
+            words.extend([row.x, row.y, row.z, t].map(f32::to_bits));
+        }
+        words.extend([center.x, center.y, center.z, 0.0].map(f32::to_bits));
+        words.extend([k.fx, k.fy, k.cx, k.cy].map(|v| (v as f32).to_bits()));
+        let tiles = self.tiles();
+        words.extend([k.width, k.height, tiles.0, tiles.1]);
+        let b = c.background;
+        words.extend([b[0], b[1], b[2], 0.0].map(f32::to_bits));
+        let mode = match c.mode {
+            OrderMode::Stable => 0,
+            OrderMode::SurfaceConsistent => 1,
+            OrderMode::Direct => 2,
+        };
+        words.extend([self.n_splats, self.sh_degree, mode, self.n_triangles]);
+        words.extend([c.near.to_bits(), c.lambda.min(f32::MAX).to_bits(), self.pair_capacity, self.band_degree]);
+        words.try_into().expect("the struct has VIEW_WORDS words")
+    }
+}
