@@ -2,7 +2,9 @@
 //! same name in `shaders/`.
 
 mod device;
+mod scan;
 mod shader;
+mod sort;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};

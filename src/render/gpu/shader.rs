@@ -15,7 +15,15 @@ macro_rules! embed {
     };
 }
 
-embed!["shared/atomic_add.wgsl", "shared/view.wgsl",];
+embed![
+    "dispatch_size.wgsl",
+    "radix_sort.wgsl",
+    "radix_sort_serial.wgsl",
+    "scan.wgsl",
+    "shared/atomic_add.wgsl",
+    "shared/view.wgsl",
+    "shared/workgroup_scan.wgsl",
+];
 
 /// Names and values that specialise a shader.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,0 +1,86 @@
+// One pass of a stable radix sort of (key, value) pairs by up to eight bits, least significant digit first, for
+// software adapters: few cores, lanes that read and write one by one, expensive barriers. Each thread walks a long
+// chunk of consecutive pairs with its own 256 counters, which is stable by construction and needs no barrier.
+// Same three dispatches as radix_sort.wgsl: histograms of chunks, their scan in digit-major order, scatter.
+
+struct Pass {
+    shift: u32,
+    mask: u32,
+}
+
+@group(0) @binding(0) var<storage, read> counts: array<u32>;
+@group(0) @binding(1) var<storage, read> keys_in: array<u32>;
+@group(0) @binding(2) var<storage, read> values_in: array<u32>;
+@group(0) @binding(3) var<storage, read_write> keys_out: array<u32>;
+@group(0) @binding(4) var<storage, read_write> values_out: array<u32>;
+@group(0) @binding(5) var<storage, read_write> histograms: array<u32>;  // [chunk][digit]
+@group(0) @binding(6) var<uniform> digit_bits: Pass;
+
+//#import shared/workgroup_scan.wgsl
+
+const DIGITS: u32 = 256u;
+const LANES: u32 = 8u;
+const SHORTEST_CHUNK: u32 = 1024u;      // shorter ones cost more in counters than in pairs
+
+var<workgroup> counters: array<u32, 2048>;     // [lane][digit]
+
+fn item_count() -> u32 {
+    return min(counts[COUNT_WORD], CAPACITY);
+}
+
+fn chunk_length(n: u32) -> u32 {
+    return max((n + MAX_CHUNKS - 1u) / MAX_CHUNKS, SHORTEST_CHUNK);
+}
+
+@compute @workgroup_size(8)
+fn count(@builtin(local_invocation_index) lane: u32, @builtin(global_invocation_id) id: vec3u) {
+    let n = item_count();
+    let length = chunk_length(n);
+    let start = id.x * length;
+    if start >= n { return; }
+    let end = min(start + length, n);
+    let mine = lane * DIGITS;
+    for (var d = 0u; d <= digit_bits.mask; d++) { counters[mine + d] = 0u; }
+    for (var i = start; i < end; i++) {
+        counters[mine + ((keys_in[i] >> digit_bits.shift) & digit_bits.mask)] += 1u;
+    }
+    for (var d = 0u; d <= digit_bits.mask; d++) { histograms[id.x * DIGITS + d] = counters[mine + d]; }
+}
+
+@compute @workgroup_size(256)
+fn scan(@builtin(local_invocation_index) digit: u32) {
+    let n = item_count();
+    let length = chunk_length(n);
+    let n_chunks = (n + length - 1u) / length;
+    var sum = 0u;
+    if digit <= digit_bits.mask {
+        for (var c = 0u; c < n_chunks; c++) { sum += histograms[c * DIGITS + digit]; }
+    }
+    var before = workgroup_scan(digit, sum);
+    if digit <= digit_bits.mask {
+        for (var c = 0u; c < n_chunks; c++) {
+            let here = histograms[c * DIGITS + digit];
+            histograms[c * DIGITS + digit] = before;
+            before += here;
+        }
+    }
+}
+
+@compute @workgroup_size(8)
+fn scatter(@builtin(local_invocation_index) lane: u32, @builtin(global_invocation_id) id: vec3u) {
+    let n = item_count();
+    let length = chunk_length(n);
+    let start = id.x * length;
+    if start >= n { return; }
+    let end = min(start + length, n);
+    let mine = lane * DIGITS;
+    for (var d = 0u; d <= digit_bits.mask; d++) { counters[mine + d] = histograms[id.x * DIGITS + d]; }
+    for (var i = start; i < end; i++) {
+        let key = keys_in[i];
+        let slot = mine + ((key >> digit_bits.shift) & digit_bits.mask);
+        let to = counters[slot];
+        counters[slot] = to + 1u;
+        keys_out[to] = key;
+        values_out[to] = values_in[i];
+    }
+}

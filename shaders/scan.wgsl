@@ -1,0 +1,62 @@
+// Exclusive prefix sum of the first counts[COUNT_WORD] words of `input`; the total goes to counts[TOTAL_WORD].
+// Three dispatches: sums of blocks, their scan by one workgroup, scan inside blocks. No workgroup waits for another
+// (WGSL promises no forward progress), at the price of reading the input twice.
+
+@group(0) @binding(0) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(1) var<storage, read> input: array<u32>;
+@group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
+@group(0) @binding(3) var<storage, read_write> output: array<u32>;
+
+//#import shared/workgroup_scan.wgsl
+
+const PER_THREAD: u32 = 8u;
+const BLOCK: u32 = 2048u;               // 256 threads × PER_THREAD; BLOCK in scan.rs
+
+fn item_count() -> u32 {
+    return min(counts[COUNT_WORD], CAPACITY);
+}
+
+@compute @workgroup_size(256)
+fn sum_blocks(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+    let n = item_count();
+    var sum = 0u;
+    for (var k = 0u; k < PER_THREAD; k++) {
+        let i = group.x * BLOCK + k * 256u + thread;
+        if i < n { sum += input[i]; }
+    }
+    workgroup_scan(thread, sum);
+    if thread == 0u { block_sums[group.x] = workgroup_total; }
+}
+
+@compute @workgroup_size(256)
+fn scan_sums(@builtin(local_invocation_index) thread: u32) {
+    let n_blocks = (item_count() + BLOCK - 1u) / BLOCK;
+    var carry = 0u;
+    for (var base = 0u; base < n_blocks; base += 256u) {
+        let i = base + thread;
+        var sum = 0u;
+        if i < n_blocks { sum = block_sums[i]; }
+        let before = workgroup_scan(thread, sum);
+        if i < n_blocks { block_sums[i] = carry + before; }
+        carry += workgroup_total;
+        workgroupBarrier();
+    }
+    if thread == 0u { counts[TOTAL_WORD] = carry; }
+}
+
+@compute @workgroup_size(256)
+fn scan_blocks(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+    let n = item_count();
+    let start = group.x * BLOCK + thread * PER_THREAD;
+    var sum = 0u;
+    //#for k in 0..8
+    var v$k = 0u;
+    if start + $ku < n { v$k = input[start + $ku]; }
+    sum += v$k;
+    //#end
+    var before = block_sums[group.x] + workgroup_scan(thread, sum);
+    //#for k in 0..8
+    if start + $ku < n { output[start + $ku] = before; }
+    before += v$k;
+    //#end
+}

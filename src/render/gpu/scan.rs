@@ -1,0 +1,126 @@
+//! Prefix sums on the GPU (`shaders/scan.wgsl`), and the size of dispatches whose length only the GPU knows.
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    shader::Defines,
+};
+
+/// Elements per workgroup, as in the shader.
+const BLOCK: usize = 2048;
+
+/// Arguments of indirect dispatches that cover a number of items kept in a GPU buffer.
+pub(crate) struct DispatchSize {
+    kernel: Kernel,
+    bindings: Bindings,
+    size: Buffer,
+}
+
+impl DispatchSize {
+    /// For `counts[count_word]` items, at most `capacity`, in workgroups of `block`.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        capacity: usize,
+        block: usize,
+        counts: &Buffer,
+        count_word: u32,
+    ) -> Result<Self, GpuError> {
+        let defines =
+            gpu.defines().with("COUNT_WORD", count_word).with("CAPACITY", capacity as u32).with("BLOCK", block as u32);
+        let kernel = Kernel::new(gpu, "dispatch_size.wgsl", "main", &defines);
+        let size = gpu.storage("dispatch size", 3)?;
+        let bindings = kernel.bind(gpu, &[counts, &size]);
+        Ok(Self { kernel, bindings, size })
+    }
+
+    /// Computes the size from the count as it is at this point of the frame.
+    pub(crate) fn record(&self, frame: &mut Frame) {
+        frame.dispatch(&self.kernel, &self.bindings, 1);
+    }
+
+    /// Dispatches `kernel` with it.
+    pub(crate) fn dispatch(&self, frame: &mut Frame, kernel: &Kernel, bindings: &Bindings) {
+        frame.dispatch_indirect(kernel, bindings, &self.size, 0);
+    }
+}
+
+/// Exclusive prefix sum of u32.
+pub(crate) struct Scan {
+    size: DispatchSize,
+    sum_blocks: Kernel,
+    scan_sums: Kernel,
+    scan_blocks: Kernel,
+    bindings: Bindings,
+}
+
+impl Scan {
+    /// Scans the first `counts[count_word]` (≤ `capacity`) words of `input` into `output`, another buffer, and writes
+    /// the total to `counts[total_word]`.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold the block sums.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        capacity: usize,
+        input: &Buffer,
+        output: &Buffer,
+        counts: &Buffer,
+        count_word: u32,
+        total_word: u32,
+    ) -> Result<Self, GpuError> {
+        let defines: Defines = gpu
+            .defines()
+            .with("COUNT_WORD", count_word)
+            .with("TOTAL_WORD", total_word)
+            .with("CAPACITY", capacity as u32);
+        let kernel = |entry| Kernel::new(gpu, "scan.wgsl", entry, &defines);
+        let (sum_blocks, scan_sums, scan_blocks) = (kernel("sum_blocks"), kernel("scan_sums"), kernel("scan_blocks"));
+        let block_sums = gpu.storage("scan block sums", groups(capacity, BLOCK))?;
+        let bindings = sum_blocks.bind(gpu, &[counts, input, &block_sums, output]);
+        let size = DispatchSize::new(gpu, capacity, BLOCK, counts, count_word)?;
+        Ok(Self { size, sum_blocks, scan_sums, scan_blocks, bindings })
+    }
+
+    /// Appends the scan to a frame.
+    pub(crate) fn record(&self, frame: &mut Frame) {
+        self.size.record(frame);
+        self.size.dispatch(frame, &self.sum_blocks, &self.bindings);
+        frame.dispatch(&self.scan_sums, &self.bindings, 1);
+        self.size.dispatch(frame, &self.scan_blocks, &self.bindings);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+
+    #[test]
+    fn scan_equals_a_running_sum() {
+        let gpu = Gpu::open(None).unwrap();
+        let mut rng = Pcg32::seed_from_u64(1);
+        let capacity = 600_000; // more than 256 blocks: the middle kernel loops
+        let values: Vec<u32> = (0..capacity).map(|_| rng.random_range(0..1000)).collect();
+        let input = gpu.storage_with("input", &values).unwrap();
+        let output = gpu.storage("output", capacity).unwrap();
+        let counts = gpu.storage("counts", 4).unwrap();
+        let scan = Scan::new(&gpu, capacity, &input, &output, &counts, 1, 3).unwrap();
+        for n in [0, 1, 255, 2047, 2048, 2049, 100_000, capacity] {
+            gpu.write(&output, 0, &vec![u32::MAX; capacity]);
+            gpu.write(&counts, 0, &[7, n as u32, 8, 9]);
+            let mut frame = Frame::new(&gpu);
+            scan.record(&mut frame);
+            frame.submit();
+            let mut sum = 0;
+            let mut expected = vec![];
+            for v in &values[..n] {
+                expected.push(sum);
+                sum += v;
+            }
+            expected.resize(capacity, u32::MAX);
+            assert!(gpu.read::<u32>(&output, capacity).unwrap() == expected, "{n} elements");
+            assert_eq!(gpu.read::<u32>(&counts, 4).unwrap(), [7, n as u32, 8, sum]);
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! Stable radix sort of (u32 key, u32 value) pairs on the GPU (`shaders/radix_sort.wgsl`, or
+//! `shaders/radix_sort_serial.wgsl` on software adapters).
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    scan::DispatchSize,
+};
+
+/// Pairs per workgroup of `radix_sort.wgsl`.
+const BLOCK: usize = 2048;
+/// Threads per workgroup of `radix_sort_serial.wgsl`.
+const LANES: usize = 8;
+/// Most chunks of `radix_sort_serial.wgsl`: enough for a few workgroups on each core, few enough that scanning their
+/// 256 counters costs little.
+const MAX_CHUNKS: usize = 256;
+
+/// Which of the two shaders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Width {
+    /// Many lanes: four bits per pass.
+    Parallel,
+    /// Few lanes: eight bits per pass.
+    Serial,
+}
+
+impl Width {
+    fn digit_bits(self) -> u32 {
+        match self {
+            Self::Parallel => 4,
+            Self::Serial => 8,
+        }
+    }
+}
+
+/// A sort of up to `capacity` pairs.
+pub(crate) struct Sort {
+    width: Width,
+    size: DispatchSize,
+    count: Kernel,
+    scan: Kernel,
+    scatter: Kernel,
+    /// One per pass; they read one pair of buffers and write the other in turn.
+    passes: Vec<Bindings>,
+    keys: [Buffer; 2],
+    values: [Buffer; 2],
+}
+
+impl Sort {
+    /// Sorts the first `counts[count_word]` (≤ `capacity`) pairs by the lowest `bits` bits (1 to 32) of their keys.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold the buffers.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        capacity: usize,
+        bits: u32,
+        counts: &Buffer,
+        count_word: u32,
+    ) -> Result<Self, GpuError> {
+        let width = if gpu.profile().is_cpu { Width::Serial } else { Width::Parallel };
+        Self::with_width(gpu, capacity, bits, counts, count_word, width)
+    }
+
+    fn with_width(
+        gpu: &Gpu,
+        capacity: usize,
+        bits: u32,
+        counts: &Buffer,
+        count_word: u32,
+        width: Width,
+    ) -> Result<Self, GpuError> {
+        let defines = gpu
+            .defines()
+            .with("COUNT_WORD", count_word)
+            .with("CAPACITY", capacity as u32)
+            .with("MAX_CHUNKS", MAX_CHUNKS as u32);
+        let (file, n_counters) = match width {
+            Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK) * 16),
+            Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS * 256),
+        };
+        let kernel = |entry| Kernel::new(gpu, file, entry, &defines);
+        let (count, scan, scatter) = (kernel("count"), kernel("scan"), kernel("scatter"));
+        let keys = [gpu.storage("sort keys", capacity)?, gpu.storage("sort keys", capacity)?];
+        let values = [gpu.storage("sort values", capacity)?, gpu.storage("sort values", capacity)?];
+        let histograms = gpu.storage("sort histograms", n_counters)?;
+
+        let bits = bits.clamp(1, 32);
+        let n_passes = bits.div_ceil(width.digit_bits());
+        let per_pass = bits.div_ceil(n_passes);
+        let mut passes = Vec::new();
+        for pass in 0..n_passes {
+            let shift = pass * per_pass;
+            let here = per_pass.min(bits - shift);
+            let uniform = gpu.uniform("sort digit", 4)?;
+            gpu.write(&uniform, 0, &[shift, (1 << here) - 1, 0, 0]);
+            let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
+            let buffers = [counts, &keys[from], &values[from], &keys[to], &values[to], &histograms, &uniform];
+            passes.push(count.bind(gpu, &buffers));
+        }
+        let size = DispatchSize::new(gpu, capacity, BLOCK, counts, count_word)?;
+        Ok(Self { width, size, count, scan, scatter, passes, keys, values })
+    }
+
+    /// Where the caller writes keys.
+    pub(crate) fn keys_in(&self) -> &Buffer {
+        &self.keys[0]
+    }
+
+    /// Where the caller writes values.
+    pub(crate) fn values_in(&self) -> &Buffer {
+        &self.values[0]
+    }
+
+    /// Sorted keys; may be the same buffer as `keys_in`.
+    pub(crate) fn keys_out(&self) -> &Buffer {
+        &self.keys[self.passes.len() % 2]
+    }
+
+    /// Values in the order of their keys; may be the same buffer as `values_in`.
+    pub(crate) fn values_out(&self) -> &Buffer {
+        &self.values[self.passes.len() % 2]
+    }
+
+    /// Appends the sort to a frame.
+    pub(crate) fn record(&self, frame: &mut Frame) {
+        if self.width == Width::Parallel {
+            self.size.record(frame);
+        }
+        for bindings in &self.passes {
+            self.record_blocks(frame, &self.count, bindings);
+            frame.dispatch(&self.scan, bindings, 1);
+            self.record_blocks(frame, &self.scatter, bindings);
+        }
+    }
+
+    fn record_blocks(&self, frame: &mut Frame, kernel: &Kernel, bindings: &Bindings) {
+        match self.width {
+            Width::Parallel => self.size.dispatch(frame, kernel, bindings),
+            Width::Serial => frame.dispatch(kernel, bindings, MAX_CHUNKS / LANES),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+
+    /// Sorts `keys` with values 0, 1, … in buffers of `capacity` pairs and compares with a stable sort.
+    fn check(gpu: &Gpu, width: Width, bits: u32, capacity: usize, lists: &[Vec<u32>]) {
+        let counts = gpu.storage("counts", 4).unwrap();
+        let sort = Sort::with_width(gpu, capacity, bits, &counts, 2, width).unwrap();
+        let mask = u32::MAX >> (32 - bits);
+        for keys in lists {
+            let values: Vec<u32> = (0..keys.len() as u32).collect();
+            gpu.write(sort.keys_in(), 0, keys);
+            gpu.write(sort.values_in(), 0, &values);
+            gpu.write(&counts, 8, &[keys.len() as u32]);
+            let mut frame = Frame::new(gpu);
+            sort.record(&mut frame);
+            frame.submit();
+            let mut expected = values;
+            expected.sort_by_key(|&v| keys[v as usize] & mask);
+            let found: Vec<u32> = gpu.read(sort.values_out(), keys.len()).unwrap();
+            assert!(found == expected, "{width:?}, {bits} bits, {} pairs: order of values", keys.len());
+            let found: Vec<u32> = gpu.read(sort.keys_out(), keys.len()).unwrap();
+            let expected: Vec<u32> = expected.iter().map(|&v| keys[v as usize]).collect();
+            assert!(found == expected, "{width:?}, {bits} bits, {} pairs: keys", keys.len());
+        }
+    }
+
+    #[test]
+    fn sort_is_stable_at_every_length() {
+        let gpu = Gpu::open(None).unwrap();
+        let mut rng = Pcg32::seed_from_u64(2);
+        let capacity = 300_000; // more than a full set of shortest chunks, and several rounds of the histogram scan
+        let lengths = [0, 1, 2, 1023, 1025, 2047, 2048, 2049, 100_000, 299_999, 300_000];
+        for width in [Width::Parallel, Width::Serial] {
+            for bits in [32, 13, 3] {
+                let mut lists: Vec<Vec<u32>> =
+                    lengths.iter().map(|&n| (0..n).map(|_| rng.random()).collect()).collect();
+                lists.push(vec![0xdead_beef; 5000]);
+                lists.push((0..5000).rev().collect());
+                check(&gpu, width, bits, capacity, &lists);
+            }
+        }
+    }
+}
