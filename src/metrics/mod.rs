@@ -1,1 +1,56 @@
-//! Image metrics and reports.
+//! Image metrics and reports (METHODS 8).
+//!
+//! Images are RGB floats in display-referred \[0, 1\]. Numbers meant for comparison with published tables are taken
+//! on [`quantised`] images, as INRIA's scripts write PNGs and score what they read back.
+
+mod evaluation;
+mod picture;
+pub mod plot;
+mod psnr;
+pub mod report;
+mod ssim;
+
+use image::Rgb32FImage;
+
+pub use evaluation::{Evaluation, Measured, PROTOCOL, ViewScore};
+pub use picture::side_by_side;
+pub use psnr::{psnr, quantised, to_rgb8};
+pub use ssim::{ssim_inria, ssim_reflect, ssim_valid};
+
+/// Two images that cannot be compared.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MetricError {
+    /// The images differ in size.
+    #[error("render: expected {}×{} pixels as in the photograph, found {}×{}", expected.0, expected.1, found.0, found.1)]
+    Size {
+        /// Width and height of the photograph.
+        expected: (u32, u32),
+        /// Width and height of the render.
+        found: (u32, u32),
+    },
+    /// An image is smaller than the metric's window allows.
+    #[error("{metric}: expected images of at least {least}×{least} pixels, found {}×{}", found.0, found.1)]
+    Small {
+        /// Name of the metric.
+        metric: &'static str,
+        /// Smallest side that works.
+        least: u32,
+        /// Width and height found.
+        found: (u32, u32),
+    },
+}
+
+fn check_same_size(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<(), MetricError> {
+    if truth.dimensions() == render.dimensions() {
+        return Ok(());
+    }
+    Err(MetricError::Size { expected: truth.dimensions(), found: render.dimensions() })
+}
+
+fn check_least(metric: &'static str, least: u32, image: &Rgb32FImage) -> Result<(), MetricError> {
+    let found = image.dimensions();
+    if found.0.min(found.1) >= least {
+        return Ok(());
+    }
+    Err(MetricError::Small { metric, least, found })
+}

@@ -1,0 +1,203 @@
+//! A self-contained HTML page about a trained scene: nothing is loaded from elsewhere.
+
+use std::fmt::Write as _;
+
+use image::{ImageError, RgbImage, codecs::jpeg::JpegEncoder};
+
+use super::{
+    Evaluation,
+    plot::{self, Plot},
+};
+
+/// What goes on the page.
+#[derive(Clone, Debug)]
+pub struct Report<'a> {
+    /// Heading: the name of the scene or capture.
+    pub title: &'a str,
+    /// The figures.
+    pub evaluation: &'a Evaluation,
+    /// Setting and value, in the order to be shown.
+    pub settings: &'a [(String, String)],
+    /// Curves over training, drawn next to each other.
+    pub plots: &'a [Plot],
+    /// Caption and picture, see [`super::side_by_side`].
+    pub pictures: &'a [(String, RgbImage)],
+}
+
+/// JPEG quality of embedded pictures: no visible loss at a tenth of PNG's bytes. The lossless ones are files.
+const QUALITY: u8 = 92;
+
+/// Writes the page as one string.
+///
+/// # Errors
+/// If a picture cannot be encoded: empty, or a side above JPEG's 65535 pixels.
+pub fn html(report: &Report<'_>) -> Result<String, ImageError> {
+    let mut out = String::new();
+    write_page(&mut out, report)?;
+    Ok(out)
+}
+
+fn write_page(out: &mut String, report: &Report<'_>) -> Result<(), ImageError> {
+    let title = escaped(report.title);
+    let e = report.evaluation;
+    *out += &format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n\
+         <title>{title} · Centaur</title>\n<style>{CSS}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n"
+    );
+    let headline = |value: Option<f64>, decimals: usize| value.map_or("n/a".into(), |v| format!("{v:.decimals$}"));
+    *out += &format!(
+        "<p class=\"headline\"><b>{}</b> dB PSNR <b>{}</b> SSIM (INRIA) <b>{}</b> held-out views</p>\n",
+        headline(e.psnr, 2),
+        headline(e.ssim_inria, 4),
+        e.views.len()
+    );
+    *out += "<section class=\"columns\">\n<div><h2>Views</h2>\n";
+    write_views(out, e);
+    *out += "</div>\n<div><h2>Scene and machine</h2>\n";
+    write_pairs(out, e.figures().iter().map(|(k, v)| (*k, v.as_str())));
+    *out += "</div>\n";
+    if !report.settings.is_empty() {
+        *out += "<div><h2>Settings</h2>\n";
+        write_pairs(out, report.settings.iter().map(|(k, v)| (k.as_str(), v.as_str())));
+        *out += "</div>\n";
+    }
+    *out += "</section>\n";
+    if !report.plots.is_empty() {
+        *out += "<h2>Training</h2>\n<section class=\"plots\">\n";
+        report.plots.iter().for_each(|p| *out += &plot::svg(p));
+        *out += "</section>\n";
+    }
+    if !report.pictures.is_empty() {
+        *out += "<h2>Photograph, render, absolute error × 4</h2>\n";
+    }
+    for (caption, picture) in report.pictures {
+        let mut jpeg = Vec::new();
+        JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode_image(picture)?;
+        let caption = escaped(caption);
+        *out += &format!(
+            "<figure><img alt=\"{caption}\" loading=\"lazy\" width=\"{}\" height=\"{}\" src=\"data:image/jpeg;base64,{}\">\
+             <figcaption>{caption}</figcaption></figure>\n",
+            picture.width(),
+            picture.height(),
+            base64(&jpeg)
+        );
+    }
+    *out += &format!("<footer>centaur {}</footer>\n</main>\n</body>\n</html>\n", env!("CARGO_PKG_VERSION"));
+    Ok(())
+}
+
+fn write_views(out: &mut String, e: &Evaluation) {
+    *out += "<table><thead><tr><th>view<th>size<th>PSNR<th>SSIM</tr></thead>\n<tbody>\n";
+    for v in &e.views {
+        let mask = if v.masked { " <small>masked</small>" } else { "" };
+        let name = escaped(&v.name);
+        let [w, h] = v.size;
+        let _ = writeln!(
+            out,
+            "<tr><td>{name}{mask}<td class=\"n\">{w}×{h}<td class=\"n\">{:.3}<td class=\"n\">{:.4}</tr>",
+            v.psnr, v.ssim_inria
+        );
+    }
+    *out += "</tbody>\n";
+    if let (Some(psnr), Some(ssim)) = (e.psnr, e.ssim_inria) {
+        let _ = writeln!(out, "<tfoot><tr><td>mean<td><td class=\"n\">{psnr:.3}<td class=\"n\">{ssim:.4}</tr></tfoot>");
+    }
+    *out += "</table>\n";
+}
+
+fn write_pairs<'a>(out: &mut String, pairs: impl Iterator<Item = (&'a str, &'a str)>) {
+    *out += "<table class=\"pairs\"><tbody>\n";
+    for (key, value) in pairs {
+        let _ = writeln!(out, "<tr><th>{}<td>{}</tr>", escaped(key), escaped(value));
+    }
+    *out += "</tbody></table>\n";
+}
+
+const CSS: &str = "
+:root{color-scheme:light dark;--paper:#fff;--ink:#24292f;--soft:#68707a;--rule:#d8dde3;--accent:#0b6bcb}
+@media(prefers-color-scheme:dark){:root{--paper:#14171a;--ink:#dde2e7;--soft:#8d969f;--rule:#343a41;--accent:#62b0ff}}
+*{box-sizing:border-box}
+body{margin:0;background:var(--paper);color:var(--ink);font:15px/1.5 system-ui,sans-serif}
+main{max-width:84rem;margin:0 auto;padding:2rem 1.5rem}
+h1{font-size:1.7rem;margin:0}h2{font-size:1.05rem;margin:2rem 0 .6rem}
+.headline{color:var(--soft);margin:.3rem 0 0}.headline b{color:var(--ink);font-size:1.25rem;margin-left:.9rem}
+.headline b:first-child{margin-left:0}
+.columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(21rem,1fr));gap:0 2.5rem}
+.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(21rem,1fr));gap:1rem}.plots svg{width:100%;height:auto}
+table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
+th,td{text-align:left;padding:.25rem .6rem .25rem 0;border-bottom:1px solid var(--rule);vertical-align:top;overflow-wrap:anywhere}
+thead th,.pairs th,small{color:var(--soft);font-weight:400}.pairs th{white-space:nowrap}
+.n,thead th+th{text-align:right;white-space:nowrap}tfoot td{font-weight:600;border:0}
+figure{margin:0 0 1.2rem}img{max-width:100%;height:auto;display:block}
+figcaption,footer{color:var(--soft);font-size:.85rem}footer{margin-top:2rem}
+";
+
+/// Text made safe between tags and in quoted attributes.
+pub(super) fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// RFC 4648 base64 with padding.
+fn base64(bytes: &[u8]) -> String {
+    const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let byte = |i: usize| u32::from(chunk.get(i).copied().unwrap_or(0));
+        let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
+        for i in 0..4 {
+            let sextet = (bits >> (18 - 6 * i)) & 63;
+            out.push(if i > chunk.len() { '=' } else { char::from(ALPHABET[sextet as usize]) });
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::evaluation::tests::example;
+
+    #[test]
+    fn base64_of_rfc_4648() {
+        let cases =
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
+        for (text, code) in cases {
+            assert_eq!(base64(text.as_bytes()), code);
+        }
+        assert_eq!(base64(&[0xfb, 0xff, 0xfe]), "+//+");
+    }
+
+    #[test]
+    fn page_is_self_contained_and_escaped() {
+        let evaluation = example();
+        let settings = [("lambda".to_owned(), "0.01 <extent>".to_owned())];
+        let plots = [Plot { title: "loss".into(), log_y: true, points: vec![(0.0, 1.0), (10.0, 0.1)] }];
+        let pictures = [("b <b>.jpg".to_owned(), RgbImage::new(8, 8))];
+        let page = html(&Report {
+            title: "a&b",
+            evaluation: &evaluation,
+            settings: &settings,
+            plots: &plots,
+            pictures: &pictures,
+        });
+        let page = page.unwrap();
+        assert!(
+            page.contains("<h1>a&amp;b</h1>")
+                && page.contains("b &lt;b&gt;.jpg")
+                && page.contains("0.01 &lt;extent&gt;")
+        );
+        assert!(page.contains("src=\"data:image/jpeg;base64,/9j/") && page.contains("<polyline"));
+        // The SVG namespace is a name, not a resource.
+        let links = page.replace("http://www.w3.org/2000/svg", "");
+        assert!(!links.contains("http") && !links.contains("<link") && !links.contains("<script"));
+    }
+
+    #[test]
+    fn an_empty_picture_is_an_error() {
+        let evaluation = example();
+        let pictures = [(String::new(), RgbImage::new(0, 0))];
+        let report = Report { title: "", evaluation: &evaluation, settings: &[], plots: &[], pictures: &pictures };
+        assert!(html(&report).is_err());
+    }
+}
