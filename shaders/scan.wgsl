@@ -9,8 +9,7 @@
 
 //#import shared/workgroup_scan.wgsl
 
-const PER_THREAD: u32 = 8u;
-const BLOCK: u32 = 2048u;               // 256 threads × PER_THREAD; BLOCK in scan.rs
+const BLOCK: u32 = 256u * PER_THREAD;
 
 fn item_count() -> u32 {
     return min(counts[COUNT_WORD], CAPACITY);
@@ -48,15 +47,13 @@ fn scan_sums(@builtin(local_invocation_index) thread: u32) {
 fn scan_blocks(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
     let n = item_count();
     let start = group.x * BLOCK + thread * PER_THREAD;
+    let end = min(start + PER_THREAD, n);
     var sum = 0u;
-    //#for k in 0..8
-    var v$k = 0u;
-    if start + $ku < n { v$k = input[start + $ku]; }
-    sum += v$k;
-    //#end
+    for (var i = start; i < end; i++) { sum += input[i]; }
     var before = block_sums[group.x] + workgroup_scan(thread, sum);
-    //#for k in 0..8
-    if start + $ku < n { output[start + $ku] = before; }
-    before += v$k;
-    //#end
+    for (var i = start; i < end; i++) {
+        let value = input[i];           // again: from the cache
+        output[i] = before;
+        before += value;
+    }
 }
