@@ -1,0 +1,51 @@
+use anyhow::{Result, bail};
+use centaur::render::gpu::{AdapterSummary, GpuError, list_adapters};
+
+use super::output;
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur devices
+  centaur devices --json";
+
+/// List the GPU adapters that can run Centaur, best first
+///
+/// `--adapter NAME` of the other commands takes any part of a name shown here; without it the first is used.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    /// Print one JSON array of adapters instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    let adapters = list_adapters();
+    if args.json {
+        return output::print_json(&adapters);
+    }
+    if adapters.is_empty() {
+        bail!(GpuError::NoAdapter);
+    }
+    output::print(&adapters.iter().map(describe).collect::<Vec<_>>().join("\n"))
+}
+
+/// Three lines: name, then what decides speed and size.
+fn describe(a: &AdapterSummary) -> String {
+    let yes = |b: bool, what: &'static str, not: &'static str| if b { what } else { not };
+    let subgroups = match a.subgroup_size {
+        (_, 0) => "no subgroups".to_owned(),
+        (low, high) if low == high => format!("subgroups of {low}"),
+        (low, high) => format!("subgroups of {low} to {high}"),
+    };
+    format!(
+        "{}\n  {} {}, {}\n  buffers up to {} MiB, {}, {subgroups}, {}",
+        a.name,
+        a.backend,
+        a.kind,
+        a.driver,
+        a.max_binding_bytes >> 20,
+        yes(a.float_atomics, "native f32 atomics", "f32 atomics by compare-exchange"),
+        yes(a.timestamps, "timestamps", "no timestamps"),
+    )
+}

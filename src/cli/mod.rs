@@ -1,0 +1,77 @@
+//! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
+
+mod devices;
+mod output;
+
+use std::io::{self, Write as _};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
+#[derive(Parser)]
+#[command(name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
+#[command(after_help = "Exit codes: 0 done, 1 failure (one line on stderr), 2 wrong usage.")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Devices(devices::Args),
+}
+
+pub(crate) fn main() -> ExitCode {
+    // Wrong usage ends here with exit code 2.
+    let result = match Cli::parse().command {
+        Command::Devices(args) => devices::run(&args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) if is_broken_pipe(&e) => ExitCode::SUCCESS,
+        Err(e) => {
+            // Nothing is left to be done if stderr is gone too.
+            let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Whoever read our output has seen enough: `centaur inspect scene.glb | head -3`.
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe)
+}
+
+/// The chain of causes, outermost first, on one line. A cause that its effect already quotes is not repeated.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain() {
+        let cause = cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        if line.is_empty() {
+            line = cause;
+        } else if !line.ends_with(&cause) {
+            line = format!("{line}: {cause}");
+        }
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::anyhow;
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn arguments_are_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn causes_are_joined_once_each_on_one_line() {
+        let error = anyhow!("no such file").context("a.bin: no such file").context("reading\nthe capture");
+        assert_eq!(one_line(&error), "reading the capture: a.bin: no such file");
+    }
+}
