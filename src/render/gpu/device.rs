@@ -1,8 +1,11 @@
 //! The only file that talks to wgpu directly: adapter, device, buffers, kernels, command recording, read-back.
 
-use std::sync::{
-    Arc, Mutex,
-    atomic::{AtomicU64, Ordering},
+use std::{
+    collections::HashMap,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
 use super::shader::{self, Access, Defines};
@@ -100,6 +103,7 @@ pub struct Gpu {
     limits: wgpu::Limits,
     memory: Arc<Memory>,
     failure: Arc<Mutex<Option<String>>>,
+    kernels: Mutex<HashMap<(String, Defines), Kernel>>,
 }
 
 #[derive(Default)]
@@ -211,7 +215,7 @@ impl Gpu {
         let failure = Arc::new(Mutex::new(None));
         let first = Arc::clone(&failure);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            let mut slot = first.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            let mut slot = first.lock().unwrap_or_else(PoisonError::into_inner);
             slot.get_or_insert_with(|| error.to_string());
         }));
         Ok(Self {
@@ -227,6 +231,7 @@ impl Gpu {
             limits,
             memory: Arc::default(),
             failure,
+            kernels: Mutex::default(),
         })
     }
 
@@ -264,7 +269,7 @@ impl Gpu {
     /// # Errors
     /// That error.
     pub fn check(&self) -> Result<(), GpuError> {
-        match self.failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone() {
+        match self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone() {
             None => Ok(()),
             Some(reason) => Err(GpuError::Failed { adapter: self.adapter.clone(), reason }),
         }
@@ -341,11 +346,11 @@ impl Gpu {
         let outcome = Arc::new(Mutex::new(None));
         let slot = Arc::clone(&outcome);
         staging.slice(..).map_async(wgpu::MapMode::Read, move |r| {
-            *slot.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(r);
+            *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(r);
         });
         self.wait()?;
         self.check()?;
-        match outcome.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take() {
+        match outcome.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(Ok(())) => {}
             Some(Err(e)) => return Err(failed(e.to_string())),
             None => return Err(failed("read-back did not finish".to_owned())),
@@ -373,7 +378,8 @@ impl Gpu {
     }
 }
 
-/// A compiled compute entry point.
+/// A compiled compute entry point. Cheap to clone.
+#[derive(Clone)]
 pub(crate) struct Kernel {
     label: String,
     pipeline: wgpu::ComputePipeline,
@@ -385,8 +391,14 @@ pub(crate) struct Kernel {
 pub(crate) struct Bindings(wgpu::BindGroup);
 
 impl Kernel {
-    /// Compiles entry point `entry` of `shaders/<file>`, specialised by `defines` and the adapter's own.
+    /// Entry point `entry` of `shaders/<file>`, specialised by `defines`; compiled once per adapter.
     pub(crate) fn new(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
+        let mut kernels = gpu.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (format!("{file}:{entry}"), defines.clone());
+        kernels.entry(key).or_insert_with(|| Self::compile(gpu, file, entry, defines)).clone()
+    }
+
+    fn compile(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
         let wgsl = shader::preprocess(file, defines);
         let bindings = shader::bindings(&wgsl);
         let entries: Vec<_> = bindings

@@ -1,10 +1,14 @@
 //! The compute pipeline on wgpu. `device` is the only file that talks to wgpu; every stage is one WGSL file of the
 //! same name in `shaders/`.
 
+mod blend;
 mod device;
+pub mod measure;
+mod pipeline;
 mod scan;
 mod shader;
 mod sort;
+mod splats;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};

@@ -2,8 +2,9 @@
 //!
 //! Directives are comment lines, so that a file stays close to plain WGSL:
 //! * `//#import shared/x.wgsl [with NAME=value …]` inserts a file; `$NAME` in it becomes `value`.
-//! * `//#if NAME` or `//#if !NAME`, `//#else`, `//#end`: keep lines if the define is not 0.
-//! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced; A and B are numbers or defines (`B` may be `NAME+1`).
+//! * `//#if NAME`, `//#if !NAME` or `//#if A<B`, `//#else`, `//#end`: keep lines if that holds (a define holds if not 0).
+//! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced by A, …, B−1; if A > B, by A−1, …, B.
+//!   A and B are numbers or defines.
 //!
 //! Every define is also emitted as `const NAME: u32`.
 
@@ -16,17 +17,31 @@ macro_rules! embed {
 }
 
 embed![
+    "blend_backward.wgsl",
+    "blend_forward.wgsl",
+    "compact_visible.wgsl",
+    "ceilings.wgsl",
     "dispatch_size.wgsl",
+    "emit_pairs.wgsl",
+    "gather_counts.wgsl",
+    "order_splats.wgsl",
+    "project_splats.wgsl",
     "radix_sort.wgsl",
     "radix_sort_serial.wgsl",
     "scan.wgsl",
     "shared/atomic_add.wgsl",
+    "shared/projection.wgsl",
+    "shared/sh.wgsl",
+    "shared/sh_gradient.wgsl",
+    "shared/tile_rows.wgsl",
     "shared/view.wgsl",
     "shared/workgroup_scan.wgsl",
+    "splat_backward.wgsl",
+    "tile_ranges.wgsl",
 ];
 
 /// Names and values that specialise a shader.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Defines(BTreeMap<&'static str, u32>);
 
 impl Defines {
@@ -37,15 +52,15 @@ impl Defines {
     }
 
     fn value(&self, text: &str) -> u32 {
-        let (name, plus) = match text.split_once('+') {
-            Some((a, b)) => (a.trim(), b.trim().parse().expect("a number after '+'")),
-            None => (text.trim(), 0),
-        };
+        let name = text.trim();
         let value = name.parse().ok().or_else(|| self.0.get(name).copied());
-        value.unwrap_or_else(|| panic!("shader define {name} is not set")) + plus
+        value.unwrap_or_else(|| panic!("shader define {name} is not set"))
     }
 
     fn holds(&self, condition: &str) -> bool {
+        if let Some((a, b)) = condition.split_once('<') {
+            return self.value(a) < self.value(b);
+        }
         match condition.trim().strip_prefix('!') {
             Some(name) => self.value(name) == 0,
             None => self.value(condition) != 0,
@@ -96,7 +111,9 @@ fn expand(lines: &[&str], defines: &Defines, out: &mut String) {
         } else if let Some(range) = directive.strip_prefix("for ") {
             let (name, range) = range.split_once(" in ").expect("'for i in A..B'");
             let (from, to) = range.split_once("..").expect("'A..B'");
-            for value in defines.value(from)..defines.value(to) {
+            let (from, to) = (defines.value(from), defines.value(to));
+            let values: Vec<u32> = if from <= to { (from..to).collect() } else { (to..from).rev().collect() };
+            for value in values {
                 let text = body.join("\n").replace(&format!("${}", name.trim()), &value.to_string());
                 expand(&text.lines().collect::<Vec<_>>(), defines, out);
             }
@@ -157,11 +174,14 @@ mod tests {
 
     #[test]
     fn blocks_nest_and_loops_substitute() {
-        let defines = Defines::default().with("N", 2).with("OFF", 0);
-        let source = "//#for i in 0..N+1\na$i\n//#if OFF\nx\n//#else\ny$i\n//#end\n//#end\nz";
+        let defines = Defines::default().with("N", 3).with("OFF", 0);
+        let source = "//#for i in 0..N\na$i\n//#if OFF\nx\n//#else\ny$i\n//#end\n//#end\nz";
         let mut out = String::new();
         expand(&source.lines().collect::<Vec<_>>(), &defines, &mut out);
         assert_eq!(out, "a0\ny0\na1\ny1\na2\ny2\nz\n");
+        out.clear();
+        expand(&["//#for i in N..0", "//#if $i<2", "$i", "//#end", "//#end"], &defines, &mut out);
+        assert_eq!(out, "1\n0\n");
     }
 
     #[test]

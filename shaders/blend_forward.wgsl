@@ -1,0 +1,179 @@
+// Blends a tile's depth-sorted splats and the mesh layers, front to back (METHODS 4.5). One traversal suffices: a
+// splat lands in bucket b, the number of layers in front of it at this pixel, and "over" is associative, so every
+// bucket is accumulated on its own and all are composited with the layers at the end.
+// A thread owns PER_THREAD pixels of one tile column, so that a splat's record is read once for all of them.
+// Per (splat, pixel): 1 exp, ~25 flops. Per splat and tile: 48 + 4·LAYERS bytes. Per pixel: 20·BUCKETS bytes saved.
+//#import shared/view.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
+@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> image: array<vec4f>;      // rgb, final transmittance
+//#if SAVE
+@group(0) @binding(5) var<storage, read_write> buckets: array<vec4f>;    // [BUCKETS][pixel]: colour, transmittance
+@group(0) @binding(6) var<storage, read_write> ends: array<u32>;         // [BUCKETS][pixel]: pair after the last used
+//#end
+//#if LAYERS
+@group(0) @binding(7) var<storage, read> thresholds: array<f32>;
+@group(0) @binding(8) var<storage, read> layer_depth: array<f32>;
+@group(0) @binding(9) var<storage, read> layer_color: array<vec4f>;
+//#end
+
+const ALPHA_CUT: f32 = 1.0 / 255.0;     // contributions below are skipped (3DGS)
+const ALPHA_CAP: f32 = 0.99;            // (3DGS)
+const STOP: f32 = 1e-4;                 // transmittance at which a bucket closes (3DGS)
+const EMPTY_DEPTH: f32 = 3.4028234e38;  // of a pixel without a layer: no threshold exceeds it
+const BATCH: u32 = 128u;
+
+var<workgroup> batch_center: array<vec4f, BATCH>;       // centre, depth, opacity
+var<workgroup> batch_conic: array<vec4f, BATCH>;
+var<workgroup> batch_color: array<vec4f, BATCH>;
+//#if LAYERS
+var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
+//#end
+var<workgroup> finished: atomic<u32>;                   // threads with no open bucket left
+var<workgroup> n_finished: u32;
+var<workgroup> tile_range: vec2u;
+
+@compute @workgroup_size(THREADS)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let tile = group_index(group, groups);
+    if tile >= view.tiles.x * view.tiles.y { return; }
+    if thread == 0u {
+        tile_range = ranges[tile];
+        atomicStore(&finished, 0u);
+    }
+    let range = workgroupUniformLoad(&tile_range);
+    let x = (tile % view.tiles.x) * TILE + thread % TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE;
+    let px = f32(x) + 0.5;
+    let n_pixels = view.size.x * view.size.y;
+
+    var color: array<array<vec3f, BUCKETS>, PER_THREAD>;
+    var t: array<array<f32, BUCKETS>, PER_THREAD>;
+    var end: array<array<u32, BUCKETS>, PER_THREAD>;
+    var front: array<array<f32, BUCKETS>, PER_THREAD>;  // bounds the transmittance of what lies before a bucket
+    var open: array<array<bool, BUCKETS>, PER_THREAD>;
+//#for j in 0..PER_THREAD
+    let y$j = y + $ju * (THREADS / TILE);
+    let py$j = f32(y$j) + 0.5;
+    let inside$j = x < view.size.x && y$j < view.size.y;
+    let pixel$j = y$j * view.size.x + x;
+//#for b in 0..BUCKETS
+    color[$j][$b] = vec3f(0.0);
+    t[$j][$b] = 1.0;
+    end[$j][$b] = range.x;
+    front[$j][$b] = 1.0;
+    open[$j][$b] = inside$j;
+//#end
+//#for l in 0..LAYERS
+    var depth$j_$l = EMPTY_DEPTH;
+    var layer$j_$l = vec4f(0.0);
+    if inside$j {
+        let d = layer_depth[$lu * n_pixels + pixel$j];
+        if d > 0.0 {
+            depth$j_$l = d;
+            layer$j_$l = layer_color[$lu * n_pixels + pixel$j];
+        }
+    }
+//#end
+//#end
+    var any_open = true;
+
+    for (var start = range.x; start < range.y; start += BATCH) {
+        // Close buckets that are hidden by what is known to lie before them; stop when the tile has none open.
+        if any_open {
+            any_open = false;
+//#for j in 0..PER_THREAD
+            {
+                var before = 1.0;
+//#for b in 0..BUCKETS
+                front[$j][$b] = before;
+                open[$j][$b] = open[$j][$b] && before * t[$j][$b] >= STOP;
+                any_open = any_open || open[$j][$b];
+//#if $b<LAYERS
+                before *= t[$j][$b] * (1.0 - layer$j_$b.w);
+//#end
+//#end
+            }
+//#end
+            if !any_open { atomicAdd(&finished, 1u); }
+        }
+        workgroupBarrier();             // the last batch has been used, `finished` is complete
+        if thread == 0u { n_finished = atomicLoad(&finished); }
+        if workgroupUniformLoad(&n_finished) == THREADS { break; }
+        for (var s = thread; s < min(BATCH, range.y - start); s += THREADS) {
+            let i = pair_splats[start + s];
+            batch_center[s] = projected[3u * i];
+            batch_conic[s] = projected[3u * i + 1u];
+            batch_color[s] = projected[3u * i + 2u];
+//#for l in 0..LAYERS
+            batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
+//#end
+        }
+        workgroupBarrier();
+        let n = select(0u, min(BATCH, range.y - start), any_open);
+        for (var s = 0u; s < n; s++) {
+            let center = batch_center[s];
+            let conic = batch_conic[s];
+            let rgb = batch_color[s].xyz;
+            let dx = px - center.x;
+            let power_x = -0.5 * conic.x * dx * dx;
+            let power_xy = -conic.y * dx;
+//#for l in 0..LAYERS
+            let threshold$l = batch_threshold[s * LAYERS + $lu];
+//#end
+//#for j in 0..PER_THREAD
+            {
+                let dy = py$j - center.y;
+                let power = power_x + dy * (power_xy - 0.5 * conic.z * dy);
+                let alpha = min(ALPHA_CAP, center.w * exp(power));
+                if power <= 0.0 && alpha >= ALPHA_CUT {
+                    var bucket = 0u;
+//#for l in 0..LAYERS
+                    if depth$j_$l < threshold$l { bucket = $lu + 1u; }
+//#end
+//#for b in 0..BUCKETS
+                    if bucket == $bu && open[$j][$b] {
+                        let after = t[$j][$b] * (1.0 - alpha);
+                        // 3DGS stops without adding the splat that takes the transmittance below STOP.
+                        if front[$j][$b] * after < STOP {
+                            open[$j][$b] = false;
+                        } else {
+                            color[$j][$b] += t[$j][$b] * alpha * rgb;
+                            t[$j][$b] = after;
+                            end[$j][$b] = start + s + 1u;
+                        }
+                    }
+//#end
+                }
+            }
+//#end
+        }
+    }
+
+//#for j in 0..PER_THREAD
+    if inside$j {
+        var behind = view.background.xyz;
+        var transmittance = 1.0;
+//#for b in BUCKETS..0
+//#if $b<LAYERS
+        behind = layer$j_$b.w * layer$j_$b.xyz + (1.0 - layer$j_$b.w) * behind;
+        transmittance *= 1.0 - layer$j_$b.w;
+//#end
+        behind = color[$j][$b] + t[$j][$b] * behind;
+        transmittance *= t[$j][$b];
+//#if SAVE
+        buckets[$bu * n_pixels + pixel$j] = vec4f(color[$j][$b], t[$j][$b]);
+        ends[$bu * n_pixels + pixel$j] = end[$j][$b];
+//#end
+//#end
+        image[pixel$j] = vec4f(behind, transmittance);
+    }
+//#end
+}

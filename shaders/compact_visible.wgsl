@@ -1,0 +1,22 @@
+// Lists visible splats with their depth as sort key. z > near > 0, so float bits order like depths; counting from
+// `near` leaves 28 significant bits for every depth up to 2³² · near.
+//#import shared/view.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> visible: array<u32>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(5) var<storage, read_write> splats: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = group_index(group, groups) * 256u + thread;
+    if i >= view.n_splats || visible[i] == 0u { return; }
+    keys[slots[i]] = min(bitcast<u32>(projected[3u * i].z) - bitcast<u32>(view.near), 0x0fffffffu);
+    splats[slots[i]] = i;
+}

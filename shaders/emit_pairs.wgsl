@@ -1,0 +1,47 @@
+// Writes a (tile, splat) pair for every tile a visible splat touches, in depth order, so that a stable sort by tile
+// alone leaves every tile's list in depth order.
+//#import shared/view.wgsl
+//#import shared/tile_rows.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(2) var<storage, read> splats: array<u32>;
+@group(0) @binding(3) var<storage, read> offsets: array<u32>;
+@group(0) @binding(4) var<storage, read> tile_count: array<u32>;
+@group(0) @binding(5) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(7) var<storage, read_write> values: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let k = group_index(group, groups) * 256u + thread;
+    if k == 0u {
+        // More pairs than fit: the frame is incomplete. The host sees the total, grows the buffers and repeats it.
+        counts[COUNT_STORED_PAIRS] = min(counts[COUNT_PAIRS], view.pair_capacity);
+    }
+    if k >= counts[COUNT_VISIBLE] { return; }
+    let i = splats[k];
+    let a = projected[3u * i];
+    let e = ellipse(a.xy, projected[3u * i + 1u].xyz, a.w);
+    var at = offsets[k];
+    let end = min(at + tile_count[i], view.pair_capacity);
+    let rows = row_span(e, view.tiles);
+    for (var row = rows.x; row < rows.y; row++) {
+        let columns = column_span(e, row, view.tiles);
+        for (var column = columns.x; column < columns.y; column++) {
+            if at >= end { return; }
+            keys[at] = row * view.tiles.x + column;
+            values[at] = i;
+            at++;
+        }
+    }
+    // Two kernels may round differently: what was counted but not found goes to a tile that does not exist.
+    for (; at < end; at++) {
+        keys[at] = view.tiles.x * view.tiles.y;
+        values[at] = i;
+    }
+}

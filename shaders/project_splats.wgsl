@@ -1,0 +1,55 @@
+// Projects every splat: screen ellipse, colour, depth key and the number of tiles it touches (0 = culled).
+// One thread a splat. Reads 48 + 12·(d+1)² bytes, writes 60.
+//#import shared/view.wgsl
+//#import shared/projection.wgsl
+//#import shared/tile_rows.wgsl
+//#import shared/sh.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
+@group(0) @binding(2) var<storage, read> sh: array<f32>;
+// 3 per splat: [centre, depth, opacity], [conic, radius], [colour, 0].
+@group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
+@group(0) @binding(5) var<storage, read_write> visible: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = group_index(group, groups) * 256u + thread;
+    if i >= view.n_splats { return; }
+    tile_count[i] = 0u;
+    visible[i] = 0u;
+    let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
+    let p = project(view, g);
+    // Comparisons are phrased so that NaN fails them.
+    if !(p.t.z > view.near) || !(g.opacity >= ALPHA_CUT) { return; }
+    if !(p.covariance.x * p.covariance.z - p.covariance.y * p.covariance.y > 0.0) { return; }
+    let e = ellipse(p.center, p.conic, g.opacity);
+    if !(max(e.extent.x, e.extent.y) < 1e6) || !(max(abs(p.center.x), abs(p.center.y)) < 1e7) { return; }
+    let rows = row_span(e, view.tiles);
+    var count = 0u;
+    for (var row = rows.x; row < rows.y; row++) {
+        let columns = column_span(e, row, view.tiles);
+        count += max(columns.y, columns.x) - columns.x;
+    }
+    if count == 0u { return; }
+
+    let basis = sh_basis(normalize(g.mean - view.center.xyz));
+    let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
+    let first = i * 3u * SH_TERMS;
+    var color = vec3f(0.5);
+//#for k in 0..SH_TERMS
+    if $ku < active_terms {
+        color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
+    }
+//#end
+    projected[3u * i] = vec4f(p.center, p.t.z, g.opacity);
+    projected[3u * i + 1u] = vec4f(p.conic, max(e.extent.x, e.extent.y));
+    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 0.0);
+    tile_count[i] = count;
+    visible[i] = 1u;
+}

@@ -1,0 +1,49 @@
+// Which tiles a splat touches, exactly: those that hold a pixel centre where its alpha can reach ALPHA_CUT, i.e.
+// inside the ellipse δᵀQδ ≤ 2·ln(255·opacity) (METHODS 2.2.5). Evaluated a tile row at a time.
+
+const TILE_EPSILON: f32 = 0.01;         // px; keeps rounding from dropping a tile
+
+struct Ellipse {
+    center: vec2f,
+    conic: vec3f,
+    level: f32,                         // 2·ln(255·opacity)
+    extent: vec2f,                      // half width and height of the bounding box
+}
+
+fn ellipse(center: vec2f, conic: vec3f, opacity: f32) -> Ellipse {
+    let level = 2.0 * log(max(255.0 * opacity, 1.0));
+    let det = conic.x * conic.z - conic.y * conic.y;
+    return Ellipse(center, conic, level, sqrt(level * vec2f(conic.z, conic.x) / det));
+}
+
+// First and one-past-last tile whose pixel centres meet [low, high], within 0..count.
+fn tile_span(low: f32, high: f32, count: u32) -> vec2u {
+    let size = f32(TILE);
+    let first = ceil((low - TILE_EPSILON + 0.5) / size - 1.0);
+    let last = floor((high + TILE_EPSILON - 0.5) / size) + 1.0;
+    return vec2u(clamp(vec2f(first, last), vec2f(0.0), vec2f(f32(count))));
+}
+
+fn row_span(e: Ellipse, tiles: vec2u) -> vec2u {
+    return tile_span(e.center.y - e.extent.y, e.center.y + e.extent.y, tiles.y);
+}
+
+// Tiles [x, y) of tile row `row`.
+fn column_span(e: Ellipse, row: u32, tiles: vec2u) -> vec2u {
+    // Vertical offsets of the row's first and last pixel centres, cut to the ellipse.
+    let top = max(f32(row * TILE) + 0.5 - e.center.y - TILE_EPSILON, -e.extent.y);
+    let bottom = min(f32(row * TILE + TILE) - 0.5 - e.center.y + TILE_EPSILON, e.extent.y);
+    if top > bottom { return vec2u(0u); }
+    // The ellipse's right-most point lies at dy = −b/c·dx; if outside the row, the nearer edge has the extreme.
+    let tilt = -e.conic.y / e.conic.z * e.extent.x;
+    let right = edge(e, clamp(tilt, top, bottom), 1.0);
+    let left = edge(e, clamp(-tilt, top, bottom), -1.0);
+    return tile_span(e.center.x + left, e.center.x + right, tiles.x);
+}
+
+// Horizontal offset of the ellipse at vertical offset dy, on the side of `sign`.
+fn edge(e: Ellipse, dy: f32, sign: f32) -> f32 {
+    let b = e.conic.y * dy;
+    let root = b * b - e.conic.x * (e.conic.z * dy * dy - e.level);
+    return (-b + sign * sqrt(max(root, 0.0))) / e.conic.x;
+}

@@ -1,0 +1,128 @@
+// From the ten screen-space moments of `blend_backward` to gradients of a splat's parameters (METHODS 2.5), and the
+// statistics of density control. One thread a splat; culled splats get zeros.
+//#import shared/view.wgsl
+//#import shared/projection.wgsl
+//#import shared/sh.wgsl
+//#import shared/sh_gradient.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
+@group(0) @binding(2) var<storage, read> sh: array<f32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read> visible: array<u32>;
+@group(0) @binding(5) var<storage, read> moments: array<f32>;
+@group(0) @binding(6) var<storage, read_write> geometry_gradient: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> sh_gradient: array<f32>;
+// Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, views in which it was visible, blend weight, largest radius (px).
+@group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = group_index(group, groups) * 256u + thread;
+    if i >= view.n_splats { return; }
+    let first = i * 3u * SH_TERMS;
+    if visible[i] == 0u {
+        geometry_gradient[3u * i] = vec4f(0.0);
+        geometry_gradient[3u * i + 1u] = vec4f(0.0);
+        geometry_gradient[3u * i + 2u] = vec4f(0.0);
+        for (var k = 0u; k < 3u * SH_TERMS; k++) { sh_gradient[first + k] = 0.0; }
+        return;
+    }
+    let at = 10u * i;
+    let sp = moments[at];
+    let sd = vec2f(moments[at + 1u], moments[at + 2u]);
+    let sdd = vec3f(moments[at + 3u], moments[at + 4u], moments[at + 5u]);
+    let weight = moments[at + 9u];
+    var g_color = vec3f(moments[at + 6u], moments[at + 7u], moments[at + 8u]);
+
+    let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
+    let p = project(view, g);
+    let q = p.conic;
+
+    // Colour: clamped channels pass nothing.
+    let offset = g.mean - view.center.xyz;
+    let distance = length(offset);
+    let direction = offset / distance;
+    let basis = sh_basis(direction);
+    let slopes = sh_basis_gradient(direction);
+    let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
+    g_color = select(vec3f(0.0), g_color, projected[3u * i + 2u].xyz > vec3f(0.0));
+    var g_direction = vec3f(0.0);
+//#for k in 0..SH_TERMS
+    {
+        let on = select(0.0, 1.0, $ku < active_terms);
+        let c = vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
+        g_direction += on * dot(c, g_color) * slopes[$k];
+        let g_c = on * basis[$k] * g_color;
+        sh_gradient[first + 3u * $ku] = g_c.x;
+        sh_gradient[first + 3u * $ku + 1u] = g_c.y;
+        sh_gradient[first + 3u * $ku + 2u] = g_c.z;
+    }
+//#end
+    var g_mean = (g_direction - direction * dot(direction, g_direction)) / distance;
+
+    // Screen mean: ∂power/∂u = Qδ. Screen covariance: G_Q = −½Σp·δδᵀ, G_Σ = −Q·G_Q·Q.
+    let g_uv = vec2f(q.x * sd.x + q.y * sd.y, q.y * sd.x + q.z * sd.y);
+    let h = 0.5 * sdd;
+    let r0 = vec2f(q.x * h.x + q.y * h.y, q.x * h.y + q.y * h.z);
+    let r1 = vec2f(q.y * h.x + q.z * h.y, q.y * h.y + q.z * h.z);
+    let g_xx = r0.x * q.x + r0.y * q.y;
+    let g_xy = r0.x * q.y + r0.y * q.z;
+    let g_yy = r1.x * q.y + r1.y * q.z;
+
+    // Σ2 = (J·W)·Σ3·(J·W)ᵀ with rows m0, m1; in the splat's own axes n = scale ∘ Rᵀm.
+    let l0 = p.m0 * g.rotation;
+    let l1 = p.m1 * g.rotation;
+    let s2 = g.scale * g.scale;
+    let k0 = s2 * l0;                   // RᵀΣ3·m0
+    let k1 = s2 * l1;
+    let g_m0 = 2.0 * (g.rotation * (g_xx * k0 + g_xy * k1));
+    let g_m1 = 2.0 * (g.rotation * (g_xy * k0 + g_yy * k1));
+
+    // J from t; where t.xy is clamped, x̂ = z·limit moves with z alone.
+    let w0 = view.row_x.xyz; let w1 = view.row_y.xyz; let w2 = view.row_z.xyz;
+    let f = view.focal;
+    let z = p.t.z;
+    let g_j00 = dot(g_m0, w0); let g_j02 = dot(g_m0, w2);
+    let g_j11 = dot(g_m1, w1); let g_j12 = dot(g_m1, w2);
+    var g_t = vec3f(f / z * g_uv, -dot(f * p.t.xy, g_uv) / (z * z));
+    g_t.z -= (f.x * g_j00 + f.y * g_j11) / (z * z);
+    let a = -f / (z * z) * vec2f(g_j02, g_j12);
+    let c = 2.0 * f * p.clamped / (z * z * z) * vec2f(g_j02, g_j12);
+    let d = -f * p.clamped / (z * z * z) * vec2f(g_j02, g_j12);
+    g_t.x += select(0.0, a.x, p.inside.x);
+    g_t.y += select(0.0, a.y, p.inside.y);
+    g_t.z += c.x + c.y + select(d.x, 0.0, p.inside.x) + select(d.y, 0.0, p.inside.y);
+    g_mean += w0 * g_t.x + w1 * g_t.y + w2 * g_t.z;
+
+    // Σ3 = N·Nᵀ, N = R·diag(scale): G_N = 2·G_Σ3·N with G_Σ3 = Σ g_ab m_a m_bᵀ; column j of G_N is
+    // 2·scale_j·(m0·(g_xx·l0_j + g_xy·l1_j) + m1·(g_xy·l0_j + g_yy·l1_j)).
+    let u0 = g_xx * l0 + g_xy * l1;
+    let u1 = g_xy * l0 + g_yy * l1;
+    let g_log_scale = 2.0 * s2 * (l0 * u0 + l1 * u1);
+    // H = G_N·diag(scale): h_j is its column j.
+    let h0 = 2.0 * s2.x * (p.m0 * u0.x + p.m1 * u1.x);
+    let h1 = 2.0 * s2.y * (p.m0 * u0.y + p.m1 * u1.y);
+    let h2 = 2.0 * s2.z * (p.m0 * u0.z + p.m1 * u1.z);
+    let qw = g.quaternion.x; let qx = g.quaternion.y; let qy = g.quaternion.z; let qz = g.quaternion.w;
+    let g_unit = 2.0 * vec4f(
+        qx * (h1.z - h2.y) + qy * (h2.x - h0.z) + qz * (h0.y - h1.x),
+        -2.0 * qx * (h1.y + h2.z) + qy * (h1.x + h0.y) + qz * (h2.x + h0.z) + qw * (h1.z - h2.y),
+        qx * (h1.x + h0.y) - 2.0 * qy * (h0.x + h2.z) + qz * (h1.z + h2.y) + qw * (h2.x - h0.z),
+        qx * (h2.x + h0.z) + qy * (h1.z + h2.y) - 2.0 * qz * (h0.x + h1.y) + qw * (h0.y - h1.x),
+    );
+    let g_rotation = (g_unit - g.quaternion * dot(g.quaternion, g_unit)) / g.quaternion_length;
+
+    // power = ln(alpha/opacity): ∂L/∂opacity = Σp/opacity, through the logit ·opacity·(1−opacity).
+    geometry_gradient[3u * i] = vec4f(g_mean, sp * (1.0 - g.opacity));
+    geometry_gradient[3u * i + 1u] = g_rotation;
+    geometry_gradient[3u * i + 2u] = vec4f(g_log_scale, 0.0);
+
+    let old = statistics[i];
+    let norm = length(0.5 * vec2f(view.size) * g_uv);
+    statistics[i] = vec4f(old.x + norm, old.y + 1.0, old.z + weight, max(old.w, projected[3u * i + 1u].w));
+}

@@ -1,0 +1,231 @@
+//! Splats on the GPU: their parameters, and the stages from projection to depth-sorted tile lists.
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    scan::{DispatchSize, Scan},
+    sort::Sort,
+    view::TILE,
+};
+use crate::scene::{Splats, sh};
+
+/// Words of the buffer of counts.
+const COUNT_SPLATS: u32 = 0;
+const COUNT_VISIBLE: u32 = 1;
+const COUNT_PAIRS: u32 = 2;
+const COUNT_STORED_PAIRS: u32 = 3;
+
+/// Bits of a depth key, see `compact_visible.wgsl`.
+const DEPTH_BITS: u32 = 28;
+
+/// Floats of a splat in the geometry buffer: mean, opacity logit, quaternion (w, x, y, z), log-scale, 0.
+pub(crate) const GEOMETRY: usize = 12;
+
+/// Splat parameters as the shaders keep them.
+pub(crate) struct SplatBuffers {
+    /// `[capacity][3]` vec4.
+    pub(crate) geometry: Buffer,
+    /// `[capacity][(d+1)²][3]`.
+    pub(crate) sh: Buffer,
+    pub(crate) capacity: usize,
+    pub(crate) sh_degree: u32,
+}
+
+impl SplatBuffers {
+    /// Buffers for up to `capacity` splats of a degree.
+    pub(crate) fn new(gpu: &Gpu, capacity: usize, sh_degree: u32) -> Result<Self, GpuError> {
+        let capacity = capacity.max(1);
+        Ok(Self {
+            geometry: gpu.storage("splat geometry", capacity * GEOMETRY)?,
+            sh: gpu.storage("splat SH", capacity * 3 * sh::coefficients(sh_degree))?,
+            capacity,
+            sh_degree,
+        })
+    }
+
+    /// Replaces the first splats by those of a scene; their number must not exceed the capacity.
+    pub(crate) fn write(&self, gpu: &Gpu, splats: &Splats) {
+        gpu.write(&self.geometry, 0, &pack_geometry(splats));
+        gpu.write(&self.sh, 0, splats.sh());
+    }
+}
+
+/// `[N·12]` floats in the layout of the geometry buffer.
+pub(crate) fn pack_geometry(splats: &Splats) -> Vec<f32> {
+    let mut out = Vec::with_capacity(splats.len() * GEOMETRY);
+    for i in 0..splats.len() {
+        let (m, q, s) = (splats.means()[i], splats.rotations()[i], splats.log_scales()[i]);
+        out.extend([m.x, m.y, m.z, splats.opacity_logits()[i]]);
+        out.extend([q.w, q.x, q.y, q.z]);
+        out.extend([s.x, s.y, s.z, 0.0]);
+    }
+    out
+}
+
+/// Largest image that buffers are made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ImageCapacity {
+    pub(crate) pixels: usize,
+    pub(crate) tiles: usize,
+}
+
+impl ImageCapacity {
+    /// For images up to all of these (width, height) pairs.
+    pub(crate) fn of(sizes: impl IntoIterator<Item = (u32, u32)>) -> Self {
+        let mut most = Self { pixels: 1, tiles: 1 };
+        for (w, h) in sizes {
+            most.pixels = most.pixels.max(w as usize * h as usize);
+            most.tiles = most.tiles.max(w.div_ceil(TILE) as usize * h.div_ceil(TILE) as usize);
+        }
+        most
+    }
+}
+
+/// From parameters to tile lists.
+pub(crate) struct SplatLists {
+    /// `[capacity][3]` vec4, see `project_splats.wgsl`.
+    pub(crate) projected: Buffer,
+    /// `[capacity]`, 1 if the splat touches a tile.
+    pub(crate) visible: Buffer,
+    /// `[capacity][layers]`, see `order_splats.wgsl`; a dummy without layers.
+    pub(crate) thresholds: Buffer,
+    /// `[tiles]` vec2u.
+    pub(crate) ranges: Buffer,
+    counts: Buffer,
+    pair_capacity: usize,
+    layers: u32,
+    depth_sort: Sort,
+    tile_sort: Sort,
+    find_visible: Scan,
+    place_pairs: Scan,
+    per_visible: DispatchSize,
+    per_pair: DispatchSize,
+    project: (Kernel, Bindings),
+    compact: (Kernel, Bindings),
+    gather: (Kernel, Bindings),
+    emit: (Kernel, Bindings),
+    ranges_kernel: (Kernel, Bindings),
+    order: Option<(Kernel, Bindings)>,
+}
+
+impl SplatLists {
+    /// Stages for these parameters. `layer_depth` is the mesh stage's, if there are meshes (with `layers` of them).
+    pub(crate) fn new(
+        gpu: &Gpu,
+        splats: &SplatBuffers,
+        image: ImageCapacity,
+        pair_capacity: usize,
+        view: &Buffer,
+        layer_depth: Option<(&Buffer, u32)>,
+    ) -> Result<Self, GpuError> {
+        let n = splats.capacity;
+        let projected = gpu.storage("projected splats", n * 12)?;
+        let tile_count = gpu.storage("tile counts", n)?;
+        let visible = gpu.storage("visible splats", n)?;
+        let slots = gpu.storage("slots", n)?;
+        let sorted_count = gpu.storage("sorted tile counts", n)?;
+        let offsets = gpu.storage("pair offsets", n)?;
+        let counts = gpu.storage("counts", 4)?;
+        let ranges = gpu.storage("tile ranges", image.tiles * 2)?;
+        let layers = layer_depth.map_or(0, |l| l.1);
+        let thresholds = gpu.storage("order thresholds", (n * layers as usize).max(1))?;
+
+        let depth_sort = Sort::new(gpu, n, DEPTH_BITS, &counts, COUNT_VISIBLE)?;
+        let tile_bits = usize::BITS - image.tiles.leading_zeros(); // one key more than tiles
+        let tile_sort = Sort::new(gpu, pair_capacity, tile_bits, &counts, COUNT_STORED_PAIRS)?;
+        let find_visible = Scan::new(gpu, n, &visible, &slots, &counts, COUNT_SPLATS, COUNT_VISIBLE)?;
+        let place_pairs = Scan::new(gpu, n, &sorted_count, &offsets, &counts, COUNT_VISIBLE, COUNT_PAIRS)?;
+
+        let defines = gpu
+            .defines()
+            .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
+            .with("LAYERS", layers)
+            .with("COUNT_VISIBLE", COUNT_VISIBLE)
+            .with("COUNT_PAIRS", COUNT_PAIRS)
+            .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
+        let stage = |file: &str, buffers: &[&Buffer]| {
+            let kernel = Kernel::new(gpu, file, "main", &defines);
+            let bindings = kernel.bind(gpu, buffers);
+            (kernel, bindings)
+        };
+        let sorted = depth_sort.values_out();
+        let project =
+            stage("project_splats.wgsl", &[view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible]);
+        let compact = stage(
+            "compact_visible.wgsl",
+            &[view, &visible, &slots, &projected, depth_sort.keys_in(), depth_sort.values_in()],
+        );
+        let gather = stage("gather_counts.wgsl", &[&counts, sorted, &tile_count, &sorted_count]);
+        let emit = stage(
+            "emit_pairs.wgsl",
+            &[view, &counts, sorted, &offsets, &tile_count, &projected, tile_sort.keys_in(), tile_sort.values_in()],
+        );
+        let ranges_kernel = stage("tile_ranges.wgsl", &[view, &counts, tile_sort.keys_out(), &ranges]);
+        let order =
+            layer_depth.map(|(depth, _)| stage("order_splats.wgsl", &[view, &visible, &projected, depth, &thresholds]));
+        let per_visible = DispatchSize::new(gpu, n, 256, &counts, COUNT_VISIBLE)?;
+        let per_pair = DispatchSize::new(gpu, pair_capacity, 256, &counts, COUNT_STORED_PAIRS)?;
+        Ok(Self {
+            projected,
+            visible,
+            thresholds,
+            ranges,
+            counts,
+            pair_capacity,
+            layers,
+            depth_sort,
+            tile_sort,
+            find_visible,
+            place_pairs,
+            per_visible,
+            per_pair,
+            project,
+            compact,
+            gather,
+            emit,
+            ranges_kernel,
+            order,
+        })
+    }
+
+    /// Appends projection, depth order, ordering against the mesh layers and tile lists of the first `n` splats.
+    pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, n: usize) {
+        gpu.write(&self.counts, 0, &[n as u32, 0, 0, 0]);
+        frame.clear(&self.ranges);
+        let all = groups(n, 256);
+        frame.dispatch(&self.project.0, &self.project.1, all);
+        self.find_visible.record(frame);
+        frame.dispatch(&self.compact.0, &self.compact.1, all);
+        self.depth_sort.record(frame);
+        if let Some((kernel, bindings)) = &self.order {
+            frame.dispatch(kernel, bindings, all);
+        }
+        self.per_visible.record(frame);
+        self.per_visible.dispatch(frame, &self.gather.0, &self.gather.1);
+        self.place_pairs.record(frame);
+        self.per_visible.dispatch(frame, &self.emit.0, &self.emit.1);
+        self.per_pair.record(frame);
+        self.tile_sort.record(frame);
+        self.per_pair.dispatch(frame, &self.ranges_kernel.0, &self.ranges_kernel.1);
+    }
+
+    /// Splat of every (tile, splat) pair, sorted by tile and depth.
+    pub(crate) fn pair_splats(&self) -> &Buffer {
+        self.tile_sort.values_out()
+    }
+
+    /// Mesh layers that splats are ordered against.
+    pub(crate) fn layers(&self) -> u32 {
+        self.layers
+    }
+
+    /// Pairs that fit.
+    pub(crate) fn pair_capacity(&self) -> usize {
+        self.pair_capacity
+    }
+
+    /// Visible splats and pairs of the last frame; more pairs than the capacity mean that the frame is incomplete.
+    pub(crate) fn read_counts(&self, gpu: &Gpu) -> Result<(usize, usize), GpuError> {
+        let counts: Vec<u32> = gpu.read(&self.counts, 4)?;
+        Ok((counts[COUNT_VISIBLE as usize] as usize, counts[COUNT_PAIRS as usize] as usize))
+    }
+}
