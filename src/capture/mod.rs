@@ -1,1 +1,170 @@
 //! What was photographed: readers that turn a folder into posed views and points.
+//!
+//! [`open`] reads poses, points and image *headers*; [`decode`] makes one picture, [`PhotoCache`] many of them ahead
+//! of time and in parallel. Every view leaves here as an ideal pinhole: lens distortion is taken out on decoding.
+
+mod cache;
+mod colmap;
+mod colmap_binary;
+mod colmap_text;
+mod distortion;
+mod error;
+mod images;
+mod transforms;
+mod views;
+
+use std::path::Path;
+
+pub use cache::PhotoCache;
+pub use distortion::{Distortion, Lens};
+pub use error::CaptureError;
+pub use images::{ImageSource, Photo, decode};
+
+use crate::scene::Camera;
+
+/// A set of posed photographs and what structure from motion knows of the surface.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// Name of the folder.
+    pub name: String,
+    /// At least two, sorted by name.
+    pub views: Vec<View>,
+    /// Sparse points in world space, finite; empty if the capture has none.
+    pub points: Vec<Point>,
+}
+
+/// One posed photograph.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Name in the capture, unique: COLMAP's image name or the `file_path` of a `transforms.json`.
+    pub name: String,
+    /// Pinhole at the size of the decoded picture, undistorted and downscaled.
+    pub camera: Camera,
+    /// Where the picture comes from and what is done to it.
+    pub source: ImageSource,
+}
+
+/// A sparse point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// World position.
+    pub position: glam::DVec3,
+    /// Colour, sRGB-encoded.
+    pub rgb: [u8; 3],
+}
+
+/// What to take from a capture.
+#[derive(Clone, Debug, Default)]
+pub struct LoadOptions {
+    /// Size of the decoded pictures.
+    pub downscale: Downscale,
+    /// Folder of the images instead of `images`, such as `images_4`. For `transforms.json` it takes the place of a
+    /// leading `images` in the paths.
+    pub images: Option<String>,
+    /// Apply `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a `transforms.json`:
+    /// white is the object. Without such a folder nothing is masked; with one, every image needs its mask.
+    pub masks: bool,
+}
+
+/// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (METHODS 2.10, B).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Downscale {
+    /// As stored.
+    #[default]
+    Full,
+    /// Both sides divided by this and rounded; 0 is taken as 1.
+    Factor(u32),
+    /// The longer side at most this many pixels.
+    MaxSide(u32),
+}
+
+impl Downscale {
+    /// Size of a `width`×`height` picture afterwards, at least 1×1.
+    #[must_use]
+    pub fn size(self, width: u32, height: u32) -> (u32, u32) {
+        let scale = match self {
+            Self::Full => 1.0,
+            Self::Factor(n) => 1.0 / f64::from(n.max(1)),
+            Self::MaxSide(n) => (f64::from(n) / f64::from(width.max(height))).min(1.0),
+        };
+        let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
+        (side(width), side(height))
+    }
+}
+
+/// Which views are held out for testing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Split {
+    /// None.
+    All,
+    /// Every eighth by name, beginning with the first (METHODS 2.10). A capture that brings its own split
+    /// (`transforms_test.json`, `test_filenames`, `val_filenames`) keeps that instead.
+    #[default]
+    Every8th,
+}
+
+impl Split {
+    /// Indices into `views` for training and for testing, each in the order of `views`.
+    #[must_use]
+    pub fn split(self, views: &[View]) -> (Vec<usize>, Vec<usize>) {
+        let mut by_name: Vec<usize> = (0..views.len()).collect();
+        by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));
+        let mut held_out = vec![false; views.len()];
+        if self == Self::Every8th {
+            let own_split = views.iter().any(|v| v.source.held_out().is_some());
+            for (rank, &i) in by_name.iter().enumerate() {
+                held_out[i] = if own_split { views[i].source.held_out() == Some(true) } else { rank % 8 == 0 };
+            }
+        }
+        (0..views.len()).partition(|&i| !held_out[i])
+    }
+}
+
+/// Reads the capture at `path`, a folder or a `transforms*.json`.
+///
+/// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
+/// `colmap/sparse/0` or the folder itself, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
+/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic). A `transforms.json` brings no points.
+///
+/// Image files may be larger or smaller than their camera says (`images_4`) if the aspect ratio agrees within 1 %;
+/// the intrinsics follow the file.
+///
+/// # Errors
+/// If a file is missing, truncated or malformed, a camera model cannot be undistorted, a pose is no rigid motion, a
+/// name leaves the capture's folder or occurs twice, or there are fewer than two views.
+pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError> {
+    let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
+    let root = if folder { path } else { path.parent().unwrap_or(path) };
+    if let Some(images) = &options.images {
+        views::inside(path, images)?;
+    }
+    let (frames, points, list) = if !folder {
+        (transforms::load(root, &[(path.into(), None)], options)?, vec![], path.into())
+    } else if let Some(model) = colmap::find_model(path) {
+        let (frames, points) = colmap::load(path, &model, options)?;
+        (frames, points, model)
+    } else {
+        let files = transforms::find(path);
+        let Some((first, _)) = files.first() else {
+            let expected = "a COLMAP model (sparse/0, sparse) or a transforms*.json";
+            return Err(CaptureError::invalid(path, "capture", expected, "neither"));
+        };
+        (transforms::load(path, &files, options)?, vec![], first.clone())
+    };
+    let views = views::assemble(frames, &list, root, options)?;
+    let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
+    let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(Capture { name, views, points })
+}
+
+/// Size of the scene as the optimisers of METHODS 2.1 mean it: 1.1 × the largest distance of a camera from the mean
+/// of all camera centres, in world units. 0 without cameras.
+#[must_use]
+pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
+    let centers: Vec<_> = cameras.into_iter().map(Camera::center).collect();
+    let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
+    1.1 * centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,103 @@
+//! `cameras.txt`, `images.txt`, `points3D.txt`: one record per line (images: two), `#` starts a comment.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::str::{FromStr, SplitWhitespace};
+
+use glam::DVec3;
+
+use super::colmap::{self, ImageRecord};
+use super::distortion::Lens;
+use super::{CaptureError, Point};
+
+/// The words of one line.
+struct Line<'a> {
+    words: SplitWhitespace<'a>,
+    number: usize,
+    path: &'a Path,
+}
+
+impl<'a> Line<'a> {
+    fn invalid(&self, expected: &str, found: &str) -> CaptureError {
+        CaptureError::invalid(self.path, format!("line {}", self.number), expected, found)
+    }
+
+    fn word(&mut self, what: &str) -> Result<&'a str, CaptureError> {
+        self.words.next().ok_or_else(|| self.invalid(what, "the end of the line"))
+    }
+
+    fn number<T: FromStr>(&mut self, what: &str) -> Result<T, CaptureError> {
+        let word = self.word(what)?;
+        word.parse().map_err(|_| self.invalid(what, word))
+    }
+
+    fn numbers<T: FromStr + Copy + Default, const N: usize>(&mut self, what: &str) -> Result<[T; N], CaptureError> {
+        let mut values = [T::default(); N];
+        for v in &mut values {
+            *v = self.number(what)?;
+        }
+        Ok(values)
+    }
+}
+
+/// The lines of a file that are not comments, blank ones included, since an image without observations has one.
+fn lines<'a>(text: &'a str, path: &'a Path) -> impl Iterator<Item = (&'a str, Line<'a>)> {
+    text.lines()
+        .enumerate()
+        .filter(|(_, text)| !text.trim_start().starts_with('#'))
+        .map(move |(i, text)| (text.trim(), Line { words: text.split_whitespace(), number: i + 1, path }))
+}
+
+/// The cameras by number.
+pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, CaptureError> {
+    let mut cameras = HashMap::new();
+    for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
+        let id: u32 = line.number("a camera id")?;
+        let model = line.word("a camera model")?;
+        let [width, height] = line.numbers("a width and a height")?;
+        let unsupported = || CaptureError::UnsupportedModel { path: path.into(), model: model.into() };
+        let count = colmap::parameter_count(model).ok_or_else(unsupported)?;
+        let values: Vec<f64> =
+            (0..count).map(|_| line.number("a camera parameter")).collect::<Result<_, CaptureError>>()?;
+        let lens = colmap::lens(model, &values, width, height).ok_or_else(unsupported)?;
+        if cameras.insert(id, lens).is_some() {
+            return Err(line.invalid("a new camera id", &id.to_string()));
+        }
+    }
+    Ok(cameras)
+}
+
+/// The images in the order of the file; the second line of each, its 2-D points, is passed over.
+pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, CaptureError> {
+    let mut images = Vec::new();
+    let mut lines = lines(text, path);
+    while let Some((text, mut line)) = lines.next() {
+        if text.is_empty() {
+            continue;
+        }
+        line.number::<u32>("an image id")?;
+        let rotation = line.numbers("a quaternion")?;
+        let translation = line.numbers("a translation")?;
+        let camera = line.number("a camera id")?;
+        // A name may contain spaces: it is what follows the ninth word.
+        let name = (0..9).fold(text, |rest, _| rest.trim_start_matches(|c: char| !c.is_whitespace()).trim_start());
+        if name.is_empty() {
+            return Err(line.invalid("an image name", "the end of the line"));
+        }
+        images.push(ImageRecord { name: name.to_owned(), camera, rotation, translation });
+        lines.next();
+    }
+    Ok(images)
+}
+
+/// The points in the order of the file, without their tracks.
+pub(super) fn points(text: &str, path: &Path) -> Result<Vec<Point>, CaptureError> {
+    let mut points = Vec::new();
+    for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
+        line.number::<u64>("a point id")?;
+        let position = DVec3::from(line.numbers("a position")?);
+        let rgb = line.numbers("a colour of 0 to 255")?;
+        points.push(Point { position, rgb });
+    }
+    Ok(points)
+}

@@ -1,0 +1,98 @@
+use std::path::{Path, PathBuf};
+
+use crate::scene::SceneError;
+
+/// Why a capture cannot be used. Every message is one line with the file, the place, what was expected and what
+/// was found.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// A file or folder cannot be read.
+    #[error("{}: {source}", .path.display())]
+    Io {
+        /// What was opened.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// A file ends before what it announces.
+    #[error("{}: ends at byte {offset}, expected {expected}", .path.display())]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// Its length, or the offset at which too few bytes are left.
+        offset: usize,
+        /// What should have followed.
+        expected: String,
+    },
+    /// A value in a file is not what its format asks for.
+    #[error("{}: {place}: expected {expected}, found {found}", .path.display())]
+    Invalid {
+        /// The file or folder.
+        path: PathBuf,
+        /// Byte, line, image or field.
+        place: String,
+        /// What would have been accepted.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+    /// A camera model for which no pinhole image can be made.
+    #[error("{}: camera model {model} is not supported; undistort the capture with COLMAP first", .path.display())]
+    UnsupportedModel {
+        /// The file that names it.
+        path: PathBuf,
+        /// COLMAP's or nerfstudio's name, or the number of an unknown one.
+        model: String,
+    },
+    /// An image cannot be decoded.
+    #[error("{}: {reason}", .path.display())]
+    Image {
+        /// The image.
+        path: PathBuf,
+        /// The decoder's reason.
+        reason: String,
+    },
+    /// Images or masks that the capture names do not exist.
+    #[error("{}: {count} of {total} {what} missing, the first is {first}", .folder.display())]
+    Missing {
+        /// Where they were looked for.
+        folder: PathBuf,
+        /// `images` or `masks`.
+        what: &'static str,
+        /// How many are not there.
+        count: usize,
+        /// How many there should be.
+        total: usize,
+        /// The first one: an image's path in the folder, or the image that lacks a mask.
+        first: String,
+    },
+}
+
+impl CaptureError {
+    pub(super) fn invalid(
+        path: &Path,
+        place: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Self {
+        Self::Invalid { path: path.into(), place: place.into(), expected: expected.into(), found: found.into() }
+    }
+
+    /// A value that `scene` refuses, found at `place` of `path`.
+    pub(super) fn scene(path: &Path, place: &str, error: SceneError) -> Self {
+        Self::invalid(path, format!("{place}: {}", error.field), error.expected, error.found)
+    }
+}
+
+/// The bytes of `path`.
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, CaptureError> {
+    std::fs::read(path).map_err(|source| CaptureError::Io { path: path.into(), source })
+}
+
+/// The text of `path`.
+pub(super) fn read_text(path: &Path) -> Result<String, CaptureError> {
+    String::from_utf8(read(path)?).map_err(|e| {
+        let at = format!("byte {}", e.utf8_error().valid_up_to());
+        CaptureError::invalid(path, at, "UTF-8 text", "other bytes")
+    })
+}

@@ -1,0 +1,343 @@
+//! From an image file to a picture that fits its pinhole camera.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::imageops::{self, FilterType};
+use image::metadata::Orientation;
+use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Rgba, RgbaImage};
+
+use super::distortion::{Distortion, Lens};
+use super::views::same_aspect;
+use super::{CaptureError, View, error};
+
+/// Where a picture comes from and what makes it fit its camera.
+#[derive(Clone, Debug)]
+pub struct ImageSource {
+    pub(super) image: PathBuf,
+    pub(super) mask: Option<PathBuf>,
+    pub(super) orientation: Orientation,
+    /// At the size of the upright photograph.
+    pub(super) lens: Lens,
+    /// Size after downscaling.
+    pub(super) size: (u32, u32),
+    pub(super) held_out: Option<bool>,
+}
+
+impl ImageSource {
+    /// The image file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.image
+    }
+
+    /// The mask file, if one is applied.
+    #[must_use]
+    pub fn mask(&self) -> Option<&Path> {
+        self.mask.as_deref()
+    }
+
+    /// The lens the photograph was taken with, at its full upright size.
+    #[must_use]
+    pub fn lens(&self) -> &Lens {
+        &self.lens
+    }
+
+    /// Whether the capture itself puts this view into its test set; `None` if it has no split of its own.
+    #[must_use]
+    pub fn held_out(&self) -> Option<bool> {
+        self.held_out
+    }
+}
+
+/// A decoded picture at the size of its view's camera.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Photo {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// `[height·width·4]`, rows from the top: sRGB-encoded colour, and A, which is straight alpha, a mask
+    /// (255 = use this pixel) or their product. Colour is undefined where A is 0.
+    pub rgba: Vec<u8>,
+    /// Some pixel of the file is transparent: A is opacity over an unknown background.
+    pub has_alpha: bool,
+    /// A mask was applied, or the undistorted frame reaches outside the photograph: A is how far a pixel counts.
+    pub masked: bool,
+}
+
+/// Pixels a picture may have, 2²⁸: four times a 64-megapixel camera, 1 GiB decoded. A header that claims more is a
+/// mistake or an attack.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// What the first bytes of an image say.
+pub(super) struct Header {
+    size: (u32, u32),
+    orientation: Orientation,
+}
+
+impl Header {
+    /// EXIF orientation, and the size of the picture turned by it.
+    pub(super) fn upright(&self) -> (Orientation, (u32, u32)) {
+        let (w, h) = self.size;
+        let turned = matches!(
+            self.orientation,
+            Orientation::Rotate90 | Orientation::Rotate270 | Orientation::Rotate90FlipH | Orientation::Rotate270FlipH
+        );
+        (self.orientation, if turned { (h, w) } else { (w, h) })
+    }
+
+    /// The picture as stored.
+    pub(super) fn stored(&self) -> (Orientation, (u32, u32)) {
+        (Orientation::NoTransforms, self.size)
+    }
+}
+
+fn image_error(path: &Path, length: usize, error: &ImageError) -> CaptureError {
+    match error {
+        ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
+            CaptureError::Truncated { path: path.into(), offset: length, expected: "more image data".into() }
+        }
+        // Decoders put line breaks into some of their messages.
+        other => CaptureError::Image { path: path.into(), reason: other.to_string().replace('\n', " ") },
+    }
+}
+
+/// A decoder for `bytes`, whose size has been checked.
+fn decoder<'a>(bytes: &'a [u8], path: &Path) -> Result<impl ImageDecoder + 'a, CaptureError> {
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|e| image_error(path, bytes.len(), &e.into()))?;
+    // The pixel limit below is the tighter one; the default of 512 MiB refuses 16-bit panoramas.
+    reader.no_limits();
+    let decoder = reader.into_decoder().map_err(|e| image_error(path, bytes.len(), &e))?;
+    let (w, h) = decoder.dimensions();
+    if u64::from(w) * u64::from(h) > MAX_PIXELS || w == 0 || h == 0 {
+        return Err(CaptureError::invalid(path, "image size", format!("1 to {MAX_PIXELS} pixels"), format!("{w}×{h}")));
+    }
+    Ok(decoder)
+}
+
+/// Size and orientation of the image at `path`.
+pub(super) fn header(path: &Path) -> Result<Header, CaptureError> {
+    let bytes = error::read(path)?;
+    let mut decoder = decoder(&bytes, path)?;
+    let size = decoder.dimensions();
+    let orientation = decoder.orientation().map_err(|e| image_error(path, bytes.len(), &e))?;
+    Ok(Header { size, orientation })
+}
+
+/// All pixels of the image at `path` as stored, and the orientation its EXIF data gives.
+fn pixels(path: &Path) -> Result<(DynamicImage, Orientation), CaptureError> {
+    let bytes = error::read(path)?;
+    // The JPEG decoder fills what is missing with grey.
+    if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(&bytes) {
+        let expected = "the end-of-image marker of a JPEG".into();
+        return Err(CaptureError::Truncated { path: path.into(), offset: bytes.len(), expected });
+    }
+    let mut decoder = decoder(&bytes, path)?;
+    let orientation = decoder.orientation().map_err(|e| image_error(path, bytes.len(), &e))?;
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, bytes.len(), &e))?;
+    Ok((image, orientation))
+}
+
+/// Whether the segments of a JPEG lead to an end-of-image marker. (A search for the marker alone would find that
+/// of an embedded thumbnail.)
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    while let Some(&[first, marker]) = bytes.get(at..).and_then(|b| b.first_chunk()) {
+        match (first, marker) {
+            (0xff, 0xd9) => return true,
+            // Fill bytes, stuffed zeros, restart markers and entropy-coded data have no length.
+            (0xff, 0xff) => at += 1,
+            (0xff, 0x00 | 0x01 | 0xd0..=0xd8) => at += 2,
+            (0xff, _) => match bytes.get(at + 2..).and_then(|b| b.first_chunk()) {
+                Some(&length) => at += 2 + usize::from(u16::from_be_bytes(length)),
+                None => return false,
+            },
+            _ => at += 1,
+        }
+    }
+    false
+}
+
+/// Reads, turns, masks, undistorts and downscales the picture of a view.
+///
+/// # Errors
+/// If the image or its mask cannot be read, is truncated, or has changed its size since [`super::open`].
+pub fn decode(view: &View) -> Result<Photo, CaptureError> {
+    let source = &view.source;
+    let (width, height) = (source.lens.intrinsics.width, source.lens.intrinsics.height);
+    let (mut image, _) = pixels(&source.image)?;
+    image.apply_orientation(source.orientation);
+    if (image.width(), image.height()) != (width, height) {
+        let found = format!("{}×{}", image.width(), image.height());
+        return Err(CaptureError::invalid(&source.image, "image size", format!("{width}×{height}"), found));
+    }
+    let mut rgba = image.into_rgba8();
+    let has_alpha = rgba.pixels().any(|p| p[3] < 255);
+    if let Some(path) = &source.mask {
+        let mask = mask(path, width, height)?;
+        for (pixel, m) in rgba.pixels_mut().zip(mask.pixels()) {
+            // Rounded product of two fractions of 255.
+            pixel[3] = ((u32::from(pixel[3]) * u32::from(m[0]) + 127) / 255) as u8;
+        }
+    }
+    let mut masked = source.mask.is_some();
+    if source.lens.distortion != Distortion::None {
+        let (pinhole, outside) = source.lens.rectify(&rgba);
+        masked |= outside;
+        rgba = RgbaImage::from_raw(width, height, pinhole).expect("rectify keeps the size");
+    }
+    let (width, height) = source.size;
+    let rgba = resize(rgba, width, height).into_raw();
+    Ok(Photo { width, height, rgba, has_alpha, masked })
+}
+
+/// The mask at `path` in the size of its photograph.
+fn mask(path: &Path, width: u32, height: u32) -> Result<GrayImage, CaptureError> {
+    let (mut image, orientation) = pixels(path)?;
+    image.apply_orientation(orientation);
+    let size = (image.width(), image.height());
+    if !same_aspect(size, (width, height)) {
+        let expected = format!("the aspect ratio of its image, {width}×{height}");
+        return Err(CaptureError::invalid(path, "mask size", expected, format!("{}×{}", size.0, size.1)));
+    }
+    let mask = image.into_luma8();
+    if size == (width, height) {
+        return Ok(mask);
+    }
+    Ok(imageops::resize(&mask, width, height, FilterType::Triangle))
+}
+
+/// Bicubic (a = −½) with the support scaled by the factor, as Pillow does and METHODS 2.10 B asks. Colours are
+/// weighted by alpha.
+fn resize(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
+    if rgba.dimensions() == (width, height) {
+        return rgba;
+    }
+    if rgba.pixels().all(|p| p[3] == 255) {
+        return imageops::resize(&rgba, width, height, FilterType::CatmullRom);
+    }
+    // Premultiplied, in units of 2/255²: the kernel overshoots by up to an eighth, which must not saturate.
+    let mut weighted = image::ImageBuffer::<Rgba<u16>, Vec<u16>>::new(rgba.width(), rgba.height());
+    for (w, p) in weighted.pixels_mut().zip(rgba.pixels()) {
+        let alpha = u16::from(p[3]);
+        *w = Rgba([p[0], p[1], p[2], 255].map(|c| u16::from(c) * alpha / 2));
+    }
+    drop(rgba);
+    let weighted = imageops::resize(&weighted, width, height, FilterType::CatmullRom);
+    let mut out = RgbaImage::new(width, height);
+    for (p, w) in out.pixels_mut().zip(weighted.pixels()) {
+        let alpha = (f32::from(w[3]) / 127.5).round().min(255.0);
+        if alpha > 0.0 {
+            let color = |c: u16| (255.0 * f32::from(c) / f32::from(w[3])).round().min(255.0) as u8;
+            *p = Rgba([color(w[0]), color(w[1]), color(w[2]), alpha as u8]);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::write_capture;
+    use super::super::{Downscale, LoadOptions, open};
+    use super::*;
+    use image::RgbImage;
+
+    /// A 16×8 JPEG with a bright top left quarter.
+    fn jpeg() -> Vec<u8> {
+        let image = GrayImage::from_fn(16, 8, |x, y| image::Luma([if x < 8 && y < 4 { 250 } else { 5 }]));
+        let mut bytes = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 100).encode_image(&image).unwrap();
+        bytes
+    }
+
+    /// The same with an EXIF orientation, and with an end-of-image marker inside the EXIF block, as a thumbnail has.
+    fn oriented(orientation: u8) -> Vec<u8> {
+        let mut exif = b"Exif\0\0MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".to_vec();
+        exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0xff, 0xd9]);
+        let length = (exif.len() as u16 + 2).to_be_bytes();
+        let bytes = jpeg();
+        [&bytes[..2], &[0xff, 0xe1], &length, &exif, &bytes[2..]].concat()
+    }
+
+    /// A capture of two `width`×`height` cameras whose first image has these bytes.
+    fn capture_of(bytes: &[u8], width: u32, height: u32) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        write_capture(folder.path(), 2, width, height);
+        std::fs::write(folder.path().join("images/00.png"), bytes).unwrap();
+        folder
+    }
+
+    /// The first picture of that capture.
+    fn photo_of(bytes: &[u8], width: u32, height: u32, downscale: Downscale) -> Result<Photo, CaptureError> {
+        let folder = capture_of(bytes, width, height);
+        let capture = open(folder.path(), &LoadOptions { downscale, ..LoadOptions::default() })?;
+        decode(&capture.views[0])
+    }
+
+    fn png(image: &DynamicImage) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn exif_turns_pictures_upright() {
+        // Orientation 6 is turned by 90° clockwise: the bright quarter comes to the top right.
+        let photo = photo_of(&oriented(6), 8, 16, Downscale::Full).unwrap();
+        assert_eq!((photo.width, photo.height), (8, 16));
+        assert!(photo.rgba[4 * 6] > 200 && photo.rgba[4] < 50);
+        // Poses of the stored picture: it stays as it is.
+        let photo = photo_of(&oriented(6), 16, 8, Downscale::Full).unwrap();
+        assert!(photo.width == 16 && photo.rgba[0] > 200);
+        // Orientation 3 is upside down.
+        let photo = photo_of(&oriented(3), 16, 8, Downscale::Full).unwrap();
+        assert!(photo.rgba[0] < 50 && photo.rgba[4 * (16 * 8 - 1)] > 200);
+    }
+
+    #[test]
+    fn truncated_pictures_are_refused() {
+        // A PNG without its last chunk has all its pixels; a JPEG without its last marker cannot be told from one
+        // that lacks more.
+        let noise = RgbImage::from_fn(16, 8, |x, y| image::Rgb([x * 97, y * 101, x * y * 31].map(|v| (v % 251) as u8)));
+        for (bytes, last) in [(oriented(1), 2), (png(&noise.into()), 40)] {
+            assert!(photo_of(&bytes, 16, 8, Downscale::Full).is_ok());
+            for cut in [bytes.len() - last, bytes.len() / 2, 60, 10, 0] {
+                let found = photo_of(&bytes[..cut], 16, 8, Downscale::Full);
+                let message = found.expect_err("must be refused").to_string();
+                assert!(message.contains("00.png") && !message.contains('\n'), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn sixteen_bits_and_grey_become_rgba8() {
+        let deep = image::ImageBuffer::<image::LumaA<u16>, _>::from_pixel(4, 4, image::LumaA([0x8080, 0x4040]));
+        let photo = photo_of(&png(&deep.into()), 4, 4, Downscale::Full).unwrap();
+        assert_eq!(photo.rgba[..4], [0x80, 0x80, 0x80, 0x40]);
+        assert!(photo.has_alpha && !photo.masked);
+        let opaque = png(&DynamicImage::new_luma16(4, 4));
+        assert!(!photo_of(&opaque, 4, 4, Downscale::Full).unwrap().has_alpha);
+    }
+
+    #[test]
+    fn transparent_colours_do_not_bleed() {
+        let sharp = RgbaImage::from_fn(16, 16, |x, _| if x < 6 { Rgba([200, 100, 50, 255]) } else { Rgba([0; 4]) });
+        let photo = photo_of(&png(&sharp.into()), 16, 16, Downscale::Factor(4)).unwrap();
+        for pixel in photo.rgba.chunks_exact(4).filter(|p| p[3] > 0) {
+            // One level of rounding, and what 8-bit alpha leaves of small weights.
+            assert!(pixel[..3].iter().zip([200, 100, 50]).all(|(a, b)| a.abs_diff(b) <= 2), "{pixel:?}");
+        }
+        assert!((100..156).contains(&photo.rgba[4 + 3]), "half covered: {}", photo.rgba[4 + 3]);
+    }
+
+    #[test]
+    fn a_picture_that_changed_is_refused() {
+        let folder = capture_of(&jpeg(), 16, 8);
+        let view = open(folder.path(), &LoadOptions::default()).unwrap().views.remove(0);
+        std::fs::write(view.source.path(), png(&DynamicImage::new_rgb8(8, 4))).unwrap();
+        assert!(decode(&view).unwrap_err().to_string().contains("expected 16×8, found 8×4"));
+    }
+}

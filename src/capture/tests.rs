@@ -1,0 +1,346 @@
+//! Captures written by the test itself: COLMAP in both encodings, `transforms.json`, and what is wrong with them.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use glam::DVec3;
+use image::{GrayImage, Luma, Rgb, RgbImage};
+use proptest::prelude::*;
+
+use super::*;
+
+/// A camera file with one camera.
+fn cameras_bin(model: i32, width: u64, height: u64, parameters: &[f64]) -> Vec<u8> {
+    let mut out = 1u64.to_le_bytes().to_vec();
+    out.extend(7u32.to_le_bytes());
+    out.extend(model.to_le_bytes());
+    out.extend(width.to_le_bytes());
+    out.extend(height.to_le_bytes());
+    out.extend(parameters.iter().flat_map(|p| p.to_le_bytes()));
+    out
+}
+
+/// Image i stands at x = i and looks along z; every second one has an observation.
+fn images_bin(names: &[String]) -> Vec<u8> {
+    let mut out = (names.len() as u64).to_le_bytes().to_vec();
+    for (i, name) in names.iter().enumerate() {
+        out.extend((i as u32 + 1).to_le_bytes());
+        for v in [1.0, 0.0, 0.0, 0.0, -(i as f64), 0.0, 0.0] {
+            out.extend(f64::to_le_bytes(v));
+        }
+        out.extend(7u32.to_le_bytes());
+        out.extend(name.bytes().chain([0]));
+        let observations = i as u64 % 2;
+        out.extend(observations.to_le_bytes());
+        out.extend(vec![0; 24 * observations as usize]);
+    }
+    out
+}
+
+fn points_bin(count: u64) -> Vec<u8> {
+    let mut out = count.to_le_bytes().to_vec();
+    for i in 0..count {
+        out.extend(i.to_le_bytes());
+        for v in [i as f64, 2.0, 5.0] {
+            out.extend(v.to_le_bytes());
+        }
+        out.extend([10, 20, 30]);
+        out.extend(0.5f64.to_le_bytes());
+        out.extend(1u64.to_le_bytes());
+        out.extend([0; 8]);
+    }
+    out
+}
+
+/// A binary COLMAP capture of `count` PNG images `00.png`, …, each of another grey.
+pub(super) fn write_capture(root: &Path, count: usize, width: u32, height: u32) {
+    let names: Vec<String> = (0..count).map(|i| format!("{i:02}.png")).collect();
+    let sparse = root.join("sparse/0");
+    std::fs::create_dir_all(&sparse).unwrap();
+    std::fs::create_dir_all(root.join("images")).unwrap();
+    let (w, h) = (f64::from(width), f64::from(height));
+    let cameras = cameras_bin(1, width.into(), height.into(), &[w, w, w / 2.0, h / 2.0]);
+    std::fs::write(sparse.join("cameras.bin"), cameras).unwrap();
+    std::fs::write(sparse.join("images.bin"), images_bin(&names)).unwrap();
+    std::fs::write(sparse.join("points3D.bin"), points_bin(3)).unwrap();
+    for (i, name) in names.iter().enumerate() {
+        let image = RgbImage::from_fn(width, height, |x, y| Rgb([i as u8 * 10, x as u8, y as u8]));
+        image.save(root.join("images").join(name)).unwrap();
+    }
+}
+
+/// The message of the error that opening `root` gives, which must be one line.
+fn message(root: &Path, options: &LoadOptions) -> String {
+    let message = open(root, options).expect_err("must be refused").to_string();
+    assert!(!message.contains('\n'), "one line: {message}");
+    message
+}
+
+fn full() -> LoadOptions {
+    LoadOptions::default()
+}
+
+#[test]
+fn binary_and_text_say_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_capture(root, 3, 20, 10);
+    let binary = open(root, &full()).unwrap();
+    assert_eq!(binary.views.iter().map(|v| &v.name[..]).collect::<Vec<_>>(), ["00.png", "01.png", "02.png"]);
+    assert_eq!(binary.points[1], Point { position: DVec3::new(1.0, 2.0, 5.0), rgb: [10, 20, 30] });
+    assert_eq!(binary.views[2].camera.center(), DVec3::new(2.0, 0.0, 0.0));
+    assert!((extent(binary.views.iter().map(|v| &v.camera)) - 1.1).abs() < 1e-12);
+
+    let sparse = root.join("sparse/0");
+    for stem in ["cameras", "images", "points3D"] {
+        std::fs::remove_file(sparse.join(format!("{stem}.bin"))).unwrap();
+    }
+    std::fs::write(sparse.join("cameras.txt"), "# comment\n7 PINHOLE 20 10 20 20 10 5\n").unwrap();
+    let mut images = String::from("# comment\n");
+    for i in [2, 0, 1] {
+        // The second lines: empty, and one observation.
+        write!(images, "{} 1 0 0 0 {} 0 0 7 {i:02}.png\n{}\n", i + 1, -i, ["", "1.5 2.5 -1"][i as usize % 2]).unwrap();
+    }
+    std::fs::write(sparse.join("images.txt"), images).unwrap();
+    let points = "1 0 2 5 10 20 30 0.5 1 0\n2 1 2 5 10 20 30 0.5\n3 2 2 5 10 20 30 0.5\n";
+    std::fs::write(sparse.join("points3D.txt"), points).unwrap();
+    let text = open(root, &full()).unwrap();
+    assert_eq!(text.points, binary.points);
+    for (a, b) in text.views.iter().zip(&binary.views) {
+        assert_eq!((&a.name, a.camera), (&b.name, b.camera));
+    }
+}
+
+#[test]
+fn downscale_and_other_folders_keep_the_field_of_view() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_capture(root, 2, 41, 21);
+    std::fs::create_dir(root.join("images_2")).unwrap();
+    for i in 0..2 {
+        RgbImage::new(20, 10).save(root.join(format!("images_2/{i:02}.png"))).unwrap();
+    }
+    let options = LoadOptions { images: Some("images_2".into()), ..full() };
+    // 41/21 and 20/10 are 2.4 % apart, 41/21 and 41/21 rounded to 1/2 too: refused, with both sizes.
+    let refused = message(root, &options);
+    assert!(refused.contains("41×21") && refused.contains("20×10"), "{refused}");
+
+    write_capture(root, 2, 40, 20);
+    let options = LoadOptions { downscale: Downscale::Factor(3), ..options };
+    let view = &open(root, &options).unwrap().views[0];
+    let k = view.camera.intrinsics();
+    assert_eq!((k.width, k.height), (7, 3));
+    assert!((k.fx - 7.0).abs() < 1e-12 && (k.fy - 40.0 * 3.0 / 20.0).abs() < 1e-12, "{k:?}");
+    assert_eq!(decode(view).unwrap().rgba.len(), 7 * 3 * 4);
+    assert_eq!(Downscale::MaxSide(1600).size(4000, 3000), (1600, 1200));
+    assert_eq!(Downscale::MaxSide(1600).size(400, 300), (400, 300));
+    assert_eq!(Downscale::Factor(0).size(4, 3), (4, 3));
+}
+
+#[test]
+fn every_eighth_view_is_held_out() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(folder.path(), 10, 4, 4);
+    let mut views = open(folder.path(), &full()).unwrap().views;
+    assert_eq!(Split::Every8th.split(&views), ((1..8).chain([9]).collect(), vec![0, 8]));
+    assert_eq!(Split::All.split(&views), ((0..10).collect(), vec![]));
+    views.reverse();
+    assert_eq!(Split::Every8th.split(&views).1, [1, 9]);
+}
+
+#[test]
+fn masks_become_alpha() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_capture(root, 2, 8, 4);
+    let options = LoadOptions { masks: true, ..full() };
+    assert!(!decode(&open(root, &options).unwrap().views[0]).unwrap().masked, "no folder, no masks");
+    std::fs::create_dir(root.join("masks")).unwrap();
+    let mask = GrayImage::from_fn(8, 4, |x, _| Luma([if x < 4 { 255 } else { 0 }]));
+    mask.save(root.join("masks/00.png.png")).unwrap();
+    assert!(message(root, &options).contains("1 of 2 masks missing, the first is 01.png"));
+    mask.save(root.join("masks/01.png")).unwrap();
+    for view in &open(root, &options).unwrap().views {
+        let photo = decode(view).unwrap();
+        assert!(photo.masked && !photo.has_alpha);
+        assert_eq!([photo.rgba[3 * 4 + 3], photo.rgba[4 * 4 + 3]], [255, 0]);
+    }
+    assert!(!decode(&open(root, &full()).unwrap().views[0]).unwrap().masked, "only when asked for");
+}
+
+#[test]
+fn broken_captures_are_refused_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let sparse = root.join("sparse/0");
+    assert!(message(root, &full()).contains("expected a COLMAP model"));
+    assert!(message(&root.join("nowhere"), &full()).contains("nowhere"));
+
+    let refused = |file: &str, bytes: Vec<u8>| {
+        write_capture(root, 3, 8, 4);
+        std::fs::write(sparse.join(file), bytes).unwrap();
+        message(root, &full())
+    };
+    let names = |n: [&str; 3]| n.map(String::from);
+    let same = images_bin(&names(["00.png", "01.png", "00.png"]));
+    assert!(refused("images.bin", same).contains("00.png twice"));
+    for name in ["../00.png", "/etc/00.png", "", "a/../../b.png"] {
+        let escape = refused("images.bin", images_bin(&names([name, "01.png", "02.png"])));
+        assert!(escape.contains("inside the capture"), "{escape}");
+    }
+    let missing = refused("images.bin", images_bin(&names(["00.png", "x.png", "y.png"])));
+    assert!(missing.contains("2 of 3 images missing, the first is images/x.png"), "{missing}");
+    assert!(refused("images.bin", images_bin(&names(["00.png"; 3])[..1])).contains("at least 2"));
+    assert!(refused("images.bin", 0u64.to_le_bytes().to_vec()).contains("at least 2"));
+    assert!(refused("images.bin", u64::MAX.to_le_bytes().to_vec()).contains("ends at byte 8"));
+    assert!(refused("cameras.bin", 0u64.to_le_bytes().to_vec()).contains("found camera 7"));
+    let equirectangular = refused("cameras.bin", cameras_bin(17, 8, 4, &[8.0, 4.0]));
+    assert!(equirectangular.contains("EQUIRECTANGULAR"), "{equirectangular}");
+    assert!(refused("cameras.bin", cameras_bin(99, 8, 4, &[])).contains("99"));
+    assert!(refused("cameras.bin", cameras_bin(1, 8, 4, &[-1.0, 8.0, 4.0, 2.0])).contains("focal length"));
+    assert!(refused("cameras.bin", cameras_bin(1, 8, 0, &[8.0, 8.0, 4.0, 2.0])).contains("8×0"));
+    let mut nan = images_bin(&names(["00.png", "01.png", "02.png"]));
+    nan[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
+    assert!(refused("images.bin", nan).contains("quaternion"));
+    let mut nan = points_bin(2);
+    nan[16..24].copy_from_slice(&f64::NAN.to_le_bytes());
+    assert!(refused("points3D.bin", nan).contains("point 0"));
+
+    write_capture(root, 2, 8, 4);
+    std::fs::write(sparse.join("points3D.bin"), points_bin(0)).unwrap();
+    assert!(open(root, &full()).unwrap().points.is_empty(), "whether points are needed is not for the reader to say");
+    std::fs::rename(sparse.join("images.bin"), sparse.join("frames.bin")).unwrap();
+    assert!(message(root, &full()).contains("frames only"));
+}
+
+/// A `transforms.json` in the three usual shapes reads as the same cameras.
+#[test]
+fn transforms_in_opengl_axes() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    std::fs::create_dir_all(root.join("train")).unwrap();
+    std::fs::create_dir_all(root.join("test")).unwrap();
+    // OpenGL camera at (0, 0, 4) that looks along its −z, at the origin.
+    let pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]";
+    for (part, count) in [("train", 2), ("test", 1)] {
+        let mut frames = vec![];
+        for i in 0..count {
+            image::RgbaImage::from_pixel(8, 8, image::Rgba([9, 8, 7, 128]))
+                .save(root.join(format!("{part}/r_{i}.png")))
+                .unwrap();
+            frames.push(format!(r#"{{"file_path":"./{part}/r_{i}","rotation":0.1,"transform_matrix":{pose}}}"#));
+        }
+        let json = format!(r#"{{"camera_angle_x":1.5707963267948966,"frames":[{}]}}"#, frames.join(","));
+        std::fs::write(root.join(format!("transforms_{part}.json")), json).unwrap();
+    }
+    let capture = open(root, &full()).unwrap();
+    let names: Vec<_> = capture.views.iter().map(|v| &v.name[..]).collect();
+    assert_eq!(names, ["test/r_0", "train/r_0", "train/r_1"]);
+    assert_eq!(Split::Every8th.split(&capture.views), (vec![1, 2], vec![0]));
+    let camera = capture.views[0].camera;
+    // tan 45° = 1: the focal length is half the width.
+    assert!((camera.intrinsics().fx - 4.0).abs() < 1e-9 && (camera.intrinsics().fy - 4.0).abs() < 1e-9);
+    assert!(camera.center().distance(DVec3::new(0.0, 0.0, 4.0)) < 1e-12);
+    // World up is up in the picture: a point above the origin falls on the upper half.
+    let p = camera.to_camera(DVec3::new(1.0, 2.0, 0.0));
+    assert!(p.distance(DVec3::new(1.0, -2.0, 4.0)) < 1e-12, "{p}");
+    let photo = decode(&capture.views[0]).unwrap();
+    assert!(photo.has_alpha && !photo.masked && photo.rgba[..4] == [9, 8, 7, 128]);
+
+    let frames = |extra: &str| {
+        format!(
+            r#"{{"fl_x":6,"fl_y":7,"cx":4.5,"cy":3.5,"w":8,"h":8.0,"aabb_scale":16{extra},"frames":[
+            {{"file_path":"train/r_0.png","transform_matrix":{pose}}},
+            {{"file_path":"train/r_1.png","fl_x":5,"transform_matrix":{pose}}}]}}"#
+        )
+    };
+    let file = root.join("transforms.json");
+    std::fs::write(&file, frames(r#","k1":0.1,"p1":0.01,"test_filenames":["./train/r_1.png"]"#)).unwrap();
+    let capture = open(&file, &full()).unwrap();
+    let k = capture.views[1].camera.intrinsics();
+    assert_eq!((k.fx, k.fy, k.cx, k.cy), (5.0, 7.0, 4.5, 3.5));
+    let brown = Distortion::Brown { k: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.01, 0.0] };
+    assert_eq!(capture.views[1].source.lens().distortion, brown);
+    assert_eq!(Split::Every8th.split(&capture.views), (vec![0], vec![1]));
+    assert!(capture.points.is_empty());
+
+    for (extra, expected) in
+        [(r#","camera_model":"EQUIRECTANGULAR""#, "EQUIRECTANGULAR"), (r#","k4":0.5"#, "k4"), (r#","w":NaN"#, "line 1")]
+    {
+        std::fs::write(&file, frames(extra)).unwrap();
+        assert!(message(&file, &full()).contains(expected), "{extra}");
+    }
+    let scaled = frames("").replace("[1,0,0,0]", "[2,0,0,0]");
+    std::fs::write(&file, scaled).unwrap();
+    assert!(message(&file, &full()).contains("rotation"));
+}
+
+#[derive(serde::Deserialize)]
+struct ModelCase {
+    model: String,
+    id: i32,
+    params: Vec<f64>,
+    points: Vec<[f64; 3]>,
+    pixels: Vec<[f64; 2]>,
+}
+
+/// Values by pycolmap: `tests/oracles/check_colmap_models.py`.
+#[test]
+fn camera_models_project_as_in_colmap() {
+    let cases: Vec<ModelCase> = serde_json::from_str(include_str!("../../tests/data/colmap_models.json")).unwrap();
+    assert_eq!(cases.len(), 17, "all models but EQUIRECTANGULAR");
+    for case in cases {
+        assert_eq!(colmap::model_of_id(case.id), Some((&case.model[..], case.params.len())));
+        let lens = colmap::lens(&case.model, &case.params, 640, 480).unwrap();
+        let k = lens.intrinsics;
+        for (point, pixel) in case.points.iter().zip(case.pixels) {
+            let d = lens.distortion.distort(DVec3::from(*point).truncate() / point[2]);
+            let found = glam::DVec2::new(k.fx * d.x + k.cx, k.fy * d.y + k.cy);
+            // Both sides compute in f64; 1e-9 of a pixel leaves room for another order of operations.
+            assert!(found.distance(pixel.into()) < 1e-9, "{}: {found} for {pixel:?}", case.model);
+            let back = lens.undistort(found).unwrap();
+            let pinhole = glam::DVec2::new(k.fx * point[0] / point[2] + k.cx, k.fy * point[1] / point[2] + k.cy);
+            assert!(back.distance(pinhole) < 1e-7, "{}: {back} for {pinhole}", case.model);
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..400), count in 0u64..5) {
+        let path = Path::new("file");
+        // With and without a plausible count in front.
+        for bytes in [bytes.clone(), [&count.to_le_bytes()[..], &bytes[..]].concat()] {
+            let _ = colmap_binary::cameras(&bytes, path);
+            let _ = colmap_binary::images(&bytes, path);
+            let _ = colmap_binary::points(&bytes, path);
+        }
+    }
+
+    #[test]
+    fn any_text_is_read_or_refused(text in "([0-9.\\-eNa# \n]|PINHOLE|OPENCV|x.png){0,60}") {
+        let path = Path::new("file");
+        let _ = colmap_text::cameras(&text, path);
+        let _ = colmap_text::images(&text, path);
+        let _ = colmap_text::points(&text, path);
+        let _ = transforms::parse(&text, path, path, None, &LoadOptions::default());
+    }
+
+    #[test]
+    fn a_cut_model_is_refused(at in 0.0..1.0f64, flip in any::<u8>()) {
+        let path = Path::new("file");
+        let cut = |bytes: &[u8]| bytes[..(at * bytes.len() as f64) as usize].to_vec();
+        let names = ["a.png".to_owned(), "b.png".to_owned()];
+        let files = [cameras_bin(4, 8, 4, &[1.0; 8]), images_bin(&names), points_bin(3)];
+        prop_assert!(colmap_binary::cameras(&cut(&files[0]), path).is_err());
+        prop_assert!(colmap_binary::images(&cut(&files[1]), path).is_err());
+        prop_assert!(colmap_binary::points(&cut(&files[2]), path).is_err());
+        for mut bytes in files {
+            let i = (at * bytes.len() as f64) as usize;
+            bytes[i] ^= flip;
+            let _ = colmap_binary::cameras(&bytes, path);
+            let _ = colmap_binary::images(&bytes, path);
+            let _ = colmap_binary::points(&bytes, path);
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes (METHODS 1).
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use super::distortion::{Distortion, Lens};
+use super::views::{Frame, inside};
+use super::{CaptureError, LoadOptions, error, images};
+use crate::scene::Intrinsics;
+
+/// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
+#[derive(Deserialize)]
+struct Transforms {
+    #[serde(flatten)]
+    lens: LensFields,
+    frames: Vec<FrameFields>,
+    #[serde(default)]
+    test_filenames: Vec<String>,
+    #[serde(default)]
+    val_filenames: Vec<String>,
+    train_filenames: Option<Vec<String>>,
+}
+
+#[derive(Deserialize)]
+struct FrameFields {
+    #[serde(flatten)]
+    lens: LensFields,
+    file_path: String,
+    mask_path: Option<String>,
+    transform_matrix: Vec<[f64; 4]>,
+}
+
+/// Intrinsics, per file or per frame.
+#[derive(Deserialize)]
+struct LensFields {
+    camera_model: Option<String>,
+    is_fisheye: Option<bool>,
+    ftheta_p0: Option<IgnoredAny>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+/// The files of a folder, each with its part in the split.
+pub(super) fn find(folder: &Path) -> Vec<(PathBuf, Option<bool>)> {
+    let one = folder.join("transforms.json");
+    if one.is_file() {
+        return vec![(one, None)];
+    }
+    [("transforms_train.json", false), ("transforms_test.json", true)]
+        .map(|(name, held_out)| (folder.join(name), Some(held_out)))
+        .into_iter()
+        .filter(|(path, _)| path.is_file())
+        .collect()
+}
+
+/// The frames of all `files`, whose paths are relative to `root`.
+pub(super) fn load(
+    root: &Path,
+    files: &[(PathBuf, Option<bool>)],
+    options: &LoadOptions,
+) -> Result<Vec<Frame>, CaptureError> {
+    let mut frames = Vec::new();
+    for (path, held_out) in files {
+        frames.extend(parse(&error::read_text(path)?, path, root, *held_out, options)?);
+    }
+    Ok(frames)
+}
+
+/// `./train/r_0` is `train/r_0`.
+fn plain(name: &str) -> &str {
+    name.strip_prefix("./").unwrap_or(name)
+}
+
+/// The frames of one file's text.
+pub(super) fn parse(
+    text: &str,
+    path: &Path,
+    root: &Path,
+    held_out: Option<bool>,
+    options: &LoadOptions,
+) -> Result<Vec<Frame>, CaptureError> {
+    let file: Transforms = serde_json::from_str(text).map_err(|e| {
+        let place = format!("line {} column {}", e.line(), e.column());
+        CaptureError::invalid(path, place, "a transforms.json with frames", e.to_string())
+    })?;
+    let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty();
+    let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
+    file.frames
+        .par_iter()
+        .map(|fields| {
+            let name = plain(&fields.file_path);
+            let image = find_image(root, inside(path, name)?, options);
+            let mask = match &fields.mask_path {
+                Some(mask) => Some(root.join(inside(path, plain(mask))?)),
+                None => None,
+            };
+            let (rotation, translation) = world_to_camera(&fields.transform_matrix)
+                .ok_or_else(|| CaptureError::invalid(path, name, "a 4×4 transform_matrix", "fewer rows"))?;
+            Ok(Frame {
+                lens: lens(&fields.lens, &file.lens, path, name, &image)?,
+                name: name.to_owned(),
+                image,
+                mask,
+                rotation,
+                translation,
+                held_out: held_out.or_else(|| own_split.then(|| tests(name))),
+            })
+        })
+        .collect()
+}
+
+/// The file of an image: another folder for `images` if asked for, a suffix if the name has none.
+fn find_image(root: &Path, name: &Path, options: &LoadOptions) -> PathBuf {
+    let path = match (&options.images, name.strip_prefix("images")) {
+        (Some(folder), Ok(rest)) => root.join(folder).join(rest),
+        _ => root.join(name),
+    };
+    if path.is_file() {
+        return path;
+    }
+    // Appended, not exchanged: a name like `frame.001` has no suffix.
+    let candidates = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"].map(|suffix| {
+        let mut with_suffix = path.clone().into_os_string();
+        with_suffix.push(format!(".{suffix}"));
+        PathBuf::from(with_suffix)
+    });
+    candidates.into_iter().find(|p| p.is_file()).unwrap_or(path)
+}
+
+/// Inverts a camera→world matrix in OpenGL axes (x right, y up, z back).
+fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
+    let [a, b, c, ..] = rows else { return None };
+    let column = |i: usize| DVec3::new(a[i], b[i], c[i]);
+    let rotation = DMat3::from_cols(column(0), -column(1), -column(2)).transpose();
+    Some((rotation, -(rotation * column(3))))
+}
+
+/// The lens of a frame, with the file's values where the frame has none of its own.
+fn lens(frame: &LensFields, file: &LensFields, path: &Path, name: &str, image: &Path) -> Result<Lens, CaptureError> {
+    let value = |field: fn(&LensFields) -> Option<f64>| field(frame).or_else(|| field(file));
+    let (width, height) = match (value(|l| l.w), value(|l| l.h)) {
+        // A float cast saturates; sizes that are no sizes fail the aspect check against the image.
+        (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
+        // Missing images are reported all at once, later: any size will do.
+        _ if !image.is_file() => (1, 1),
+        _ => images::header(image)?.upright().1,
+    };
+    let (w, h) = (f64::from(width), f64::from(height));
+    let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
+    let fx = value(|l| l.fl_x).or_else(|| value(|l| l.camera_angle_x).map(|a| from_angle(w, a)));
+    let fx = fx.ok_or_else(|| CaptureError::invalid(path, name, "fl_x or camera_angle_x", "neither"))?;
+    let fy = value(|l| l.fl_y).or_else(|| value(|l| l.camera_angle_y).map(|a| from_angle(h, a))).unwrap_or(fx);
+    let cx = value(|l| l.cx).unwrap_or(w / 2.0);
+    let cy = value(|l| l.cy).unwrap_or(h / 2.0);
+    let intrinsics = Intrinsics { width, height, fx, fy, cx, cy };
+
+    let [k1, k2, k3, k4] =
+        [value(|l| l.k1), value(|l| l.k2), value(|l| l.k3), value(|l| l.k4)].map(|k| k.unwrap_or(0.0));
+    let [p1, p2] = [value(|l| l.p1), value(|l| l.p2)].map(|p| p.unwrap_or(0.0));
+    let model = frame.camera_model.as_deref().or(file.camera_model.as_deref());
+    let unsupported = |model: &str| Err(CaptureError::UnsupportedModel { path: path.into(), model: model.into() });
+    if frame.ftheta_p0.is_some() || file.ftheta_p0.is_some() {
+        return unsupported("ftheta");
+    }
+    let fisheye = frame.is_fisheye.or(file.is_fisheye).unwrap_or(false);
+    let distortion = match model {
+        None if fisheye => Distortion::Fisheye { k: [k1, k2, k3, k4], p: [0.0; 2], s: [0.0; 2] },
+        Some("OPENCV_FISHEYE") => Distortion::Fisheye { k: [k1, k2, k3, k4], p: [0.0; 2], s: [0.0; 2] },
+        None
+        | Some("SIMPLE_PINHOLE" | "PINHOLE" | "PERSPECTIVE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV") => {
+            // OpenCV divides by its k4; others multiply r⁸ by it.
+            if k4 != 0.0 {
+                return Err(CaptureError::invalid(path, name, "k4 = 0 without a fisheye lens", k4.to_string()));
+            }
+            if [k1, k2, k3, p1, p2] == [0.0; 5] {
+                Distortion::None
+            } else {
+                Distortion::Brown { k: [k1, k2, k3, 0.0, 0.0, 0.0], p: [p1, p2] }
+            }
+        }
+        Some(other) => return unsupported(other),
+    };
+    Ok(Lens { intrinsics, distortion })
+}

@@ -1,0 +1,133 @@
+//! From what the files of a capture say to views: names, images, masks, sizes and poses are checked here once for
+//! all formats.
+
+use std::path::{Component, Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use super::distortion::Lens;
+use super::{CaptureError, ImageSource, LoadOptions, View, images};
+use crate::scene::Camera;
+
+/// A posed picture as stated by a capture's files.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    pub(super) name: String,
+    pub(super) image: PathBuf,
+    /// A mask that the files name.
+    pub(super) mask: Option<PathBuf>,
+    /// At the size the files declare.
+    pub(super) lens: Lens,
+    /// World→camera.
+    pub(super) rotation: DMat3,
+    /// World→camera.
+    pub(super) translation: DVec3,
+    /// The capture's own split, if it has one.
+    pub(super) held_out: Option<bool>,
+}
+
+/// `name` as a path, if it stays inside the folder it is joined to. `list` is the file that holds the name.
+pub(super) fn inside<'a>(list: &Path, name: &'a str) -> Result<&'a Path, CaptureError> {
+    let path = Path::new(name);
+    let inner = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    if inner && path.file_name().is_some() {
+        return Ok(path);
+    }
+    Err(CaptureError::invalid(list, "file name", "a path inside the capture", format!("{name:?}")))
+}
+
+/// Whether two sizes have the same aspect ratio to 1 %: resized pictures are rounded to whole pixels.
+pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
+    let ratio = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
+    (ratio(a) / ratio(b) - 1.0).abs() <= 0.01
+}
+
+/// Checks frames and turns them into views sorted by name. `list` is the file or folder they were read from.
+pub(super) fn assemble(
+    mut frames: Vec<Frame>,
+    list: &Path,
+    root: &Path,
+    options: &LoadOptions,
+) -> Result<Vec<View>, CaptureError> {
+    if frames.len() < 2 {
+        return Err(CaptureError::invalid(list, "views", "at least 2 posed images", frames.len().to_string()));
+    }
+    frames.sort_by(|a, b| a.name.cmp(&b.name));
+    if let Some(pair) = frames.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        return Err(CaptureError::invalid(list, "views", "unique names", format!("{} twice", pair[0].name)));
+    }
+    all_exist(
+        root,
+        "images",
+        frames.iter().map(|f| (f.image.strip_prefix(root).unwrap_or(&f.image), f.image.is_file())),
+    )?;
+    if options.masks {
+        let folder = root.join("masks");
+        if folder.is_dir() {
+            for frame in &mut frames {
+                if frame.mask.is_none() {
+                    frame.mask = find_mask(&folder, &frame.name);
+                }
+            }
+        }
+        if frames.iter().any(|f| f.mask.is_some()) || folder.is_dir() {
+            let found = frames.iter().map(|f| (Path::new(&f.name), f.mask.as_deref().is_some_and(Path::is_file)));
+            all_exist(&folder, "masks", found)?;
+        }
+    }
+    frames.into_par_iter().map(|frame| view(frame, list, options)).collect()
+}
+
+/// Error unless everything exists.
+fn all_exist<'a>(
+    folder: &Path,
+    what: &'static str,
+    found: impl Iterator<Item = (&'a Path, bool)>,
+) -> Result<(), CaptureError> {
+    let (mut total, mut missing) = (0, vec![]);
+    for (name, exists) in found {
+        total += 1;
+        if !exists {
+            missing.push(name);
+        }
+    }
+    match missing.first() {
+        None => Ok(()),
+        Some(first) => {
+            let (folder, first) = (folder.into(), first.display().to_string());
+            Err(CaptureError::Missing { folder, what, count: missing.len(), total, first })
+        }
+    }
+}
+
+/// The mask of an image by COLMAP's rule (`<name>.png`), or with another or the same suffix.
+fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
+    let name = name.strip_prefix("images/").unwrap_or(name);
+    [folder.join(format!("{name}.png")), folder.join(name).with_extension("png"), folder.join(name)]
+        .into_iter()
+        .find(|path| path.is_file())
+}
+
+/// Looks at the image's header and settles size, orientation and camera.
+fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, CaptureError> {
+    let Frame { name, image, mask, lens, rotation, translation, held_out } = frame;
+    let declared = (lens.intrinsics.width, lens.intrinsics.height);
+    let header = images::header(&image)?;
+    // Poses are those of the upright picture, unless only the stored one fits: COLMAP reads files without turning.
+    let (orientation, (width, height)) = [header.upright(), header.stored()]
+        .into_iter()
+        .find(|&(_, size)| same_aspect(size, declared))
+        .ok_or_else(|| {
+            let (_, (w, h)) = header.upright();
+            let expected = format!("the aspect ratio of its camera, {}×{}", declared.0, declared.1);
+            CaptureError::invalid(&image, "image size", expected, format!("{w}×{h}"))
+        })?;
+    let lens = lens.resized(width, height);
+    let camera = Camera::new(lens.intrinsics, rotation, translation)
+        .map_err(|e| CaptureError::scene(list, &format!("image {name}"), e))?;
+    let size = options.downscale.size(width, height);
+    let mask = mask.filter(|_| options.masks);
+    let source = ImageSource { image, mask, orientation, lens, size, held_out };
+    Ok(View { name, camera: camera.resized(size.0, size.1), source })
+}
