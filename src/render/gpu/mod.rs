@@ -3,6 +3,7 @@
 
 mod blend;
 mod device;
+mod loss;
 pub mod measure;
 mod pipeline;
 mod scan;

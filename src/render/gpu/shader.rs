@@ -24,6 +24,7 @@ embed![
     "dispatch_size.wgsl",
     "emit_pairs.wgsl",
     "gather_counts.wgsl",
+    "loss.wgsl",
     "order_splats.wgsl",
     "project_splats.wgsl",
     "radix_sort.wgsl",

@@ -1,0 +1,267 @@
+//! Photometric loss of a rendered image and its gradient (`shaders/loss.wgsl`).
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    shader::Defines,
+};
+
+/// Size of a workgroup's tile, as in the shader.
+const WIDTH: usize = 16;
+const HEIGHT: usize = 48;
+
+/// What the truth's alpha channel means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum TruthAlpha {
+    /// Nothing: the truth is opaque.
+    #[default]
+    Ignore,
+    /// The truth is composited over the view's background.
+    Composite,
+    /// Weight of the pixel: both images are multiplied by it.
+    Mask,
+}
+
+/// The loss of one image is `(1 − w)·l1 + w·(1 − ssim)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LossValues {
+    /// Mean absolute difference over pixels and channels.
+    pub(crate) l1: f64,
+    /// Mean SSIM over pixels and channels.
+    pub(crate) ssim: f64,
+}
+
+/// L1 + D-SSIM (METHODS 2.6).
+pub(crate) struct Loss {
+    forward: Kernel,
+    backward: Kernel,
+    bindings: Bindings,
+    means: Buffer,
+    n_groups: usize,
+}
+
+impl Loss {
+    /// For views of at most `width` × `height` pixels: the size of a frame's image is the one in `view_uniform`.
+    ///
+    /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
+    /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied
+    /// * `gradient`: `array<vec4f>` `[h·w]`, receives ∂L/∂rgb and 0
+    ///
+    /// # Errors
+    /// If the adapter cannot hold the intermediate maps (48 bytes per pixel).
+    #[allow(clippy::too_many_arguments, reason = "each buffer is another stage's")]
+    pub(crate) fn new(
+        gpu: &Gpu,
+        width: usize,
+        height: usize,
+        image: &Buffer,
+        truth: &Buffer,
+        gradient: &Buffer,
+        view_uniform: &Buffer,
+        ssim_weight: f32,
+        truth_alpha: TruthAlpha,
+    ) -> Result<Self, GpuError> {
+        let defines: Defines = gpu
+            .defines()
+            .with("COMPOSITE", u32::from(truth_alpha == TruthAlpha::Composite))
+            .with("MASK", u32::from(truth_alpha == TruthAlpha::Mask));
+        let forward = Kernel::new(gpu, "loss.wgsl", "forward", &defines);
+        let backward = Kernel::new(gpu, "loss.wgsl", "backward", &defines);
+        let n_groups = 3 * groups(width, WIDTH) * groups(height, HEIGHT);
+        let weights = gpu.uniform("loss weights", 4)?;
+        gpu.write(&weights, 0, &[ssim_weight, 0.0, 0.0, 0.0]);
+        let slopes = gpu.storage("SSIM slopes", 12 * width * height)?;
+        let means = gpu.storage("loss means", 2 * n_groups)?;
+        let bindings = forward.bind(gpu, &[view_uniform, &weights, image, truth, &slopes, gradient, &means]);
+        Ok(Self { forward, backward, bindings, means, n_groups })
+    }
+
+    /// Appends loss and gradient to a frame.
+    pub(crate) fn record(&self, frame: &mut Frame) {
+        frame.dispatch(&self.forward, &self.bindings, self.n_groups);
+        frame.dispatch(&self.backward, &self.bindings, self.n_groups);
+    }
+
+    /// The values of the last frame. Waits for it.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read(&self, gpu: &Gpu) -> Result<LossValues, GpuError> {
+        let parts: Vec<[f32; 2]> = gpu.read(&self.means, self.n_groups)?;
+        let sum = |i: usize| parts.iter().map(|p| f64::from(p[i])).sum();
+        Ok(LossValues { l1: sum(1), ssim: sum(0) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+    use crate::render::gpu::view::VIEW_WORDS;
+
+    const BACKGROUND: [f32; 3] = [0.9, 0.4, 0.1];
+
+    struct Images {
+        size: [usize; 2],
+        image: Vec<[f32; 4]>,
+        truth: Vec<[u8; 4]>,
+        alpha: TruthAlpha,
+    }
+
+    impl Images {
+        /// Smooth shapes with noise on both sides; a fifth of the pixels are black in both, exactly equal.
+        fn random(size: [usize; 2], alpha: TruthAlpha, seed: u64) -> Self {
+            let mut rng = Pcg32::seed_from_u64(seed);
+            let mut images = Self { size, image: vec![], truth: vec![], alpha };
+            for i in 0..size[0] * size[1] {
+                let (x, y) = ((i % size[0]) as f32, (i / size[0]) as f32);
+                let base =
+                    [0.5 + 0.3 * (x / 7.0).sin(), 0.5 + 0.3 * (y / 9.0).cos(), 0.4 + 0.2 * ((x + y) / 5.0).sin()];
+                let black = rng.random_range(0..5) == 0;
+                let truth = base.map(|b| if black { 0 } else { ((b + rng.random_range(-0.1..0.1)) * 255.0) as u8 });
+                let color = base.map(|b| if black { 0.0 } else { b + rng.random_range(-0.2..0.2) });
+                images.image.push([color[0], color[1], color[2], 0.3]);
+                images.truth.push([truth[0], truth[1], truth[2], rng.random_range(0..=255)]);
+            }
+            images
+        }
+
+        /// Rendered and true values of one channel as the loss sees them, and the alpha that multiplied them.
+        fn channel(&self, c: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+            let (mut x, mut y, mut slope) = (vec![], vec![], vec![]);
+            for (p, t) in self.image.iter().zip(&self.truth) {
+                let (a, v) = (f64::from(t[3]) / 255.0, f64::from(t[c]) / 255.0);
+                let weight = if self.alpha == TruthAlpha::Mask { a } else { 1.0 };
+                let composite = a * v + (1.0 - a) * f64::from(BACKGROUND[c]);
+                x.push(weight * f64::from(p[c]));
+                y.push(if self.alpha == TruthAlpha::Composite { composite } else { weight * v });
+                slope.push(weight);
+            }
+            (x, y, slope)
+        }
+
+        /// The definition, window by window.
+        fn values(&self) -> LossValues {
+            let [w, h] = self.size;
+            let gauss: Vec<f64> = (-5..=5).map(|i| (-f64::from(i * i) / 4.5).exp()).collect();
+            let norm = gauss.iter().sum::<f64>().powi(2);
+            let (mut l1, mut ssim) = (0.0, 0.0);
+            for c in 0..3 {
+                let (x, y, _) = self.channel(c);
+                for (row, column) in (0..h).flat_map(|r| (0..w).map(move |c| (r, c))) {
+                    let mut m = [0.0; 5];
+                    for (r, k) in (row.saturating_sub(5)..h.min(row + 6))
+                        .flat_map(|r| (column.saturating_sub(5)..w.min(column + 6)).map(move |k| (r, k)))
+                    {
+                        let weight = gauss[r + 5 - row] * gauss[k + 5 - column] / norm;
+                        let (x, y) = (x[r * w + k], y[r * w + k]);
+                        m = [
+                            m[0] + weight * x,
+                            m[1] + weight * y,
+                            m[2] + weight * x * x,
+                            m[3] + weight * y * y,
+                            m[4] + weight * x * y,
+                        ];
+                    }
+                    let (s11, s22, s12) = (m[2] - m[0] * m[0], m[3] - m[1] * m[1], m[4] - m[0] * m[1]);
+                    ssim += (2.0 * m[0] * m[1] + 1e-4) * (2.0 * s12 + 9e-4)
+                        / ((m[0] * m[0] + m[1] * m[1] + 1e-4) * (s11 + s22 + 9e-4));
+                }
+                l1 += x.iter().zip(&y).map(|(x, y)| (x - y).abs()).sum::<f64>();
+            }
+            let n = (3 * w * h) as f64;
+            LossValues { l1: l1 / n, ssim: ssim / n }
+        }
+
+        fn on_gpu(&self, gpu: &Gpu, ssim_weight: f32) -> (LossValues, Vec<[f32; 4]>) {
+            let [w, h] = self.size;
+            let mut view = [0u32; VIEW_WORDS];
+            view[20..24].copy_from_slice(&[w as u32, h as u32, w.div_ceil(16) as u32, h.div_ceil(16) as u32]);
+            view[24..27].copy_from_slice(&BACKGROUND.map(f32::to_bits));
+            let uniform = gpu.uniform("view", VIEW_WORDS).unwrap();
+            gpu.write(&uniform, 0, &view);
+            let image = gpu.storage_with("image", &self.image).unwrap();
+            let truth = gpu.storage_with("truth", &self.truth).unwrap();
+            let gradient = gpu.storage_with("gradient", &vec![[7f32; 4]; w * h]).unwrap();
+            // One tile more than needed, as for a smaller view of a set.
+            let loss =
+                Loss::new(gpu, w + WIDTH, h, &image, &truth, &gradient, &uniform, ssim_weight, self.alpha).unwrap();
+            let mut frame = Frame::new(gpu);
+            loss.record(&mut frame);
+            frame.submit();
+            (loss.read(gpu).unwrap(), gpu.read(&gradient, w * h).unwrap())
+        }
+    }
+
+    #[test]
+    fn ssim_of_a_known_pair() {
+        // METHODS 12.1, with zero padding. The truth is the one of the two that 8 bits can hold.
+        let mut images = Images { size: [16, 16], image: vec![], truth: vec![], alpha: TruthAlpha::Ignore };
+        for i in 0..256usize {
+            let y = (0.9 * i as f32 / 255.0 + 0.05 * ((i / 16 + i) % 2) as f32).clamp(0.0, 1.0);
+            images.image.push([y, y, y, 0.0]);
+            images.truth.push([i as u8, i as u8, i as u8, 255]);
+        }
+        let (found, _) = images.on_gpu(&Gpu::open(None).unwrap(), 0.2);
+        // f32 variances carry errors of 1e-7 against C2 = 9e-4.
+        assert!((found.ssim - 0.970_822_791).abs() < 1e-5, "{found:?}");
+        assert!((images.values().ssim - 0.970_822_791).abs() < 1e-7);
+    }
+
+    #[test]
+    fn loss_and_gradient_match_the_definition() {
+        let gpu = Gpu::open(None).unwrap();
+        let cases = [
+            ([37, 101], TruthAlpha::Ignore),
+            ([16, 48], TruthAlpha::Composite),
+            ([53, 20], TruthAlpha::Mask),
+            ([3, 2], TruthAlpha::Ignore),
+        ];
+        for (i, (size, alpha)) in cases.into_iter().enumerate() {
+            let mut images = Images::random(size, alpha, i as u64);
+            let (found, gradient) = images.on_gpu(&gpu, 0.2);
+            let expected = images.values();
+            assert!((found.l1 - expected.l1).abs() < 1e-6, "{size:?} {alpha:?}: {found:?}, not {expected:?}");
+            assert!((found.ssim - expected.ssim).abs() < 1e-5, "{size:?} {alpha:?}: {found:?}, not {expected:?}");
+
+            let n = size[0] * size[1];
+            let largest = gradient.iter().flatten().fold(0f32, |a, &b| a.max(b.abs()));
+            let w = 0.2;
+            for j in 0..24 {
+                let (pixel, c) = (j * 7919 % n, j % 3);
+                let (x, y, _) = images.channel(c);
+                let difference = (x[pixel] - y[pixel]).abs();
+                // L1 has a kink at 0; its subgradient there is 0, and SSIM has none, so it is differenced alone.
+                let mut loss_at = |step: f32| {
+                    let before = images.image[pixel][c];
+                    images.image[pixel][c] += step;
+                    let v = images.values();
+                    let moved = f64::from(images.image[pixel][c] - before);
+                    images.image[pixel][c] = before;
+                    ((1.0 - w) * if difference < 1e-6 { 0.0 } else { v.l1 } - w * v.ssim, moved)
+                };
+                let ((a, to_a), (b, to_b)) = (loss_at(1e-4), loss_at(-1e-4));
+                let numeric = (a - b) / (to_a - to_b);
+                let analytic = f64::from(gradient[pixel][c]);
+                // Relative to the largest gradient: single entries may cancel to nothing.
+                let error = (numeric - analytic).abs() / f64::from(largest);
+                assert!(error < 1e-3, "{size:?} {alpha:?} pixel {pixel}.{c}: {analytic}, differences say {numeric}");
+            }
+            assert!(gradient.iter().all(|g| g[3] == 0.0 && g[0] != 7.0), "every pixel is written");
+        }
+    }
+
+    #[test]
+    fn gradient_of_ssim_vanishes_where_the_images_agree() {
+        let mut images = Images::random([40, 60], TruthAlpha::Ignore, 9);
+        for (p, t) in images.image.iter_mut().zip(&images.truth) {
+            *p = t.map(|v| f32::from(v) * (1.0 / 255.0));
+        }
+        let (found, gradient) = images.on_gpu(&Gpu::open(None).unwrap(), 1.0);
+        assert!(found.l1 < 1e-7 && (found.ssim - 1.0).abs() < 1e-6, "{found:?}");
+        // An adapter may convert 8 bits one rounding (6e-8) differently; the slope by it is at most 2/C2.
+        let bound = 6e-8 * 2.0 / 9e-4 / (3.0 * 40.0 * 60.0);
+        assert!(gradient.iter().flatten().all(|g| g.abs() <= bound));
+    }
+}
