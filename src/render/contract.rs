@@ -1,0 +1,204 @@
+//! The composition rule as plain functions: what a splat and a mesh fragment contribute at a pixel, and which of
+//! them is in front (METHODS 2.2–2.4, 4.2–4.5).
+//!
+//! [`super::reference`] is written with these functions; the shaders implement the same rule and are tested against
+//! it. All lengths are world units, all positions continuous pixels, all depths camera-space z.
+//!
+//! **Order.** Every ordering mode comes down to one number per splat and mesh layer, its *threshold*: at pixel p,
+//! splat g is behind layer i iff the layer's depth there is below `thresholds(..)[i]`. The splat then belongs to the
+//! [`bucket`] behind the last such layer, and the order at p is: splats of bucket 0, layer 1, splats of bucket 1,
+//! layer 2, … — splats of one bucket by (depth, index).
+//!
+//! **Stop.** A splat that would take the transmittance in front of what follows below [`TRANSMITTANCE_STOP`] is not
+//! added and ends its bucket. Mesh fragments are always added: there are few, and dropping an opaque one would show
+//! the background through it.
+
+use glam::DVec2;
+
+use crate::scene::{Intrinsics, OrderMode};
+
+/// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, METHODS 2.4. Where it is
+/// reached the derivative of alpha is zero.
+pub const ALPHA_CAP: f64 = 0.99;
+
+/// A splat contributes at a pixel iff its alpha is at least this: one step of an 8-bit image. It is the only limit
+/// of a splat's extent (no 3σ cut). INRIA 3DGS, METHODS 2.4.
+pub const ALPHA_CUT: f64 = 1.0 / 255.0;
+
+/// Transmittance below which nothing more is added. INRIA 3DGS, METHODS 2.4.
+pub const TRANSMITTANCE_STOP: f64 = 1e-4;
+
+/// Added to both diagonal entries of a projected covariance, px²: every splat is at least about a pixel wide.
+/// INRIA 3DGS, METHODS 2.2.
+pub const LOW_PASS: f64 = 0.3;
+
+/// Largest alpha of a mesh fragment, for the same reason as [`ALPHA_CAP`]. METHODS 4.1.
+pub const MESH_ALPHA_CAP: f64 = 1.0 - 1e-4;
+
+/// Relative depth within which a splat counts as in front of a surface: splats that start exactly on a face stay
+/// visible. METHODS 4.4.
+pub const TIE_EPSILON: f64 = 1e-5;
+
+/// How far outside the image, in half images, the projection is linearised at the splat's own mean. gsplat,
+/// METHODS 2.2.
+pub const JACOBIAN_MARGIN: f64 = 0.3;
+
+/// Largest number of mesh layers per pixel.
+pub const MAX_LAYERS: usize = 4;
+
+/// 1/(1+e⁻ˣ): logit to opacity.
+#[must_use]
+pub fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// Range of (x/z, y/z) to which a mean is clamped before the projection is linearised there, as (min, max).
+#[must_use]
+pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
+    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
+    let (focal, principal) = (DVec2::new(k.fx, k.fy), DVec2::new(k.cx, k.cy));
+    let margin = JACOBIAN_MARGIN * 0.5 * size;
+    ((-principal - margin) / focal, (size - principal + margin) / focal)
+}
+
+/// Alpha of a splat of this opacity at a pixel where its Gaussian is e^`power`; `None` where it does not contribute.
+#[must_use]
+pub fn splat_alpha(opacity: f64, power: f64) -> Option<f64> {
+    let alpha = (opacity * power.exp()).min(ALPHA_CAP);
+    (power <= 0.0 && alpha >= ALPHA_CUT).then_some(alpha)
+}
+
+/// Half width and height in pixels of the ellipse on which alpha is [`ALPHA_CUT`], from the variances along x and y
+/// of the projected splat (low-pass included); `None` if its opacity is below the cut everywhere.
+#[must_use]
+pub fn splat_extent(opacity: f64, variance: DVec2) -> Option<DVec2> {
+    let squared = 2.0 * (opacity / ALPHA_CUT).ln();
+    (squared >= 0.0).then(|| DVec2::new((squared * variance.x).sqrt(), (squared * variance.y).sqrt()))
+}
+
+/// Alpha of a mesh fragment from its opacity logit.
+#[must_use]
+pub fn mesh_alpha(logit: f64) -> f64 {
+    sigmoid(logit).min(MESH_ALPHA_CAP)
+}
+
+/// Depth of one mesh layer at the projection of a splat's mean.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SurfaceDepth {
+    /// The mean does not project into the image.
+    Outside,
+    /// The layer is empty there.
+    Empty,
+    /// The interpolated depth.
+    Depth(f64),
+}
+
+/// The 2×2 pixels around continuous position `uv`, clamped to the image, with their bilinear weights.
+pub(super) fn bilinear_taps(uv: DVec2, size: [u32; 2]) -> [([u32; 2], f64); 4] {
+    let corner = (uv - 0.5).floor();
+    let f = uv - 0.5 - corner;
+    let clamp = |x: f64, n: u32| (x.max(0.0) as u32).min(n - 1);
+    let tap = |dx: f64, dy: f64, weight: f64| ([clamp(corner.x + dx, size[0]), clamp(corner.y + dy, size[1])], weight);
+    [
+        tap(0.0, 0.0, (1.0 - f.x) * (1.0 - f.y)),
+        tap(1.0, 0.0, f.x * (1.0 - f.y)),
+        tap(0.0, 1.0, (1.0 - f.x) * f.y),
+        tap(1.0, 1.0, f.x * f.y),
+    ]
+}
+
+/// Samples a layer's depth image (`depth_at([x, y])` at pixel centres, 0 = empty; `size` = width and height) at `uv`.
+///
+/// Interpolates 1/z, which is exact on a plane, over the taps that have depth. Where these differ by more than
+/// `lambda` there is an edge, and the nearest tap alone decides: an average across it is on no surface. Among equal
+/// weights the first tap in row order wins.
+#[must_use]
+pub fn surface_depth(depth_at: impl Fn([u32; 2]) -> f64, size: [u32; 2], uv: DVec2, lambda: f64) -> SurfaceDepth {
+    let inside = (0.0..f64::from(size[0])).contains(&uv.x) && (0.0..f64::from(size[1])).contains(&uv.y);
+    if !inside {
+        return SurfaceDepth::Outside;
+    }
+    let taps = bilinear_taps(uv, size).map(|(pixel, weight)| (weight, depth_at(pixel)));
+    let valid = || taps.iter().filter(|(w, d)| *w > 0.0 && *d > 0.0);
+    let (nearest, farthest) = valid().fold((f64::INFINITY, 0.0_f64), |(near, far), (_, d)| (near.min(*d), far.max(*d)));
+    if farthest == 0.0 {
+        return SurfaceDepth::Empty;
+    }
+    if farthest - nearest > lambda {
+        let (_, depth) = taps.into_iter().fold((0.0, 0.0), |best, tap| if tap.0 > best.0 { tap } else { best });
+        return if depth > 0.0 { SurfaceDepth::Depth(depth) } else { SurfaceDepth::Empty };
+    }
+    let (weight, inverse) = valid().fold((0.0, 0.0), |(sw, si), (w, d)| (sw + w, si + w / d));
+    SurfaceDepth::Depth(weight / inverse)
+}
+
+/// The thresholds of a splat with depth `z`, one per layer: it is behind layer i at a pixel iff the layer's depth
+/// there is below the i-th.
+///
+/// `samples` holds the layers' [`surface_depth`]s, nearest layer first, at most [`MAX_LAYERS`]; [`OrderMode::Direct`]
+/// ignores them. `lambda` is ≥ 0 and may be infinite.
+#[must_use]
+pub fn thresholds(mode: OrderMode, z: f64, samples: &[SurfaceDepth], lambda: f64) -> [f64; MAX_LAYERS] {
+    let mut result = [z; MAX_LAYERS];
+    match mode {
+        OrderMode::Direct => {}
+        OrderMode::Stable => {
+            for (threshold, sample) in result.iter_mut().zip(samples) {
+                *threshold = match *sample {
+                    SurfaceDepth::Outside => f64::INFINITY,
+                    SurfaceDepth::Empty => z,
+                    SurfaceDepth::Depth(surface) if is_beyond(z, surface) => f64::INFINITY,
+                    SurfaceDepth::Depth(_) => z - lambda,
+                };
+            }
+        }
+        OrderMode::SurfaceConsistent => result = [surface_consistent_threshold(z, samples, lambda); MAX_LAYERS],
+    }
+    result
+}
+
+/// Number of mesh layers in front of a splat at a pixel whose layers have these depths, nearest first. The largest
+/// layer decides, so the order is consistent whatever the single decisions were.
+#[must_use]
+pub fn bucket(layer_depths: &[f64], thresholds: &[f64; MAX_LAYERS]) -> usize {
+    let behind = |(depth, threshold): (&f64, &f64)| depth < threshold;
+    layer_depths.iter().zip(thresholds).rposition(behind).map_or(0, |i| i + 1)
+}
+
+/// Whether a mean is behind a surface: a tie counts as in front.
+fn is_beyond(z: f64, surface: f64) -> bool {
+    z > surface * (1.0 + TIE_EPSILON)
+}
+
+/// The rule "follow the decision made at the surface nearest to the pixel's depth d if it is within λ of d, else
+/// compare z with d" (METHODS 4.4) as one threshold on d, the same for every layer.
+///
+/// Only two surfaces matter: the last one the mean is beyond and the first one it is not. Around the former the rule
+/// says "behind" up to `upper`, around the latter it says "in front" from `lower` on, and the mean of the two depths
+/// is where the nearest surface changes.
+fn surface_consistent_threshold(z: f64, samples: &[SurfaceDepth], lambda: f64) -> f64 {
+    let surfaces = samples.iter().filter_map(|s| if let SurfaceDepth::Depth(d) = s { Some(*d) } else { None });
+    // Interpolation across edges can leave the samples unsorted.
+    let (mut before, mut after) = (None, None);
+    for surface in surfaces {
+        if is_beyond(z, surface) {
+            before = Some(before.map_or(surface, |s: f64| s.max(surface)));
+        } else {
+            after = Some(after.map_or(surface, |s: f64| s.min(surface)));
+        }
+    }
+    let upper = |surface: f64| z.max(surface + lambda);
+    let lower = |surface: f64| z.min(surface - lambda);
+    match (before, after) {
+        (None, None) => z,
+        (Some(before), None) => upper(before),
+        (None, Some(after)) => lower(after),
+        (Some(before), Some(after)) => {
+            let middle = 0.5 * (before + after);
+            if lower(after) > middle { lower(after) } else { upper(before).min(middle) }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
