@@ -1,1 +1,72 @@
 //! Surfaces: ray queries, fusion of depth maps, simplification, unwrapping.
+
+mod bvh;
+mod charts;
+mod extract;
+mod fusion;
+mod neighbors;
+mod pack;
+mod surface;
+mod unwrap;
+
+use std::fmt::Display;
+
+pub use bvh::{ClosestPoint, Hit, MeshBvh};
+pub use fusion::{DepthView, Fusion, FusionOptions};
+pub use neighbors::mean_squared_distance_to_3_neighbors;
+pub use surface::{Surface, SurfaceOptions, SurfaceStats, clean, simplify, surface_from_depths, surface_from_fusion};
+pub use unwrap::{UnwrapStats, UnwrappedMesh, unwrap};
+
+/// Why a surface could not be made or unwrapped.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum GeometryError {
+    /// An argument that makes no sense: its name, what is accepted, what was given.
+    #[error("{field}: expected {expected}, found {found}")]
+    Argument {
+        /// Name of the argument, with an index where one element is at fault.
+        field: String,
+        /// What would have been accepted.
+        expected: String,
+        /// What was given.
+        found: String,
+    },
+    /// The fused volume would exceed its memory limit.
+    #[error(
+        "fusion: expected the surface to fit in {limit_mib} MiB of voxels, found more after {views} views; \
+         use a larger voxel or tighter bounds"
+    )]
+    FusionMemory {
+        /// [`FusionOptions::max_bytes`] in MiB.
+        limit_mib: usize,
+        /// Views fused when the limit was reached.
+        views: usize,
+    },
+    /// Nothing is left of the surface.
+    #[error("surface: expected triangles after {step}, found none; {hint}")]
+    EmptySurface {
+        /// The step that left nothing.
+        step: &'static str,
+        /// What may help.
+        hint: &'static str,
+    },
+    /// The charts do not fit, however small.
+    #[error(
+        "unwrap: expected the {charts} charts to fit in an atlas of {atlas_size}×{atlas_size} texels, found no room \
+         even with gutters of 1 texel; use a larger atlas or fewer, better connected triangles"
+    )]
+    AtlasTooSmall {
+        /// Number of charts.
+        charts: usize,
+        /// Side of the atlas in texels.
+        atlas_size: u32,
+    },
+}
+
+impl GeometryError {
+    fn argument(field: impl Into<String>, expected: impl Into<String>, found: &dyn Display) -> Self {
+        Self::Argument { field: field.into(), expected: expected.into(), found: found.to_string() }
+    }
+}
+
+#[cfg(test)]
+mod tests;

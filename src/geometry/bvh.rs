@@ -1,0 +1,394 @@
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::time::Duration;
+
+use glam::{DVec3, Vec3, Vec3A};
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::builder::build_bvh2;
+use obvhs::ray::Ray;
+use obvhs::{Boundable, BvhBuildParams};
+
+/// A ray meets a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Ray parameter: the point is `origin + t·dir`, with `dir` as given (not normalised).
+    pub t: f64,
+    /// Index of the mesh in the order given to [`MeshBvh::new`].
+    pub mesh: u32,
+    /// Index of the triangle in its mesh.
+    pub triangle: u32,
+    /// Weights of the triangle's three corners; their sum is 1.
+    pub barycentrics: DVec3,
+}
+
+/// The point of a mesh that is closest to another point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClosestPoint {
+    /// World position on the triangle.
+    pub position: DVec3,
+    /// Distance to the query.
+    pub distance: f64,
+    /// Index of the mesh in the order given to [`MeshBvh::new`].
+    pub mesh: u32,
+    /// Index of the triangle in its mesh.
+    pub triangle: u32,
+    /// Weights of the triangle's three corners; their sum is 1.
+    pub barycentrics: DVec3,
+}
+
+/// A bounding volume hierarchy over the triangles of one or several meshes, both sides visible.
+///
+/// The boxes are f32, relative to the centre of the scene and padded so that rounding cannot lose a triangle; the
+/// intersections are f64 from the f32 vertices.
+pub struct MeshBvh {
+    tree: Bvh2,
+    triangles: Vec<Indexed>,
+    center: DVec3,
+    radius: f64,
+}
+
+struct Indexed {
+    corners: [Vec3; 3],
+    mesh: u32,
+    triangle: u32,
+}
+
+struct Boxed(Aabb);
+
+impl Boundable for Boxed {
+    fn aabb(&self) -> Aabb {
+        self.0
+    }
+}
+
+/// How far outside a triangle, in barycentric units, a ray still counts as a hit: a ray through a shared edge must find
+/// at least one of its triangles whatever the rounding.
+const EDGE_TOLERANCE: f64 = 1e-9;
+
+/// Padding of the boxes in units of the scene radius: some 30 f32 roundings of coordinates up to 3 radii.
+const BOX_PADDING: f64 = 1e-5;
+
+impl MeshBvh {
+    /// Builds the hierarchy over meshes given as (positions, triangles). Triangles with an index out of range or a
+    /// position that is not finite are never hit; they keep their number.
+    #[must_use]
+    pub fn new<'a>(meshes: impl IntoIterator<Item = (&'a [Vec3], &'a [[u32; 3]])>) -> Self {
+        let mut triangles = Vec::new();
+        for (mesh, (positions, indices)) in (0u32..).zip(meshes) {
+            triangles.extend((0u32..).zip(indices).filter_map(|(triangle, t)| {
+                let corner = |k: usize| positions.get(t[k] as usize).copied().filter(|p| p.is_finite());
+                Some(Indexed { corners: [corner(0)?, corner(1)?, corner(2)?], mesh, triangle })
+            }));
+        }
+        let corners = || triangles.iter().flat_map(|t| t.corners).map(Vec3::as_dvec3);
+        let (low, high) =
+            corners().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+        let (center, radius) =
+            if triangles.is_empty() { (DVec3::ZERO, 0.0) } else { ((low + high) / 2.0, low.distance(high) / 2.0) };
+        let padding = Vec3A::splat((radius * BOX_PADDING) as f32);
+        let boxes: Vec<Boxed> = triangles
+            .iter()
+            .map(|t| {
+                let local = t.corners.map(|p| (p.as_dvec3() - center).as_vec3a());
+                let tight = Aabb::from_points(&local);
+                Boxed(Aabb { min: tight.min - padding, max: tight.max + padding })
+            })
+            .collect();
+        let tree = build_bvh2(&boxes, BvhBuildParams::medium_build(), &mut Duration::default());
+        Self { tree, triangles, center, radius }
+    }
+
+    /// The first `max_hits` triangles on the ray with `t ≥ t_min`, nearest first.
+    #[must_use]
+    pub fn hits(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_min: f64, max_hits: usize) -> Vec<Hit> {
+        let mut hits = self.collect(origin.into(), dir.into(), t_min);
+        hits.truncate(max_hits);
+        hits
+    }
+
+    /// Every triangle on the ray with `t ≥ 0`, nearest first, each once. Ties in `t` are in order of mesh and triangle.
+    /// A ray through an edge or a vertex reports all triangles that share it.
+    #[must_use]
+    pub fn all_hits(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>) -> Vec<Hit> {
+        self.collect(origin.into(), dir.into(), 0.0)
+    }
+
+    /// Whether any triangle lies on the ray with `t_min ≤ t ≤ t_max`.
+    #[must_use]
+    pub fn any_hit(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_min: f64, t_max: f64) -> bool {
+        let Some(local) = self.local_ray(origin.into(), dir.into()) else { return false };
+        let missed = self.tree.ray_traverse_miss(local.boxes, |_, slot| match self.intersect(slot, &local) {
+            Some(hit) if t_min <= hit.t && hit.t <= t_max => 0.0,
+            _ => f32::INFINITY,
+        });
+        !missed
+    }
+
+    /// The closest point of all triangles; `None` without triangles or if `point` is not finite. Degenerate triangles
+    /// count as the segments they are.
+    #[must_use]
+    pub fn closest_point(&self, point: impl Into<DVec3>) -> Option<ClosestPoint> {
+        let point = point.into();
+        if self.tree.nodes.is_empty() || !point.is_finite() {
+            return None;
+        }
+        let distance_to = |node: usize| {
+            let aabb = self.tree.nodes[node].aabb();
+            let (low, high) = (self.center + aabb.min.as_dvec3(), self.center + aabb.max.as_dvec3());
+            point.distance_squared(point.clamp(low, high))
+        };
+        let mut best: Option<ClosestPoint> = None;
+        // Squared distances are not negative, so their bits sort like the numbers.
+        let mut queue = BinaryHeap::from([Reverse((distance_to(0).to_bits(), 0usize))]);
+        while let Some(Reverse((bits, index))) = queue.pop() {
+            if best.as_ref().is_some_and(|b| f64::from_bits(bits) >= b.distance * b.distance) {
+                break;
+            }
+            let node = &self.tree.nodes[index];
+            if !node.is_leaf() {
+                let first = node.first_index as usize;
+                queue.extend([first, first + 1].map(|child| Reverse((distance_to(child).to_bits(), child))));
+                continue;
+            }
+            for slot in node.first_index..node.first_index + node.prim_count {
+                let t = &self.triangles[self.tree.primitive_indices[slot as usize] as usize];
+                let corners = t.corners.map(Vec3::as_dvec3);
+                let barycentrics = closest_barycentrics(point, corners);
+                let position = weighted(corners, barycentrics);
+                let distance = position.distance(point);
+                if best.as_ref().is_none_or(|b| distance < b.distance) {
+                    best = Some(ClosestPoint { position, distance, mesh: t.mesh, triangle: t.triangle, barycentrics });
+                }
+            }
+        }
+        best
+    }
+
+    fn collect(&self, origin: DVec3, dir: DVec3, t_min: f64) -> Vec<Hit> {
+        let mut hits = Vec::new();
+        let Some(local) = self.local_ray(origin, dir) else { return hits };
+        self.tree.ray_traverse_anyhit(local.boxes, |_, slot| {
+            hits.extend(self.intersect(slot, &local).filter(|h| h.t >= t_min));
+        });
+        hits.sort_by(|a, b| a.t.total_cmp(&b.t).then((a.mesh, a.triangle).cmp(&(b.mesh, b.triangle))));
+        hits
+    }
+
+    /// `None` if the ray passes the scene by, or is not a ray.
+    fn local_ray(&self, origin: DVec3, dir: DVec3) -> Option<LocalRay> {
+        let unit = dir.try_normalize()?;
+        let shift = (self.center - origin).dot(dir) / dir.length_squared();
+        let nearest = origin + dir * shift;
+        let to_nearest = nearest - self.center;
+        // 1 % more than the radius: boxes are padded and `nearest` is rounded.
+        if !nearest.is_finite() || to_nearest.length() > 1.01 * self.radius + f64::MIN_POSITIVE {
+            return None;
+        }
+        let start = to_nearest - unit * (2.0 * self.radius);
+        Some(LocalRay { boxes: Ray::new_inf(start.as_vec3a(), unit.as_vec3a()), nearest, shift, dir })
+    }
+
+    fn intersect(&self, slot: usize, ray: &LocalRay) -> Option<Hit> {
+        let t = &self.triangles[self.tree.primitive_indices[slot] as usize];
+        let [a, b, c] = t.corners.map(|p| p.as_dvec3() - ray.nearest);
+        // Signed volumes of the ray with each edge (METHODS 4.2).
+        let volumes = DVec3::new(ray.dir.dot(b.cross(c)), ray.dir.dot(c.cross(a)), ray.dir.dot(a.cross(b)));
+        let barycentrics = volumes / volumes.element_sum();
+        let normal = (b - a).cross(c - a);
+        let t_hit = a.dot(normal) / ray.dir.dot(normal) + ray.shift;
+        // The tests fail on the NaN and infinity of a degenerate triangle or one seen edge-on.
+        (barycentrics.min_element() >= -EDGE_TOLERANCE && t_hit.is_finite() && barycentrics.is_finite())
+            .then_some(Hit { t: t_hit, mesh: t.mesh, triangle: t.triangle, barycentrics })
+    }
+}
+
+/// A ray moved to where f32 and f64 resolve the scene well, however far away the camera is.
+struct LocalRay {
+    /// For the f32 boxes: unit direction, starts two radii before the centre, before every triangle.
+    boxes: Ray,
+    /// The point of the ray closest to the scene's centre, world space.
+    nearest: DVec3,
+    /// Its ray parameter.
+    shift: f64,
+    /// Direction as given.
+    dir: DVec3,
+}
+
+fn weighted([a, b, c]: [DVec3; 3], w: DVec3) -> DVec3 {
+    a * w.x + b * w.y + c * w.z
+}
+
+/// Barycentrics of the point of a triangle closest to `p`: inside the face, else on the closest edge.
+fn closest_barycentrics(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let n = ab.cross(ac);
+    let area = n.length_squared();
+    if area > 0.0 {
+        let v = ap.cross(ac).dot(n) / area;
+        let w = ab.cross(ap).dot(n) / area;
+        let inside = DVec3::new(1.0 - v - w, v, w);
+        if inside.min_element() >= 0.0 {
+            return inside;
+        }
+    }
+    let on_edge = |from: DVec3, to: DVec3| {
+        let d = to - from;
+        let length = d.length_squared();
+        if length > 0.0 { ((p - from).dot(d) / length).clamp(0.0, 1.0) } else { 0.0 }
+    };
+    let (s, t, u) = (on_edge(a, b), on_edge(b, c), on_edge(c, a));
+    [DVec3::new(1.0 - s, s, 0.0), DVec3::new(0.0, 1.0 - t, t), DVec3::new(u, 0.0, 1.0 - u)]
+        .into_iter()
+        .min_by(|&x, &y| {
+            let distance = |w| p.distance_squared(weighted([a, b, c], w));
+            distance(x).total_cmp(&distance(y))
+        })
+        .expect("three candidates")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    type Soup = (Vec<Vec3>, Vec<[u32; 3]>);
+
+    fn random_soup(count: u32, seed: u64, offset: Vec3) -> Soup {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        let positions = (0..3 * count)
+            .map(|i| offset + Vec3::splat((i / 3 % 7) as f32) * 0.1 + 0.5 * Vec3::from_array(rng.random::<[f32; 3]>()))
+            .collect();
+        (positions, (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect())
+    }
+
+    /// Möller–Trumbore, another formula than the one under test.
+    fn brute_force(soups: &[Soup], origin: DVec3, dir: DVec3) -> Vec<(f64, u32, u32)> {
+        let mut hits = Vec::new();
+        for (mesh, (positions, triangles)) in (0u32..).zip(soups) {
+            for (i, t) in (0u32..).zip(triangles) {
+                let [a, b, c] = t.map(|v| positions[v as usize].as_dvec3());
+                let (e1, e2) = (b - a, c - a);
+                let q = dir.cross(e2);
+                let det = e1.dot(q);
+                let s = origin - a;
+                let u = s.dot(q) / det;
+                let r = s.cross(e1);
+                let v = dir.dot(r) / det;
+                let t = e2.dot(r) / det;
+                if u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0 {
+                    hits.push((t, mesh, i));
+                }
+            }
+        }
+        hits.sort_by(|a, b| a.0.total_cmp(&b.0));
+        hits
+    }
+
+    fn bvh(soups: &[Soup]) -> MeshBvh {
+        MeshBvh::new(soups.iter().map(|(p, t)| (p.as_slice(), t.as_slice())))
+    }
+
+    #[test]
+    fn hits_equal_brute_force() {
+        let mut found = 0;
+        // The second scene is far from the origin: f32 positions there are 0.06 apart.
+        for (seed, offset, away) in [(1, Vec3::ZERO, 1.0), (2, Vec3::new(5e5, -3e5, 10.0), 1.0), (3, Vec3::ZERO, 1e5)] {
+            let soups = [random_soup(700, seed, offset), random_soup(300, seed + 10, offset)];
+            let tree = bvh(&soups);
+            let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+            for i in 0..500 {
+                let target = offset.as_dvec3() + DVec3::from_array(rng.random::<[f64; 3]>());
+                let mut dir = DVec3::from_array(rng.random::<[f64; 3]>()) - 0.5;
+                if i % 5 == 0 {
+                    dir = [DVec3::X, DVec3::NEG_Y, DVec3::Z][i % 3];
+                }
+                let origin = target - dir * away;
+                let expected = brute_force(&soups, origin, dir);
+                let hits = tree.all_hits(origin, dir);
+                found += hits.len();
+                assert_eq!(
+                    hits.iter().map(|h| (h.mesh, h.triangle)).collect::<Vec<_>>(),
+                    expected.iter().map(|h| (h.1, h.2)).collect::<Vec<_>>()
+                );
+                for (h, e) in hits.iter().zip(&expected) {
+                    // f64 on coordinates up to 1e5: 1e-16·1e5 times the conditioning of slivers.
+                    assert!((h.t - e.0).abs() < 1e-7 * away, "{} {}", h.t, e.0);
+                    let corners = soups[h.mesh as usize].1[h.triangle as usize]
+                        .map(|v| soups[h.mesh as usize].0[v as usize].as_dvec3());
+                    assert!(weighted(corners, h.barycentrics).distance(origin + h.t * dir) < 1e-4);
+                }
+                assert_eq!(tree.any_hit(origin, dir, 0.0, f64::INFINITY), !expected.is_empty());
+                if let [first, second, ..] = expected[..] {
+                    let middle = (first.0 + second.0) / 2.0;
+                    assert_eq!(tree.hits(origin, dir, middle, 1)[0].triangle, second.2);
+                    assert!(tree.any_hit(origin, dir, 0.0, middle));
+                    assert!(!tree.any_hit(origin, dir, 0.0, first.0 * (1.0 - 1e-9) - 1e-9));
+                }
+            }
+        }
+        assert!(found > 5000, "the rays must hit something: {found}");
+    }
+
+    #[test]
+    fn rays_through_edges_and_vertices_find_every_triangle() {
+        let positions: Vec<Vec3> =
+            (0..121).map(|i| Vec3::new((i % 11) as f32 * 0.1, (i / 11) as f32 * 0.1, 0.3)).collect();
+        let triangles: Vec<[u32; 3]> =
+            (0..110u32).filter(|i| i % 11 != 10).flat_map(|i| [[i, i + 1, i + 11], [i + 1, i + 12, i + 11]]).collect();
+        let tree = bvh(&[(positions.clone(), triangles)]);
+        let eye = DVec3::new(0.21, 0.43, -2.0);
+        for y in 1..10 {
+            for x in 1..10 {
+                let vertex = positions[y * 11 + x].as_dvec3();
+                assert_eq!(tree.all_hits(eye, vertex - eye).len(), 6, "vertex {x} {y}");
+                let edge = (vertex + positions[y * 11 + x + 1].as_dvec3()) / 2.0;
+                assert_eq!(tree.all_hits(eye, edge - eye).len(), 2, "edge {x} {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn closest_point_equals_brute_force() {
+        let soups = [random_soup(300, 4, Vec3::ZERO)];
+        let tree = bvh(&soups);
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(5);
+        for _ in 0..300 {
+            let p = DVec3::from_array(rng.random::<[f64; 3]>()) * 4.0 - 1.5;
+            // Dense sampling of each triangle bounds the distance from above.
+            let mut nearest = f64::INFINITY;
+            for t in &soups[0].1 {
+                let corners = t.map(|v| soups[0].0[v as usize].as_dvec3());
+                for i in 0..=20 {
+                    for j in 0..=20 - i {
+                        let (u, v) = (f64::from(i) / 20.0, f64::from(j) / 20.0);
+                        nearest = nearest.min(p.distance(weighted(corners, DVec3::new(1.0 - u - v, u, v))));
+                    }
+                }
+            }
+            let closest = tree.closest_point(p).unwrap();
+            assert!(closest.distance <= nearest + 1e-12);
+            // The samples are at most 0.5·√3/20 apart.
+            assert!(closest.distance >= nearest - 0.05);
+            assert!(closest.barycentrics.min_element() >= 0.0);
+        }
+    }
+
+    #[test]
+    fn degenerate_input_is_no_hit_and_no_panic() {
+        let empty = MeshBvh::new([]);
+        assert!(empty.all_hits(Vec3::ZERO, Vec3::Z).is_empty());
+        assert!(empty.closest_point(Vec3::ZERO).is_none());
+        let p = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN];
+        let t = [[0, 1, 9], [0, 1, 3], [0, 0, 0], [0, 1, 1], [0, 1, 2]];
+        let tree = MeshBvh::new([(&p[..], &t[..])]);
+        let hits = tree.all_hits(Vec3::new(0.2, 0.2, -1.0), Vec3::Z);
+        assert_eq!(hits.iter().map(|h| h.triangle).collect::<Vec<_>>(), [4]);
+        for dir in [Vec3::ZERO, Vec3::NAN, Vec3::splat(f32::INFINITY)] {
+            assert!(tree.all_hits(Vec3::ZERO, dir).is_empty());
+        }
+        let point = MeshBvh::new([(&[Vec3::ONE; 3][..], &[[0, 1, 2]][..])]);
+        assert!(point.all_hits(Vec3::ZERO, Vec3::ONE).is_empty());
+        assert!((point.closest_point(Vec3::ZERO).unwrap().distance - 3f64.sqrt()).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,373 @@
+//! Cuts a surface into charts that a planar projection maps one-to-one.
+
+use std::collections::{HashMap, VecDeque};
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// A piece of the surface and its planar projection.
+pub(super) struct Chart {
+    /// Triangle indices.
+    pub(super) faces: Vec<u32>,
+    /// `[faces]` corners in the chart's plane, world units.
+    pub(super) corners: Vec<[DVec2; 3]>,
+}
+
+/// A triangle joins a chart if its smoothed normal is within 60° of the seed's (METHODS 6): areas shrink at most to half.
+const CONE: f64 = 0.5;
+/// Normals of single triangles, which noise disturbs, may be up to 75° off the chart's axis; never folded over.
+const STEEPEST: f64 = 0.26;
+/// No adjacent triangle on that side; in no chart.
+const NONE: u32 = u32::MAX;
+
+/// What chart growth needs to know of every triangle.
+struct Faces {
+    corners: Vec<[DVec3; 3]>,
+    /// Normal times twice the area.
+    normals: Vec<DVec3>,
+    smooth: Vec<DVec3>,
+    neighbors: Vec<[u32; 3]>,
+}
+
+/// Charts of all triangles, each in exactly one, except for triangles with two corners at one place: they are in none. `texel` is the expected size of a texel in world units, `max_side` the
+/// largest extent of a chart. Positions must be finite. Deterministic.
+pub(super) fn cut(corners: Vec<[DVec3; 3]>, texel: f64, max_side: f64) -> Vec<Chart> {
+    let normals: Vec<DVec3> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a)).collect();
+    let neighbors = neighbors(&corners);
+    let smooth = smooth_normals(&normals, &neighbors);
+    let faces = Faces { corners, normals, smooth, neighbors };
+    let mut chart_of = grow_all(&faces, max_side);
+    // Charts below some 8×8 texels cost more gutter than they hold.
+    merge(&faces, &mut chart_of, 64.0 * texel * texel, max_side);
+    members(&chart_of)
+        .into_par_iter()
+        .filter(|m| !m.is_empty())
+        .flat_map_iter(|m| without_overlap(&faces, m, texel))
+        .collect()
+}
+
+/// Triangles of each chart.
+fn members(chart_of: &[u32]) -> Vec<Vec<u32>> {
+    let charts = chart_of.iter().filter(|&&c| c != NONE).map(|&c| c as usize + 1).max().unwrap_or(0);
+    let mut members = vec![Vec::new(); charts];
+    for (face, &chart) in (0u32..).zip(chart_of).filter(|(_, c)| **c != NONE) {
+        members[chart as usize].push(face);
+    }
+    members
+}
+
+/// Per triangle the neighbour across the edge from corner k to k+1. Corners at the same position are one vertex. An edge
+/// of more than two triangles, or of two that run along it in the same direction, is a border.
+fn neighbors(corners: &[[DVec3; 3]]) -> Vec<[u32; 3]> {
+    let mut index_of = HashMap::new();
+    let mut vertex = |p: DVec3| {
+        let next = index_of.len() as u32;
+        // + 0.0 turns −0 into 0.
+        *index_of.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(next)
+    };
+    let vertices: Vec<[u32; 3]> = corners.iter().map(|c| c.map(&mut vertex)).collect();
+    let mut edges: Vec<(u32, u32, bool, u32, usize)> = Vec::with_capacity(3 * vertices.len());
+    for (face, v) in (0u32..).zip(&vertices).filter(|(_, v)| v[0] != v[1] && v[1] != v[2] && v[2] != v[0]) {
+        for k in 0..3 {
+            let (a, b) = (v[k], v[(k + 1) % 3]);
+            edges.push((a.min(b), a.max(b), a < b, face, k));
+        }
+    }
+    edges.par_sort_unstable();
+    let mut neighbors = vec![[NONE; 3]; corners.len()];
+    for shared in edges.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
+        if let [x, y] = shared
+            && x.2 != y.2
+            && x.3 != y.3
+        {
+            neighbors[x.3 as usize][x.4] = y.3;
+            neighbors[y.3 as usize][y.4] = x.3;
+        }
+    }
+    neighbors
+}
+
+/// Normals averaged over a few rings of neighbours, by area: charts follow the shape, not the noise of a scan.
+fn smooth_normals(normals: &[DVec3], neighbors: &[[u32; 3]]) -> Vec<DVec3> {
+    let mut smooth = normals.to_vec();
+    for _ in 0..4 {
+        smooth = (0..normals.len())
+            .into_par_iter()
+            .map(|f| {
+                let around = neighbors[f].iter().filter(|&&n| n != NONE).map(|&n| smooth[n as usize]);
+                (smooth[f] + around.sum::<DVec3>()) / 4.0
+            })
+            .collect();
+    }
+    smooth.iter().zip(normals).map(|(s, n)| s.try_normalize().unwrap_or_else(|| unit_or_x(*n))).collect()
+}
+
+fn unit_or_x(v: DVec3) -> DVec3 {
+    v.try_normalize().unwrap_or(DVec3::X)
+}
+
+impl Faces {
+    fn around(&self, face: u32) -> impl Iterator<Item = u32> {
+        self.neighbors[face as usize].into_iter().filter(|&n| n != NONE)
+    }
+
+    /// Whether `face` is not too steep for a projection along `axis`; a triangle without area never is.
+    fn fits(&self, face: u32, axis: DVec3) -> bool {
+        let n = self.normals[face as usize];
+        n.dot(axis) >= STEEPEST * n.length()
+    }
+}
+
+/// Grows charts from the flattest places outwards, breadth first so that they are round. Returns the chart of each
+/// triangle.
+fn grow_all(faces: &Faces, max_side: f64) -> Vec<u32> {
+    let count = faces.normals.len() as u32;
+    let mut seeds: Vec<(u64, u32)> = (0..count)
+        .into_par_iter()
+        .map(|f| {
+            let n = faces.smooth[f as usize];
+            let bend: f64 = faces.around(f).map(|g| 1.0 - n.dot(faces.smooth[g as usize])).sum();
+            // Bends are not negative, so their bits sort like the numbers.
+            (bend.max(0.0).to_bits(), f)
+        })
+        .collect();
+    seeds.par_sort_unstable();
+    let mut chart_of = vec![NONE; count as usize];
+    let mut chart = 0;
+    let mut queue = VecDeque::new();
+    for (_, seed) in seeds {
+        let [a, b, c] = faces.corners[seed as usize];
+        if chart_of[seed as usize] != NONE || a == b || b == c || c == a {
+            continue;
+        }
+        let axis = if faces.fits(seed, faces.smooth[seed as usize]) {
+            faces.smooth[seed as usize]
+        } else {
+            unit_or_x(faces.normals[seed as usize])
+        };
+        let mut extent = Extent::new(axis);
+        extent.take(&faces.corners[seed as usize], f64::INFINITY);
+        chart_of[seed as usize] = chart;
+        queue.push_back(seed);
+        while let Some(face) = queue.pop_front() {
+            for next in faces.around(face) {
+                let n = next as usize;
+                let joins = chart_of[n] == NONE
+                    && faces.smooth[n].dot(axis) >= CONE
+                    && faces.fits(next, axis)
+                    && extent.take(&faces.corners[n], max_side);
+                if joins {
+                    chart_of[n] = chart;
+                    queue.push_back(next);
+                }
+            }
+        }
+        chart += 1;
+    }
+    chart_of
+}
+
+/// Bounding rectangle in the plane across an axis.
+struct Extent {
+    plane: [DVec3; 2],
+    low: DVec2,
+    high: DVec2,
+}
+
+impl Extent {
+    fn new(axis: DVec3) -> Self {
+        let x = axis.any_orthonormal_vector();
+        Self { plane: [x, axis.cross(x)], low: DVec2::INFINITY, high: DVec2::NEG_INFINITY }
+    }
+
+    fn project(&self, p: DVec3) -> DVec2 {
+        DVec2::new(self.plane[0].dot(p), self.plane[1].dot(p))
+    }
+
+    /// Grows by a triangle unless a side would exceed `max_side`.
+    fn take(&mut self, corners: &[DVec3; 3], max_side: f64) -> bool {
+        let p = corners.map(|c| self.project(c));
+        let low = self.low.min(p[0]).min(p[1].min(p[2]));
+        let high = self.high.max(p[0]).max(p[1].max(p[2]));
+        let fits = (high - low).max_element() <= max_side;
+        if fits {
+            (self.low, self.high) = (low, high);
+        }
+        fits
+    }
+}
+
+/// Gives each chart, the smallest first, to the neighbour with the longest common border of those whose axis suits all of
+/// its triangles: within the cone, or merely not too steep for charts of less than `min_area`.
+fn merge(faces: &Faces, chart_of: &mut [u32], min_area: f64, max_side: f64) {
+    // Merging moves the mean axes; a few passes reach what can be reached.
+    for _ in 0..4 {
+        let mut members = members(chart_of);
+        let normal_sum = |m: &Vec<u32>| m.iter().map(|&f| faces.normals[f as usize]).sum::<DVec3>();
+        let axes: Vec<DVec3> = members.iter().map(|m| unit_or_x(normal_sum(m))).collect();
+        let area = |m: &Vec<u32>| m.iter().map(|&f| faces.normals[f as usize].length() / 2.0).sum::<f64>();
+        let mut areas: Vec<f64> = members.iter().map(area).collect();
+        let mut extents: Vec<Extent> = axes
+            .iter()
+            .zip(&members)
+            .map(|(&axis, m)| {
+                let mut extent = Extent::new(axis);
+                m.iter().for_each(|&f| {
+                    extent.take(&faces.corners[f as usize], f64::INFINITY);
+                });
+                extent
+            })
+            .collect();
+        let mut order: Vec<usize> = (0..members.len()).filter(|&c| !members[c].is_empty()).collect();
+        order.sort_by(|&a, &b| areas[a].total_cmp(&areas[b]).then(a.cmp(&b)));
+        let mut merged = false;
+        for chart in order {
+            let mut borders: HashMap<u32, f64> = HashMap::new();
+            for &f in &members[chart] {
+                for (k, &n) in faces.neighbors[f as usize].iter().enumerate() {
+                    if n != NONE && chart_of[n as usize] as usize != chart {
+                        let c = &faces.corners[f as usize];
+                        *borders.entry(chart_of[n as usize]).or_default() += c[k].distance(c[(k + 1) % 3]);
+                    }
+                }
+            }
+            let mut borders: Vec<(u32, f64)> = borders.into_iter().collect();
+            borders.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+            // Where it matters little, stretch is better than a seam.
+            let steepest = if areas[chart] < min_area { -1.0 } else { CONE };
+            let suits = |f: u32, axis: DVec3| faces.fits(f, axis) && faces.smooth[f as usize].dot(axis) >= steepest;
+            let into = borders.iter().map(|b| b.0 as usize).find(|&c| {
+                members[chart].iter().all(|&f| suits(f, axes[c]))
+                    && members[chart].iter().all(|&f| extents[c].take(&faces.corners[f as usize], max_side))
+            });
+            if let Some(into) = into {
+                let moved = std::mem::take(&mut members[chart]);
+                moved.iter().for_each(|&f| chart_of[f as usize] = into as u32);
+                members[into].extend(moved);
+                areas[into] += areas[chart];
+                merged = true;
+            }
+        }
+        if !merged {
+            break;
+        }
+    }
+}
+
+/// Projects a chart and splits off what would lie on top of the rest, until nothing does.
+fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
+    let mut charts = Vec::new();
+    let mut pending = vec![members];
+    while let Some(members) = pending.pop() {
+        let mean = unit_or_x(members.iter().map(|&f| faces.normals[f as usize]).sum());
+        let first = unit_or_x(faces.normals[members[0] as usize]);
+        let all_fit = |axis: &DVec3| members.iter().all(|&f| faces.fits(f, *axis));
+        let Some(axis) = [mean, first].into_iter().find(all_fit) else {
+            // The mean has drifted away from some triangles: they go on their own. If it suits none, they point all
+            // ways and the first leads. Both sets are smaller than before.
+            let axis = if members.iter().any(|&f| faces.fits(f, mean)) { mean } else { first };
+            let (fit, rest): (Vec<u32>, Vec<u32>) = members.iter().partition(|&&f| faces.fits(f, axis));
+            pending.extend(connected(faces, rest));
+            pending.extend(connected(faces, fit));
+            continue;
+        };
+        let plane = Extent::new(axis);
+        let ordered = connected(faces, members).concat();
+        let corners: Vec<[DVec2; 3]> =
+            ordered.iter().map(|&f| faces.corners[f as usize].map(|p| plane.project(p))).collect();
+        let low = corners.iter().flatten().copied().fold(DVec2::INFINITY, DVec2::min);
+        let high = corners.iter().flatten().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+        // At most 2048² cells: 4 MiB.
+        let cell = (texel / 2.0).max((high - low).max_element() / 2047.0).max(f64::MIN_POSITIVE);
+        let clear = not_overlapping(&corners, low, cell);
+        if clear.iter().all(|&c| c) {
+            charts.push(Chart { faces: ordered, corners });
+            continue;
+        }
+        let of = |wanted: bool| ordered.iter().zip(&clear).filter(move |c| *c.1 == wanted).map(|c| *c.0).collect();
+        pending.extend(connected(faces, of(false)));
+        pending.extend(connected(faces, of(true)));
+    }
+    charts
+}
+
+/// Moves triangles that cover a texel centre of another one of their chart into charts of their own. `charts` are as
+/// packed, with `texel` world units to a texel. Returns the new charts.
+pub(super) fn split_overlaps(charts: &mut [Chart], texel: f64) -> Vec<Chart> {
+    let split = |chart: &mut Chart| {
+        let clear = not_overlapping(&chart.corners, DVec2::ZERO, texel);
+        let mut alone = Vec::new();
+        if clear.contains(&false) {
+            let (faces, corners) = (std::mem::take(&mut chart.faces), std::mem::take(&mut chart.corners));
+            for ((face, corners), clear) in faces.into_iter().zip(corners).zip(clear) {
+                if clear {
+                    chart.faces.push(face);
+                    chart.corners.push(corners);
+                } else {
+                    alone.push(Chart { faces: vec![face], corners: vec![corners] });
+                }
+            }
+        }
+        alone
+    };
+    charts.par_iter_mut().flat_map_iter(split).collect()
+}
+
+/// Connected pieces of a set of triangles, each breadth first from its lowest index.
+fn connected(faces: &Faces, mut members: Vec<u32>) -> Vec<Vec<u32>> {
+    members.sort_unstable();
+    let mut left = vec![true; members.len()];
+    let mut pieces = Vec::new();
+    for start in 0..members.len() {
+        if !left[start] {
+            continue;
+        }
+        left[start] = false;
+        let (mut piece, mut next) = (vec![members[start]], 0);
+        while next < piece.len() {
+            for n in faces.around(piece[next]) {
+                if let Ok(i) = members.binary_search(&n)
+                    && std::mem::take(&mut left[i])
+                {
+                    piece.push(n);
+                }
+            }
+            next += 1;
+        }
+        pieces.push(piece);
+    }
+    pieces
+}
+
+/// For each triangle whether it is clear of those before it, on a grid of `cell`s from `low`.
+fn not_overlapping(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<bool> {
+    if corners.len() == 1 {
+        return vec![true];
+    }
+    let high = corners.iter().flatten().copied().fold(low, DVec2::max);
+    let width = ((high.x - low.x) / cell) as usize + 1;
+    let height = ((high.y - low.y) / cell) as usize + 1;
+    let mut taken = vec![false; width * height];
+    let mut clear = vec![true; corners.len()];
+    let mut covered = Vec::new();
+    for (triangle, clear) in corners.iter().zip(&mut clear) {
+        covered.clear();
+        let [a, b, c] = triangle.map(|p| (p - low) / cell);
+        let (from, to) = (a.min(b).min(c).floor(), a.max(b).max(c).floor());
+        for y in from.y as usize..=(to.y as usize).min(height - 1) {
+            for x in from.x as usize..=(to.x as usize).min(width - 1) {
+                let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let side = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s);
+                // Counter-clockwise by construction of the charts; a centre on an edge belongs to no triangle.
+                if side(a, b) > 0.0 && side(b, c) > 0.0 && side(c, a) > 0.0 {
+                    covered.push(y * width + x);
+                }
+            }
+        }
+        *clear = !covered.iter().any(|&i| taken[i]);
+        if *clear {
+            covered.iter().for_each(|&i| taken[i] = true);
+        }
+    }
+    clear
+}

@@ -1,0 +1,375 @@
+use std::collections::HashMap;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::GeometryError;
+use crate::scene::Camera;
+
+/// A depth map and the camera that sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct DepthView<'a> {
+    /// Its intrinsics give the size `w`×`h`.
+    pub camera: Camera,
+    /// `[h·w]` camera-space z; 0, negative or not finite means no surface.
+    pub depth: &'a [f32],
+    /// `[h·w]` confidence, ≥ 0; `None` means 1 everywhere.
+    pub weight: Option<&'a [f32]>,
+}
+
+/// Where and how finely depth maps are fused. Lengths are in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusionOptions {
+    /// Edge of a voxel.
+    pub voxel: f64,
+    /// Distance from the surface at which the signed distance is cut off, at least 2 voxels.
+    pub truncation: f64,
+    /// Nothing outside this box (low corner, high corner) is fused.
+    pub bounds: (DVec3, DVec3),
+    /// Depths beyond this are ignored.
+    pub max_depth: f64,
+    /// Accumulated weight from which a voxel counts as seen; with unit weights, the number of views.
+    pub min_weight: f32,
+    /// Limit on the memory for voxels.
+    pub max_bytes: usize,
+}
+
+impl FusionOptions {
+    /// Voxels per depth range. 2DGS has 1024; METHODS 6 finds a surface good to 1 % sufficient, and memory and time
+    /// are a quarter with 512.
+    pub const DEFAULT_RESOLUTION: u32 = 512;
+
+    /// The constants of 2DGS for bounded scenes (METHODS 6): radius = least distance of a camera to the point that all
+    /// look at, `max_depth` = 2·radius, voxel = `max_depth`/resolution, truncation = 5 voxels; two views must agree.
+    /// The box holds all but the outermost 0.5 % of `points` on each side and lies within `max_depth` of that point.
+    ///
+    /// # Errors
+    /// Without cameras or with resolution 0.
+    pub fn suggest(cameras: &[Camera], points: &[Vec3], resolution: u32) -> Result<Self, GeometryError> {
+        if cameras.is_empty() {
+            return Err(GeometryError::argument("cameras", "at least one camera", &"none"));
+        }
+        if resolution == 0 {
+            return Err(GeometryError::argument("resolution", "at least 1 voxel", &"0"));
+        }
+        let inner = quantile_box(points, 0.25);
+        let focus = focus_point(cameras, inner.map(|(low, high)| (low + high) / 2.0));
+        let radius = cameras.iter().map(|c| c.center().distance(focus)).fold(f64::INFINITY, f64::min);
+        // A camera in the very focus (a panorama): the points say how large the scene is.
+        let fallback = inner.map_or(1.0, |(low, high)| (high - low).length());
+        let radius = if radius > 1e-3 * fallback { radius } else { fallback.max(1e-6) };
+        let max_depth = 2.0 * radius;
+        let voxel = max_depth / f64::from(resolution);
+        let mut bounds = (focus - max_depth, focus + max_depth);
+        if let Some((low, high)) = quantile_box(points, 0.005) {
+            let margin = (high - low) * 0.05 + 5.0 * voxel;
+            let tight = (bounds.0.max(low - margin), bounds.1.min(high + margin));
+            if tight.0.cmplt(tight.1).all() {
+                bounds = tight;
+            }
+        }
+        Ok(Self { voxel, truncation: 5.0 * voxel, bounds, max_depth, min_weight: 2.0, max_bytes: 2 << 30 })
+    }
+}
+
+/// The point closest to all optical axes in the least-squares sense; axes that hardly cross leave it near `prior`.
+fn focus_point(cameras: &[Camera], prior: Option<DVec3>) -> DVec3 {
+    let count = cameras.len() as f64;
+    let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / count;
+    let prior = prior.unwrap_or(mean);
+    let (mut matrix, mut rhs) = (glam::DMat3::from_diagonal(DVec3::splat(1e-3 * count)), prior * (1e-3 * count));
+    for camera in cameras {
+        let axis = camera.rotation().row(2);
+        let across = glam::DMat3::IDENTITY - glam::DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        matrix += across;
+        rhs += across * camera.center();
+    }
+    matrix.inverse() * rhs
+}
+
+/// Per axis, the `q` and 1−`q` quantiles of the finite points.
+fn quantile_box(points: &[Vec3], q: f64) -> Option<(DVec3, DVec3)> {
+    let mut corners = (DVec3::ZERO, DVec3::ZERO);
+    for axis in 0..3 {
+        let mut values: Vec<f32> = points.iter().filter(|p| p.is_finite()).map(|p| p[axis]).collect();
+        let skip = (values.len() as f64 * q) as usize;
+        let last = values.len().checked_sub(1 + skip)?;
+        values.sort_unstable_by(f32::total_cmp);
+        corners.0[axis] = f64::from(values[skip]);
+        corners.1[axis] = f64::from(values[last]);
+    }
+    Some(corners)
+}
+
+/// Voxels along the edge of a block.
+pub(super) const SIDE: i32 = 8;
+/// Voxels of a block.
+pub(super) const VOLUME: usize = (SIDE * SIDE * SIDE) as usize;
+
+/// Signed distance to the surface in units of the truncation, positive outside, and the weight behind it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Voxel {
+    pub(super) distance: f32,
+    pub(super) weight: f32,
+}
+
+/// `SIDE`³ voxels, x fastest.
+pub(super) struct Block {
+    pub(super) key: [i32; 3],
+    pub(super) voxels: Box<[Voxel]>,
+}
+
+/// A truncated signed distance function on a sparse grid: blocks of 8³ voxels exist only near surfaces that were seen,
+/// so memory grows with the surface and not with the volume.
+///
+/// Order matters a little: a view carves free space only out of blocks that exist when it is fused.
+pub struct Fusion {
+    pub(super) options: FusionOptions,
+    pub(super) blocks: Vec<Block>,
+    pub(super) slots: HashMap<[i32; 3], u32>,
+    /// Number of blocks along each axis of the box.
+    extent: [i32; 3],
+    views: usize,
+}
+
+impl Fusion {
+    /// An empty volume.
+    ///
+    /// # Errors
+    /// If a number is not positive and finite, the box is empty, has more than 2²⁰ voxels along an axis, or the
+    /// truncation is below 2 voxels.
+    pub fn new(options: FusionOptions) -> Result<Self, GeometryError> {
+        let positive = [("voxel", options.voxel), ("truncation", options.truncation), ("max_depth", options.max_depth)];
+        for (field, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(GeometryError::argument(field, "a positive length", &value));
+            }
+        }
+        if options.truncation < 2.0 * options.voxel {
+            let expected = format!("at least 2 voxels of {}", options.voxel);
+            return Err(GeometryError::argument("truncation", expected, &options.truncation));
+        }
+        if !(options.min_weight > 0.0 && options.min_weight.is_finite()) {
+            return Err(GeometryError::argument("min_weight", "a positive number", &options.min_weight));
+        }
+        let (low, high) = options.bounds;
+        let voxels = (high - low) / options.voxel;
+        if !(low.is_finite() && high.is_finite() && voxels.min_element() > 0.0) {
+            return Err(GeometryError::argument("bounds", "a box that is not empty", &format!("{low} to {high}")));
+        }
+        if voxels.max_element() > f64::from(1 << 20) {
+            let found = format!("{:.0} voxels", voxels.max_element());
+            return Err(GeometryError::argument("bounds", "at most 1048576 voxels along each axis", &found));
+        }
+        let extent = (voxels / f64::from(SIDE)).ceil().max(DVec3::ONE).as_ivec3().to_array();
+        Ok(Self { options, blocks: Vec::new(), slots: HashMap::new(), extent, views: 0 })
+    }
+
+    /// Number of views fused so far.
+    #[must_use]
+    pub fn views(&self) -> usize {
+        self.views
+    }
+
+    /// Bytes of voxels allocated so far.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.blocks.len() * VOLUME * size_of::<Voxel>()
+    }
+
+    /// Fuses one view: every voxel in front of the seen surface and up to one truncation behind it takes part in a
+    /// weighted mean of (seen depth − own depth), cut off at the truncation.
+    ///
+    /// # Errors
+    /// If the maps do not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not
+    /// fused.
+    pub fn integrate(&mut self, view: &DepthView) -> Result<(), GeometryError> {
+        let k = view.camera.intrinsics();
+        let pixels = k.width as usize * k.height as usize;
+        for (field, len) in [("depth", view.depth.len()), ("weight", view.weight.map_or(pixels, <[f32]>::len))] {
+            if len != pixels {
+                return Err(GeometryError::argument(
+                    field,
+                    format!("{}×{} = {pixels} pixels", k.width, k.height),
+                    &len,
+                ));
+            }
+        }
+        self.allocate(view)?;
+        let projection = Projection::new(view, &self.options);
+        self.blocks.par_iter_mut().for_each(|block| projection.update(block));
+        self.views += 1;
+        Ok(())
+    }
+
+    /// Adds the blocks within one truncation of the surface seen in `view`.
+    fn allocate(&mut self, view: &DepthView) -> Result<(), GeometryError> {
+        let o = self.options;
+        let k = view.camera.intrinsics();
+        let (width, to_world) = (k.width as usize, view.camera.rotation().transpose());
+        let center = view.camera.center();
+        // Cells of half a block; samples along the ray are half a cell apart.
+        let cell = o.voxel * f64::from(SIDE / 2);
+        let cells_of_row = |row: usize| {
+            let (mut cells, mut previous) = (Vec::new(), None);
+            for (x, &depth) in view.depth[row * width..(row + 1) * width].iter().enumerate() {
+                let Some(depth) = valid_depth(depth, o.max_depth) else { continue };
+                let ray = to_world * view.camera.ray(glam::DVec2::new(x as f64 + 0.5, row as f64 + 0.5));
+                let at = |z: f64| (center + ray * z - o.bounds.0) / cell;
+                let (near, far) = (at(f64::from(depth) - o.truncation), at(f64::from(depth) + o.truncation));
+                // Neighbouring pixels mostly pass the same cells.
+                let ends = Some((near.floor(), far.floor()));
+                if ends == previous {
+                    continue;
+                }
+                previous = ends;
+                let steps = (2.0 * near.distance(far)).ceil().max(1.0);
+                for i in 0..=steps as u32 {
+                    let p = near.lerp(far, f64::from(i) / steps);
+                    // Outside by more than a block: also keeps the numbers within i32.
+                    if p.cmpge(DVec3::splat(-2.0)).all() && p.max_element() < f64::from(i32::MAX / 2) {
+                        cells.push(p.floor().as_ivec3().to_array());
+                    }
+                }
+            }
+            cells.sort_unstable();
+            cells.dedup();
+            cells
+        };
+        let mut cells: Vec<[i32; 3]> = (0..k.height as usize).into_par_iter().flat_map_iter(cells_of_row).collect();
+        cells.par_sort_unstable();
+        cells.dedup();
+        // A voxel that projects into a pixel is at most half a step along and half a pixel diagonal across away from a
+        // sample; a coarse depth map far away is the case where the second matters.
+        let footprint = o.max_depth * 0.71 / k.fx.min(k.fy);
+        let reach = 0.25 + (footprint / cell).min(8.0);
+        let mut keys: Vec<[i32; 3]> = cells
+            .into_par_iter()
+            .flat_map_iter(|cell| blocks_around(cell, reach, self.extent))
+            .filter(|key| !self.slots.contains_key(key))
+            .collect();
+        keys.par_sort_unstable();
+        keys.dedup();
+        if (self.blocks.len() + keys.len()).saturating_mul(VOLUME * size_of::<Voxel>()) > o.max_bytes {
+            return Err(GeometryError::FusionMemory { limit_mib: o.max_bytes >> 20, views: self.views });
+        }
+        for key in keys {
+            self.slots.insert(key, self.blocks.len() as u32);
+            self.blocks.push(Block { key, voxels: vec![Voxel::default(); VOLUME].into() });
+        }
+        Ok(())
+    }
+}
+
+/// Keys of the blocks that overlap `cell` (half blocks) grown by `reach` cells on each side.
+fn blocks_around(cell: [i32; 3], reach: f64, extent: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
+    let range = |axis: usize| {
+        let (low, high) = (f64::from(cell[axis]) - reach, f64::from(cell[axis]) + 1.0 + reach);
+        ((low / 2.0).floor() as i32).max(0)..=((high / 2.0).floor() as i32).min(extent[axis] - 1)
+    };
+    let (rx, ry, rz) = (range(0), range(1), range(2));
+    rz.flat_map(move |z| {
+        let rx = rx.clone();
+        ry.clone().flat_map(move |y| rx.clone().map(move |x| [x, y, z]))
+    })
+}
+
+fn valid_depth(depth: f32, max_depth: f64) -> Option<f32> {
+    (depth > 0.0 && f64::from(depth) <= max_depth).then_some(depth)
+}
+
+/// A view with what the voxel loop needs at hand.
+struct Projection<'a> {
+    view: &'a DepthView<'a>,
+    options: &'a FusionOptions,
+    /// Camera-space steps of one voxel along the world axes.
+    steps: [Vec3; 3],
+    /// Unit normals of the four side planes through the camera, pointing inwards.
+    sides: [DVec3; 4],
+}
+
+impl<'a> Projection<'a> {
+    fn new(view: &'a DepthView<'a>, options: &'a FusionOptions) -> Self {
+        let k = view.camera.intrinsics();
+        let rotation = view.camera.rotation();
+        let (w, h) = (f64::from(k.width), f64::from(k.height));
+        let sides = [
+            DVec3::new(k.fx, 0.0, k.cx),
+            DVec3::new(-k.fx, 0.0, w - k.cx),
+            DVec3::new(0.0, k.fy, k.cy),
+            DVec3::new(0.0, -k.fy, h - k.cy),
+        ];
+        Self {
+            view,
+            options,
+            steps: [0, 1, 2].map(|axis| (rotation.col(axis) * options.voxel).as_vec3()),
+            sides: sides.map(DVec3::normalize),
+        }
+    }
+
+    fn update(&self, block: &mut Block) {
+        let o = self.options;
+        let edge = o.voxel * f64::from(SIDE);
+        let corner = o.bounds.0 + glam::IVec3::from_array(block.key).as_dvec3() * edge;
+        let middle = self.view.camera.to_camera(corner + edge / 2.0);
+        let radius = edge * 0.87;
+        let outside = self.sides.iter().any(|n| n.dot(middle) < -radius);
+        if outside || middle.z < -radius || middle.z > o.max_depth + o.truncation + radius {
+            return;
+        }
+        let first = self.view.camera.to_camera(corner).as_vec3();
+        let truncation = o.truncation as f32;
+        for (z, slice) in block.voxels.chunks_exact_mut((SIDE * SIDE) as usize).enumerate() {
+            for (y, row) in slice.chunks_exact_mut(SIDE as usize).enumerate() {
+                let start = first + self.steps[2] * z as f32 + self.steps[1] * y as f32;
+                for (x, voxel) in row.iter_mut().enumerate() {
+                    let p = start + self.steps[0] * x as f32;
+                    let Some((distance, weight)) = self.sample(p, truncation) else { continue };
+                    let total = voxel.weight + weight;
+                    let step = (distance / truncation).min(1.0) - voxel.distance;
+                    voxel.distance += step * (weight / total);
+                    voxel.weight = total;
+                }
+            }
+        }
+    }
+
+    /// Seen depth minus own, and the weight, where camera-space `p` projects to; nothing deeper than the truncation. The
+    /// depth is bilinear on a surface, nearest at its edges, so that none is made up between two surfaces.
+    fn sample(&self, p: Vec3, truncation: f32) -> Option<(f32, f32)> {
+        if p.z <= 0.0 {
+            return None;
+        }
+        let k = self.view.camera.intrinsics();
+        let (u, v) = (k.fx as f32 * p.x / p.z + k.cx as f32, k.fy as f32 * p.y / p.z + k.cy as f32);
+        let (w, h) = (k.width as usize, k.height as usize);
+        if !(u >= 0.0 && v >= 0.0 && u < w as f32 && v < h as f32) {
+            return None;
+        }
+        let at = |x: usize, y: usize| valid_depth(self.view.depth[y * w + x], self.options.max_depth);
+        // `u < w` holds for the f32 nearest to w − tiny too, hence no index is out of range.
+        let nearest = (u as usize, v as usize);
+        let depth = at(nearest.0, nearest.1)?;
+        let weight = self.view.weight.map_or(1.0, |weights| weights[nearest.1 * w + nearest.0]);
+        if !(weight > 0.0 && weight.is_finite()) {
+            return None;
+        }
+        let in_band = |distance: f32| (distance >= -truncation).then_some((distance, weight));
+        let (left, top) = ((u - 0.5).max(0.0), (v - 0.5).max(0.0));
+        let (x, y) = (left as usize, top as usize);
+        // Far from the surface the sign says it all.
+        let rough = depth - p.z;
+        if rough.abs() > 2.0 * truncation || x + 1 >= w || y + 1 >= h {
+            return in_band(rough);
+        }
+        let [Some(a), Some(b), Some(c), Some(d)] = [at(x, y), at(x + 1, y), at(x, y + 1), at(x + 1, y + 1)] else {
+            return in_band(rough);
+        };
+        if a.max(b).max(c.max(d)) - a.min(b).min(c.min(d)) > truncation {
+            return in_band(rough);
+        }
+        let (fx, fy) = (left - x as f32, top - y as f32);
+        let (upper, lower) = (a + (b - a) * fx, c + (d - c) * fx);
+        in_band(upper + (lower - upper) * fy - p.z)
+    }
+}

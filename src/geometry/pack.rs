@@ -1,0 +1,241 @@
+//! Packs charts into a square atlas: each falls onto the skyline of those before it, tallest first.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::charts::Chart;
+
+/// Where each chart lies.
+pub(super) struct Packing {
+    /// Texels per world unit.
+    pub(super) scale: f64,
+    /// Texels kept free around each chart.
+    pub(super) gutter: usize,
+    /// `[charts]`.
+    pub(super) places: Vec<Place>,
+}
+
+/// A chart's place: quarter turns, then shift.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Place {
+    /// Quarter turns counter-clockwise.
+    turns: u8,
+    /// Texels the chart covers before turning.
+    size: [usize; 2],
+    /// Lowest texel after turning.
+    origin: [usize; 2],
+}
+
+impl Place {
+    /// Atlas position in texels of a chart point given in texels from the chart's low corner.
+    pub(super) fn apply(&self, p: DVec2) -> DVec2 {
+        let size = DVec2::new(self.size[0] as f64, self.size[1] as f64);
+        let turned = match self.turns {
+            0 => p,
+            1 => DVec2::new(size.y - p.y, p.x),
+            2 => size - p,
+            _ => DVec2::new(p.y, size.x - p.x),
+        };
+        turned + DVec2::new(self.origin[0] as f64, self.origin[1] as f64)
+    }
+}
+
+/// Turns a chart so that its bounding rectangle is small and upright, with the low corner at the origin.
+pub(super) fn straighten(chart: &mut Chart) {
+    let bounds = |angle: f64| {
+        let turn = DVec2::from_angle(angle);
+        let points = chart.corners.iter().flatten().map(|&p| turn.rotate(p));
+        points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
+    };
+    let area = |angle: f64| {
+        let (low, high) = bounds(angle);
+        (high - low).element_product()
+    };
+    let angles = (0..30).map(|i| f64::from(i) * std::f64::consts::FRAC_PI_2 / 30.0);
+    let mut best = angles.min_by(|&a, &b| area(a).total_cmp(&area(b))).unwrap_or(0.0);
+    let (low, high) = bounds(best);
+    if high.x - low.x > high.y - low.y {
+        best += std::f64::consts::FRAC_PI_2;
+    }
+    let (low, turn) = (bounds(best).0, DVec2::from_angle(best));
+    for p in chart.corners.iter_mut().flatten() {
+        // The maximum guards against a rounding below zero.
+        *p = (turn.rotate(*p) - low).max(DVec2::ZERO);
+    }
+}
+
+/// The largest scale at which all charts fit into `side`×`side` texels, to 0.3 %. Gutters of 4 texels on each side, hence
+/// 8 between charts (METHODS 4.3), give way to 2 and 1 only if the charts do not fit at any useful scale; `None` if
+/// not even then. `area` is the charts' total.
+pub(super) fn pack(charts: &[Chart], area: f64, side: usize) -> Option<Packing> {
+    // Scale at which the charts would fill the atlas.
+    let full = side as f64 / area.sqrt();
+    let order = {
+        let mut order: Vec<usize> = (0..charts.len()).collect();
+        let height = |c: usize| charts[c].corners.iter().flatten().map(|p| p.y).fold(0.0, f64::max);
+        let heights: Vec<f64> = (0..charts.len()).map(height).collect();
+        order.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]).then(a.cmp(&b)));
+        order
+    };
+    for gutter in [4, 2, 1] {
+        let attempt = |scale: f64| try_scale(charts, &order, scale, side, gutter);
+        let (mut fails, mut scale) = (full, full * 0.9);
+        // 0.85^24 = 2 %: less than that and the gutter holds more than the charts.
+        for _ in 0..24 {
+            let Some(mut places) = attempt(scale) else {
+                fails = scale;
+                scale *= 0.85;
+                continue;
+            };
+            for _ in 0..6 {
+                let middle = (scale + fails) / 2.0;
+                match attempt(middle) {
+                    Some(better) => (scale, places) = (middle, better),
+                    None => fails = middle,
+                }
+            }
+            return Some(Packing { scale, gutter, places });
+        }
+    }
+    None
+}
+
+/// The outline of a chart in one orientation: per column the lowest and the highest covered row, with the gutter.
+#[derive(Clone, Default)]
+struct Outline {
+    low: Vec<usize>,
+    high: Vec<usize>,
+}
+
+impl Outline {
+    fn height(&self) -> usize {
+        self.high.iter().copied().max().unwrap_or(0)
+    }
+
+    /// Grows by `gutter` texels on all sides; the origin moves by `gutter` both ways.
+    fn with_gutter(&self, gutter: usize) -> Self {
+        let columns = self.low.len();
+        let near = |i: usize| i.saturating_sub(2 * gutter)..(i + 1).min(columns);
+        let grown = 0..columns + 2 * gutter;
+        Self {
+            low: grown.clone().map(|i| self.low[near(i)].iter().copied().min().unwrap_or(0)).collect(),
+            high: grown.map(|i| self.high[near(i)].iter().copied().max().unwrap_or(0) + 2 * gutter).collect(),
+        }
+    }
+}
+
+/// Size in texels and the outlines after 0 to 3 quarter turns.
+struct Footprint {
+    size: [usize; 2],
+    outlines: [Outline; 4],
+}
+
+fn footprint(chart: &Chart, scale: f64, side: usize, gutter: usize) -> Option<Footprint> {
+    let high = chart.corners.iter().flatten().fold(DVec2::ZERO, |high, &p| high.max(p)) * scale;
+    if high.max_element() + 2.0 * gutter as f64 > side as f64 {
+        return None;
+    }
+    let size = [high.x, high.y].map(|h| (h.ceil() as usize).max(1));
+    let [mut columns, mut rows] = size.map(|n| Outline { low: vec![usize::MAX; n], high: vec![0; n] });
+    for t in &chart.corners {
+        for k in 0..3 {
+            let (a, b) = (t[k] * scale, t[(k + 1) % 3] * scale);
+            outline_edge(&mut columns, a, b);
+            outline_edge(&mut rows, DVec2::new(a.y, a.x), DVec2::new(b.y, b.x));
+        }
+    }
+    let [w, h] = size;
+    let turned = |o: &Outline, reverse: bool, flip: Option<usize>| {
+        let mut o = match flip {
+            None => o.clone(),
+            Some(n) => {
+                Outline { low: o.high.iter().map(|v| n - v).collect(), high: o.low.iter().map(|v| n - v).collect() }
+            }
+        };
+        if reverse {
+            o.low.reverse();
+            o.high.reverse();
+        }
+        o.with_gutter(gutter)
+    };
+    let outlines = [
+        turned(&columns, false, None),
+        turned(&rows, true, None),
+        turned(&columns, true, Some(h)),
+        turned(&rows, false, Some(w)),
+    ];
+    Some(Footprint { size, outlines })
+}
+
+/// Widens the outline by an edge, per column by the rows that the edge passes there.
+fn outline_edge(outline: &mut Outline, a: DVec2, b: DVec2) {
+    let (a, b) = if a.x <= b.x { (a, b) } else { (b, a) };
+    let last = outline.low.len() - 1;
+    let slope = if b.x > a.x { (b.y - a.y) / (b.x - a.x) } else { 0.0 };
+    let (low, high) = (a.y.min(b.y), a.y.max(b.y));
+    for column in (a.x as usize).min(last)..=(b.x as usize).min(last) {
+        let at = |x: f64| (a.y + (x - a.x) * slope).clamp(low, high);
+        let (mut from, mut to) = (at((column as f64).max(a.x)), at((column as f64 + 1.0).min(b.x)));
+        if a.x == b.x {
+            (from, to) = (low, high);
+        }
+        outline.low[column] = outline.low[column].min(from.min(to) as usize);
+        outline.high[column] = outline.high[column].max(from.max(to).ceil().max(1.0) as usize);
+    }
+}
+
+fn try_scale(charts: &[Chart], order: &[usize], scale: f64, side: usize, gutter: usize) -> Option<Vec<Place>> {
+    let footprints: Vec<Footprint> =
+        charts.par_iter().map(|c| footprint(c, scale, side, gutter)).collect::<Option<_>>()?;
+    let covered: usize = footprints
+        .iter()
+        .map(|f| f.outlines[0].high.iter().zip(&f.outlines[0].low).map(|(h, l)| h - l).sum::<usize>())
+        .sum();
+    if covered > side * side {
+        return None;
+    }
+    let mut skyline = vec![0; side];
+    let mut places = vec![Place::default(); charts.len()];
+    for &chart in order {
+        let Footprint { size, outlines } = &footprints[chart];
+        let mut best: Option<(usize, usize, usize, usize)> = None;
+        for (turns, outline) in outlines.iter().enumerate() {
+            let Some((top, waste, x)) = drop_onto(&skyline, outline) else { continue };
+            if best.is_none_or(|b| (top, waste) < (b.0, b.1)) {
+                best = Some((top, waste, x, turns));
+            }
+        }
+        let (top, _, x, turns) = best.filter(|b| b.0 <= side)?;
+        let outline = &outlines[turns];
+        let y = top - outline.height();
+        for (column, high) in skyline[x..].iter_mut().zip(&outline.high) {
+            *column = y + high;
+        }
+        places[chart] = Place { turns: turns as u8, size: *size, origin: [x + gutter, y + gutter] };
+    }
+    Some(places)
+}
+
+/// Lowest resting place on the skyline: (top, texels lost below, first column).
+fn drop_onto(skyline: &[usize], outline: &Outline) -> Option<(usize, usize, usize)> {
+    let height = outline.height();
+    let mut best: Option<(usize, usize, usize)> = None;
+    for x in 0..=skyline.len().checked_sub(outline.low.len())? {
+        let limit = best.map_or(usize::MAX, |b| b.0 - height);
+        let mut y = 0;
+        for (&ground, &low) in skyline[x..].iter().zip(&outline.low) {
+            y = y.max(ground.saturating_sub(low));
+            if y > limit {
+                break;
+            }
+        }
+        if y > limit {
+            continue;
+        }
+        let waste = skyline[x..].iter().zip(&outline.low).map(|(&ground, &low)| (y + low).saturating_sub(ground)).sum();
+        if best.is_none_or(|b| (y + height, waste) < (b.0, b.1)) {
+            best = Some((y + height, waste, x));
+        }
+    }
+    best
+}

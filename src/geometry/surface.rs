@@ -1,0 +1,193 @@
+use glam::Vec3;
+use meshopt::{SimplifyOptions, VertexDataAdapter};
+
+use super::GeometryError;
+use super::fusion::{DepthView, Fusion, FusionOptions};
+
+/// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
+/// outside. Unchecked: the functions of this module skip triangles with an index out of range.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Surface {
+    /// World positions.
+    pub positions: Vec<Vec3>,
+    /// Vertex indices.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// From depth maps to a mesh that is ready to be unwrapped. Sources: METHODS 6.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceOptions {
+    /// The volume.
+    pub fusion: FusionOptions,
+    /// Components with fewer triangles are dropped: 50 (2DGS).
+    pub min_component_faces: usize,
+    /// So many of the largest components are kept: 50 (2DGS).
+    pub keep_components: usize,
+    /// Triangles after simplification: 100 000, the lower end of METHODS 6.
+    pub target_triangles: usize,
+}
+
+impl SurfaceOptions {
+    /// The defaults named at each field, on the given volume.
+    #[must_use]
+    pub fn new(fusion: FusionOptions) -> Self {
+        Self { fusion, min_component_faces: 50, keep_components: 50, target_triangles: 100_000 }
+    }
+}
+
+/// What each step left.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SurfaceStats {
+    /// Views fused.
+    pub views: usize,
+    /// Bytes of voxels.
+    pub voxel_bytes: usize,
+    /// Triangles of the iso-surface.
+    pub extracted: usize,
+    /// Triangles after cleaning.
+    pub cleaned: usize,
+    /// Triangles after simplification.
+    pub simplified: usize,
+}
+
+/// Fuses all views and returns the cleaned, simplified surface. To render, fuse and drop one view at a time or to see
+/// the counts, use [`Fusion`] and [`surface_from_fusion`].
+///
+/// # Errors
+/// Those of [`Fusion::new`] and [`Fusion::integrate`], and if no triangle is left.
+pub fn surface_from_depths<'a>(
+    views: impl IntoIterator<Item = DepthView<'a>>,
+    options: &SurfaceOptions,
+) -> Result<Surface, GeometryError> {
+    let mut fusion = Fusion::new(options.fusion)?;
+    for view in views {
+        fusion.integrate(&view)?;
+    }
+    Ok(surface_from_fusion(&fusion, options)?.0)
+}
+
+/// Extracts, cleans and simplifies the surface of a fused volume.
+///
+/// # Errors
+/// If no triangle is left; the message names the step.
+pub fn surface_from_fusion(
+    fusion: &Fusion,
+    options: &SurfaceOptions,
+) -> Result<(Surface, SurfaceStats), GeometryError> {
+    let mut stats = SurfaceStats { views: fusion.views(), voxel_bytes: fusion.bytes(), ..Default::default() };
+    let extracted = fusion.extract();
+    stats.extracted = extracted.triangles.len();
+    if stats.extracted == 0 {
+        let hint = "too few views agree on a depth within the bounds and max_depth";
+        return Err(GeometryError::EmptySurface { step: "extraction", hint });
+    }
+    let cleaned = clean(extracted, options.min_component_faces, options.keep_components);
+    stats.cleaned = cleaned.triangles.len();
+    if stats.cleaned == 0 {
+        let hint = "every component is smaller than min_component_faces";
+        return Err(GeometryError::EmptySurface { step: "cleaning", hint });
+    }
+    let simplified = simplify(&cleaned, options.target_triangles);
+    stats.simplified = simplified.triangles.len();
+    if stats.simplified == 0 {
+        return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
+    }
+    Ok((simplified, stats))
+}
+
+/// Keeps the `keep_components` largest connected components (triangles that share a vertex) of at least
+/// `min_component_faces` triangles. Drops triangles that are broken (index out of range, position not finite), have no
+/// area or repeat another one's corners, and vertices that nothing uses. The order of what is kept does not change.
+#[must_use]
+pub fn clean(surface: Surface, min_component_faces: usize, keep_components: usize) -> Surface {
+    let mut surface = without_broken(surface);
+    let mut parent: Vec<u32> = (0..surface.positions.len() as u32).collect();
+    for t in &surface.triangles {
+        for v in [t[1], t[2]] {
+            let (a, b) = (root(&mut parent, t[0]), root(&mut parent, v));
+            // The smaller index becomes the root: the result does not depend on the order of triangles.
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    let mut faces = vec![0usize; surface.positions.len()];
+    for t in &surface.triangles {
+        faces[root(&mut parent, t[0]) as usize] += 1;
+    }
+    let mut components: Vec<usize> = (0..faces.len()).filter(|&v| faces[v] >= min_component_faces.max(1)).collect();
+    components.sort_by_key(|&v| (std::cmp::Reverse(faces[v]), v));
+    components.truncate(keep_components);
+    let mut kept = vec![false; faces.len()];
+    components.iter().for_each(|&v| kept[v] = true);
+    surface.triangles.retain(|t| kept[root(&mut parent, t[0]) as usize]);
+    compact(surface)
+}
+
+/// At most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer). Topology is
+/// kept, so a surface of many pieces or holes may end above the target; one below it is returned cleaned.
+#[must_use]
+pub fn simplify(surface: &Surface, target_triangles: usize) -> Surface {
+    let mut surface = compact(without_broken(surface.clone()));
+    if surface.triangles.len() <= target_triangles {
+        return surface;
+    }
+    let Ok(vertices) = VertexDataAdapter::new(bytemuck::cast_slice(&surface.positions), size_of::<Vec3>(), 0) else {
+        return surface;
+    };
+    let indices = meshopt::simplify(
+        bytemuck::cast_slice(&surface.triangles),
+        &vertices,
+        target_triangles.saturating_mul(3),
+        f32::MAX,
+        // Even triangles unwrap into charts with less stretch.
+        SimplifyOptions::RegularizeLight,
+        None,
+    );
+    surface.triangles = indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    compact(without_broken(surface))
+}
+
+/// Union-find with path halving.
+fn root(parent: &mut [u32], mut v: u32) -> u32 {
+    while parent[v as usize] != v {
+        let above = parent[parent[v as usize] as usize];
+        parent[v as usize] = above;
+        v = above;
+    }
+    v
+}
+
+fn without_broken(mut surface: Surface) -> Surface {
+    let positions = &surface.positions;
+    surface.triangles.retain(|t| {
+        let corner = |k: usize| positions.get(t[k] as usize).filter(|p| p.is_finite()).map(|p| p.as_dvec3());
+        match (corner(0), corner(1), corner(2)) {
+            (Some(a), Some(b), Some(c)) => (b - a).cross(c - a).length_squared() > 0.0,
+            _ => false,
+        }
+    });
+    let mut first_of: std::collections::HashSet<[u32; 3]> = std::collections::HashSet::new();
+    surface.triangles.retain(|t| {
+        let mut sorted = *t;
+        sorted.sort_unstable();
+        first_of.insert(sorted)
+    });
+    surface
+}
+
+/// Drops vertices that no triangle uses. Every index must be in range.
+fn compact(surface: Surface) -> Surface {
+    let mut used = vec![false; surface.positions.len()];
+    surface.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+    let mut next = 0;
+    let new_index: Vec<u32> = used
+        .iter()
+        .map(|&u| {
+            next += u32::from(u);
+            next.saturating_sub(1)
+        })
+        .collect();
+    Surface {
+        positions: surface.positions.into_iter().zip(&used).filter_map(|(p, &u)| u.then_some(p)).collect(),
+        triangles: surface.triangles.into_iter().map(|t| t.map(|v| new_index[v as usize])).collect(),
+    }
+}

@@ -1,0 +1,275 @@
+//! Fusion to simplified surface on analytic depth maps.
+
+use std::collections::HashMap;
+
+use glam::{DMat3, DVec2, DVec3, Vec3};
+
+use super::*;
+use crate::scene::{Camera, Intrinsics};
+
+fn look_at(eye: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
+    let z = (target - eye).normalize();
+    let x = z.any_orthonormal_vector();
+    let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
+    let f = 1.2 * f64::from(width);
+    let intrinsics =
+        Intrinsics { width, height, fx: f, fy: f, cx: f64::from(width) * 0.49, cy: f64::from(height) * 0.52 };
+    Camera::new(intrinsics, rotation, -(rotation * eye)).unwrap()
+}
+
+/// Cameras on a Fibonacci sphere of radius 3, looking at the origin.
+fn orbit(count: u32, width: u32, height: u32) -> Vec<Camera> {
+    (0..count)
+        .map(|i| {
+            let y = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(count);
+            let (s, c) = (2.399_963 * f64::from(i)).sin_cos();
+            let r = (1.0 - y * y).sqrt();
+            look_at(DVec3::new(r * c, y, r * s) * 3.0, DVec3::ZERO, width, height)
+        })
+        .collect()
+}
+
+/// Depth map of what `hit(origin, dir)` returns: the ray parameter of a ray with z = 1 is the depth.
+fn depth_map(camera: &Camera, hit: impl Fn(DVec3, DVec3) -> Option<f64>) -> Vec<f32> {
+    let k = *camera.intrinsics();
+    let to_world = camera.rotation().transpose();
+    (0..k.width * k.height)
+        .map(|i| {
+            let uv = DVec2::new(f64::from(i % k.width) + 0.5, f64::from(i / k.width) + 0.5);
+            hit(camera.center(), to_world * camera.ray(uv)).map_or(0.0, |t| t as f32)
+        })
+        .collect()
+}
+
+fn unit_sphere(origin: DVec3, dir: DVec3) -> Option<f64> {
+    let (a, b, c) = (dir.length_squared(), origin.dot(dir), origin.length_squared() - 1.0);
+    let d = b * b - a * c;
+    (d >= 0.0).then(|| (-b - d.sqrt()) / a)
+}
+
+fn fused_sphere(cameras: &[Camera], voxel: f64) -> Fusion {
+    let options = FusionOptions {
+        voxel,
+        truncation: 5.0 * voxel,
+        bounds: (DVec3::splat(-1.3), DVec3::splat(1.3)),
+        max_depth: 6.0,
+        min_weight: 2.0,
+        max_bytes: 1 << 30,
+    };
+    let mut fusion = Fusion::new(options).unwrap();
+    for camera in cameras {
+        let depth = depth_map(camera, unit_sphere);
+        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }).unwrap();
+    }
+    fusion
+}
+
+/// How many edges have two faces, four, and any odd number (a crack or a rim).
+fn edge_counts(surface: &Surface) -> [usize; 3] {
+    let mut faces: HashMap<(u32, u32), usize> = HashMap::new();
+    for t in &surface.triangles {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            *faces.entry((a.min(b), a.max(b))).or_default() += 1;
+        }
+    }
+    let count = |wanted: &dyn Fn(usize) -> bool| faces.values().filter(|&&n| wanted(n)).count();
+    [count(&|n| n == 2), count(&|n| n > 2 && n % 2 == 0), count(&|n| n % 2 == 1)]
+}
+
+/// Largest and mean distance of samples (vertices and centroids) to the unit sphere.
+fn sphere_error(surface: &Surface) -> (f64, f64) {
+    let corners = surface.triangles.iter().map(|t| t.map(|v| surface.positions[v as usize].as_dvec3()));
+    let centroids = corners.map(|[a, b, c]| (a + b + c) / 3.0);
+    let errors: Vec<f64> =
+        surface.positions.iter().map(|p| p.as_dvec3()).chain(centroids).map(|p| (p.length() - 1.0).abs()).collect();
+    (errors.iter().copied().fold(0.0, f64::max), errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+#[test]
+fn a_sphere_is_closed_and_in_place() {
+    let voxel = 0.04;
+    let fusion = fused_sphere(&orbit(24, 160, 160), voxel);
+    let surface = fusion.extract();
+    let [two, four, odd] = edge_counts(&surface);
+    assert_eq!(odd, 0, "cracks");
+    // Surface nets have one vertex per cell, so two sheets that pass one cell share it: rare on a smooth surface.
+    assert!(four * 1000 < two, "{four} of {two} edges have four faces");
+    let (max, mean) = sphere_error(&surface);
+    eprintln!(
+        "{} triangles, error in voxels: max {:.3}, mean {:.3}",
+        surface.triangles.len(),
+        max / voxel,
+        mean / voxel
+    );
+    // Distances along the ray overestimate at grazing angles, where few pixels see the surface.
+    assert!(max < voxel && mean < 0.25 * voxel, "{max} {mean}");
+    let volume: f32 = surface
+        .triangles
+        .iter()
+        .map(|t| t.map(|v| surface.positions[v as usize]))
+        .map(|[a, b, c]| a.dot(b.cross(c)) / 6.0)
+        .sum();
+    // Also positive, which it is only if faces look outwards.
+    assert!((f64::from(volume) / (4.0 / 3.0 * std::f64::consts::PI) - 1.0).abs() < 0.03, "volume {volume}");
+    // The same views give the same surface, whatever the threads did.
+    assert_eq!(surface, fused_sphere(&orbit(24, 160, 160), voxel).extract());
+}
+
+#[test]
+fn memory_follows_the_surface_and_has_a_limit() {
+    let cameras = orbit(8, 120, 120);
+    let (coarse, fine) = (fused_sphere(&cameras, 0.04), fused_sphere(&cameras, 0.02));
+    let growth = fine.bytes() as f64 / coarse.bytes() as f64;
+    // Half the voxel: 4 times the surface voxels in a band of a fixed number of voxels, not 8 times.
+    assert!(growth < 5.0, "{growth}");
+    let mut limited = Fusion::new(FusionOptions { max_bytes: 100_000, ..coarse.options }).unwrap();
+    let depth = depth_map(&cameras[0], unit_sphere);
+    let view = DepthView { camera: cameras[0], depth: &depth, weight: None };
+    assert!(matches!(limited.integrate(&view), Err(GeometryError::FusionMemory { views: 0, .. })));
+    assert_eq!(limited.bytes(), 0);
+}
+
+#[test]
+fn an_open_plane_ends_where_nothing_was_seen() {
+    let cameras: Vec<Camera> = (0..6)
+        .map(|i| look_at(DVec3::new(0.2 * f64::from(i) - 0.5, 0.1, -2.0), DVec3::new(0.0, 0.0, 0.0), 120, 90))
+        .collect();
+    let depths: Vec<Vec<f32>> = cameras
+        .iter()
+        .map(|c| {
+            depth_map(c, |o, d| {
+                let t = -o.z / d.z;
+                let p = o + d * t;
+                (p.x.abs() < 0.4 && p.y.abs() < 0.4).then_some(t)
+            })
+        })
+        .collect();
+    let fusion = FusionOptions {
+        voxel: 0.02,
+        truncation: 0.1,
+        bounds: (DVec3::splat(-1.0), DVec3::splat(1.0)),
+        max_depth: 4.0,
+        min_weight: 2.0,
+        max_bytes: 1 << 28,
+    };
+    let views = cameras.iter().zip(&depths).map(|(&camera, depth)| DepthView { camera, depth, weight: None });
+    let surface = surface_from_depths(views, &SurfaceOptions::new(fusion)).unwrap();
+    for p in &surface.positions {
+        // 0.05 voxels: z is interpolated linearly between pixels, but 1/z is what is linear on a plane. One voxel and a
+        // pixel beyond the rim may be filled.
+        assert!(p.z.abs() < 1e-3 && p.x.abs() < 0.43 && p.y.abs() < 0.43, "{p}");
+    }
+    let area: f32 = surface
+        .triangles
+        .iter()
+        .map(|t| t.map(|v| surface.positions[v as usize]))
+        .map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0)
+        .sum();
+    assert!((area - 0.64).abs() < 0.08, "{area}");
+}
+
+#[test]
+fn simplification_keeps_the_shape() {
+    let voxel = 0.04;
+    let surface = fused_sphere(&orbit(24, 160, 160), voxel).extract();
+    let simple = simplify(&surface, 2000);
+    assert!((1900..=2000).contains(&simple.triangles.len()), "{}", simple.triangles.len());
+    assert_eq!(edge_counts(&simple)[2], 0);
+    let (max, mean) = sphere_error(&simple);
+    eprintln!("simplified: error in voxels: max {:.3}, mean {:.3}", max / voxel, mean / voxel);
+    // A chord of the ~0.1 long edges sags by 0.1²/8 = 0.03 voxels; the rest is the error of the input.
+    assert!(max < 1.2 * voxel && mean < 0.3 * voxel, "{max} {mean}");
+    assert_eq!(simple, simplify(&surface, 2000));
+}
+
+#[test]
+fn cleaning_keeps_the_large_components() {
+    let strip = |count: u32, first: u32| (0..count).map(move |i| [first + i, first + i + 1, first + i + 2]);
+    let mut positions: Vec<Vec3> =
+        (0..100u32).map(|i| Vec3::new(i as f32, (i % 2) as f32, (i / 2 % 2) as f32)).collect();
+    positions.push(Vec3::NAN);
+    let mut triangles: Vec<[u32; 3]> = strip(30, 0).chain(strip(5, 40)).chain(strip(20, 60)).collect();
+    let good = triangles.len();
+    triangles.extend([[1, 2, 0], [3, 3, 4], [0, 1, 100], [0, 1, 4000]]);
+    let surface = Surface { positions, triangles };
+    let all = clean(surface.clone(), 1, 10);
+    assert_eq!(all.triangles.len(), good, "only the broken and the repeated ones go");
+    assert_eq!(all.positions.len(), 32 + 7 + 22);
+    assert_eq!(clean(surface.clone(), 6, 10).triangles.len(), 50);
+    assert_eq!(clean(surface.clone(), 1, 1).triangles.len(), 30);
+    assert_eq!(clean(surface, 1000, 10), Surface::default());
+    assert_eq!(clean(Surface::default(), 0, 0), Surface::default());
+    assert_eq!(simplify(&Surface { positions: vec![], triangles: vec![[0, 1, 2]; 9] }, 1), Surface::default());
+}
+
+#[test]
+fn suggested_volume_holds_the_scene() {
+    let cameras = orbit(20, 100, 80);
+    let mut points: Vec<Vec3> = orbit(1000, 1, 1).iter().map(|c| (c.center() / 3.0).as_vec3()).collect();
+    points.extend([Vec3::splat(1e6), Vec3::NAN]);
+    let o = FusionOptions::suggest(&cameras, &points, 256).unwrap();
+    // All cameras are at distance 3 from the focus.
+    assert!((o.max_depth - 6.0).abs() < 0.05 && (o.voxel - o.max_depth / 256.0).abs() < 1e-12);
+    assert!((o.truncation / o.voxel - 5.0).abs() < 1e-12);
+    assert!(o.bounds.0.max_element() < -1.0 && o.bounds.1.min_element() > 1.0, "{:?}", o.bounds);
+    assert!(o.bounds.0.min_element() > -1.5 && o.bounds.1.max_element() < 1.5, "{:?}", o.bounds);
+    assert!(FusionOptions::suggest(&[], &points, 256).is_err());
+    assert!(FusionOptions::suggest(&cameras, &points, 0).is_err());
+    for (cameras, points) in [(&cameras[..1], &points[..0]), (&[cameras[0]; 3], &points), (&cameras, &points[1001..])] {
+        assert!(Fusion::new(FusionOptions::suggest(cameras, points, 64).unwrap()).is_ok());
+    }
+}
+
+#[test]
+fn refuses_what_makes_no_sense() {
+    let good = fused_sphere(&[], 0.1).options;
+    let refused = |options| matches!(Fusion::new(options), Err(GeometryError::Argument { .. }));
+    assert!(refused(FusionOptions { voxel: 0.0, ..good }));
+    assert!(refused(FusionOptions { voxel: f64::NAN, ..good }));
+    assert!(refused(FusionOptions { voxel: 1e-9, ..good }));
+    assert!(refused(FusionOptions { truncation: 0.1, ..good }));
+    assert!(refused(FusionOptions { bounds: (DVec3::ONE, DVec3::ZERO), ..good }));
+    assert!(refused(FusionOptions { min_weight: 0.0, ..good }));
+    let camera = orbit(1, 8, 8)[0];
+    let mut fusion = Fusion::new(good).unwrap();
+    assert!(fusion.integrate(&DepthView { camera, depth: &[1.0; 63], weight: None }).is_err());
+    assert!(fusion.integrate(&DepthView { camera, depth: &[1.0; 64], weight: Some(&[1.0]) }).is_err());
+    let broken = [f32::NAN, f32::INFINITY, -1.0, 0.0, 1e30, 1e-30, 2.0, 2.1].repeat(8);
+    let weights = [1.0, f32::NAN, f32::INFINITY, -1.0].repeat(16);
+    fusion.integrate(&DepthView { camera, depth: &broken, weight: Some(&weights) }).unwrap();
+    assert!(fusion.extract().positions.iter().all(|p| p.is_finite()));
+    let none = surface_from_depths([], &SurfaceOptions::new(good));
+    assert!(matches!(none, Err(GeometryError::EmptySurface { step: "extraction", .. })));
+}
+
+#[test]
+#[ignore = "a timing, not a check"]
+fn time_fusion_of_40_views() {
+    let cameras = orbit(40, 400, 300);
+    let depths: Vec<Vec<f32>> = cameras.iter().map(|c| depth_map(c, unit_sphere)).collect();
+    let voxel = 2.6 / 256.0;
+    let mut fusion =
+        Fusion::new(FusionOptions { voxel, truncation: 5.0 * voxel, ..fused_sphere(&[], 0.1).options }).unwrap();
+    let start = std::time::Instant::now();
+    for (camera, depth) in cameras.iter().zip(&depths) {
+        fusion.integrate(&DepthView { camera: *camera, depth, weight: None }).unwrap();
+    }
+    let fused = start.elapsed();
+    let surface = fusion.extract();
+    let extracted = start.elapsed();
+    let cleaned = clean(surface.clone(), 50, 50);
+    let done = start.elapsed();
+    let simple = simplify(&cleaned, 100_000);
+    eprintln!(
+        "40 views of 400×300 on 256³: fusion {fused:.2?} ({} MiB), extraction {:.2?} ({} triangles), cleaning {:.2?}, \
+         simplification {:.2?} to {} triangles; error in voxels {:.3?}",
+        fusion.bytes() >> 20,
+        extracted - fused,
+        surface.triangles.len(),
+        done - extracted,
+        start.elapsed() - done,
+        simple.triangles.len(),
+        sphere_error(&surface).0 / voxel,
+    );
+}

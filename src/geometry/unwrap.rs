@@ -1,0 +1,298 @@
+use glam::{DVec3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::{GeometryError, Surface, charts, pack};
+
+/// A surface with texture coordinates for one square atlas.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UnwrappedMesh {
+    /// `[V]` world positions, as given.
+    pub positions: Vec<Vec3>,
+    /// `[F]` vertex indices, as given.
+    pub triangles: Vec<[u32; 3]>,
+    /// `[F]` UV of each corner in [0, 1].
+    pub corner_uvs: Vec<[Vec2; 3]>,
+    /// How good the atlas is.
+    pub stats: UnwrapStats,
+}
+
+/// Quality of an atlas.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnwrapStats {
+    /// Number of charts.
+    pub charts: usize,
+    /// Texels around each chart that belong to no other; two charts are twice as far apart.
+    pub gutter: u32,
+    /// Texels per world unit where the surface faces its chart.
+    pub texels_per_unit: f64,
+    /// Fraction of the atlas area inside triangles.
+    pub coverage: f64,
+    /// Texels a triangle has per texel that its area deserves, mean over the area; 1 is no stretch.
+    pub mean_density: f64,
+    /// The same for the worst triangle.
+    pub min_density: f64,
+}
+
+/// Cuts a surface into charts, projects each onto its plane and packs them into an atlas of `atlas_size`² texels with
+/// gutters. Charts grow to 60° from their seed's normal and are split where they would overlap; no chart is mirrored.
+/// Positions and triangles are kept as they are; a triangle with two corners at one place gets
+/// UV 0 at all of them. Deterministic.
+///
+/// # Errors
+/// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=16384, or
+/// the charts do not fit even with gutters of 1 texel.
+pub fn unwrap(surface: &Surface, atlas_size: u32) -> Result<UnwrappedMesh, GeometryError> {
+    if !(16..=16384).contains(&atlas_size) {
+        return Err(GeometryError::argument("atlas_size", "16 to 16384 texels", &atlas_size));
+    }
+    if surface.triangles.is_empty() {
+        return Err(GeometryError::argument("triangles", "at least one triangle", &"none"));
+    }
+    let corners = corner_positions(surface)?;
+    let areas: Vec<f64> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).collect();
+    // Something to scale by when nothing has an area.
+    let area = areas.iter().sum::<f64>().max(f64::MIN_POSITIVE.sqrt());
+    let side = f64::from(atlas_size);
+    // Packings cover some 60 % of the atlas.
+    let texel = (area / 0.6).sqrt() / side;
+    let mut charts = charts::cut(corners, texel, 0.9 * side * texel);
+    charts.par_iter_mut().for_each(pack::straighten);
+    let packing = loop {
+        let packing = pack::pack(&charts, area, atlas_size as usize)
+            .ok_or(GeometryError::AtlasTooSmall { charts: charts.len(), atlas_size })?;
+        // Overlaps too narrow for the charts' own test, but not for the final texels: few, and a split triangle cannot
+        // overlap again.
+        let mut split = charts::split_overlaps(&mut charts, 1.0 / packing.scale);
+        if split.is_empty() {
+            break packing;
+        }
+        split.iter_mut().for_each(pack::straighten);
+        charts.extend(split);
+    };
+
+    let mut corner_uvs = vec![[Vec2::ZERO; 3]; surface.triangles.len()];
+    let (mut covered, mut min_density) = (0.0, f64::INFINITY);
+    for (chart, place) in charts.iter().zip(&packing.places) {
+        for (&face, triangle) in chart.faces.iter().zip(&chart.corners) {
+            let texels = triangle.map(|p| place.apply(p * packing.scale));
+            corner_uvs[face as usize] = texels.map(|p| (p / side).as_vec2());
+            let texel_area = (texels[1] - texels[0]).perp_dot(texels[2] - texels[0]) / 2.0;
+            covered += texel_area;
+            let deserved = areas[face as usize] * packing.scale * packing.scale;
+            if deserved > 1e-6 {
+                min_density = f64::min(min_density, texel_area / deserved);
+            }
+        }
+    }
+    let stats = UnwrapStats {
+        charts: charts.len(),
+        gutter: packing.gutter as u32,
+        texels_per_unit: packing.scale,
+        coverage: covered / (side * side),
+        mean_density: covered / (area * packing.scale * packing.scale),
+        min_density: min_density.min(1.0),
+    };
+    Ok(UnwrappedMesh { positions: surface.positions.clone(), triangles: surface.triangles.clone(), corner_uvs, stats })
+}
+
+fn corner_positions(surface: &Surface) -> Result<Vec<[DVec3; 3]>, GeometryError> {
+    let position = |face: usize, v: u32| match surface.positions.get(v as usize) {
+        Some(p) if p.is_finite() => Ok(p.as_dvec3()),
+        Some(p) => Err(GeometryError::argument(format!("positions[{v}]"), "finite numbers", &p)),
+        None => {
+            let expected = format!("indices below {}", surface.positions.len());
+            Err(GeometryError::argument(format!("triangles[{face}]"), expected, &v))
+        }
+    };
+    let corners =
+        |(face, t): (usize, &[u32; 3])| Ok([position(face, t[0])?, position(face, t[1])?, position(face, t[2])?]);
+    surface.triangles.iter().enumerate().map(corners).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec2;
+    use rand::{RngExt, SeedableRng};
+
+    /// A closed blob with bumps and a handle-free but folded outline, 2·n² triangles or so.
+    fn bumpy_sphere(n: u32, noise: f32) -> Surface {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(7);
+        let ring = 2 * n;
+        let mut positions = Vec::new();
+        for i in 0..=n {
+            for j in 0..ring {
+                let (theta, phi) =
+                    (std::f32::consts::PI * i as f32 / n as f32, std::f32::consts::PI * j as f32 / n as f32);
+                let p = Vec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin());
+                let r = 1.0 + 0.15 * (5.0 * p.x).sin() * (4.0 * p.y + 1.0).sin() + noise * (rng.random::<f32>() - 0.5);
+                // The poles are one point each.
+                positions.push(if i == 0 || i == n { Vec3::new(0.0, p.y, 0.0) } else { p * r });
+            }
+        }
+        let triangles = (0..n)
+            .flat_map(|i| (0..ring).map(move |j| (i * ring + j, i * ring + (j + 1) % ring)))
+            .flat_map(|(a, b)| [[a, b, b + ring], [a, b + ring, a + ring]])
+            .collect();
+        Surface { positions, triangles }
+    }
+
+    /// Owner of each texel centre, asserting that no two triangles share one; `u32::MAX` is nobody.
+    fn rasterize(mesh: &UnwrappedMesh, size: usize) -> Vec<u32> {
+        let mut owner = vec![u32::MAX; size * size];
+        for (f, uvs) in (0u32..).zip(&mesh.corner_uvs) {
+            assert!(uvs.iter().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0), "{f}: {uvs:?}");
+            let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * size as f64);
+            let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+            for y in low.y as usize..=(high.y as usize).min(size - 1) {
+                for x in low.x as usize..=(high.x as usize).min(size - 1) {
+                    let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    let side = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s);
+                    // 1e-3 texels² inside: f32 UVs move shared edges by 1e-4 texels.
+                    if side(a, b).min(side(b, c)).min(side(c, a)) > 1e-3 {
+                        assert_eq!(owner[y * size + x], u32::MAX, "texel {x} {y} lies in two triangles");
+                        owner[y * size + x] = f;
+                    }
+                }
+            }
+        }
+        owner
+    }
+
+    /// Charts as seen from outside: triangles that share a UV edge, by bits.
+    fn chart_ids(mesh: &UnwrappedMesh) -> Vec<usize> {
+        let mut chart: Vec<usize> = (0..mesh.corner_uvs.len()).collect();
+        fn root(chart: &mut [usize], mut i: usize) -> usize {
+            while chart[i] != i {
+                chart[i] = chart[chart[i]];
+                i = chart[i];
+            }
+            i
+        }
+        let mut at = std::collections::HashMap::new();
+        for (f, uvs) in mesh.corner_uvs.iter().enumerate() {
+            for uv in uvs {
+                let other = *at.entry(uv.to_array().map(f32::to_bits)).or_insert(f);
+                let (a, b) = (root(&mut chart, f), root(&mut chart, other));
+                chart[a.max(b)] = a.min(b);
+            }
+        }
+        (0..chart.len()).map(|f| root(&mut chart, f)).collect()
+    }
+
+    fn check(surface: &Surface, size: u32) -> UnwrapStats {
+        let mesh = unwrap(surface, size).unwrap();
+        assert_eq!((mesh.positions.len(), &mesh.triangles), (surface.positions.len(), &surface.triangles));
+        let size = size as usize;
+        let owner = rasterize(&mesh, size);
+        let charts = chart_ids(&mesh);
+        let gap = 2 * mesh.stats.gutter as usize;
+        for y in 0..size {
+            for x in 0..size {
+                let f = owner[y * size + x];
+                if f == u32::MAX {
+                    continue;
+                }
+                // Texels up to `gap` away to the right and below, all distances being symmetric.
+                for (dx, dy) in (0..=gap).flat_map(|d| [(d, 0), (0, d), (d, d)]) {
+                    let (i, j) = (x + dx, y + dy);
+                    if i < size && j < size && owner[j * size + i] != u32::MAX {
+                        let g = owner[j * size + i];
+                        assert_eq!(charts[f as usize], charts[g as usize], "charts meet at {x} {y} + {dx} {dy}");
+                    }
+                }
+            }
+        }
+        mesh.stats
+    }
+
+    #[test]
+    fn charts_do_not_overlap_and_keep_their_gutter() {
+        for (noise, min_coverage) in [(0.0, 0.5), (0.02, 0.4)] {
+            let stats = check(&bumpy_sphere(60, noise), 512);
+            eprintln!("noise {noise}: {stats:?}");
+            assert_eq!(stats.gutter, 4);
+            assert!(stats.coverage > min_coverage, "{stats:?}");
+            assert!(stats.mean_density > 0.75 && stats.min_density > 0.2, "{stats:?}");
+        }
+    }
+
+    #[test]
+    fn a_plane_is_one_chart_without_stretch() {
+        let positions: Vec<Vec3> = (0..400).map(|i| Vec3::new((i % 20) as f32, 3.0, (i / 20) as f32)).collect();
+        let triangles =
+            (0..380u32).filter(|i| i % 20 != 19).flat_map(|i| [[i, i + 20, i + 1], [i + 1, i + 20, i + 21]]).collect();
+        let stats = check(&Surface { positions, triangles }, 256);
+        assert_eq!(stats.charts, 1);
+        assert!((stats.min_density - 1.0).abs() < 1e-6 && stats.coverage > 0.9, "{stats:?}");
+    }
+
+    #[test]
+    fn a_spiral_staircase_is_split_where_it_overlaps() {
+        // Three turns, all facing up: a single projection would put them on top of each other.
+        let mut positions = Vec::new();
+        for i in 0..=180u8 {
+            let a = f32::from(i) * 6.0f32.to_radians();
+            for r in [0.5, 1.0] {
+                positions.push(Vec3::new(r * a.cos(), a * 0.1, r * a.sin()));
+            }
+        }
+        let triangles =
+            (0..180u32).flat_map(|i| [2 * i, 2 * i + 1].map(|a| [a, a + 1 + (a % 2), a + 2 - (a % 2)])).collect();
+        let stats = check(&Surface { positions, triangles }, 256);
+        assert!((3..12).contains(&stats.charts), "{stats:?}");
+    }
+
+    #[test]
+    fn broken_and_degenerate_input() {
+        let p = vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z, Vec3::NAN];
+        let of = |triangles: Vec<[u32; 3]>| Surface { positions: p.clone(), triangles };
+        assert!(matches!(unwrap(&of(vec![]), 64), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 5]]), 64), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 4]]), 64), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 2]]), 8), Err(GeometryError::Argument { .. })));
+        // No area; repeated; flipped; three on one edge; opposite directions.
+        check(&of(vec![[0, 0, 0]; 3]), 64);
+        check(&of(vec![[0, 1, 2]; 3]), 128);
+        check(&of(vec![[0, 1, 2], [0, 2, 1], [0, 1, 3], [1, 0, 3], [0, 1, 1], [2, 3, 0]]), 128);
+        let far = Surface { positions: p[..3].iter().map(|p| p * 1e30).collect(), triangles: vec![[0, 1, 2]] };
+        check(&far, 64);
+        let tiny = Surface { positions: p[..3].iter().map(|p| p * 1e-30).collect(), triangles: vec![[0, 1, 2]] };
+        check(&tiny, 64);
+    }
+
+    #[test]
+    fn a_soup_fits_or_is_refused() {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
+        let mut soup = |count: u32| Surface {
+            positions: (0..3 * count).map(|_| Vec3::from_array(rng.random::<[f32; 3]>())).collect(),
+            triangles: (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
+        };
+        assert_eq!(check(&soup(300), 512).charts, 300);
+        let dense = check(&soup(4000), 512);
+        assert!(dense.gutter < 4, "{dense:?}");
+        assert!(matches!(unwrap(&soup(40_000), 256), Err(GeometryError::AtlasTooSmall { charts: 40_000, .. })));
+    }
+
+    #[test]
+    fn the_same_surface_gives_the_same_atlas() {
+        let surface = bumpy_sphere(40, 0.02);
+        assert_eq!(unwrap(&surface, 256).unwrap(), unwrap(&surface, 256).unwrap());
+    }
+
+    #[test]
+    #[ignore = "a timing, not a check"]
+    fn time_100k_triangles() {
+        for noise in [0.0, 0.01] {
+            let surface = bumpy_sphere(158, noise);
+            let start = std::time::Instant::now();
+            let mesh = unwrap(&surface, 1024).unwrap();
+            eprintln!(
+                "{} triangles, noise {noise}: {:.2?}, {:?}",
+                surface.triangles.len(),
+                start.elapsed(),
+                mesh.stats
+            );
+        }
+    }
+}
