@@ -2,12 +2,12 @@
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
-// Work alternates between two views of CHUNK splats × 256 pixels in workgroup memory: threads as pixels find each
-// pair's weight w = P·t·α and slope p = ∂L/∂power; then threads as splats sum over pixels
+// With w = P·t·α the pair's weight, p = ∂L/∂power and d = pixel − mean, every splat needs ten sums over pixels:
 //     Σp, Σp·dx, Σp·dy, Σp·dx², Σp·dx·dy, Σp·dy², Σw·g (rgb), Σw
-// with d = pixel − mean, and one atomic add per sum, splat and tile leaves the workgroup. `splat_backward` turns the
-// ten moments into parameter gradients. Neither view needs a given subgroup size.
-// Per pair: 1 exp, ~45 flops, 4 words written and 5 read in workgroup memory.
+// A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
+// summed by the subgroup, or through workgroup memory where there are none; one atomic add per sum, splat and
+// subgroup (or tile) remains. `splat_backward` turns the sums into parameter gradients.
+// Per pair: 1 exp, ~40 flops, no memory; per splat and tile: 48 + 4·LAYERS bytes read, 10 atomic adds a subgroup.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -30,7 +30,6 @@ const ALPHA_CAP: f32 = 0.99;
 const EMPTY_DEPTH: f32 = 3.4028234e38;
 const MOMENTS: u32 = 10u;
 const BATCH: u32 = 64u;
-const LANES: u32 = THREADS / CHUNK;     // threads that share a splat in the second view
 
 var<workgroup> batch_splat: array<u32, BATCH>;
 var<workgroup> batch_center: array<vec4f, BATCH>;
@@ -39,10 +38,9 @@ var<workgroup> batch_color: array<vec4f, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 //#end
-var<workgroup> pair_terms: array<vec2f, CHUNK * PIXELS>;    // [splat][pixel]: weight, slope
-var<workgroup> gradient: array<vec3f, PIXELS>;
 //#if !SUBGROUPS
-var<workgroup> partial: array<f32, THREADS * MOMENTS>;
+const CHUNK: u32 = 4u;                                  // splats whose sums are reduced together
+var<workgroup> partial: array<f32, CHUNK * MOMENTS * THREADS>;
 //#end
 var<workgroup> last_end: atomic<u32>;
 var<workgroup> tile_range: vec2u;
@@ -53,18 +51,15 @@ fn main(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 //#if SUBGROUPS
-    @builtin(subgroup_invocation_id) subgroup_lane: u32,
-    @builtin(subgroup_id) subgroup: u32,
-    @builtin(subgroup_size) subgroup_size: u32,
+    @builtin(subgroup_invocation_id) lane: u32,
 //#end
 ) {
     let tile = group_index(group, groups);
     if tile >= view.tiles.x * view.tiles.y { return; }
     if thread == 0u { atomicStore(&last_end, 0u); }
     workgroupBarrier();
-    let origin = vec2u(tile % view.tiles.x, tile / view.tiles.x) * TILE;
-    let x = origin.x + thread % TILE;
-    let y = origin.y + thread / TILE;
+    let x = (tile % view.tiles.x) * TILE + thread % TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE;
     let px = f32(x) + 0.5;
     let n_pixels = view.size.x * view.size.y;
 
@@ -122,128 +117,93 @@ fn main(
 //#end
 //#end
     }
-    gradient[thread + $ju * THREADS] = g$j;
 //#end
     workgroupBarrier();
     if thread == 0u { tile_range = vec2u(ranges[tile].x, atomicLoad(&last_end)); }
     let range = workgroupUniformLoad(&tile_range);
 
-//#if SUBGROUPS
-    let worker = subgroup * subgroup_size + subgroup_lane;
-    let span = min(subgroup_size, LANES);                   // lanes that a shuffle can sum
-//#else
-    let worker = thread;
-//#end
-    let row = worker / LANES;                               // splat of the chunk in the second view
-    let lane = worker % LANES;
-
     for (var start = range.x; start < range.y; start += BATCH) {
         let n = min(BATCH, range.y - start);
-        if thread < n {
-            let i = pair_splats[start + thread];
-            batch_splat[thread] = i;
-            batch_center[thread] = projected[3u * i];
-            batch_conic[thread] = projected[3u * i + 1u];
-            batch_color[thread] = projected[3u * i + 2u];
+        for (var s = thread; s < n; s += THREADS) {
+            let i = pair_splats[start + s];
+            batch_splat[s] = i;
+            batch_center[s] = projected[3u * i];
+            batch_conic[s] = projected[3u * i + 1u];
+            batch_color[s] = projected[3u * i + 2u];
 //#for l in 0..LAYERS
-            batch_threshold[thread * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
+            batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
 //#end
         }
         workgroupBarrier();
-        for (var first = 0u; first < n; first += CHUNK) {
-            let m = min(CHUNK, n - first);
-            for (var k = 0u; k < m; k++) {
-                let s = first + k;
-                let index = start + s;
-                let center = batch_center[s];
-                let conic = batch_conic[s];
-                let rgb = batch_color[s].xyz;
-                let dx = px - center.x;
-                let power_x = -0.5 * conic.x * dx * dx;
-                let power_xy = -conic.y * dx;
+        for (var s = 0u; s < n; s++) {
+            let center = batch_center[s];
+            let conic = batch_conic[s];
+            let rgb = batch_color[s].xyz;
+            let dx = px - center.x;
+            let power_x = -0.5 * conic.x * dx * dx;
+            let power_xy = -conic.y * dx;
 //#for l in 0..LAYERS
-                let threshold$l = batch_threshold[s * LAYERS + $lu];
+            let threshold$l = batch_threshold[s * LAYERS + $lu];
 //#end
+            var sum_p = vec3f(0.0);     // p·(1, dy, dy²)
+            var sum_w = vec4f(0.0);     // w·(g, 1)
 //#for j in 0..PER_THREAD
-                {
-                    let dy = py$j - center.y;
-                    let power = power_x + dy * (power_xy - 0.5 * conic.z * dy);
-                    let raw = center.w * exp(power);
-                    let alpha = min(ALPHA_CAP, raw);
-                    var terms = vec2f(0.0);
-                    if power <= 0.0 && alpha >= ALPHA_CUT {
-                        var bucket = 0u;
+            {
+                let dy = py$j - center.y;
+                let power = power_x + dy * (power_xy - 0.5 * conic.z * dy);
+                let raw = center.w * exp(power);
+                let alpha = min(ALPHA_CAP, raw);
+                if power <= 0.0 && alpha >= ALPHA_CUT {
+                    var bucket = 0u;
 //#for l in 0..LAYERS
-                        if depth$j_$l < threshold$l { bucket = $lu + 1u; }
+                    if depth$j_$l < threshold$l { bucket = $lu + 1u; }
 //#end
 //#for b in 0..BUCKETS
-                        if bucket == $bu && index < end[$j][$b] {
-                            let w = t[$j][$b] * alpha;
-                            let c = dot(g$j, rgb);
-                            let left = q[$j][$b] - w * c;
-                            // The cap passes no gradient.
-                            let slope = select(t[$j][$b] * c - left / (1.0 - alpha), 0.0, raw > ALPHA_CAP);
-                            terms = before[$j][$b] * vec2f(w, alpha * slope);
-                            q[$j][$b] = left;
-                            t[$j][$b] *= 1.0 - alpha;
-                        }
-//#end
+                    if bucket == $bu && start + s < end[$j][$b] {
+                        let w = t[$j][$b] * alpha;
+                        let c = dot(g$j, rgb);
+                        q[$j][$b] -= w * c;
+                        // The cap passes no gradient.
+                        let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw > ALPHA_CAP);
+                        t[$j][$b] *= 1.0 - alpha;
+                        sum_p += before[$j][$b] * alpha * slope * vec3f(1.0, dy, dy * dy);
+                        sum_w += before[$j][$b] * w * vec4f(g$j, 1.0);
                     }
-                    pair_terms[k * PIXELS + thread + $ju * THREADS] = terms;
-                }
 //#end
-            }
-            workgroupBarrier();
-            var sums: array<f32, MOMENTS>;
-//#for c in 0..10
-            sums[$c] = 0.0;
-//#end
-            if row < m {
-                let center = batch_center[first + row].xy - vec2f(origin) - 0.5;
-                for (var p = lane; p < PIXELS; p += LANES) {
-                    let terms = pair_terms[row * PIXELS + p];
-                    let d = vec2f(f32(p % TILE), f32(p / TILE)) - center;
-                    let g = gradient[p];
-                    let pd = terms.y * d;
-                    sums[0] += terms.y;
-                    sums[1] += pd.x;
-                    sums[2] += pd.y;
-                    sums[3] += pd.x * d.x;
-                    sums[4] += pd.x * d.y;
-                    sums[5] += pd.y * d.y;
-                    sums[6] += terms.x * g.x;
-                    sums[7] += terms.x * g.y;
-                    sums[8] += terms.x * g.z;
-                    sums[9] += terms.x;
                 }
             }
+//#end
+            let sums = array<f32, MOMENTS>(
+                sum_p.x, dx * sum_p.x, sum_p.y, dx * dx * sum_p.x, dx * sum_p.y, sum_p.z,
+                sum_w.x, sum_w.y, sum_w.z, sum_w.w,
+            );
 //#if SUBGROUPS
-            for (var step = 1u; step < span; step *= 2u) {
 //#for c in 0..10
-                sums[$c] += subgroupShuffleXor(sums[$c], step);
+            let total$c = subgroupAdd(sums[$c]);
+//#end
+            if lane == 0u && total9 != 0.0 {
+                let at = batch_splat[s] * MOMENTS;
+//#for c in 0..10
+                add_moments(at + $cu, total$c);
 //#end
             }
-            if row < m && lane % span == 0u && sums[9] != 0.0 {
-                let at = batch_splat[first + row] * MOMENTS;
-//#for c in 0..10
-                add_moments(at + $cu, sums[$c]);
-//#end
-            }
-            workgroupBarrier();
 //#else
+            let slot = s % CHUNK;
 //#for c in 0..10
-            partial[worker * MOMENTS + $cu] = sums[$c];
+            partial[(slot * MOMENTS + $cu) * THREADS + thread] = sums[$c];
 //#end
-            workgroupBarrier();
-            for (var task = thread; task < m * MOMENTS; task += THREADS) {
-                let splat = task / MOMENTS;
-                let c = task % MOMENTS;
-                var sum = 0.0;
-                for (var l = 0u; l < LANES; l++) { sum += partial[(splat * LANES + l) * MOMENTS + c]; }
-                if sum != 0.0 { add_moments(batch_splat[first + splat] * MOMENTS + c, sum); }
+            if slot == CHUNK - 1u || s == n - 1u {
+                workgroupBarrier();
+                for (var task = thread; task < (slot + 1u) * MOMENTS; task += THREADS) {
+                    var sum = 0.0;
+                    for (var k = 0u; k < THREADS; k++) { sum += partial[task * THREADS + (k + thread) % THREADS]; }
+                    let splat = batch_splat[s - slot + task / MOMENTS];
+                    if sum != 0.0 { add_moments(splat * MOMENTS + task % MOMENTS, sum); }
+                }
+                workgroupBarrier();
             }
-            workgroupBarrier();
 //#end
         }
+        workgroupBarrier();             // the batch has been used
     }
 }

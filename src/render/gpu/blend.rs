@@ -2,7 +2,6 @@
 
 use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
-    shader::Defines,
     splats::{ImageCapacity, SplatLists},
 };
 
@@ -31,10 +30,15 @@ struct Backward {
     moments: Buffer,
 }
 
-/// Threads and pixels per thread. A software adapter reads workgroup memory lane by lane, so there a splat's record
-/// is read once for four pixels; wide hardware prefers more threads.
-fn shape(gpu: &Gpu) -> (u32, u32) {
-    if gpu.profile().is_cpu { (64, 4) } else { (256, 1) }
+/// Threads and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per thread, so
+/// more pixels per thread are faster until their state leaves the registers. A software adapter reads workgroup memory
+/// lane by lane and has no parallelism to hide it, so there a tile is one or two subgroups.
+fn shape(gpu: &Gpu, layers: u32) -> (u32, u32) {
+    match (gpu.profile().is_cpu, layers) {
+        (true, 0..=1) => (16, 16),
+        (true, _) => (32, 8),
+        (false, _) => (64, 4),
+    }
 }
 
 impl Blend {
@@ -47,8 +51,8 @@ impl Blend {
         layers: Option<LayerBuffers>,
         training: Option<(&Buffer, usize)>,
     ) -> Result<Self, GpuError> {
-        let (threads, per_thread) = shape(gpu);
         let n_layers = lists.layers();
+        let (threads, per_thread) = shape(gpu, n_layers);
         let defines = gpu
             .defines()
             .with("LAYERS", n_layers)
@@ -76,7 +80,7 @@ impl Blend {
         }
         let bindings = kernel.bind(gpu, &buffers);
         let moments = gpu.storage("splat moments", n.max(1) * MOMENTS)?;
-        let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &with_chunk(gpu, defines, threads));
+        let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &defines);
         let mut buffers =
             vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, gradient, &buckets, &ends, &moments];
         if let Some(l) = layers {
@@ -107,10 +111,4 @@ impl Blend {
     pub(crate) fn moments(&self) -> Option<&Buffer> {
         self.backward.as_ref().map(|b| &b.moments)
     }
-}
-
-/// Splats per chunk of the backward pass: 8 take 16 KiB for their pairs, besides at most 16 KiB of other arrays.
-fn with_chunk(gpu: &Gpu, defines: Defines, threads: u32) -> Defines {
-    let roomy = gpu.workgroup_bytes() >= 32 * 1024 && (gpu.profile().subgroups || threads <= 64);
-    defines.with("CHUNK", if roomy { 8 } else { 4 })
 }
