@@ -13,3 +13,6 @@ mod splats;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
+
+#[cfg(test)]
+mod tests;
