@@ -10,7 +10,7 @@ use clap::{Parser, Subcommand};
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
 #[derive(Parser)]
-#[command(name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
+#[command(name = "centaur", bin_name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
 #[command(after_help = "Exit codes: 0 done, 1 failure (one line on stderr), 2 wrong usage.")]
 struct Cli {
     #[command(subcommand)]
@@ -47,7 +47,7 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
-        let cause = cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        let cause = without_code(&cause.to_string().split_whitespace().collect::<Vec<_>>().join(" "));
         if line.is_empty() {
             line = cause;
         } else if !line.ends_with(&cause) {
@@ -55,6 +55,14 @@ fn one_line(error: &anyhow::Error) -> String {
         }
     }
     line
+}
+
+/// Rust's I/O errors end in `(os error 2)`, which tells a user nothing that the words before it do not.
+fn without_code(message: &str) -> String {
+    match message.rsplit_once(" (os error ") {
+        Some((words, code)) if code.trim_end_matches(')').parse::<i32>().is_ok() => words.to_owned(),
+        _ => message.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -73,5 +81,7 @@ mod tests {
     fn causes_are_joined_once_each_on_one_line() {
         let error = anyhow!("no such file").context("a.bin: no such file").context("reading\nthe capture");
         assert_eq!(one_line(&error), "reading the capture: a.bin: no such file");
+        let missing = anyhow::Error::new(io::Error::from_raw_os_error(2)).context("a.bin");
+        assert!(!one_line(&missing).contains("os error"), "{}", one_line(&missing));
     }
 }
