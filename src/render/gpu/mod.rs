@@ -5,11 +5,15 @@ mod blend;
 mod device;
 mod loss;
 pub mod measure;
+mod mesh;
+#[cfg(test)]
+mod mesh_tests;
 mod pipeline;
 mod scan;
 mod shader;
 mod sort;
 mod splats;
+mod texels;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};

@@ -17,20 +17,29 @@ macro_rules! embed {
 }
 
 embed![
+    "adam_texels.wgsl",
+    "bin_triangles.wgsl",
     "blend_backward.wgsl",
     "blend_forward.wgsl",
-    "compact_visible.wgsl",
+    "build_mips.wgsl",
     "ceilings.wgsl",
+    "compact_visible.wgsl",
     "dispatch_size.wgsl",
     "emit_pairs.wgsl",
     "gather_counts.wgsl",
     "loss.wgsl",
     "order_splats.wgsl",
     "project_splats.wgsl",
+    "pull_mips.wgsl",
     "radix_sort.wgsl",
     "radix_sort_serial.wgsl",
+    "raster_layers.wgsl",
     "scan.wgsl",
+    "setup_triangles.wgsl",
+    "shade_layers.wgsl",
     "shared/atomic_add.wgsl",
+    "shared/map.wgsl",
+    "shared/mesh_fragment.wgsl",
     "shared/projection.wgsl",
     "shared/sh.wgsl",
     "shared/sh_gradient.wgsl",
@@ -38,6 +47,7 @@ embed![
     "shared/view.wgsl",
     "shared/workgroup_scan.wgsl",
     "splat_backward.wgsl",
+    "texel_backward.wgsl",
     "tile_ranges.wgsl",
 ];
 

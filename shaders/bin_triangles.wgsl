@@ -1,0 +1,129 @@
+// Lists of triangles per tile, by counting: `count` triangles per tile, `scan` the counts into offsets, `scatter`.
+//
+// The order inside a tile's list is arbitrary; raster_layers does not depend on it. Per (triangle, tile) pair: one
+// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per tile.
+
+//#import shared/view.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> corners: array<vec4f>;                 // [F, 3]
+@group(0) @binding(2) var<storage, read> boxes: array<vec2u>;                   // [F]
+// [tiles]: counted triangles, then (reset by `scan`) scattered ones. Zero before a frame: raster_layers resets it.
+@group(0) @binding(3) var<storage, read_write> tile_fill: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> tile_start: array<u32>;          // [tiles]
+@group(0) @binding(5) var<storage, read_write> pairs: array<u32>;               // [capacity]: triangles
+@group(0) @binding(6) var<storage, read_write> pairs_needed: array<u32>;        // [1]: largest total so far
+
+const SCAN: u32 = 256u;
+var<workgroup> partial: array<u32, SCAN>;
+
+fn tile_corner(packed: u32) -> vec2u {
+    return vec2u(packed & 0xffffu, packed >> 16u);
+}
+
+// Smallest and largest value in the tile of the edge function cross(p − z_p r, q − z_q r), linear in the ray r.
+// `p`, `q`: ends of the edge relative to the ray through the tile's centre; half: half a tile, in units of r.
+fn edge_range(p: vec3f, q: vec3f, half: vec2f) -> vec2f {
+    let middle = p.x * q.y - p.y * q.x;
+    let slope = vec2f(q.z * p.y - p.z * q.y, p.z * q.x - q.z * p.x);
+    let reach = dot(abs(slope), half);
+    return vec2f(middle - reach, middle + reach);
+}
+
+// False only if no pixel of the tile can be inside: a pixel is inside iff all three edge functions have one sign.
+// The half tile is measured to its border, half a pixel beyond the outermost centres: the margin for rounding.
+fn may_touch(a: vec3f, b: vec3f, c: vec3f, tile: vec2u) -> bool {
+    let half = 0.5 * f32(TILE) / view.focal;
+    let ray = (f32(TILE) * (vec2f(tile) + 0.5) - view.principal) / view.focal;
+    let p = vec3f(a.xy - a.z * ray, a.z);
+    let q = vec3f(b.xy - b.z * ray, b.z);
+    let s = vec3f(c.xy - c.z * ray, c.z);
+    let e0 = edge_range(q, s, half);
+    let e1 = edge_range(s, p, half);
+    let e2 = edge_range(p, q, half);
+    let some_positive = max(e0.x, max(e1.x, e2.x)) > 0.0;
+    let some_negative = min(e0.y, min(e1.y, e2.y)) < 0.0;
+    return !(some_positive && some_negative);
+}
+
+@compute @workgroup_size(256)
+fn count(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = group_index(group, n_groups) * 256u + thread;
+    if i >= view.n_triangles { return; }
+    let first = tile_corner(boxes[i].x);
+    let last = tile_corner(boxes[i].y);
+    let a = corners[3u * i].xyz;
+    let b = corners[3u * i + 1u].xyz;
+    let c = corners[3u * i + 2u].xyz;
+    for (var y = first.y; y <= last.y; y += 1u) {
+        for (var x = first.x; x <= last.x; x += 1u) {
+            if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
+                atomicAdd(&tile_fill[y * view.tiles.x + x], 1u);
+            }
+        }
+    }
+}
+
+fn saturating_add(a: u32, b: u32) -> u32 {
+    return select(a + b, 0xffffffffu, a + b < a);
+}
+
+// One workgroup: every thread sums a run of tiles, the runs are scanned, every thread scans its run.
+@compute @workgroup_size(256)
+fn scan(@builtin(local_invocation_index) thread: u32) {
+    let n = view.tiles.x * view.tiles.y;
+    let run = (n + SCAN - 1u) / SCAN;
+    let begin = min(thread * run, n);
+    let end = min(begin + run, n);
+    var sum = 0u;
+    for (var i = begin; i < end; i += 1u) {
+        sum = saturating_add(sum, atomicLoad(&tile_fill[i]));
+    }
+    partial[thread] = sum;
+    workgroupBarrier();
+    for (var step = 1u; step < SCAN; step *= 2u) {
+        var before = 0u;
+        if thread >= step { before = partial[thread - step]; }
+        workgroupBarrier();
+        partial[thread] = saturating_add(partial[thread], before);
+        workgroupBarrier();
+    }
+    var start = 0u;
+    if thread > 0u { start = partial[thread - 1u]; }
+    for (var i = begin; i < end; i += 1u) {
+        tile_start[i] = start;
+        start = saturating_add(start, atomicExchange(&tile_fill[i], 0u));
+    }
+    if thread == SCAN - 1u {
+        pairs_needed[0] = max(pairs_needed[0], partial[thread]);
+    }
+}
+
+@compute @workgroup_size(256)
+fn scatter(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = group_index(group, n_groups) * 256u + thread;
+    if i >= view.n_triangles { return; }
+    let first = tile_corner(boxes[i].x);
+    let last = tile_corner(boxes[i].y);
+    let a = corners[3u * i].xyz;
+    let b = corners[3u * i + 1u].xyz;
+    let c = corners[3u * i + 2u].xyz;
+    let capacity = arrayLength(&pairs);
+    for (var y = first.y; y <= last.y; y += 1u) {
+        for (var x = first.x; x <= last.x; x += 1u) {
+            if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
+                let tile = y * view.tiles.x + x;
+                let slot = saturating_add(tile_start[tile], atomicAdd(&tile_fill[tile], 1u));
+                if slot < capacity { pairs[slot] = i; }
+            }
+        }
+    }
+}

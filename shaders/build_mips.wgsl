@@ -1,0 +1,25 @@
+// One thread per float of level `map.level`: the mean of 2×2 texels of the level before. 16 bytes read, 4 written.
+
+//#import shared/view.wgsl
+//#import shared/map.wgsl
+
+@group(0) @binding(0) var<uniform> map: Map;
+@group(0) @binding(1) var<storage, read_write> texels: array<f32>;
+
+@compute @workgroup_size(256)
+fn build(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = group_index(group, n_groups) * 256u + thread;
+    let width = map.width >> map.level;
+    if i >= width * (map.height >> map.level) * map.channels { return; }
+    let channel = i % map.channels;
+    let texel = i / map.channels;
+    let row = 2u * width * map.channels;
+    let finer = level_offset(map, map.level - 1u) + 2u * (texel / width) * row
+        + 2u * (texel % width) * map.channels + channel;
+    let sum = texels[finer] + texels[finer + map.channels] + texels[finer + row] + texels[finer + row + map.channels];
+    texels[level_offset(map, map.level) + i] = 0.25 * sum;
+}

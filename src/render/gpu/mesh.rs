@@ -1,0 +1,308 @@
+//! Mesh layers by compute (METHODS 4.2, 4.3): the L nearest fragments per pixel, their colour and alpha, and the way
+//! back from the gradient of these to the texels.
+//!
+//! Forward: setup_triangles → bin_triangles (count, scan, scatter) → raster_layers → shade_layers.
+//! Backward: zero → texel_backward → pull_mips; then adam_texels → build_mips. Without meshes nothing is dispatched.
+
+use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::shader::Defines;
+use super::texels::{TexelStep, Texels};
+use super::view::View;
+use crate::scene::{Atlas, Mesh};
+
+/// Threads per workgroup of the kernels over triangles and over pixels.
+const GROUP: usize = 256;
+
+/// Meshes on the adapter, and per-pixel layers of the view that was rendered last.
+pub(crate) struct MeshStage {
+    layers: u32,
+    n_triangles: usize,
+    geometry: Geometry,
+    texels: Texels,
+    kernels: Kernels,
+    screen: Screen,
+    bound: Option<Bound>,
+    trainable: bool,
+}
+
+/// What does not depend on the view's size. Bytes per triangle: 16 + 32 + 48 + 8, and 12 per vertex.
+struct Geometry {
+    positions: Buffer,
+    triangles: Buffer,
+    corner_uvs: Buffer,
+    corners: Buffer,
+    boxes: Buffer,
+    maps: Buffer,
+    pairs_needed: Buffer,
+}
+
+/// What depends on it. Bytes per pixel and layer: 24 to render, 16 more to train; 8 per tile; 4 per pair.
+struct Screen {
+    pixels: usize,
+    tiles: usize,
+    capacity: usize,
+    tile_fill: Buffer,
+    tile_start: Buffer,
+    pairs: Buffer,
+    layer_triangle: Buffer,
+    layer_depth: Buffer,
+    layer_color: Buffer,
+    layer_gradient: Buffer,
+}
+
+struct Kernels {
+    setup: Kernel,
+    count: Kernel,
+    scan: Kernel,
+    scatter: Kernel,
+    raster: Kernel,
+    shade: Kernel,
+    backward: Kernel,
+}
+
+struct Bound {
+    tiles: usize,
+    fragments: usize,
+    setup: Bindings,
+    count: Bindings,
+    scan: Bindings,
+    scatter: Bindings,
+    raster: Bindings,
+    shade: Bindings,
+    backward: Option<Bindings>,
+}
+
+impl Geometry {
+    fn new(gpu: &Gpu, meshes: &[Mesh], table: &[u32]) -> Result<Self, GpuError> {
+        let (mut positions, mut triangles, mut uvs) = (vec![], vec![], vec![]);
+        for (m, mesh) in meshes.iter().enumerate() {
+            let first = (positions.len() / 3) as u32;
+            positions.extend(mesh.positions().iter().flat_map(|p| p.to_array()));
+            triangles.extend(mesh.triangles().iter().map(|t| [first + t[0], first + t[1], first + t[2], 0]));
+            let record =
+                |c: &[glam::Vec2; 3]| [c[0].x, c[0].y, c[1].x, c[1].y, c[2].x, c[2].y, f32::from_bits(m as u32), 0.0];
+            uvs.extend(mesh.corner_uvs().iter().map(record));
+        }
+        Ok(Self {
+            positions: gpu.storage_with("mesh positions", &positions)?,
+            triangles: gpu.storage_with("mesh triangles", &triangles)?,
+            corner_uvs: gpu.storage_with("mesh corner UVs", &uvs)?,
+            corners: gpu.storage("mesh corners", 12 * triangles.len())?,
+            boxes: gpu.storage("mesh tile boxes", 2 * triangles.len())?,
+            maps: gpu.storage_with("mesh maps", table)?,
+            pairs_needed: gpu.storage("mesh pairs needed", 1)?,
+        })
+    }
+}
+
+impl Screen {
+    fn new(
+        gpu: &Gpu,
+        layers: u32,
+        pixels: usize,
+        tiles: usize,
+        capacity: usize,
+        train: bool,
+    ) -> Result<Self, GpuError> {
+        let fragments = layers as usize * pixels;
+        Ok(Self {
+            pixels,
+            tiles,
+            capacity,
+            tile_fill: gpu.storage("mesh tile counts", tiles)?,
+            tile_start: gpu.storage("mesh tile offsets", tiles)?,
+            pairs: gpu.storage("mesh (tile, triangle) pairs", capacity)?,
+            layer_triangle: gpu.storage("mesh layer triangles", fragments)?,
+            layer_depth: gpu.storage("mesh layer depths", fragments)?,
+            layer_color: gpu.storage("mesh layer colours", 4 * fragments)?,
+            layer_gradient: gpu.storage("mesh layer gradients", if train { 4 * fragments } else { 0 })?,
+        })
+    }
+}
+
+impl Kernels {
+    fn new(gpu: &Gpu, layers: u32, bands: bool) -> Self {
+        // On a software adapter a lane is a loop iteration and workgroup memory is plain memory: a thread that owns
+        // many pixels saves loads. Hardware wants the lanes.
+        let per_thread = if gpu.profile().is_cpu { 4 } else { 1 };
+        let defines: Defines =
+            gpu.defines().with("LAYERS", layers).with("BANDS", u32::from(bands)).with("PER_THREAD", per_thread);
+        let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
+        Self {
+            setup: kernel("setup_triangles.wgsl", "setup"),
+            count: kernel("bin_triangles.wgsl", "count"),
+            scan: kernel("bin_triangles.wgsl", "scan"),
+            scatter: kernel("bin_triangles.wgsl", "scatter"),
+            raster: kernel("raster_layers.wgsl", "raster"),
+            shade: kernel("shade_layers.wgsl", "shade"),
+            backward: kernel("texel_backward.wgsl", "backward"),
+        }
+    }
+}
+
+impl MeshStage {
+    /// Uploads `meshes`. `layers` is 1, 2 or 4; `trainable` adds what `record_backward` and `record_adam` need.
+    ///
+    /// # Errors
+    /// If a buffer exceeds what the adapter binds.
+    pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], layers: u32, trainable: bool) -> Result<Self, GpuError> {
+        let texels = Texels::new(gpu, meshes, trainable)?;
+        let kernels = Kernels::new(gpu, layers, texels.has_bands());
+        Ok(Self {
+            layers,
+            n_triangles: meshes.iter().map(|m| m.triangles().len()).sum(),
+            geometry: Geometry::new(gpu, meshes, &texels.table())?,
+            texels,
+            kernels,
+            screen: Screen::new(gpu, layers, 0, 0, 0, trainable)?,
+            bound: None,
+            trainable,
+        })
+    }
+
+    /// Prepares for views of this size. `view_uniform` must be the same buffer in every call. Buffers only grow, so
+    /// views of mixed sizes allocate once. True if the layer buffers were replaced: bindings to them must be renewed.
+    ///
+    /// # Errors
+    /// If a buffer exceeds what the adapter binds.
+    pub(crate) fn resize(&mut self, gpu: &Gpu, view: &View, view_uniform: &Buffer) -> Result<bool, GpuError> {
+        if self.n_triangles == 0 {
+            return Ok(false);
+        }
+        let (x, y) = view.tiles();
+        let (pixels, tiles) = (view.pixels(), x as usize * y as usize);
+        let grow = self.bound.is_none() || pixels > self.screen.pixels || tiles > self.screen.tiles;
+        if grow {
+            let (pixels, tiles) = (pixels.max(self.screen.pixels), tiles.max(self.screen.tiles));
+            // A triangle of a dense mesh is in one to four tiles; large ones fill the screen a few times over.
+            let capacity =
+                (4 * self.n_triangles + 16 * tiles).min(gpu.max_binding_bytes() as usize / 4).max(self.screen.capacity);
+            self.screen = Screen::new(gpu, self.layers, pixels, tiles, capacity, self.trainable)?;
+            self.bound = Some(self.bind(gpu, view_uniform));
+        }
+        if let Some(bound) = &mut self.bound {
+            (bound.tiles, bound.fragments) = (tiles, self.layers as usize * pixels);
+        }
+        Ok(grow)
+    }
+
+    /// Enlarges the list of (tile, triangle) pairs if a frame since the last call needed more than it holds: that
+    /// frame lacked triangles and should be rendered again. Waits for the adapter; meant for every few hundred frames.
+    ///
+    /// # Errors
+    /// If the driver failed or the list exceeds what the adapter binds.
+    pub(crate) fn grow_if_short(&mut self, gpu: &Gpu, view_uniform: &Buffer) -> Result<bool, GpuError> {
+        let Some(Bound { tiles, fragments, .. }) = self.bound else { return Ok(false) };
+        let needed = gpu.read::<u32>(&self.geometry.pairs_needed, 1)?[0] as usize;
+        if needed <= self.screen.capacity {
+            return Ok(false);
+        }
+        self.screen.capacity = needed.saturating_add(needed / 4);
+        self.screen.pairs = gpu.storage("mesh (tile, triangle) pairs", self.screen.capacity)?;
+        self.bound = Some(Bound { tiles, fragments, ..self.bind(gpu, view_uniform) });
+        Ok(true)
+    }
+
+    fn bind(&self, gpu: &Gpu, view: &Buffer) -> Bound {
+        let (g, s, t, k) = (&self.geometry, &self.screen, &self.texels, &self.kernels);
+        let bin = [view, &g.corners, &g.boxes, &s.tile_fill, &s.tile_start, &s.pairs, &g.pairs_needed];
+        let fragment = [view, &s.layer_triangle, &g.corners, &g.corner_uvs, &g.maps];
+        let shade = [t.base(), t.bands(), &s.layer_color];
+        let backward = t.gradients().map(|(base, bands)| {
+            let both = [&s.layer_color, &s.layer_gradient, base, bands];
+            let own = if t.has_bands() { &both[..] } else { &both[..3] };
+            k.backward.bind(gpu, &[&fragment[..], own].concat())
+        });
+        let raster = [view, &g.corners, &s.tile_start, &s.tile_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
+        Bound {
+            tiles: s.tiles,
+            fragments: self.layers as usize * s.pixels,
+            setup: k.setup.bind(gpu, &[view, &g.positions, &g.triangles, &g.corners, &g.boxes]),
+            count: k.count.bind(gpu, &bin),
+            scan: k.scan.bind(gpu, &bin),
+            scatter: k.scatter.bind(gpu, &bin),
+            raster: k.raster.bind(gpu, &raster),
+            shade: k.shade.bind(gpu, &[&fragment[..], &shade].concat()),
+            backward,
+        }
+    }
+
+    /// Triangles of all meshes.
+    pub(crate) fn n_triangles(&self) -> u32 {
+        self.n_triangles as u32
+    }
+
+    /// `array<f32>` `[layers, h, w]`: camera-space z, nearest layer first, 0 = empty.
+    pub(crate) fn layer_depth(&self) -> &Buffer {
+        &self.screen.layer_depth
+    }
+
+    /// `array<vec4f>` `[layers, h, w]`: rgb ≥ 0, alpha ≤ 1 − 1e-4; 0 where empty.
+    pub(crate) fn layer_color(&self) -> &Buffer {
+        &self.screen.layer_color
+    }
+
+    /// `array<vec4f>` `[layers, h, w]`: gradient of the loss by `layer_color`. The blend's backward pass writes it.
+    pub(crate) fn layer_gradient(&self) -> &Buffer {
+        &self.screen.layer_gradient
+    }
+
+    /// Depths and colours of all layers for the view in the uniform.
+    pub(crate) fn record_forward(&self, frame: &mut Frame) {
+        let Some(bound) = &self.bound else { return };
+        let (k, triangles) = (&self.kernels, groups(self.n_triangles, GROUP));
+        frame.dispatch(&k.setup, &bound.setup, triangles);
+        frame.dispatch(&k.count, &bound.count, triangles);
+        frame.dispatch(&k.scan, &bound.scan, 1);
+        frame.dispatch(&k.scatter, &bound.scatter, triangles);
+        frame.dispatch(&k.raster, &bound.raster, bound.tiles);
+        frame.dispatch(&k.shade, &bound.shade, groups(bound.fragments, GROUP));
+    }
+
+    /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
+    pub(crate) fn record_backward(&self, frame: &mut Frame) {
+        let Some(Bound { backward: Some(bindings), fragments, .. }) = &self.bound else { return };
+        self.texels.record_zero_gradients(frame);
+        frame.dispatch(&self.kernels.backward, bindings, groups(*fragments, GROUP));
+        self.texels.record_pull(frame);
+    }
+
+    /// Parameters of the next Adam step; takes effect before the next submission.
+    pub(crate) fn set_step(&self, gpu: &Gpu, step: &TexelStep) {
+        self.texels.set_step(gpu, step);
+    }
+
+    /// One step of Adam on the texels, then their mips.
+    pub(crate) fn record_adam(&self, frame: &mut Frame) {
+        self.texels.record_adam(frame);
+    }
+
+    /// The maps as they are now, one atlas per mesh.
+    ///
+    /// # Errors
+    /// If the driver failed or a texel is not finite.
+    pub(crate) fn read_atlases(&self, gpu: &Gpu) -> Result<Vec<Atlas>, GpuError> {
+        self.texels.read_atlases(gpu)
+    }
+
+    /// Gradients of the last backward pass, (base `[h·w·4]`, bands) per mesh; empty if not trainable.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
+        self.texels.read_gradients(gpu)
+    }
+
+    /// Adam's moments (first, second): base maps of all meshes, then bands of all meshes. Empty if not trainable.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_moments(&self, gpu: &Gpu) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
+        self.texels.read_moments(gpu)
+    }
+
+    /// Restores moments of `read_moments`; false, and nothing changes, if they belong to other meshes.
+    pub(crate) fn write_moments(&self, gpu: &Gpu, first: &[f32], second: &[f32]) -> bool {
+        self.texels.write_moments(gpu, first, second)
+    }
+}

@@ -1,0 +1,340 @@
+//! The maps of all meshes on the adapter: parameters, gradients, Adam moments (METHODS 4.1, 4.3).
+//!
+//! Zeroth coefficients and opacities of all meshes share one buffer, higher bands another, so that no kernel binds
+//! more than it needs and each buffer has the whole binding limit. In a buffer of texels or gradients every map is a
+//! mip pyramid (level 0, then level 1, …); moments exist for level 0 only. Bytes per level-0 float: 5⅓ to render,
+//! and 13⅓ more to train.
+
+use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use crate::scene::{Atlas, Mesh, SceneError, Texture};
+
+/// Threads per workgroup of every kernel over texels.
+const GROUP: usize = 256;
+
+/// What a step of Adam needs besides the gradients.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TexelStep {
+    /// Number of this step, from 1.
+    pub(crate) number: u32,
+    /// Rate of zeroth coefficients and opacity logits.
+    pub(crate) base_rate: f32,
+    /// Rate of higher bands.
+    pub(crate) band_rate: f32,
+    /// Skip floats whose gradient is exactly 0, moments included: what no pixel saw does not drift.
+    pub(crate) visited_only: bool,
+}
+
+impl TexelStep {
+    fn words(&self) -> [u32; 5] {
+        let correction = |beta: f64| (1.0 - beta.powf(f64::from(self.number.max(1)))) as f32;
+        [
+            self.base_rate.to_bits(),
+            self.band_rate.to_bits(),
+            correction(0.9).to_bits(),
+            correction(0.999).to_bits(),
+            u32::from(self.visited_only),
+        ]
+    }
+}
+
+/// Where one texture lies in its buffers.
+#[derive(Clone, Copy)]
+struct Map {
+    offset: usize,
+    width: u32,
+    height: u32,
+    levels: u32,
+    channels: u32,
+    moments: usize,
+    is_base: bool,
+}
+
+impl Map {
+    /// Floats of one level.
+    fn floats(&self, level: u32) -> usize {
+        (self.width >> level) as usize * (self.height >> level) as usize * self.channels as usize
+    }
+
+    /// Words of `Map` in shaders/shared/map.wgsl.
+    fn words(&self, level: u32) -> [u32; 8] {
+        let (offset, moments) = (self.offset as u32, self.moments as u32);
+        [offset, self.width, self.height, self.levels, self.channels, moments, level, u32::from(self.is_base)]
+    }
+}
+
+/// The buffers of one kind of map: base or bands.
+struct Pool {
+    texels: Buffer,
+    /// One per mesh; None where a mesh has no bands.
+    maps: Vec<Option<Map>>,
+    mips: Vec<(Bindings, usize)>,
+    training: Option<Training>,
+}
+
+struct Training {
+    gradients: Buffer,
+    moments: Buffer,
+    steps: Vec<Step>,
+}
+
+/// What `pull_mips` and `adam_texels` run with, for one map.
+struct Step {
+    pull: Bindings,
+    adam: Bindings,
+    groups: usize,
+}
+
+struct Kernels {
+    mips: Kernel,
+    pull: Kernel,
+    adam: Kernel,
+}
+
+/// A uniform with the words of `map` for a kernel that writes `level`.
+fn uniform(gpu: &Gpu, map: &Map, level: u32) -> Result<Buffer, GpuError> {
+    let words = map.words(level);
+    let buffer = gpu.uniform("map", words.len())?;
+    gpu.write(&buffer, 0, &words);
+    Ok(buffer)
+}
+
+impl Pool {
+    /// Uploads level 0 of `textures` (one per mesh) and lays out the rest.
+    fn new(
+        gpu: &Gpu,
+        kernels: &Kernels,
+        step: &Buffer,
+        (label, is_base): (&str, bool),
+        textures: &[Option<&Texture>],
+        trainable: bool,
+    ) -> Result<Self, GpuError> {
+        let (mut offset, mut moments, mut maps) = (0, 0, vec![]);
+        for texture in textures {
+            let Some(t) = texture else {
+                maps.push(None);
+                continue;
+            };
+            let (width, height, levels, channels) = (t.width(), t.height(), t.mip_levels(), t.channels());
+            let map = Map { offset, width, height, levels, channels, moments, is_base };
+            offset += (0..levels).map(|l| map.floats(l)).sum::<usize>();
+            moments += map.floats(0);
+            maps.push(Some(map));
+        }
+        let texels = gpu.storage(label, offset)?;
+        let mut mips = vec![];
+        for (map, texture) in maps.iter().zip(textures) {
+            let (Some(map), Some(texture)) = (map, texture) else { continue };
+            gpu.write(&texels, map.offset as u64 * 4, texture.texels());
+            for level in 1..map.levels {
+                let bindings = kernels.mips.bind(gpu, &[&uniform(gpu, map, level)?, &texels]);
+                mips.push((bindings, groups(map.floats(level), GROUP)));
+            }
+        }
+        let mut pool = Self { texels, maps, mips, training: None };
+        if trainable {
+            pool.training = Some(Training {
+                gradients: gpu.storage("mesh texel gradients", offset)?,
+                moments: gpu.storage("mesh texel moments", 2 * moments)?,
+                steps: vec![],
+            });
+            pool.bind_training(gpu, kernels, step)?;
+        }
+        Ok(pool)
+    }
+
+    fn bind_training(&mut self, gpu: &Gpu, kernels: &Kernels, step: &Buffer) -> Result<(), GpuError> {
+        let Some(training) = &mut self.training else { return Ok(()) };
+        for map in self.maps.iter().flatten() {
+            let uniform = uniform(gpu, map, 0)?;
+            training.steps.push(Step {
+                pull: kernels.pull.bind(gpu, &[&uniform, &training.gradients]),
+                adam: kernels.adam.bind(gpu, &[&uniform, step, &training.gradients, &self.texels, &training.moments]),
+                groups: groups(map.floats(0), GROUP),
+            });
+        }
+        Ok(())
+    }
+
+    /// Floats of the whole pyramids.
+    fn floats(&self) -> usize {
+        self.maps.iter().flatten().map(|m| (0..m.levels).map(|l| m.floats(l)).sum::<usize>()).sum()
+    }
+
+    /// Level 0 of every map in a buffer laid out like the texels.
+    fn read(&self, gpu: &Gpu, buffer: &Buffer) -> Result<Vec<Vec<f32>>, GpuError> {
+        let all: Vec<f32> = gpu.read(buffer, self.floats())?;
+        let level_0 = |map: &Option<Map>| map.map_or(vec![], |m| all[m.offset..m.offset + m.floats(0)].to_vec());
+        Ok(self.maps.iter().map(level_0).collect())
+    }
+
+    /// Floats of the level-0 maps: pairs of moments.
+    fn moments(&self) -> usize {
+        self.maps.iter().flatten().map(|m| m.floats(0)).sum()
+    }
+}
+
+/// Maps of all meshes.
+pub(crate) struct Texels {
+    base: Pool,
+    bands: Pool,
+    degrees: Vec<u32>,
+    kernels: Kernels,
+    step: Buffer,
+}
+
+impl Texels {
+    /// Uploads the maps of `meshes` and builds their mips; `trainable` adds gradients and moments, all zero.
+    ///
+    /// # Errors
+    /// If a buffer exceeds what the adapter binds.
+    pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], trainable: bool) -> Result<Self, GpuError> {
+        let kernel = |file, entry| Kernel::new(gpu, file, entry, &gpu.defines());
+        let kernels = Kernels {
+            mips: kernel("build_mips.wgsl", "build"),
+            pull: kernel("pull_mips.wgsl", "pull"),
+            adam: kernel("adam_texels.wgsl", "adam"),
+        };
+        let step = gpu.uniform("texel step", 8)?;
+        let base: Vec<_> = meshes.iter().map(|m| Some(m.atlas().base())).collect();
+        let bands: Vec<_> = meshes.iter().map(|m| m.atlas().bands()).collect();
+        let texels = Self {
+            base: Pool::new(gpu, &kernels, &step, ("mesh base texels", true), &base, trainable)?,
+            bands: Pool::new(gpu, &kernels, &step, ("mesh band texels", false), &bands, trainable)?,
+            degrees: meshes.iter().map(|m| m.atlas().sh_degree()).collect(),
+            kernels,
+            step,
+        };
+        let mut frame = Frame::new(gpu);
+        texels.record_mips(&mut frame);
+        frame.submit();
+        Ok(texels)
+    }
+
+    /// Words of `array<Maps>` in shaders/shared/mesh_fragment.wgsl.
+    pub(crate) fn table(&self) -> Vec<u32> {
+        let mut words = vec![];
+        for ((base, bands), &degree) in self.base.maps.iter().zip(&self.bands.maps).zip(&self.degrees) {
+            let pyramid = |map: &Option<Map>, unit: usize| {
+                map.map_or([0, 1, 1, 1], |m| [(m.offset / unit) as u32, m.levels, m.width, m.height])
+            };
+            words.extend(pyramid(base, 4));
+            // Bands are addressed in floats from their own offset, texels from 0: a texel is no power of two long.
+            words.extend(pyramid(&bands.map(|m| Map { offset: 0, ..m }), 1));
+            words.extend([bands.map_or(0, |m| m.offset as u32), degree, 0, 0]);
+        }
+        words
+    }
+
+    /// Whether any mesh has bands above the zeroth.
+    pub(crate) fn has_bands(&self) -> bool {
+        self.bands.maps.iter().any(Option::is_some)
+    }
+
+    /// Zeroth coefficients and opacity logits, `[texels, 4]`.
+    pub(crate) fn base(&self) -> &Buffer {
+        &self.base.texels
+    }
+
+    /// Higher bands.
+    pub(crate) fn bands(&self) -> &Buffer {
+        &self.bands.texels
+    }
+
+    /// Gradients of `base` and `bands`, if trainable.
+    pub(crate) fn gradients(&self) -> Option<(&Buffer, &Buffer)> {
+        Some((&self.base.training.as_ref()?.gradients, &self.bands.training.as_ref()?.gradients))
+    }
+
+    fn training(&self) -> impl Iterator<Item = &Training> {
+        [&self.base, &self.bands].into_iter().filter_map(|p| p.training.as_ref())
+    }
+
+    /// Rebuilds the coarser levels from level 0.
+    fn record_mips(&self, frame: &mut Frame) {
+        for (bindings, groups) in self.base.mips.iter().chain(&self.bands.mips) {
+            frame.dispatch(&self.kernels.mips, bindings, *groups);
+        }
+    }
+
+    /// Sets the gradients of all levels to zero.
+    pub(crate) fn record_zero_gradients(&self, frame: &mut Frame) {
+        for training in self.training() {
+            frame.clear(&training.gradients);
+        }
+    }
+
+    /// Adds the gradients of coarser levels to level 0.
+    pub(crate) fn record_pull(&self, frame: &mut Frame) {
+        for step in self.training().flat_map(|t| &t.steps) {
+            frame.dispatch(&self.kernels.pull, &step.pull, step.groups);
+        }
+    }
+
+    /// Parameters of the next Adam step; takes effect before the next submission.
+    pub(crate) fn set_step(&self, gpu: &Gpu, step: &TexelStep) {
+        gpu.write(&self.step, 0, &step.words());
+    }
+
+    /// One step of Adam on level 0, then the mips, which therefore always match it.
+    pub(crate) fn record_adam(&self, frame: &mut Frame) {
+        for step in self.training().flat_map(|t| &t.steps) {
+            frame.dispatch(&self.kernels.adam, &step.adam, step.groups);
+        }
+        self.record_mips(frame);
+    }
+
+    /// The maps as they are now, one atlas per mesh.
+    ///
+    /// # Errors
+    /// If the driver failed or a texel is not finite.
+    pub(crate) fn read_atlases(&self, gpu: &Gpu) -> Result<Vec<Atlas>, GpuError> {
+        let texture =
+            |map: &Option<Map>, texels| map.map(|m| Texture::new(m.width, m.height, m.channels, texels)).transpose();
+        let base = self.base.read(gpu, &self.base.texels)?;
+        let bands = self.bands.read(gpu, &self.bands.texels)?;
+        let atlas = |(i, (base, bands))| {
+            let base = texture(&self.base.maps[i], base)?.expect("every mesh has a base map");
+            Atlas::new(base, texture(&self.bands.maps[i], bands)?)
+        };
+        let atlases: Result<_, SceneError> = base.into_iter().zip(bands).enumerate().map(atlas).collect();
+        atlases.map_err(|e| GpuError::Failed { adapter: gpu.adapter().to_owned(), reason: format!("mesh {e}") })
+    }
+
+    /// Gradients of level 0 after `record_pull`: base `[h·w·4]` and bands per mesh, empty where there are none.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
+        let Some((base, bands)) = self.gradients() else { return Ok(vec![]) };
+        Ok(self.base.read(gpu, base)?.into_iter().zip(self.bands.read(gpu, bands)?).collect())
+    }
+
+    /// Adam's first and second moments: the base maps of all meshes, then the bands of all meshes, each laid out like
+    /// its level 0. Empty if not trainable.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_moments(&self, gpu: &Gpu) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
+        let mut pairs: Vec<[f32; 2]> = vec![];
+        for pool in [&self.base, &self.bands] {
+            if let Some(training) = &pool.training {
+                pairs.extend(gpu.read::<[f32; 2]>(&training.moments, pool.moments())?);
+            }
+        }
+        Ok(pairs.into_iter().map(|[m, v]| (m, v)).unzip())
+    }
+
+    /// Replaces the moments by ones that `read_moments` returned for the same meshes. False, and nothing changes, if
+    /// the lengths do not fit.
+    pub(crate) fn write_moments(&self, gpu: &Gpu, first: &[f32], second: &[f32]) -> bool {
+        let (base, bands) = (self.base.moments(), self.bands.moments());
+        if self.gradients().is_none() || first.len() != base + bands || second.len() != first.len() {
+            return false;
+        }
+        let pairs: Vec<[f32; 2]> = first.iter().zip(second).map(|(&m, &v)| [m, v]).collect();
+        for (training, part) in self.training().zip([&pairs[..base], &pairs[base..]]) {
+            gpu.write(&training.moments, 0, part);
+        }
+        true
+    }
+}
