@@ -1,21 +1,23 @@
 //! One frame, forward and backward: which stage runs when, on which buffers.
 
 use super::{
-    blend::Blend,
+    blend::{Blend, LayerBuffers},
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    mesh::MeshStage,
     splats::{GEOMETRY, ImageCapacity, SplatBuffers, SplatLists},
     view::{VIEW_WORDS, View},
 };
-use crate::scene::{Camera, Composition, HybridScene, sh};
+use crate::scene::{Camera, Composition, HybridScene, Mesh, sh};
 
 /// (tile, splat) pairs that fit at first, per splat; grown when a frame needs more.
-const PAIRS_PER_SPLAT: usize = 4;
+const PAIRS_PER_SPLAT: usize = 6;
 
 /// Everything that one view's frame reads and writes.
 pub(crate) struct Pipeline {
     pub(crate) view: Buffer,
     pub(crate) splats: SplatBuffers,
     pub(crate) n_splats: usize,
+    pub(crate) mesh: Option<MeshStage>,
     pub(crate) lists: SplatLists,
     pub(crate) blend: Blend,
     pub(crate) composition: Composition,
@@ -38,55 +40,89 @@ pub(crate) struct Backward {
 }
 
 impl Pipeline {
-    /// A pipeline for the scene at images up to `sizes`.
+    /// A pipeline for the scene, up to `capacity` splats (at least those it has), seen by `cameras`.
     pub(crate) fn new(
         gpu: &Gpu,
         scene: &HybridScene,
         capacity: usize,
-        image: ImageCapacity,
+        cameras: &[Camera],
         trainable: bool,
     ) -> Result<Self, GpuError> {
-        let view = gpu.uniform("view", VIEW_WORDS)?;
-        let splats = SplatBuffers::new(gpu, capacity.max(scene.splats.len()), scene.splats.sh_degree())?;
+        let capacity = capacity.max(scene.splats.len());
+        let splats = SplatBuffers::new(gpu, capacity, scene.splats.sh_degree())?;
         splats.write(gpu, &scene.splats);
-        let pairs = splats.capacity * PAIRS_PER_SPLAT + image.tiles;
-        let lists = SplatLists::new(gpu, &splats, image, pairs, &view, None)?;
-        let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
-        let training = image_gradient.as_ref().map(|g| (g, splats.capacity));
-        let blend = Blend::new(gpu, &lists, image, &view, None, training)?;
-        let backward = match image_gradient {
-            None => None,
-            Some(image_gradient) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, image_gradient)?),
-        };
-        Ok(Self {
-            view,
-            n_splats: scene.splats.len(),
+        let mut built = Self::assemble(
+            gpu,
             splats,
-            lists,
-            blend,
-            composition: scene.composition,
-            backward,
-            image,
-        })
+            &scene.meshes,
+            scene.composition,
+            cameras,
+            splats_pairs(capacity),
+            trainable,
+        )?;
+        built.n_splats = scene.splats.len();
+        Ok(built)
     }
 
-    /// What the shaders are told of a view.
-    pub(crate) fn view_of(&self, camera: &Camera) -> View {
-        View {
-            camera: *camera,
-            composition: self.composition,
+    fn assemble(
+        gpu: &Gpu,
+        splats: SplatBuffers,
+        meshes: &[Mesh],
+        composition: Composition,
+        cameras: &[Camera],
+        pairs: usize,
+        trainable: bool,
+    ) -> Result<Self, GpuError> {
+        let image = ImageCapacity::of(cameras.iter().map(|c| (c.intrinsics().width, c.intrinsics().height)));
+        let view = gpu.uniform("view", VIEW_WORDS)?;
+        let mut mesh = match meshes {
+            [] => None,
+            _ => Some(MeshStage::new(gpu, meshes, composition.layers, trainable)?),
+        };
+        if let Some(mesh) = &mut mesh {
+            for camera in cameras {
+                let size = View::of(camera, composition);
+                mesh.resize(gpu, &size, &view)?;
+            }
+        }
+        let depth = mesh.as_ref().map(|m| (m.layer_depth(), composition.layers));
+        let lists = SplatLists::new(gpu, &splats, image, pairs + image.tiles, &view, depth)?;
+        let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
+        let training = image_gradient.as_ref().map(|g| (g, splats.capacity));
+        let blend = Blend::new(gpu, &lists, image, &view, layer_buffers(mesh.as_ref()), training)?;
+        let backward = match image_gradient {
+            None => None,
+            Some(g) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, g)?),
+        };
+        Ok(Self { view, n_splats: 0, splats, mesh, lists, blend, composition, backward, image })
+    }
+
+    /// Gets ready for a frame of this camera, one of those that the pipeline was made for or smaller, and says what
+    /// the shaders are told of it.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<View, GpuError> {
+        let view = View {
             n_splats: self.n_splats as u32,
             sh_degree: self.splats.sh_degree,
-            band_degree: 0,
-            n_triangles: 0,
+            band_degree: sh::MAX_DEGREE,
+            n_triangles: self.mesh.as_ref().map_or(0, MeshStage::n_triangles),
             pair_capacity: self.lists.pair_capacity() as u32,
+            ..View::of(camera, self.composition)
+        };
+        if let Some(mesh) = &mut self.mesh
+            && mesh.resize(gpu, &view, &self.view)?
+        {
+            self.renew_lists(gpu, self.lists.pair_capacity())?;
         }
+        Ok(view)
     }
 
     /// Appends everything from parameters to the image.
     pub(crate) fn record_forward(&self, gpu: &Gpu, frame: &mut Frame, view: &View) {
         gpu.write(&self.view, 0, &view.words());
-        self.lists.record(gpu, frame, self.n_splats);
+        if let Some(mesh) = &self.mesh {
+            mesh.record_forward(frame);
+        }
+        self.lists.record(gpu, frame, view.n_splats as usize);
         let (x, y) = view.tiles();
         self.blend.record_forward(frame, x as usize * y as usize);
     }
@@ -96,25 +132,75 @@ impl Pipeline {
         let Some(backward) = &self.backward else { return };
         let (x, y) = view.tiles();
         self.blend.record_backward(frame, x as usize * y as usize);
-        frame.dispatch(&backward.kernel, &backward.bindings, groups(self.n_splats, 256));
+        frame.dispatch(&backward.kernel, &backward.bindings, groups(view.n_splats as usize, 256));
+        if let Some(mesh) = &self.mesh {
+            mesh.record_backward(frame);
+        }
     }
 
-    /// Makes room for `pairs` (tile, splat) pairs.
-    pub(crate) fn grow_pairs(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
-        self.lists = SplatLists::new(gpu, &self.splats, self.image, pairs + pairs / 4, &self.view, None)?;
-        self.rebind(gpu)
+    /// After a frame: enlarges lists that were too short for it. True if so, and the frame must be repeated.
+    ///
+    /// # Errors
+    /// If the driver failed or the adapter cannot hold longer lists.
+    pub(crate) fn grow_if_short(&mut self, gpu: &Gpu) -> Result<bool, GpuError> {
+        let (_, pairs) = self.lists.read_counts(gpu)?;
+        let mesh_grew = match &mut self.mesh {
+            Some(mesh) => mesh.grow_if_short(gpu, &self.view)?,
+            None => false,
+        };
+        let short = pairs > self.lists.pair_capacity();
+        if short {
+            self.renew_lists(gpu, pairs + pairs / 2)?;
+        }
+        Ok(short || mesh_grew)
     }
 
-    fn rebind(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
-        let old = self.backward.take();
-        let training = old.as_ref().map(|b| (&b.image_gradient, self.splats.capacity));
-        self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, None, training)?;
-        if let Some(old) = old {
-            let gradient = old.image_gradient;
-            self.backward = Some(Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, gradient)?);
+    /// Makes the pipeline anew around other splat buffers (for more splats).
+    pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<(), GpuError> {
+        self.splats = splats;
+        self.renew_lists(gpu, splats_pairs(self.splats.capacity).max(self.lists.pair_capacity()))
+    }
+
+    fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
+        let depth = self.mesh.as_ref().map(|m| (m.layer_depth(), self.composition.layers));
+        self.lists = SplatLists::new(gpu, &self.splats, self.image, pairs, &self.view, depth)?;
+        let gradient = self.backward.take().map(|b| b.image_gradient);
+        let training = gradient.as_ref().map(|g| (g, self.splats.capacity));
+        let layers = layer_buffers(self.mesh.as_ref());
+        self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, training)?;
+        if let Some(g) = gradient {
+            self.backward = Some(Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, g)?);
         }
         Ok(())
     }
+
+    /// Median depth of the splats alone in a view, `[h·w]`, 0 where there is none.
+    pub(crate) fn median_depth(&mut self, gpu: &Gpu, camera: &Camera) -> Result<Vec<f32>, GpuError> {
+        loop {
+            let view = self.prepare(gpu, camera)?;
+            let kernel = Kernel::new(gpu, "blend_depth.wgsl", "main", &gpu.defines());
+            let depth = gpu.storage("median depth", view.pixels())?;
+            let lists = &self.lists;
+            let bindings =
+                kernel.bind(gpu, &[&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth]);
+            let mut frame = Frame::new(gpu);
+            self.record_forward(gpu, &mut frame, &view);
+            let (x, y) = view.tiles();
+            frame.dispatch(&kernel, &bindings, x as usize * y as usize);
+            frame.submit();
+            if !self.grow_if_short(gpu)? {
+                return gpu.read(&depth, view.pixels());
+            }
+        }
+    }
+}
+
+fn splats_pairs(capacity: usize) -> usize {
+    capacity * PAIRS_PER_SPLAT
+}
+
+fn layer_buffers(mesh: Option<&MeshStage>) -> Option<LayerBuffers<'_>> {
+    mesh.map(|m| LayerBuffers { depth: m.layer_depth(), color: m.layer_color(), gradient: m.layer_gradient() })
 }
 
 impl Backward {

@@ -20,6 +20,7 @@ embed![
     "adam_texels.wgsl",
     "bin_triangles.wgsl",
     "blend_backward.wgsl",
+    "blend_depth.wgsl",
     "blend_forward.wgsl",
     "build_mips.wgsl",
     "ceilings.wgsl",

@@ -6,7 +6,6 @@ use rand_pcg::Pcg32;
 use super::{
     device::{Frame, Gpu},
     pipeline::Pipeline,
-    splats::ImageCapacity,
 };
 use crate::{
     render::{
@@ -24,12 +23,11 @@ fn gpu_frame(
     cotangent: Option<&Image>,
 ) -> (Image, Option<Parameters>) {
     let k = *camera.intrinsics();
-    let image = ImageCapacity::of([(k.width, k.height)]);
-    let mut pipeline = Pipeline::new(gpu, scene, 0, image, cotangent.is_some()).unwrap();
+    let mut pipeline = Pipeline::new(gpu, scene, 0, &[*camera], cotangent.is_some()).unwrap();
     let n = scene.splats.len();
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
-        let view = pipeline.view_of(camera);
+        let view = pipeline.prepare(gpu, camera).unwrap();
         if let (Some(c), Some(b)) = (cotangent, &pipeline.backward) {
             let words: Vec<f32> = c.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
             gpu.write(&b.image_gradient, 0, &words);
@@ -38,11 +36,9 @@ fn gpu_frame(
         pipeline.record_forward(gpu, &mut frame, &view);
         pipeline.record_backward(&mut frame, &view);
         frame.submit();
-        let (_, pairs) = pipeline.lists.read_counts(gpu).unwrap();
-        if pairs <= pipeline.lists.pair_capacity() {
+        if !pipeline.grow_if_short(gpu).unwrap() {
             break;
         }
-        pipeline.grow_pairs(gpu, pairs).unwrap();
     }
     let pixels = (k.width * k.height) as usize;
     let words: Vec<f32> = gpu.read(&pipeline.blend.image, pixels * 4).unwrap();

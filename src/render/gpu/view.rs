@@ -25,6 +25,12 @@ pub(crate) const VIEW_WORDS: usize = 36;
 pub(crate) const TILE: u32 = 16;
 
 impl View {
+    /// A view of nothing yet.
+    pub(crate) fn of(camera: &Camera, composition: Composition) -> Self {
+        let (n_splats, sh_degree, band_degree, n_triangles, pair_capacity) = (0, 0, 0, 0, 0);
+        Self { camera: *camera, composition, n_splats, sh_degree, band_degree, n_triangles, pair_capacity }
+    }
+
     /// Tiles across and down.
     pub(crate) fn tiles(&self) -> (u32, u32) {
         let k = self.camera.intrinsics();

@@ -1,0 +1,43 @@
+// Median depth of the splats alone: depth of the splat at which the transmittance falls below one half, 0 where it
+// never does (METHODS 6). One thread a pixel; run once per training view, when the surface is fused.
+//#import shared/view.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
+@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> depth: array<f32>;
+
+const ALPHA_CUT: f32 = 1.0 / 255.0;
+const ALPHA_CAP: f32 = 0.99;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let tile = group_index(group, groups);
+    let x = (tile % view.tiles.x) * TILE + thread % TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE;
+    if tile >= view.tiles.x * view.tiles.y || x >= view.size.x || y >= view.size.y { return; }
+    let pixel = vec2f(f32(x), f32(y)) + 0.5;
+    let range = ranges[tile];
+    var t = 1.0;
+    var median = 0.0;
+    for (var k = range.x; k < range.y; k++) {
+        let i = pair_splats[k];
+        let a = projected[3u * i];
+        let conic = projected[3u * i + 1u].xyz;
+        let d = pixel - a.xy;
+        let power = -0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) - conic.y * d.x * d.y;
+        let alpha = min(ALPHA_CAP, a.w * exp(power));
+        if power > 0.0 || alpha < ALPHA_CUT { continue; }
+        t *= 1.0 - alpha;
+        if t < 0.5 {
+            median = a.z;
+            break;
+        }
+    }
+    depth[y * view.size.x + x] = median;
+}

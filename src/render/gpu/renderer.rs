@@ -1,0 +1,80 @@
+//! Rendering a finished scene.
+
+use super::{
+    device::{Frame, Gpu, GpuError},
+    pipeline::Pipeline,
+};
+use crate::scene::{Camera, HybridScene};
+
+/// A scene on the GPU, ready to be looked at.
+pub struct Renderer<'g> {
+    gpu: &'g Gpu,
+    pipeline: Pipeline,
+}
+
+/// A rendered picture in the scene's blending space, row-major from the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Colour over the background, not clamped above. `[height·width]`
+    pub rgb: Vec<[f32; 3]>,
+    /// What is left of the background. `[height·width]`
+    pub transmittance: Vec<f32>,
+}
+
+impl<'g> Renderer<'g> {
+    /// Uploads the scene and makes room for pictures up to the sizes of `cameras`.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold it.
+    pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera]) -> Result<Self, GpuError> {
+        Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, false)? })
+    }
+
+    /// Renders one picture and waits for it. The image must not be larger than announced.
+    ///
+    /// # Errors
+    /// If the driver fails or the adapter runs short of memory.
+    pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        loop {
+            self.submit(camera)?;
+            if !self.pipeline.grow_if_short(self.gpu)? {
+                break;
+            }
+        }
+        let k = camera.intrinsics();
+        let pixels = k.width as usize * k.height as usize;
+        let words: Vec<[f32; 4]> = self.gpu.read(&self.pipeline.blend.image, pixels)?;
+        Ok(Picture {
+            width: k.width,
+            height: k.height,
+            rgb: words.iter().map(|p| [p[0], p[1], p[2]]).collect(),
+            transmittance: words.iter().map(|p| p[3]).collect(),
+        })
+    }
+
+    /// Seconds per frame over `frames` renderings of `camera` without read-back, after one to warm up.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn seconds_per_frame(&mut self, camera: &Camera, frames: u32) -> Result<f64, GpuError> {
+        self.render(camera)?;
+        let start = std::time::Instant::now();
+        for _ in 0..frames.max(1) {
+            self.submit(camera)?;
+        }
+        self.gpu.wait()?;
+        Ok(start.elapsed().as_secs_f64() / f64::from(frames.max(1)))
+    }
+
+    fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
+        let view = self.pipeline.prepare(self.gpu, camera)?;
+        let mut frame = Frame::new(self.gpu);
+        self.pipeline.record_forward(self.gpu, &mut frame, &view);
+        frame.submit();
+        Ok(())
+    }
+}
