@@ -149,7 +149,7 @@ fn skull66_opens_without_observations() {
     assert!(upstream.contains("frames only"), "{upstream}");
     // Six pictures fit; every answer is the same as without a cache.
     let cache = PhotoCache::new(200 * 133 * 4 * 7);
-    for pair in capture.views.windows(2) {
+    for pair in capture.views[..14].windows(2) {
         cache.prefetch(&pair[1]);
         assert_eq!(*cache.get(&pair[0]).unwrap(), decode(&pair[0]).unwrap());
     }

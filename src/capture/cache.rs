@@ -10,7 +10,8 @@ use super::{CaptureError, Photo, View, decode};
 /// Pictures are kept until the budget is full and then stay: training visits the views in ever new random orders,
 /// for which that hits as often as any policy, and evicting the least recent would hit less. One eighth of the
 /// budget is left for pictures that were prefetched but cannot stay; each of those is handed out once. A budget too
-/// small for one picture still prefetches one. Pictures that callers hold are not counted.
+/// small for one picture still prefetches one. Pictures that callers hold are not counted, nor is what decoding needs
+/// meanwhile. What is prefetched should be asked for: a picture that only passes through keeps its place until then.
 ///
 /// Views are told apart by name: use one cache per capture.
 pub struct PhotoCache {

@@ -92,6 +92,9 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
         let values = (0..parameters)
             .map(|_| file.f64s::<1>("camera parameters").map(|[v]| v))
             .collect::<Result<Vec<f64>, _>>()?;
+        if let Some(v) = values.iter().find(|v| !v.is_finite()) {
+            return Err(file.invalid(at, "camera", "finite parameters", v.to_string()));
+        }
         let lens = colmap::lens(name, &values, width, height).ok_or_else(|| unsupported(name.into()))?;
         if cameras.insert(id, lens).is_some() {
             return Err(file.invalid(at, "camera", "a new number", id.to_string()));

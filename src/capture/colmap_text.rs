@@ -59,6 +59,9 @@ pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, Cap
         let count = colmap::parameter_count(model).ok_or_else(unsupported)?;
         let values: Vec<f64> =
             (0..count).map(|_| line.number("a camera parameter")).collect::<Result<_, CaptureError>>()?;
+        if let Some(v) = values.iter().find(|v| !v.is_finite()) {
+            return Err(line.invalid("finite camera parameters", &v.to_string()));
+        }
         let lens = colmap::lens(model, &values, width, height).ok_or_else(unsupported)?;
         if cameras.insert(id, lens).is_some() {
             return Err(line.invalid("a new camera id", &id.to_string()));

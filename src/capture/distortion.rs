@@ -174,29 +174,31 @@ fn sample(rgba: &[u8], width: u32, height: u32, x: f64, y: f64) -> [u8; 4] {
     let axis = |t: f64, n: u32| {
         let t = (t - 0.5).clamp(0.0, f64::from(n - 1));
         let i = t as usize;
-        (i, (i + 1).min(n as usize - 1), (t - t.floor()) as f32)
+        (i, (i + 1).min(n as usize - 1), (t - i as f64) as f32)
     };
     let ((x0, x1, fx), (y0, y1, fy)) = (axis(x, width), axis(y, height));
-    let texel = |x: usize, y: usize| &rgba[4 * (y * width as usize + x)..][..4];
+    let rows = [y0, y1].map(|y| &rgba[4 * y * width as usize..][..4 * width as usize]);
+    let texel =
+        |row: &[u8], x: usize| -> [f32; 4] { row[4 * x..].first_chunk::<4>().map_or([0.0; 4], |c| c.map(f32::from)) };
     let corners = [
-        (texel(x0, y0), (1.0 - fx) * (1.0 - fy)),
-        (texel(x1, y0), fx * (1.0 - fy)),
-        (texel(x0, y1), (1.0 - fx) * fy),
-        (texel(x1, y1), fx * fy),
+        (texel(rows[0], x0), (1.0 - fx) * (1.0 - fy)),
+        (texel(rows[0], x1), fx * (1.0 - fy)),
+        (texel(rows[1], x0), (1.0 - fx) * fy),
+        (texel(rows[1], x1), fx * fy),
     ];
     let (mut sum, mut alpha) = ([0.0f32; 3], 0.0);
-    for (c, weight) in corners {
-        let a = weight * f32::from(c[3]);
+    for ([r, g, b, a], weight) in corners {
+        let a = weight * a;
         alpha += a;
-        for (s, &v) in sum.iter_mut().zip(c) {
-            *s += a * f32::from(v);
-        }
+        sum = [sum[0] + a * r, sum[1] + a * g, sum[2] + a * b];
     }
     if alpha <= 0.0 {
         return [0; 4];
     }
-    let [r, g, b] = sum.map(|s| (s / alpha).round() as u8);
-    [r, g, b, alpha.round() as u8]
+    // Adding one half rounds positive numbers, and needs no library call where the target has no rounding.
+    let scale = 1.0 / alpha;
+    let [r, g, b] = sum.map(|s| (s * scale + 0.5) as u8);
+    [r, g, b, (alpha + 0.5) as u8]
 }
 
 impl Lens {
@@ -223,18 +225,20 @@ impl Lens {
         let k = &self.intrinsics;
         let (w, h) = (f64::from(k.width), f64::from(k.height));
         let far = DVec2::new(k.cx.abs().max((w - k.cx).abs()) / k.fx, k.cy.abs().max((h - k.cy).abs()) / k.fy);
-        let radius = self.distortion.domain(far.length());
+        let domain = self.distortion.domain(far.length()).powi(2);
+        let (sx, sy) = (1.0 / k.fx, 1.0 / k.fy);
         let mut out = vec![0; rgba.len()];
         let mut outside = false;
-        for (i, pixel) in out.chunks_exact_mut(4).enumerate() {
-            let (x, y) = (i % k.width as usize, i / k.width as usize);
-            let p = DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy);
-            let d = self.distortion.distort(p);
-            let (u, v) = (d.x * k.fx + k.cx, d.y * k.fy + k.cy);
-            if p.length() <= radius && (0.0..=w).contains(&u) && (0.0..=h).contains(&v) {
-                pixel.copy_from_slice(&sample(rgba, k.width, k.height, u, v));
-            } else {
-                outside = true;
+        for (y, row) in out.chunks_exact_mut(4 * k.width as usize).enumerate() {
+            for (x, pixel) in row.chunks_exact_mut(4).enumerate() {
+                let p = DVec2::new((x as f64 + 0.5 - k.cx) * sx, (y as f64 + 0.5 - k.cy) * sy);
+                let d = self.distortion.distort(p);
+                let (u, v) = (d.x * k.fx + k.cx, d.y * k.fy + k.cy);
+                if p.length_squared() <= domain && (0.0..=w).contains(&u) && (0.0..=h).contains(&v) {
+                    pixel.copy_from_slice(&sample(rgba, k.width, k.height, u, v));
+                } else {
+                    outside = true;
+                }
             }
         }
         (out, outside)

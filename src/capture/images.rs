@@ -70,6 +70,10 @@ pub struct Photo {
 /// mistake or an attack.
 const MAX_PIXELS: u64 = 1 << 28;
 
+/// Bytes of pixels a byte of a file can stand for at most. Deflate reaches 1032; a progressive JPEG of one colour
+/// about as much (one bit per 8×8 block). Memory is not reserved on the word of a header that claims more.
+const MAX_RATIO: u64 = 4096;
+
 /// What the first bytes of an image say.
 pub(super) struct Header {
     size: (u32, u32),
@@ -114,6 +118,10 @@ fn decoder<'a>(bytes: &'a [u8], path: &Path) -> Result<impl ImageDecoder + 'a, C
     let (w, h) = decoder.dimensions();
     if u64::from(w) * u64::from(h) > MAX_PIXELS || w == 0 || h == 0 {
         return Err(CaptureError::invalid(path, "image size", format!("1 to {MAX_PIXELS} pixels"), format!("{w}×{h}")));
+    }
+    if decoder.total_bytes() / MAX_RATIO > bytes.len() as u64 {
+        let expected = format!("{w}×{h} pixels in {} bytes", decoder.total_bytes() / MAX_RATIO);
+        return Err(CaptureError::Truncated { path: path.into(), offset: bytes.len(), expected });
     }
     Ok(decoder)
 }
@@ -313,6 +321,21 @@ mod tests {
     }
 
     #[test]
+    fn headers_are_not_believed() {
+        let mut bytes = png(&DynamicImage::new_rgb8(16, 8));
+        assert!(photo_of(&png(&DynamicImage::new_rgb8(4000, 3000)), 4000, 3000, Downscale::Factor(99)).is_ok());
+        // IHDR with 16384×16384 pixels and its checksum.
+        let mut crc = !0u32;
+        bytes[16..24].copy_from_slice(&[0, 0, 0x40, 0, 0, 0, 0x40, 0]);
+        for &b in &bytes[12..29] {
+            crc = (0..8).fold(crc ^ u32::from(b), |c, _| (c >> 1) ^ (0xedb8_8320 * (c & 1)));
+        }
+        bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
+        let message = photo_of(&bytes, 16, 16, Downscale::Full).unwrap_err().to_string();
+        assert!(message.contains("16384×16384 pixels"), "{message}");
+    }
+
+    #[test]
     fn sixteen_bits_and_grey_become_rgba8() {
         let deep = image::ImageBuffer::<image::LumaA<u16>, _>::from_pixel(4, 4, image::LumaA([0x8080, 0x4040]));
         let photo = photo_of(&png(&deep.into()), 4, 4, Downscale::Full).unwrap();
@@ -339,5 +362,21 @@ mod tests {
         let view = open(folder.path(), &LoadOptions::default()).unwrap().views.remove(0);
         std::fs::write(view.source.path(), png(&DynamicImage::new_rgb8(8, 4))).unwrap();
         assert!(decode(&view).unwrap_err().to_string().contains("expected 16×8, found 8×4"));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn damaged_pictures_are_read_or_refused(at in 0.0..1.0f64, damage in proptest::collection::vec(0u8.., 1..8)) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("picture");
+            for mut bytes in [oriented(6), png(&DynamicImage::new_rgba16(9, 7))] {
+                let start = (at * bytes.len() as f64) as usize;
+                let end = bytes.len().min(start + damage.len());
+                bytes[start..end].copy_from_slice(&damage[..end - start]);
+                std::fs::write(&path, &bytes).unwrap();
+                let _ = header(&path);
+                let _ = pixels(&path);
+            }
+        }
     }
 }

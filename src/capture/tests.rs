@@ -199,6 +199,8 @@ fn broken_captures_are_refused_in_one_line() {
     assert!(refused("cameras.bin", cameras_bin(99, 8, 4, &[])).contains("99"));
     assert!(refused("cameras.bin", cameras_bin(1, 8, 4, &[-1.0, 8.0, 4.0, 2.0])).contains("focal length"));
     assert!(refused("cameras.bin", cameras_bin(1, 8, 0, &[8.0, 8.0, 4.0, 2.0])).contains("8×0"));
+    let opencv = [8.0, 8.0, 4.0, 2.0, f64::NAN, 0.0, 0.0, 0.0];
+    assert!(refused("cameras.bin", cameras_bin(4, 8, 4, &opencv)).contains("camera at byte 8: expected finite"));
     let mut nan = images_bin(&names(["00.png", "01.png", "02.png"]));
     nan[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
     assert!(refused("images.bin", nan).contains("quaternion"));
