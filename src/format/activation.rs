@@ -1,0 +1,55 @@
+//! Between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats store.
+
+/// Largest opacity below 1 in f32: its logit is 16.6. Smallest: that of the smallest normal f32, −87.
+const OPACITY_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, 1.0 - f32::EPSILON as f64 / 2.0];
+const SCALE_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, f32::MAX as f64];
+
+/// `1/(1+e^-l)`, kept off 0 and 1.
+pub(super) fn opacity(logit: f32) -> f32 {
+    let [low, high] = OPACITY_RANGE;
+    (1.0 / (1.0 + f64::from(-logit).exp())).clamp(low, high) as f32
+}
+
+/// Inverse of [`opacity`]; also, whether the opacity had to be clamped. NaN stays NaN.
+pub(super) fn logit(opacity: f32) -> (f32, bool) {
+    let [low, high] = OPACITY_RANGE;
+    let clamped = f64::from(opacity).clamp(low, high);
+    ((clamped / (1.0 - clamped)).ln() as f32, clamped != f64::from(opacity))
+}
+
+/// `e^s`, kept off 0 and infinity.
+pub(super) fn scale(log_scale: f32) -> f32 {
+    let [low, high] = SCALE_RANGE;
+    f64::from(log_scale).exp().clamp(low, high) as f32
+}
+
+/// Inverse of [`scale`]; also, whether the scale had to be clamped. NaN stays NaN.
+pub(super) fn log_scale(scale: f32) -> (f32, bool) {
+    let [low, high] = SCALE_RANGE;
+    let clamped = f64::from(scale).clamp(low, high);
+    (clamped.ln() as f32, clamped != f64::from(scale))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inverses_and_limits() {
+        for x in [-80.0f32, -9.0, -1.0, 0.0, 0.3, 5.0] {
+            assert!((log_scale(scale(x)).0 - x).abs() <= 1e-6 * x.abs().max(0.1), "{x}");
+            let o = opacity(x);
+            let again = opacity(logit(o).0);
+            assert!((again - o).abs() <= 1e-6 * o, "{o} {again}");
+        }
+        for x in [f32::MAX, 100.0, -100.0, f32::MIN] {
+            assert!(!logit(opacity(x)).1 && logit(opacity(x)).0.is_finite(), "own values need no clamping");
+            assert!(!log_scale(scale(x)).1 && log_scale(scale(x)).0.is_finite());
+        }
+        for x in [0.0, 1.0, 2.0, -1.0] {
+            let (l, clamped) = logit(x);
+            assert!(l.is_finite() && clamped, "{x}");
+        }
+        assert!(log_scale(0.0).1 && logit(f32::NAN).0.is_nan());
+    }
+}

@@ -1,0 +1,99 @@
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::scene::SceneError;
+
+/// Why a file could not be read or written. One line: the file, where in it, what was expected, what was found.
+#[derive(Debug, thiserror::Error)]
+pub enum FormatError {
+    /// The operating system refused to read.
+    #[error("{}: cannot read: {source}", file.display())]
+    Read {
+        /// File that was to be read.
+        file: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The operating system refused to write. Nothing is left at the target.
+    #[error("{}: cannot write: {source}", file.display())]
+    Write {
+        /// File that was to be written.
+        file: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The content is malformed, or is well-formed but not something Centaur can represent.
+    #[error("{}: {location}expected {expected}, found {found}", file.display())]
+    Content {
+        /// File at fault.
+        file: PathBuf,
+        /// Where in the file.
+        location: Location,
+        /// What would have been accepted.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+}
+
+/// A place in a file. Displays as a prefix of a message: `byte 1204: `.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Location {
+    /// The file as a whole.
+    File,
+    /// Offset in bytes from the start of the file.
+    Byte(u64),
+    /// JSON pointer (RFC 6901) into the glTF document.
+    Pointer(String),
+    /// A field of the scene that was being made: `means[17]`.
+    Field(String),
+}
+
+impl fmt::Display for Location {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File => Ok(()),
+            Self::Byte(offset) => write!(f, "byte {offset}: "),
+            Self::Pointer(pointer) => write!(f, "{pointer}: "),
+            Self::Field(field) => write!(f, "{field}: "),
+        }
+    }
+}
+
+/// [`FormatError::Content`] before the file's name is known: what the parsers return.
+#[derive(Debug)]
+pub(crate) struct Fault {
+    location: Location,
+    expected: String,
+    found: String,
+}
+
+impl Fault {
+    pub(crate) fn whole(expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { location: Location::File, expected: expected.into(), found: found.into() }
+    }
+
+    pub(crate) fn byte(offset: usize, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { location: Location::Byte(offset as u64), expected: expected.into(), found: found.into() }
+    }
+
+    pub(crate) fn pointer(at: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { location: Location::Pointer(at.into()), expected: expected.into(), found: found.into() }
+    }
+
+    pub(crate) fn in_file(self, file: &Path) -> FormatError {
+        let Self { location, expected, found } = self;
+        FormatError::Content { file: file.to_owned(), location, expected, found }
+    }
+}
+
+impl From<SceneError> for Fault {
+    fn from(e: SceneError) -> Self {
+        Self { location: Location::Field(e.field), expected: e.expected, found: e.found }
+    }
+}
+
+/// The whole file in memory. Its length bounds every count that the file declares.
+pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, FormatError> {
+    std::fs::read(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })
+}

@@ -1,0 +1,229 @@
+//! The two extensions' JSON as typed structs: the only place that knows their names and keys. Schemas and their prose
+//! are in `schema/EXT_gaussian_splatting_hybrid`.
+
+use serde::{Deserialize, Serialize};
+
+use crate::format::error::Fault;
+use crate::scene::{ColorSpace, Composition, OrderMode};
+
+/// Splats as a POINTS primitive.
+pub(crate) const KHR_SPLATS: &str = "KHR_gaussian_splatting";
+/// What makes meshes and splats one scene. Unregistered as yet; to rename it, change this constant.
+pub(crate) const HYBRID: &str = "EXT_gaussian_splatting_hybrid";
+/// Core fallback of the mesh material.
+pub(crate) const UNLIT: &str = "KHR_materials_unlit";
+
+/// Name of the node under which the whole scene hangs, and the key of our own `extras`.
+pub(crate) const ROOT_NODE: &str = "centaur_world";
+pub(crate) const EXTRAS: &str = "centaur";
+
+pub(crate) const ROTATION: &str = "KHR_gaussian_splatting:ROTATION";
+pub(crate) const SCALE: &str = "KHR_gaussian_splatting:SCALE";
+pub(crate) const OPACITY: &str = "KHR_gaussian_splatting:OPACITY";
+
+/// Attribute names of SH coefficients 0..(d+1)², in the order of `scene::sh::basis`.
+pub(crate) fn sh_attributes(degree: u32) -> impl Iterator<Item = String> {
+    (0..=degree).flat_map(|l| (0..=2 * l).map(move |m| format!("{KHR_SPLATS}:SH_DEGREE_{l}_COEF_{m}")))
+}
+
+/// `mesh.primitive.extensions.KHR_gaussian_splatting`.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct Khr {
+    pub(crate) kernel: String,
+    pub(crate) color_space: String,
+    #[serde(default, skip_serializing)]
+    pub(crate) extensions: serde_json::Map<String, serde_json::Value>,
+}
+
+/// `scene.extensions.EXT_gaussian_splatting_hybrid`.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct SceneContract {
+    pub(crate) color_space: String,
+    #[serde(default = "view_z")]
+    pub(crate) sort_key: String,
+    #[serde(default = "stable")]
+    pub(crate) mode: String,
+    /// Absent = infinite, which JSON cannot say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) lambda: Option<f32>,
+    #[serde(default = "one")]
+    pub(crate) layers: u32,
+    #[serde(default)]
+    pub(crate) background: [f32; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) near: Option<f32>,
+}
+
+fn view_z() -> String {
+    "viewZ".to_owned()
+}
+
+fn stable() -> String {
+    "stable".to_owned()
+}
+
+fn one() -> u32 {
+    1
+}
+
+/// `material.extensions.EXT_gaussian_splatting_hybrid`.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct Radiance {
+    pub(crate) color_space: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) opacity: Option<OpacityField>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) spherical_harmonics: Option<ShField>,
+}
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct OpacityField {
+    #[serde(flatten)]
+    pub(crate) source: TexelSource,
+    /// Applied after filtering: `none` or `logistic`.
+    #[serde(default = "none")]
+    pub(crate) activation: String,
+}
+
+fn none() -> String {
+    "none".to_owned()
+}
+
+#[derive(Serialize, Deserialize)]
+pub(crate) struct ShField {
+    pub(crate) degree: u32,
+    #[serde(default = "node")]
+    pub(crate) frame: String,
+    pub(crate) coefficients: Vec<TexelSource>,
+}
+
+fn node() -> String {
+    "node".to_owned()
+}
+
+/// A field over UV space: `accessor` with `width` and `height`, or `texture`.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct TexelSource {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) accessor: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) width: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) height: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) sampler: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) texture: Option<TextureRef>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(crate) tex_coord: u32,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(crate) channel: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) offset: Option<Vec<f32>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) scale: Option<Vec<f32>>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct TextureRef {
+    pub(crate) index: usize,
+    #[serde(default)]
+    pub(crate) tex_coord: u32,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_zero(n: &u32) -> bool {
+    *n == 0
+}
+
+/// `mesh.primitive.extensions.EXT_gaussian_splatting_hybrid` of a triangle primitive.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct Surface {
+    /// Accessor: for each glTF vertex, the vertex of the surface (before it was split at UV seams).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) surface_vertices: Option<usize>,
+}
+
+/// `camera.extras.centaur`: what a glTF camera cannot say.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct ExactCamera {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) fx: f64,
+    pub(crate) fy: f64,
+    pub(crate) cx: f64,
+    pub(crate) cy: f64,
+    /// World→camera rotation, row-major; `OpenCV` axes, frame of the capture.
+    pub(crate) rotation: [f64; 9],
+    pub(crate) translation: [f64; 3],
+}
+
+pub(crate) fn color_space_token(space: ColorSpace) -> &'static str {
+    match space {
+        ColorSpace::SrgbDisplay => "srgb_rec709_display",
+        ColorSpace::LinearDisplay => "lin_rec709_display",
+    }
+}
+
+pub(crate) fn parse_color_space(token: &str, at: &str) -> Result<ColorSpace, Fault> {
+    match token {
+        "srgb_rec709_display" => Ok(ColorSpace::SrgbDisplay),
+        "lin_rec709_display" => Ok(ColorSpace::LinearDisplay),
+        _ => Err(Fault::pointer(
+            format!("{at}/colorSpace"),
+            "srgb_rec709_display or lin_rec709_display",
+            format!("`{token}`"),
+        )),
+    }
+}
+
+impl SceneContract {
+    pub(crate) fn new(c: &Composition) -> Self {
+        let mode = match c.mode {
+            OrderMode::Stable => "stable",
+            OrderMode::SurfaceConsistent => "surfaceConsistent",
+            OrderMode::Direct => "direct",
+        };
+        Self {
+            color_space: color_space_token(c.color_space).to_owned(),
+            sort_key: view_z(),
+            mode: mode.to_owned(),
+            lambda: c.lambda.is_finite().then_some(c.lambda),
+            layers: c.layers,
+            background: c.background,
+            near: Some(c.near),
+        }
+    }
+
+    /// `at` is the JSON pointer of this object.
+    pub(crate) fn composition(&self, at: &str) -> Result<Composition, Fault> {
+        let mode = match self.mode.as_str() {
+            "stable" => OrderMode::Stable,
+            "surfaceConsistent" => OrderMode::SurfaceConsistent,
+            "direct" => OrderMode::Direct,
+            other => {
+                let expected = "stable, surfaceConsistent or direct";
+                return Err(Fault::pointer(format!("{at}/mode"), expected, format!("`{other}`")));
+            }
+        };
+        if self.sort_key != "viewZ" {
+            return Err(Fault::pointer(format!("{at}/sortKey"), "viewZ", format!("`{}`", self.sort_key)));
+        }
+        let composition = Composition {
+            mode,
+            lambda: self.lambda.unwrap_or(f32::INFINITY),
+            layers: self.layers,
+            color_space: parse_color_space(&self.color_space, at)?,
+            background: self.background,
+            near: self.near.unwrap_or(Composition::default().near),
+        };
+        composition.validate()?;
+        Ok(composition)
+    }
+}

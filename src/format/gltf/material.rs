@@ -1,0 +1,154 @@
+//! Materials to maps: exact ones from `EXT_gaussian_splatting_hybrid`, else the base colour.
+
+use gltf::material::AlphaMode;
+use serde::Deserialize as _;
+
+use super::extension::{HYBRID, Radiance, TexelSource, parse_color_space};
+use super::image::Texels;
+use super::lift::Asset;
+use crate::format::error::Fault;
+use crate::format::{activation, color};
+use crate::scene::{Atlas, ColorSpace, Texture, sh};
+
+/// Reads the maps of `material`, to be blended in `space`.
+pub(super) fn atlas(
+    asset: &Asset,
+    material: &gltf::Material<'_>,
+    space: ColorSpace,
+    notes: &mut Vec<String>,
+) -> Result<Atlas, Fault> {
+    let at = format!("/materials/{}", material.index().unwrap_or_default());
+    let Some(value) = material.extension_value(HYBRID) else { return base_colour(asset, material, space, &at, notes) };
+    let at = format!("{at}/extensions/{HYBRID}");
+    let radiance = Radiance::deserialize(value)
+        .map_err(|e| Fault::pointer(&at, format!("a material of {HYBRID}"), e.to_string()))?;
+    if parse_color_space(&radiance.color_space, &at)? != space {
+        let at = format!("{at}/colorSpace");
+        return Err(Fault::pointer(at, "the colour space of the scene", format!("`{}`", radiance.color_space)));
+    }
+    let Some(harmonics) = radiance.spherical_harmonics else {
+        return base_colour(asset, material, space, &at, notes);
+    };
+    let at_sh = format!("{at}/sphericalHarmonics");
+    let (degree, found) = (harmonics.degree, harmonics.coefficients.len());
+    if degree > sh::MAX_DEGREE || found != sh::coefficients(degree) {
+        let expected = "(degree+1)² coefficients of degree 0 to 3";
+        return Err(Fault::pointer(&at_sh, expected, format!("{found} of degree {degree}")));
+    }
+    if harmonics.frame != "node" {
+        return Err(Fault::pointer(format!("{at_sh}/frame"), "node", format!("`{}`", harmonics.frame)));
+    }
+    let mut planes = vec![];
+    for (i, source) in harmonics.coefficients.iter().enumerate() {
+        planes.push(plane::<3>(asset, source, &format!("{at_sh}/coefficients/{i}"))?);
+    }
+    let dc = &planes[0];
+    let mut logits =
+        Plane { width: dc.width, height: dc.height, values: vec![[activation::logit(1.0).0]; dc.values.len()] };
+    if let Some(field) = &radiance.opacity {
+        let at = format!("{at}/opacity");
+        logits = plane::<1>(asset, &field.source, &at)?;
+        match field.activation.as_str() {
+            "logistic" => {}
+            "none" => logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0),
+            other => return Err(Fault::pointer(format!("{at}/activation"), "none or logistic", format!("`{other}`"))),
+        }
+        if (logits.width, logits.height) != (dc.width, dc.height) {
+            let found = format!("{}×{}", logits.width, logits.height);
+            return Err(Fault::pointer(at, format!("the size of coefficient 0, {}×{}", dc.width, dc.height), found));
+        }
+    }
+    let texels = dc.values.iter().zip(&logits.values).flat_map(|(c, l)| [c[0], c[1], c[2], l[0]]).collect();
+    let base = Texture::new(dc.width, dc.height, 4, texels)?;
+    let bands = match planes.get(1) {
+        None => None,
+        Some(first) => {
+            let (width, height) = (first.width, first.height);
+            if let Some(other) = planes[1..].iter().find(|p| (p.width, p.height) != (width, height)) {
+                let found = format!("{}×{}", other.width, other.height);
+                return Err(Fault::pointer(at_sh, format!("bands of one size, {width}×{height}"), found));
+            }
+            let texels = (0..first.values.len()).flat_map(|i| planes[1..].iter().flat_map(move |p| p.values[i]));
+            Some(Texture::new(width, height, 3 * (planes.len() - 1) as u32, texels.collect())?)
+        }
+    };
+    Ok(Atlas::new(base, bands)?)
+}
+
+struct Plane<const N: usize> {
+    width: u32,
+    height: u32,
+    values: Vec<[f32; N]>,
+}
+
+/// Values of a texel source with `N` (1 or 3) components: `offset + scale·texel`.
+fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Result<Plane<N>, Fault> {
+    if source.tex_coord != 0 || source.texture.as_ref().is_some_and(|t| t.tex_coord != 0) {
+        return Err(Fault::pointer(at, "texCoord 0", "another"));
+    }
+    let mut plane = match (source.accessor, &source.texture, source.width, source.height) {
+        (Some(accessor), None, Some(width), Some(height)) => {
+            let values = asset.floats::<N>(accessor)?;
+            if values.len() as u64 != u64::from(width) * u64::from(height) {
+                let found = format!("an accessor of {} elements", values.len());
+                return Err(Fault::pointer(at, format!("{width}×{height} texels"), found));
+            }
+            Plane { width, height, values }
+        }
+        (None, Some(texture), ..) => {
+            let Texels { width, height, rgba } = asset.texels(texture.index)?;
+            let first = if N == 1 { source.channel as usize } else { 0 };
+            if first > 3 {
+                return Err(Fault::pointer(format!("{at}/channel"), "0 to 3", first.to_string()));
+            }
+            let values = rgba.iter().map(|t| std::array::from_fn(|c| t[first + c])).collect();
+            Plane { width, height, values }
+        }
+        _ => return Err(Fault::pointer(at, "an accessor with width and height, or a texture", "neither or both")),
+    };
+    let per_channel = |values: &Option<Vec<f32>>, default: f32, name: &str| match values.as_deref() {
+        None => Ok([default; N]),
+        Some([one]) => Ok([*one; N]),
+        Some(all) => <[f32; N]>::try_from(all)
+            .map_err(|_| Fault::pointer(format!("{at}/{name}"), format!("1 or {N} numbers"), all.len().to_string())),
+    };
+    if source.offset.is_some() || source.scale.is_some() {
+        let (offset, scale) = (per_channel(&source.offset, 0.0, "offset")?, per_channel(&source.scale, 1.0, "scale")?);
+        for v in &mut plane.values {
+            *v = std::array::from_fn(|c| offset[c] + scale[c] * v[c]);
+        }
+    }
+    Ok(plane)
+}
+
+/// The core material's base colour as maps of degree 0.
+fn base_colour(
+    asset: &Asset,
+    material: &gltf::Material<'_>,
+    space: ColorSpace,
+    at: &str,
+    notes: &mut Vec<String>,
+) -> Result<Atlas, Fault> {
+    notes.push(format!("{at}: shown by its base colour alone, unlit"));
+    let pbr = material.pbr_metallic_roughness();
+    let factor = pbr.base_color_factor();
+    let texels = match pbr.base_color_texture() {
+        Some(texture) if texture.tex_coord() == 0 => asset.texels(texture.texture().index())?,
+        Some(_) => return Err(Fault::pointer(at, "a base colour texture with texCoord 0", "another")),
+        None => Texels { width: 1, height: 1, rgba: vec![[1.0; 4]] },
+    };
+    let cutoff = material.alpha_cutoff().unwrap_or(0.5);
+    let values = texels.rgba.iter().flat_map(|t| {
+        let linear = [0, 1, 2].map(|c| color::srgb_to_linear(t[c]) * factor[c]);
+        let shown = if space == ColorSpace::SrgbDisplay { linear.map(color::linear_to_srgb) } else { linear };
+        let alpha = t[3] * factor[3];
+        let alpha = match material.alpha_mode() {
+            AlphaMode::Opaque => 1.0,
+            AlphaMode::Mask => f32::from(alpha >= cutoff),
+            AlphaMode::Blend => alpha,
+        };
+        let [r, g, b] = sh::dc_from_rgb(shown);
+        [r, g, b, activation::logit(alpha).0]
+    });
+    Ok(Atlas::new(Texture::new(texels.width, texels.height, 4, values.collect())?, None)?)
+}

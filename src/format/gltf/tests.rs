@@ -1,0 +1,373 @@
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+use glam::{DQuat, DVec3};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+use super::*;
+use crate::format::FormatError;
+use crate::format::test_scenes::{camera, random_mesh, random_scene, random_splats};
+use crate::scene::{Composition, Splats, sh};
+
+fn bytes_of(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.glb");
+    let written = write_glb(&path, scene, cameras, Some(json!({ "psnr": 30.5 }))).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    assert_eq!(written, bytes.len() as u64);
+    bytes
+}
+
+fn read_bytes(bytes: &[u8]) -> Result<GltfScene, String> {
+    let asset = Asset::parse(bytes, PathBuf::new());
+    asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
+}
+
+/// The JSON of a GLB, and the same file with other JSON.
+fn json_of(glb: &[u8]) -> Value {
+    serde_json::from_slice(glb::split(glb).map_err(|_| ()).unwrap().json).unwrap()
+}
+
+fn with_json(glb: &[u8], json: &Value) -> Vec<u8> {
+    let mut bin = glb::split(glb).map_err(|_| ()).unwrap().bin.unwrap_or_default().to_vec();
+    let mut text = json.to_string().into_bytes();
+    let [header, bin_header] = glb::join(&mut text, &mut bin).unwrap();
+    [header, text, bin_header, bin].concat()
+}
+
+fn assert_close(a: &Splats, b: &Splats) {
+    assert_eq!(a.means(), b.means());
+    assert_eq!(a.sh_degree(), b.sh_degree());
+    assert_eq!(a.sh(), b.sh());
+    for i in 0..a.len() {
+        assert!((a.rotations()[i] - b.rotations()[i]).length() < 2.5e-7, "normalised once more");
+        // f32 has 24 bits: e^s and back moves s by 6e-8, plus its own rounding.
+        assert!((a.log_scales()[i] - b.log_scales()[i]).abs().max_element() < 1e-6);
+        let opacity = |s: &Splats| 1.0 / (1.0 + (-f64::from(s.opacity_logits()[i])).exp());
+        assert!((opacity(a) - opacity(b)).abs() <= 1e-6 * opacity(a), "{} {}", opacity(a), opacity(b));
+    }
+}
+
+#[test]
+fn round_trip() {
+    for seed in 0..8 {
+        let scene = random_scene(20, 1 + seed as u32 % 3, seed as u32 % 4, seed);
+        let cameras = vec![("IMG_01.jpg".to_owned(), camera()), ("b".to_owned(), camera().resized(320, 200))];
+        let back = read_bytes(&bytes_of(&scene, &cameras)).unwrap();
+        assert_eq!(back.scene.meshes, scene.meshes, "geometry, UVs and maps bit for bit");
+        assert_eq!(back.scene.composition, scene.composition);
+        assert_close(&scene.splats, &back.scene.splats);
+        assert_eq!(back.notes, Vec::<String>::new());
+        for ((name, camera), (name_back, camera_back)) in cameras.iter().zip(&back.cameras) {
+            assert_eq!((name, camera.intrinsics()), (name_back, camera_back.intrinsics()));
+            // `Camera::new` makes the rotation orthonormal once more.
+            assert!(camera.rotation().abs_diff_eq(camera_back.rotation(), 1e-14));
+            assert_eq!(camera.translation(), camera_back.translation());
+        }
+    }
+}
+
+#[test]
+fn parts_may_be_absent() {
+    for (splats, meshes) in [(0, 0), (0, 1), (3, 0)] {
+        let scene = random_scene(splats, meshes, 0, 2);
+        let bytes = bytes_of(&scene, &[]);
+        let back = read_bytes(&bytes).unwrap().scene;
+        assert_eq!((back.splats.len(), back.meshes.len()), (splats, meshes as usize));
+        let used = json_of(&bytes)["extensionsUsed"].as_array().unwrap().len();
+        assert_eq!(used, 1 + usize::from(splats > 0) + usize::from(meshes > 0));
+    }
+}
+
+#[test]
+fn a_moved_root_moves_everything() {
+    let scene = random_scene(5, 1, 1, 4);
+    let glb = bytes_of(&scene, &[("c".to_owned(), camera())]);
+    let mut json = json_of(&glb);
+    let root = json["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
+    json["nodes"][root]["translation"] = json!([1, 2, 3]);
+    let moved = read_bytes(&with_json(&glb, &json)).unwrap();
+    // In the frame of the capture y and z point the other way.
+    let offset = glam::Vec3::new(1.0, -2.0, -3.0);
+    for (a, b) in scene.splats.means().iter().zip(moved.scene.splats.means()) {
+        assert!((*a + offset - *b).length() < 1e-6);
+    }
+    for (a, b) in scene.meshes[0].positions().iter().zip(moved.scene.meshes[0].positions()) {
+        assert!((*a + offset - *b).length() < 1e-6);
+    }
+    let center = moved.cameras[0].1.center() - camera().center();
+    assert!(center.abs_diff_eq(offset.as_dvec3(), 1e-5), "{center}");
+    assert_eq!(moved.cameras[0].1.intrinsics(), camera().intrinsics());
+}
+
+#[test]
+fn foreign_nodes_turn_splats_and_their_harmonics() {
+    let scene = HybridScene { meshes: vec![], ..random_scene(4, 0, 3, 6) };
+    let glb = bytes_of(&scene, &[]);
+    let mut json = json_of(&glb);
+    let turn = DQuat::from_euler(glam::EulerRot::XYZ, 0.4, 0.5, -0.6);
+    json["nodes"] = json!([{ "mesh": 0, "rotation": turn.to_array(), "scale": [2, 2, 2], "translation": [1, 0, 0] }]);
+    json["scenes"] = json!([{ "nodes": [0] }]);
+    json["extensionsRequired"] = json!(["KHR_gaussian_splatting"]);
+    let back = read_bytes(&with_json(&glb, &json)).unwrap().scene.splats;
+    for i in 0..4 {
+        let mean = turn * (scene.splats.means()[i].as_dvec3() * 2.0) + DVec3::X;
+        assert!(back.means()[i].as_dvec3().abs_diff_eq(mean, 1e-5));
+        let colour = |s: &Splats, d: DVec3| -> f64 {
+            sh::basis(d.to_array()).iter().zip(s.sh_of(i)).map(|(y, c)| y * f64::from(c[0])).sum()
+        };
+        let d = DVec3::new(0.48, 0.6, -0.64);
+        assert!((colour(&scene.splats, d) - colour(&back, turn * d)).abs() < 1e-5);
+        let log_scale = scene.splats.log_scales()[i].x + 2f32.ln();
+        assert!((back.log_scales()[i].x - log_scale).abs() < 2e-6);
+    }
+    json["nodes"][0]["scale"] = json!([1, 1, 2]);
+    let message = read_bytes(&with_json(&glb, &json)).unwrap_err();
+    assert_eq!(
+        message,
+        "f: /nodes/0: expected a rotation, a translation and an even, positive scale above splats, found another transform"
+    );
+}
+
+#[test]
+fn extreme_opacities_and_scales_stay_finite() {
+    let one = random_splats(1, 0, 1);
+    let extreme = |logit: f32, log_scale: f32| {
+        let scales = vec![glam::Vec3::splat(log_scale)];
+        Splats::new(one.means().to_vec(), one.rotations().to_vec(), scales, vec![logit], 0, one.sh().to_vec()).unwrap()
+    };
+    for (logit, log_scale) in [(200.0, 200.0), (-200.0, -200.0)] {
+        let scene =
+            HybridScene { splats: extreme(logit, log_scale), meshes: vec![], composition: Composition::default() };
+        let back = read_bytes(&bytes_of(&scene, &[])).unwrap();
+        assert!(back.notes.is_empty());
+        assert_eq!(back.scene.splats.opacity_logits()[0].signum(), logit.signum());
+    }
+}
+
+#[test]
+fn plain_materials_become_maps() {
+    let scene = random_scene(0, 1, 2, 4);
+    let glb = bytes_of(&scene, &[]);
+    let mut json = json_of(&glb);
+    json["materials"][0]["extensions"] = json!({ "KHR_materials_unlit": {} });
+    let back = read_bytes(&with_json(&glb, &json)).unwrap();
+    assert_eq!(back.notes.len(), 1);
+    let (maps, preview) = (scene.meshes[0].atlas().base(), back.scene.meshes[0].atlas().base());
+    assert_eq!((maps.width(), maps.height()), (preview.width(), preview.height()));
+    for (exact, shown) in maps.texels().chunks_exact(4).zip(preview.texels().chunks_exact(4)) {
+        let rgb = |t: &[f32]| sh::rgb_from_dc([t[0], t[1], t[2]]).map(|c| c.clamp(0.0, 1.0));
+        let alpha = |t: &[f32]| 1.0 / (1.0 + (-t[3]).exp());
+        // Half a step of 8 bits.
+        assert!(rgb(exact).iter().zip(rgb(shown)).all(|(a, b)| (a - b).abs() < 0.502 / 255.0));
+        assert!((alpha(exact) - alpha(shown)).abs() < 0.502 / 255.0);
+    }
+}
+
+#[test]
+fn fallback_colour_is_linear_light() {
+    let glb = bytes_of(&random_scene(9, 0, 0, 2), &[]);
+    let asset = Asset::parse(&glb, PathBuf::new()).map_err(|_| ()).unwrap();
+    let attributes = &asset.attributes[&(0, 0)];
+    let colours = asset.floats::<4>(attributes["COLOR_0"]).map_err(|_| ()).unwrap();
+    let dc = asset.floats::<3>(attributes["KHR_gaussian_splatting:SH_DEGREE_0_COEF_0"]).map_err(|_| ()).unwrap();
+    for (colour, dc) in colours.iter().zip(dc) {
+        let shown = (0.5 + 0.282_095 * dc[1]).clamp(0.0, 1.0);
+        let linear = if shown <= 0.04045 { shown / 12.92 } else { ((shown + 0.055) / 1.055).powf(2.4) };
+        assert!((colour[1] - linear).abs() < 1e-5, "a step of 16 bits");
+    }
+}
+
+/// Validates every object of the document that has a schema; returns how many there were and what is wrong.
+fn validate(document: &Value) -> (usize, Vec<String>) {
+    // What our schemas use of core glTF, and what KHR_gaussian_splatting demands of its object.
+    let core = json!({
+        "mesh.primitive.KHR_gaussian_splatting.schema.json": {
+            "type": "object",
+            "required": ["colorSpace", "kernel"],
+            "properties": {
+                "kernel": { "const": "ellipse" },
+                "colorSpace": { "enum": ["srgb_rec709_display", "lin_rec709_display"] },
+            },
+        },
+        "glTFProperty.schema.json": { "type": "object", "properties": { "extensions": { "type": "object" } } },
+        "glTFChildOfRootProperty.schema.json": { "type": "object", "properties": { "name": { "type": "string" } } },
+        "glTFid.schema.json": { "type": "integer", "minimum": 0 },
+        "textureInfo.schema.json": { "type": "object", "required": ["index"] },
+    });
+    let mut schemas: HashMap<String, Value> = core.as_object().unwrap().clone().into_iter().collect();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("schema/EXT_gaussian_splatting_hybrid/schema");
+    for entry in folder.read_dir().unwrap() {
+        let path = entry.unwrap().path();
+        let schema = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        schemas.insert(path.file_name().unwrap().to_str().unwrap().to_owned(), schema);
+    }
+    let base = "json-schema:///";
+    let resources: Vec<(String, jsonschema::Resource)> = schemas
+        .iter()
+        .map(|(name, schema)| {
+            let mut schema = schema.clone();
+            schema["$id"] = json!(format!("{base}{name}"));
+            schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
+            (format!("{base}{name}"), jsonschema::Resource::from_contents(schema))
+        })
+        .collect();
+    let registry = jsonschema::Registry::new().extend(resources).unwrap().prepare().unwrap();
+    let (mut checked, mut faults) = (0, vec![]);
+    let mut check = |name: String, value: &Value| {
+        let schema =
+            json!({ "$schema": "https://json-schema.org/draft/2020-12/schema", "$ref": format!("{base}{name}") });
+        let validator = jsonschema::options().with_registry(&registry).build(&schema).unwrap();
+        checked += 1;
+        faults.extend(validator.iter_errors(value).map(|e| format!("{name}{}: {e}", e.instance_path())));
+    };
+    let hybrid = extension::HYBRID;
+    let objects = |key: &str| document[key].as_array().cloned().unwrap_or_default();
+    for (kind, array) in [("scene", objects("scenes")), ("material", objects("materials"))] {
+        for object in array {
+            if let Some(value) = object.pointer(&format!("/extensions/{hybrid}")) {
+                check(format!("{kind}.{hybrid}.schema.json"), value);
+            }
+        }
+    }
+    for primitive in objects("meshes").iter().flat_map(|m| m["primitives"].as_array().unwrap()) {
+        for name in [hybrid, extension::KHR_SPLATS] {
+            if let Some(value) = primitive.pointer(&format!("/extensions/{name}")) {
+                check(format!("mesh.primitive.{name}.schema.json"), value);
+            }
+        }
+    }
+    (checked, faults)
+}
+
+#[test]
+fn written_json_satisfies_the_schemas() {
+    let document = json_of(&bytes_of(&random_scene(3, 2, 3, 1), &[]));
+    let (checked, faults) = validate(&document);
+    assert_eq!((checked, faults), (1 + 2 + 2 + 1, vec![]), "a scene, two materials, two surfaces, the splats");
+
+    let mut bad = document;
+    bad["scenes"][0]["extensions"][extension::HYBRID]["lambda"] = json!(-1);
+    let material = &mut bad["materials"][0]["extensions"][extension::HYBRID];
+    material["opacity"]["width"] = json!(0);
+    material["sphericalHarmonics"]["coefficients"][0].as_object_mut().unwrap().remove("accessor");
+    assert_eq!(validate(&bad).1.len(), 3, "{:?}", validate(&bad).1);
+}
+
+#[test]
+fn messages_name_file_place_expected_and_found() {
+    let glb = bytes_of(&random_scene(3, 1, 0, 1), &[]);
+    let json = json_of(&glb);
+    let message = |pointer: &str, value: Value| {
+        let mut json = json.clone();
+        *json.pointer_mut(pointer).unwrap() = value;
+        read_bytes(&with_json(&glb, &json)).unwrap_err()
+    };
+    let message_of = read_bytes(&glb[..glb.len() - 8]).unwrap_err();
+    assert_eq!(message_of, format!("f: byte 8: expected a file of {} bytes, found {} bytes", glb.len(), glb.len() - 8));
+    let khr = "/meshes/1/primitives/0/extensions/KHR_gaussian_splatting";
+    assert_eq!(
+        message(&format!("{khr}/kernel"), json!("cube")),
+        format!("f: {khr}/kernel: expected ellipse, found `cube`")
+    );
+    assert!(message("/extensionsUsed", json!(3)).contains("glTF 2.0 JSON"));
+    assert!(
+        message("/accessors/0/count", json!(1_000_000_000))
+            .contains("/accessors/0/count: expected 1000000000 elements")
+    );
+    assert!(message("/meshes/0/primitives/0/attributes/POSITION", json!(99)).contains("expected an accessor below"));
+    let mut required = json.clone();
+    required["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
+    assert!(read_bytes(&with_json(&glb, &required)).unwrap_err().contains("found `KHR_draco_mesh_compression`"));
+    assert!(read_bytes(b"{ \"asset\": ").unwrap_err().starts_with("f: byte 11: expected glTF JSON"));
+    let missing = read(Path::new("/nonexistent/scene.glb")).unwrap_err();
+    assert!(matches!(missing, FormatError::Read { .. }), "{missing}");
+}
+
+#[test]
+fn text_gltf_with_a_data_uri_and_with_an_external_buffer() {
+    let scene = random_scene(3, 1, 1, 3);
+    let glb = bytes_of(&scene, &[]);
+    let mut json = json_of(&glb);
+    let bin = glb::split(&glb).map_err(|_| ()).unwrap().bin.unwrap().to_vec();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("scene data.bin"), bin).unwrap();
+    json["buffers"][0]["uri"] = json!("scene%20data.bin");
+    let path = folder.path().join("scene.gltf");
+    std::fs::write(&path, json.to_string()).unwrap();
+    assert_eq!(read(&path).unwrap().scene.meshes, scene.meshes);
+    json["buffers"][0]["uri"] = json!("../scene.bin");
+    std::fs::write(&path, json.to_string()).unwrap();
+    assert!(read(&path).unwrap_err().to_string().contains("/buffers/0/uri: expected a path inside the folder"));
+    json["buffers"][0]["uri"] = json!("data:application/octet-stream;base64,AAAA");
+    std::fs::write(&path, json.to_string()).unwrap();
+    assert!(read(&path).unwrap_err().to_string().contains("found 3 bytes"));
+}
+
+#[test]
+fn import_undoes_the_frame_and_the_seams() {
+    let mesh = random_mesh(0, 3);
+    let scene =
+        HybridScene { splats: Splats::empty(0), meshes: vec![mesh.clone()], composition: Composition::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.glb");
+    write_glb(&path, &scene, &[], None).unwrap();
+    let imported = crate::format::mesh_import::read(&path).unwrap();
+    assert_eq!(imported.corner_uvs.unwrap(), mesh.corner_uvs());
+    assert_eq!(imported.positions.len(), 4, "of six, one is of no triangle and two are in one place");
+    for (a, b) in imported.triangles.iter().zip(mesh.triangles()) {
+        assert_eq!(a.map(|v| imported.positions[v as usize]), b.map(|v| mesh.positions()[v as usize]));
+    }
+}
+
+/// All places in a document that hold something else than an object or array.
+fn leaves(value: &Value, pointer: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Object(map) => map.iter().for_each(|(k, v)| leaves(v, &format!("{pointer}/{k}"), found)),
+        Value::Array(array) => array.iter().enumerate().for_each(|(i, v)| leaves(v, &format!("{pointer}/{i}"), found)),
+        _ => found.push(pointer.to_owned()),
+    }
+}
+
+fn fuzzed_values() -> impl Strategy<Value = Value> {
+    prop_oneof![
+        any::<u8>().prop_map(|n| json!(n)),
+        any::<u64>().prop_map(|n| json!(n)),
+        any::<f64>().prop_map(|n| json!(n)),
+        Just(json!(null)),
+        Just(json!("")),
+        Just(json!([])),
+        Just(json!({})),
+        Just(json!(-1)),
+        Just(json!(u32::MAX)),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(600))]
+    #[test]
+    fn damaged_json_does_not_panic(at: prop::sample::Index, value in fuzzed_values()) {
+        let glb = bytes_of(&random_scene(2, 1, 1, 1), &[("c".to_owned(), camera())]);
+        let mut json = json_of(&glb);
+        let mut found = vec![];
+        leaves(&json, "", &mut found);
+        let pointer: &String = at.get(&found);
+        *json.pointer_mut(pointer).unwrap() = value;
+        let damaged = with_json(&glb, &json);
+        let _ = read_bytes(&damaged);
+        if let Ok(asset) = Asset::parse(&damaged, PathBuf::new()) {
+            let _ = bytes_by_part(&asset, 0);
+        }
+    }
+
+    #[test]
+    fn damaged_bytes_do_not_panic(cut: prop::sample::Index, at: prop::sample::Index, byte: u8) {
+        let mut glb = bytes_of(&random_scene(2, 1, 0, 1), &[]);
+        let at = at.index(glb.len());
+        glb[at] = byte;
+        let _ = read_bytes(&glb);
+        glb.truncate(cut.index(glb.len()));
+        prop_assert!(read_bytes(&glb).is_err());
+    }
+}

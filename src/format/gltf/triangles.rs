@@ -1,0 +1,67 @@
+//! Triangle primitives: geometry as glTF stores it, in the frame of `placements`.
+
+use glam::{DMat4, Vec2, Vec3};
+use gltf::mesh::Mode;
+
+use super::lift::Asset;
+use crate::format::error::Fault;
+
+/// Geometry of one primitive at one node.
+pub(in crate::format) struct Triangles {
+    pub(in crate::format) positions: Vec<Vec3>,
+    pub(in crate::format) triangles: Vec<[u32; 3]>,
+    /// `TEXCOORD_0` of each vertex.
+    pub(in crate::format) uvs: Option<Vec<Vec2>>,
+}
+
+/// Reads `primitive`; `None` if it has no triangles.
+pub(in crate::format) fn read(
+    asset: &Asset,
+    mesh: usize,
+    primitive: &gltf::Primitive<'_>,
+    transform: DMat4,
+) -> Result<Option<Triangles>, Fault> {
+    let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
+    let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
+    let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
+    let mut positions: Vec<Vec3> = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
+    if transform != DMat4::IDENTITY {
+        for p in &mut positions {
+            *p = transform.transform_point3(p.as_dvec3()).as_vec3();
+        }
+    }
+    let count = u32::try_from(positions.len())
+        .map_err(|_| Fault::pointer(&at, "fewer than 2³² vertices", positions.len().to_string()))?;
+    let indices = match primitive.indices() {
+        Some(accessor) => asset.indices(accessor.index())?,
+        None => (0..count).collect(),
+    };
+    if let Some(bad) = indices.iter().find(|&&i| i >= count) {
+        return Err(Fault::pointer(format!("{at}/indices"), format!("indices below {count}"), bad.to_string()));
+    }
+    let mut triangles: Vec<[u32; 3]> = match primitive.mode() {
+        // Every second triangle of a strip is wound the other way.
+        Mode::TriangleStrip => indices
+            .windows(3)
+            .enumerate()
+            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[1], w[0], w[2]] })
+            .collect(),
+        Mode::TriangleFan => indices.windows(2).skip(1).map(|w| [indices[0], w[0], w[1]]).collect(),
+        _ => indices.as_chunks().0.to_vec(),
+    };
+    if transform.determinant() < 0.0 {
+        triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    }
+    let uvs = match primitive.get(&gltf::Semantic::TexCoords(0)) {
+        Some(accessor) => Some(asset.floats::<2>(accessor.index())?.into_iter().map(Vec2::from).collect::<Vec<_>>()),
+        None => None,
+    };
+    if let Some(found) = uvs.as_ref().map(Vec::len).filter(|&n| n != positions.len()) {
+        return Err(Fault::pointer(
+            format!("{at}/attributes/TEXCOORD_0"),
+            format!("{count} elements"),
+            found.to_string(),
+        ));
+    }
+    Ok(Some(Triangles { positions, triangles, uvs }))
+}

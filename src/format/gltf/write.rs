@@ -1,0 +1,364 @@
+//! Lays a hybrid scene out as JSON and one binary chunk.
+
+use std::collections::HashMap;
+use std::io::Write as _;
+use std::path::Path;
+
+use glam::{DMat3, DQuat, Vec2, Vec3};
+use image::ImageEncoder as _;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use serde_json::{Value, json};
+
+use super::extension::{
+    EXTRAS, ExactCamera, HYBRID, KHR_SPLATS, Khr, OPACITY, OpacityField, ROOT_NODE, ROTATION, Radiance, SCALE,
+    SceneContract, ShField, Surface, TexelSource, UNLIT, color_space_token, sh_attributes,
+};
+use super::glb;
+use crate::format::color;
+use crate::format::error::{Fault, FormatError};
+use crate::format::{activation, atomic_write_with};
+use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, sh};
+
+const FLOAT: u32 = 5126;
+const UNSIGNED_SHORT: u32 = 5123;
+const UNSIGNED_INT: u32 = 5125;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+
+pub(super) fn write(
+    path: &Path,
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+    extras: Option<Value>,
+) -> Result<u64, FormatError> {
+    let mut out = Layout::default();
+    let space = scene.composition.color_space;
+    let mut children = vec![];
+    for (i, mesh) in scene.meshes.iter().enumerate() {
+        let index = out.mesh(mesh, space);
+        children.push(out.node(json!({ "name": format!("mesh_{i}"), "mesh": index })));
+    }
+    if !scene.splats.is_empty() {
+        let index = out.splats(&scene.splats, space);
+        children.push(out.node(json!({ "name": "splats", "mesh": index })));
+    }
+    for (name, camera) in cameras {
+        children.push(out.camera(name, camera, scene.composition.near));
+    }
+    let mut root = json!({
+        "name": ROOT_NODE,
+        // Half a turn about x: the capture's y-down world shows upright in y-up viewers. Data below stay as they are.
+        "rotation": [1, 0, 0, 0],
+        "extras": { EXTRAS: { "frame": "capture" } },
+    });
+    if !children.is_empty() {
+        root["children"] = json!(children);
+    }
+    let root = out.node(root);
+    let contract = json!({ HYBRID: SceneContract::new(&scene.composition) });
+    let scenes = json!([{ "nodes": [root], "extensions": contract }]);
+
+    let (document, mut bin) = out.finish(&scenes, extras, scene);
+    let mut text = document.to_string().into_bytes();
+    let headers = glb::join(&mut text, &mut bin);
+    let [header, bin_header] = headers.ok_or_else(|| {
+        Fault::whole("a scene that fits into a GLB of 4 GiB", format!("{} bytes", bin.len())).in_file(path)
+    })?;
+    atomic_write_with(path, |file| [&header, &text, &bin_header, &bin].iter().try_for_each(|part| file.write_all(part)))
+}
+
+/// The document under construction: its arrays, and the binary chunk that they point into.
+#[derive(Default)]
+struct Layout {
+    nodes: Vec<Value>,
+    meshes: Vec<Value>,
+    materials: Vec<Value>,
+    cameras: Vec<Value>,
+    images: Vec<Value>,
+    accessors: Vec<Value>,
+    views: Vec<Value>,
+    bin: Vec<u8>,
+}
+
+impl Layout {
+    fn node(&mut self, node: Value) -> usize {
+        self.nodes.push(node);
+        self.nodes.len() - 1
+    }
+
+    /// A buffer view of everything that `fill` appends, aligned to 4 bytes.
+    fn view(&mut self, target: Option<u32>, fill: impl FnOnce(&mut Vec<u8>)) -> usize {
+        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
+        let start = self.bin.len();
+        fill(&mut self.bin);
+        let mut view = json!({ "buffer": 0, "byteOffset": start, "byteLength": self.bin.len() - start });
+        if let Some(target) = target {
+            view["target"] = json!(target);
+        }
+        self.views.push(view);
+        self.views.len() - 1
+    }
+
+    fn accessor(&mut self, view: usize, component: u32, kind: &str, count: usize) -> usize {
+        self.accessors.push(json!({ "bufferView": view, "componentType": component, "type": kind, "count": count }));
+        self.accessors.len() - 1
+    }
+
+    fn floats(&mut self, target: Option<u32>, kind: &str, count: usize, values: impl Iterator<Item = f32>) -> usize {
+        let view = self.view(target, |bin| values.for_each(|v| bin.extend_from_slice(&v.to_le_bytes())));
+        self.accessor(view, FLOAT, kind, count)
+    }
+
+    /// A vertex attribute.
+    fn attribute<const N: usize>(&mut self, values: impl ExactSizeIterator<Item = [f32; N]>) -> usize {
+        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1];
+        let count = values.len();
+        self.floats(Some(ARRAY_BUFFER), kind, count, values.flatten())
+    }
+
+    /// POSITION, with the bounds that glTF demands.
+    fn positions(&mut self, positions: &[Vec3]) -> usize {
+        let index = self.attribute(positions.iter().map(Vec3::to_array));
+        let low = positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
+        let high = positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
+        self.accessors[index]["min"] = json!(low.to_array());
+        self.accessors[index]["max"] = json!(high.to_array());
+        index
+    }
+
+    fn splats(&mut self, splats: &Splats, space: ColorSpace) -> usize {
+        let n = splats.len();
+        let mut attributes = serde_json::Map::new();
+        let mut add = |name: &str, accessor: usize| attributes.insert(name.to_owned(), json!(accessor));
+        add("POSITION", self.positions(splats.means()));
+        add(ROTATION, self.attribute(splats.rotations().iter().map(glam::Quat::to_array)));
+        add(SCALE, self.attribute(splats.log_scales().iter().map(|s| s.to_array().map(activation::scale))));
+        let opacity = |i: usize| activation::opacity(splats.opacity_logits()[i]);
+        add(OPACITY, self.attribute((0..n).map(|i| [opacity(i)])));
+        for (k, name) in sh_attributes(splats.sh_degree()).enumerate() {
+            add(&name, self.attribute((0..n).map(|i| splats.sh_of(i)[k])));
+        }
+        // What a viewer without the extension shows. COLOR_0 is linear light whatever the splats are.
+        let color_view = self.view(Some(ARRAY_BUFFER), |bin| {
+            for i in 0..n {
+                let rgb = sh::rgb_from_dc(splats.sh_of(i)[0]).map(|c| c.clamp(0.0, 1.0));
+                let linear = if space == ColorSpace::SrgbDisplay { rgb.map(color::srgb_to_linear) } else { rgb };
+                for c in linear.into_iter().chain([opacity(i)]) {
+                    bin.extend_from_slice(&((c * 65535.0).round() as u16).to_le_bytes());
+                }
+            }
+        });
+        let color = self.accessor(color_view, UNSIGNED_SHORT, "VEC4", n);
+        self.accessors[color]["normalized"] = json!(true);
+        add("COLOR_0", color);
+
+        let khr = Khr {
+            kernel: "ellipse".to_owned(),
+            color_space: color_space_token(space).to_owned(),
+            extensions: serde_json::Map::new(),
+        };
+        self.meshes.push(json!({
+            "name": "splats",
+            "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { KHR_SPLATS: khr } }],
+        }));
+        self.meshes.len() - 1
+    }
+
+    fn mesh(&mut self, mesh: &Mesh, space: ColorSpace) -> usize {
+        let split = split_at_seams(mesh);
+        let positions: Vec<Vec3> = split.surface_vertices.iter().map(|&v| mesh.positions()[v as usize]).collect();
+        let mut attributes = serde_json::Map::new();
+        attributes.insert("POSITION".to_owned(), json!(self.positions(&positions)));
+        let uvs = self.attribute(split.uvs.iter().map(Vec2::to_array));
+        attributes.insert("TEXCOORD_0".to_owned(), json!(uvs));
+        let mut integers = |target: Option<u32>, values: &[u32]| {
+            let view = self.view(target, |bin| values.iter().for_each(|v| bin.extend_from_slice(&v.to_le_bytes())));
+            self.accessor(view, UNSIGNED_INT, "SCALAR", values.len())
+        };
+        let indices = integers(Some(ELEMENT_ARRAY_BUFFER), split.triangles.as_flattened());
+        let surface = Surface { surface_vertices: Some(integers(None, &split.surface_vertices)) };
+        let material = self.material(mesh.atlas(), space);
+        let index = self.meshes.len();
+        self.meshes.push(json!({
+            "name": format!("mesh_{index}"),
+            "primitives": [{
+                "attributes": attributes,
+                "indices": indices,
+                "material": material,
+                "extensions": { HYBRID: surface },
+            }],
+        }));
+        index
+    }
+
+    fn material(&mut self, atlas: &Atlas, space: ColorSpace) -> usize {
+        let base = atlas.base();
+        let view = self.view(None, |bin| preview_png(atlas, space, bin));
+        self.images.push(json!({ "bufferView": view, "mimeType": "image/png" }));
+        // Image i is texture i; all textures share the one sampler.
+        let texture = self.images.len() - 1;
+
+        let plane = |out: &mut Self, width: u32, height: u32, kind: &str, values: &mut dyn Iterator<Item = f32>| {
+            let accessor = out.floats(None, kind, width as usize * height as usize, values);
+            let sampler = Some(0);
+            TexelSource {
+                accessor: Some(accessor),
+                width: Some(width),
+                height: Some(height),
+                sampler,
+                ..TexelSource::default()
+            }
+        };
+        let (w, h) = (base.width(), base.height());
+        let texels = || base.texels().chunks_exact(4);
+        let mut coefficients = vec![plane(self, w, h, "VEC3", &mut texels().flat_map(|t| [t[0], t[1], t[2]]))];
+        let logits = plane(self, w, h, "SCALAR", &mut texels().map(|t| t[3]));
+        if let Some(bands) = atlas.bands() {
+            let channels = bands.channels() as usize;
+            for first in (0..channels).step_by(3) {
+                let mut rgb =
+                    bands.texels().chunks_exact(channels).flat_map(|t| [t[first], t[first + 1], t[first + 2]]);
+                coefficients.push(plane(self, bands.width(), bands.height(), "VEC3", &mut rgb));
+            }
+        }
+        let radiance = Radiance {
+            color_space: color_space_token(space).to_owned(),
+            opacity: Some(OpacityField { source: logits, activation: "logistic".to_owned() }),
+            spherical_harmonics: Some(ShField { degree: atlas.sh_degree(), frame: "node".to_owned(), coefficients }),
+        };
+        self.materials.push(json!({
+            "alphaMode": "BLEND",
+            "doubleSided": true,
+            "pbrMetallicRoughness": {
+                "baseColorTexture": { "index": texture },
+                "metallicFactor": 0,
+                "roughnessFactor": 1,
+            },
+            "extensions": { UNLIT: {}, HYBRID: radiance },
+        }));
+        self.materials.len() - 1
+    }
+
+    /// A camera and its node; returns the node.
+    fn camera(&mut self, name: &str, camera: &Camera, near: f32) -> usize {
+        let k = camera.intrinsics();
+        let exact = ExactCamera {
+            width: k.width,
+            height: k.height,
+            fx: k.fx,
+            fy: k.fy,
+            cx: k.cx,
+            cy: k.cy,
+            rotation: camera.rotation().transpose().to_cols_array(),
+            translation: camera.translation().to_array(),
+        };
+        let (width, height) = (f64::from(k.width), f64::from(k.height));
+        self.cameras.push(json!({
+            "name": name,
+            "type": "perspective",
+            "perspective": {
+                "yfov": 2.0 * (height / (2.0 * k.fy)).atan(),
+                "aspectRatio": (width * k.fy) / (height * k.fx),
+                "znear": near,
+            },
+            "extras": { EXTRAS: exact },
+        }));
+        let index = self.cameras.len() - 1;
+        // glTF cameras look along −z with y up; ours along +z with y down.
+        let to_world = camera.rotation().transpose() * DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, -1.0));
+        let rotation = DQuat::from_mat3(&to_world).normalize();
+        let translation = camera.center().to_array();
+        self.node(json!({
+            "name": name,
+            "camera": index,
+            "rotation": rotation.to_array(),
+            "translation": translation,
+        }))
+    }
+
+    /// The whole document and the binary chunk. glTF forbids empty arrays, so they are left out.
+    fn finish(self, scenes: &Value, extras: Option<Value>, scene: &HybridScene) -> (Value, Vec<u8>) {
+        let mut used = vec![HYBRID];
+        if !scene.splats.is_empty() {
+            used.push(KHR_SPLATS);
+        }
+        if !scene.meshes.is_empty() {
+            used.push(UNLIT);
+        }
+        let mut asset = json!({ "version": "2.0", "generator": concat!("Centaur ", env!("CARGO_PKG_VERSION")) });
+        if let Some(extras) = extras {
+            asset["extras"] = json!({ EXTRAS: extras });
+        }
+        let mut document = json!({ "asset": asset, "extensionsUsed": used, "scene": 0, "scenes": scenes });
+        let textures: Vec<Value> = (0..self.images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
+        if !textures.is_empty() {
+            // Trilinear, clamped: how the maps were optimised (METHODS 4.3).
+            document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
+        }
+        let arrays = [
+            ("nodes", self.nodes),
+            ("meshes", self.meshes),
+            ("materials", self.materials),
+            ("textures", textures),
+            ("images", self.images),
+            ("cameras", self.cameras),
+            ("accessors", self.accessors),
+            ("bufferViews", self.views),
+        ];
+        for (name, array) in arrays.into_iter().filter(|(_, array)| !array.is_empty()) {
+            document[name] = Value::Array(array);
+        }
+        if !self.bin.is_empty() {
+            document["buffers"] = json!([{ "byteLength": self.bin.len() }]);
+        }
+        (document, self.bin)
+    }
+}
+
+/// A mesh with one UV per vertex.
+struct Split {
+    /// Vertex of the surface behind each glTF vertex. The first V are the surface's own, in order; copies follow.
+    surface_vertices: Vec<u32>,
+    uvs: Vec<Vec2>,
+    triangles: Vec<[u32; 3]>,
+}
+
+fn split_at_seams(mesh: &Mesh) -> Split {
+    let own = mesh.positions().len();
+    let mut surface_vertices: Vec<u32> = (0..own as u32).collect();
+    let mut uvs: Vec<Option<Vec2>> = vec![None; own];
+    let mut copies: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
+    let mut triangles = Vec::with_capacity(mesh.triangles().len());
+    let bits = |uv: Vec2| uv.to_array().map(f32::to_bits);
+    for (triangle, corners) in mesh.triangles().iter().zip(mesh.corner_uvs()) {
+        let mut split = *triangle;
+        for (vertex, &uv) in split.iter_mut().zip(corners) {
+            let first = *uvs[*vertex as usize].get_or_insert(uv);
+            if bits(first) != bits(uv) {
+                *vertex = *copies.entry((*vertex, bits(uv))).or_insert_with(|| {
+                    surface_vertices.push(*vertex);
+                    uvs.push(Some(uv));
+                    (uvs.len() - 1) as u32
+                });
+            }
+        }
+        triangles.push(split);
+    }
+    Split { surface_vertices, uvs: uvs.into_iter().map(Option::unwrap_or_default).collect(), triangles }
+}
+
+/// RGBA8 of what the maps show without view dependence: sRGB-encoded DC colour, linear opacity.
+fn preview_png(atlas: &Atlas, space: ColorSpace, bin: &mut Vec<u8>) {
+    let base = atlas.base();
+    let to_byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+    let mut rgba = Vec::with_capacity(base.texels().len());
+    for t in base.texels().chunks_exact(4) {
+        let rgb = sh::rgb_from_dc([t[0], t[1], t[2]]);
+        let shown = if space == ColorSpace::LinearDisplay { rgb.map(color::linear_to_srgb) } else { rgb };
+        rgba.extend(shown.map(to_byte));
+        rgba.push(to_byte(activation::opacity(t[3])));
+    }
+    PngEncoder::new_with_quality(bin, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(&rgba, base.width(), base.height(), image::ExtendedColorType::Rgba8)
+        .expect("encoding into memory, with a buffer of the declared size, cannot fail");
+}

@@ -1,0 +1,209 @@
+//! What is in a file, for people and for scripts.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::Path;
+
+use glam::Vec3;
+use serde::Serialize;
+
+use super::gltf::{Asset, bytes_by_part, scene_of};
+use super::{FormatError, Kind, kind, ply};
+use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats};
+
+/// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Path as given.
+    pub file: String,
+    /// `glTF` or `INRIA PLY`.
+    pub format: &'static str,
+    /// Length of the file.
+    pub bytes: u64,
+    /// Where the bytes go: part → bytes.
+    pub bytes_by_part: BTreeMap<&'static str, u64>,
+    /// Optimised floats (METHODS 8).
+    pub total_floats: usize,
+    /// The splats, if any.
+    pub splats: Option<SplatSummary>,
+    /// The meshes.
+    pub meshes: Vec<MeshSummary>,
+    /// Number of cameras.
+    pub cameras: usize,
+    /// How it is blended; `None` where the format cannot say.
+    pub composition: Option<CompositionSummary>,
+    /// `extensionsUsed`.
+    pub extensions_used: Vec<String>,
+    /// `extensionsRequired`.
+    pub extensions_required: Vec<String>,
+    /// What Centaur cannot take over exactly.
+    pub warnings: Vec<String>,
+}
+
+/// Splats in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SplatSummary {
+    /// How many.
+    pub count: usize,
+    /// SH degree, 0 to 3.
+    pub sh_degree: u32,
+    /// Lowest and highest mean, in scene units.
+    pub bounds: [[f32; 3]; 2],
+}
+
+/// A mesh in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MeshSummary {
+    /// Vertices of the surface, seams not counted.
+    pub vertices: usize,
+    /// Triangles.
+    pub triangles: usize,
+    /// Lowest and highest vertex, in scene units.
+    pub bounds: [[f32; 3]; 2],
+    /// Width and height of the map of SH coefficient 0 and opacity.
+    pub base_texels: [u32; 2],
+    /// Width and height of the maps of the higher bands.
+    pub band_texels: Option<[u32; 2]>,
+    /// SH degree of its colour, 0 to 3.
+    pub sh_degree: u32,
+}
+
+/// The rule of blending.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CompositionSummary {
+    /// `stable`, `surface_consistent` or `direct`.
+    pub mode: &'static str,
+    /// λ in scene units; `None` is infinite.
+    pub lambda: Option<f32>,
+    /// Mesh layers per pixel.
+    pub layers: u32,
+    /// `srgb_rec709_display` or `lin_rec709_display`.
+    pub color_space: &'static str,
+    /// RGB behind everything.
+    pub background: [f32; 3],
+    /// Nearest depth drawn.
+    pub near: f32,
+}
+
+/// Reads a file and sums it up.
+///
+/// # Errors
+/// As [`super::read_scene`].
+pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
+    let bytes = std::fs::metadata(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })?.len();
+    match kind(path)? {
+        Kind::Gltf => {
+            let asset = Asset::open(path)?;
+            let content = scene_of(&asset).map_err(|fault| fault.in_file(path))?;
+            Ok(Summary {
+                format: "glTF",
+                cameras: content.cameras.len(),
+                composition: Some(composition(&content.scene.composition)),
+                bytes_by_part: bytes_by_part(&asset, bytes),
+                warnings: content.notes,
+                extensions_used: asset.extensions_used,
+                extensions_required: asset.extensions_required,
+                ..summary(path, bytes, &content.scene)
+            })
+        }
+        Kind::Ply => {
+            let splats = ply::read(path)?;
+            Ok(summary(path, bytes, &HybridScene { splats, meshes: vec![], composition: Composition::default() }))
+        }
+    }
+}
+
+fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
+    Summary {
+        file: path.display().to_string(),
+        format: "INRIA PLY",
+        bytes,
+        bytes_by_part: BTreeMap::from([("splats", bytes)]),
+        total_floats: scene.total_floats(),
+        splats: (!scene.splats.is_empty()).then(|| splats(&scene.splats)),
+        meshes: scene.meshes.iter().map(mesh).collect(),
+        cameras: 0,
+        composition: None,
+        extensions_used: vec![],
+        extensions_required: vec![],
+        warnings: vec![],
+    }
+}
+
+fn bounds(points: &[Vec3]) -> [[f32; 3]; 2] {
+    let corner = |pick: fn(Vec3, Vec3) -> Vec3| points.iter().copied().reduce(pick).unwrap_or_default().to_array();
+    [corner(Vec3::min), corner(Vec3::max)]
+}
+
+fn splats(splats: &Splats) -> SplatSummary {
+    SplatSummary { count: splats.len(), sh_degree: splats.sh_degree(), bounds: bounds(splats.means()) }
+}
+
+fn mesh(mesh: &Mesh) -> MeshSummary {
+    let atlas = mesh.atlas();
+    MeshSummary {
+        vertices: mesh.positions().len(),
+        triangles: mesh.triangles().len(),
+        bounds: bounds(mesh.positions()),
+        base_texels: [atlas.base().width(), atlas.base().height()],
+        band_texels: atlas.bands().map(|b| [b.width(), b.height()]),
+        sh_degree: atlas.sh_degree(),
+    }
+}
+
+fn composition(c: &Composition) -> CompositionSummary {
+    CompositionSummary {
+        mode: match c.mode {
+            OrderMode::Stable => "stable",
+            OrderMode::SurfaceConsistent => "surface_consistent",
+            OrderMode::Direct => "direct",
+        },
+        lambda: c.lambda.is_finite().then_some(c.lambda),
+        layers: c.layers,
+        color_space: match c.color_space {
+            ColorSpace::SrgbDisplay => "srgb_rec709_display",
+            ColorSpace::LinearDisplay => "lin_rec709_display",
+        },
+        background: c.background,
+        near: c.near,
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let span = |[low, high]: [[f32; 3]; 2]| {
+            format!("[{:.3} {:.3} {:.3}] to [{:.3} {:.3} {:.3}]", low[0], low[1], low[2], high[0], high[1], high[2])
+        };
+        write!(f, "{}: {}, {} bytes, {} floats", self.file, self.format, self.bytes, self.total_floats)?;
+        if let Some(s) = &self.splats {
+            write!(f, "\n├ splats: {}, SH degree {}, {}", s.count, s.sh_degree, span(s.bounds))?;
+        }
+        for m in &self.meshes {
+            let [w, h] = m.base_texels;
+            write!(f, "\n├ mesh: {} vertices, {} triangles, {}", m.vertices, m.triangles, span(m.bounds))?;
+            write!(f, "\n│   maps: {w}×{h}, SH degree {}", m.sh_degree)?;
+            if let Some([w, h]) = m.band_texels {
+                write!(f, " at {w}×{h}")?;
+            }
+        }
+        if let Some(c) = &self.composition {
+            let lambda = c.lambda.map_or("infinite".to_owned(), |l| l.to_string());
+            write!(f, "\n├ composition: {}, λ {lambda}, {} layer(s), {}", c.mode, c.layers, c.color_space)?;
+            write!(f, ", near {}, background {:?}", c.near, c.background)?;
+        }
+        if self.cameras > 0 {
+            write!(f, "\n├ cameras: {}", self.cameras)?;
+        }
+        if !self.extensions_used.is_empty() {
+            write!(f, "\n├ extensions: {}", self.extensions_used.join(", "))?;
+        }
+        if !self.extensions_required.is_empty() {
+            write!(f, "\n├ required: {}", self.extensions_required.join(", "))?;
+        }
+        for warning in &self.warnings {
+            write!(f, "\n├ warning: {warning}")?;
+        }
+        let parts: Vec<String> = self.bytes_by_part.iter().map(|(part, bytes)| format!("{part} {bytes}")).collect();
+        write!(f, "\n└ bytes: {}", parts.join(", "))
+    }
+}

@@ -1,0 +1,272 @@
+//! Triangle meshes from other programs, for `--mesh FILE`: geometry and UVs; materials are what gets optimised.
+
+use std::collections::{BTreeSet, HashMap};
+use std::path::Path;
+
+use glam::{Vec2, Vec3};
+
+use super::error::{Fault, FormatError, read_file};
+use super::gltf::{Asset, placements, triangles};
+use super::ply::table::Ply;
+
+/// A mesh without maps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedMesh {
+    /// Positions `[V]`, in the file's frame (the capture's for files that Centaur wrote). No two are equal: what is
+    /// joined in space is joined here, and seams are a matter of `corner_uvs`.
+    pub positions: Vec<Vec3>,
+    /// Indices `[F]`; at least one triangle, and no triangle has the same vertex twice.
+    pub triangles: Vec<[u32; 3]>,
+    /// UVs `[F]` of the corners, v downwards, in 0..1; those that leave this square are scaled into it, evenly, so that
+    /// repeats of a tile get texels of their own. `None` if part of the mesh has none, or if they belong to several
+    /// materials: then they are not one atlas.
+    pub corner_uvs: Option<Vec<[Vec2; 3]>>,
+}
+
+/// Reads a mesh; told apart by content, and by extension for `.obj`.
+///
+/// * `.glb`, `.gltf`: all triangle primitives of the default scene, where their nodes put them; skins and morph targets
+///   in rest pose.
+/// * `.obj`: all faces; polygons are cut into triangles.
+/// * `.ply`: ASCII or binary, `face` lists; UVs per face (`texcoord`) or per vertex (`s t`, `u v`, `texture_u texture_v`).
+///
+/// # Errors
+/// If the file cannot be read, is malformed, or has no triangle.
+pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
+    let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+    let bytes = read_file(path)?;
+    let soup = if bytes.starts_with(b"ply") {
+        from_ply(&bytes)
+    } else if is_obj {
+        from_obj(&bytes)
+    } else if bytes.starts_with(b"glTF") || bytes.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{') {
+        drop(bytes);
+        from_gltf(&Asset::open(path)?)
+    } else {
+        Err(Fault::whole("a .glb, .gltf, .obj or .ply mesh", "other content"))
+    };
+    soup.and_then(Soup::finish).map_err(|fault| fault.in_file(path))
+}
+
+/// Triangles as they come.
+#[derive(Default)]
+struct Soup {
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    /// As long as `triangles`, if no part lacks UVs.
+    corner_uvs: Vec<[Vec2; 3]>,
+    materials: BTreeSet<Option<usize>>,
+}
+
+impl Soup {
+    /// Appends one part whose indices count from its own first position.
+    fn add(
+        &mut self,
+        positions: impl IntoIterator<Item = Vec3>,
+        triangles: &[[u32; 3]],
+        uvs: Option<Vec<[Vec2; 3]>>,
+        material: Option<usize>,
+    ) -> Result<(), Fault> {
+        let too_many = || Fault::whole("fewer than 2³² vertices", "more");
+        let first = u32::try_from(self.positions.len()).map_err(|_| too_many())?;
+        self.positions.extend(positions);
+        u32::try_from(self.positions.len()).map_err(|_| too_many())?;
+        self.triangles.extend(triangles.iter().map(|t| t.map(|v| v + first)));
+        self.corner_uvs.extend(uvs.unwrap_or_default());
+        self.materials.insert(material);
+        Ok(())
+    }
+
+    fn finish(self) -> Result<ImportedMesh, Fault> {
+        let mut corner_uvs = self.corner_uvs;
+        let corners = corner_uvs.as_flattened();
+        let one_atlas = corner_uvs.len() == self.triangles.len()
+            && self.materials.len() <= 1
+            && corners.iter().all(|uv| uv.is_finite());
+        let low = corners.iter().copied().fold(Vec2::ZERO, Vec2::min);
+        let high = corners.iter().copied().fold(Vec2::ONE, Vec2::max);
+        if one_atlas && (low, high) != (Vec2::ZERO, Vec2::ONE) {
+            let extent = (high - low).max_element();
+            corner_uvs.as_flattened_mut().iter_mut().for_each(|uv| *uv = (*uv - low) / extent);
+        }
+        let mut index: HashMap<[u32; 3], u32> = HashMap::new();
+        let mut mesh = ImportedMesh { positions: vec![], triangles: vec![], corner_uvs: one_atlas.then(Vec::new) };
+        for (f, triangle) in self.triangles.iter().enumerate() {
+            let mut welded = *triangle;
+            for v in &mut welded {
+                // Adding 0 turns −0 into 0.
+                let p = self.positions[*v as usize] + 0.0;
+                if !p.is_finite() {
+                    return Err(Fault::whole("finite vertex positions", format!("{p} at vertex {v}")));
+                }
+                *v = *index.entry(p.to_array().map(f32::to_bits)).or_insert_with(|| {
+                    mesh.positions.push(p);
+                    (mesh.positions.len() - 1) as u32
+                });
+            }
+            let [a, b, c] = welded;
+            if a != b && b != c && c != a {
+                mesh.triangles.push(welded);
+                if let Some(uvs) = &mut mesh.corner_uvs {
+                    uvs.push(corner_uvs[f]);
+                }
+            }
+        }
+        if mesh.triangles.is_empty() {
+            return Err(Fault::whole(
+                "a mesh with at least one triangle",
+                format!("{} positions", self.positions.len()),
+            ));
+        }
+        Ok(mesh)
+    }
+}
+
+fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
+    let mut soup = Soup::default();
+    for (node, transform) in placements(&asset.document)? {
+        let Some(mesh) = node.mesh() else { continue };
+        for primitive in mesh.primitives() {
+            let Some(t) = triangles::read(asset, mesh.index(), &primitive, transform)? else { continue };
+            let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| t.map(|v| uvs[v as usize])).collect());
+            soup.add(t.positions, &t.triangles, uvs, primitive.material().index())?;
+        }
+    }
+    Ok(soup)
+}
+
+fn from_obj(bytes: &[u8]) -> Result<Soup, Fault> {
+    let options =
+        tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
+    // Materials are not needed, so their files are not opened.
+    let no_materials = |_: &Path| Ok(Default::default());
+    let (models, _) = tobj::load_obj_buf(&mut &*bytes, &options, no_materials)
+        .map_err(|e| Fault::whole("a Wavefront OBJ file", e.to_string()))?;
+    let mut soup = Soup::default();
+    for tobj::Model { mesh, .. } in models {
+        let positions: Vec<Vec3> = mesh.positions.as_chunks::<3>().0.iter().map(|&p| Vec3::from(p)).collect();
+        let (triangles, left) = mesh.indices.as_chunks::<3>();
+        if !left.is_empty() || mesh.indices.iter().any(|&v| v as usize >= positions.len()) {
+            return Err(Fault::whole("faces of existing vertices", "others"));
+        }
+        let texcoords = mesh.texcoords.as_chunks::<2>().0;
+        // OBJ has v upwards.
+        let uv = |i: u32| texcoords.get(i as usize).map_or(Vec2::NAN, |t| Vec2::new(t[0], 1.0 - t[1]));
+        let has_uvs = !texcoords.is_empty() && mesh.texcoord_indices.len() == mesh.indices.len();
+        let uvs = has_uvs.then(|| mesh.texcoord_indices.as_chunks::<3>().0.iter().map(|t| t.map(uv)).collect());
+        soup.add(positions, triangles, uvs, mesh.material_id)?;
+    }
+    Ok(soup)
+}
+
+fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
+    let ply = Ply::parse(bytes)?;
+    let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
+    let names = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]];
+    let uv_columns = names.into_iter().find_map(|n| vertex.scalars(n).ok());
+    let (positions, vertex_uvs) = ply.rows(
+        "vertex",
+        |n| (Vec::with_capacity(n), vec![]),
+        |(positions, uvs), row| {
+            let v = |column: usize| row.values[column] as f32;
+            positions.push(Vec3::new(v(x), v(y), v(z)));
+            uvs.extend(uv_columns.map(|[s, t]| Vec2::new(v(s), 1.0 - v(t))));
+            Ok(())
+        },
+    )?;
+
+    let face = ply.element("face").ok_or_else(|| Fault::whole("a PLY with the element `face`", "points alone"))?;
+    let corners = face.list("vertex_indices").or_else(|| face.list("vertex_index"));
+    let corners = corners.ok_or_else(|| Fault::whole("the face property `vertex_indices`", "a header without it"))?;
+    let face_uvs = face.list("texcoord");
+    let (triangles, uvs) = ply.rows(
+        "face",
+        |n| (Vec::with_capacity(n), vec![]),
+        |(triangles, uvs), row| {
+            let polygon = &row.lists[corners];
+            if let Some(bad) = polygon.iter().find(|&&v| !(v >= 0.0 && (v as usize) < positions.len())) {
+                let expected = format!("vertex indices below {}", positions.len());
+                return Err(Fault::whole(expected, format!("{bad} in a face")));
+            }
+            let texcoords = face_uvs.map_or(&[][..], |column| &row.lists[column]);
+            let has_own = texcoords.len() == 2 * polygon.len();
+            // PLY has v upwards, as the programs do that write UVs into it.
+            let own = |corner: usize| Vec2::new(texcoords[2 * corner] as f32, 1.0 - texcoords[2 * corner + 1] as f32);
+            for second in 1..polygon.len().saturating_sub(1) {
+                let fan = [0, second, second + 1];
+                triangles.push(fan.map(|corner| polygon[corner] as u32));
+                if has_own {
+                    uvs.push(fan.map(own));
+                } else if uv_columns.is_some() {
+                    uvs.push(fan.map(|corner| vertex_uvs[polygon[corner] as usize]));
+                }
+            }
+            Ok(())
+        },
+    )?;
+    let mut soup = Soup::default();
+    soup.add(positions, &triangles, Some(uvs), None)?;
+    Ok(soup)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const QUAD_OBJ: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 0.75\nf 1/1 2/2 3/3 4/4\n";
+    const QUAD_PLY: &str = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n\
+        property float z\nproperty float s\nproperty float t\nelement face 1\nproperty list uchar uint vertex_indices\n\
+        end_header\n0 0 0 0 0\n1 0 0 1 0\n1 1 0 1 1\n0 1 0 0 0.75\n4 0 1 2 3\n";
+
+    #[test]
+    fn a_quad_from_obj_and_ply_is_the_same() {
+        let obj = from_obj(QUAD_OBJ.as_bytes()).and_then(Soup::finish).unwrap();
+        assert_eq!(obj.positions.len(), 4);
+        assert_eq!(obj.triangles, [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(obj.corner_uvs.as_ref().unwrap()[1][2], Vec2::new(0.0, 0.25), "v is flipped");
+        assert_eq!(from_ply(QUAD_PLY.as_bytes()).and_then(Soup::finish).unwrap(), obj);
+    }
+
+    #[test]
+    fn joined_vertices_and_degenerate_faces() {
+        let obj = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 -0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 4 5 6\nf 1 2 4\n";
+        let mesh = from_obj(obj.as_bytes()).and_then(Soup::finish).unwrap();
+        assert_eq!((mesh.positions.len(), mesh.triangles.len(), mesh.corner_uvs), (4, 2, None));
+    }
+
+    #[test]
+    fn uvs_that_tile_are_scaled_and_those_of_two_materials_dropped() {
+        let tiled = QUAD_OBJ.replace("vt 1 1", "vt 1 3");
+        let uvs = from_obj(tiled.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.unwrap();
+        // v = 3 is −2 downwards: of −2..1, 3 long, the top; u keeps its proportion.
+        assert_eq!(uvs[0], [Vec2::new(0.0, 1.0), Vec2::new(1.0 / 3.0, 1.0), Vec2::new(1.0 / 3.0, 0.0)]);
+        let mut two = from_obj(QUAD_OBJ.as_bytes()).unwrap();
+        two.materials.insert(Some(7));
+        assert!(two.finish().unwrap().corner_uvs.is_none());
+    }
+
+    #[test]
+    fn meshes_without_triangles_are_refused() {
+        let message =
+            |soup: Result<Soup, Fault>| soup.and_then(Soup::finish).unwrap_err().in_file(Path::new("m")).to_string();
+        assert_eq!(message(from_obj(b"v 0 0 0\n")), "m: expected a mesh with at least one triangle, found 0 positions");
+        assert!(message(from_ply(QUAD_PLY.replace("4 0 1 2 3", "4 0 1 2 4").as_bytes())).contains("below 4, found 4"));
+        assert!(message(from_obj(b"v 0 0 0\nf 1 2 3\n")).contains("OBJ"));
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_do_not_panic(cut in 1usize..400, at in 0usize..400, byte: u8) {
+            for (text, parse) in [(QUAD_OBJ, from_obj as fn(&[u8]) -> _), (QUAD_PLY, from_ply)] {
+                let mut file = text.as_bytes().to_vec();
+                file.truncate(cut);
+                let at = at % file.len();
+                file[at] = byte;
+                let _ = parse(&file).and_then(Soup::finish);
+            }
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! PLY: the INRIA layout of splats (METHODS 1), and coloured points.
+
+pub(crate) mod table;
+
+use std::io::Write as _;
+use std::path::Path;
+
+use glam::{DVec3, Quat, Vec3};
+
+use self::table::Ply;
+use super::atomic_write_with;
+use super::error::{Fault, FormatError, read_file};
+use crate::scene::{Splats, sh};
+
+/// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
+/// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own: the
+/// format cannot state them. Returns the file's size in bytes.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
+    let bands = sh::coefficients(splats.sh_degree()) - 1;
+    let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(str::to_owned).into_iter();
+    let names = names
+        .chain((0..3 * bands).map(|i| format!("f_rest_{i}")))
+        .chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].map(str::to_owned));
+    let properties: String = names.map(|name| format!("property float {name}\n")).collect();
+    atomic_write_with(path, |out| {
+        write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}end_header\n", splats.len())?;
+        let mut row = Vec::with_capacity(4 * (17 + 3 * bands));
+        for i in 0..splats.len() {
+            let (dc, rest) = (splats.sh_of(i)[0], &splats.sh_of(i)[1..]);
+            let q = splats.rotations()[i];
+            let values = splats.means()[i].to_array().into_iter().chain([0.0; 3]).chain(dc);
+            let values = values.chain((0..3).flat_map(|channel| rest.iter().map(move |c| c[channel])));
+            let values = values.chain([splats.opacity_logits()[i]]).chain(splats.log_scales()[i].to_array());
+            row.clear();
+            values.chain([q.w, q.x, q.y, q.z]).for_each(|v: f32| row.extend_from_slice(&v.to_le_bytes()));
+            out.write_all(&row)?;
+        }
+        Ok(())
+    })
+}
+
+/// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 3 by
+/// the number of `f_rest` properties; other properties and elements are ignored.
+///
+/// # Errors
+/// If the file cannot be read, is not such a PLY, is truncated, or holds values that [`Splats::new`] refuses.
+pub fn read(path: &Path) -> Result<Splats, FormatError> {
+    let bytes = read_file(path)?;
+    parse_splats(&bytes).map_err(|fault| fault.in_file(path))
+}
+
+/// Reads points: `x y z` and, where present, `red green blue` (8-bit, or float in 0..1; grey otherwise). Their
+/// frame is the file's own.
+///
+/// # Errors
+/// If the file cannot be read, is not a PLY with a `vertex` element, is truncated, or a position is not finite.
+pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
+    let bytes = read_file(path)?;
+    parse_points(&bytes).map_err(|fault| fault.in_file(path))
+}
+
+fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
+    let ply = Ply::parse(bytes)?;
+    let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
+    let dc = vertex.scalars(["f_dc_0", "f_dc_1", "f_dc_2"])?;
+    let [opacity] = vertex.scalars(["opacity"])?;
+    let scales = vertex.scalars(["scale_0", "scale_1", "scale_2"])?;
+    let [qw, qx, qy, qz] = vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"])?;
+    let rest: Vec<usize> = (0..).map_while(|i| vertex.scalar(&format!("f_rest_{i}"))).collect();
+    let sh_degree = (0..=sh::MAX_DEGREE)
+        .find(|&d| rest.len() == 3 * (sh::coefficients(d) - 1))
+        .ok_or_else(|| Fault::whole("0, 9, 24 or 45 `f_rest` properties", rest.len().to_string()))?;
+    let (k, bands) = (sh::coefficients(sh_degree), rest.len() / 3);
+
+    type Columns = (Vec<Vec3>, Vec<Quat>, Vec<Vec3>, Vec<f32>, Vec<[f32; 3]>);
+    let reserve = |n| -> Columns {
+        let vec3 = Vec::with_capacity;
+        (vec3(n), Vec::with_capacity(n), vec3(n), Vec::with_capacity(n), Vec::with_capacity(n * k))
+    };
+    let (means, rotations, log_scales, opacity_logits, sh) = ply.rows("vertex", reserve, |columns, row| {
+        let (means, rotations, log_scales, opacity_logits, sh) = columns;
+        let v = |column: usize| row.values[column] as f32;
+        means.push(Vec3::new(v(x), v(y), v(z)));
+        rotations.push(Quat::from_xyzw(v(qx), v(qy), v(qz), v(qw)));
+        log_scales.push(Vec3::from(scales.map(v)));
+        opacity_logits.push(v(opacity));
+        sh.push(dc.map(v));
+        sh.extend((0..bands).map(|c| [v(rest[c]), v(rest[bands + c]), v(rest[2 * bands + c])]));
+        Ok(())
+    })?;
+    Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+}
+
+fn parse_points(bytes: &[u8]) -> Result<Vec<(DVec3, [u8; 3])>, Fault> {
+    let ply = Ply::parse(bytes)?;
+    let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
+    let colours = vertex.scalars(["red", "green", "blue"]).ok();
+    let scale = if vertex.is_float("red") { 255.0 } else { 1.0 };
+    ply.rows("vertex", Vec::with_capacity, |points, row| {
+        let position = DVec3::new(row.values[x], row.values[y], row.values[z]);
+        if !position.is_finite() {
+            return Err(Fault::whole(format!("finite numbers in vertex {}", points.len()), position.to_string()));
+        }
+        // A float-to-integer cast saturates, and takes NaN to 0.
+        let rgb = colours.map_or([128; 3], |columns| columns.map(|c| (row.values[c] * scale).round() as u8));
+        points.push((position, rgb));
+        Ok(())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::format::test_scenes::random_splats;
+
+    fn written(splats: &Splats) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        let bytes = write(&path, splats).unwrap();
+        let content = std::fs::read(&path).unwrap();
+        assert_eq!(bytes, content.len() as u64);
+        content
+    }
+
+    #[test]
+    fn round_trip_is_exact() {
+        for degree in 0..=3 {
+            let splats = random_splats(17, degree, u64::from(degree));
+            let back = parse_splats(&written(&splats)).unwrap();
+            assert_eq!(back.means(), splats.means());
+            assert_eq!(back.log_scales(), splats.log_scales());
+            assert_eq!(back.opacity_logits(), splats.opacity_logits());
+            assert_eq!(back.sh(), splats.sh());
+            // `Splats::new` normalises once more, which may move the last bit.
+            for (a, b) in back.rotations().iter().zip(splats.rotations()) {
+                assert!((*a - *b).length() < 2.5e-7, "{a} {b}");
+            }
+        }
+        assert_eq!(parse_splats(&written(&Splats::empty(2))).unwrap(), Splats::empty(2));
+    }
+
+    #[test]
+    fn layout_is_inrias() {
+        let splats = random_splats(1, 3, 5);
+        let bytes = written(&splats);
+        let header_end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let header = std::str::from_utf8(&bytes[..header_end]).unwrap();
+        let names: Vec<&str> = header.lines().filter_map(|l| l.strip_prefix("property float ")).collect();
+        assert_eq!(names.len(), 62);
+        assert_eq!(
+            (names[3], names[9], names[53], names[54], names[61]),
+            ("nx", "f_rest_0", "f_rest_44", "opacity", "rot_3")
+        );
+        let float = |i: usize| f32::from_le_bytes(bytes[header_end + 4 * i..][..4].try_into().unwrap());
+        assert_eq!(float(9 + 15), splats.sh_of(0)[1][1], "f_rest is channel-major: 15 red, 15 green, 15 blue");
+        assert_eq!(float(58), splats.rotations()[0].w, "rot_0 is w");
+    }
+
+    #[test]
+    fn ascii_and_big_endian_with_extra_columns_and_lists() {
+        let names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+        let properties: String = names.iter().map(|n| format!("property double {n}\n")).collect();
+        let header = |format: &str| {
+            format!(
+                "ply\nformat {format} 1.0\ncomment by hand\nelement face 1\nproperty list uchar int vertex_indices\n\
+                 element vertex 1\nproperty uchar extra\n{properties}property float rot_0\nproperty float rot_1\n\
+                 property float rot_2\nproperty float rot_3\nend_header\n"
+            )
+        };
+        let values: [f64; 10] = [1.0, 2.0, 3.0, 0.1, 0.2, 0.3, -1.5, -4.0, -5.0, -6.0];
+        let ascii = format!("{}3 0 0 0\n7 {} 2 0 0 0", header("ascii"), values.map(|v| v.to_string()).join(" "));
+        let mut big = header("binary_big_endian").into_bytes();
+        big.push(3);
+        big.extend([0; 12]);
+        big.push(7);
+        values.iter().for_each(|v| big.extend(v.to_be_bytes()));
+        [2.0f32, 0.0, 0.0, 0.0].iter().for_each(|v| big.extend(v.to_be_bytes()));
+        for file in [ascii.into_bytes(), big] {
+            let splats = parse_splats(&file).unwrap();
+            assert_eq!(splats.means(), [Vec3::new(1.0, 2.0, 3.0)]);
+            assert_eq!(splats.sh(), [[0.1, 0.2, 0.3]]);
+            assert_eq!(splats.opacity_logits(), [-1.5]);
+            assert_eq!(splats.rotations(), [Quat::IDENTITY]);
+        }
+    }
+
+    #[test]
+    fn points_with_and_without_colour() {
+        let file = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+                     property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 4 5 6\n7 8 9 10 11 12\n";
+        assert_eq!(
+            parse_points(file).unwrap(),
+            [(DVec3::new(1.0, 2.0, 3.0), [4, 5, 6]), (DVec3::new(7.0, 8.0, 9.0), [10, 11, 12])]
+        );
+        let plain = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                      end_header\n1 2 3";
+        assert_eq!(parse_points(plain).unwrap(), [(DVec3::new(1.0, 2.0, 3.0), [128; 3])]);
+    }
+
+    #[test]
+    fn messages_name_place_expected_and_found() {
+        let message = |bytes: &[u8]| parse_splats(bytes).unwrap_err().in_file(Path::new("a.ply")).to_string();
+        assert_eq!(
+            message(b"PK\x03\x04"),
+            "a.ply: byte 0: expected a PLY file (starts with `ply`), found something else"
+        );
+        let mut file = written(&random_splats(3, 0, 1));
+        file.truncate(file.len() - 10);
+        assert!(
+            message(&file).contains("expected 3 rows of `vertex` of at least 68 bytes, found 194 bytes"),
+            "{}",
+            message(&file)
+        );
+        assert!(
+            message(b"ply\nformat ascii 1.0\nelement vertex 18446744073709551615\nend_header\n")
+                .contains("property `x`")
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_do_not_panic(cut in 0usize..2000, at in 0usize..2000, byte: u8, degree in 0u32..4) {
+            let mut file = written(&random_splats(3, degree, 9));
+            file.truncate(cut.max(1));
+            let at = at % file.len();
+            file[at] = byte;
+            let _ = parse_splats(&file);
+            let _ = parse_points(&file);
+        }
+    }
+}

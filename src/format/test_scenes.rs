@@ -1,0 +1,59 @@
+//! Random scenes for tests of this module.
+
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+
+use crate::scene::{
+    Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh,
+};
+
+pub(super) fn random_splats(n: usize, degree: u32, seed: u64) -> Splats {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let mut r = |low: f32, high: f32| rng.random_range(low..high);
+    let means = (0..n).map(|_| Vec3::new(r(-3.0, 3.0), r(-3.0, 3.0), r(-3.0, 3.0))).collect();
+    let rotations = (0..n).map(|_| Quat::from_xyzw(r(-1., 1.), r(-1., 1.), r(-1., 1.), r(0.1, 1.))).collect();
+    let log_scales = (0..n).map(|_| Vec3::new(r(-9.0, 1.0), r(-9.0, 1.0), r(-9.0, 1.0))).collect();
+    let logits = (0..n).map(|_| r(-9.0, 9.0)).collect();
+    let sh = (0..n * sh::coefficients(degree)).map(|_| [r(-2.0, 2.0), r(-2.0, 2.0), r(-2.0, 2.0)]).collect();
+    Splats::new(means, rotations, log_scales, logits, degree, sh).unwrap()
+}
+
+/// A tetrahedron whose vertices are shared and whose UVs are not: every corner lies on a seam.
+pub(super) fn random_mesh(degree: u32, seed: u64) -> Mesh {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let mut r = |low: f32, high: f32| rng.random_range(low..high);
+    let mut positions: Vec<Vec3> = (0..4).map(|_| Vec3::new(r(-1., 1.), r(-1., 1.), r(-1., 1.))).collect();
+    // Two vertices in one place, and one of no triangle, must survive.
+    positions.push(positions[0]);
+    positions.push(Vec3::splat(9.0));
+    let triangles = vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [4, 3, 2]];
+    let uvs = triangles.iter().map(|_| [(); 3].map(|()| Vec2::new(r(0., 1.), r(0., 1.)))).collect();
+    let mut texture = |w: u32, h: u32, channels: u32| {
+        Texture::new(w, h, channels, (0..w * h * channels).map(|_| r(-4.0, 4.0)).collect()).unwrap()
+    };
+    let base = texture(8, 16, 4);
+    let bands = (degree > 0).then(|| texture(4, 2, 3 * (sh::coefficients(degree) as u32 - 1)));
+    Mesh::new(positions, triangles, uvs, Atlas::new(base, bands).unwrap()).unwrap()
+}
+
+pub(super) fn random_scene(splats: usize, meshes: u32, degree: u32, seed: u64) -> HybridScene {
+    HybridScene {
+        splats: random_splats(splats, degree, seed),
+        meshes: (0..meshes).map(|i| random_mesh((degree + i) % 4, seed + 1 + u64::from(i))).collect(),
+        composition: Composition {
+            mode: [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct][seed as usize % 3],
+            lambda: if seed.is_multiple_of(2) { f32::INFINITY } else { 0.1 },
+            layers: [1, 2, 4][seed as usize % 3],
+            color_space: if seed.is_multiple_of(2) { ColorSpace::SrgbDisplay } else { ColorSpace::LinearDisplay },
+            background: [0.1, 0.2, 0.3],
+            near: 0.07,
+        },
+    }
+}
+
+pub(super) fn camera() -> Camera {
+    let intrinsics = Intrinsics { width: 640, height: 480, fx: 510.3, fy: 498.7, cx: 301.1, cy: 250.9 };
+    let rotation = DMat3::from_euler(glam::EulerRot::YXZ, 0.4, -0.2, 1.7);
+    Camera::new(intrinsics, rotation, DVec3::new(0.3, -2.0, 5.0)).unwrap()
+}

@@ -1,0 +1,150 @@
+//! Readers on files that nobody of this project made. `CENTAUR_DATA` names the folder (default `../shared/data`).
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::{Path, PathBuf};
+
+use centaur::format::{gltf, inspect, mesh_import, ply, read_scene};
+use glam::Vec3;
+
+fn data(path: &str) -> PathBuf {
+    let root = std::env::var_os("CENTAUR_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    root.join(path)
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn three_gaussians_of_train() {
+    let splats = ply::read(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.ply")).unwrap();
+    assert_eq!((splats.len(), splats.sh_degree()), (3, 3));
+    // The same three in .splat: 32 bytes each, position and linear scale in f32, RGBA and quaternion (w x y z) in u8.
+    let coarse = std::fs::read(data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.splat"));
+    for (i, record) in coarse.unwrap().as_chunks::<32>().0.iter().enumerate() {
+        let float = |k: usize| f32::from_le_bytes(*record[4 * k..].first_chunk().unwrap());
+        let byte = |k: usize| f32::from(record[24 + k]);
+        assert_eq!(splats.means()[i], Vec3::new(float(0), float(1), float(2)));
+        let scale = Vec3::new(float(3), float(4), float(5));
+        assert!((splats.log_scales()[i].exp() / scale - 1.0).abs().max_element() < 1e-5, "{scale}");
+        // Half a step of 8 bits, or one where the other writer truncates.
+        let opacity = 255.0 / (1.0 + (-splats.opacity_logits()[i]).exp());
+        assert!((opacity - byte(3)).abs() <= 1.0, "{opacity} {}", byte(3));
+        for c in 0..3 {
+            let shown: f32 = 0.5 + 0.282_094_8 * splats.sh_of(i)[0][c];
+            let shown = 255.0 * shown.clamp(0.0, 1.0);
+            assert!((shown - byte(c)).abs() <= 1.0, "{shown} {}", byte(c));
+        }
+        let q = splats.rotations()[i];
+        let stored = [byte(5), byte(6), byte(7), byte(4)].map(|b| (b - 128.0) / 128.0);
+        let dot: f32 = q.to_array().iter().zip(stored).map(|(a, b)| a * b).sum();
+        assert!(dot.abs() > 0.99, "{q} {stored:?}");
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn ascii_cube_of_twenty_splats() {
+    let splats = ply::read(&data("oracle_javagl/jsplat-examples/data/unitCube-ascii.ply")).unwrap();
+    assert_eq!((splats.len(), splats.sh_degree()), (20, 0));
+    assert_eq!(splats.means()[7], Vec3::new(10.0, -10.0, -10.0));
+    assert_eq!(splats.sh_of(1)[0], [1.772_453_9, -1.772_453_9, -1.772_453_9]);
+    assert_eq!(splats.opacity_logits()[19], 20.0);
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn beetle_in_ascii_and_binary_is_one_mesh() {
+    let [ascii, binary] = ["ascii", "binary"].map(|kind| {
+        mesh_import::read(&data(&format!("oracle_metalsplatter/PLYIO/TestData/beetle.{kind}.ply"))).unwrap()
+    });
+    assert_eq!(ascii.triangles, binary.triangles);
+    assert!(ascii.triangles.len() > 1000, "{}", ascii.triangles.len());
+    // The ASCII file has six digits.
+    assert!(ascii.positions.iter().zip(&binary.positions).all(|(a, b)| (*a - *b).length() < 1e-5 * (1.0 + a.length())));
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn cubes_with_colours() {
+    for entry in data("oracle_adobe_usd_plugins/ply/tests").read_dir().unwrap() {
+        let path = entry.unwrap().path();
+        let points = ply::read_points(&path).unwrap();
+        assert!(points.len() >= 8, "{}: {}", path.display(), points.len());
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn spot_and_bob() {
+    for (file, vertices, triangles) in [("spot/spot.obj", 2930, 5856), ("bob/bob_tri.obj", 5344, 10688)] {
+        let mesh = mesh_import::read(&data(&format!("mesh_spot_bob/{file}"))).unwrap();
+        assert_eq!((mesh.positions.len(), mesh.triangles.len()), (vertices, triangles), "{file}");
+        assert!(mesh.corner_uvs.is_some(), "{file}");
+        // Both are closed: Euler's formula says which genus (a cow is a sphere, a swim ring is not).
+        let mut edges: Vec<_> = mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
+        edges.iter_mut().for_each(|e| *e = (e.0.min(e.1), e.0.max(e.1)));
+        edges.sort_unstable();
+        edges.dedup();
+        let euler = (vertices + triangles) as i64 - edges.len() as i64;
+        assert_eq!(euler, if file.starts_with("spot") { 2 } else { 0 });
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn khronos_samples_import() {
+    // Name, triangles, whether the UVs are one atlas. From the sample's accessors.
+    let samples = [
+        ("Suzanne/glTF/Suzanne.gltf", 3936, true),
+        ("Fox/glTF-Binary/Fox.glb", 576, true),
+        ("SimpleMorph/glTF/SimpleMorph.gltf", 1, false),
+        ("SimpleSkin/glTF/SimpleSkin.gltf", 8, false),
+        ("SimpleSparseAccessor/glTF/SimpleSparseAccessor.gltf", 12, false),
+    ];
+    for (file, triangles, uvs) in samples {
+        let mesh = mesh_import::read(&data(&format!("meshes_gltf_samples/{file}"))).unwrap();
+        assert_eq!((mesh.triangles.len(), mesh.corner_uvs.is_some()), (triangles, uvs), "{file}");
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn sparse_elements_replace_stored_ones() {
+    let path = "meshes_gltf_samples/SimpleSparseAccessor/glTF/SimpleSparseAccessor.gltf";
+    let mesh = mesh_import::read(&data(path)).unwrap();
+    // Vertices 8, 10 and 12 are moved up from y = 1 (the sample's README).
+    for y in [2.0, 3.0, 4.0] {
+        assert!(mesh.positions.iter().any(|p| p.y == y), "{y}");
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn khronos_samples_as_scenes() {
+    let mut read = 0;
+    for model in data("meshes_gltf_samples").read_dir().unwrap() {
+        for folder in ["glTF", "glTF-Binary"].map(|f| model.as_ref().unwrap().path().join(f)) {
+            for file in folder.read_dir().into_iter().flatten().map(|f| f.unwrap().path()) {
+                if file.extension().is_some_and(|e| e == "gltf" || e == "glb") {
+                    let scene = gltf::read(&file).unwrap_or_else(|e| panic!("{e}")).scene;
+                    assert!(!scene.meshes.is_empty() && scene.splats.is_empty(), "{}", file.display());
+                    assert!(!inspect(&file).unwrap().warnings.is_empty(), "materials are reduced, and that is said");
+                    read += 1;
+                }
+            }
+        }
+    }
+    assert_eq!(read, 12);
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn what_cannot_be_read_says_so() {
+    let message = |path: &str| read_scene(&data(path)).unwrap_err().to_string();
+    let draft = message("oracle_cesium_gltf_splat/synthetic_5splats.gltf");
+    assert!(draft.contains("synthetic_5splats.gltf: /"), "{draft}");
+    let spz = message("oracle_splat_transform/splat/minimal-v4.spz");
+    assert!(spz.ends_with("expected a .glb, .gltf or .ply file, found other content"), "{spz}");
+    let mesh = message("oracle_metalsplatter/PLYIO/TestData/beetle.binary.ply");
+    assert!(mesh.contains("f_dc_0"), "{mesh}");
+}
