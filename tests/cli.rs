@@ -2,14 +2,35 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+use std::path::Path;
 use std::process::{Command, Output};
 
+fn centaur_in(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_centaur")).args(args).current_dir(folder).output().unwrap()
+}
+
 fn centaur(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_centaur")).args(args).output().unwrap()
+    centaur_in(Path::new("."), args)
 }
 
 fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs a command that must fail with one line on stderr and leave the folder as it was; returns the line.
+fn failure(folder: &Path, args: &[&str]) -> String {
+    let files = || {
+        let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = files();
+    let output = centaur_in(folder, args);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{args:?}: {text}");
+    assert!(output.stdout.is_empty() && text.starts_with("error: ") && text.lines().count() == 1, "{args:?}: {text}");
+    assert_eq!(files(), before, "{args:?} left something behind");
+    text.trim_end().to_owned()
 }
 
 #[test]
@@ -17,14 +38,17 @@ fn wrong_usage_is_exit_code_2() {
     for args in [&[][..], &["fly"], &["devices", "--fast"]] {
         let output = centaur(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
-        assert!(output.stdout.is_empty() && stderr(&output).contains("Usage: centaur"), "{args:?}");
+        assert!(output.stdout.is_empty(), "{args:?}");
+        assert!(stderr(&output).contains("--help") || args.is_empty(), "{args:?}: {}", stderr(&output));
     }
 }
 
 #[test]
 fn help_and_version_are_answers_not_errors() {
-    for args in [&["--help"][..], &["--version"], &["devices", "--help"]] {
-        let output = centaur(args);
+    let of_command = |name| vec![name, "--help"];
+    let commands = ["inspect", "devices"].map(of_command);
+    for args in [vec!["--help"], vec!["--version"]].into_iter().chain(commands) {
+        let output = centaur(&args);
         assert_eq!(output.status.code(), Some(0), "{args:?}");
         assert!(!output.stdout.is_empty() && output.stderr.is_empty(), "{args:?}");
     }
@@ -35,4 +59,16 @@ fn devices_as_json_is_an_array_with_or_without_a_gpu() {
     let output = centaur(&["devices", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap().is_array());
+}
+
+#[test]
+fn inputs_that_are_not_there_or_not_scenes() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("notes.txt"), "not a scene").unwrap();
+    for (args, expected) in [
+        (&["inspect", "none.glb"][..], "error: none.glb: cannot read: No such file or directory"),
+        (&["inspect", "notes.txt"], "error: notes.txt: expected a .glb, .gltf or .ply file, found other content"),
+    ] {
+        assert_eq!(failure(folder.path(), args), expected);
+    }
 }

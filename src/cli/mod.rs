@@ -1,6 +1,7 @@
 //! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
 
 mod devices;
+mod inspect;
 mod output;
 
 use std::io::{self, Write as _};
@@ -19,12 +20,14 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Inspect(inspect::Args),
     Devices(devices::Args),
 }
 
 pub(crate) fn main() -> ExitCode {
     // Wrong usage ends here with exit code 2.
     let result = match Cli::parse().command {
+        Command::Inspect(args) => inspect::run(&args),
         Command::Devices(args) => devices::run(&args),
     };
     match result {

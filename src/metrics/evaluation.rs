@@ -50,7 +50,7 @@ pub struct Measured {
     pub file_bytes: u64,
     /// Mean wall time of a training iteration.
     pub seconds_per_iteration: Option<f64>,
-    /// Rendered frames per second at the size of the views, reading the picture back included.
+    /// Rendered frames per second at the size of the views, reading pictures back excluded.
     pub fps: Option<f64>,
     /// Most GPU memory held at once, in bytes.
     pub peak_gpu_bytes: Option<u64>,

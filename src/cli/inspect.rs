@@ -1,0 +1,27 @@
+use std::path::PathBuf;
+
+use anyhow::Result;
+use centaur::format;
+
+use super::output;
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur inspect garden.glb
+  centaur inspect point_cloud.ply --json";
+
+/// Say what is in a scene file: splats, meshes, maps, cameras, rule of blending, bytes
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    /// A .glb or .gltf, or a .ply of splats; told apart by content
+    file: PathBuf,
+    /// Print one JSON object instead of text
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    let summary = format::inspect(&args.file)?;
+    if args.json { output::print_json(&summary) } else { output::print(summary.to_string().trim_end()) }
+}
