@@ -9,6 +9,7 @@ mod mesh;
 #[cfg(test)]
 mod mesh_tests;
 mod pipeline;
+mod renderer;
 mod scan;
 mod shader;
 mod sort;
@@ -17,6 +18,7 @@ mod texels;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
+pub use renderer::{Picture, Renderer};
 
 #[cfg(test)]
 mod tests;

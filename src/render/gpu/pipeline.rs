@@ -51,15 +51,8 @@ impl Pipeline {
         let capacity = capacity.max(scene.splats.len());
         let splats = SplatBuffers::new(gpu, capacity, scene.splats.sh_degree())?;
         splats.write(gpu, &scene.splats);
-        let mut built = Self::assemble(
-            gpu,
-            splats,
-            &scene.meshes,
-            scene.composition,
-            cameras,
-            splats_pairs(capacity),
-            trainable,
-        )?;
+        let mut built =
+            Self::assemble(gpu, splats, &scene.meshes, scene.composition, cameras, splats_pairs(capacity), trainable)?;
         built.n_splats = scene.splats.len();
         Ok(built)
     }
