@@ -196,6 +196,7 @@ fn cleaning_keeps_the_large_components() {
     let all = clean(surface.clone(), 1, 10);
     assert_eq!(all.triangles.len(), good, "only the broken and the repeated ones go");
     assert_eq!(all.positions.len(), 32 + 7 + 22);
+    assert_eq!(clean(surface.clone(), 5, 10).triangles.len(), 55, "the limit itself is enough");
     assert_eq!(clean(surface.clone(), 6, 10).triangles.len(), 50);
     assert_eq!(clean(surface.clone(), 1, 1).triangles.len(), 30);
     assert_eq!(clean(surface, 1000, 10), Surface::default());
@@ -272,4 +273,35 @@ fn time_fusion_of_40_views() {
         simple.triangles.len(),
         sphere_error(&surface).0 / voxel,
     );
+}
+
+#[test]
+#[ignore = "a timing, not a check"]
+fn time_noisy_depth_to_atlas() {
+    use rand::{RngExt, SeedableRng};
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(11);
+    let voxel = 2.6 / 256.0;
+    for noise in [0.0, 1.0, 3.0] {
+        let mut fusion =
+            Fusion::new(FusionOptions { voxel, truncation: 5.0 * voxel, ..fused_sphere(&[], 0.1).options }).unwrap();
+        for camera in orbit(40, 200, 150) {
+            let mut depth = depth_map(&camera, unit_sphere);
+            for d in depth.iter_mut().filter(|d| **d > 0.0) {
+                *d += (noise * voxel * 2.0 * (rng.random::<f64>() - 0.5)) as f32;
+            }
+            fusion.integrate(&DepthView { camera, depth: &depth, weight: None }).unwrap();
+        }
+        let options = SurfaceOptions { target_triangles: 50_000, ..SurfaceOptions::new(fusion.options) };
+        let (surface, stats) = surface_from_fusion(&fusion, &options).unwrap();
+        let (max, mean) = sphere_error(&surface);
+        let start = std::time::Instant::now();
+        let atlas = unwrap(&surface, 1024).unwrap().stats;
+        eprintln!(
+            "depth noise ±{noise} voxels: {stats:?}, error in voxels max {:.2} mean {:.2}, edges {:?}, unwrap {:.2?} {atlas:?}",
+            max / voxel,
+            mean / voxel,
+            edge_counts(&surface),
+            start.elapsed(),
+        );
+    }
 }
