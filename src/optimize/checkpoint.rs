@@ -1,0 +1,380 @@
+//! An optimisation on disk, from which it can go on: a safetensors file with all parameters and moments.
+
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, HashMap},
+    path::{Path, PathBuf},
+};
+
+use safetensors::{Dtype, SafeTensors, View};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::state::{GEOMETRY_FLOATS, SplatState};
+use crate::scene::sh;
+
+/// Version of the layout that is written, and the only one that is read.
+pub const VERSION: u32 = 1;
+
+/// Key of [`Header`] in the file's metadata.
+const HEADER: &str = "centaur_checkpoint";
+/// Names of the arrays of [`SplatState`].
+const SPLATS: [&str; 6] =
+    ["splats/geometry", "splats/sh", "splats/geometry_m", "splats/geometry_v", "splats/sh_m", "splats/sh_v"];
+
+/// Everything that a resumed optimisation needs.
+///
+/// Arrays survive bit for bit. So do strings and whole numbers up to 64 bits in `meta`; other numbers may be rounded,
+/// and the 128-bit state of a generator must be a string.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// The optimiser's own: iteration, seed, state of generators, hash of the options …
+    pub meta: Value,
+    /// The splats with their moments.
+    pub splats: SplatState,
+    /// Other arrays by name, such as texels and their moments. Names must not begin with `splats/`.
+    pub tensors: BTreeMap<String, Vec<f32>>,
+}
+
+/// Why a checkpoint was not written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// The file system said no.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// The content makes no sense.
+    #[error("{}: {field}: expected {expected}, found {found}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// The part at fault.
+        field: String,
+        /// What would have been accepted.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    version: u32,
+    sh_degree: u32,
+    meta: Value,
+}
+
+/// The part of a checkpoint that is wrong, what was expected and what was found.
+struct Fault(String, String, String);
+
+fn fault(field: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Fault {
+    Fault(field.into(), expected.into(), found.into())
+}
+
+impl Fault {
+    fn at(self, path: &Path) -> CheckpointError {
+        CheckpointError::Invalid { path: path.into(), field: self.0, expected: self.1, found: self.2 }
+    }
+}
+
+impl Checkpoint {
+    /// Writes to a temporary file in the same folder and renames it to `path`, so that a crash leaves the old one.
+    ///
+    /// # Errors
+    /// If the file cannot be written, or would not be accepted by [`Self::read`].
+    pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
+        self.validate().map_err(|f| f.at(path))?;
+        let header = Header { version: VERSION, sh_degree: self.splats.sh_degree, meta: self.meta.clone() };
+        let header = serde_json::to_string(&header)
+            .map_err(|e| fault("meta", "values that JSON can hold", e.to_string()).at(path))?;
+        let s = &self.splats;
+        let arrays = [&s.geometry, &s.sh, &s.geometry_m, &s.geometry_v, &s.sh_m, &s.sh_v];
+        let own = SPLATS.into_iter().zip(arrays.map(|a| Array::new(a)));
+        let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::new(values)));
+        let metadata = HashMap::from([(HEADER.to_owned(), header)]);
+        safetensors::serialize_to_file(own.chain(others), Some(metadata), path).map_err(|e| match e {
+            safetensors::SafeTensorError::IoError(source) => CheckpointError::Io { path: path.into(), source },
+            e => fault("checkpoint", "at most 100 MB of metadata", e.to_string()).at(path),
+        })
+    }
+
+    /// Reads what [`Self::write`] wrote.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is no safetensors file of this version, or has an array that is missing, of the
+    /// wrong type or length, or not finite.
+    pub fn read(path: &Path) -> Result<Self, CheckpointError> {
+        let bytes = std::fs::read(path).map_err(|source| CheckpointError::Io { path: path.into(), source })?;
+        Self::from_bytes(&bytes).map_err(|f| f.at(path))
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Result<Self, Fault> {
+        check_offsets(bytes)?;
+        let file = SafeTensors::deserialize(bytes).map_err(|e| fault("file", "a safetensors file", e.to_string()))?;
+        let (_, metadata) =
+            SafeTensors::read_metadata(bytes).map_err(|e| fault("file", "a safetensors file", e.to_string()))?;
+        let header = metadata.metadata().as_ref().and_then(|m| m.get(HEADER));
+        let header = header.ok_or_else(|| fault("metadata", format!("an entry `{HEADER}`"), "none"))?;
+        // The version first: another one may have other fields.
+        let header: Value = serde_json::from_str(header).map_err(|e| fault(HEADER, "JSON", e.to_string()))?;
+        let version = header.get("version").unwrap_or(&Value::Null);
+        if version.as_u64() != Some(u64::from(VERSION)) {
+            return Err(fault("version", VERSION.to_string(), version.to_string()));
+        }
+        let header: Header =
+            serde_json::from_value(header).map_err(|e| fault(HEADER, "version, sh_degree and meta", e.to_string()))?;
+
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.tensors() {
+            if view.dtype() != Dtype::F32 || view.shape().len() != 1 {
+                let found = format!("{:?} of {} axes", view.dtype(), view.shape().len());
+                return Err(fault(name, "f32 of one axis", found));
+            }
+            let (words, _) = view.data().as_chunks::<4>();
+            tensors.insert(name, words.iter().map(|&w| f32::from_le_bytes(w)).collect::<Vec<f32>>());
+        }
+        let mut take = |name: &str| tensors.remove(name).ok_or_else(|| fault(name, "an array", "none"));
+        let [geometry, sh, geometry_m, geometry_v, sh_m, sh_v] = SPLATS;
+        let splats = SplatState {
+            sh_degree: header.sh_degree,
+            geometry: take(geometry)?,
+            sh: take(sh)?,
+            geometry_m: take(geometry_m)?,
+            geometry_v: take(geometry_v)?,
+            sh_m: take(sh_m)?,
+            sh_v: take(sh_v)?,
+        };
+        let checkpoint = Self { meta: header.meta, splats, tensors };
+        checkpoint.validate()?;
+        Ok(checkpoint)
+    }
+
+    fn validate(&self) -> Result<(), Fault> {
+        let s = &self.splats;
+        if s.sh_degree > sh::MAX_DEGREE {
+            return Err(fault("sh_degree", "0 to 3", s.sh_degree.to_string()));
+        }
+        let n = s.geometry.len() / GEOMETRY_FLOATS;
+        let (geometry, sh) = (n * GEOMETRY_FLOATS, n * s.sh_floats());
+        let arrays = [&s.geometry, &s.sh, &s.geometry_m, &s.geometry_v, &s.sh_m, &s.sh_v];
+        for ((name, array), expected) in SPLATS.into_iter().zip(arrays).zip([geometry, sh, geometry, geometry, sh, sh])
+        {
+            if array.len() != expected {
+                let found = array.len().to_string();
+                return Err(fault(name, format!("{expected} numbers ({n} splats)"), found));
+            }
+        }
+        if let Some((group, splat)) = s.first_non_finite() {
+            return Err(fault(format!("{group} of splat {splat}"), "finite numbers", "another"));
+        }
+        for (name, values) in &self.tensors {
+            if name.starts_with("splats/") || name == "__metadata__" {
+                return Err(fault(name, "an array of another name", "this one"));
+            }
+            if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+                return Err(fault(format!("{name}[{i}]"), "a finite number", values[i].to_string()));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Error if an array ends behind the end of the file. `safetensors` says so too, but adds to the offsets first, which
+/// overflows for those that somebody made up.
+fn check_offsets(bytes: &[u8]) -> Result<(), Fault> {
+    let no_file = |found: String| fault("file", "a safetensors file", found);
+    let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(|| no_file(format!("{} bytes", bytes.len())))?;
+    let length = u64::from_le_bytes(*length);
+    let parts = usize::try_from(length).ok().and_then(|n| rest.split_at_checked(n));
+    let (header, arrays) = parts.ok_or_else(|| no_file(format!("a header of {length} bytes in {}", bytes.len())))?;
+    let header: BTreeMap<String, Value> = serde_json::from_slice(header).map_err(|e| no_file(e.to_string()))?;
+    for (name, tensor) in &header {
+        let end = tensor.pointer("/data_offsets/1").and_then(Value::as_u64).unwrap_or(0);
+        if end > arrays.len() as u64 {
+            let found = format!("only {}: the file is truncated", arrays.len());
+            return Err(fault(name, format!("{end} bytes of arrays"), found));
+        }
+    }
+    Ok(())
+}
+
+/// A one-dimensional tensor of f32.
+struct Array<'a> {
+    shape: [usize; 1],
+    values: &'a [f32],
+}
+
+impl<'a> Array<'a> {
+    fn new(values: &'a [f32]) -> Self {
+        Self { shape: [values.len()], values }
+    }
+}
+
+impl View for Array<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        // The file is little-endian.
+        if cfg!(target_endian = "little") {
+            bytemuck::cast_slice(self.values).into()
+        } else {
+            self.values.iter().flat_map(|v| v.to_le_bytes()).collect()
+        }
+    }
+
+    fn data_len(&self) -> usize {
+        size_of_val(self.values)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    use super::*;
+    use crate::optimize::density::tests::state;
+
+    fn checkpoint() -> Checkpoint {
+        let mut splats = state(7, 2);
+        splats.row_mut(3)[0] = -0.0;
+        splats.row_mut(4)[1] = f32::MIN_POSITIVE / 8.0; // subnormal
+        splats.row_mut(5)[2] = 0.1;
+        Checkpoint {
+            meta: json!({ "iteration": 1200, "seed": u64::MAX, "rng": format!("{:x}", u128::MAX), "options": "c0ffee" }),
+            splats,
+            tensors: BTreeMap::from([("mesh0/base".into(), vec![1.0, -2.5, f32::MAX]), ("mesh0/bands".into(), vec![])]),
+        }
+    }
+
+    fn bytes_of(c: &Checkpoint) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("c.safetensors");
+        c.write(&path).unwrap();
+        assert_eq!(folder.path().read_dir().unwrap().count(), 1, "no temporary file stays");
+        std::fs::read(path).unwrap()
+    }
+
+    fn message(bytes: &[u8]) -> String {
+        Checkpoint::from_bytes(bytes).unwrap_err().at(Path::new("c.safetensors")).to_string()
+    }
+
+    #[test]
+    fn survives_bit_for_bit() {
+        let before = checkpoint();
+        let bytes = bytes_of(&before);
+        let after = Checkpoint::from_bytes(&bytes).ok().unwrap();
+        assert_eq!(after, before);
+        let bits = |s: &SplatState| s.geometry.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&after.splats), bits(&before.splats), "equality would pass −0 for 0");
+        assert_eq!(bytes_of(&after), bytes, "the same file again");
+        let empty = Checkpoint::default();
+        assert_eq!(Checkpoint::from_bytes(&bytes_of(&empty)).ok().unwrap(), empty);
+    }
+
+    #[test]
+    fn replaces_an_old_file_and_keeps_it_on_failure() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("c.safetensors");
+        Checkpoint::default().write(&path).unwrap();
+        checkpoint().write(&path).unwrap();
+        assert_eq!(Checkpoint::read(&path).unwrap(), checkpoint());
+        let mut broken = checkpoint();
+        broken.splats.row_mut(2)[3] = f32::NAN;
+        let error = broken.write(&path).unwrap_err().to_string();
+        assert!(
+            error.ends_with("c.safetensors: opacity logits of splat 2: expected finite numbers, found another"),
+            "{error}"
+        );
+        assert_eq!(Checkpoint::read(&path).unwrap(), checkpoint());
+        let nowhere = folder.path().join("no folder/c.safetensors");
+        assert!(matches!(checkpoint().write(&nowhere), Err(CheckpointError::Io { .. })));
+        assert!(matches!(Checkpoint::read(&nowhere), Err(CheckpointError::Io { .. })));
+    }
+
+    #[test]
+    fn refuses_what_does_not_fit() {
+        let broken = |change: fn(&mut Checkpoint)| {
+            let mut c = checkpoint();
+            change(&mut c);
+            let Fault(field, ..) = c.validate().unwrap_err();
+            field
+        };
+        assert_eq!(broken(|c| c.splats.sh_degree = 4), "sh_degree");
+        assert_eq!(broken(|c| c.splats.sh_degree = 1), "splats/sh");
+        assert_eq!(broken(|c| c.splats.geometry.truncate(80)), "splats/geometry");
+        assert_eq!(broken(|c| c.splats.sh_v.truncate(80)), "splats/sh_v");
+        assert_eq!(broken(|c| c.tensors.get_mut("mesh0/base").unwrap()[1] = f32::NAN), "mesh0/base[1]");
+        assert_eq!(broken(|c| drop(c.tensors.insert("splats/sh".into(), vec![]))), "splats/sh");
+    }
+
+    #[test]
+    fn says_what_is_wrong_with_a_file() {
+        let bytes = bytes_of(&checkpoint());
+        let edited = |from: &str, to: &str| {
+            assert_eq!(from.len(), to.len());
+            let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+            let mut bytes = bytes.clone();
+            bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+            message(&bytes)
+        };
+        assert!(edited(r#"version\":1"#, r#"version\":9"#).contains("version: expected 1, found 9"));
+        assert!(edited("splats/sh_m", "splats/sh_x").contains("splats/sh_m: expected an array, found none"));
+        assert!(edited("F32", "I32").contains("expected f32 of one axis, found I32"));
+        assert!(edited("centaur_checkpoint", "somebody_elses_foo").contains("metadata: expected an entry"));
+        assert!(message(&bytes[..bytes.len() - 1]).contains("truncated"));
+        assert!(message(b"PNG").contains("expected a safetensors file, found 3 bytes"));
+    }
+
+    #[test]
+    fn offsets_near_overflow_are_an_error() {
+        let size = (u64::MAX / 32) * 4;
+        let tensors: Vec<String> = (0..8)
+            .map(|i| {
+                let (start, end) = (i * size, (i + 1) * size);
+                format!(r#""t{i}":{{"dtype":"F32","shape":[{}],"data_offsets":[{start},{end}]}}"#, size / 4)
+            })
+            .collect();
+        let header = format!("{{{}}}", tensors.join(","));
+        let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(header.bytes());
+        assert!(message(&bytes).contains("truncated"));
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_are_errors_not_panics(
+            cut in any::<prop::sample::Index>(),
+            flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
+        ) {
+            let bytes = bytes_of(&checkpoint());
+            prop_assert!(Checkpoint::from_bytes(&bytes[..cut.index(bytes.len())]).is_err());
+            let mut bytes = bytes;
+            for (at, value) in flips {
+                let at = at.index(bytes.len());
+                bytes[at] = value;
+            }
+            if let Ok(c) = Checkpoint::from_bytes(&bytes) {
+                prop_assert!(c.splats.first_non_finite().is_none());
+            }
+        }
+
+        #[test]
+        fn random_bytes_are_no_checkpoint(bytes in prop::collection::vec(any::<u8>(), 0..400), text in "\\PC{0,200}") {
+            prop_assert!(Checkpoint::from_bytes(&bytes).is_err());
+            let mut framed = (text.len() as u64).to_le_bytes().to_vec();
+            framed.extend(text.bytes());
+            prop_assert!(Checkpoint::from_bytes(&framed).is_err());
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Density control (METHODS 2.8): where splats are added, moved and removed.
+//!
+//! Everything is a function of the splats, the statistics, the seed and the iteration, so a resumed run repeats it.
+
+pub mod inria;
+pub mod mcmc;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::state::{GEOMETRY_FLOATS, OPACITY, SplatState, logit};
+
+/// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of
+/// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels,
+/// largest radius in pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct Statistics<'a>(pub &'a [[f32; 4]]);
+
+impl Statistics<'_> {
+    /// Gradient of the projected mean in normalised device coordinates, averaged over the views that saw splat `i`.
+    /// 0 if none did.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn mean_gradient(&self, i: usize) -> f32 {
+        let [gradient, views, ..] = self.0[i];
+        finite_or_zero(gradient / views.max(1.0))
+    }
+
+    /// Blend weight of splat `i` averaged over the views that saw it: its *effective contribution* (METHODS 13(7)).
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn contribution(&self, i: usize) -> f32 {
+        let [_, views, weight, _] = self.0[i];
+        finite_or_zero(weight / views.max(1.0))
+    }
+}
+
+/// What a density step did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct DensityReport {
+    /// Splats of which an exact copy was added.
+    pub cloned: usize,
+    /// Splats replaced by two smaller ones.
+    pub split: usize,
+    /// Splats removed.
+    pub pruned: usize,
+    /// Dead splats moved onto living ones.
+    pub relocated: usize,
+    /// Splats added by sampling.
+    pub added: usize,
+}
+
+/// Limits every opacity to 0.01 and forgets the Adam moments of all opacities. (METHODS 2.8, every 3000 iterations of
+/// INRIA's strategy: what is not needed does not come back and is pruned.)
+pub fn reset_opacity(state: &mut SplatState) {
+    let most = logit(0.01);
+    for row in state.geometry.chunks_exact_mut(GEOMETRY_FLOATS) {
+        row[OPACITY] = row[OPACITY].min(most);
+    }
+    for moments in [&mut state.geometry_m, &mut state.geometry_v] {
+        for row in moments.chunks_exact_mut(GEOMETRY_FLOATS) {
+            row[OPACITY] = 0.0;
+        }
+    }
+}
+
+fn finite_or_zero(x: f32) -> f32 {
+    if x.is_finite() { x } else { 0.0 }
+}
+
+/// Random numbers of one density step. The multiplier (2⁶⁴ over the golden ratio) keeps neighbouring seeds from sharing
+/// the steps of neighbouring iterations.
+fn step_rng(seed: u64, iteration: u32) -> Pcg64 {
+    Pcg64::seed_from_u64(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ u64::from(iteration))
+}
+
+/// Three independent standard normal numbers (Box–Muller).
+fn normal3(rng: &mut Pcg64) -> glam::Vec3 {
+    let mut pair = || {
+        let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
+        let (sin, cos) = (std::f64::consts::TAU * rng.random::<f64>()).sin_cos();
+        (radius * cos, radius * sin)
+    };
+    let ((x, y), (z, _)) = (pair(), pair());
+    glam::DVec3::new(x, y, z).as_vec3()
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::optimize::state::{LOG_SCALE, ROTATION};
+
+    /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, unequal SH, and moments that are nowhere zero.
+    pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
+        let mut s = SplatState { sh_degree, ..SplatState::default() };
+        for i in 0..n {
+            let mut row = [0.0; GEOMETRY_FLOATS];
+            row[0] = i as f32;
+            row[ROTATION].copy_from_slice(&[0.8, 0.0, 0.6, 0.0]);
+            row[LOG_SCALE].fill(0.01_f32.ln());
+            s.geometry.extend(row);
+            s.sh.extend((0..s.sh_floats()).map(|k| i as f32 + k as f32 / 100.0));
+        }
+        s.geometry_m = (1..=s.geometry.len()).map(|k| k as f32).collect();
+        s.geometry_v.clone_from(&s.geometry_m);
+        s.sh_m = (1..=s.sh.len()).map(|k| k as f32).collect();
+        s.sh_v.clone_from(&s.sh_m);
+        s
+    }
+
+    #[test]
+    fn reset_limits_opacity_and_forgets_only_its_moments() {
+        let mut s = state(3, 0);
+        s.row_mut(1)[OPACITY] = logit(0.004);
+        let before = s.clone();
+        reset_opacity(&mut s);
+        assert!((s.opacity(0) - 0.01).abs() < 1e-6);
+        assert_eq!(s.opacity(1), before.opacity(1));
+        for i in 0..3 {
+            for c in 0..GEOMETRY_FLOATS {
+                let at = i * GEOMETRY_FLOATS + c;
+                let expected = if c == OPACITY { 0.0 } else { before.geometry_m[at] };
+                assert_eq!((s.geometry_m[at], s.geometry_v[at]), (expected, expected));
+            }
+        }
+        assert_eq!((s.sh, s.sh_m), (before.sh, before.sh_m));
+    }
+
+    #[test]
+    fn statistics_are_averaged_over_the_views_that_saw_the_splat() {
+        let rows = [[6.0, 3.0, 9.0, 1.0], [0.0; 4], [f32::NAN, 1.0, f32::INFINITY, 0.0]];
+        let s = Statistics(&rows);
+        assert_eq!([0, 1, 2].map(|i| (s.mean_gradient(i), s.contribution(i))), [(2.0, 3.0), (0.0, 0.0), (0.0, 0.0)]);
+    }
+
+    #[test]
+    fn normals_have_unit_variance() {
+        let mut rng = step_rng(1, 2);
+        let n = 20_000;
+        let (mut sum, mut squares) = (glam::Vec3::ZERO, glam::Vec3::ZERO);
+        for _ in 0..n {
+            let x = normal3(&mut rng);
+            sum += x;
+            squares += x * x;
+        }
+        // Five standard errors: 5/√20000 = 0.035 of the mean, √2 times that of the variance.
+        assert!((sum / n as f32).abs().max_element() < 0.035);
+        assert!((squares / n as f32 - 1.0).abs().max_element() < 0.05);
+    }
+}

@@ -1,0 +1,256 @@
+//! INRIA's adaptive density control: clone or split where the screen-space gradient is large, prune what is
+//! transparent or huge (METHODS 2.8).
+
+use glam::{Quat, Vec3};
+
+use super::{DensityReport, Statistics, normal3, step_rng};
+use crate::optimize::state::{LOG_SCALE, MEAN, SplatState};
+
+/// A child's scale is its parent's divided by 0.8 × the number of children.
+const SPLIT_SHRINKAGE: f32 = 1.6;
+/// Children are drawn from the parent's own Gaussian, but not outside of what of it is drawn (about 3.3 σ).
+const SPLIT_REACH: f32 = 3.0;
+
+/// Thresholds of the strategy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InriaOptions {
+    /// [`capture::extent`](crate::capture::extent) of the scene, world units.
+    pub extent: f32,
+    /// Mean gradient from which a splat is cloned or split, normalised device coordinates: 2e-4.
+    pub gradient_threshold: f32,
+    /// Largest scale that is cloned rather than split, in extents: 0.01.
+    pub dense_fraction: f32,
+    /// Splats below this opacity are pruned: 0.005.
+    pub min_opacity: f32,
+    /// Splats with a scale above this many extents are pruned, if set: 0.1 once opacities have been reset, before
+    /// which a large splat may still be the best explanation of a background.
+    pub max_scale: Option<f32>,
+    /// Growth stops here; the splats with the largest gradients go first.
+    pub max_splats: usize,
+}
+
+impl InriaOptions {
+    /// INRIA's constants, without pruning by scale.
+    #[must_use]
+    pub fn new(extent: f32, max_splats: usize) -> Self {
+        Self { extent, gradient_threshold: 2e-4, dense_fraction: 0.01, min_opacity: 0.005, max_scale: None, max_splats }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Fate {
+    Keep,
+    Prune,
+    Clone,
+    Split,
+}
+
+/// One step. Afterwards the survivors come first in their old order, then clones, then children.
+///
+/// Growth and pruning are decided together, on the splats as they come in: the outcome is that of growing first and
+/// pruning everything afterwards, but what is about to be pruned takes no room below `max_splats`.
+///
+/// # Panics
+/// If there is not one row of statistics per splat.
+pub fn densify(
+    state: &mut SplatState,
+    statistics: Statistics<'_>,
+    options: &InriaOptions,
+    iteration: u32,
+    seed: u64,
+) -> DensityReport {
+    let n = state.len();
+    assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
+    let max_scale = options.max_scale.map_or(f32::INFINITY, |m| m * options.extent);
+    let is_pruned = |i: usize| state.opacity(i) < options.min_opacity || state.largest_scale(i) > max_scale;
+    let wants_to_grow = |i: usize| -> Option<Fate> {
+        let scale = state.largest_scale(i);
+        if statistics.mean_gradient(i) < options.gradient_threshold || state.opacity(i) < options.min_opacity {
+            None
+        } else if scale <= options.dense_fraction * options.extent {
+            Some(Fate::Clone)
+        } else {
+            // Splitting may save a splat that is too large.
+            (scale / SPLIT_SHRINKAGE <= max_scale).then_some(Fate::Split)
+        }
+    };
+
+    let mut fates: Vec<Fate> =
+        (0..n).map(|i| wants_to_grow(i).unwrap_or(if is_pruned(i) { Fate::Prune } else { Fate::Keep })).collect();
+    let pruned = fates.iter().filter(|&&f| f == Fate::Prune).count();
+    let mut growing: Vec<usize> = (0..n).filter(|&i| matches!(fates[i], Fate::Clone | Fate::Split)).collect();
+    // Cloning and splitting both add one splat.
+    let room = options.max_splats.saturating_sub(n - pruned);
+    if growing.len() > room {
+        growing.sort_by(|&a, &b| statistics.mean_gradient(b).total_cmp(&statistics.mean_gradient(a)).then(a.cmp(&b)));
+        for &i in &growing[room..] {
+            fates[i] = if is_pruned(i) { Fate::Prune } else { Fate::Keep };
+        }
+    }
+
+    let mut rng = step_rng(seed, iteration);
+    let count = |fate: Fate| fates.iter().filter(|&&f| f == fate).count();
+    let report = DensityReport {
+        cloned: count(Fate::Clone),
+        split: count(Fate::Split),
+        pruned: count(Fate::Prune),
+        ..DensityReport::default()
+    };
+    for i in (0..n).filter(|&i| fates[i] == Fate::Clone) {
+        state.push_copy(i);
+    }
+    for i in (0..n).filter(|&i| fates[i] == Fate::Split) {
+        for _ in 0..2 {
+            state.push_copy(i);
+            let offset = normal3(&mut rng).clamp_length_max(SPLIT_REACH);
+            move_child(state.row_mut(state.len() - 1), offset);
+        }
+    }
+    let mut keep: Vec<bool> = fates.iter().map(|f| matches!(f, Fate::Keep | Fate::Clone)).collect();
+    keep.resize(state.len(), true);
+    state.retain(&keep);
+    report
+}
+
+/// Shrinks a copy of a parent and moves it by `offset` standard deviations along the parent's axes.
+fn move_child(row: &mut [f32], offset: Vec3) {
+    let scale = Vec3::from_slice(&row[LOG_SCALE]).exp();
+    // In f64 like `Splats::new`: an unnormalised quaternion may be long or short. A zero one turns nothing.
+    let rotation = Quat::from_xyzw(row[5], row[6], row[7], row[4]).as_dquat().normalize();
+    let local = (offset * scale).as_dvec3();
+    let world = if rotation.is_finite() { rotation * local } else { local };
+    let mean = Vec3::from_slice(&row[MEAN]) + world.as_vec3();
+    mean.write_to_slice(&mut row[MEAN]);
+    for s in &mut row[LOG_SCALE] {
+        *s -= SPLIT_SHRINKAGE.ln();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optimize::{
+        density::tests::state,
+        state::{OPACITY, logit},
+    };
+
+    const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean of exactly the threshold
+    const COLD: [f32; 4] = [3.9e-4, 2.0, 1.0, 1.0];
+
+    fn set_scale(s: &mut SplatState, i: usize, scale: [f32; 3]) {
+        Vec3::from(scale).ln().write_to_slice(&mut s.row_mut(i)[LOG_SCALE]);
+    }
+
+    #[test]
+    fn clones_small_and_splits_large_splats_with_large_gradients() {
+        let mut s = state(6, 1);
+        for i in [1, 3] {
+            set_scale(&mut s, i, [0.001, 0.011, 0.002]); // largest just above 0.01 extents
+        }
+        s.row_mut(5)[OPACITY] = logit(0.004);
+        let before = s.clone();
+        let report =
+            densify(&mut s, Statistics(&[HOT, HOT, COLD, COLD, HOT, HOT]), &InriaOptions::new(1.001, 1000), 600, 7);
+        assert_eq!(report, DensityReport { cloned: 2, split: 1, pruned: 1, ..DensityReport::default() });
+        // 0, 2, 3, 4 survive; clones of 0 and 4; two children of 1.
+        assert_eq!(s.len(), 8);
+        for (now, then) in [(0, 0), (1, 2), (2, 3), (3, 4), (4, 0), (5, 4)] {
+            assert_eq!(s.row(now), before.row(then));
+            assert_eq!(s.geometry_m[12 * now] == 0.0, now >= 4, "only clones start without moments");
+        }
+        for child in [6, 7] {
+            assert_eq!(s.row(child)[3..8], before.row(1)[3..8], "opacity and rotation are the parent's");
+            for c in LOG_SCALE {
+                let ratio = (before.row(1)[c] - s.row(child)[c]).exp();
+                assert!((ratio - 1.6).abs() < 1e-5, "{ratio}");
+            }
+            assert_ne!(s.row(child)[..3], before.row(1)[..3]);
+        }
+        assert_ne!(s.row(6)[..3], s.row(7)[..3]);
+    }
+
+    #[test]
+    fn children_follow_the_shape_of_their_parent() {
+        let n = 2000;
+        let mut s = state(n, 0);
+        let scale = Vec3::new(0.3, 0.02, 0.1);
+        for i in 0..n {
+            set_scale(&mut s, i, scale.into());
+        }
+        let before = s.clone();
+        densify(&mut s, Statistics(&vec![HOT; n]), &InriaOptions::new(1.0, 10 * n), 600, 7);
+        assert_eq!(s.len(), 2 * n);
+        let rotation = Quat::from_xyzw(0.0, 0.6, 0.0, 0.8);
+        let mut squares = Vec3::ZERO;
+        for child in 0..2 * n {
+            let offset = Vec3::from_slice(s.row(child)) - Vec3::from_slice(before.row(child / 2));
+            let sigmas = rotation.inverse() * offset / scale;
+            // f32 keeps 1e-4 of a unit at coordinates of up to 2000.
+            assert!(sigmas.length() <= 3.0 + 2e-4 / 0.02, "{sigmas}");
+            squares += sigmas * sigmas;
+        }
+        // Unit variance, less what the limit of 3 σ takes (2 %), ± 5 standard errors.
+        let variance = squares / (2 * n) as f32;
+        assert!((variance - 0.98).abs().max_element() < 0.12, "{variance}");
+    }
+
+    #[test]
+    fn prunes_transparent_and_huge_splats_but_splits_what_fits_afterwards() {
+        let mut s = state(5, 0);
+        s.row_mut(0)[OPACITY] = logit(0.0049);
+        s.row_mut(1)[OPACITY] = logit(0.0051);
+        set_scale(&mut s, 2, [0.101, 0.01, 0.01]);
+        set_scale(&mut s, 3, [0.15, 0.01, 0.01]); // its children have 0.094
+        set_scale(&mut s, 4, [0.17, 0.01, 0.01]); // its children would have 0.106
+        let rows = [COLD, COLD, COLD, HOT, HOT];
+        let options = InriaOptions { max_scale: Some(0.1), ..InriaOptions::new(1.0, 100) };
+        let mut early = s.clone();
+        let report = densify(&mut s, Statistics(&rows), &options, 4000, 7);
+        assert_eq!(report, DensityReport { split: 1, pruned: 3, ..DensityReport::default() });
+        assert_eq!(s.len(), 3);
+        let report = densify(&mut early, Statistics(&rows), &InriaOptions { max_scale: None, ..options }, 600, 7);
+        assert_eq!(report, DensityReport { split: 2, pruned: 1, ..DensityReport::default() });
+    }
+
+    #[test]
+    fn the_cap_favours_large_gradients() {
+        let n = 100;
+        let mut s = state(n, 0);
+        for i in (0..n).step_by(2) {
+            set_scale(&mut s, i, [0.5; 3]);
+        }
+        s.row_mut(99)[OPACITY] = logit(0.001);
+        let rows: Vec<_> = (0..n).map(|i| [1e-3 * (1 + i) as f32, 1.0, 1.0, 1.0]).collect();
+        let report = densify(&mut s, Statistics(&rows), &InriaOptions::new(1.0, 109), 600, 7);
+        assert_eq!(report, DensityReport { cloned: 5, split: 5, pruned: 1, ..DensityReport::default() });
+        assert_eq!(s.len(), 109);
+        // 89 to 98 grow: odd ones have a clone, even ones are gone for their children.
+        let near = |x: f32| (0..s.len()).filter(|&i| (s.row(i)[0] - x).abs() < 1e-6).count();
+        assert_eq!([86.0, 87.0, 88.0, 89.0, 90.0, 97.0, 98.0].map(near), [1, 1, 1, 2, 0, 2, 0]);
+        // Already above the cap: nothing grows.
+        let m = s.len();
+        let report = densify(&mut s, Statistics(&vec![HOT; m]), &InriaOptions::new(1.0, 50), 700, 7);
+        assert_eq!((report, s.len()), (DensityReport::default(), m));
+    }
+
+    #[test]
+    fn equal_input_gives_equal_output() {
+        let run = |seed, iteration| {
+            let mut s = state(50, 1);
+            (0..50).for_each(|i| set_scale(&mut s, i, [0.1, 0.2, 0.3]));
+            densify(&mut s, Statistics(&[HOT; 50]), &InriaOptions::new(1.0, 1000), iteration, seed);
+            assert_eq!(s.first_non_finite(), None);
+            s
+        };
+        assert_eq!(run(1, 600), run(1, 600));
+        assert_ne!(run(1, 600), run(1, 700));
+        assert_ne!(run(1, 600), run(2, 600));
+    }
+
+    #[test]
+    fn nothing_to_do() {
+        let mut s = SplatState::default();
+        let report = densify(&mut s, Statistics(&[]), &InriaOptions::new(1.0, 10), 600, 7);
+        assert_eq!((report, s.len()), (DensityReport::default(), 0));
+    }
+}

@@ -1,0 +1,344 @@
+//! 3DGS-MCMC's density control: dead splats are moved onto living ones, and a few are added each time, in such a way
+//! that the picture hardly changes (METHODS 2.8); for hybrids with the criteria of METHODS 13(7).
+
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use super::{DensityReport, Statistics, step_rng};
+use crate::optimize::state::{LOG_SCALE, OPACITY, SplatState, logit};
+
+/// Most copies that a splat becomes at once.
+const MAX_COPIES: usize = 51;
+
+/// What the probability of a splat to receive copies is proportional to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sampling {
+    /// Opacity, as in the paper.
+    #[default]
+    Opacity,
+    /// [`Statistics::contribution`]. Behind an opaque mesh a splat keeps its opacity but contributes nothing.
+    Contribution,
+}
+
+/// Thresholds of the strategy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct McmcOptions {
+    /// Splats of at most this opacity are dead, and no copy gets less: 0.005.
+    pub min_opacity: f32,
+    /// Splats after a step over splats before it: 1.05.
+    pub growth: f32,
+    /// The number of splats that is grown to.
+    pub max_splats: usize,
+    /// Where copies go.
+    pub sampling: Sampling,
+    /// Splats whose blend weight, summed over an epoch, stays below this are dead too, if set: 1e-3 for scenes with a
+    /// mesh.
+    pub min_epoch_weight: Option<f32>,
+}
+
+impl McmcOptions {
+    /// The paper's constants for pure splats, those of METHODS 13(7) for scenes with a mesh.
+    #[must_use]
+    pub fn new(max_splats: usize, has_mesh: bool) -> Self {
+        Self {
+            min_opacity: 0.005,
+            growth: 1.05,
+            max_splats,
+            sampling: if has_mesh { Sampling::Contribution } else { Sampling::Opacity },
+            min_epoch_weight: has_mesh.then_some(1e-3),
+        }
+    }
+}
+
+/// Blend weight of every splat, summed until all training views have been seen.
+///
+/// A density interval is usually shorter than an epoch, and a splat that none of its views shows is not yet useless.
+/// Part of a checkpoint.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EpochWeight {
+    /// `[N]` sums so far.
+    pub weight: Vec<f32>,
+    /// Iterations so far.
+    pub iterations: u32,
+}
+
+impl EpochWeight {
+    /// Adds the statistics of some iterations.
+    pub fn add(&mut self, statistics: Statistics<'_>, iterations: u32) {
+        self.weight.resize(statistics.0.len(), 0.0);
+        self.weight.iter_mut().zip(statistics.0).for_each(|(sum, s)| *sum += s[2]);
+        self.iterations = self.iterations.saturating_add(iterations);
+    }
+}
+
+/// One step. Afterwards all splats are at their old place, followed by those added; a relocated splat takes over the
+/// whole row of its source.
+///
+/// `epoch`, to which these statistics have been added, is judged and begun anew when it has seen `views` iterations.
+///
+/// Other than the paper, which forgets the moments of sources only, this forgets those of relocated splats as well: they
+/// describe another place.
+///
+/// # Panics
+/// If there is not one row of statistics, and one epoch weight, per splat.
+pub fn relocate_and_add(
+    state: &mut SplatState,
+    statistics: Statistics<'_>,
+    epoch: &mut EpochWeight,
+    views: u32,
+    options: &McmcOptions,
+    iteration: u32,
+    seed: u64,
+) -> DensityReport {
+    let n = state.len();
+    assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
+    assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
+    let epoch_ends = epoch.iterations >= views;
+    let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
+    let dead: Vec<usize> =
+        (0..n).filter(|&i| state.opacity(i) <= options.min_opacity || epoch.weight[i] < min_weight).collect();
+    let scores_by = |sampling: Sampling| -> Vec<f64> {
+        let mut scores: Vec<f64> = (0..n)
+            .map(|i| match sampling {
+                Sampling::Opacity => f64::from(state.opacity(i)),
+                Sampling::Contribution => f64::from(statistics.contribution(i)),
+            })
+            .collect();
+        dead.iter().for_each(|&i| scores[i] = 0.0);
+        scores
+    };
+    let mut sampling = options.sampling;
+    let mut scores = scores_by(sampling);
+    if scores.iter().sum::<f64>() <= 0.0 {
+        // No view saw a living splat.
+        sampling = Sampling::Opacity;
+        scores = scores_by(sampling);
+    }
+
+    let mut rng = step_rng(seed, iteration);
+    let sources = sample(&scores, dead.len(), &mut rng);
+    share(state, &mut scores, sampling, &sources, options.min_opacity);
+    for (&to, &from) in dead.iter().zip(&sources) {
+        state.copy_over(from, to);
+        scores[to] = scores[from];
+        epoch.weight[to] = epoch.weight[from];
+    }
+
+    let target = ((n as f64 * f64::from(options.growth)) as usize).min(options.max_splats);
+    let added = sample(&scores, target.saturating_sub(n), &mut rng);
+    share(state, &mut scores, sampling, &added, options.min_opacity);
+    for &from in &added {
+        state.push_copy(from);
+        epoch.weight.push(epoch.weight[from]);
+    }
+    if epoch_ends {
+        epoch.weight.fill(0.0);
+        epoch.iterations = 0;
+    }
+    DensityReport { relocated: sources.len(), added: added.len(), ..DensityReport::default() }
+}
+
+/// Opacity and factor on the scale of each of `copies` splats at one place that together look like one of `opacity`
+/// (METHODS 2.8, eq. 9 of the MCMC paper): its integral over the screen and its value at the centre are kept.
+#[must_use]
+pub fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
+    let copies = copies.clamp(1, MAX_COPIES);
+    // 1 − (1 − o)^(1/N), also for tiny o.
+    let each = -((-opacity).ln_1p() / copies as f64).exp_m1();
+    let mut denominator = 0.0;
+    for i in 0..copies {
+        let mut term = each; // C(i, k)·(−1)ᵏ·oᵏ⁺¹
+        for k in 0..=i {
+            denominator += term / ((k + 1) as f64).sqrt();
+            term *= -each * (i - k) as f64 / (k + 1) as f64;
+        }
+    }
+    let scale = opacity / denominator;
+    if scale.is_finite() { (each, scale) } else { (each, 1.0) }
+}
+
+/// `count` indices with probabilities proportional to `scores`, with repetition; none if all scores are 0.
+fn sample(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<usize> {
+    let mut total = 0.0;
+    let cumulative: Vec<f64> = scores
+        .iter()
+        .map(|s| {
+            total += if s.is_finite() { s.max(0.0) } else { 0.0 };
+            total
+        })
+        .collect();
+    let Some(last) = scores.iter().rposition(|&s| s > 0.0).filter(|_| total > 0.0) else { return vec![] };
+    (0..count)
+        .map(|_| {
+            let x = rng.random::<f64>() * total;
+            // The product may round up to the total itself.
+            cumulative.partition_point(|&c| c <= x).min(last)
+        })
+        .collect()
+}
+
+/// Gives every sampled splat the opacity and scale that it has in common with its copies-to-be, and no moments.
+fn share(state: &mut SplatState, scores: &mut [f64], sampling: Sampling, sources: &[usize], min_opacity: f32) {
+    let mut sorted = sources.to_vec();
+    sorted.sort_unstable();
+    for group in sorted.chunk_by(|a, b| a == b) {
+        let i = group[0];
+        let copies = group.len() + 1;
+        let (opacity, factor) = relocation(f64::from(state.opacity(i)), copies);
+        let opacity = (opacity as f32).clamp(min_opacity, 1.0 - f32::EPSILON);
+        state.clear_moments(i);
+        let row = state.row_mut(i);
+        row[OPACITY] = logit(opacity);
+        row[LOG_SCALE].iter_mut().for_each(|s| *s += factor.ln() as f32);
+        scores[i] = match sampling {
+            Sampling::Opacity => f64::from(opacity),
+            Sampling::Contribution => scores[i] / copies as f64,
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optimize::{density::tests::state, state::sigmoid};
+
+    const SEEN: [f32; 4] = [0.0, 2.0, 4.0, 1.0];
+
+    fn run(s: &mut SplatState, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> (DensityReport, EpochWeight) {
+        let mut epoch = EpochWeight::default();
+        epoch.add(Statistics(rows), 100);
+        let report = relocate_and_add(s, Statistics(rows), &mut epoch, 100, options, 600, seed);
+        assert_eq!(s.first_non_finite(), None);
+        (report, epoch)
+    }
+
+    #[test]
+    fn relocation_has_the_golden_values() {
+        for (o, copies, each, scale) in
+            [(0.9, 2, 0.683_772_234, 0.867_937_851), (0.5, 3, 0.206_299_474, 0.936_881_752), (0.3, 1, 0.3, 1.0)]
+        {
+            let (o, s) = relocation(o, copies);
+            // The golden values have nine digits.
+            assert!((o - each).abs() < 1e-9 && (s - scale).abs() < 1e-9, "{o} {s}");
+        }
+    }
+
+    #[test]
+    fn relocation_stays_finite_at_the_limits() {
+        for o in [0.0, 1e-30, 0.005, 0.5, 1.0 - f64::from(f32::EPSILON), 1.0] {
+            for copies in [0, 1, 2, 25, 51, 10_000] {
+                let (each, scale) = relocation(o, copies);
+                assert!((0.0..=o * (1.0 + 1e-15)).contains(&each), "{o} {copies}: {each}");
+                assert!(scale > 0.0 && scale.is_finite(), "{o} {copies}: {scale}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_dead_move_and_together_the_copies_are_as_opaque_as_their_source() {
+        let n = 10;
+        let mut s = state(n, 1);
+        for i in 0..n {
+            s.row_mut(i)[OPACITY] = logit(if i == 4 { 0.9 } else { 0.004 });
+        }
+        let before = s.clone();
+        let (report, _) = run(&mut s, &[SEEN; 10], &McmcOptions::new(n, false), 1);
+        assert_eq!(report, DensityReport { relocated: 9, ..DensityReport::default() });
+        let (mut transmittance, (_, factor)) = (1.0, relocation(0.9, 10));
+        for i in 0..n {
+            assert_eq!(s.row(i)[..3], before.row(4)[..3]);
+            assert_eq!(s.row(i), s.row(0));
+            assert!((s.row(i)[8] - before.row(4)[8] - factor.ln() as f32).abs() < 1e-5);
+            transmittance *= 1.0 - s.opacity(i);
+        }
+        // Ten factors with a few ulps of f32 each.
+        assert!((transmittance - 0.1).abs() < 1e-6, "{transmittance}");
+        assert_eq!(s.sh[..12], before.sh[48..60]);
+        assert!(s.geometry_m.iter().chain(&s.sh_v).all(|&v| v == 0.0));
+    }
+
+    #[test]
+    fn grows_by_a_twentieth_up_to_the_cap() {
+        let mut s = state(100, 0);
+        let before = s.clone();
+        let (report, epoch) = run(&mut s, &[SEEN; 100], &McmcOptions::new(103, false), 1);
+        assert_eq!(report, DensityReport { added: 3, ..DensityReport::default() });
+        assert_eq!((s.len(), epoch), (103, EpochWeight { weight: vec![0.0; 103], iterations: 0 }));
+        let untouched = (0..100).filter(|&i| s.row(i) == before.row(i) && s.geometry_m[12 * i] != 0.0).count();
+        assert!((97..100).contains(&untouched), "{untouched}");
+        let (report, _) = run(&mut s, &[SEEN; 103], &McmcOptions::new(1000, false), 1);
+        assert_eq!((report.added, s.len()), (5, 108));
+        let (report, _) = run(&mut s, &[SEEN; 108], &McmcOptions::new(50, false), 1);
+        assert_eq!((report.added, s.len()), (0, 108));
+    }
+
+    #[test]
+    fn samples_in_proportion() {
+        let mut rng = step_rng(3, 4);
+        let picks = sample(&[1.0, 0.0, 3.0, f64::NAN, 4.0, 0.0], 40_000, &mut rng);
+        let count = |i| picks.iter().filter(|&&p| p == i).count() as f64 / 40_000.0;
+        assert_eq!([count(1), count(3), count(5)], [0.0; 3]);
+        // Five standard errors: 5·√(¼/40000) = 0.0125.
+        for (i, share) in [(0, 0.125), (2, 0.375), (4, 0.5)] {
+            assert!((count(i) - share).abs() < 0.0125, "{i}: {}", count(i));
+        }
+        assert!(sample(&[0.0; 3], 5, &mut rng).is_empty() && sample(&[], 5, &mut rng).is_empty());
+    }
+
+    #[test]
+    fn with_a_mesh_the_hidden_are_dead_but_only_after_an_epoch() {
+        let mut rows = vec![SEEN; 8];
+        rows[2] = [0.0, 2.0, 4e-4, 1.0]; // opaque, but behind the mesh
+        rows[5] = [0.0; 4]; // in no view
+        let options = McmcOptions::new(8, true);
+        let mut s = state(8, 0);
+        let mut epoch = EpochWeight::default();
+        epoch.add(Statistics(&rows), 60);
+        let early = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 100, &options, 600, 1);
+        assert_eq!(early, DensityReport::default());
+        epoch.add(Statistics(&rows), 60);
+        let late = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 100, &options, 660, 1);
+        assert_eq!(late, DensityReport { relocated: 2, ..DensityReport::default() });
+        assert_ne!((s.row(2)[0], s.row(5)[0]), (2.0, 5.0));
+        assert_eq!(epoch, EpochWeight { weight: vec![0.0; 8], iterations: 0 });
+        let (pure, _) = run(&mut state(8, 0), &rows, &McmcOptions::new(8, false), 1);
+        assert_eq!(pure, DensityReport::default());
+    }
+
+    #[test]
+    fn copies_go_where_splats_contribute_not_where_they_are_opaque() {
+        let mut rows = vec![[0.0; 4]; 40];
+        rows[7] = SEEN;
+        let options = McmcOptions { max_splats: 50, growth: 1.25, min_epoch_weight: None, ..McmcOptions::new(0, true) };
+        let mut s = state(40, 0);
+        run(&mut s, &rows, &options, 1);
+        assert!((40..50).all(|i| s.row(i)[0] == 7.0));
+        // Nothing was seen: opacity decides.
+        let mut s = state(40, 0);
+        let (report, _) = run(&mut s, &[[0.0; 4]; 40], &options, 1);
+        assert_eq!(report.added, 10);
+    }
+
+    #[test]
+    fn equal_input_gives_equal_output() {
+        let once = |seed| {
+            let mut s = state(200, 1);
+            (0..20).for_each(|i| s.row_mut(i)[OPACITY] = logit(0.001));
+            run(&mut s, &[SEEN; 200], &McmcOptions::new(1000, false), seed);
+            s
+        };
+        assert_eq!(once(1), once(1));
+        assert_ne!(once(1), once(2));
+    }
+
+    #[test]
+    fn nothing_alive_or_nothing_at_all() {
+        let mut s = state(3, 0);
+        (0..3).for_each(|i| s.row_mut(i)[OPACITY] = -20.0);
+        let (report, _) = run(&mut s, &[SEEN; 3], &McmcOptions::new(100, false), 1);
+        assert_eq!((report, s.len()), (DensityReport::default(), 3));
+        let (report, _) = run(&mut SplatState::default(), &[], &McmcOptions::new(100, true), 1);
+        assert_eq!(report, DensityReport::default());
+        assert!(sigmoid(logit(1.0 - f32::EPSILON)) < 1.0, "the most opaque copy has a finite logit");
+    }
+}

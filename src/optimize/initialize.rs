@@ -1,0 +1,262 @@
+//! The splats that an optimisation starts from (METHODS 2.1).
+
+use glam::{DMat3, DVec3, Quat, Vec3};
+use rand::{RngExt, SeedableRng, seq::index};
+use rand_pcg::Pcg64;
+
+use super::state::logit;
+use crate::{
+    capture::{Point, extent},
+    geometry::mean_squared_distance_to_3_neighbors,
+    scene::{Camera, SceneError, Splats, sh},
+};
+
+/// How opaque and how large the first splats are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Initial {
+    /// Opacity, 0 to 1.
+    pub opacity: f32,
+    /// Scale over the distance to the neighbours.
+    pub scale: f32,
+}
+
+impl Initial {
+    /// For density control by gradients (METHODS 2.1).
+    pub const INRIA: Self = Self { opacity: 0.1, scale: 1.0 };
+    /// For MCMC (METHODS 2.8).
+    pub const MCMC: Self = Self { opacity: 0.5, scale: 0.1 };
+}
+
+/// One round splat per sparse point: scale from the distance to its three nearest neighbours, colour the point's.
+///
+/// Of more than `max_splats` points a random sample is taken, and distances are those within the sample. Points that
+/// do not fit in f32 are left out.
+///
+/// # Errors
+/// If `sh_degree` exceeds 3.
+pub fn from_points(
+    points: &[Point],
+    sh_degree: u32,
+    initial: Initial,
+    max_splats: usize,
+    seed: u64,
+) -> Result<Splats, SceneError> {
+    let mut points: Vec<(Vec3, [u8; 3])> =
+        points.iter().map(|p| (p.position.as_vec3(), p.rgb)).filter(|p| p.0.is_finite()).collect();
+    if points.len() > max_splats {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let mut chosen = index::sample(&mut rng, points.len(), max_splats).into_vec();
+        chosen.sort_unstable();
+        points = chosen.into_iter().map(|i| points[i]).collect();
+    }
+    let (means, colors): (Vec<_>, Vec<_>) =
+        points.into_iter().map(|(mean, rgb)| (mean, rgb.map(|c| f32::from(c) / 255.0))).unzip();
+    round_splats(means, &colors, sh_degree, initial)
+}
+
+/// `count` grey splats at random places that the cameras look at, for captures without points.
+///
+/// All cameras are taken to look at one place: the point nearest to their optical axes in the sense of least squares.
+/// Half of the splats fill a box about it that reaches half-way to the median camera, where the object of an object
+/// capture is; the other half one that reaches to the camera, for what surrounds it. Where there is no such place in
+/// front of most cameras (axes parallel, or pointing outwards) the box has its centre three extents along the mean
+/// direction of view and is as large.
+///
+/// # Errors
+/// If `sh_degree` exceeds 3.
+pub fn from_cameras(
+    cameras: &[Camera],
+    count: usize,
+    sh_degree: u32,
+    initial: Initial,
+    seed: u64,
+) -> Result<Splats, SceneError> {
+    let (center, reach) = focus(cameras);
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let means = (0..count)
+        .map(|i| {
+            let half = if i % 2 == 0 { 0.5 * reach } else { reach };
+            let mut side = || half * (2.0 * rng.random::<f64>() - 1.0);
+            (center + DVec3::new(side(), side(), side())).as_vec3()
+        })
+        .collect();
+    round_splats(means, &vec![[0.5; 3]; count], sh_degree, initial)
+}
+
+fn round_splats(means: Vec<Vec3>, colors: &[[f32; 3]], sh_degree: u32, initial: Initial) -> Result<Splats, SceneError> {
+    let n = means.len();
+    let scales = neighbor_scales(&means);
+    let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
+    let mut coefficients = vec![[0.0; 3]; n * terms];
+    for (row, &color) in coefficients.chunks_exact_mut(terms).zip(colors) {
+        row[0] = sh::dc_from_rgb(color);
+    }
+    Splats::new(
+        means,
+        vec![Quat::IDENTITY; n],
+        scales.into_iter().map(|s| Vec3::splat((s * initial.scale).ln())).collect(),
+        vec![logit(initial.opacity); n],
+        sh_degree,
+        coefficients,
+    )
+}
+
+/// Distance to the neighbours, within a hundredth and ten times of its median.
+///
+/// From below because points may coincide; INRIA's floor of √1e-7 presumes a scene of a few units. From above because
+/// structure from motion leaves single points far from all others (sky, mismatches): a splat as large as their distance
+/// covers every picture, and density control takes thousands of iterations to be rid of it.
+fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
+    let mut scales: Vec<f32> =
+        mean_squared_distance_to_3_neighbors(means).into_iter().map(|d| d.min(f32::MAX).sqrt()).collect();
+    let mut positive: Vec<f32> = scales.iter().copied().filter(|&s| s > 0.0).collect();
+    let middle = positive.len() / 2;
+    let median = if positive.is_empty() {
+        1e-7_f32.sqrt() * 100.0
+    } else {
+        *positive.select_nth_unstable_by(middle, f32::total_cmp).1
+    };
+    let floor = (median / 100.0).max(f32::MIN_POSITIVE);
+    scales.iter_mut().for_each(|s| *s = s.clamp(floor, (10.0 * median).max(floor)));
+    scales
+}
+
+/// The place that cameras look at and the median distance to it.
+fn focus(cameras: &[Camera]) -> (DVec3, f64) {
+    let rays: Vec<(DVec3, DVec3)> = cameras.iter().map(|c| (c.center(), c.rotation().row(2))).collect();
+    let n = rays.len().max(1) as f64;
+    // Σ(I − ddᵀ)·x = Σ(I − ddᵀ)·c.
+    let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    for &(center, axis) in &rays {
+        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        matrix += across / n;
+        right += across * center / n;
+    }
+    // The determinant is about the squared spread of the axes in radians: nothing can be said below half a degree.
+    if matrix.determinant() > 1e-4 {
+        let point = matrix.inverse() * right;
+        let mut distances: Vec<f64> = rays.iter().map(|&(center, _)| center.distance(point)).collect();
+        let middle = distances.len() / 2;
+        let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let in_front = rays.iter().filter(|&&(center, axis)| (point - center).dot(axis) > 0.5 * median).count();
+        if point.is_finite() && median > 0.0 && 2 * in_front > rays.len() {
+            return (point, median);
+        }
+    }
+    let mean = rays.iter().map(|r| r.0).sum::<DVec3>() / n;
+    let axis = rays.iter().map(|r| r.1).sum::<DVec3>() / n;
+    let reach = match 3.0 * extent(cameras) {
+        e if e > 0.0 => e,
+        _ => 1.0, // cameras in one place have no scale
+    };
+    (mean + axis * reach, reach)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+
+    fn point(x: f64, y: f64, z: f64) -> Point {
+        Point { position: DVec3::new(x, y, z), rgb: [255, 0, 51] }
+    }
+
+    fn grid(n: usize, step: f64) -> Vec<Point> {
+        (0..n * n).map(|i| point((i % n) as f64 * step, (i / n) as f64 * step, 0.0)).collect()
+    }
+
+    fn look(from: DVec3, to: DVec3) -> Camera {
+        let z = (to - from).normalize();
+        let x = z.any_orthonormal_vector();
+        let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
+        let intrinsics = Intrinsics { width: 100, height: 100, fx: 90.0, fy: 90.0, cx: 50.0, cy: 50.0 };
+        Camera::new(intrinsics, rotation, -(rotation * from)).unwrap()
+    }
+
+    #[test]
+    fn splats_take_their_size_and_colour_from_the_points() {
+        let splats = from_points(&grid(20, 0.5), 3, Initial::INRIA, 1000, 1).unwrap();
+        assert_eq!((splats.len(), splats.sh_degree()), (400, 3));
+        for i in 0..400 {
+            // Inside and on edges three neighbours at 0.5; at corners the third is at √½: d² = (2·¼ + ½)/3.
+            let corner = [0, 19].contains(&(i % 20)) && [0, 19].contains(&(i / 20));
+            let scale = if corner { (1.0_f32 / 3.0).sqrt() } else { 0.5 };
+            assert!((splats.log_scales()[i].exp() - scale).abs().max_element() < 1e-6);
+            let rgb = sh::rgb_from_dc(splats.sh_of(i)[0]);
+            assert!(rgb.iter().zip([1.0, 0.0, 0.2]).all(|(a, b)| (a - b).abs() < 1e-6));
+            assert!(splats.sh_of(i)[1..].iter().all(|&c| c == [0.0; 3]));
+            assert!((splats.opacity_logits()[i] + 9.0_f32.ln()).abs() < 1e-6); // σ⁻¹(0.1)
+            assert_eq!(splats.rotations()[i], Quat::IDENTITY);
+        }
+        let mcmc = from_points(&grid(20, 0.5), 0, Initial::MCMC, 1000, 1).unwrap();
+        assert_eq!(mcmc.opacity_logits()[0], 0.0);
+        assert!((mcmc.log_scales()[25].x.exp() - 0.05).abs() < 1e-6);
+    }
+
+    #[test]
+    fn neither_outliers_nor_duplicates_get_out_of_hand() {
+        let mut points = grid(20, 0.5);
+        points.push(point(1e4, 0.0, 0.0));
+        points.extend([point(3.1, 3.1, 0.0); 9]);
+        points.push(Point { position: DVec3::splat(1e300), rgb: [0; 3] }); // no f32
+        let splats = from_points(&points, 0, Initial::INRIA, 1000, 1).unwrap();
+        assert_eq!(splats.len(), 410);
+        assert!((splats.log_scales()[400].x.exp() - 5.0).abs() < 1e-5, "ten times the median");
+        assert!((splats.log_scales()[405].x.exp() - 0.005).abs() < 1e-8, "a hundredth of the median");
+    }
+
+    #[test]
+    fn few_points_and_none() {
+        for points in [vec![], vec![point(1.0, 2.0, 3.0)], vec![point(1.0, 2.0, 3.0); 5]] {
+            let splats = from_points(&points, 1, Initial::INRIA, 1000, 1).unwrap();
+            assert_eq!(splats.len(), points.len());
+            assert!(splats.log_scales().iter().all(|s| (s.x.exp() - 1e-7_f32.sqrt()).abs() < 1e-8));
+        }
+        assert!(from_points(&grid(2, 1.0), 4, Initial::INRIA, 1000, 1).is_err());
+    }
+
+    #[test]
+    fn too_many_points_are_sampled_and_their_distances_grow() {
+        let points = grid(40, 0.5);
+        let splats = from_points(&points, 0, Initial::INRIA, 100, 1).unwrap();
+        assert_eq!(splats.len(), 100);
+        let mean = splats.log_scales().iter().map(|s| s.x.exp()).sum::<f32>() / 100.0;
+        assert!(mean > 1.0, "a sixteenth of the points is four times as sparse: {mean}");
+        assert_eq!(splats, from_points(&points, 0, Initial::INRIA, 100, 1).unwrap());
+        assert_ne!(splats, from_points(&points, 0, Initial::INRIA, 100, 2).unwrap());
+    }
+
+    #[test]
+    fn without_points_splats_surround_what_the_cameras_look_at() {
+        let target = DVec3::new(5.0, -2.0, 1.0);
+        let ring: Vec<Camera> = (0..12)
+            .map(|i| f64::from(i) * 0.5)
+            .map(|a| look(target + 4.0 * DVec3::new(a.cos(), a.sin(), 0.3), target))
+            .collect();
+        let (center, reach) = focus(&ring);
+        assert!(center.distance(target) < 1e-9 && (reach - 4.0 * 1.09_f64.sqrt()).abs() < 1e-9);
+        let splats = from_cameras(&ring, 1000, 1, Initial::INRIA, 3).unwrap();
+        assert_eq!(splats.len(), 1000);
+        let offsets: Vec<f32> =
+            splats.means().iter().map(|m| (*m - target.as_vec3()).abs().max_element() / reach as f32).collect();
+        assert!(offsets.iter().all(|&o| o <= 1.0 + 1e-6));
+        assert!(offsets.iter().step_by(2).all(|&o| o <= 0.5 + 1e-6));
+        assert_eq!(splats, from_cameras(&ring, 1000, 1, Initial::INRIA, 3).unwrap());
+    }
+
+    #[test]
+    fn parallel_and_outward_cameras_have_a_box_too() {
+        let parallel: Vec<Camera> = (0..5).map(|i| DVec3::X * f64::from(i)).map(|c| look(c, c + DVec3::Z)).collect();
+        let (center, reach) = focus(&parallel);
+        assert!((reach - 6.6).abs() < 1e-9 && center.distance(DVec3::new(2.0, 0.0, 6.6)) < 1e-9);
+        let outward: Vec<Camera> = (0..8)
+            .map(|i| f64::from(i) * std::f64::consts::FRAC_PI_4)
+            .map(|a| DVec3::new(a.cos(), a.sin(), 0.0))
+            .map(|d| look(d, 2.0 * d))
+            .collect();
+        let (center, reach) = focus(&outward);
+        assert!(center.length() < 1e-9 && (reach - 3.3).abs() < 1e-9);
+        let (center, reach) = focus(&[]);
+        assert_eq!((center, reach), (DVec3::ZERO, 1.0));
+    }
+}

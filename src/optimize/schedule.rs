@@ -1,0 +1,239 @@
+//! Learning rates and the times at which something happens (METHODS 2.1, 2.7, 2.8, 4.7).
+
+use crate::scene::sh;
+
+/// The length of run that INRIA's constants are for.
+const FULL: u32 = 30_000;
+/// Iterations of warm-up in the HERA paper, and the learning rate of texels.
+const PAPER_WARM_UP: u32 = 9_000;
+const PAPER_TEXEL_RATE: f64 = 5e-4;
+/// Iterations for which the opacity map is held after an opacity reset: with the splats in front of it gone the mesh
+/// would otherwise turn opaque to make up for them (METHODS 13(8)).
+const FREEZE: u32 = 200;
+
+/// Adam learning rates of the splats' parameters at one iteration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamRates {
+    /// Means, world units (the extent is in it).
+    pub mean: f32,
+    /// Opacity logits.
+    pub opacity: f32,
+    /// Quaternions.
+    pub rotation: f32,
+    /// Log-scales.
+    pub log_scale: f32,
+    /// SH coefficient 0.
+    pub sh_dc: f32,
+    /// All other SH coefficients.
+    pub sh_rest: f32,
+}
+
+/// When what happens to the splats. Iterations `t` count from 1 and begin when the splats do, after the warm-up of the
+/// mesh (METHODS 4.7).
+///
+/// At 30 000 iterations and above, everything has INRIA's constants, except that the position rate falls over the whole
+/// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
+/// Adam enough steps between two interventions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Schedule {
+    /// Length of the run.
+    pub iterations: u32,
+    /// Density control happens after this iteration: 500, but not before it has one interval of statistics.
+    pub densify_from: u32,
+    /// Density control happens before this iteration: 15 000 (INRIA), 25 000 (MCMC).
+    pub densify_until: u32,
+    /// Iterations between density steps: 100, in runs below 3000 proportionally less but at least 20.
+    pub densify_interval: u32,
+    /// Iterations between opacity resets: 3000, at least 1000. None in runs below 3000, which end before the splats
+    /// are opaque again, and with MCMC.
+    pub opacity_reset_interval: Option<u32>,
+    /// Splats are pruned for their size after this iteration: 3000.
+    pub prune_large_from: u32,
+    /// Iterations between two SH degrees: 1000, at least 100.
+    pub sh_interval: u32,
+    /// One opacity reset more, at `densify_from`: what is white over a white background would stay for ever.
+    pub white_background: bool,
+}
+
+impl Schedule {
+    /// INRIA's schedule for a run of `iterations`.
+    #[must_use]
+    pub fn new(iterations: u32) -> Self {
+        let of_full = |t: u32, floor: u32| {
+            let scaled = u64::from(t) * u64::from(iterations.min(FULL)) / u64::from(FULL);
+            u32::try_from(scaled).unwrap_or(t).max(floor)
+        };
+        let densify_interval = (iterations / 30).clamp(20, 100);
+        Self {
+            iterations,
+            densify_from: of_full(500, densify_interval),
+            densify_until: of_full(15_000, 0),
+            densify_interval,
+            opacity_reset_interval: (iterations >= 3000).then(|| of_full(3000, 1000)),
+            prune_large_from: of_full(3000, densify_interval),
+            sh_interval: of_full(1000, 100),
+            white_background: false,
+        }
+    }
+
+    /// The same for MCMC: density steps go on for 5/6 of the run, opacities are never reset.
+    #[must_use]
+    pub fn for_mcmc(self) -> Self {
+        let until = u64::from(self.densify_until) * 25 / 15;
+        Self { densify_until: u32::try_from(until).unwrap_or(u32::MAX), opacity_reset_interval: None, ..self }
+    }
+
+    /// The same with INRIA's additional reset for white backgrounds (none where there are no resets).
+    #[must_use]
+    pub fn with_white_background(self) -> Self {
+        Self { white_background: true, ..self }
+    }
+
+    /// SH degree in use at iteration `t`, at most `max_degree`.
+    #[must_use]
+    pub fn sh_degree(&self, t: u32, max_degree: u32) -> u32 {
+        (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
+    }
+
+    /// True if density control follows iteration `t`.
+    #[must_use]
+    pub fn densifies_after(&self, t: u32) -> bool {
+        t > self.densify_from && t < self.densify_until && t.is_multiple_of(self.densify_interval)
+    }
+
+    /// True if splats are pruned for their size at iteration `t`.
+    #[must_use]
+    pub fn prunes_large(&self, t: u32) -> bool {
+        t > self.prune_large_from
+    }
+
+    /// True if an opacity reset follows iteration `t`.
+    #[must_use]
+    pub fn resets_opacity_after(&self, t: u32) -> bool {
+        self.opacity_reset_interval.is_some_and(|interval| {
+            t > 0
+                && t < self.densify_until
+                && (t.is_multiple_of(interval) || (self.white_background && t == self.densify_from))
+        })
+    }
+
+    /// True if the mesh's opacity map is held at iteration `t`: for 200 iterations after each reset.
+    #[must_use]
+    pub fn freezes_mesh_opacity(&self, t: u32) -> bool {
+        (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
+    }
+
+    /// Learning rates of iteration `t` in a scene of this extent (METHODS 2.7).
+    #[must_use]
+    pub fn rates(&self, t: u32, extent: f32) -> AdamRates {
+        AdamRates {
+            mean: (position_rate(t, self.iterations) * f64::from(extent)) as f32,
+            opacity: 0.05,
+            rotation: 1e-3,
+            log_scale: 5e-3,
+            sh_dc: 2.5e-3,
+            sh_rest: 1.25e-4,
+        }
+    }
+}
+
+/// Learning rate of means for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
+#[must_use]
+pub fn position_rate(t: u32, iterations: u32) -> f64 {
+    let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
+    (1.6e-4_f64.ln() * (1.0 - at) + 1.6e-6_f64.ln() * at).exp()
+}
+
+/// Learning rate of texels that have `iterations` to go from zero to where they belong: the warm-up, or the whole run
+/// where there is none.
+///
+/// The paper's 5e-4 over 9000 iterations reaches 4.5, which is an opacity of 0.989 and a colour beyond black or white
+/// (METHODS 4.1). A shorter warm-up keeps that reach by a higher rate, of at most 0.05.
+#[must_use]
+pub fn texel_rate(iterations: u32) -> f32 {
+    let shorter = f64::from(PAPER_WARM_UP) / f64::from(iterations.clamp(1, PAPER_WARM_UP));
+    (PAPER_TEXEL_RATE * shorter).min(0.05) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn position_rate_has_the_golden_values() {
+        for (t, rate, digits) in
+            [(0, 1.6e-4, 1e-12), (7500, 5.0596e-5, 1e-9), (15_000, 1.6e-5, 1e-12), (30_000, 1.6e-6, 1e-12)]
+        {
+            assert!((position_rate(t, 30_000) - rate).abs() < digits, "{t}");
+        }
+        assert_eq!(position_rate(40_000, 30_000), position_rate(30_000, 30_000));
+        assert!(position_rate(0, 0).is_finite());
+        let rates = Schedule::new(30_000).rates(15_000, 2.0);
+        assert!((rates.mean - 3.2e-5).abs() < 1e-10);
+        assert_eq!((rates.sh_dc, rates.sh_rest), (2.5e-3, 1.25e-4));
+    }
+
+    #[test]
+    fn a_full_run_is_inrias() {
+        let s = Schedule::new(30_000);
+        assert_eq!(
+            s,
+            Schedule {
+                iterations: 30_000,
+                densify_from: 500,
+                densify_until: 15_000,
+                densify_interval: 100,
+                opacity_reset_interval: Some(3000),
+                prune_large_from: 3000,
+                sh_interval: 1000,
+                white_background: false,
+            }
+        );
+        assert_eq!(Schedule { iterations: 30_000, ..Schedule::new(100_000) }, s);
+        let steps: Vec<u32> = (1..=30_000).filter(|&t| s.densifies_after(t)).collect();
+        assert_eq!((steps.len(), steps[0], steps[143]), (144, 600, 14_900));
+        let resets = |s: Schedule| (0..=30_000).filter(|&t| s.resets_opacity_after(t)).collect::<Vec<_>>();
+        assert_eq!(resets(s), [3000, 6000, 9000, 12_000]);
+        assert_eq!(resets(s.with_white_background()), [500, 3000, 6000, 9000, 12_000]);
+        assert_eq!([999, 1000, 2999, 3000, 30_000].map(|t| s.sh_degree(t, 3)), [0, 1, 2, 3, 3]);
+        assert_eq!(s.sh_degree(30_000, 1), 1);
+        assert!(!s.prunes_large(3000) && s.prunes_large(3001));
+        let mcmc = s.for_mcmc();
+        assert_eq!((mcmc.densify_until, mcmc.opacity_reset_interval), (25_000, None));
+        assert!(resets(mcmc.with_white_background()).is_empty());
+    }
+
+    #[test]
+    fn short_runs_are_compressed_to_floors() {
+        let s = Schedule::new(7000);
+        assert_eq!((s.densify_from, s.densify_until, s.densify_interval), (116, 3500, 100));
+        assert_eq!((s.opacity_reset_interval, s.sh_interval), (Some(1000), 233));
+        let s = Schedule::new(2999);
+        assert_eq!((s.densify_interval, s.opacity_reset_interval, s.sh_interval), (99, None, 100));
+        let s = Schedule::new(300);
+        assert_eq!((s.densify_from, s.densify_until, s.densify_interval), (20, 150, 20));
+        for n in 0..500 {
+            let s = Schedule::new(n).for_mcmc();
+            assert!((0..=n).all(|t| s.sh_degree(t, 3) <= 3 && !s.resets_opacity_after(t)));
+        }
+        assert_eq!(Schedule::new(u32::MAX).for_mcmc().densify_until, 25_000);
+    }
+
+    #[test]
+    fn the_opacity_map_rests_after_a_reset() {
+        let s = Schedule::new(30_000);
+        let frozen: Vec<u32> = (0..=30_000).filter(|&t| s.freezes_mesh_opacity(t)).collect();
+        assert_eq!((frozen.len(), frozen[0], frozen[199], frozen[200]), (800, 3001, 3200, 6001));
+        assert!((0..2000).all(|t| !Schedule::new(2000).freezes_mesh_opacity(t)));
+    }
+
+    #[test]
+    fn texels_reach_as_far_in_a_shorter_warm_up() {
+        assert_eq!(texel_rate(9000), 5e-4);
+        assert_eq!(texel_rate(30_000), 5e-4);
+        for n in [90, 300, 3000, 8999] {
+            assert!((texel_rate(n) * n as f32 - 4.5).abs() < 1e-5);
+        }
+        assert_eq!([0, 1, 50].map(texel_rate), [0.05; 3]);
+    }
+}

@@ -1,0 +1,302 @@
+//! The parameters that are optimised, as flat arrays.
+
+use std::ops::Range;
+
+use glam::{Quat, Vec3};
+
+use crate::scene::{SceneError, Splats, sh};
+
+/// Floats of a splat in [`SplatState::geometry`].
+pub const GEOMETRY_FLOATS: usize = 12;
+/// Columns of the mean in a row of [`SplatState::geometry`].
+pub const MEAN: Range<usize> = 0..3;
+/// Column of the opacity logit.
+pub const OPACITY: usize = 3;
+/// Columns of the quaternion w, x, y, z.
+pub const ROTATION: Range<usize> = 4..8;
+/// Columns of the log-scale.
+pub const LOG_SCALE: Range<usize> = 8..11;
+
+/// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
+///
+/// Density control changes `N` here, on the host; moments travel with their splat. All arrays have whole rows for the
+/// same `N` as long as they are changed by these methods.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SplatState {
+    /// Degree of the spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+    /// `[N·12]`: mean x, y, z; opacity logit; quaternion w, x, y, z, not normalised; log-scale x, y, z; 0.
+    pub geometry: Vec<f32>,
+    /// `[N·(d+1)²·3]`: RGB of coefficient 0, RGB of coefficient 1, …
+    pub sh: Vec<f32>,
+    /// First moments of `geometry`.
+    pub geometry_m: Vec<f32>,
+    /// Second moments of `geometry`.
+    pub geometry_v: Vec<f32>,
+    /// First moments of `sh`.
+    pub sh_m: Vec<f32>,
+    /// Second moments of `sh`.
+    pub sh_v: Vec<f32>,
+}
+
+impl SplatState {
+    /// The parameters of these splats with moments of zero.
+    #[must_use]
+    pub fn from_splats(splats: &Splats) -> Self {
+        let mut geometry = Vec::with_capacity(splats.len() * GEOMETRY_FLOATS);
+        for i in 0..splats.len() {
+            let (m, q, s) = (splats.means()[i], splats.rotations()[i], splats.log_scales()[i]);
+            geometry.extend([m.x, m.y, m.z, splats.opacity_logits()[i], q.w, q.x, q.y, q.z, s.x, s.y, s.z, 0.0]);
+        }
+        let sh = splats.sh().as_flattened().to_vec();
+        let (zeros, sh_zeros) = (vec![0.0; geometry.len()], vec![0.0; sh.len()]);
+        Self {
+            sh_degree: splats.sh_degree(),
+            geometry,
+            sh,
+            geometry_m: zeros.clone(),
+            geometry_v: zeros,
+            sh_m: sh_zeros.clone(),
+            sh_v: sh_zeros,
+        }
+    }
+
+    /// The splats without their moments; quaternions are normalised.
+    ///
+    /// # Errors
+    /// If a parameter is not finite, a quaternion is zero, or the arrays do not fit together.
+    pub fn to_splats(&self) -> Result<Splats, SceneError> {
+        let rows = || self.geometry.chunks_exact(GEOMETRY_FLOATS);
+        Splats::new(
+            rows().map(|r| Vec3::from_slice(&r[MEAN])).collect(),
+            rows().map(|r| Quat::from_xyzw(r[5], r[6], r[7], r[4])).collect(),
+            rows().map(|r| Vec3::from_slice(&r[LOG_SCALE])).collect(),
+            rows().map(|r| r[OPACITY]).collect(),
+            self.sh_degree,
+            self.sh.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+        )
+    }
+
+    /// Number of splats.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.geometry.len() / GEOMETRY_FLOATS
+    }
+
+    /// True if there are no splats.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.geometry.is_empty()
+    }
+
+    /// Floats of a splat in [`Self::sh`]: 3·(d+1)².
+    #[must_use]
+    pub fn sh_floats(&self) -> usize {
+        3 * sh::coefficients(self.sh_degree)
+    }
+
+    /// Drops the splats for which `keep` `[N]` is false; the others keep their order and moments.
+    ///
+    /// # Panics
+    /// If `keep` has not one entry per splat.
+    pub fn retain(&mut self, keep: &[bool]) {
+        assert_eq!(keep.len(), self.len(), "one entry per splat");
+        let sh_floats = self.sh_floats();
+        for rows in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
+            retain_rows(rows, GEOMETRY_FLOATS, keep);
+        }
+        for rows in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
+            retain_rows(rows, sh_floats, keep);
+        }
+    }
+
+    /// Appends a copy of splat `i` with moments of zero: what it has learnt of its gradients is not the copy's, which
+    /// will share them.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn push_copy(&mut self, i: usize) {
+        let sh_floats = self.sh_floats();
+        self.geometry.extend_from_within(i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS);
+        self.sh.extend_from_within(i * sh_floats..(i + 1) * sh_floats);
+        self.geometry_m.resize(self.geometry.len(), 0.0);
+        self.geometry_v.resize(self.geometry.len(), 0.0);
+        self.sh_m.resize(self.sh.len(), 0.0);
+        self.sh_v.resize(self.sh.len(), 0.0);
+    }
+
+    /// Overwrites splat `to` by the parameters of splat `from`, with moments of zero.
+    ///
+    /// # Panics
+    /// If one is out of range.
+    pub fn copy_over(&mut self, from: usize, to: usize) {
+        let sh_floats = self.sh_floats();
+        self.geometry.copy_within(from * GEOMETRY_FLOATS..(from + 1) * GEOMETRY_FLOATS, to * GEOMETRY_FLOATS);
+        self.sh.copy_within(from * sh_floats..(from + 1) * sh_floats, to * sh_floats);
+        self.clear_moments(to);
+    }
+
+    /// Sets the moments of splat `i` to zero.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn clear_moments(&mut self, i: usize) {
+        let sh_floats = self.sh_floats();
+        for rows in [&mut self.geometry_m, &mut self.geometry_v] {
+            rows[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS].fill(0.0);
+        }
+        for rows in [&mut self.sh_m, &mut self.sh_v] {
+            rows[i * sh_floats..(i + 1) * sh_floats].fill(0.0);
+        }
+    }
+
+    /// Geometry of splat `i`.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn row(&self, i: usize) -> &[f32] {
+        &self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
+    }
+
+    /// Geometry of splat `i`, to be changed.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn row_mut(&mut self, i: usize) -> &mut [f32] {
+        &mut self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
+    }
+
+    /// Opacity of splat `i`, 0 to 1.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn opacity(&self, i: usize) -> f32 {
+        sigmoid(self.row(i)[OPACITY])
+    }
+
+    /// Largest standard deviation of splat `i`, world units.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn largest_scale(&self, i: usize) -> f32 {
+        self.row(i)[LOG_SCALE].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()
+    }
+
+    /// The first value that is not finite: its group of parameters and its splat.
+    #[must_use]
+    pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
+        let arrays = [
+            ("parameters", &self.geometry, &self.sh),
+            ("first moments", &self.geometry_m, &self.sh_m),
+            ("second moments", &self.geometry_v, &self.sh_v),
+        ];
+        for (kind, geometry, sh) in arrays {
+            if let Some(at) = geometry.iter().position(|v| !v.is_finite()) {
+                let group = match at % GEOMETRY_FLOATS {
+                    c if MEAN.contains(&c) => "means",
+                    OPACITY => "opacity logits",
+                    c if ROTATION.contains(&c) => "rotations",
+                    _ => "log-scales",
+                };
+                let group = if kind == "parameters" { group } else { kind };
+                return Some((group, at / GEOMETRY_FLOATS));
+            }
+            if let Some(at) = sh.iter().position(|v| !v.is_finite()) {
+                let group = if kind == "parameters" { "SH coefficients" } else { kind };
+                return Some((group, at / self.sh_floats()));
+            }
+        }
+        None
+    }
+}
+
+/// 1/(1+e⁻ˣ).
+#[must_use]
+pub(super) fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// Inverse of [`sigmoid`].
+#[must_use]
+pub(super) fn logit(p: f32) -> f32 {
+    let p = f64::from(p);
+    (p / (1.0 - p)).ln() as f32
+}
+
+fn retain_rows(rows: &mut Vec<f32>, width: usize, keep: &[bool]) {
+    let mut kept = 0;
+    for (i, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
+        rows.copy_within(i * width..(i + 1) * width, kept * width);
+        kept += 1;
+    }
+    rows.truncate(kept * width);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optimize::density::tests::state;
+
+    #[test]
+    fn splats_survive_the_round_trip() {
+        let state = state(5, 2);
+        let splats = state.to_splats().unwrap();
+        assert_eq!(splats.len(), 5);
+        let again = SplatState::from_splats(&splats);
+        assert_eq!(again.to_splats().unwrap(), splats);
+        assert_eq!(again.sh, state.sh);
+        for (a, b) in again.geometry.iter().zip(&state.geometry) {
+            // Quaternions are normalised in f64 and rounded.
+            assert!((a - b).abs() < 1e-6);
+        }
+        assert!(again.geometry_m.iter().chain(&again.sh_v).all(|&v| v == 0.0));
+    }
+
+    #[test]
+    fn retain_keeps_rows_and_moments_together() {
+        let mut s = state(4, 1);
+        let before = s.clone();
+        s.retain(&[false, true, false, true]);
+        assert_eq!(s.len(), 2);
+        for (now, then) in [(0, 1), (1, 3)] {
+            assert_eq!(s.row(now), before.row(then));
+            let width = s.sh_floats();
+            assert_eq!(s.sh_m[now * width..(now + 1) * width], before.sh_m[then * width..(then + 1) * width]);
+            assert_eq!(s.geometry_v[now * 12..now * 12 + 12], before.geometry_v[then * 12..then * 12 + 12]);
+        }
+        s.retain(&[false, false]);
+        assert!(s.is_empty() && s.sh.is_empty() && s.sh_v.is_empty());
+    }
+
+    #[test]
+    fn copies_start_without_moments() {
+        let mut s = state(3, 1);
+        s.push_copy(1);
+        s.copy_over(2, 0);
+        assert_eq!(s.len(), 4);
+        assert_eq!(s.row(3), s.row(1));
+        assert_eq!(s.row(0), s.row(2));
+        assert_eq!(s.sh[..12], s.sh[24..36]);
+        assert!(s.geometry_m[36..].iter().chain(&s.geometry_m[..12]).all(|&v| v == 0.0));
+        assert!(s.sh_v[36..].iter().chain(&s.sh_v[..12]).all(|&v| v == 0.0));
+        assert!(s.sh_v[12..36].iter().all(|&v| v != 0.0), "the others keep theirs");
+    }
+
+    #[test]
+    fn a_nan_is_named() {
+        let s = state(3, 1);
+        assert_eq!(s.first_non_finite(), None);
+        let broken = |change: fn(&mut SplatState)| {
+            let mut s = s.clone();
+            change(&mut s);
+            s.first_non_finite()
+        };
+        assert_eq!(broken(|s| s.row_mut(1)[OPACITY] = f32::NAN), Some(("opacity logits", 1)));
+        assert_eq!(broken(|s| s.row_mut(2)[6] = f32::INFINITY), Some(("rotations", 2)));
+        assert_eq!(broken(|s| s.sh[30] = f32::NAN), Some(("SH coefficients", 2)));
+        assert_eq!(broken(|s| s.sh_v[0] = f32::NAN), Some(("second moments", 0)));
+    }
+}
