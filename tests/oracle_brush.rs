@@ -57,6 +57,7 @@ fn error_of(case: &str) -> f64 {
 fn reference_renders_the_cases_of_brush() {
     for case in ["tiny_case.safetensors", "basic_case.safetensors"] {
         let error = error_of(case);
+
         assert!(error < 1e-5, "{case}: {error:e}");
     }
 }

@@ -11,7 +11,7 @@ mod tests;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
-pub use backward::backward;
+pub use backward::{ScreenStatistics, backward, backward_with_statistics};
 pub use margin::{Margin, render_with_margins};
 pub use parameters::{Parameter, Parameters, finite_difference};
 

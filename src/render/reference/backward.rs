@@ -13,6 +13,16 @@ struct ProjectedGradient {
     opacity: f64,
     center: DVec2,
     conic: DMat2,
+    weight: f64,
+}
+
+/// What density control reads of a splat in one view (METHODS 2.5, 13.7). Zeros if it is culled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScreenStatistics {
+    /// Derivative of the loss with respect to the projected mean, per pixel.
+    pub center: DVec2,
+    /// Σ over pixels of the weight with which its colour is blended.
+    pub weight: f64,
 }
 
 /// Gradients with respect to every mip level of a mesh's textures.
@@ -31,6 +41,19 @@ struct MapGradients {
 /// If `cotangent` is not of the camera's size.
 #[must_use]
 pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Parameters {
+    backward_with_statistics(scene, camera, cotangent).0
+}
+
+/// [`backward`], and what density control wants to know of every splat.
+///
+/// # Panics
+/// If `cotangent` is not of the camera's size.
+#[must_use]
+pub fn backward_with_statistics(
+    scene: &HybridScene,
+    camera: &Camera,
+    cotangent: &Image,
+) -> (Parameters, Vec<ScreenStatistics>) {
     let parameters = Parameters::of(scene);
     let view = View::new(scene, camera, &parameters);
     let mut splats = vec![ProjectedGradient::ZERO; view.splats.len()];
@@ -49,7 +72,10 @@ pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Para
                 c.transmittance * d_rgb.dot(c.color - behind) - cotangent.transmittance[pixel] * last / (1.0 - c.alpha);
             behind = c.alpha * c.color + (1.0 - c.alpha) * behind;
             match c.source {
-                Source::Splat(i, offset) => splats[i].add(&view.splats[i].0, offset, d_color, d_alpha),
+                Source::Splat(i, offset) => {
+                    splats[i].weight += c.transmittance * c.alpha;
+                    splats[i].add(&view.splats[i].0, offset, d_color, d_alpha);
+                }
                 Source::Layer(i) => {
                     let hit = &view.hits[pixel][i];
                     // Clamped channels have no derivative, nor has clamped alpha.
@@ -63,7 +89,9 @@ pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Para
     }
 
     let mut result = parameters.zeros_like();
+    let mut statistics = vec![ScreenStatistics { center: DVec2::ZERO, weight: 0.0 }; scene.splats.len()];
     for ((splat, _), gradient) in view.splats.iter().zip(&splats) {
+        statistics[splat.index] = ScreenStatistics { center: gradient.center, weight: gradient.weight };
         splat_backward(scene, camera, &parameters, splat, gradient, &mut result);
     }
     for (i, (mesh, levels)) in scene.meshes.iter().zip(texels).enumerate() {
@@ -72,12 +100,12 @@ pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Para
             result.bands[i] = mesh::pull_down(bands, levels.bands);
         }
     }
-    result
+    (result, statistics)
 }
 
 impl ProjectedGradient {
     // Not derived: a matrix's default is the identity.
-    const ZERO: Self = Self { color: DVec3::ZERO, opacity: 0.0, center: DVec2::ZERO, conic: DMat2::ZERO };
+    const ZERO: Self = Self { color: DVec3::ZERO, opacity: 0.0, center: DVec2::ZERO, conic: DMat2::ZERO, weight: 0.0 };
 
     /// Adds one pixel at `offset` from the centre of `splat`.
     fn add(&mut self, splat: &Projected, offset: DVec2, d_color: DVec3, d_alpha: f64) {

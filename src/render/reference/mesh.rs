@@ -4,6 +4,7 @@ use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
 
 use super::{Fragment, Parameters, pixel_center};
+use crate::geometry::MeshBvh;
 use crate::render::contract;
 use crate::scene::{Camera, HybridScene, Mesh, Texture, sh};
 
@@ -76,29 +77,37 @@ pub(super) fn camera_triangles(scene: &HybridScene, camera: &Camera) -> Vec<Vec<
 
 /// The hits of every pixel (row-major) beyond `near`, nearest first, at most `layers`.
 pub(super) fn trace(scene: &HybridScene, camera: &Camera) -> Vec<Vec<Hit>> {
+    let bvh = MeshBvh::new(scene.meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
     let triangles = camera_triangles(scene, camera);
     let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
-    (0..pixels).into_par_iter().map(|pixel| trace_pixel(scene, camera, &triangles, pixel)).collect()
+    (0..pixels).into_par_iter().map(|pixel| trace_pixel(scene, camera, &bvh, &triangles, pixel)).collect()
 }
 
-fn trace_pixel(scene: &HybridScene, camera: &Camera, triangles: &[Vec<[DVec3; 3]>], pixel: usize) -> Vec<Hit> {
+fn trace_pixel(
+    scene: &HybridScene,
+    camera: &Camera,
+    bvh: &MeshBvh,
+    triangles: &[Vec<[DVec3; 3]>],
+    pixel: usize,
+) -> Vec<Hit> {
     let r = camera.ray(pixel_center(camera, pixel));
+    let towards = camera.rotation().transpose() * r;
     let mut found = Vec::new();
-    for (mesh, triangles) in triangles.iter().enumerate() {
-        for (triangle, &v) in triangles.iter().enumerate() {
-            if let Some(x) = intersect(v, r)
-                && x.inside
-                && x.depth > f64::from(scene.composition.near)
-            {
-                found.push((x, mesh, triangle));
-            }
+    // The ray cast only proposes triangles, with some tolerance at edges.
+    for candidate in bvh.all_hits(camera.center(), towards) {
+        let (mesh, triangle) = (candidate.mesh as usize, candidate.triangle as usize);
+        if let Some(x) = intersect(triangles[mesh][triangle], r)
+            && x.inside
+            && x.depth > f64::from(scene.composition.near)
+        {
+            found.push((x, mesh, triangle));
         }
     }
     found.sort_by(|(a, ..), (b, ..)| a.depth.total_cmp(&b.depth));
     // A layer is strictly behind the one before it.
     found.dedup_by(|(next, ..), (previous, ..)| next.depth <= previous.depth);
     found.truncate(scene.composition.layers as usize);
-    let direction = (camera.rotation().transpose() * r).normalize();
+    let basis = sh::basis(towards.normalize().to_array());
     let hit = |(x, mesh, triangle): (Intersection, usize, usize)| {
         let source = &scene.meshes[mesh];
         let uvs = source.corner_uvs()[triangle].map(Vec2::as_dvec2);
@@ -107,7 +116,7 @@ fn trace_pixel(scene: &HybridScene, camera: &Camera, triangles: &[Vec<[DVec3; 3]
         Hit {
             mesh,
             depth: x.depth,
-            basis: sh::basis(direction.to_array()),
+            basis,
             base: trilinear_taps(source.atlas().base(), uv, duv),
             bands: source.atlas().bands().map_or_else(Vec::new, |t| trilinear_taps(t, uv, duv)),
             band_channels: source.atlas().bands().map_or(0, |t| t.channels() as usize),

@@ -284,7 +284,27 @@ fn shared_edges_are_hit_once() {
     }
 }
 
-/// Checks `backward` against central differences of every parameter for which `choose` is true.
+/// The layers are the nearest of all triangles, each tried.
+#[test]
+fn no_layer_is_missed() {
+    let mut filled = 0;
+    for seed in 0..3 {
+        let (scene, camera) = random_scene(30 + seed, 0, 3, 0, 4, OrderMode::Stable);
+        let triangles: Vec<_> = mesh::camera_triangles(&scene, &camera).into_iter().flatten().collect();
+        for (pixel, layers) in mesh_layers(&scene, &camera).into_iter().enumerate() {
+            let r = camera.ray(pixel_center(&camera, pixel));
+            let hits = triangles.iter().filter_map(|&v| mesh::intersect(v, r)).filter(|x| x.inside && x.depth > 0.2);
+            let mut depths: Vec<f64> = hits.map(|x| x.depth).collect();
+            depths.sort_by(f64::total_cmp);
+            depths.truncate(4);
+            assert_eq!(layers.iter().map(|l| l.depth).collect::<Vec<_>>(), depths);
+            filled += usize::from(layers.len() > 2);
+        }
+    }
+    assert!(filled > 500, "{filled}");
+}
+
+/// Checks `backward` against central differences: every parameter of a splat, forty texels of each texture.
 fn check_gradients(scene: &HybridScene, camera: &Camera) {
     let cotangent = random_cotangent(camera, 17);
     let margins = render_with_margins(scene, camera).1;
@@ -326,8 +346,31 @@ fn check_gradients(scene: &HybridScene, camera: &Camera) {
 fn gradients_are_finite_differences() {
     for (mode, layers) in MODES.into_iter().zip([1, 2, 4]) {
         let (scene, camera) = smooth_scene(11, layers, mode);
+        let levels = mesh::trace(&scene, &camera).into_iter().flatten().flat_map(|hit| hit.base).map(|tap| tap.level);
+        assert!(layers == 1 || levels.max() >= Some(2), "coarse mips are not tested");
         check_gradients(&scene, &camera);
     }
+}
+
+/// The principal point moves all splats at once; what is not left of the background is some splat's weight.
+#[test]
+fn screen_statistics_are_those_of_the_image() {
+    let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
+    scene.meshes.clear();
+    let cotangent = random_cotangent(&camera, 5);
+    let statistics = backward_with_statistics(&scene, &camera, &cotangent).1;
+    let shifted = |cx: f64, cy: f64| {
+        let k = camera.intrinsics();
+        let k = Intrinsics { cx: k.cx + cx, cy: k.cy + cy, ..*k };
+        render(&scene, &Camera::new(k, camera.rotation(), camera.translation()).unwrap()).dot(&cotangent)
+    };
+    let h = 1e-4;
+    let expected = DVec2::new(shifted(h, 0.0) - shifted(-h, 0.0), shifted(0.0, h) - shifted(0.0, -h)) / (2.0 * h);
+    let found: DVec2 = statistics.iter().map(|s| s.center).sum();
+    assert!(found.distance(expected) < 1e-6 * expected.length(), "{found} {expected}");
+    let covered: f64 = render(&scene, &camera).transmittance.iter().map(|t| 1.0 - t).sum();
+    let weight: f64 = statistics.iter().map(|s| s.weight).sum();
+    assert!((weight - covered).abs() < 1e-9 * covered);
 }
 
 /// A splat beyond the limits of the Jacobian, where it is linearised at the clamped position.
