@@ -72,8 +72,8 @@ fn finite_or_zero(x: f32) -> f32 {
     if x.is_finite() { x } else { 0.0 }
 }
 
-/// Random numbers of one density step. The multiplier (2⁶⁴ over the golden ratio) keeps neighbouring seeds from sharing
-/// the steps of neighbouring iterations.
+/// Random numbers of one density step. The multiplier (2⁶⁴ over the golden ratio) keeps neighbouring seeds from
+/// sharing the steps of neighbouring iterations.
 fn step_rng(seed: u64, iteration: u32) -> Pcg64 {
     Pcg64::seed_from_u64(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ u64::from(iteration))
 }

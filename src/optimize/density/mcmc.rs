@@ -76,8 +76,8 @@ impl EpochWeight {
 ///
 /// `epoch`, to which these statistics have been added, is judged and begun anew when it has seen `views` iterations.
 ///
-/// Other than the paper, which forgets the moments of sources only, this forgets those of relocated splats as well: they
-/// describe another place.
+/// The paper forgets the moments of sources only; this forgets those of relocated splats as well, which describe
+/// another place.
 ///
 /// # Panics
 /// If there is not one row of statistics, and one epoch weight, per splat.
@@ -139,7 +139,7 @@ pub fn relocate_and_add(
 }
 
 /// Opacity and factor on the scale of each of `copies` splats at one place that together look like one of `opacity`
-/// (METHODS 2.8, eq. 9 of the MCMC paper): its integral over the screen and its value at the centre are kept.
+/// (METHODS 2.8, eq. 9 of the MCMC paper): at the centre they are as opaque, and along a line through it in sum.
 #[must_use]
 pub fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
     let copies = copies.clamp(1, MAX_COPIES);
@@ -220,6 +220,21 @@ mod tests {
             let (o, s) = relocation(o, copies);
             // The golden values have nine digits.
             assert!((o - each).abs() < 1e-9 && (s - scale).abs() < 1e-9, "{o} {s}");
+        }
+    }
+
+    #[test]
+    fn copies_blend_to_what_their_source_was_along_a_line() {
+        for (opacity, copies) in [(0.9_f64, 2), (0.5, 3), (0.99, 20), (0.1, 51)] {
+            let (each, scale) = relocation(opacity, copies);
+            // ∫ 1 − (1 − o′·G(x))ᴺ dx by the trapezoid rule, which is exact to rounding for such functions.
+            let step = 0.01;
+            let integral: f64 = (-1000..=1000)
+                .map(|i| f64::from(i) * step / scale)
+                .map(|x| step * (1.0 - (1.0 - each * (-0.5 * x * x).exp()).powi(copies as i32)))
+                .sum();
+            let source = opacity * std::f64::consts::TAU.sqrt();
+            assert!((integral - source).abs() < 1e-9, "{opacity} {copies}: {integral} against {source}");
         }
     }
 
