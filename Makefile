@@ -1,0 +1,92 @@
+# Two commands on a fresh Debian or Ubuntu with a Rust toolchain: `make demo` and `make test`.
+# One cargo profile (release) throughout: debug code would be compiled a second time and render a hundred times slower.
+
+PYTHON ?= python3
+# Without a data folder, tests that need one are listed by `make test` as left out.
+export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
+# For example: make demo DEMO_FLAGS="--iterations 500"
+DEMO_FLAGS ?=
+
+# cargo knows where its target folder is; the program's path depends on the user's configuration.
+CENTAUR := cargo run --release --quiet --
+ORACLES := .venv-oracles
+GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
+GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
+GARDEN := $(or $(wildcard $(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz),target/oracles/test_garden.npz)
+export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help build demo test lint test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
+	clean-out system
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+system: # a C++ compiler and a Vulkan adapter, installed where missing
+	@scripts/ensure-system.sh
+
+build: system ## build target/release/centaur
+	cargo build --release
+
+demo: build ## train the small capture in demo/ into out/demo: scene.glb, pictures, report, table of metrics
+	@mkdir -p out/demo
+	$(CENTAUR) train demo -o out/demo/scene.glb --report out/demo/report $(DEMO_FLAGS)
+
+test: system lint test-rust test-data test-python test-end-to-end left-out ## everything that CI runs
+
+lint: ## formatting, clippy and rustdoc, warnings are errors
+	cargo fmt --check
+	cargo clippy --release --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps
+
+test-rust: ## unit, integration and documentation tests
+	cargo test --release
+
+# Test files with a test that needs the shared data; all ignored tests of such a file run.
+DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs))
+
+test-data: ## tests on real captures and foreign files, in CENTAUR_DATA or ../shared/data
+	$(if $(CENTAUR_DATA),cargo test --release $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA and no ../shared/data: not run")
+
+test-python: ## unit tests of datasets-scripts
+	$(PYTHON) -B -m unittest discover -s datasets-scripts
+
+test-end-to-end: ## the program on this machine's adapter
+	$(CENTAUR) devices
+
+left-out:
+	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
+
+test-oracles: $(CENTAUR_GSPLAT_FIXTURE) ## compare with gsplat and pycolmap from PyPI (Python 3.11, 6 GB)
+	cargo test --release --test gsplat_oracle -- --ignored --nocapture
+	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
+
+$(ORACLES)/installed: tests/oracles/requirements.txt
+	$(PYTHON) -m venv $(ORACLES)
+	$(ORACLES)/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+target/oracles/test_garden.npz:
+	@mkdir -p $(@D)
+	curl --fail --location --silent --show-error --output $@.part $(GARDEN_URL)
+	echo "$(GARDEN_SHA256)  $@.part" | sha256sum --check --quiet
+	mv $@.part $@
+
+$(CENTAUR_GSPLAT_FIXTURE): tests/oracles/gsplat_oracle.py $(ORACLES)/installed $(GARDEN)
+	@mkdir -p $(@D)
+	$(ORACLES)/bin/python $< $(GARDEN) $@
+
+bench: system ## measure the adapter's ceilings and every stage
+	cargo bench
+
+demo-capture: .venv/installed ## render demo/ anew with Mitsuba
+	.venv/bin/python datasets-scripts/demo_capture.py demo
+
+.venv/installed: datasets-scripts/requirements.txt
+	$(PYTHON) -m venv .venv
+	.venv/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+clean-out: ## delete out/
+	rm -rf out

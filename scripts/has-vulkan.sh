@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Succeeds if a Vulkan adapter is to be expected: the loader is there, and a driver that is either software (lavapipe,
+# SwiftShader) or has a device to drive. Driver manifests alone say little: Mesa installs those of all vendors.
+set -euo pipefail
+
+loader() {
+    PATH=$PATH:/sbin:/usr/sbin ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1'
+}
+
+drivers() {
+    if [ -n "${VK_DRIVER_FILES:-${VK_ICD_FILENAMES:-}}" ]; then
+        tr ':' '\n' <<<"${VK_DRIVER_FILES:-$VK_ICD_FILENAMES}"
+    else
+        find /usr/share/vulkan/icd.d /usr/local/share/vulkan/icd.d /etc/vulkan/icd.d \
+            "${XDG_DATA_HOME:-$HOME/.local/share}/vulkan/icd.d" -name '*.json' 2>/dev/null || true
+    fi
+}
+
+device() {
+    compgen -G '/dev/dri/renderD*' >/dev/null || [ -e /dev/nvidia0 ] || [ -e /dev/dxg ]
+}
+
+loader && [ -n "$(drivers)" ] && { drivers | grep -Eqi 'lvp_icd|lavapipe|swiftshader' || device; }
