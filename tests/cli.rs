@@ -35,7 +35,13 @@ fn failure(folder: &Path, args: &[&str]) -> String {
 
 #[test]
 fn wrong_usage_is_exit_code_2() {
-    for args in [&[][..], &["fly"], &["devices", "--fast"]] {
+    for args in [
+        &[][..],
+        &["fly"],
+        &["devices", "--fast"],
+        &["eval", "scene.glb"],
+        &["render", "scene.glb", "-o", "out", "--format", "tiff"],
+    ] {
         let output = centaur(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
         assert!(output.stdout.is_empty(), "{args:?}");
@@ -46,7 +52,7 @@ fn wrong_usage_is_exit_code_2() {
 #[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
-    let commands = ["inspect", "devices"].map(of_command);
+    let commands = ["eval", "render", "inspect", "devices"].map(of_command);
     for args in [vec!["--help"], vec!["--version"]].into_iter().chain(commands) {
         let output = centaur(&args);
         assert_eq!(output.status.code(), Some(0), "{args:?}");
@@ -68,6 +74,24 @@ fn inputs_that_are_not_there_or_not_scenes() {
     for (args, expected) in [
         (&["inspect", "none.glb"][..], "error: none.glb: cannot read: No such file or directory"),
         (&["inspect", "notes.txt"], "error: notes.txt: expected a .glb, .gltf or .ply file, found other content"),
+        (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
+        (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),
+    ] {
+        assert_eq!(failure(folder.path(), args), expected);
+    }
+    let line = failure(folder.path(), &["render", "notes.txt", "--cameras", ".", "-o", "out"]);
+    assert!(line.contains("COLMAP") && line.contains("transforms"), "{line}");
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_found_before_any_work() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    // None of the inputs exists: the output is looked at first.
+    for (args, expected) in [
+        (&["eval", "s.glb", "c", "-o", "file"][..], "error: file: cannot write: file is not a folder"),
+        (&["render", "s.glb", "-o", "file"], "error: file: cannot write: file is not a folder"),
+        (&["render", "s.glb", "-o", "no/out"], "error: no/out: cannot write: folder no: No such file or directory"),
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }

@@ -1,8 +1,11 @@
 //! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
 
 mod devices;
+mod eval;
 mod inspect;
 mod output;
+mod render;
+mod shared;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;
@@ -20,6 +23,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Eval(eval::Args),
+    Render(render::Args),
     Inspect(inspect::Args),
     Devices(devices::Args),
 }
@@ -27,6 +32,8 @@ enum Command {
 pub(crate) fn main() -> ExitCode {
     // Wrong usage ends here with exit code 2.
     let result = match Cli::parse().command {
+        Command::Eval(args) => eval::run(&args),
+        Command::Render(args) => render::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Devices(args) => devices::run(&args),
     };

@@ -1,8 +1,12 @@
-//! What commands print.
+//! What commands print, and checks of where they are told to write.
 
 use std::io::{self, Write as _};
+use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result, bail};
+use indicatif::ProgressBar;
+
+use super::shared::MessageArgs;
 
 /// Prints one JSON object on a line of stdout.
 pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
@@ -12,4 +16,59 @@ pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
 /// Prints `text` and a line end on stdout.
 pub(super) fn print(text: &str) -> Result<()> {
     Ok(writeln!(io::stdout().lock(), "{text}")?)
+}
+
+/// A bar over `length` items; hidden on request and where stderr is no terminal.
+pub(super) fn bar(messages: &MessageArgs, length: u64) -> ProgressBar {
+    if messages.quiet || messages.json { ProgressBar::hidden() } else { ProgressBar::new(length) }
+}
+
+/// Refuses, before hours of work, a file that could not be written at their end: its folder must exist and take
+/// files, and it must not be a folder itself.
+pub(super) fn check_file(path: &Path) -> Result<()> {
+    if path.is_dir() {
+        bail!("{}: expected the name of a file, found a folder", path.display());
+    }
+    let folder = match path.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p,
+        _ => Path::new("."),
+    };
+    probe(folder).with_context(|| format!("{}: cannot write", path.display()))
+}
+
+/// Refuses a folder that neither takes files nor can be made. Its parent must exist: a mistyped path is not built.
+pub(super) fn check_folder(path: &Path) -> Result<()> {
+    if path.exists() {
+        return probe(path).with_context(|| format!("{}: cannot write", path.display()));
+    }
+    check_file(path)
+}
+
+/// Makes and removes a nameless file in `folder`. Permission bits alone say too little: read-only mounts, quotas.
+fn probe(folder: &Path) -> Result<()> {
+    match folder.metadata() {
+        Err(e) => bail!("folder {}: {e}", folder.display()),
+        Ok(m) if !m.is_dir() => bail!("{} is not a folder", folder.display()),
+        Ok(_) => {}
+    }
+    tempfile::tempfile_in(folder).map(drop).with_context(|| format!("folder {}", folder.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_are_probed() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("file"), "").unwrap();
+        assert!(check_file(&at("new.glb")).is_ok() && check_file(&at("file")).is_ok());
+        assert!(check_folder(&at("new")).is_ok() && check_folder(folder.path()).is_ok());
+        assert!(check_file(folder.path()).is_err() && check_folder(&at("file")).is_err());
+        assert!(check_file(&at("none/new.glb")).is_err() && check_folder(&at("none/new")).is_err());
+        let error = check_file(&at("file/new.glb")).unwrap_err();
+        assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");
+    }
 }

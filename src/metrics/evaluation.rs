@@ -117,8 +117,8 @@ impl Evaluation {
         ];
         rows.extend(m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s"))));
         rows.extend(m.fps.map(|f| ("frames per second", format!("{f:.1}"))));
-        let gib = |b: u64| format!("{:.2} GiB", b as f64 / f64::from(1_u32 << 30));
-        rows.extend(m.peak_gpu_bytes.map(|b| ("peak GPU memory", gib(b))));
+        let mib = |b: u64| format!("{} MiB", thousands(b.div_ceil(1 << 20)));
+        rows.extend(m.peak_gpu_bytes.map(|b| ("peak GPU memory", mib(b))));
         rows.push(("adapter", m.adapter.clone()));
         rows.push(("protocol", self.protocol.to_owned()));
         rows

@@ -1,0 +1,184 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, ensure};
+use centaur::capture::{self, Capture, Photo, Split, View};
+use centaur::format::{atomic_write, read_scene};
+use centaur::metrics::{
+    Evaluation, Measured, ViewScore,
+    plot::Plot,
+    report::{self, Picture, Report},
+    side_by_side,
+};
+use centaur::render::gpu::{Gpu, Renderer};
+use centaur::scene::{Camera, HybridScene};
+use image::{Rgb, Rgb32FImage, RgbImage};
+
+use super::output;
+use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs};
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur eval garden.glb captures/garden --downscale 4
+  centaur eval garden.glb captures/garden --downscale 4 -o out/garden --json";
+
+/// Score a scene on the held-out photographs of its capture
+///
+/// Prints PSNR and SSIM per view and their means, with what the scene costs. Views whose index in the list of file
+/// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
+/// --images and --masks as in training.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    /// Scene to score: .glb or .gltf, or .ply for splats alone
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// Folder with photographs and poses
+    capture: PathBuf,
+    /// Folder for report.html, metrics.json and a picture per view: photograph | render | error × 4
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+    #[command(flatten)]
+    loading: CaptureArgs,
+    #[command(flatten)]
+    messages: MessageArgs,
+}
+
+/// Frames per second are a mean over this many views, each rendered so many times.
+const TIMED_VIEWS: usize = 4;
+const TIMED_FRAMES: u32 = 5;
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    args.output.as_deref().map_or(Ok(()), output::check_folder)?;
+    let scene = read_scene(&args.scene)?;
+    let capture = args.loading.open(&args.capture)?;
+    let gpu = args.adapter.open()?;
+    let evaluation = evaluate(
+        &gpu,
+        &scene,
+        &capture,
+        &Job {
+            scene_file: &args.scene,
+            folder: args.output.as_deref(),
+            settings: &[],
+            plots: &[],
+            seconds_per_iteration: None,
+        },
+    )?;
+    if args.messages.json { output::print_json(&evaluation) } else { output::print(evaluation.to_string().trim_end()) }
+}
+
+/// What `evaluate` is told besides scene and capture.
+pub(super) struct Job<'a> {
+    /// The scene as written, for its size.
+    pub(super) scene_file: &'a Path,
+    /// Where report, metrics and pictures go, if anywhere.
+    pub(super) folder: Option<&'a Path>,
+    /// Shown in the report.
+    pub(super) settings: &'a [(String, String)],
+    /// Shown in the report.
+    pub(super) plots: &'a [Plot],
+    /// From the training, if it has just been done.
+    pub(super) seconds_per_iteration: Option<f64>,
+}
+
+/// Renders and scores every held-out view; writes the folder of `job`.
+pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, job: &Job<'_>) -> Result<Evaluation> {
+    let (_, held_out) = Split::Every8th.split(&capture.views);
+    ensure!(!held_out.is_empty(), "{}: expected at least one held-out view, found none", capture.name);
+    job.folder.map_or(Ok(()), shared::make_folder)?;
+    let views: Vec<&View> = held_out.iter().map(|&i| &capture.views[i]).collect();
+    let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
+    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let mut renderer = Renderer::new(gpu, scene, &cameras)?;
+    let (mut scores, mut pictures) = (vec![], vec![]);
+    for (view, picture) in views.into_iter().zip(names) {
+        let render = shared::image(renderer.render(&view.camera)?);
+        let (truth, render, masked) = comparable(&capture::decode(view)?, render, scene.composition.background);
+        scores.push(ViewScore::new(&view.name, &truth, &render, masked).with_context(|| view.name.clone())?);
+        if let Some(folder) = job.folder {
+            let sheet = side_by_side(&truth, &render)?;
+            let caption = caption(view, &scores[scores.len() - 1]);
+            pictures.push(Picture::new(caption, &sheet).with_context(|| view.name.clone())?);
+            write_png(&folder.join(picture), &sheet)?;
+        }
+    }
+    let timed = &cameras[..cameras.len().min(TIMED_VIEWS)];
+    let seconds = timed.iter().map(|c| renderer.seconds_per_frame(c, TIMED_FRAMES)).sum::<Result<f64, _>>()?;
+    let measured = Measured {
+        file_bytes: std::fs::metadata(job.scene_file).map_or(0, |m| m.len()),
+        seconds_per_iteration: job.seconds_per_iteration,
+        fps: Some(timed.len() as f64 / seconds.max(1e-9)),
+        peak_gpu_bytes: Some(gpu.peak_bytes()),
+        adapter: gpu.adapter().to_owned(),
+    };
+    let evaluation = Evaluation::new(scene, scores, measured);
+    if let Some(folder) = job.folder {
+        let page = report::html(&Report {
+            title: &capture.name,
+            evaluation: &evaluation,
+            settings: job.settings,
+            plots: job.plots,
+            pictures: &pictures,
+        });
+        atomic_write(&folder.join("report.html"), page.as_bytes())?;
+        atomic_write(&folder.join("metrics.json"), &serde_json::to_vec_pretty(&evaluation)?)?;
+    }
+    Ok(evaluation)
+}
+
+fn caption(view: &View, score: &ViewScore) -> String {
+    format!("{}: {:.2} dB, SSIM {:.4}", view.name, score.psnr, score.ssim_inria)
+}
+
+/// Photograph and render as they are compared: a mask multiplies both (METHODS 8, product black), transparency shows
+/// the background of the scene.
+fn comparable(photo: &Photo, mut render: Rgb32FImage, background: [f32; 3]) -> (Rgb32FImage, Rgb32FImage, bool) {
+    let mut truth = Rgb32FImage::new(photo.width, photo.height);
+    for (t, rgba) in truth.pixels_mut().zip(photo.rgba.chunks_exact(4)) {
+        let [r, g, b, a] = [0, 1, 2, 3].map(|c| f32::from(rgba[c]) / 255.0);
+        let behind = if photo.masked { [0.0; 3] } else { background };
+        *t = Rgb([r, g, b]);
+        for (c, behind) in t.0.iter_mut().zip(behind) {
+            *c = *c * a + behind * (1.0 - a);
+        }
+    }
+    if photo.masked {
+        for (r, rgba) in render.pixels_mut().zip(photo.rgba.chunks_exact(4)) {
+            r.0 = r.0.map(|c| c * f32::from(rgba[3]) / 255.0);
+        }
+    }
+    (truth, render, photo.masked)
+}
+
+/// Writes an 8-bit PNG, whole or not at all.
+pub(super) fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
+    let mut bytes = std::io::Cursor::new(vec![]);
+    image.write_to(&mut bytes, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
+    Ok(atomic_write(path, bytes.get_ref())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_multiply_both_and_transparency_shows_the_background() {
+        let photo = |masked: bool| Photo {
+            width: 2,
+            height: 1,
+            rgba: vec![255, 0, 0, 0, 0, 255, 0, 255],
+            has_alpha: !masked,
+            masked,
+        };
+        let render = Rgb32FImage::from_pixel(2, 1, Rgb([0.5; 3]));
+        let white = [1.0; 3];
+        let (truth, masked, _) = comparable(&photo(true), render.clone(), white);
+        assert_eq!(truth.as_raw(), &[0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        assert_eq!(masked.as_raw(), &[0.0, 0.0, 0.0, 0.5, 0.5, 0.5]);
+        let (truth, plain, _) = comparable(&photo(false), render.clone(), white);
+        assert_eq!(truth.as_raw(), &[1.0, 1.0, 1.0, 0.0, 1.0, 0.0]);
+        assert_eq!(plain, render);
+    }
+}

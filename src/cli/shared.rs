@@ -1,0 +1,112 @@
+//! Arguments that several commands have.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use centaur::capture::{self, Capture, Downscale, LoadOptions};
+use centaur::render::gpu::{Gpu, Picture};
+use image::Rgb32FImage;
+
+/// Which pictures of a capture are used, and at what size.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Capture")]
+pub(super) struct CaptureArgs {
+    /// Divide both sides of the photographs by this (bicubic, antialiased)
+    ///
+    /// Mip-NeRF 360 tables use 4 outdoors and 2 indoors.
+    #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
+    downscale: Option<u32>,
+    /// Shrink photographs whose longer side has more pixels than this
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=16384))]
+    max_side: Option<u32>,
+    /// Folder with the images, relative to the capture, such as `images_4` [default: images]
+    #[arg(long, value_name = "FOLDER")]
+    images: Option<String>,
+    /// Use only what the capture's `masks/` leave white; scores multiply photograph and render by the mask
+    #[arg(long)]
+    masks: bool,
+}
+
+impl CaptureArgs {
+    pub(super) fn open(&self, path: &Path) -> Result<Capture> {
+        let downscale = match (self.downscale, self.max_side) {
+            (Some(n), _) => Downscale::Factor(n),
+            (None, Some(n)) => Downscale::MaxSide(n),
+            (None, None) => Downscale::Full,
+        };
+        Ok(capture::open(path, &LoadOptions { downscale, images: self.images.clone(), masks: self.masks })?)
+    }
+}
+
+/// How much is said, and to whom.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Messages")]
+pub(super) struct MessageArgs {
+    /// No progress bar
+    #[arg(short, long)]
+    pub(super) quiet: bool,
+    /// Print one JSON object on stdout at the end; progress becomes JSON lines on stderr
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// Where it runs.
+#[derive(clap::Args)]
+pub(super) struct AdapterArgs {
+    /// GPU adapter: any part of a name that `centaur devices` lists [default: the first of them]
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+}
+
+impl AdapterArgs {
+    pub(super) fn open(&self) -> Result<Gpu> {
+        Ok(Gpu::open(self.adapter.as_deref())?)
+    }
+}
+
+/// A render as an image.
+pub(super) fn image(picture: Picture) -> Rgb32FImage {
+    Rgb32FImage::from_raw(picture.width, picture.height, picture.rgb.into_flattened())
+        .expect("a picture has width·height pixels of 3 floats")
+}
+
+/// Makes the folder if need be; [`super::output::check_folder`] has looked at its parent.
+pub(super) fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).with_context(|| format!("{}: cannot make the folder", path.display()))
+}
+
+/// File names for pictures of views, each one once: `left/0001.jpg` becomes `left_0001.png`.
+pub(super) fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) -> Vec<String> {
+    let mut taken = HashSet::new();
+    let mut unique = |stem: String| {
+        let candidates = (2..).map(|n| format!("{stem}_{n}"));
+        let name = std::iter::once(stem.clone()).chain(candidates).find(|name| taken.insert(name.to_lowercase()));
+        format!("{}.{extension}", name.unwrap_or(stem))
+    };
+    views.map(|view| unique(safe_stem(view))).collect()
+}
+
+/// A view's name without suffix and without anything that a file system may take for more than a letter.
+fn safe_stem(view: &str) -> String {
+    let stem = Path::new(view).with_extension("");
+    let safe: String = (stem.to_string_lossy().chars())
+        .map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' })
+        .collect();
+    match safe.trim_start_matches('.') {
+        "" => "view".to_owned(),
+        name => name.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn picture_names_are_unique_and_stay_in_their_folder() {
+        let views = ["left/0001.jpg", "left_0001.PNG", "../../etc/passwd", "IMG 12.tar.JPG", ".."];
+        let names = picture_names(views.into_iter(), "png");
+        assert_eq!(names, ["left_0001.png", "left_0001_2.png", "_.._etc_passwd.png", "IMG_12.tar.png", "view.png"]);
+    }
+}
