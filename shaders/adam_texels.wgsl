@@ -1,6 +1,7 @@
 // One thread per float of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7).
 //
-// 16 bytes read, 12 written: bound by bandwidth.
+// The gradient of a texel is its own plus a quarter of its parent's, a sixteenth of its grandparent's, … (METHODS 4.3):
+// adding them here saves a pass over all texels. 16 bytes read, 12 written, and 1⅓ of coarser levels.
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
@@ -20,7 +21,7 @@ const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can
 
 @group(0) @binding(0) var<uniform> map: Map;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> gradient: array<f32>;          // pyramid; level 0 is read
+@group(0) @binding(2) var<storage, read> gradient: array<f32>;          // pyramid
 @group(0) @binding(3) var<storage, read_write> texels: array<f32>;      // pyramid; level 0 is written
 @group(0) @binding(4) var<storage, read_write> moments: array<vec2f>;   // level 0 only: first, second
 
@@ -32,7 +33,15 @@ fn adam(
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
     if i >= map.width * map.height * map.channels { return; }
-    let g = gradient[map.offset + i];
+    let texel = divide(i, map.channels);        // index, channel
+    let at = divide(texel.x, map.width);        // row, column
+    var g = gradient[map.offset + i];
+    var quarter = 0.25;
+    for (var level = 1u; level < map.levels; level += 1u) {
+        let parent = (at.x >> level) * (map.width >> level) + (at.y >> level);
+        g += quarter * gradient[level_offset(map, level) + parent * map.channels + texel.y];
+        quarter *= 0.25;
+    }
     if step.visited_only != 0u && g == 0.0 { return; }
     var m = moments[map.moments + i];
     m = vec2f(mix(g, m.x, BETA_1), mix(g * g, m.y, BETA_2));

@@ -1,28 +1,32 @@
-// Lists of triangles per tile, by counting: `count` triangles per tile, `scan` the counts into offsets, `scatter`.
+// Lists of triangles per bin of BIN×BIN pixels, by counting: `count` triangles per bin, `scan` the counts into offsets, `scatter`.
 //
-// The order inside a tile's list is arbitrary; raster_layers does not depend on it. Per (triangle, tile) pair: one
-// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per tile.
+// The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one
+// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin.
 
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> corners: array<vec4f>;                 // [F, 3]
 @group(0) @binding(2) var<storage, read> boxes: array<vec2u>;                   // [F]
-// [tiles]: counted triangles, then (reset by `scan`) scattered ones. Zero before a frame: raster_layers resets it.
-@group(0) @binding(3) var<storage, read_write> tile_fill: array<atomic<u32>>;
-@group(0) @binding(4) var<storage, read_write> tile_start: array<u32>;          // [tiles]
+// [bins]: counted triangles, then (reset by `scan`) scattered ones. Zero before a frame: raster_layers resets it.
+@group(0) @binding(3) var<storage, read_write> bin_fill: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> bin_start: array<u32>;          // [bins]
 @group(0) @binding(5) var<storage, read_write> pairs: array<u32>;               // [capacity]: triangles
 @group(0) @binding(6) var<storage, read_write> pairs_needed: array<u32>;        // [1]: largest total so far
 
 const SCAN: u32 = 256u;
 var<workgroup> partial: array<u32, SCAN>;
 
-fn tile_corner(packed: u32) -> vec2u {
+fn bins() -> vec2u {
+    return (view.size + BIN - 1u) / BIN;
+}
+
+fn bin_at(packed: u32) -> vec2u {
     return vec2u(packed & 0xffffu, packed >> 16u);
 }
 
-// Smallest and largest value in the tile of the edge function cross(p − z_p r, q − z_q r), linear in the ray r.
-// `p`, `q`: ends of the edge relative to the ray through the tile's centre; half: half a tile, in units of r.
+// Smallest and largest value in a bin of the edge function cross(p − z_p r, q − z_q r), linear in the ray r.
+// `p`, `q`: ends of the edge relative to the ray through the bin's centre; half: half a bin, in units of r.
 fn edge_range(p: vec3f, q: vec3f, half: vec2f) -> vec2f {
     let middle = p.x * q.y - p.y * q.x;
     let slope = vec2f(q.z * p.y - p.z * q.y, p.z * q.x - q.z * p.x);
@@ -30,11 +34,11 @@ fn edge_range(p: vec3f, q: vec3f, half: vec2f) -> vec2f {
     return vec2f(middle - reach, middle + reach);
 }
 
-// False only if no pixel of the tile can be inside: a pixel is inside iff all three edge functions have one sign.
-// The half tile is measured to its border, half a pixel beyond the outermost centres: the margin for rounding.
-fn may_touch(a: vec3f, b: vec3f, c: vec3f, tile: vec2u) -> bool {
-    let half = 0.5 * f32(TILE) / view.focal;
-    let ray = (f32(TILE) * (vec2f(tile) + 0.5) - view.principal) / view.focal;
+// False only if no pixel of the bin can be inside: a pixel is inside iff all three edge functions have one sign.
+// Half a bin is measured to its border, half a pixel beyond the outermost centres: the margin for rounding.
+fn may_touch(a: vec3f, b: vec3f, c: vec3f, bin: vec2u) -> bool {
+    let half = 0.5 * f32(BIN) / view.focal;
+    let ray = (f32(BIN) * (vec2f(bin) + 0.5) - view.principal) / view.focal;
     let p = vec3f(a.xy - a.z * ray, a.z);
     let q = vec3f(b.xy - b.z * ray, b.z);
     let s = vec3f(c.xy - c.z * ray, c.z);
@@ -54,15 +58,15 @@ fn count(
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
     if i >= view.n_triangles { return; }
-    let first = tile_corner(boxes[i].x);
-    let last = tile_corner(boxes[i].y);
+    let first = bin_at(boxes[i].x);
+    let last = bin_at(boxes[i].y);
     let a = corners[3u * i].xyz;
     let b = corners[3u * i + 1u].xyz;
     let c = corners[3u * i + 2u].xyz;
     for (var y = first.y; y <= last.y; y += 1u) {
         for (var x = first.x; x <= last.x; x += 1u) {
             if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
-                atomicAdd(&tile_fill[y * view.tiles.x + x], 1u);
+                atomicAdd(&bin_fill[y * bins().x + x], 1u);
             }
         }
     }
@@ -72,16 +76,16 @@ fn saturating_add(a: u32, b: u32) -> u32 {
     return select(a + b, 0xffffffffu, a + b < a);
 }
 
-// One workgroup: every thread sums a run of tiles, the runs are scanned, every thread scans its run.
+// One workgroup: every thread sums a run of bins, the runs are scanned, every thread scans its run.
 @compute @workgroup_size(256)
 fn scan(@builtin(local_invocation_index) thread: u32) {
-    let n = view.tiles.x * view.tiles.y;
+    let n = bins().x * bins().y;
     let run = (n + SCAN - 1u) / SCAN;
     let begin = min(thread * run, n);
     let end = min(begin + run, n);
     var sum = 0u;
     for (var i = begin; i < end; i += 1u) {
-        sum = saturating_add(sum, atomicLoad(&tile_fill[i]));
+        sum = saturating_add(sum, atomicLoad(&bin_fill[i]));
     }
     partial[thread] = sum;
     workgroupBarrier();
@@ -95,8 +99,8 @@ fn scan(@builtin(local_invocation_index) thread: u32) {
     var start = 0u;
     if thread > 0u { start = partial[thread - 1u]; }
     for (var i = begin; i < end; i += 1u) {
-        tile_start[i] = start;
-        start = saturating_add(start, atomicExchange(&tile_fill[i], 0u));
+        bin_start[i] = start;
+        start = saturating_add(start, atomicExchange(&bin_fill[i], 0u));
     }
     if thread == SCAN - 1u {
         pairs_needed[0] = max(pairs_needed[0], partial[thread]);
@@ -111,8 +115,8 @@ fn scatter(
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
     if i >= view.n_triangles { return; }
-    let first = tile_corner(boxes[i].x);
-    let last = tile_corner(boxes[i].y);
+    let first = bin_at(boxes[i].x);
+    let last = bin_at(boxes[i].y);
     let a = corners[3u * i].xyz;
     let b = corners[3u * i + 1u].xyz;
     let c = corners[3u * i + 2u].xyz;
@@ -120,8 +124,8 @@ fn scatter(
     for (var y = first.y; y <= last.y; y += 1u) {
         for (var x = first.x; x <= last.x; x += 1u) {
             if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
-                let tile = y * view.tiles.x + x;
-                let slot = saturating_add(tile_start[tile], atomicAdd(&tile_fill[tile], 1u));
+                let bin = y * bins().x + x;
+                let slot = saturating_add(bin_start[bin], atomicAdd(&bin_fill[bin], 1u));
                 if slot < capacity { pairs[slot] = i; }
             }
         }

@@ -15,11 +15,10 @@ fn build(
     let i = group_index(group, n_groups) * 256u + thread;
     let width = map.width >> map.level;
     if i >= width * (map.height >> map.level) * map.channels { return; }
-    let channel = i % map.channels;
-    let texel = i / map.channels;
+    let texel = divide(i, map.channels);        // index, channel
+    let at = divide(texel.x, width);            // row, column
     let row = 2u * width * map.channels;
-    let finer = level_offset(map, map.level - 1u) + 2u * (texel / width) * row
-        + 2u * (texel % width) * map.channels + channel;
+    let finer = level_offset(map, map.level - 1u) + 2u * at.x * row + 2u * at.y * map.channels + texel.y;
     let sum = texels[finer] + texels[finer + map.channels] + texels[finer + row] + texels[finer + row + map.channels];
     texels[level_offset(map, map.level) + i] = 0.25 * sum;
 }

@@ -1,10 +1,10 @@
-// One workgroup per tile: the LAYERS nearest triangles at every pixel, by depth and then by index.
+// One workgroup per bin: the LAYERS nearest triangles at every pixel, by depth and then by index.
 //
 // A triangle covers a pixel iff its three edge functions a_k = r·(v_i × v_j) have one sign there (METHODS 4.2); they
-// are linear in the pixel, so each triangle is reduced to three of them relative to the tile's centre when it is
+// are linear in the pixel, so each triangle is reduced to three of them relative to the bin's centre when it is
 // staged. No clipping and no division before the depth is needed: triangles through the camera plane are exact too.
 //
-// Per (triangle, tile): 52 bytes read, 64 bytes of workgroup memory. Per (triangle, pixel): 6 fma, 5 min/max; per hit
+// Per (triangle, bin): 52 bytes read, 64 bytes of workgroup memory. Per (triangle, pixel): 6 fma, 5 min/max; per hit
 // another 8 flops and LAYERS compare-exchanges. Writes 8 bytes per pixel and layer.
 // A thread owns PER_THREAD pixels, so that it reads a staged triangle once for all of them.
 
@@ -12,25 +12,26 @@
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> corners: array<vec4f>;             // [F, 3]: see setup_triangles
-@group(0) @binding(2) var<storage, read> tile_start: array<u32>;            // [tiles]
-@group(0) @binding(3) var<storage, read_write> tile_fill: array<u32>;       // [tiles]
+@group(0) @binding(2) var<storage, read> bin_start: array<u32>;            // [bins]
+@group(0) @binding(3) var<storage, read_write> bin_fill: array<u32>;       // [bins]
 @group(0) @binding(4) var<storage, read> pairs: array<u32>;                 // [capacity]
 @group(0) @binding(5) var<storage, read_write> layer_depth: array<f32>;     // [LAYERS, h, w], 0 = empty
 @group(0) @binding(6) var<storage, read_write> layer_triangle: array<u32>;  // [LAYERS, h, w], index + 1
 
-const THREADS: u32 = PIXELS / PER_THREAD;
-const ROWS: u32 = THREADS / TILE;       // rows of the tile between two pixels of a thread
+const THREADS: u32 = BIN * BIN / PER_THREAD;
+const ROWS: u32 = THREADS / BIN;        // rows between two pixels of a thread
+const BATCH: u32 = 64u;                 // triangles staged at a time
 const FAR: f32 = 3e38;
 
 struct Staged {
-    middle: vec3f,      // edge functions at the tile's centre
+    middle: vec3f,      // edge functions at the bin's centre
     triangle: u32,
     right: vec3f,       // their change per pixel to the right
     down: vec3f,        // and down
     z: vec3f,           // of the corners
 }
 
-var<workgroup> staged: array<Staged, THREADS>;
+var<workgroup> staged: array<Staged, BATCH>;
 var<workgroup> range: vec2u;
 
 // Edge p→q, evaluated in its canonical direction: middle, change to the right, change down.
@@ -64,28 +65,36 @@ fn stage(triangle: u32, ray: vec2f) -> Staged {
     );
 }
 
+// Of the two triangles at an edge exactly one owns the pixel centres that lie on it, as in hardware (METHODS 4.2,
+// reference): those to whose inside the edge function grows to the right, or down where it does not change to the
+// right. Otherwise a surface would be blended twice there.
+fn owns_edges(t: Staged, a: vec3f, sum: f32) -> bool {
+    let inward = select(t.right, t.down, t.right == vec3f(0.0)) * sign(sum);
+    return !any((a == vec3f(0.0)) & (inward <= vec3f(0.0)));
+}
+
 @compute @workgroup_size(THREADS)
 fn raster(
     @builtin(workgroup_id) group: vec3u,
     @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let tile = group_index(group, n_groups);
-    let n_tiles = view.tiles.x * view.tiles.y;
+    let bins = (view.size + BIN - 1u) / BIN;
+    let bin = group_index(group, n_groups);
+    let exists = bin < bins.x * bins.y;
     if thread == 0u {
         range = vec2u(0u);
-        if tile < n_tiles {
-            let start = min(tile_start[tile], arrayLength(&pairs));
-            range = vec2u(start, start + min(tile_fill[tile], arrayLength(&pairs) - start));
-            tile_fill[tile] = 0u;
+        if exists {
+            let start = min(bin_start[bin], arrayLength(&pairs));
+            range = vec2u(start, start + min(bin_fill[bin], arrayLength(&pairs) - start));
+            bin_fill[bin] = 0u;
         }
     }
     let list = workgroupUniformLoad(&range);
-    let corner = TILE * vec2u(tile % view.tiles.x, tile / view.tiles.x);
-    let centre = vec2f(corner) + 0.5 * f32(TILE);
-    let ray = (centre - view.principal) / view.focal;
-    let own = vec2u(thread % TILE, thread / TILE);
-    let offset = vec2f(own) + 0.5 - 0.5 * f32(TILE);
+    let corner = BIN * vec2u(bin % bins.x, bin / bins.x);
+    let ray = (vec2f(corner) + 0.5 * f32(BIN) - view.principal) / view.focal;
+    let own = vec2u(thread % BIN, thread / BIN);
+    let offset = vec2f(own) + 0.5 - 0.5 * f32(BIN);
 
     //#for p in 0..PER_THREAD
     //#for l in 0..LAYERS
@@ -94,13 +103,13 @@ fn raster(
     //#end
     //#end
 
-    for (var base = list.x; base < list.y; base += THREADS) {
+    for (var base = list.x; base < list.y; base += BATCH) {
         workgroupBarrier();
-        if base + thread < list.y {
-            staged[thread] = stage(pairs[base + thread], ray);
+        let n = min(BATCH, list.y - base);
+        for (var i = thread; i < n; i += THREADS) {
+            staged[i] = stage(pairs[base + i], ray);
         }
         workgroupBarrier();
-        let n = min(THREADS, list.y - base);
         for (var i = 0u; i < n; i += 1u) {
             let t = staged[i];
             let first_row = t.middle + t.right * offset.x + t.down * offset.y;
@@ -113,7 +122,7 @@ fn raster(
                     let sum = a.x + a.y + a.z;
                     var z = dot(a, t.z) / sum;
                     // Not for a degenerate triangle (sum 0: z is not a number) nor behind the near plane.
-                    if z > view.near && z < FAR && sum != 0.0 {
+                    if z > view.near && z < FAR && sum != 0.0 && owns_edges(t, a, sum) {
                         var id = t.triangle;
                         //#for l in 0..LAYERS
                         if z < z_$p_$l || (z == z_$p_$l && id < id_$p_$l) {
@@ -132,7 +141,7 @@ fn raster(
         }
     }
 
-    if tile >= n_tiles { return; }
+    if !exists { return; }
     let area = view.size.x * view.size.y;
     //#for p in 0..PER_THREAD
     {

@@ -1,4 +1,4 @@
-// One thread per triangle: camera-space corners and the tiles its visible part can touch.
+// One thread per triangle: camera-space corners and the bins its visible part can touch.
 //
 // Reads 16 bytes of indices and 36 of positions, writes 48 + 8 bytes. About 90 flops.
 
@@ -8,9 +8,9 @@
 @group(0) @binding(1) var<storage, read> positions: array<f32>;         // [V, 3], world
 @group(0) @binding(2) var<storage, read> triangles: array<vec4u>;       // [F]: three vertices, unused
 @group(0) @binding(3) var<storage, read_write> corners: array<vec4f>;   // [F, 3]: camera space; w: see below
-@group(0) @binding(4) var<storage, read_write> boxes: array<vec2u>;     // [F]: first and last tile, x | y << 16
+@group(0) @binding(4) var<storage, read_write> boxes: array<vec2u>;     // [F]: first and last bin, x | y << 16
 
-const NOWHERE: vec2u = vec2u(1u, 0u);   // first tile (1, 0), last tile (0, 0): empty
+const NOWHERE: vec2u = vec2u(1u, 0u);   // first bin (1, 0), last bin (0, 0): empty
 
 fn position(i: u32) -> vec3f {
     return to_camera(view, vec3f(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]));
@@ -71,8 +71,8 @@ fn setup(
     let size = vec2f(view.size);
     // Also false for NaN.
     if !(all(box.high >= vec2f(0.0)) && all(box.low < size)) { return; }
-    // Only pixel centres count, half a pixel inside their tile: a margin for rounding at no cost.
-    let first = vec2u(max(box.low, vec2f(0.0))) / TILE;
-    let last = min(vec2u(min(box.high, size)) / TILE, view.tiles - 1u);
+    // Only pixel centres count, half a pixel inside their bin: a margin for rounding at no cost.
+    let first = vec2u(max(box.low, vec2f(0.0))) / BIN;
+    let last = min(vec2u(min(box.high, size)) / BIN, (view.size - 1u) / BIN);
     boxes[i] = vec2u(first.x | (first.y << 16u), last.x | (last.y << 16u));
 }

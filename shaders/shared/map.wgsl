@@ -16,3 +16,16 @@ fn level_offset(map: Map, level: u32) -> u32 {
     let texels = map.width * map.height - (map.width >> level) * (map.height >> level);
     return map.offset + texels / 3u * 4u * map.channels;
 }
+
+// Quotient and remainder, for i < 2²⁶ and d ≤ 2¹⁴. CPUs have no vector division of integers: `/` made up most of the
+// time of these kernels there. The first quotient is off by a few at most, the second by one.
+fn divide(i: u32, d: u32) -> vec2u {
+    let inverse = 1.0 / f32(d);
+    var quotient = i32(f32(i) * inverse);
+    var rest = i32(i) - quotient * i32(d);
+    let correction = i32(floor(f32(rest) * inverse));
+    quotient += correction;
+    rest -= correction * i32(d);
+    let step = select(0, 1, rest >= i32(d)) - select(0, 1, rest < 0);
+    return vec2u(u32(quotient + step), u32(rest - step * i32(d)));
+}

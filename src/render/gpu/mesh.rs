@@ -2,7 +2,7 @@
 //! back from the gradient of these to the texels.
 //!
 //! Forward: setup_triangles → bin_triangles (count, scan, scatter) → raster_layers → shade_layers.
-//! Backward: zero → texel_backward → pull_mips; then adam_texels → build_mips. Without meshes nothing is dispatched.
+//! Backward: zero → texel_backward; then adam_texels → build_mips. Without meshes nothing is dispatched.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
@@ -12,6 +12,10 @@ use crate::scene::{Atlas, Mesh};
 
 /// Threads per workgroup of the kernels over triangles and over pixels.
 const GROUP: usize = 256;
+
+/// Side in pixels of the square bins that triangles are sorted into. Smaller than the splats' tiles: the triangles of
+/// a dense mesh are a few pixels large, and every triangle is tested at every pixel of its bins.
+const BIN: u32 = 8;
 
 /// Meshes on the adapter, and per-pixel layers of the view that was rendered last.
 pub(crate) struct MeshStage {
@@ -36,13 +40,13 @@ struct Geometry {
     pairs_needed: Buffer,
 }
 
-/// What depends on it. Bytes per pixel and layer: 24 to render, 16 more to train; 8 per tile; 4 per pair.
+/// What depends on it. Bytes per pixel and layer: 24 to render, 16 more to train; 8 per bin; 4 per pair.
 struct Screen {
     pixels: usize,
-    tiles: usize,
+    bins: usize,
     capacity: usize,
-    tile_fill: Buffer,
-    tile_start: Buffer,
+    bin_fill: Buffer,
+    bin_start: Buffer,
     pairs: Buffer,
     layer_triangle: Buffer,
     layer_depth: Buffer,
@@ -61,7 +65,7 @@ struct Kernels {
 }
 
 struct Bound {
-    tiles: usize,
+    bins: usize,
     fragments: usize,
     setup: Bindings,
     count: Bindings,
@@ -88,7 +92,7 @@ impl Geometry {
             triangles: gpu.storage_with("mesh triangles", &triangles)?,
             corner_uvs: gpu.storage_with("mesh corner UVs", &uvs)?,
             corners: gpu.storage("mesh corners", 12 * triangles.len())?,
-            boxes: gpu.storage("mesh tile boxes", 2 * triangles.len())?,
+            boxes: gpu.storage("mesh bin boxes", 2 * triangles.len())?,
             maps: gpu.storage_with("mesh maps", table)?,
             pairs_needed: gpu.storage("mesh pairs needed", 1)?,
         })
@@ -96,22 +100,15 @@ impl Geometry {
 }
 
 impl Screen {
-    fn new(
-        gpu: &Gpu,
-        layers: u32,
-        pixels: usize,
-        tiles: usize,
-        capacity: usize,
-        train: bool,
-    ) -> Result<Self, GpuError> {
+    fn new(gpu: &Gpu, layers: u32, pixels: usize, bins: usize, capacity: usize, train: bool) -> Result<Self, GpuError> {
         let fragments = layers as usize * pixels;
         Ok(Self {
             pixels,
-            tiles,
+            bins,
             capacity,
-            tile_fill: gpu.storage("mesh tile counts", tiles)?,
-            tile_start: gpu.storage("mesh tile offsets", tiles)?,
-            pairs: gpu.storage("mesh (tile, triangle) pairs", capacity)?,
+            bin_fill: gpu.storage("mesh bin counts", bins)?,
+            bin_start: gpu.storage("mesh bin offsets", bins)?,
+            pairs: gpu.storage("mesh (bin, triangle) pairs", capacity)?,
             layer_triangle: gpu.storage("mesh layer triangles", fragments)?,
             layer_depth: gpu.storage("mesh layer depths", fragments)?,
             layer_color: gpu.storage("mesh layer colours", 4 * fragments)?,
@@ -124,9 +121,13 @@ impl Kernels {
     fn new(gpu: &Gpu, layers: u32, bands: bool) -> Self {
         // On a software adapter a lane is a loop iteration and workgroup memory is plain memory: a thread that owns
         // many pixels saves loads. Hardware wants the lanes.
-        let per_thread = if gpu.profile().is_cpu { 4 } else { 1 };
-        let defines: Defines =
-            gpu.defines().with("LAYERS", layers).with("BANDS", u32::from(bands)).with("PER_THREAD", per_thread);
+        let per_thread = if gpu.profile().is_cpu { 8 } else { 1 };
+        let defines: Defines = gpu
+            .defines()
+            .with("LAYERS", layers)
+            .with("BANDS", u32::from(bands))
+            .with("BIN", BIN)
+            .with("PER_THREAD", per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
         Self {
             setup: kernel("setup_triangles.wgsl", "setup"),
@@ -169,43 +170,43 @@ impl MeshStage {
         if self.n_triangles == 0 {
             return Ok(false);
         }
-        let (x, y) = view.tiles();
-        let (pixels, tiles) = (view.pixels(), x as usize * y as usize);
-        let grow = self.bound.is_none() || pixels > self.screen.pixels || tiles > self.screen.tiles;
+        let k = view.camera.intrinsics();
+        let (pixels, bins) = (view.pixels(), (k.width.div_ceil(BIN) * k.height.div_ceil(BIN)) as usize);
+        let grow = self.bound.is_none() || pixels > self.screen.pixels || bins > self.screen.bins;
         if grow {
-            let (pixels, tiles) = (pixels.max(self.screen.pixels), tiles.max(self.screen.tiles));
-            // A triangle of a dense mesh is in one to four tiles; large ones fill the screen a few times over.
+            let (pixels, bins) = (pixels.max(self.screen.pixels), bins.max(self.screen.bins));
+            // A triangle of a dense mesh is in one to four bins; large ones fill the screen a few times over.
             let capacity =
-                (4 * self.n_triangles + 16 * tiles).min(gpu.max_binding_bytes() as usize / 4).max(self.screen.capacity);
-            self.screen = Screen::new(gpu, self.layers, pixels, tiles, capacity, self.trainable)?;
+                (4 * self.n_triangles + 16 * bins).min(gpu.max_binding_bytes() as usize / 4).max(self.screen.capacity);
+            self.screen = Screen::new(gpu, self.layers, pixels, bins, capacity, self.trainable)?;
             self.bound = Some(self.bind(gpu, view_uniform));
         }
         if let Some(bound) = &mut self.bound {
-            (bound.tiles, bound.fragments) = (tiles, self.layers as usize * pixels);
+            (bound.bins, bound.fragments) = (bins, self.layers as usize * pixels);
         }
         Ok(grow)
     }
 
-    /// Enlarges the list of (tile, triangle) pairs if a frame since the last call needed more than it holds: that
+    /// Enlarges the list of (bin, triangle) pairs if a frame since the last call needed more than it holds: that
     /// frame lacked triangles and should be rendered again. Waits for the adapter; meant for every few hundred frames.
     ///
     /// # Errors
     /// If the driver failed or the list exceeds what the adapter binds.
     pub(crate) fn grow_if_short(&mut self, gpu: &Gpu, view_uniform: &Buffer) -> Result<bool, GpuError> {
-        let Some(Bound { tiles, fragments, .. }) = self.bound else { return Ok(false) };
+        let Some(Bound { bins, fragments, .. }) = self.bound else { return Ok(false) };
         let needed = gpu.read::<u32>(&self.geometry.pairs_needed, 1)?[0] as usize;
         if needed <= self.screen.capacity {
             return Ok(false);
         }
         self.screen.capacity = needed.saturating_add(needed / 4);
-        self.screen.pairs = gpu.storage("mesh (tile, triangle) pairs", self.screen.capacity)?;
-        self.bound = Some(Bound { tiles, fragments, ..self.bind(gpu, view_uniform) });
+        self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", self.screen.capacity)?;
+        self.bound = Some(Bound { bins, fragments, ..self.bind(gpu, view_uniform) });
         Ok(true)
     }
 
     fn bind(&self, gpu: &Gpu, view: &Buffer) -> Bound {
         let (g, s, t, k) = (&self.geometry, &self.screen, &self.texels, &self.kernels);
-        let bin = [view, &g.corners, &g.boxes, &s.tile_fill, &s.tile_start, &s.pairs, &g.pairs_needed];
+        let bin = [view, &g.corners, &g.boxes, &s.bin_fill, &s.bin_start, &s.pairs, &g.pairs_needed];
         let fragment = [view, &s.layer_triangle, &g.corners, &g.corner_uvs, &g.maps];
         let shade = [t.base(), t.bands(), &s.layer_color];
         let backward = t.gradients().map(|(base, bands)| {
@@ -213,9 +214,9 @@ impl MeshStage {
             let own = if t.has_bands() { &both[..] } else { &both[..3] };
             k.backward.bind(gpu, &[&fragment[..], own].concat())
         });
-        let raster = [view, &g.corners, &s.tile_start, &s.tile_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
+        let raster = [view, &g.corners, &s.bin_start, &s.bin_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
         Bound {
-            tiles: s.tiles,
+            bins: s.bins,
             fragments: self.layers as usize * s.pixels,
             setup: k.setup.bind(gpu, &[view, &g.positions, &g.triangles, &g.corners, &g.boxes]),
             count: k.count.bind(gpu, &bin),
@@ -255,16 +256,15 @@ impl MeshStage {
         frame.dispatch(&k.count, &bound.count, triangles);
         frame.dispatch(&k.scan, &bound.scan, 1);
         frame.dispatch(&k.scatter, &bound.scatter, triangles);
-        frame.dispatch(&k.raster, &bound.raster, bound.tiles);
+        frame.dispatch(&k.raster, &bound.raster, bound.bins);
         frame.dispatch(&k.shade, &bound.shade, groups(bound.fragments, GROUP));
     }
 
-    /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
+    /// Gradients of all texels, at all mip levels, from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
         let Some(Bound { backward: Some(bindings), fragments, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
         frame.dispatch(&self.kernels.backward, bindings, groups(*fragments, GROUP));
-        self.texels.record_pull(frame);
     }
 
     /// Parameters of the next Adam step; takes effect before the next submission.

@@ -31,7 +31,6 @@ embed![
     "loss.wgsl",
     "order_splats.wgsl",
     "project_splats.wgsl",
-    "pull_mips.wgsl",
     "radix_sort.wgsl",
     "radix_sort_serial.wgsl",
     "raster_layers.wgsl",

@@ -55,6 +55,23 @@ impl Map {
         (self.width >> level) as usize * (self.height >> level) as usize * self.channels as usize
     }
 
+    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` does.
+    fn pulled(&self, all: &[f32]) -> Vec<f32> {
+        let mut pulled = all[self.offset..self.offset + self.floats(0)].to_vec();
+        let (width, channels) = (self.width as usize, self.channels as usize);
+        let (mut offset, mut share) = (self.offset, 1.0);
+        for level in 1..self.levels {
+            offset += self.floats(level - 1);
+            share *= 0.25;
+            for (i, g) in pulled.iter_mut().enumerate() {
+                let (texel, channel) = (i / channels, i % channels);
+                let parent = (texel / width >> level) * (width >> level) + (texel % width >> level);
+                *g += share * all[offset + parent * channels + channel];
+            }
+        }
+        pulled
+    }
+
     /// Words of `Map` in shaders/shared/map.wgsl.
     fn words(&self, level: u32) -> [u32; 8] {
         let (offset, moments) = (self.offset as u32, self.moments as u32);
@@ -74,19 +91,12 @@ struct Pool {
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    steps: Vec<Step>,
-}
-
-/// What `pull_mips` and `adam_texels` run with, for one map.
-struct Step {
-    pull: Bindings,
-    adam: Bindings,
-    groups: usize,
+    /// Per map: the bindings and workgroups of `adam_texels`.
+    adam: Vec<(Bindings, usize)>,
 }
 
 struct Kernels {
     mips: Kernel,
-    pull: Kernel,
     adam: Kernel,
 }
 
@@ -135,7 +145,7 @@ impl Pool {
             pool.training = Some(Training {
                 gradients: gpu.storage("mesh texel gradients", offset)?,
                 moments: gpu.storage("mesh texel moments", 2 * moments)?,
-                steps: vec![],
+                adam: vec![],
             });
             pool.bind_training(gpu, kernels, step)?;
         }
@@ -146,11 +156,8 @@ impl Pool {
         let Some(training) = &mut self.training else { return Ok(()) };
         for map in self.maps.iter().flatten() {
             let uniform = uniform(gpu, map, 0)?;
-            training.steps.push(Step {
-                pull: kernels.pull.bind(gpu, &[&uniform, &training.gradients]),
-                adam: kernels.adam.bind(gpu, &[&uniform, step, &training.gradients, &self.texels, &training.moments]),
-                groups: groups(map.floats(0), GROUP),
-            });
+            let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments];
+            training.adam.push((kernels.adam.bind(gpu, &buffers), groups(map.floats(0), GROUP)));
         }
         Ok(())
     }
@@ -160,10 +167,14 @@ impl Pool {
         self.maps.iter().flatten().map(|m| (0..m.levels).map(|l| m.floats(l)).sum::<usize>()).sum()
     }
 
-    /// Level 0 of every map in a buffer laid out like the texels.
-    fn read(&self, gpu: &Gpu, buffer: &Buffer) -> Result<Vec<Vec<f32>>, GpuError> {
+    /// Level 0 of every map in a buffer laid out like the texels; `pulled` adds what coarser levels hand down.
+    fn read(&self, gpu: &Gpu, buffer: &Buffer, pulled: bool) -> Result<Vec<Vec<f32>>, GpuError> {
         let all: Vec<f32> = gpu.read(buffer, self.floats())?;
-        let level_0 = |map: &Option<Map>| map.map_or(vec![], |m| all[m.offset..m.offset + m.floats(0)].to_vec());
+        let level_0 = |map: &Option<Map>| match map {
+            None => vec![],
+            Some(m) if pulled => m.pulled(&all),
+            Some(m) => all[m.offset..m.offset + m.floats(0)].to_vec(),
+        };
         Ok(self.maps.iter().map(level_0).collect())
     }
 
@@ -189,11 +200,7 @@ impl Texels {
     /// If a buffer exceeds what the adapter binds.
     pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], trainable: bool) -> Result<Self, GpuError> {
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &gpu.defines());
-        let kernels = Kernels {
-            mips: kernel("build_mips.wgsl", "build"),
-            pull: kernel("pull_mips.wgsl", "pull"),
-            adam: kernel("adam_texels.wgsl", "adam"),
-        };
+        let kernels = Kernels { mips: kernel("build_mips.wgsl", "build"), adam: kernel("adam_texels.wgsl", "adam") };
         let step = gpu.uniform("texel step", 8)?;
         let base: Vec<_> = meshes.iter().map(|m| Some(m.atlas().base())).collect();
         let bands: Vec<_> = meshes.iter().map(|m| m.atlas().bands()).collect();
@@ -263,13 +270,6 @@ impl Texels {
         }
     }
 
-    /// Adds the gradients of coarser levels to level 0.
-    pub(crate) fn record_pull(&self, frame: &mut Frame) {
-        for step in self.training().flat_map(|t| &t.steps) {
-            frame.dispatch(&self.kernels.pull, &step.pull, step.groups);
-        }
-    }
-
     /// Parameters of the next Adam step; takes effect before the next submission.
     pub(crate) fn set_step(&self, gpu: &Gpu, step: &TexelStep) {
         gpu.write(&self.step, 0, &step.words());
@@ -277,8 +277,8 @@ impl Texels {
 
     /// One step of Adam on level 0, then the mips, which therefore always match it.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
-        for step in self.training().flat_map(|t| &t.steps) {
-            frame.dispatch(&self.kernels.adam, &step.adam, step.groups);
+        for (bindings, groups) in self.training().flat_map(|t| &t.adam) {
+            frame.dispatch(&self.kernels.adam, bindings, *groups);
         }
         self.record_mips(frame);
     }
@@ -290,8 +290,8 @@ impl Texels {
     pub(crate) fn read_atlases(&self, gpu: &Gpu) -> Result<Vec<Atlas>, GpuError> {
         let texture =
             |map: &Option<Map>, texels| map.map(|m| Texture::new(m.width, m.height, m.channels, texels)).transpose();
-        let base = self.base.read(gpu, &self.base.texels)?;
-        let bands = self.bands.read(gpu, &self.bands.texels)?;
+        let base = self.base.read(gpu, &self.base.texels, false)?;
+        let bands = self.bands.read(gpu, &self.bands.texels, false)?;
         let atlas = |(i, (base, bands))| {
             let base = texture(&self.base.maps[i], base)?.expect("every mesh has a base map");
             Atlas::new(base, texture(&self.bands.maps[i], bands)?)
@@ -300,13 +300,13 @@ impl Texels {
         atlases.map_err(|e| GpuError::Failed { adapter: gpu.adapter().to_owned(), reason: format!("mesh {e}") })
     }
 
-    /// Gradients of level 0 after `record_pull`: base `[h·w·4]` and bands per mesh, empty where there are none.
+    /// Gradients by the parameters, coarse levels included: base `[h·w·4]` and bands per mesh, empty where there are none.
     ///
     /// # Errors
     /// If the driver failed.
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
         let Some((base, bands)) = self.gradients() else { return Ok(vec![]) };
-        Ok(self.base.read(gpu, base)?.into_iter().zip(self.bands.read(gpu, bands)?).collect())
+        Ok(self.base.read(gpu, base, true)?.into_iter().zip(self.bands.read(gpu, bands, true)?).collect())
     }
 
     /// Adam's first and second moments: the base maps of all meshes, then the bands of all meshes, each laid out like
