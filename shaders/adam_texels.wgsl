@@ -1,7 +1,7 @@
 // One thread per float of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7).
 //
-// The gradient of a texel is its own plus a quarter of its parent's, a sixteenth of its grandparent's, … (METHODS 4.3):
-// adding them here saves a pass over all texels. 16 bytes read, 12 written, and 1⅓ of coarser levels.
+// The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. 20 bytes read, 12
+// written: bound by bandwidth.
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
@@ -33,14 +33,9 @@ fn adam(
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
     if i >= map.width * map.height * map.channels { return; }
-    let texel = divide(i, map.channels);        // index, channel
-    let at = divide(texel.x, map.width);        // row, column
     var g = gradient[map.offset + i];
-    var quarter = 0.25;
-    for (var level = 1u; level < map.levels; level += 1u) {
-        let parent = (at.x >> level) * (map.width >> level) + (at.y >> level);
-        g += quarter * gradient[level_offset(map, level) + parent * map.channels + texel.y];
-        quarter *= 0.25;
+    if map.levels > 1u {
+        g += 0.25 * gradient[parent_of(map, 0u, i)];
     }
     if step.visited_only != 0u && g == 0.0 { return; }
     var m = moments[map.moments + i];

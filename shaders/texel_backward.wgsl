@@ -1,7 +1,7 @@
 // One thread per pixel and layer: scatters the gradient of the fragment's colour and alpha to its texels.
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
-// times its trilinear weight, also at coarse levels; adam_texels hands those down to level 0. No gradient flows to uv,
+// times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient flows to uv,
 // mip level or direction (METHODS 4.5). Per fragment 112 bytes read, and per texel (4 or 8) 4 atomic additions to the
 // base and 3·((d+1)²−1) to the bands: 24 at degree 2.
 

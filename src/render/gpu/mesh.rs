@@ -2,7 +2,7 @@
 //! back from the gradient of these to the texels.
 //!
 //! Forward: setup_triangles → bin_triangles (count, scan, scatter) → raster_layers → shade_layers.
-//! Backward: zero → texel_backward; then adam_texels → build_mips. Without meshes nothing is dispatched.
+//! Backward: zero → texel_backward → pull_mips; then adam_texels → build_mips. Without meshes nothing is dispatched.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
@@ -260,11 +260,12 @@ impl MeshStage {
         frame.dispatch(&k.shade, &bound.shade, groups(bound.fragments, GROUP));
     }
 
-    /// Gradients of all texels, at all mip levels, from `layer_gradient`. Nothing happens if not trainable.
+    /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
         let Some(Bound { backward: Some(bindings), fragments, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
         frame.dispatch(&self.kernels.backward, bindings, groups(*fragments, GROUP));
+        self.texels.record_pull(frame);
     }
 
     /// Parameters of the next Adam step; takes effect before the next submission.

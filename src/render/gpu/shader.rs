@@ -31,6 +31,7 @@ embed![
     "loss.wgsl",
     "order_splats.wgsl",
     "project_splats.wgsl",
+    "pull_mips.wgsl",
     "radix_sort.wgsl",
     "radix_sort_serial.wgsl",
     "raster_layers.wgsl",

@@ -57,19 +57,14 @@ impl Map {
 
     /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` does.
     fn pulled(&self, all: &[f32]) -> Vec<f32> {
-        let mut pulled = all[self.offset..self.offset + self.floats(0)].to_vec();
+        let (level_0, coarser) = all[self.offset..].split_at(self.floats(0));
         let (width, channels) = (self.width as usize, self.channels as usize);
-        let (mut offset, mut share) = (self.offset, 1.0);
-        for level in 1..self.levels {
-            offset += self.floats(level - 1);
-            share *= 0.25;
-            for (i, g) in pulled.iter_mut().enumerate() {
-                let (texel, channel) = (i / channels, i % channels);
-                let parent = (texel / width >> level) * (width >> level) + (texel % width >> level);
-                *g += share * all[offset + parent * channels + channel];
-            }
-        }
-        pulled
+        let parent = |i: usize| {
+            let (row, column, channel) = (i / channels / width, i / channels % width, i % channels);
+            (row / 2 * (width / 2) + column / 2) * channels + channel
+        };
+        let inherited = |i: usize| if self.levels > 1 { 0.25 * coarser[parent(i)] } else { 0.0 };
+        level_0.iter().enumerate().map(|(i, &g)| g + inherited(i)).collect()
     }
 
     /// Words of `Map` in shaders/shared/map.wgsl.
@@ -91,12 +86,15 @@ struct Pool {
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    /// Per map: the bindings and workgroups of `adam_texels`.
+    /// Bindings and workgroups of `pull_mips`: every map's levels but the coarsest and level 0, coarse to fine.
+    pull: Vec<(Bindings, usize)>,
+    /// Of `adam_texels`: every map.
     adam: Vec<(Bindings, usize)>,
 }
 
 struct Kernels {
     mips: Kernel,
+    pull: Kernel,
     adam: Kernel,
 }
 
@@ -145,6 +143,7 @@ impl Pool {
             pool.training = Some(Training {
                 gradients: gpu.storage("mesh texel gradients", offset)?,
                 moments: gpu.storage("mesh texel moments", 2 * moments)?,
+                pull: vec![],
                 adam: vec![],
             });
             pool.bind_training(gpu, kernels, step)?;
@@ -155,6 +154,10 @@ impl Pool {
     fn bind_training(&mut self, gpu: &Gpu, kernels: &Kernels, step: &Buffer) -> Result<(), GpuError> {
         let Some(training) = &mut self.training else { return Ok(()) };
         for map in self.maps.iter().flatten() {
+            for level in (1..map.levels - 1).rev() {
+                let bindings = kernels.pull.bind(gpu, &[&uniform(gpu, map, level)?, &training.gradients]);
+                training.pull.push((bindings, groups(map.floats(level), GROUP)));
+            }
             let uniform = uniform(gpu, map, 0)?;
             let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments];
             training.adam.push((kernels.adam.bind(gpu, &buffers), groups(map.floats(0), GROUP)));
@@ -167,7 +170,7 @@ impl Pool {
         self.maps.iter().flatten().map(|m| (0..m.levels).map(|l| m.floats(l)).sum::<usize>()).sum()
     }
 
-    /// Level 0 of every map in a buffer laid out like the texels; `pulled` adds what coarser levels hand down.
+    /// Level 0 of every map in a buffer laid out like the texels; `pulled` adds what level 1 hands down.
     fn read(&self, gpu: &Gpu, buffer: &Buffer, pulled: bool) -> Result<Vec<Vec<f32>>, GpuError> {
         let all: Vec<f32> = gpu.read(buffer, self.floats())?;
         let level_0 = |map: &Option<Map>| match map {
@@ -200,7 +203,11 @@ impl Texels {
     /// If a buffer exceeds what the adapter binds.
     pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], trainable: bool) -> Result<Self, GpuError> {
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &gpu.defines());
-        let kernels = Kernels { mips: kernel("build_mips.wgsl", "build"), adam: kernel("adam_texels.wgsl", "adam") };
+        let kernels = Kernels {
+            mips: kernel("build_mips.wgsl", "build"),
+            pull: kernel("pull_mips.wgsl", "pull"),
+            adam: kernel("adam_texels.wgsl", "adam"),
+        };
         let step = gpu.uniform("texel step", 8)?;
         let base: Vec<_> = meshes.iter().map(|m| Some(m.atlas().base())).collect();
         let bands: Vec<_> = meshes.iter().map(|m| m.atlas().bands()).collect();
@@ -267,6 +274,13 @@ impl Texels {
     pub(crate) fn record_zero_gradients(&self, frame: &mut Frame) {
         for training in self.training() {
             frame.clear(&training.gradients);
+        }
+    }
+
+    /// Completes the gradients of level 1 by those of the coarser levels; Adam and `read_gradients` do level 0.
+    pub(crate) fn record_pull(&self, frame: &mut Frame) {
+        for (bindings, groups) in self.training().flat_map(|t| &t.pull) {
+            frame.dispatch(&self.kernels.pull, bindings, *groups);
         }
     }
 
