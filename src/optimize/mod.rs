@@ -3,5 +3,54 @@
 pub mod checkpoint;
 pub mod density;
 pub mod initialize;
+mod options;
+mod resume;
 pub mod schedule;
 pub mod state;
+mod static_scene;
+mod surface;
+
+pub use options::{Background, Density, TrainOptions};
+pub use static_scene::{Outcome, Phase, Progress, Session, Trained, train};
+pub use surface::MeshSource;
+
+use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
+
+/// Why a run failed.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// A photograph could not be read.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// No surface could be made.
+    #[error("making the mesh: {0}; --no-mesh trains splats alone, --mesh FILE takes yours")]
+    Geometry(#[from] GeometryError),
+    /// The adapter failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// A value cannot be part of a scene.
+    #[error("the trained scene is not valid: {0}")]
+    Scene(#[from] SceneError),
+    /// A checkpoint could not be written or read.
+    #[error(transparent)]
+    Checkpoint(#[from] checkpoint::CheckpointError),
+    /// A checkpoint does not fit the run.
+    #[error("{0}")]
+    Resume(String),
+    /// Nothing to train on.
+    #[error("expected at least 3 views (every 8th is held out), found {found}")]
+    TooFewViews {
+        /// Views in the capture.
+        found: usize,
+    },
+    /// A parameter went to NaN or infinity.
+    #[error("iteration {iteration} ({phase:?}): {group} is no longer finite; the last checkpoint is from before")]
+    NotFinite {
+        /// Phase of the run.
+        phase: Phase,
+        /// Iteration in that phase.
+        iteration: u32,
+        /// Which parameters.
+        group: String,
+    },
+}

@@ -155,6 +155,15 @@ pub fn texel_rate(iterations: u32) -> f32 {
     (PAPER_TEXEL_RATE * shorter).min(0.05) as f32
 }
 
+/// Rate of texels at joint iteration `t`: from where a warm-up of `warmup` iterations left it to the paper's 5e-4, its
+/// logarithm linear in t. After the paper's warm-up it is 5e-4 throughout.
+#[must_use]
+pub fn joint_texel_rate(warmup: u32, t: u32, iterations: u32) -> f32 {
+    let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
+    let start = f64::from(texel_rate(warmup)).ln();
+    (start * (1.0 - at) + PAPER_TEXEL_RATE.ln() * at).exp() as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

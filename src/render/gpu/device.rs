@@ -259,11 +259,6 @@ impl Gpu {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
     }
 
-    /// Bytes of workgroup memory.
-    pub(crate) fn workgroup_bytes(&self) -> u32 {
-        self.limits.max_compute_workgroup_storage_size
-    }
-
     /// The first error the driver reported outside a call that returns one.
     ///
     /// # Errors

@@ -1,9 +1,10 @@
 //! The compute pipeline on wgpu. `device` is the only file that talks to wgpu; every stage is one WGSL file of the
 //! same name in `shaders/`.
 
+pub(crate) mod adam;
 mod blend;
 mod device;
-mod loss;
+pub(crate) mod loss;
 pub mod measure;
 mod mesh;
 #[cfg(test)]
@@ -14,7 +15,8 @@ mod scan;
 mod shader;
 mod sort;
 mod splats;
-mod texels;
+pub(crate) mod texels;
+pub(crate) mod training;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};

@@ -4,6 +4,7 @@ use super::{
     blend::{Blend, LayerBuffers},
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     mesh::MeshStage,
+    renderer::Picture,
     splats::{GEOMETRY, ImageCapacity, SplatBuffers, SplatLists},
     view::{VIEW_WORDS, View},
 };
@@ -35,8 +36,9 @@ pub(crate) struct Backward {
     pub(crate) sh_gradient: Buffer,
     /// `[capacity]` vec4, see `splat_backward.wgsl`.
     pub(crate) statistics: Buffer,
+    capacity: usize,
     kernel: Kernel,
-    bindings: Bindings,
+    bindings: Option<Bindings>,
 }
 
 impl Pipeline {
@@ -122,10 +124,10 @@ impl Pipeline {
 
     /// Appends everything from the image gradient to parameter gradients; does nothing if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame, view: &View) {
-        let Some(backward) = &self.backward else { return };
+        let Some(Backward { kernel, bindings: Some(bindings), .. }) = &self.backward else { return };
         let (x, y) = view.tiles();
         self.blend.record_backward(frame, x as usize * y as usize);
-        frame.dispatch(&backward.kernel, &backward.bindings, groups(view.n_splats as usize, 256));
+        frame.dispatch(kernel, bindings, groups(view.n_splats as usize, 256));
         if let Some(mesh) = &self.mesh {
             mesh.record_backward(frame);
         }
@@ -157,14 +159,31 @@ impl Pipeline {
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         let depth = self.mesh.as_ref().map(|m| (m.layer_depth(), self.composition.layers));
         self.lists = SplatLists::new(gpu, &self.splats, self.image, pairs, &self.view, depth)?;
-        let gradient = self.backward.take().map(|b| b.image_gradient);
-        let training = gradient.as_ref().map(|g| (g, self.splats.capacity));
+        let old = self.backward.take();
+        let training = old.as_ref().map(|b| (&b.image_gradient, self.splats.capacity));
         let layers = layer_buffers(self.mesh.as_ref());
         self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, training)?;
-        if let Some(g) = gradient {
-            self.backward = Some(Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, g)?);
+        if let Some(old) = old {
+            self.backward = Some(if old.capacity == self.splats.capacity {
+                old.bind(gpu, &self.view, &self.splats, &self.lists, &self.blend)
+            } else {
+                let gradient = old.image_gradient;
+                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, gradient)?
+            });
         }
         Ok(())
+    }
+
+    /// The image of the last frame, which was of `camera`. Waits.
+    pub(crate) fn read_picture(&self, gpu: &Gpu, camera: &Camera) -> Result<Picture, GpuError> {
+        let k = camera.intrinsics();
+        let words: Vec<[f32; 4]> = gpu.read(&self.blend.image, k.width as usize * k.height as usize)?;
+        Ok(Picture {
+            width: k.width,
+            height: k.height,
+            rgb: words.iter().map(|p| [p[0], p[1], p[2]]).collect(),
+            transmittance: words.iter().map(|p| p[3]).collect(),
+        })
     }
 
     /// Median depth of the splats alone in a view, `[h·w]`, 0 where there is none.
@@ -207,24 +226,32 @@ impl Backward {
     ) -> Result<Self, GpuError> {
         let terms = sh::coefficients(splats.sh_degree);
         let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &gpu.defines().with("SH_TERMS", terms as u32));
-        let geometry_gradient = gpu.storage("geometry gradient", splats.capacity * GEOMETRY)?;
-        let sh_gradient = gpu.storage("SH gradient", splats.capacity * 3 * terms)?;
-        let statistics = gpu.storage("density statistics", splats.capacity * 4)?;
-        let moments = blend.moments().expect("made for training");
-        let bindings = kernel.bind(
-            gpu,
-            &[
-                view,
-                &splats.geometry,
-                &splats.sh,
-                &lists.projected,
-                &lists.visible,
-                moments,
-                &geometry_gradient,
-                &sh_gradient,
-                &statistics,
-            ],
-        );
-        Ok(Self { image_gradient, geometry_gradient, sh_gradient, statistics, kernel, bindings })
+        let unbound = Self {
+            capacity: splats.capacity,
+            image_gradient,
+            geometry_gradient: gpu.storage("geometry gradient", splats.capacity * GEOMETRY)?,
+            sh_gradient: gpu.storage("SH gradient", splats.capacity * 3 * terms)?,
+            statistics: gpu.storage("density statistics", splats.capacity * 4)?,
+            kernel,
+            bindings: None,
+        };
+        Ok(unbound.bind(gpu, view, splats, lists, blend))
+    }
+
+    /// The same buffers behind other lists.
+    fn bind(mut self, gpu: &Gpu, view: &Buffer, splats: &SplatBuffers, lists: &SplatLists, blend: &Blend) -> Self {
+        let buffers = [
+            view,
+            &splats.geometry,
+            &splats.sh,
+            &lists.projected,
+            &lists.visible,
+            blend.moments().expect("made for training"),
+            &self.geometry_gradient,
+            &self.sh_gradient,
+            &self.statistics,
+        ];
+        self.bindings = Some(self.kernel.bind(gpu, &buffers));
+        self
     }
 }

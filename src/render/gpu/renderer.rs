@@ -45,15 +45,7 @@ impl<'g> Renderer<'g> {
                 break;
             }
         }
-        let k = camera.intrinsics();
-        let pixels = k.width as usize * k.height as usize;
-        let words: Vec<[f32; 4]> = self.gpu.read(&self.pipeline.blend.image, pixels)?;
-        Ok(Picture {
-            width: k.width,
-            height: k.height,
-            rgb: words.iter().map(|p| [p[0], p[1], p[2]]).collect(),
-            transmittance: words.iter().map(|p| p[3]).collect(),
-        })
+        self.pipeline.read_picture(self.gpu, camera)
     }
 
     /// Seconds per frame over `frames` renderings of `camera` without read-back, after one to warm up.

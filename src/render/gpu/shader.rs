@@ -17,6 +17,7 @@ macro_rules! embed {
 }
 
 embed![
+    "adam_splats.wgsl",
     "adam_texels.wgsl",
     "bin_triangles.wgsl",
     "blend_backward.wgsl",

@@ -1,0 +1,145 @@
+// A step of Adam for splats (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7), with MCMC's regularisers and noise
+// (2.8). `geometry`: one thread per splat; `harmonics`: one thread per active SH float.
+//
+// 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
+// bandwidth, 1.7 kB per splat of degree 3.
+
+struct Step {
+    n_splats: u32,
+    number: u32,                        // t, from 1
+    seed: u32,
+    visible_only: u32,                  // leave splats that this view does not see, and their moments, alone
+    correction_1: f32,                  // 1 − β₁ᵗ
+    correction_2: f32,                  // 1 − β₂ᵗ
+    noise: f32,                         // standard deviation by which Σ3·ξ is multiplied, 0 for none
+    active_floats: u32,                 // of a splat's SH, the first ones
+    mean_rate: f32,
+    opacity_rate: f32,
+    rotation_rate: f32,
+    log_scale_rate: f32,
+    dc_rate: f32,
+    rest_rate: f32,
+    opacity_slope: f32,                 // of the regulariser by each opacity
+    scale_slope: f32,                   // of the regulariser by each scale
+}
+
+const BETA_1: f32 = 0.9;
+const BETA_2: f32 = 0.999;
+const EPSILON: f32 = 1e-15;
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read> visible: array<u32>;
+//#if GEOMETRY
+// Three per splat: mean and opacity logit; quaternion w, x, y, z of any length; log-scale and 0.
+@group(0) @binding(2) var<storage, read_write> parameters: array<vec4f>;
+@group(0) @binding(3) var<storage, read> gradient: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> second: array<vec4f>;
+
+// New value of parameter vector i.
+fn adam(i: u32, value: vec4f, g: vec4f, rates: vec4f) -> vec4f {
+    let m = BETA_1 * first[i] + 0.1 * g;
+    let v = BETA_2 * second[i] + 0.001 * g * g;
+    first[i] = m;
+    second[i] = v;
+    return value - rates * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+}
+
+// Four random words of (splat, step): PCG4D of Jarzynski and Olano, "Hash Functions for GPU Rendering" (2020).
+fn random(splat: u32) -> vec4u {
+    var v = vec4u(splat, step.number, step.seed, 0u) * 1664525u + 1013904223u;
+    for (var round = 0u; round < 2u; round++) {
+        v.x += v.y * v.w;
+        v.y += v.z * v.x;
+        v.z += v.x * v.y;
+        v.w += v.y * v.z;
+        if round == 0u { v ^= v >> vec4u(16u); }
+    }
+    return v;
+}
+
+// Three independent normal numbers, by Box and Muller.
+fn normal(splat: u32) -> vec3f {
+    // 24 bits, so that conversion is exact; the radii's are in (0, 1].
+    let r = vec4f(random(splat) >> vec4u(8u)) * (1.0 / 16777216.0);
+    let radius = sqrt(-2.0 * log(vec2f(1.0) - r.xy));
+    let angle = 6.2831853 * r.zw;
+    return vec3f(radius.x * cos(angle.x), radius.x * sin(angle.x), radius.y * cos(angle.y));
+}
+
+fn logistic(x: f32) -> f32 {
+    return 1.0 / (1.0 + exp(min(-x, 80.0)));   // beyond 80 the exponential overflows
+}
+
+// R of a quaternion w, x, y, z.
+fn rotation(quaternion: vec4f) -> mat3x3f {
+    let q = quaternion / max(length(quaternion), 1e-30);
+    let w = q.x; let x = q.y; let y = q.z; let z = q.w;
+    return mat3x3f(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y),
+    );
+}
+
+@compute @workgroup_size(256)
+fn geometry(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let i = (group.x + group.y * groups.x) * 256u + thread;
+    if i >= step.n_splats || (step.visible_only != 0u && visible[i] == 0u) { return; }
+    let place = 3u * i;
+
+    var position = parameters[place];
+    var g = gradient[place];
+    var opacity = logistic(position.w);
+    g.w += step.opacity_slope * opacity * (1.0 - opacity);
+    position = adam(place, position, g, vec4f(vec3f(step.mean_rate), step.opacity_rate));
+
+    let quaternion = adam(place + 1u, parameters[place + 1u], gradient[place + 1u], vec4f(step.rotation_rate));
+    parameters[place + 1u] = quaternion;
+
+    var log_scale = parameters[place + 2u];
+    g = vec4f(gradient[place + 2u].xyz + step.scale_slope * exp(log_scale.xyz), 0.0);
+    log_scale = adam(place + 2u, log_scale, g, vec4f(vec3f(step.log_scale_rate), 0.0));
+    parameters[place + 2u] = log_scale;
+
+    if step.noise != 0.0 {
+        // MCMC: transparent splats wander along their own shape, Δ = Σ3·ξ with Σ3 = R·S²·Rᵀ.
+        let r = rotation(quaternion);
+        let scale = exp(log_scale.xyz);
+        opacity = logistic(position.w);
+        let strength = step.noise * logistic(-100.0 * (opacity - 0.005));
+        position += vec4f(strength * (r * (scale * scale * (normal(i) * r))), 0.0);
+    }
+    parameters[place] = position;
+}
+//#else
+// [splat][coefficient][rgb]
+@group(0) @binding(2) var<storage, read_write> parameters: array<f32>;
+@group(0) @binding(3) var<storage, read> gradient: array<f32>;
+@group(0) @binding(4) var<storage, read_write> first: array<f32>;
+@group(0) @binding(5) var<storage, read_write> second: array<f32>;
+
+@compute @workgroup_size(256)
+fn harmonics(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let index = (group.x + group.y * groups.x) * 256u + thread;
+    let splat = index / step.active_floats;
+    if splat >= step.n_splats || (step.visible_only != 0u && visible[splat] == 0u) { return; }
+    let float = index % step.active_floats;
+    let i = splat * SH_FLOATS + float;
+    let g = gradient[i];
+    let m = BETA_1 * first[i] + 0.1 * g;
+    let v = BETA_2 * second[i] + 0.001 * g * g;
+    first[i] = m;
+    second[i] = v;
+    let rate = select(step.rest_rate, step.dc_rate, float < 3u);
+    parameters[i] -= rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+}
+//#end

@@ -1,0 +1,118 @@
+//! What can be chosen of a training run, with defaults and their sources.
+
+use crate::scene::OrderMode;
+
+/// How the number of splats changes (METHODS 2.8).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Density {
+    /// Clone, split and prune on the screen-space gradient, with opacity resets (3DGS).
+    Inria,
+    /// Relocation and growth up to the cap, with noise on the means (3DGS-MCMC). The budget is exact.
+    Mcmc,
+}
+
+/// What lies behind the scene while training.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Background {
+    /// RGB 0.
+    Black,
+    /// RGB 1.
+    White,
+    /// Another colour every iteration, which forbids holes; pictures are rendered over black.
+    Random,
+}
+
+/// Numbers of a training run. `Default` is documented per field.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default)]
+pub struct TrainOptions {
+    /// Joint iterations: 30,000 (3DGS). Schedules stretch with it.
+    pub iterations: u32,
+    /// Iterations on the maps alone before: 9,000 (HERA). Unused without a mesh.
+    pub warmup: u32,
+    /// Iterations on splats alone from which a surface is made: 7,000. Unused with a given mesh or without one.
+    pub surface_iterations: u32,
+    /// Degree of the splats' spherical harmonics: 3 (3DGS).
+    pub sh_degree: u32,
+    /// Weight of D-SSIM in the loss: 0.2 (3DGS).
+    pub ssim_weight: f32,
+    /// Density control: INRIA's, as in the paper.
+    pub density: Density,
+    /// No more splats than this: 1,000,000.
+    pub max_splats: usize,
+    /// No more floats than this in splats, maps and vertices together; limits the splats. For comparisons.
+    pub max_floats: Option<usize>,
+    /// Only splats seen by an iteration's view are updated: off (3DGS updates all).
+    pub visible_only: bool,
+    /// Seed of everything random: 0.
+    pub seed: u64,
+    /// Background: black (METHODS 4.7, static scenes).
+    pub background: Background,
+    /// Mesh layers per pixel, 1, 2 or 4: 2 (METHODS 4.2 has both of 1 and 2 as the paper's).
+    pub layers: u32,
+    /// Depth order of splats against layers: the paper's.
+    #[serde(with = "order_mode")]
+    pub mode: OrderMode,
+    /// λ as a fraction of the capture's extent: 0.01 (METHODS 4.8).
+    pub lambda: f32,
+    /// Side of the DC + opacity atlas, texels; that of the higher bands is a quarter. By default the power of two from
+    /// the longer side of the images on, within 128 to 2048: about a texel per pixel.
+    pub texture_size: Option<u32>,
+    /// SH degree of the mesh: 2 (METHODS 4.1).
+    pub band_degree: u32,
+    /// Triangles of a mesh made from the capture, at most: 20,000.
+    pub triangles: usize,
+    /// Iterations between checkpoints, 0 for none but the last: 2,000.
+    pub checkpoint_every: u32,
+    /// Iterations between looks at a held-out view: 500.
+    pub eval_every: u32,
+}
+
+impl Default for TrainOptions {
+    fn default() -> Self {
+        Self {
+            iterations: 30_000,
+            warmup: 9_000,
+            surface_iterations: 7_000,
+            sh_degree: 3,
+            ssim_weight: 0.2,
+            density: Density::Inria,
+            max_splats: 1_000_000,
+            max_floats: None,
+            visible_only: false,
+            seed: 0,
+            background: Background::Black,
+            layers: 2,
+            mode: OrderMode::Stable,
+            lambda: 0.01,
+            texture_size: None,
+            band_degree: 2,
+            triangles: 20_000,
+            checkpoint_every: 2_000,
+            eval_every: 500,
+        }
+    }
+}
+
+mod order_mode {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    use crate::scene::OrderMode;
+
+    const NAMES: [(OrderMode, &str); 3] = [
+        (OrderMode::Stable, "stable"),
+        (OrderMode::SurfaceConsistent, "surface_consistent"),
+        (OrderMode::Direct, "direct"),
+    ];
+
+    pub(super) fn serialize<S: Serializer>(mode: &OrderMode, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_str(NAMES.iter().find(|n| n.0 == *mode).map_or("", |n| n.1))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<OrderMode, D::Error> {
+        let name = String::deserialize(d)?;
+        NAMES.iter().find(|n| n.1 == name).map(|n| n.0).ok_or_else(|| D::Error::custom(format!("unknown mode {name}")))
+    }
+}

@@ -1,0 +1,149 @@
+//! What a checkpoint of a static scene holds, and how a run goes on from it.
+
+use std::{collections::BTreeMap, path::Path};
+
+use glam::{Vec2, Vec3};
+use serde_json::json;
+
+use super::{
+    Phase, TrainError, TrainOptions,
+    checkpoint::Checkpoint,
+    density::mcmc::EpochWeight,
+    state::SplatState,
+    static_scene::{arrays, splat_state},
+};
+use crate::{
+    render::gpu::training::Training,
+    scene::{Atlas, HybridScene, Mesh, Texture},
+};
+
+/// The state of a run between two iterations.
+pub(super) struct Saved {
+    pub(super) phase: Phase,
+    /// Iterations done in this phase.
+    pub(super) iteration: u32,
+    pub(super) meshes: Vec<Mesh>,
+    splats: SplatState,
+    statistics: Vec<f32>,
+    texel_moments: (Vec<f32>, Vec<f32>),
+    epoch: EpochWeight,
+}
+
+impl Saved {
+    /// Reads back everything from the GPU.
+    pub(super) fn capture(
+        training: &Training,
+        scene: &HybridScene,
+        phase: Phase,
+        iteration: u32,
+        epoch: &EpochWeight,
+    ) -> Result<Self, TrainError> {
+        let atlases = training.read_atlases()?;
+        Ok(Self {
+            phase,
+            iteration,
+            meshes: scene.meshes.iter().cloned().zip(atlases).map(|(m, a)| m.with_atlas(a)).collect(),
+            splats: splat_state(training)?,
+            statistics: training.read_statistics()?,
+            texel_moments: training.read_texel_moments()?,
+            epoch: epoch.clone(),
+        })
+    }
+
+    /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.
+    pub(super) fn restore(self, training: &mut Training) -> Result<EpochWeight, TrainError> {
+        training.write_splats(&arrays(self.splats))?;
+        training.write_statistics(&self.statistics);
+        let (first, second) = &self.texel_moments;
+        if !training.write_texel_moments(first, second) {
+            return Err(TrainError::Resume("the moments of the maps do not fit the maps".to_owned()));
+        }
+        Ok(self.epoch)
+    }
+
+    /// Writes the checkpoint to a temporary file and renames it.
+    pub(super) fn write(self, path: &Path, options: &TrainOptions) -> Result<(), TrainError> {
+        let mut tensors = BTreeMap::new();
+        let mut meshes = vec![];
+        for (i, mesh) in self.meshes.iter().enumerate() {
+            let atlas = mesh.atlas();
+            let mut put = |name: &str, values: Vec<f32>| tensors.insert(format!("mesh{i}/{name}"), values);
+            put("positions", bytemuck::cast_slice(mesh.positions()).to_vec());
+            put("corner_uvs", bytemuck::cast_slice(mesh.corner_uvs()).to_vec());
+            // Indices below 2²⁴ are exact in f32; a mesh that trains on today's adapters is far smaller.
+            put("triangles", mesh.triangles().iter().flatten().map(|&v| v as f32).collect());
+            put("base", atlas.base().texels().to_vec());
+            put("bands", atlas.bands().map_or(vec![], |b| b.texels().to_vec()));
+            let size = |t: &Texture| json!([t.width(), t.height(), t.channels()]);
+            meshes.push(json!({ "base": size(atlas.base()), "bands": atlas.bands().map(size) }));
+        }
+        tensors.insert("texels/m".to_owned(), self.texel_moments.0);
+        tensors.insert("texels/v".to_owned(), self.texel_moments.1);
+        tensors.insert("statistics".to_owned(), self.statistics);
+        tensors.insert("epoch_weight".to_owned(), self.epoch.weight);
+        let meta = json!({
+            "phase": self.phase,
+            "iteration": self.iteration,
+            "options": options,
+            "meshes": meshes,
+            "epoch_iterations": self.epoch.iterations,
+        });
+        Ok(Checkpoint { meta, splats: self.splats, tensors }.write(path)?)
+    }
+
+    /// Reads a checkpoint that was written with the same options, but for how often to report and save.
+    pub(super) fn read(path: &Path, options: &TrainOptions) -> Result<Self, TrainError> {
+        let Checkpoint { meta, splats, mut tensors } = Checkpoint::read(path)?;
+        let damaged = |what: &str| TrainError::Resume(format!("{}: {what} is missing or damaged", path.display()));
+        let field = |name: &str| meta.get(name).cloned().ok_or_else(|| damaged(name));
+        let before: TrainOptions = serde_json::from_value(field("options")?).map_err(|_| damaged("options"))?;
+        let comparable = |o: &TrainOptions| TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() };
+        if comparable(&before) != comparable(options) {
+            return Err(TrainError::Resume(format!(
+                "{}: was written by a run with other options; resume with the same ones",
+                path.display()
+            )));
+        }
+        let mut take = |name: String| tensors.remove(&name).ok_or_else(|| damaged(&name));
+        let mut meshes = vec![];
+        let described: Vec<serde_json::Value> =
+            serde_json::from_value(field("meshes")?).map_err(|_| damaged("meshes"))?;
+        for (i, sizes) in described.iter().enumerate() {
+            let positions = take(format!("mesh{i}/positions"))?;
+            let uvs = take(format!("mesh{i}/corner_uvs"))?;
+            let triangles = take(format!("mesh{i}/triangles"))?;
+            let texture = |name: &str, texels: Vec<f32>| -> Result<Option<Texture>, TrainError> {
+                let Some(size) = sizes.get(name).filter(|s| !s.is_null()) else { return Ok(None) };
+                let [w, h, c]: [u32; 3] = serde_json::from_value(size.clone()).map_err(|_| damaged(name))?;
+                Ok(Some(Texture::new(w, h, c, texels)?))
+            };
+            let base = texture("base", take(format!("mesh{i}/base"))?)?.ok_or_else(|| damaged("base"))?;
+            let bands = texture("bands", take(format!("mesh{i}/bands"))?)?;
+            meshes.push(Mesh::new(
+                positions.chunks_exact(3).map(Vec3::from_slice).collect(),
+                triangles.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect(),
+                uvs.chunks_exact(6).map(|c| [0, 2, 4].map(|k| Vec2::new(c[k], c[k + 1]))).collect(),
+                Atlas::new(base, bands)?,
+            )?);
+        }
+        let statistics = take("statistics".to_owned())?;
+        let weight = take("epoch_weight".to_owned())?;
+        let texel_moments = (take("texels/m".to_owned())?, take("texels/v".to_owned())?);
+        if statistics.len() != 4 * splats.len() {
+            return Err(damaged("statistics"));
+        }
+        Ok(Self {
+            phase: serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?,
+            iteration: serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?,
+            meshes,
+            splats,
+            statistics,
+            texel_moments,
+            epoch: EpochWeight {
+                weight,
+                iterations: serde_json::from_value(field("epoch_iterations")?)
+                    .map_err(|_| damaged("epoch_iterations"))?,
+            },
+        })
+    }
+}

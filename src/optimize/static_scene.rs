@@ -1,0 +1,539 @@
+//! Static scenes: from posed photographs to a hybrid (METHODS 2.6–2.8, 4.7).
+//!
+//! Three phases: splats alone, briefly, for a surface (unless there is a mesh or none is wanted); the maps of the mesh
+//! alone; everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
+//! the views and decisions of an uninterrupted one.
+
+use std::{
+    path::PathBuf,
+    sync::atomic::{AtomicBool, Ordering},
+    time::Instant,
+};
+
+use rand::{RngExt, SeedableRng, seq::SliceRandom};
+use rand_pcg::Pcg64;
+
+use super::{
+    Background, Density, MeshSource, TrainError, TrainOptions,
+    density::{
+        self, Statistics,
+        inria::{self, InriaOptions},
+        mcmc::{self, EpochWeight, McmcOptions},
+    },
+    initialize::{self, Initial},
+    resume::Saved,
+    schedule::{self, Schedule},
+    state::SplatState,
+    surface,
+};
+use crate::{
+    capture::{self, Capture, Photo, PhotoCache, Split},
+    render::gpu::{
+        Gpu,
+        adam::{AdamStep, SplatRates},
+        loss::TruthAlpha,
+        texels::TexelStep,
+        training::{SplatArrays, Step, Training},
+    },
+    scene::{Camera, Composition, HybridScene, Mesh, Splats, sh},
+};
+
+/// Decoded photographs are kept up to this many bytes.
+const PHOTO_BUDGET: usize = 2 << 30;
+/// Iterations between looks at the loss: each waits for the GPU.
+const REPORT_EVERY: u32 = 10;
+/// Splats of a capture without points.
+const RANDOM_SPLATS: usize = 20_000;
+/// Near plane of static scenes in the capture's unit (METHODS 2.2), but never more than a twentieth of the extent.
+const NEAR: f32 = 0.2;
+/// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (METHODS 2.7): a
+/// texel is seen by few views, and all of them would otherwise be explained by its bands.
+const BAND_RATE_DIVISOR: f32 = 5.0;
+
+/// What a run is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Phase {
+    /// Splats alone, to find a surface.
+    Surface,
+    /// Maps of the mesh alone.
+    Warmup,
+    /// Splats and maps.
+    Joint,
+}
+
+/// A sign of life, every few iterations.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Progress {
+    /// Current phase.
+    pub phase: Phase,
+    /// Iterations done in this phase.
+    pub iteration: u32,
+    /// Iterations of this phase.
+    pub of: u32,
+    /// 0.8·L1 + 0.2·(1 − SSIM) of the last view.
+    pub loss: f64,
+    /// Splats there are.
+    pub splats: usize,
+    /// PSNR of a held-out view, whenever one was just rendered, dB.
+    pub psnr: Option<f64>,
+    /// Seconds since this run began (not counting what a resumed run did before).
+    pub seconds: f64,
+}
+
+/// Why a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All iterations are done.
+    Finished,
+    /// `stop` was set; the checkpoint holds what is needed to go on.
+    Interrupted,
+}
+
+/// The result of a run.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// The scene as it is.
+    pub scene: HybridScene,
+    /// Why the run ended.
+    pub outcome: Outcome,
+    /// All reports of this run.
+    pub history: Vec<Progress>,
+    /// Seconds per joint iteration of this run, without evaluation.
+    pub seconds_per_iteration: f64,
+}
+
+/// What a run needs besides the capture and the options.
+pub struct Session<'a> {
+    /// The adapter to train on.
+    pub gpu: &'a Gpu,
+    /// Where checkpoints go, if wanted; also read if `resume` is set.
+    pub checkpoint: Option<PathBuf>,
+    /// Go on from the checkpoint.
+    pub resume: bool,
+    /// Set from outside to end the run after the current iteration.
+    pub stop: &'a AtomicBool,
+    /// Receives every report.
+    pub progress: &'a mut dyn FnMut(&Progress),
+}
+
+/// Trains a static scene on the training views of a capture (all but every eighth).
+///
+/// # Errors
+/// If a photograph cannot be read, there are too few views, no surface is found, the adapter fails or a parameter is
+/// no longer finite.
+pub fn train<'a>(
+    capture: &'a Capture,
+    mesh: MeshSource,
+    options: &'a TrainOptions,
+    session: Session<'a>,
+) -> Result<Trained, TrainError> {
+    let (train, test) = Split::Every8th.split(&capture.views);
+    if train.len() < 2 {
+        return Err(TrainError::TooFewViews { found: capture.views.len() });
+    }
+    let cache = PhotoCache::new(PHOTO_BUDGET);
+    let first = cache.get(&capture.views[train[0]])?;
+    let truth_alpha = match (first.masked, first.has_alpha) {
+        (true, _) => TruthAlpha::Mask,
+        (false, true) => TruthAlpha::Composite,
+        (false, false) => TruthAlpha::Ignore,
+    };
+    let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
+    let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
+    let extent = capture::extent(&train_cameras) as f32;
+    let mut run = Run {
+        capture,
+        options,
+        session,
+        cameras,
+        train_cameras,
+        train,
+        test,
+        cache,
+        truth_alpha,
+        extent: if extent > 0.0 { extent } else { 1.0 },
+        start: Instant::now(),
+        history: vec![],
+        joint_seconds: 0.0,
+        joint_iterations: 0,
+    };
+    run.all(mesh)
+}
+
+struct Run<'a> {
+    capture: &'a Capture,
+    options: &'a TrainOptions,
+    session: Session<'a>,
+    cameras: Vec<Camera>,
+    train_cameras: Vec<Camera>,
+    train: Vec<usize>,
+    test: Vec<usize>,
+    cache: PhotoCache,
+    truth_alpha: TruthAlpha,
+    extent: f32,
+    start: Instant,
+    history: Vec<Progress>,
+    joint_seconds: f64,
+    joint_iterations: u32,
+}
+
+/// What one phase does.
+struct Plan {
+    phase: Phase,
+    /// Iterations done before this run.
+    from: u32,
+    iterations: u32,
+    schedule: Schedule,
+    has_mesh: bool,
+}
+
+impl<'a> Run<'a> {
+    fn all(&mut self, source: MeshSource) -> Result<Trained, TrainError> {
+        let mut saved = match (&self.session.checkpoint, self.session.resume) {
+            (Some(path), true) => Some(Saved::read(path, self.options)?),
+            _ => None,
+        };
+        let initial = self.initial_splats()?;
+        let mut scene = HybridScene { splats: initial, meshes: vec![], composition: self.composition() };
+        let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
+        match (&after_surface, source) {
+            (Some(saved), _) => scene.meshes.clone_from(&saved.meshes),
+            (None, MeshSource::None) => {}
+            (None, MeshSource::Given { surface, corner_uvs }) => {
+                scene.meshes = vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?];
+            }
+            (None, MeshSource::Splats) => {
+                let mut training = self.training(&scene)?;
+                if self.run_phase(&mut training, &scene, Phase::Surface, saved)? == Outcome::Interrupted {
+                    return self.finish(&training, &scene, Outcome::Interrupted);
+                }
+                scene.meshes = vec![self.find_surface(&mut training)?];
+            }
+        }
+        let mut training = self.training(&scene)?;
+        let joint = after_surface.as_ref().is_some_and(|s| s.phase == Phase::Joint);
+        let (warmup, rest) = if joint { (None, after_surface) } else { (after_surface, None) };
+        let mut outcome = Outcome::Finished;
+        if !scene.meshes.is_empty() && !joint {
+            outcome = self.run_phase(&mut training, &scene, Phase::Warmup, warmup)?;
+        }
+        if outcome == Outcome::Finished {
+            outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
+        }
+        self.finish(&training, &scene, outcome)
+    }
+
+    fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
+        Ok(Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight, self.truth_alpha)?)
+    }
+
+    fn initial_splats(&self) -> Result<Splats, TrainError> {
+        let (o, points) = (self.options, &self.capture.points);
+        let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
+        Ok(if points.is_empty() {
+            let count = RANDOM_SPLATS.min(o.max_splats);
+            initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
+        } else {
+            initialize::from_points(points, o.sh_degree, initial, o.max_splats, o.seed)?
+        })
+    }
+
+    fn composition(&self) -> Composition {
+        Composition {
+            mode: self.options.mode,
+            lambda: self.options.lambda * self.extent,
+            layers: self.options.layers,
+            background: if self.options.background == Background::White { [1.0; 3] } else { [0.0; 3] },
+            near: NEAR.min(0.05 * self.extent),
+            ..Composition::default()
+        }
+    }
+
+    fn texture_size(&self) -> u32 {
+        let side = self.cameras.iter().map(|c| c.intrinsics().width.max(c.intrinsics().height)).max().unwrap_or(1);
+        self.options.texture_size.unwrap_or_else(|| side.next_power_of_two().clamp(128, 2048))
+    }
+
+    /// Most splats that the budgets allow beside these meshes.
+    fn max_splats(&self, meshes: &[Mesh]) -> usize {
+        let mesh_only =
+            HybridScene { splats: Splats::empty(0), meshes: meshes.to_vec(), composition: Composition::default() };
+        let per_splat = 11 + 3 * sh::coefficients(self.options.sh_degree);
+        let by_floats = self
+            .options
+            .max_floats
+            .map_or(usize::MAX, |floats| (floats.saturating_sub(mesh_only.total_floats()) / per_splat).max(1));
+        self.options.max_splats.min(by_floats)
+    }
+
+    fn find_surface(&mut self, training: &mut Training) -> Result<Mesh, TrainError> {
+        let points: Vec<_> = if self.capture.points.len() < 100 {
+            splat_state(training)?.to_splats()?.means().to_vec()
+        } else {
+            self.capture.points.iter().map(|p| p.position.as_vec3()).collect()
+        };
+        let masked = self.truth_alpha != TruthAlpha::Ignore;
+        surface::from_depths(&self.train_cameras, &points, self.options, self.texture_size(), |i| {
+            let mut depth = training.median_depth(&self.train_cameras[i])?;
+            if masked {
+                let photo = self.cache.get(&self.capture.views[self.train[i]])?;
+                for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
+                    if pixel[3] < 128 {
+                        *d = 0.0;
+                    }
+                }
+            }
+            Ok(depth)
+        })
+    }
+
+    /// Runs a phase from its beginning or from where `saved` left it.
+    fn run_phase(
+        &mut self,
+        training: &mut Training,
+        scene: &HybridScene,
+        phase: Phase,
+        saved: Option<Saved>,
+    ) -> Result<Outcome, TrainError> {
+        let o = self.options;
+        let (iterations, schedule) = match phase {
+            Phase::Surface => (o.surface_iterations, Schedule::new(o.surface_iterations)),
+            Phase::Warmup => (o.warmup, Schedule::new(o.warmup)),
+            Phase::Joint => (o.iterations, Schedule::new(o.iterations)),
+        };
+        let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
+        let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
+        let from = saved.as_ref().map_or(0, |s| s.iteration);
+        let plan = Plan { phase, from, iterations, schedule, has_mesh: !scene.meshes.is_empty() };
+        let mut epoch = EpochWeight::default();
+        if let Some(saved) = saved {
+            epoch = saved.restore(training)?;
+        }
+        let max_splats = self.max_splats(&scene.meshes);
+        let epoch_length = self.train.len() as u32;
+        for t in plan.from..plan.iterations {
+            let begin = Instant::now();
+            self.step(training, &plan, t)?;
+            let done = t + 1;
+            if self.session.gpu.profile().is_cpu || done % 16 == 0 || done <= epoch_length {
+                training.grow_if_short()?;
+            }
+            if phase != Phase::Warmup {
+                self.control_density(training, &plan, &mut epoch, max_splats, done)?;
+            }
+            if phase == Phase::Joint {
+                self.joint_seconds += begin.elapsed().as_secs_f64();
+                self.joint_iterations += 1;
+            }
+            let stop = self.session.stop.load(Ordering::Relaxed);
+            if done % REPORT_EVERY == 0 || done == plan.iterations || stop {
+                self.report(training, &plan, done)?;
+            }
+            let due = o.checkpoint_every > 0 && done % o.checkpoint_every == 0;
+            if stop || due || (done == plan.iterations && phase == Phase::Joint) {
+                if let Some(path) = &self.session.checkpoint {
+                    Saved::capture(training, scene, phase, done, &epoch)?.write(path, o)?;
+                }
+            }
+            if stop && done < plan.iterations {
+                return Ok(Outcome::Interrupted);
+            }
+        }
+        Ok(Outcome::Finished)
+    }
+
+    /// One view: forward, backward, Adam.
+    fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
+        let o = self.options;
+        let view = &self.capture.views[self.view_at(plan.phase, t)];
+        // The next view is decoded while this one is on the GPU.
+        self.cache.prefetch(&self.capture.views[self.view_at(plan.phase, t + 1)]);
+        let photo = self.cache.get(view)?;
+        let mut random = random(o.seed, plan.phase, t);
+        let background = match o.background {
+            Background::Black => [0.0; 3],
+            Background::White => [1.0; 3],
+            Background::Random => [0; 3].map(|_| random.random()),
+        };
+        let rates = plan.schedule.rates(t, self.extent);
+        let mcmc = o.density == Density::Mcmc;
+        let sh_degree = plan.schedule.sh_degree(t, o.sh_degree);
+        let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
+            number: t + 1,
+            n_splats: training.pipeline.n_splats as u32,
+            sh_degree,
+            rates: SplatRates {
+                mean: rates.mean,
+                opacity: rates.opacity,
+                rotation: rates.rotation,
+                log_scale: rates.log_scale,
+                sh_dc: rates.sh_dc,
+                sh_rest: rates.sh_rest,
+            },
+            opacity_weight: if mcmc { 0.01 } else { 0.0 },
+            scale_weight: if mcmc { 0.01 } else { 0.0 },
+            noise: if mcmc { 5e5 } else { 0.0 },
+            seed: random.random(),
+            visible_only: o.visible_only,
+        });
+        let texels =
+            (plan.has_mesh && !(plan.phase == Phase::Joint && plan.schedule.freezes_mesh_opacity(t))).then(|| {
+                let base_rate = match plan.phase {
+                    Phase::Warmup => schedule::texel_rate(o.warmup),
+                    _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
+                };
+                let number = if plan.phase == Phase::Joint { o.warmup + t + 1 } else { t + 1 };
+                TexelStep { number, base_rate, band_rate: base_rate / BAND_RATE_DIVISOR, visited_only: false }
+            });
+        let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
+        training.step(&Step {
+            camera: &view.camera,
+            truth: &photo.rgba,
+            background,
+            sh_degree,
+            band_degree,
+            splats,
+            texels,
+        })?;
+        Ok(())
+    }
+
+    /// View of iteration `t`: every epoch is a permutation of the training views.
+    fn view_at(&self, phase: Phase, t: u32) -> usize {
+        let n = self.train.len() as u32;
+        let mut order = self.train.clone();
+        order.shuffle(&mut random(self.options.seed ^ 0x5eed, phase, t / n));
+        order[(t % n) as usize]
+    }
+
+    fn control_density(
+        &self,
+        training: &mut Training,
+        plan: &Plan,
+        epoch: &mut EpochWeight,
+        max_splats: usize,
+        done: u32,
+    ) -> Result<(), TrainError> {
+        let (o, schedule) = (self.options, &plan.schedule);
+        let (densify, reset) = (schedule.densifies_after(done), schedule.resets_opacity_after(done));
+        if !densify && !reset {
+            return Ok(());
+        }
+        let statistics = training.read_statistics()?;
+        let statistics = Statistics(bytemuck::cast_slice(&statistics));
+        let mut state = splat_state(training)?;
+        check_finite(&state, plan.phase, done)?;
+        if densify {
+            match o.density {
+                Density::Inria => {
+                    let max_scale = schedule.prunes_large(done).then_some(0.1);
+                    let options = InriaOptions { max_scale, ..InriaOptions::new(self.extent, max_splats) };
+                    inria::densify(&mut state, statistics, &options, done, o.seed);
+                }
+                Density::Mcmc => {
+                    let options = McmcOptions::new(max_splats, plan.has_mesh);
+                    epoch.add(statistics, schedule.densify_interval);
+                    let views = self.train.len() as u32;
+                    mcmc::relocate_and_add(&mut state, statistics, epoch, views, &options, done, o.seed);
+                }
+            }
+        }
+        if reset {
+            density::reset_opacity(&mut state);
+        }
+        training.write_splats(&arrays(state))?;
+        Ok(())
+    }
+
+    fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {
+        let values = training.loss()?;
+        let weight = f64::from(self.options.ssim_weight);
+        let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
+        if !loss.is_finite() {
+            check_finite(&splat_state(training)?, plan.phase, done)?;
+            return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group: "the loss".to_owned() });
+        }
+        let due = self.options.eval_every > 0 && done % self.options.eval_every == 0;
+        let psnr = if due || done == plan.iterations { self.held_out_psnr(training, plan.phase)? } else { None };
+        let progress = Progress {
+            phase: plan.phase,
+            iteration: done,
+            of: plan.iterations,
+            loss,
+            splats: if plan.phase == Phase::Warmup { 0 } else { training.pipeline.n_splats },
+            psnr,
+            seconds: self.start.elapsed().as_secs_f64(),
+        };
+        (self.session.progress)(&progress);
+        self.history.push(progress);
+        Ok(())
+    }
+
+    /// Mean PSNR over up to four held-out views, over black.
+    fn held_out_psnr(&self, training: &mut Training, phase: Phase) -> Result<Option<f64>, TrainError> {
+        let stride = self.test.len().div_ceil(4).max(1);
+        let mut scores = vec![];
+        for &i in self.test.iter().step_by(stride) {
+            let view = &self.capture.views[i];
+            let photo = self.cache.get(view)?;
+            let picture = training.render(&view.camera, [0.0; 3], phase != Phase::Warmup)?;
+            scores.push(psnr(&photo, &picture.rgb));
+        }
+        Ok((!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64))
+    }
+
+    fn finish(&mut self, training: &Training, scene: &HybridScene, outcome: Outcome) -> Result<Trained, TrainError> {
+        let state = splat_state(training)?;
+        check_finite(&state, Phase::Joint, self.joint_iterations)?;
+        let atlases = training.read_atlases()?;
+        let meshes = scene.meshes.iter().cloned().zip(atlases).map(|(m, a)| m.with_atlas(a)).collect();
+        let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
+        Ok(Trained {
+            scene,
+            outcome,
+            history: std::mem::take(&mut self.history),
+            seconds_per_iteration: self.joint_seconds / f64::from(self.joint_iterations.max(1)),
+        })
+    }
+}
+
+/// A generator for one iteration of one phase.
+fn random(seed: u64, phase: Phase, t: u32) -> Pcg64 {
+    Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(t) << 2 | phase as u64))
+}
+
+/// PSNR of a picture over black, where a mask multiplies both (METHODS 8), dB.
+fn psnr(photo: &Photo, render: &[[f32; 3]]) -> f64 {
+    let mut squares = 0.0;
+    for (truth, render) in photo.rgba.chunks_exact(4).zip(render) {
+        let a = f64::from(truth[3]) / 255.0;
+        for c in 0..3 {
+            let shown = f64::from((render[c].clamp(0.0, 1.0) * 255.0).round()) * if photo.masked { a } else { 1.0 };
+            squares += ((f64::from(truth[c]) * a - shown) / 255.0).powi(2);
+        }
+    }
+    -10.0 * (squares / (3 * render.len()).max(1) as f64).log10()
+}
+
+/// The splats on the GPU with their moments.
+pub(super) fn splat_state(training: &Training) -> Result<SplatState, TrainError> {
+    let SplatArrays { geometry: [geometry, geometry_m, geometry_v], sh: [sh, sh_m, sh_v] } = training.read_splats()?;
+    let sh_degree = training.pipeline.splats.sh_degree;
+    Ok(SplatState { sh_degree, geometry, sh, geometry_m, geometry_v, sh_m, sh_v })
+}
+
+/// The same as the GPU takes them.
+pub(super) fn arrays(s: SplatState) -> SplatArrays {
+    SplatArrays { geometry: [s.geometry, s.geometry_m, s.geometry_v], sh: [s.sh, s.sh_m, s.sh_v] }
+}
+
+/// Names the parameter group that holds a NaN or an infinity.
+fn check_finite(state: &SplatState, phase: Phase, iteration: u32) -> Result<(), TrainError> {
+    match state.first_non_finite() {
+        None => Ok(()),
+        Some((group, splat)) => {
+            Err(TrainError::NotFinite { phase, iteration, group: format!("{group} of splat {splat}") })
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! A scene on the GPU while it is optimised: parameters, gradients, Adam, and one step of it.
+
+use super::{
+    adam::{AdamStep, SplatAdam, SplatFloats},
+    device::{Buffer, Frame, Gpu, GpuError, Timer},
+    loss::{Loss, LossValues, TruthAlpha},
+    pipeline::Pipeline,
+    renderer::Picture,
+    splats::{GEOMETRY, SplatBuffers},
+    texels::TexelStep,
+};
+use crate::scene::{Atlas, Camera, HybridScene, sh};
+
+/// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
+const HEADROOM: f64 = 0.5;
+
+/// Parameters and Adam moments of the splats as they lie on the GPU, `[N·12]` and `[N·3·(d+1)²]` each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct SplatArrays {
+    pub(crate) geometry: [Vec<f32>; 3],
+    pub(crate) sh: [Vec<f32>; 3],
+}
+
+/// What one step trains on, and how.
+pub(crate) struct Step<'a> {
+    pub(crate) camera: &'a Camera,
+    /// RGBA8, `[h·w·4]`.
+    pub(crate) truth: &'a [u8],
+    pub(crate) background: [f32; 3],
+    pub(crate) sh_degree: u32,
+    pub(crate) band_degree: u32,
+    /// Rates of the splats; without, they are neither rendered nor changed.
+    pub(crate) splats: Option<AdamStep>,
+    /// Rates of the maps; without, they are rendered but not changed.
+    pub(crate) texels: Option<TexelStep>,
+}
+
+/// Buffers and kernels of a training run.
+pub(crate) struct Training<'g> {
+    gpu: &'g Gpu,
+    pub(crate) pipeline: Pipeline,
+    truth: Buffer,
+    size: (usize, usize),
+    ssim_weight: f32,
+    truth_alpha: TruthAlpha,
+    loss: Loss,
+    adam: SplatAdam,
+    moments: [Buffer; 4],
+    timer: Option<Timer>,
+}
+
+impl<'g> Training<'g> {
+    /// For a scene seen by `cameras`.
+    pub(crate) fn new(
+        gpu: &'g Gpu,
+        scene: &HybridScene,
+        cameras: &[Camera],
+        ssim_weight: f32,
+        truth_alpha: TruthAlpha,
+    ) -> Result<Self, GpuError> {
+        let capacity = with_headroom(scene.splats.len());
+        let pipeline = Pipeline::new(gpu, scene, capacity, cameras, true)?;
+        let width = cameras.iter().map(|c| c.intrinsics().width).max().unwrap_or(1) as usize;
+        let height = cameras.iter().map(|c| c.intrinsics().height).max().unwrap_or(1) as usize;
+        let truth = gpu.storage("photograph", width * height)?;
+        let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, truth_alpha)?;
+        let (adam, moments) = new_adam(gpu, &pipeline)?;
+        let size = (width, height);
+        Ok(Self { gpu, pipeline, truth, size, ssim_weight, truth_alpha, loss, adam, moments, timer: None })
+    }
+
+    /// Renders the view, differentiates the loss and moves the parameters. Does not wait.
+    pub(crate) fn step(&mut self, step: &Step) -> Result<(), GpuError> {
+        self.pipeline.composition.background = step.background;
+        let mut view = self.pipeline.prepare(self.gpu, step.camera)?;
+        view.sh_degree = step.sh_degree.min(view.sh_degree);
+        view.band_degree = step.band_degree;
+        if step.splats.is_none() {
+            view.n_splats = 0;
+        }
+        self.gpu.write(&self.truth, 0, step.truth);
+        let mut frame = match &mut self.timer {
+            Some(timer) => Frame::timed(self.gpu, timer),
+            None => Frame::new(self.gpu),
+        };
+        self.pipeline.record_forward(self.gpu, &mut frame, &view);
+        self.loss.record(&mut frame);
+        self.pipeline.record_backward(&mut frame, &view);
+        if let Some(rates) = &step.splats {
+            self.adam.set(self.gpu, rates);
+            self.adam.record(&mut frame);
+        }
+        if let (Some(rates), Some(mesh)) = (&step.texels, &self.pipeline.mesh) {
+            mesh.set_step(self.gpu, rates);
+            mesh.record_adam(&mut frame);
+        }
+        frame.submit();
+        Ok(())
+    }
+
+    /// Renders a view with what is trained so far. Waits.
+    pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], splats: bool) -> Result<Picture, GpuError> {
+        self.pipeline.composition.background = background;
+        loop {
+            let mut view = self.pipeline.prepare(self.gpu, camera)?;
+            if !splats {
+                view.n_splats = 0;
+            }
+            let mut frame = Frame::new(self.gpu);
+            self.pipeline.record_forward(self.gpu, &mut frame, &view);
+            frame.submit();
+            if !self.grow_if_short()? {
+                return self.pipeline.read_picture(self.gpu, camera);
+            }
+        }
+    }
+
+    /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
+    pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
+        self.pipeline.median_depth(self.gpu, camera)
+    }
+
+    /// Loss of the last step. Waits for it.
+    pub(crate) fn loss(&self) -> Result<LossValues, GpuError> {
+        self.loss.read(self.gpu)
+    }
+
+    /// Waits for the last step and enlarges lists that were too short for it; true if so.
+    pub(crate) fn grow_if_short(&mut self) -> Result<bool, GpuError> {
+        let grew = self.pipeline.grow_if_short(self.gpu)?;
+        if grew {
+            self.rebind()?;
+        }
+        Ok(grew)
+    }
+
+    /// Parameters and moments of all splats. Waits.
+    pub(crate) fn read_splats(&self) -> Result<SplatArrays, GpuError> {
+        let (p, n) = (&self.pipeline, self.pipeline.n_splats);
+        let [gm, gv, sm, sv] = &self.moments;
+        let terms = 3 * sh::coefficients(p.splats.sh_degree);
+        let read = |buffer: &Buffer, width: usize| self.gpu.read::<f32>(buffer, n * width);
+        Ok(SplatArrays {
+            geometry: [read(&p.splats.geometry, GEOMETRY)?, read(gm, GEOMETRY)?, read(gv, GEOMETRY)?],
+            sh: [read(&p.splats.sh, terms)?, read(sm, terms)?, read(sv, terms)?],
+        })
+    }
+
+    /// Replaces all splats. Statistics are zeroed.
+    pub(crate) fn write_splats(&mut self, arrays: &SplatArrays) -> Result<(), GpuError> {
+        let n = arrays.geometry[0].len() / GEOMETRY;
+        if n > self.pipeline.splats.capacity {
+            let splats = SplatBuffers::new(self.gpu, with_headroom(n), self.pipeline.splats.sh_degree)?;
+            self.pipeline.replace_splats(self.gpu, splats)?;
+            self.rebind()?;
+        }
+        self.pipeline.n_splats = n;
+        let p = &self.pipeline;
+        let [gm, gv, sm, sv] = &self.moments;
+        for (buffer, values) in [&p.splats.geometry, gm, gv].into_iter().zip(&arrays.geometry) {
+            self.gpu.write(buffer, 0, values);
+        }
+        for (buffer, values) in [&p.splats.sh, sm, sv].into_iter().zip(&arrays.sh) {
+            self.gpu.write(buffer, 0, values);
+        }
+        self.write_statistics(&vec![0.0; 4 * n]);
+        Ok(())
+    }
+
+    /// Density statistics, `[N·4]`, see `splat_backward.wgsl`. Waits.
+    pub(crate) fn read_statistics(&self) -> Result<Vec<f32>, GpuError> {
+        let backward = self.pipeline.backward.as_ref().expect("made for training");
+        self.gpu.read(&backward.statistics, self.pipeline.n_splats * 4)
+    }
+
+    /// Replaces the density statistics.
+    pub(crate) fn write_statistics(&self, statistics: &[f32]) {
+        let backward = self.pipeline.backward.as_ref().expect("made for training");
+        self.gpu.write(&backward.statistics, 0, statistics);
+    }
+
+    /// The maps as they are now. Waits.
+    pub(crate) fn read_atlases(&self) -> Result<Vec<Atlas>, GpuError> {
+        self.pipeline.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_atlases(self.gpu))
+    }
+
+    /// First and second moments of the maps, in one documented order. Waits.
+    pub(crate) fn read_texel_moments(&self) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
+        self.pipeline.mesh.as_ref().map_or(Ok((vec![], vec![])), |m| m.read_moments(self.gpu))
+    }
+
+    /// Replaces the moments of the maps; false if their number is wrong.
+    pub(crate) fn write_texel_moments(&self, first: &[f32], second: &[f32]) -> bool {
+        match &self.pipeline.mesh {
+            Some(mesh) => mesh.write_moments(self.gpu, first, second),
+            None => first.is_empty() && second.is_empty(),
+        }
+    }
+
+    /// From now on every step is timed, where the adapter can.
+    pub(crate) fn profile(&mut self) {
+        self.timer = Timer::new(self.gpu);
+    }
+
+    /// Kernels of the last step and their seconds; empty if not profiled. Waits.
+    pub(crate) fn seconds(&self) -> Result<Vec<(String, f64)>, GpuError> {
+        self.timer.as_ref().map_or(Ok(vec![]), |t| t.seconds(self.gpu))
+    }
+
+    /// Binds what reads the pipeline's buffers to their replacements; moments of a larger capacity start at zero.
+    fn rebind(&mut self) -> Result<(), GpuError> {
+        let old = self.read_moments_if_any()?;
+        self.loss = new_loss(self.gpu, &self.pipeline, &self.truth, self.size, self.ssim_weight, self.truth_alpha)?;
+        (self.adam, self.moments) = new_adam(self.gpu, &self.pipeline)?;
+        for (buffer, values) in self.moments.iter().zip(&old) {
+            self.gpu.write(buffer, 0, values);
+        }
+        Ok(())
+    }
+
+    fn read_moments_if_any(&self) -> Result<[Vec<f32>; 4], GpuError> {
+        let n = self.pipeline.n_splats;
+        let terms = 3 * sh::coefficients(self.pipeline.splats.sh_degree);
+        let [gm, gv, sm, sv] = &self.moments;
+        Ok([
+            self.gpu.read(gm, n * GEOMETRY)?,
+            self.gpu.read(gv, n * GEOMETRY)?,
+            self.gpu.read(sm, n * terms)?,
+            self.gpu.read(sv, n * terms)?,
+        ])
+    }
+}
+
+fn with_headroom(n: usize) -> usize {
+    n + (n as f64 * HEADROOM) as usize
+}
+
+fn new_loss(
+    gpu: &Gpu,
+    pipeline: &Pipeline,
+    truth: &Buffer,
+    (width, height): (usize, usize),
+    ssim_weight: f32,
+    truth_alpha: TruthAlpha,
+) -> Result<Loss, GpuError> {
+    let gradient = &pipeline.backward.as_ref().expect("made for training").image_gradient;
+    let image = &pipeline.blend.image;
+    Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, truth_alpha)
+}
+
+fn new_adam(gpu: &Gpu, pipeline: &Pipeline) -> Result<(SplatAdam, [Buffer; 4]), GpuError> {
+    let (n, terms) = (pipeline.splats.capacity, 3 * sh::coefficients(pipeline.splats.sh_degree));
+    let moments = [
+        gpu.storage("geometry moment 1", n * GEOMETRY)?,
+        gpu.storage("geometry moment 2", n * GEOMETRY)?,
+        gpu.storage("SH moment 1", n * terms)?,
+        gpu.storage("SH moment 2", n * terms)?,
+    ];
+    let backward = pipeline.backward.as_ref().expect("made for training");
+    let [geometry_m, geometry_v, sh_m, sh_v] = &moments;
+    let adam = SplatAdam::new(
+        gpu,
+        terms,
+        SplatFloats { geometry: &pipeline.splats.geometry, sh: &pipeline.splats.sh },
+        SplatFloats { geometry: &backward.geometry_gradient, sh: &backward.sh_gradient },
+        SplatFloats { geometry: geometry_m, sh: sh_m },
+        SplatFloats { geometry: geometry_v, sh: sh_v },
+        &pipeline.lists.visible,
+    )?;
+    Ok((adam, moments))
+}
