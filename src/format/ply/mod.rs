@@ -8,8 +8,8 @@ use std::path::Path;
 use glam::{DVec3, Quat, Vec3};
 
 use self::table::Ply;
-use super::atomic_write_with;
 use super::error::{Fault, FormatError, read_file};
+use super::{activation, atomic_write_with};
 use crate::scene::{Splats, sh};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
@@ -44,6 +44,9 @@ pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
 
 /// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 3 by
 /// the number of `f_rest` properties; other properties and elements are ignored.
+///
+/// Infinite logits (opacities of exactly 0 or 1, as writers make them from 8-bit alpha) and log-scales of −∞ (scales of
+/// 0) become the nearest finite ones.
 ///
 /// # Errors
 /// If the file cannot be read, is not such a PLY, is truncated, or holds values that [`Splats::new`] refuses.
@@ -86,13 +89,21 @@ fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
         let v = |column: usize| row.values[column] as f32;
         means.push(Vec3::new(v(x), v(y), v(z)));
         rotations.push(Quat::from_xyzw(v(qx), v(qy), v(qz), v(qw)));
-        log_scales.push(Vec3::from(scales.map(v)));
-        opacity_logits.push(v(opacity));
+        log_scales.push(Vec3::from(scales.map(v).map(finite_log_scale)));
+        opacity_logits.push(finite_logit(v(opacity)));
         sh.push(dc.map(v));
         sh.extend((0..bands).map(|c| [v(rest[c]), v(rest[bands + c]), v(rest[2 * bands + c])]));
         Ok(())
     })?;
     Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+}
+
+fn finite_logit(logit: f32) -> f32 {
+    if logit.is_infinite() { activation::logit(if logit > 0.0 { 1.0 } else { 0.0 }).0 } else { logit }
+}
+
+fn finite_log_scale(log_scale: f32) -> f32 {
+    if log_scale == f32::NEG_INFINITY { activation::log_scale(0.0).0 } else { log_scale }
 }
 
 fn parse_points(bytes: &[u8]) -> Result<Vec<(DVec3, [u8; 3])>, Fault> {
@@ -189,6 +200,19 @@ mod tests {
             assert_eq!(splats.opacity_logits(), [-1.5]);
             assert_eq!(splats.rotations(), [Quat::IDENTITY]);
         }
+    }
+
+    #[test]
+    fn saturated_splats_become_finite() {
+        let mut file = written(&random_splats(1, 0, 3));
+        let row = file.len() - 17 * 4;
+        file[row + 36..row + 40].copy_from_slice(&f32::INFINITY.to_le_bytes());
+        file[row + 40..row + 44].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
+        let splats = parse_splats(&file).unwrap();
+        assert!((16.0..17.0).contains(&splats.opacity_logits()[0]), "the f32 below 1");
+        assert!((-88.0..-87.0).contains(&splats.log_scales()[0].x), "the least normal f32");
+        file[row + 36..row + 40].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(parse_splats(&file).is_err());
     }
 
     #[test]
