@@ -39,6 +39,12 @@ fn wrong_usage_is_exit_code_2() {
         &[][..],
         &["fly"],
         &["devices", "--fast"],
+        &["train", "capture"],
+        &["train", "capture", "-o", "scene.txt"],
+        &["train", "capture", "-o", "scene.glb", "--layers", "3"],
+        &["train", "capture", "-o", "scene.glb", "--lambda", "-1"],
+        &["train", "capture", "-o", "scene.glb", "--mesh", "a.obj", "--no-mesh"],
+        &["train", "capture", "-o", "scene.glb", "--report", "out", "--no-eval"],
         &["eval", "scene.glb"],
         &["render", "scene.glb", "-o", "out", "--format", "tiff"],
     ] {
@@ -52,7 +58,7 @@ fn wrong_usage_is_exit_code_2() {
 #[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
-    let commands = ["eval", "render", "inspect", "devices"].map(of_command);
+    let commands = ["train", "eval", "render", "inspect", "devices"].map(of_command);
     for args in [vec!["--help"], vec!["--version"]].into_iter().chain(commands) {
         let output = centaur(&args);
         assert_eq!(output.status.code(), Some(0), "{args:?}");
@@ -76,10 +82,13 @@ fn inputs_that_are_not_there_or_not_scenes() {
         (&["inspect", "notes.txt"], "error: notes.txt: expected a .glb, .gltf or .ply file, found other content"),
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),
+        (&["train", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),
+        (&["train", ".", "-o", "a.glb", "--mesh", "none.obj"], "error: none.obj: expected a file, found none"),
+        (&["train", ".", "-o", "a.glb", "--resume", "none"], "error: none: expected a file, found none"),
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }
-    let line = failure(folder.path(), &["render", "notes.txt", "--cameras", ".", "-o", "out"]);
+    let line = failure(folder.path(), &["train", ".", "-o", "a.glb"]);
     assert!(line.contains("COLMAP") && line.contains("transforms"), "{line}");
 }
 
@@ -87,10 +96,17 @@ fn inputs_that_are_not_there_or_not_scenes() {
 fn outputs_that_cannot_be_written_are_found_before_any_work() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("file"), "").unwrap();
+    std::fs::create_dir(folder.path().join("folder.glb")).unwrap();
     // None of the inputs exists: the output is looked at first.
     for (args, expected) in [
-        (&["eval", "s.glb", "c", "-o", "file"][..], "error: file: cannot write: file is not a folder"),
-        (&["render", "s.glb", "-o", "file"], "error: file: cannot write: file is not a folder"),
+        (
+            &["train", "c", "-o", "none/a.glb"][..],
+            "error: none/a.glb: cannot write: folder none: No such file or directory",
+        ),
+        (&["train", "c", "-o", "file/a.glb"], "error: file/a.glb: cannot write: file is not a folder"),
+        (&["train", "c", "-o", "folder.glb"], "error: folder.glb: expected the name of a file, found a folder"),
+        (&["train", "c", "-o", "a.glb", "--report", "file"], "error: file: cannot write: file is not a folder"),
+        (&["eval", "s.glb", "c", "-o", "file"], "error: file: cannot write: file is not a folder"),
         (&["render", "s.glb", "-o", "no/out"], "error: no/out: cannot write: folder no: No such file or directory"),
     ] {
         assert_eq!(failure(folder.path(), args), expected);

@@ -4,8 +4,10 @@ mod devices;
 mod eval;
 mod inspect;
 mod output;
+mod progress;
 mod render;
 mod shared;
+mod train;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;
@@ -23,6 +25,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Train(Box<train::Args>),
     Eval(eval::Args),
     Render(render::Args),
     Inspect(inspect::Args),
@@ -32,6 +35,7 @@ enum Command {
 pub(crate) fn main() -> ExitCode {
     // Wrong usage ends here with exit code 2.
     let result = match Cli::parse().command {
+        Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Inspect(args) => inspect::run(&args),

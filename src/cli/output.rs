@@ -1,7 +1,7 @@
 //! What commands print, and checks of where they are told to write.
 
 use std::io::{self, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use indicatif::ProgressBar;
@@ -54,6 +54,17 @@ fn probe(folder: &Path) -> Result<()> {
     tempfile::tempfile_in(folder).map(drop).with_context(|| format!("folder {}", folder.display()))
 }
 
+/// A path whose name ends in one of `extensions` (lower case, without dot); for clap's `value_parser`.
+pub(super) fn with_extension(text: &str, extensions: &[&str]) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    if extensions.contains(&extension.as_str()) {
+        return Ok(path);
+    }
+    let wanted: Vec<String> = extensions.iter().map(|e| format!(".{e}")).collect();
+    Err(format!("expected a name that ends in {}", wanted.join(" or ")))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -70,5 +81,11 @@ mod tests {
         let error = check_file(&at("file/new.glb")).unwrap_err();
         assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");
+    }
+
+    #[test]
+    fn extensions_ignore_case() {
+        assert!(with_extension("a.GLB", &["glb"]).is_ok());
+        assert_eq!(with_extension("a", &["glb", "ply"]).unwrap_err(), "expected a name that ends in .glb or .ply");
     }
 }

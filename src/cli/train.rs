@@ -1,0 +1,306 @@
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use centaur::capture::Capture;
+use centaur::format::gltf;
+use centaur::metrics::{Evaluation, plot::Plot};
+use centaur::optimize::static_scene::{self, Background, Density, MeshSource, Outcome, TrainOptions, Trained};
+use centaur::render::gpu::Gpu;
+use centaur::scene::OrderMode;
+use clap::ValueEnum;
+
+use super::eval::{self, Job};
+use super::output;
+use super::progress::Reporter;
+use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur train captures/garden -o garden.glb --downscale 4 --report out/garden
+  centaur train captures/tankard -o tankard.glb --masks --density mcmc --max-splats 200000
+  centaur train captures/garden -o splats.glb --no-mesh
+  centaur train captures/garden -o garden.glb --mesh scan.obj --layers 2";
+
+/// Train a hybrid scene from a folder of posed photographs
+///
+/// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
+/// photograph is held out and scored at the end. Ctrl-C stops after the current iteration and leaves a checkpoint
+/// for --resume; a second Ctrl-C stops at once.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    /// Folder with photographs and poses, or a transforms*.json
+    capture: PathBuf,
+    /// Scene to write
+    #[arg(short, long, value_name = "SCENE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
+    output: PathBuf,
+    /// Folder for report.html, metrics.json and pictures of the held-out views
+    #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]
+    report: Option<PathBuf>,
+    /// Do not score the held-out views at the end
+    #[arg(long)]
+    no_eval: bool,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+
+    /// Iterations on mesh and splats together (INRIA 3DGS: 30000)
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION)]
+    iterations: u32,
+    /// Iterations before these on the mesh's maps alone (HERA: 9000); none without a mesh
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().warmup, help_heading = OPTIMISATION)]
+    warmup: u32,
+    /// How splats are added and removed
+    #[arg(long, value_enum, default_value_t = DensityKind::Inria, help_heading = OPTIMISATION)]
+    density: DensityKind,
+    /// Most splats there may be; the number to reach with `--density mcmc`
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().max_splats, help_heading = OPTIMISATION)]
+    max_splats: usize,
+    /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
+    #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
+          value_parser = clap::value_parser!(u32).range(0..=3))]
+    sh_degree: u32,
+    /// Share of D-SSIM in the loss, the rest is L1 (INRIA 3DGS: 0.2)
+    #[arg(long, value_name = "0..1", default_value_t = TrainOptions::default().ssim_weight, value_parser = share,
+          help_heading = OPTIMISATION)]
+    ssim_weight: f32,
+    /// Start of every random sequence; the same seed gives the same order of views
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION)]
+    seed: u64,
+    /// Save a checkpoint after every N iterations; 0 for none but that of Ctrl-C
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
+          help_heading = OPTIMISATION)]
+    checkpoint_every: u32,
+    /// Measure a held-out view for the progress bar after every N iterations; 0 for never
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
+    eval_every: u32,
+    /// Continue from a checkpoint; give the other options as before
+    #[arg(long, value_name = "CHECKPOINT", help_heading = OPTIMISATION)]
+    resume: Option<PathBuf>,
+
+    /// Surface to use: .glb, .obj or .ply; its UVs are kept [default: fused from the depth of a short splat training]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
+    mesh: Option<PathBuf>,
+    /// Splats alone
+    #[arg(long, help_heading = MESH)]
+    no_mesh: bool,
+    /// Side of the map of colour and opacity in texels (1024: ours, from HERA's count of floats)
+    #[arg(long, value_name = "TEXELS", default_value_t = TrainOptions::default().texture_size, help_heading = MESH,
+          value_parser = clap::value_parser!(u32).range(16..=8192))]
+    texture_size: u32,
+    /// Side of the map of view dependence in texels (256: ours, from HERA's count of floats)
+    #[arg(long, value_name = "TEXELS", default_value_t = TrainOptions::default().band_size, help_heading = MESH,
+          value_parser = clap::value_parser!(u32).range(16..=8192))]
+    band_size: u32,
+    /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)
+    #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().band_degree, help_heading = MESH,
+          value_parser = clap::value_parser!(u32).range(0..=3))]
+    band_degree: u32,
+
+    /// Rule for the order of splats and mesh
+    #[arg(long, value_enum, default_value_t = Mode::Stable, help_heading = COMPOSITION)]
+    mode: Mode,
+    /// How far a mesh pixel must lie in front of a splat to override its order, relative to the extent of the
+    /// cameras; `inf` turns the override off (HERA: 5 cm on heads; 0.01 is ours for static scenes)
+    #[arg(long, value_name = "LAMBDA", default_value_t = TrainOptions::default().lambda, value_parser = not_negative,
+          help_heading = COMPOSITION)]
+    lambda: f32,
+    /// Mesh layers kept per pixel: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few)
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
+          help_heading = COMPOSITION)]
+    layers: u32,
+    /// What is behind the scene (INRIA 3DGS: black); a random colour per iteration discourages holes
+    #[arg(long, value_enum, default_value_t = Backdrop::Black, help_heading = COMPOSITION)]
+    background: Backdrop,
+
+    #[command(flatten)]
+    loading: CaptureArgs,
+    #[command(flatten)]
+    messages: MessageArgs,
+}
+
+const OPTIMISATION: &str = "Optimisation";
+const MESH: &str = "Mesh";
+const COMPOSITION: &str = "Composition";
+
+#[derive(Clone, Copy, ValueEnum)]
+enum DensityKind {
+    /// Clone, split, prune and reset by gradient (Kerbl et al. 2023)
+    Inria,
+    /// Relocate by contribution, grow to --max-splats (Kheradmand et al. 2024)
+    Mcmc,
+    /// Keep the splats of the start
+    None,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Mode {
+    /// One decision per splat and layer (HERA)
+    Stable,
+    /// As stable, but only where the pixel shows the surface that was decided on
+    SurfaceConsistent,
+    /// Per pixel; the order flickers
+    Direct,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Backdrop {
+    Black,
+    White,
+    Random,
+}
+
+fn layers(text: &str) -> Result<u32, String> {
+    match text {
+        "1" => Ok(1),
+        "2" => Ok(2),
+        "4" => Ok(4),
+        _ => Err("expected 1, 2 or 4".into()),
+    }
+}
+
+fn share(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a number from 0 to 1".into())
+}
+
+fn not_negative(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|v| *v >= 0.0).ok_or_else(|| "expected a number ≥ 0 or inf".into())
+}
+
+impl Args {
+    fn options(&self) -> TrainOptions {
+        TrainOptions {
+            iterations: self.iterations,
+            warmup: if self.no_mesh { 0 } else { self.warmup },
+            density: match self.density {
+                DensityKind::Inria => Density::Inria,
+                DensityKind::Mcmc => Density::Mcmc { cap: self.max_splats },
+                DensityKind::None => Density::None,
+            },
+            max_splats: self.max_splats,
+            sh_degree: self.sh_degree,
+            ssim_weight: self.ssim_weight,
+            seed: self.seed,
+            checkpoint_every: self.checkpoint_every,
+            eval_every: self.eval_every,
+            mesh: match &self.mesh {
+                _ if self.no_mesh => MeshSource::None,
+                Some(file) => MeshSource::File(file.clone()),
+                None => MeshSource::FromSplats,
+            },
+            texture_size: self.texture_size,
+            band_size: self.band_size,
+            band_degree: self.band_degree,
+            mode: match self.mode {
+                Mode::Stable => OrderMode::Stable,
+                Mode::SurfaceConsistent => OrderMode::SurfaceConsistent,
+                Mode::Direct => OrderMode::Direct,
+            },
+            lambda: self.lambda,
+            layers: self.layers,
+            background: match self.background {
+                Backdrop::Black => Background::Black,
+                Backdrop::White => Background::White,
+                Backdrop::Random => Background::Random,
+            },
+        }
+    }
+
+    /// What can be known to fail before the first iteration.
+    fn check(&self) -> Result<()> {
+        output::check_file(&self.output)?;
+        self.report.as_deref().map_or(Ok(()), output::check_folder)?;
+        for input in [&self.mesh, &self.resume].into_iter().flatten() {
+            ensure!(input.is_file(), "{}: expected a file, found none", input.display());
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    args.check()?;
+    let capture = args.loading.open(&args.capture)?;
+    let gpu = args.adapter.open()?;
+    let options = args.options();
+    let stop = stop_on_ctrl_c()?;
+    let mut reporter = Reporter::new(&args.messages);
+    let trained =
+        static_scene::train(&gpu, &capture, &options, args.resume.as_deref(), &args.output, &stop, &mut |progress| {
+            reporter.update(progress)
+        });
+    let plots = reporter.finish();
+    let trained = trained?;
+    if matches!(trained.outcome, Outcome::Interrupted) {
+        return report_interruption(args, &trained);
+    }
+    let settings = settings(&options)?;
+    let cameras: Vec<_> = capture.views.iter().map(|v| (v.name.clone(), v.camera)).collect();
+    let extras = serde_json::json!({ "capture": capture.name, "settings": options });
+    gltf::write_glb(&args.output, &trained.scene, &cameras, Some(extras))?;
+    let evaluation =
+        if args.no_eval { None } else { Some(evaluate(args, &gpu, &capture, &trained, &settings, &plots)?) };
+    if args.messages.json {
+        let outcome = serde_json::json!({
+            "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
+            "settings": options, "evaluation": evaluation,
+        });
+        return output::print_json(&outcome);
+    }
+    evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
+    output::print(&format!("wrote {}", args.output.display()))
+}
+
+fn evaluate(
+    args: &Args,
+    gpu: &Gpu,
+    capture: &Capture,
+    trained: &Trained,
+    settings: &[(String, String)],
+    plots: &[Plot],
+) -> Result<Evaluation> {
+    let job = Job {
+        scene_file: &args.output,
+        folder: args.report.as_deref(),
+        settings,
+        plots,
+        seconds_per_iteration: Some(trained.seconds_per_iteration),
+    };
+    eval::evaluate(gpu, &trained.scene, capture, &job)
+        .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
+}
+
+/// The flag that the trainer polls. A second Ctrl-C does what it does to any program.
+fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            // 128 + SIGINT, as shells have it.
+            std::process::exit(130);
+        }
+    })
+    .context("cannot handle Ctrl-C")?;
+    Ok(stop)
+}
+
+/// Ctrl-C is no failure: the work so far is in the checkpoint.
+fn report_interruption(args: &Args, trained: &Trained) -> Result<()> {
+    let Some(checkpoint) = &trained.checkpoint else { bail!("stopped before there was anything to save") };
+    if args.messages.json {
+        return output::print_json(&serde_json::json!({ "outcome": "interrupted", "checkpoint": checkpoint }));
+    }
+    output::print(&format!("stopped; the same command with --resume {} continues", quoted(checkpoint)))
+}
+
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    if text.contains([' ', '\'', '"', '$']) { format!("'{}'", text.replace('\'', "'\\''")) } else { text }
+}
+
+/// Options as rows of the report's table.
+fn settings(options: &TrainOptions) -> Result<Vec<(String, String)>> {
+    let serde_json::Value::Object(fields) = serde_json::to_value(options)? else { return Ok(vec![]) };
+    let text = |v: serde_json::Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
+    Ok(fields.into_iter().map(|(name, value)| (name.replace('_', " "), text(value))).collect())
+}
