@@ -1,0 +1,163 @@
+//! The invariants of ARCHITECTURE.md, checked in the source text: which module may name which, and what the library
+//! must not do.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::{Path, PathBuf};
+
+/// Modules of the library and what of ours each may import.
+const MAY_IMPORT: [(&str, &[&str]); 7] = [
+    ("scene", &[]),
+    ("capture", &["scene"]),
+    ("format", &["scene"]),
+    ("geometry", &["scene"]),
+    ("metrics", &["scene"]),
+    ("render", &["scene", "geometry"]),
+    ("optimize", &["scene", "capture", "geometry", "metrics", "render"]),
+];
+
+/// What may be named only in some files: (text, where by path prefix, in words).
+const ONLY_IN: [(&str, &[&str], &str); 5] = [
+    ("wgpu::", &["render/gpu/device.rs"], "wgpu outside render/gpu/device.rs"),
+    ("print!", &["cli/", "main.rs"], "printing in the library"),
+    ("println!", &["cli/", "main.rs"], "printing in the library"),
+    ("process::exit", &["main.rs"], "a process exit in the library"),
+    ("clap::", &["cli/", "main.rs"], "clap in the library"),
+];
+
+/// Source without comments and test modules, which by convention come last in a file.
+fn production(text: &str) -> String {
+    let mut kept = String::new();
+    let mut lines = text.lines().peekable();
+    while let Some(line) = lines.next() {
+        if line.trim() == "#[cfg(test)]" && lines.peek().is_some_and(|next| next.trim_end().ends_with('{')) {
+            break;
+        }
+        kept.push_str(line.split("//").next().unwrap());
+        kept.push('\n');
+    }
+    kept
+}
+
+fn is_test_file(path: &Path) -> bool {
+    let stem = path.file_stem().unwrap().to_str().unwrap();
+    matches!(stem, "tests" | "testing" | "test_scenes") || stem.ends_with("_tests")
+}
+
+fn identifier(text: &str) -> &str {
+    &text[..text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len())]
+}
+
+/// First path segments of what follows `crate::`: one, or those of a group in braces.
+fn heads(text: &str) -> Vec<&str> {
+    let text = text.trim_start();
+    let Some(group) = text.strip_prefix('{') else { return vec![identifier(text)] };
+    let (mut depth, mut starts, mut found) = (0, true, vec![]);
+    for (i, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth == 0 => break,
+            '}' => depth -= 1,
+            ',' if depth == 0 => starts = true,
+            _ if starts && c.is_alphabetic() => {
+                found.push(identifier(&group[i..]));
+                starts = false;
+            }
+            _ => {}
+        }
+    }
+    found
+}
+
+/// Top-level modules that `text`, a file at `path` below `src`, names through `crate::` or enough `super::`.
+fn imports<'a>(path: &Path, text: &'a str) -> Vec<&'a str> {
+    let mut found: Vec<&str> =
+        text.match_indices("crate::").flat_map(|(i, word)| heads(&text[i + word.len()..])).collect();
+    let named = if path.ends_with("mod.rs") { 1 } else { 0 };
+    let up = "super::".repeat(path.components().count() - named);
+    found.extend(text.match_indices(&up).flat_map(|(i, chain)| heads(&text[i + chain.len()..])));
+    found
+}
+
+/// What is wrong with a file at `path` below `src`.
+fn violations(path: &Path, text: &str) -> Vec<String> {
+    if is_test_file(path) {
+        return vec![];
+    }
+    let (shown, text) = (path.display(), production(text));
+    let module = identifier(path.iter().next().unwrap().to_str().unwrap());
+    let mut wrong = vec![];
+    if let Some((_, allowed)) = MAY_IMPORT.iter().find(|(name, _)| *name == module) {
+        for import in imports(path, &text) {
+            let is_module = MAY_IMPORT.iter().any(|(name, _)| *name == import);
+            if is_module && import != module && !allowed.contains(&import) {
+                wrong.push(format!("{shown}: {module} imports {import}"));
+            }
+        }
+    }
+    for (word, places, what) in ONLY_IN {
+        if text.contains(word) && !places.iter().any(|place| shown.to_string().starts_with(place)) {
+            wrong.push(format!("{shown}: {what}"));
+        }
+    }
+    wrong
+}
+
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn source_keeps_the_invariants() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = vec![];
+    sources(&root, &mut files);
+    files.sort();
+    let wrong: Vec<String> = files
+        .iter()
+        .flat_map(|file| violations(file.strip_prefix(&root).unwrap(), &std::fs::read_to_string(file).unwrap()))
+        .collect();
+    assert!(files.len() > 50, "found only {} files", files.len());
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_module_has_a_rule() {
+    let lib = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).unwrap();
+    let mut modules: Vec<&str> = lib.lines().filter_map(|l| l.strip_prefix("pub mod ")?.strip_suffix(';')).collect();
+    let mut ruled = MAY_IMPORT.map(|(name, _)| name).to_vec();
+    modules.sort_unstable();
+    ruled.sort_unstable();
+    assert_eq!(modules, ruled);
+}
+
+#[test]
+fn violations_are_found_and_tests_exempt() {
+    let check = |path: &str, text: &str| violations(Path::new(path), text);
+    assert_eq!(check("scene/mesh.rs", "use crate::format::ply;"), ["scene/mesh.rs: scene imports format"]);
+    assert_eq!(check("capture/mod.rs", "use super::{scene, format::x};"), ["capture/mod.rs: capture imports format"]);
+    assert_eq!(check("format/ply/mod.rs", "use super::super::render;"), ["format/ply/mod.rs: format imports render"]);
+    let group = "use crate::{scene::{Mesh, Splats}, capture::{open, View},\n optimize};";
+    assert_eq!(check("render/gpu/a.rs", group).len(), 2);
+    assert_eq!(check("metrics/psnr.rs", "fn f(x: &crate::render::Image) {}").len(), 1);
+    assert_eq!(
+        check("render/gpu/blend.rs", "x: wgpu::Buffer"),
+        ["render/gpu/blend.rs: wgpu outside render/gpu/device.rs"]
+    );
+    assert_eq!(check("format/mod.rs", "eprintln!(\"a\"); std::process::exit(1);").len(), 2);
+    assert_eq!(check("optimize/mod.rs", "#[derive(clap::Args)]").len(), 1);
+
+    let fine = "use super::format::x; // crate::format\nuse crate::scene;\n#[cfg(test)]\nmod tests;\n";
+    assert!(check("geometry/bvh.rs", fine).is_empty());
+    assert!(check("geometry/bvh.rs", "#[cfg(test)]\nmod tests {\n use crate::capture;\n}").is_empty());
+    assert_eq!(check("geometry/bvh.rs", "#[cfg(test)]\nmod tests;\nuse crate::capture;").len(), 1);
+    assert!(check("render/gpu/device.rs", "wgpu::Device").is_empty());
+    assert!(check("cli/eval.rs", "println!()").is_empty());
+}
