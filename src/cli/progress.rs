@@ -3,7 +3,7 @@
 use std::io::{self, Write as _};
 
 use centaur::metrics::plot::Plot;
-use centaur::optimize::static_scene::Progress;
+use centaur::optimize::{Phase, Progress};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::output;
@@ -12,6 +12,8 @@ use super::shared::MessageArgs;
 pub(super) struct Reporter {
     bar: ProgressBar,
     json: bool,
+    phase: Option<Phase>,
+    held_out: Option<f64>,
     loss: Vec<(f64, f64)>,
     psnr: Vec<(f64, f64)>,
     splats: Vec<(f64, f64)>,
@@ -24,22 +26,39 @@ impl Reporter {
         bar.set_style(ProgressStyle::with_template(style).expect("the template is a constant"));
         // --quiet silences the lines too: --json --quiet leaves the one object on stdout.
         let json = messages.json && !messages.quiet;
-        Self { bar, json, loss: vec![], psnr: vec![], splats: vec![] }
+        Self { bar, json, phase: None, held_out: None, loss: vec![], psnr: vec![], splats: vec![] }
     }
 
     pub(super) fn update(&mut self, p: &Progress) {
-        let at = f64::from(p.iteration);
-        self.loss.push((at, f64::from(p.loss)));
-        self.splats.push((at, p.splats as f64));
-        self.psnr.extend(p.psnr.map(|db| (at, db)));
+        // The curves are those of the scene that is written, not of the splats that only served to find a surface.
+        let at = match p.phase {
+            Phase::Surface => None,
+            Phase::Warmup => Some(f64::from(p.iteration) - f64::from(p.of)),
+            Phase::Joint => Some(f64::from(p.iteration)),
+        };
+        if let Some(at) = at {
+            self.loss.push((at, p.loss));
+            self.splats.push((at, p.splats as f64));
+            self.psnr.extend(p.psnr.map(|db| (at, db)));
+        }
         if self.json {
             // Progress is a courtesy: a reader that has gone away does not stop the training.
             let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": p }));
         }
-        self.bar.set_length(u64::from(p.total));
+        if self.phase != Some(p.phase) {
+            self.phase = Some(p.phase);
+            self.held_out = None;
+            self.bar.reset();
+        }
+        self.held_out = p.psnr.or(self.held_out);
+        self.bar.set_length(u64::from(p.of));
         self.bar.set_position(u64::from(p.iteration));
-        self.bar.set_prefix(p.phase);
-        let held_out = self.psnr.last().map_or(String::new(), |(_, db)| format!("  held-out {db:.2} dB"));
+        self.bar.set_prefix(match p.phase {
+            Phase::Surface => "surface",
+            Phase::Warmup => "maps",
+            Phase::Joint => "training",
+        });
+        let held_out = self.held_out.map_or(String::new(), |db| format!("  held-out {db:.2} dB"));
         self.bar.set_message(format!("loss {:.4}  {} splats{held_out}", p.loss, p.splats));
     }
 

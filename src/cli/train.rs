@@ -1,12 +1,14 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 use centaur::capture::Capture;
 use centaur::format::gltf;
+use centaur::format::mesh_import;
+use centaur::geometry::Surface;
 use centaur::metrics::{Evaluation, plot::Plot};
-use centaur::optimize::static_scene::{self, Background, Density, MeshSource, Outcome, TrainOptions, Trained};
+use centaur::optimize::{self, Background, Density, MeshSource, Outcome, Session, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
 use centaur::scene::OrderMode;
 use clap::ValueEnum;
@@ -75,9 +77,15 @@ pub(super) struct Args {
     /// Measure a held-out view for the progress bar after every N iterations; 0 for never
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
     eval_every: u32,
-    /// Continue from a checkpoint; give the other options as before
-    #[arg(long, value_name = "CHECKPOINT", help_heading = OPTIMISATION)]
-    resume: Option<PathBuf>,
+    /// Continue from the checkpoint beside the output; give the other options as before
+    #[arg(long, help_heading = OPTIMISATION)]
+    resume: bool,
+    /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
+    #[arg(long, help_heading = OPTIMISATION)]
+    visible_only: bool,
+    /// Most floats in splats, maps and vertices together; limits the splats, for comparisons at equal size
+    #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
+    max_floats: Option<usize>,
 
     /// Surface to use: .glb, .obj or .ply; its UVs are kept [default: fused from the depth of a short splat training]
     #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
@@ -85,14 +93,16 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// Side of the map of colour and opacity in texels (1024: ours, from HERA's count of floats)
-    #[arg(long, value_name = "TEXELS", default_value_t = TrainOptions::default().texture_size, help_heading = MESH,
-          value_parser = clap::value_parser!(u32).range(16..=8192))]
-    texture_size: u32,
-    /// Side of the map of view dependence in texels (256: ours, from HERA's count of floats)
-    #[arg(long, value_name = "TEXELS", default_value_t = TrainOptions::default().band_size, help_heading = MESH,
-          value_parser = clap::value_parser!(u32).range(16..=8192))]
-    band_size: u32,
+    /// Iterations on splats alone from whose depth the surface is fused (ours)
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().surface_iterations, help_heading = MESH)]
+    surface_iterations: u32,
+    /// Most triangles of a surface made from the capture (ours)
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, help_heading = MESH)]
+    triangles: usize,
+    /// Side of the map of colour and opacity in texels; that of view dependence has a quarter [default: the power of
+    /// two from the longer image side on, 128 to 2048]
+    #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    texture_size: Option<u32>,
     /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().band_degree, help_heading = MESH,
           value_parser = clap::value_parser!(u32).range(0..=3))]
@@ -130,8 +140,6 @@ enum DensityKind {
     Inria,
     /// Relocate by contribution, grow to --max-splats (Kheradmand et al. 2024)
     Mcmc,
-    /// Keep the splats of the start
-    None,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -173,24 +181,21 @@ impl Args {
         TrainOptions {
             iterations: self.iterations,
             warmup: if self.no_mesh { 0 } else { self.warmup },
+            surface_iterations: self.surface_iterations,
             density: match self.density {
                 DensityKind::Inria => Density::Inria,
-                DensityKind::Mcmc => Density::Mcmc { cap: self.max_splats },
-                DensityKind::None => Density::None,
+                DensityKind::Mcmc => Density::Mcmc,
             },
             max_splats: self.max_splats,
+            max_floats: self.max_floats,
+            visible_only: self.visible_only,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,
             seed: self.seed,
             checkpoint_every: self.checkpoint_every,
             eval_every: self.eval_every,
-            mesh: match &self.mesh {
-                _ if self.no_mesh => MeshSource::None,
-                Some(file) => MeshSource::File(file.clone()),
-                None => MeshSource::FromSplats,
-            },
+            triangles: self.triangles,
             texture_size: self.texture_size,
-            band_size: self.band_size,
             band_degree: self.band_degree,
             mode: match self.mode {
                 Mode::Stable => OrderMode::Stable,
@@ -211,33 +216,58 @@ impl Args {
     fn check(&self) -> Result<()> {
         output::check_file(&self.output)?;
         self.report.as_deref().map_or(Ok(()), output::check_folder)?;
-        for input in [&self.mesh, &self.resume].into_iter().flatten() {
-            ensure!(input.is_file(), "{}: expected a file, found none", input.display());
+        if let Some(mesh) = &self.mesh {
+            ensure!(mesh.is_file(), "{}: expected a mesh file, found none", mesh.display());
         }
+        let checkpoint = self.checkpoint();
+        ensure!(!self.resume || checkpoint.is_file(), "{}: expected a checkpoint, found none", checkpoint.display());
         Ok(())
+    }
+
+    /// Beside the output: `scene.glb.checkpoint`.
+    fn checkpoint(&self) -> PathBuf {
+        let mut name = self.output.clone().into_os_string();
+        name.push(".checkpoint");
+        name.into()
+    }
+
+    fn mesh(&self) -> Result<MeshSource> {
+        let Some(file) = &self.mesh else {
+            return Ok(if self.no_mesh { MeshSource::None } else { MeshSource::Splats });
+        };
+        let mesh = mesh_import::read(file)?;
+        let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
+        Ok(MeshSource::Given { surface, corner_uvs: mesh.corner_uvs })
     }
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     let capture = args.loading.open(&args.capture)?;
+    let mesh = args.mesh()?;
     let gpu = args.adapter.open()?;
     let options = args.options();
     let stop = stop_on_ctrl_c()?;
     let mut reporter = Reporter::new(&args.messages);
-    let trained =
-        static_scene::train(&gpu, &capture, &options, args.resume.as_deref(), &args.output, &stop, &mut |progress| {
-            reporter.update(progress)
-        });
+    let session = Session {
+        gpu: &gpu,
+        checkpoint: Some(args.checkpoint()),
+        resume: args.resume,
+        stop: &stop,
+        progress: &mut |progress| reporter.update(progress),
+    };
+    let trained = optimize::train(&capture, mesh, &options, session);
     let plots = reporter.finish();
     let trained = trained?;
     if matches!(trained.outcome, Outcome::Interrupted) {
-        return report_interruption(args, &trained);
+        return report_interruption(args);
     }
     let settings = settings(&options)?;
     let cameras: Vec<_> = capture.views.iter().map(|v| (v.name.clone(), v.camera)).collect();
     let extras = serde_json::json!({ "capture": capture.name, "settings": options });
     gltf::write_glb(&args.output, &trained.scene, &cameras, Some(extras))?;
+    // The scene is complete; what was kept for resuming has served.
+    let _ = std::fs::remove_file(args.checkpoint());
     let evaluation =
         if args.no_eval { None } else { Some(evaluate(args, &gpu, &capture, &trained, &settings, &plots)?) };
     if args.messages.json {
@@ -285,17 +315,12 @@ fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
 }
 
 /// Ctrl-C is no failure: the work so far is in the checkpoint.
-fn report_interruption(args: &Args, trained: &Trained) -> Result<()> {
-    let Some(checkpoint) = &trained.checkpoint else { bail!("stopped before there was anything to save") };
+fn report_interruption(args: &Args) -> Result<()> {
+    let checkpoint = args.checkpoint();
     if args.messages.json {
         return output::print_json(&serde_json::json!({ "outcome": "interrupted", "checkpoint": checkpoint }));
     }
-    output::print(&format!("stopped; the same command with --resume {} continues", quoted(checkpoint)))
-}
-
-fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    if text.contains([' ', '\'', '"', '$']) { format!("'{}'", text.replace('\'', "'\\''")) } else { text }
+    output::print(&format!("stopped; saved {}; the same command with --resume continues", checkpoint.display()))
 }
 
 /// Options as rows of the report's table.

@@ -331,7 +331,7 @@ impl<'a> Run<'a> {
                 self.report(training, &plan, done)?;
             }
             let due = o.checkpoint_every > 0 && done % o.checkpoint_every == 0;
-            if stop || due || (done == plan.iterations && phase == Phase::Joint) {
+            if stop || due {
                 if let Some(path) = &self.session.checkpoint {
                     Saved::capture(training, scene, phase, done, &epoch)?.write(path, o)?;
                 }

@@ -1,6 +1,16 @@
 //! Benchmarks: what an adapter can do at best, and what each stage of a frame takes.
 
-use super::device::{Frame, Gpu, GpuError, Kernel, Timer};
+use std::time::Instant;
+
+use super::{
+    adam::{AdamStep, SplatRates},
+    device::{Frame, Gpu, GpuError, Kernel, Timer},
+    loss::TruthAlpha,
+    renderer::Renderer,
+    texels::TexelStep,
+    training::{Step, Training},
+};
+use crate::scene::{Camera, HybridScene, sh};
 
 /// Upper bounds of an adapter.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
@@ -55,13 +65,106 @@ pub fn ceilings(gpu: &Gpu) -> Result<Option<Ceilings>, GpuError> {
     }))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// One kernel of a training step.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct StageTime {
+    /// Shader file and entry point.
+    pub kernel: String,
+    /// Seconds per step, summed over its dispatches; median over the steps measured.
+    pub seconds: f64,
+}
 
-    #[test]
-    #[ignore = "a measurement"]
-    fn print_ceilings() {
-        eprintln!("{:?}", ceilings(&Gpu::open(None).unwrap()).unwrap());
+/// What a training step of a scene does and takes.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct StepTimes {
+    /// Every kernel, in the order of the first dispatch.
+    pub stages: Vec<StageTime>,
+    /// Seconds of a whole step by the host's clock, median.
+    pub step_seconds: f64,
+    /// Seconds of a forward frame by the host's clock, median.
+    pub frame_seconds: f64,
+    /// (tile, splat) pairs; each is 256 splat·pixel evaluations at most.
+    pub pairs: usize,
+    /// Splats in view.
+    pub visible: usize,
+}
+
+/// Times full training steps (forward, loss, backward, Adam) of `scene` seen by `camera`, against a grey photograph.
+/// Kernel times are 0 where the adapter has no timestamps.
+///
+/// # Errors
+/// If the adapter fails.
+pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: usize) -> Result<StepTimes, GpuError> {
+    let truth = vec![128; camera.intrinsics().width as usize * camera.intrinsics().height as usize * 4];
+    let mut training = Training::new(gpu, scene, &[*camera], 0.2, TruthAlpha::Ignore)?;
+    let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
+    let step = Step {
+        camera,
+        truth: &truth,
+        background: scene.composition.background,
+        sh_degree: scene.splats.sh_degree(),
+        band_degree: sh::MAX_DEGREE,
+        splats: Some(AdamStep {
+            number: 1,
+            n_splats: scene.splats.len() as u32,
+            sh_degree: scene.splats.sh_degree(),
+            rates,
+            opacity_weight: 0.0,
+            scale_weight: 0.0,
+            noise: 0.0,
+            seed: 0,
+            visible_only: false,
+        }),
+        texels: (!scene.meshes.is_empty()).then_some(TexelStep {
+            number: 1,
+            base_rate: 0.0,
+            band_rate: 0.0,
+            visited_only: false,
+        }),
+    };
+    // Long enough lists, compiled kernels.
+    for _ in 0..3 {
+        training.step(&step)?;
+        training.grow_if_short()?;
     }
+    gpu.wait()?;
+    let mut walls = vec![];
+    for _ in 0..repeats.max(1) {
+        let start = Instant::now();
+        training.step(&step)?;
+        gpu.wait()?;
+        walls.push(start.elapsed().as_secs_f64());
+    }
+    training.profile();
+    let mut kernels: Vec<(String, Vec<f64>)> = vec![];
+    for _ in 0..repeats.max(1) {
+        training.step(&step)?;
+        let mut sums: Vec<(String, f64)> = vec![];
+        for (kernel, seconds) in training.seconds()? {
+            match sums.iter_mut().find(|s| s.0 == kernel) {
+                Some(sum) => sum.1 += seconds,
+                None => sums.push((kernel, seconds)),
+            }
+        }
+        for (kernel, seconds) in sums {
+            match kernels.iter_mut().find(|k| k.0 == kernel) {
+                Some(k) => k.1.push(seconds),
+                None => kernels.push((kernel, vec![seconds])),
+            }
+        }
+    }
+    let (visible, pairs) = training.pipeline.lists.read_counts(gpu)?;
+    let frame_seconds = Renderer::new(gpu, scene, &[*camera])?.seconds_per_frame(camera, repeats.max(1) as u32)?;
+    Ok(StepTimes {
+        stages: kernels.into_iter().map(|(kernel, t)| StageTime { kernel, seconds: median(t) }).collect(),
+        step_seconds: median(walls),
+        frame_seconds,
+        pairs,
+        visible,
+    })
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -290,6 +290,7 @@ impl MeshStage {
     ///
     /// # Errors
     /// If the driver failed.
+    #[cfg(test)]
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
         self.texels.read_gradients(gpu)
     }

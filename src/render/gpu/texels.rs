@@ -318,6 +318,7 @@ impl Texels {
     ///
     /// # Errors
     /// If the driver failed.
+    #[cfg(test)]
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
         let Some((base, bands)) = self.gradients() else { return Ok(vec![]) };
         Ok(self.base.read(gpu, base, true)?.into_iter().zip(self.bands.read(gpu, bands, true)?).collect())
