@@ -330,11 +330,10 @@ impl<'a> Run<'a> {
             if done % REPORT_EVERY == 0 || done == plan.iterations || stop {
                 self.report(training, &plan, done)?;
             }
-            let due = o.checkpoint_every > 0 && done % o.checkpoint_every == 0;
-            if stop || due {
-                if let Some(path) = &self.session.checkpoint {
-                    Saved::capture(training, scene, phase, done, &epoch)?.write(path, o)?;
-                }
+            if (stop || is_due(done, o.checkpoint_every))
+                && let Some(path) = &self.session.checkpoint
+            {
+                Saved::capture(training, scene, phase, done, &epoch)?.write(path, o)?;
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
@@ -454,8 +453,8 @@ impl<'a> Run<'a> {
             check_finite(&splat_state(training)?, plan.phase, done)?;
             return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group: "the loss".to_owned() });
         }
-        let due = self.options.eval_every > 0 && done % self.options.eval_every == 0;
-        let psnr = if due || done == plan.iterations { self.held_out_psnr(training, plan.phase)? } else { None };
+        let due = is_due(done, self.options.eval_every) || done == plan.iterations;
+        let psnr = if due { self.held_out_psnr(training, plan.phase)? } else { None };
         let progress = Progress {
             phase: plan.phase,
             iteration: done,
@@ -496,6 +495,11 @@ impl<'a> Run<'a> {
             seconds_per_iteration: self.joint_seconds / f64::from(self.joint_iterations.max(1)),
         })
     }
+}
+
+/// Whether something that happens after every `every` iterations (0: never) happens now.
+fn is_due(done: u32, every: u32) -> bool {
+    every > 0 && done.is_multiple_of(every)
 }
 
 /// A generator for one iteration of one phase.

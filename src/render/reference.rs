@@ -1,4 +1,4 @@
-//! The oracle: the composition rule of [`contract`](super::contract) in f64, one pixel at a time, from an explicit
+//! The oracle: the composition rule of [`super::contract`] in f64, one pixel at a time, from an explicit
 //! sorted list. No tiles, no buckets of running sums, no tricks: slow and meant to be checked by eye.
 
 mod backward;

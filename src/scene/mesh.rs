@@ -73,7 +73,7 @@ impl Texture {
 
 /// The maps of a mesh (METHODS 4.1): zeroth SH coefficient and opacity at one resolution, higher bands at another.
 ///
-/// Mesh colour = max(0, 0.5 + Σ Y_k T_k(uv)), opacity = σ(A(uv)).
+/// Mesh colour = max(0, 0.5 + Σₖ Yₖ·Tₖ(uv)), opacity = σ(A(uv)).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Atlas {
     base: Texture,

@@ -1,11 +1,14 @@
 //! Mesh layers by compute (METHODS 4.2, 4.3): the L nearest fragments per pixel, their colour and alpha, and the way
 //! back from the gradient of these to the texels.
 //!
-//! Forward: setup_triangles → bin_triangles (count, scan, scatter) → raster_layers → shade_layers.
-//! Backward: zero → texel_backward → pull_mips; then adam_texels → build_mips. Without meshes nothing is dispatched.
+//! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.
+//! Backward: zero → `texel_backward` → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
+//! dispatched.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
+#[cfg(test)]
+use super::texels::AtlasGradient;
 use super::texels::{TexelStep, Texels};
 use super::view::View;
 use crate::scene::{Atlas, Mesh};
@@ -81,7 +84,7 @@ impl Geometry {
         let (mut positions, mut triangles, mut uvs) = (vec![], vec![], vec![]);
         for (m, mesh) in meshes.iter().enumerate() {
             let first = (positions.len() / 3) as u32;
-            positions.extend(mesh.positions().iter().flat_map(|p| p.to_array()));
+            positions.extend(mesh.positions().iter().flat_map(glam::Vec3::to_array));
             triangles.extend(mesh.triangles().iter().map(|t| [first + t[0], first + t[1], first + t[2], 0]));
             let record =
                 |c: &[glam::Vec2; 3]| [c[0].x, c[0].y, c[1].x, c[1].y, c[2].x, c[2].y, f32::from_bits(m as u32), 0.0];
@@ -286,12 +289,12 @@ impl MeshStage {
         self.texels.read_atlases(gpu)
     }
 
-    /// Gradients of the last backward pass, (base `[h·w·4]`, bands) per mesh; empty if not trainable.
+    /// Gradients of the last backward pass, per mesh; empty if not trainable.
     ///
     /// # Errors
     /// If the driver failed.
     #[cfg(test)]
-    pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
+    pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<AtlasGradient>, GpuError> {
         self.texels.read_gradients(gpu)
     }
 

@@ -133,7 +133,7 @@ fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64
 /// Relative errors of all parameter classes that the scene has.
 fn class_errors(found: &Parameters, expected: &Parameters) -> Vec<(&'static str, f64)> {
     let texels = |t: &[Vec<f64>]| t.iter().flatten().copied().collect::<Vec<_>>();
-    let flat = |v: &[glam::DVec3]| v.iter().flat_map(|v| v.to_array()).collect::<Vec<_>>();
+    let flat = |v: &[glam::DVec3]| v.iter().flat_map(glam::DVec3::to_array).collect::<Vec<_>>();
     let classes = |p: &Parameters| {
         [
             ("means", flat(&p.means)),

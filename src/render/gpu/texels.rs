@@ -8,6 +8,10 @@
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use crate::scene::{Atlas, Mesh, SceneError, Texture};
 
+/// Base `[h·w·4]` and bands of one mesh's gradient.
+#[cfg(test)]
+pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
+
 /// Threads per workgroup of every kernel over texels.
 const GROUP: usize = 256;
 
@@ -224,7 +228,7 @@ impl Texels {
         Ok(texels)
     }
 
-    /// Words of `array<Maps>` in shaders/shared/mesh_fragment.wgsl.
+    /// Words of `array<Maps>` in `shaders/shared/mesh_fragment.wgsl`.
     pub(crate) fn table(&self) -> Vec<u32> {
         let mut words = vec![];
         for ((base, bands), &degree) in self.base.maps.iter().zip(&self.bands.maps).zip(&self.degrees) {
@@ -314,12 +318,12 @@ impl Texels {
         atlases.map_err(|e| GpuError::Failed { adapter: gpu.adapter().to_owned(), reason: format!("mesh {e}") })
     }
 
-    /// Gradients by the parameters, coarse levels included: base `[h·w·4]` and bands per mesh, empty where there are none.
+    /// Gradients by the parameters, coarse levels included, per mesh; empty where there are none.
     ///
     /// # Errors
     /// If the driver failed.
     #[cfg(test)]
-    pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<(Vec<f32>, Vec<f32>)>, GpuError> {
+    pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<AtlasGradient>, GpuError> {
         let Some((base, bands)) = self.gradients() else { return Ok(vec![]) };
         Ok(self.base.read(gpu, base, true)?.into_iter().zip(self.bands.read(gpu, bands, true)?).collect())
     }
