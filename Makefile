@@ -18,7 +18,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -58,9 +58,21 @@ test-end-to-end: ## the program on this machine's adapter
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: $(CENTAUR_GSPLAT_FIXTURE) ## compare with gsplat and pycolmap from PyPI (Python 3.11, 6 GB)
+test-oracles: oracle-gltf oracle-gsplat oracle-colmap ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+
+oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
+
+oracle-colmap: $(ORACLES)/installed
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
+
+# Node finds packages beside the script that asks for them, so both go to target/. The demo's scene is checked if it is there.
+oracle-gltf:
+	@mkdir -p target/oracles
+	cp tests/oracles/gltf_validate.mjs target/oracles
+	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0
+	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
+	node target/oracles/gltf_validate.mjs target/oracles/hybrid.glb $(wildcard out/demo/scene.glb)
 
 $(ORACLES)/installed: tests/oracles/requirements.txt
 	$(PYTHON) -m venv $(ORACLES)

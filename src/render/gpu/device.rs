@@ -112,14 +112,19 @@ struct Memory {
     peak: AtomicU64,
 }
 
-/// A storage, uniform or copy buffer; freed and uncounted on drop.
+/// A storage, uniform or copy buffer; freed and uncounted when it and all bindings to it are dropped.
 pub(crate) struct Buffer {
     raw: wgpu::Buffer,
+    allocation: Arc<Allocation>,
+}
+
+/// Bytes that are counted as long as anything holds them.
+struct Allocation {
     bytes: u64,
     memory: Arc<Memory>,
 }
 
-impl Drop for Buffer {
+impl Drop for Allocation {
     fn drop(&mut self) {
         self.memory.now.fetch_sub(self.bytes, Ordering::Relaxed);
     }
@@ -289,7 +294,7 @@ impl Gpu {
         });
         let now = self.memory.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
         self.memory.peak.fetch_max(now, Ordering::Relaxed);
-        Ok(Buffer { raw, bytes, memory: Arc::clone(&self.memory) })
+        Ok(Buffer { raw, allocation: Arc::new(Allocation { bytes, memory: Arc::clone(&self.memory) }) })
     }
 
     /// A zeroed storage buffer of `words` 4-byte words.
@@ -383,7 +388,11 @@ pub(crate) struct Kernel {
 }
 
 /// The buffers of one kernel.
-pub(crate) struct Bindings(wgpu::BindGroup);
+pub(crate) struct Bindings {
+    group: wgpu::BindGroup,
+    /// A bind group keeps its buffers alive.
+    _allocations: Vec<Arc<Allocation>>,
+}
 
 impl Kernel {
     /// Entry point `entry` of `shaders/<file>`, specialised by `defines`; compiled once per adapter.
@@ -450,11 +459,12 @@ impl Kernel {
             .zip(buffers)
             .map(|(&binding, b)| wgpu::BindGroupEntry { binding, resource: b.raw.as_entire_binding() })
             .collect();
-        Bindings(gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(&self.label),
             layout: &self.layout,
             entries: &entries,
-        }))
+        });
+        Bindings { group, _allocations: buffers.iter().map(|b| Arc::clone(&b.allocation)).collect() }
     }
 }
 
@@ -512,7 +522,7 @@ impl<'a> Frame<'a> {
         let x = groups.div_ceil(y);
         let pass = self.pass(kernel);
         pass.set_pipeline(&kernel.pipeline);
-        pass.set_bind_group(0, &bindings.0, &[]);
+        pass.set_bind_group(0, &bindings.group, &[]);
         pass.dispatch_workgroups(x as u32, y as u32, 1);
     }
 
@@ -520,7 +530,7 @@ impl<'a> Frame<'a> {
     pub(crate) fn dispatch_indirect(&mut self, kernel: &Kernel, bindings: &Bindings, counts: &Buffer, offset: u64) {
         let pass = self.pass(kernel);
         pass.set_pipeline(&kernel.pipeline);
-        pass.set_bind_group(0, &bindings.0, &[]);
+        pass.set_bind_group(0, &bindings.group, &[]);
         pass.dispatch_workgroups_indirect(&counts.raw, offset);
     }
 

@@ -6,6 +6,8 @@ mod blend;
 mod device;
 pub(crate) mod loss;
 pub mod measure;
+#[cfg(test)]
+mod memory_tests;
 mod mesh;
 #[cfg(test)]
 mod mesh_tests;

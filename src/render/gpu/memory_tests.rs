@@ -1,0 +1,72 @@
+//! The bytes per splat, texel and pixel that ARCHITECTURE.md states, against what is allocated.
+
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
+
+use super::{Gpu, Renderer, loss::TruthAlpha, training::Training};
+use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
+
+const SH_DEGREE: u32 = 3;
+const SH_TERMS: f64 = 16.0;
+const LAYERS: u32 = 2;
+/// Six (tile, splat) pairs of 16 bytes have room from the start.
+const PAIRS: f64 = 6.0 * 16.0;
+
+/// Peak bytes for a picture of `side`² pixels of `n` splats and a triangle with a base map of `texels`² texels.
+fn peak(n: usize, texels: u32, side: u32, training: bool) -> f64 {
+    let splats = Splats::new(
+        vec![Vec3::ZERO; n],
+        vec![Quat::IDENTITY; n],
+        vec![Vec3::splat(-9.0); n],
+        vec![0.0; n],
+        SH_DEGREE,
+        vec![[0.0; 3]; n * SH_TERMS as usize],
+    )
+    .unwrap();
+    let corners = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+    let uvs = vec![[Vec2::ZERO, Vec2::X, Vec2::Y]];
+    let atlas = Atlas::new(Texture::zeros(texels, texels, 4), None).unwrap();
+    let mesh = Mesh::new(corners, vec![[0, 1, 2]], uvs, atlas).unwrap();
+    let composition = Composition { layers: LAYERS, ..Composition::default() };
+    let scene = HybridScene { splats, meshes: vec![mesh], composition };
+    let size = f64::from(side);
+    let intrinsics = Intrinsics { width: side, height: side, fx: size, fy: size, cx: 0.5 * size, cy: 0.5 * size };
+    let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap();
+    // A fresh adapter each time, as the peak of one never falls. Nothing is read back, as staging counts too.
+    let gpu = Gpu::open(None).unwrap();
+    if training {
+        Training::new(&gpu, &scene, &[camera], 0.2, TruthAlpha::Ignore).unwrap();
+    } else {
+        Renderer::new(&gpu, &scene, &[camera]).unwrap();
+    }
+    gpu.peak_bytes() as f64
+}
+
+/// Compares bytes per splat, texel and pixel. Tables of counters (sort histograms, scan sums, tile ranges) add up to
+/// two per cent to what they belong to.
+fn check(training: bool, stated: [f64; 3]) {
+    let smallest = peak(50_000, 512, 256, training);
+    let per = |n, texels, side, count: f64| (peak(n, texels, side, training) - smallest) / count;
+    let found = [
+        per(100_000, 512, 256, 50_000.0),
+        per(50_000, 1024, 256, 1024.0 * 1024.0 - 512.0 * 512.0),
+        per(50_000, 512, 1024, 1024.0 * 1024.0 - 256.0 * 256.0),
+    ];
+    for ((found, stated), what) in found.into_iter().zip(stated).zip(["splat", "texel", "pixel"]) {
+        assert!((found / stated - 1.0).abs() < 0.02, "training {training}: {found} bytes per {what}, not {stated}");
+    }
+}
+
+#[test]
+fn rendering_takes_the_stated_bytes() {
+    let layers = f64::from(LAYERS);
+    // Five mip levels: 1 + 1/4 + … + 1/256 of the four floats.
+    check(false, [132.0 + 12.0 * SH_TERMS + 4.0 * layers + PAIRS, 16.0 * 341.0 / 256.0, 16.0 + 24.0 * layers]);
+}
+
+#[test]
+fn training_takes_the_stated_bytes() {
+    let layers = f64::from(LAYERS);
+    let per_splat = 332.0 + 48.0 * SH_TERMS + 4.0 * layers + PAIRS;
+    // Texels and gradients have mips, the two moments have none. Room is made for half as many splats again.
+    check(true, [1.5 * per_splat, 16.0 * (2.0 * 341.0 / 256.0 + 2.0), 104.0 + 60.0 * layers]);
+}
