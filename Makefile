@@ -17,7 +17,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help build demo test lint test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
+.PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
 	clean-out system oracle-gsplat oracle-colmap oracle-gltf
 
 help: ## list the targets
@@ -35,9 +35,15 @@ demo: build ## train the small capture in demo/ into out/demo: scene.glb, pictur
 
 test: system lint test-rust test-data test-python test-end-to-end left-out ## everything that CI runs
 
-lint: ## formatting, clippy and rustdoc, warnings are errors
+lint: fmt clippy doc ## formatting, clippy and rustdoc, warnings are errors
+
+fmt:
 	cargo fmt --check
+
+clippy:
 	cargo clippy --release --all-targets -- -D warnings
+
+doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps
 
 test-rust: ## unit, integration and documentation tests
