@@ -4,6 +4,8 @@
 PYTHON ?= python3
 # Without a data folder, tests that need one are listed by `make test` as left out.
 export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
+# Mesa complains once per adapter where this is not set.
+export XDG_RUNTIME_DIR ?= /tmp
 # For example: make demo DEMO_FLAGS="--iterations 500"
 DEMO_FLAGS ?=
 
