@@ -49,13 +49,13 @@ doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps
 
 test-rust: ## unit, integration and documentation tests
-	cargo test --release
+	cargo test --release --no-fail-fast
 
 # Test files with a test that needs the shared data; all ignored tests of such a file run.
 DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs))
 
 test-data: ## tests on real captures and foreign files, in CENTAUR_DATA or ../shared/data
-	$(if $(CENTAUR_DATA),cargo test --release $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA and no ../shared/data: not run")
+	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA and no ../shared/data: not run")
 
 test-python: ## unit tests of datasets-scripts
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
