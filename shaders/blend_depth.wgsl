@@ -1,6 +1,8 @@
 // Median depth of the splats alone: depth of the splat at which the transmittance falls below one half, 0 where it
-// never does (METHODS 6). One thread a pixel; run once per training view, when the surface is fused.
+// never does (METHODS 6). The depth is where the pixel's ray has the Gaussian's peak, not that of its mean: on a tilted
+// surface a flat splat's mean is off by up to its radius. One thread a pixel; run once per training view.
 //#import shared/view.wgsl
+//#import shared/projection.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -8,8 +10,19 @@
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> depth: array<f32>;
 
-const ALPHA_CUT: f32 = 1.0 / 255.0;
-const ALPHA_CAP: f32 = 0.99;
+@group(0) @binding(5) var<storage, read> geometry: array<vec4f>;
+
+// Depth at which the ray through `pixel` comes closest to the splat's mean in units of its standard deviations.
+fn peak_depth(i: u32, pixel: vec2f, mean_depth: f32) -> f32 {
+    let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
+    let slope = (pixel - view.principal) / view.focal;
+    let ray = view.row_x.xyz * slope.x + view.row_y.xyz * slope.y + view.row_z.xyz;
+    let scale = max(g.scale, vec3f(1e-3 * max(g.scale.x, max(g.scale.y, g.scale.z))));
+    let along = (ray * g.rotation) / scale;
+    let toward = ((g.mean - view.center.xyz) * g.rotation) / scale;
+    let reach = 3.0 * max(g.scale.x, max(g.scale.y, g.scale.z));
+    return clamp(dot(along, toward) / dot(along, along), mean_depth - reach, mean_depth + reach);
+}
 
 @compute @workgroup_size(256)
 fn main(
@@ -35,7 +48,7 @@ fn main(
         if power > 0.0 || alpha < ALPHA_CUT { continue; }
         t *= 1.0 - alpha;
         if t < 0.5 {
-            median = a.z;
+            median = max(peak_depth(i, pixel, a.z), view.near);
             break;
         }
     }

@@ -157,6 +157,7 @@ pub fn train<'a>(
         history: vec![],
         joint_seconds: 0.0,
         joint_iterations: 0,
+        hands_over: false,
     };
     run.all(mesh)
 }
@@ -176,6 +177,8 @@ struct Run<'a> {
     history: Vec<Progress>,
     joint_seconds: f64,
     joint_iterations: u32,
+    /// The joint phase begins with splats of the surface phase.
+    hands_over: bool,
 }
 
 /// What one phase does.
@@ -197,6 +200,7 @@ impl<'a> Run<'a> {
         let initial = self.initial_splats()?;
         let mut scene = HybridScene { splats: initial, meshes: vec![], composition: self.composition() };
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
+        self.hands_over = source == MeshSource::Splats;
         match (&after_surface, source) {
             (Some(saved), _) => scene.meshes.clone_from(&saved.meshes),
             (None, MeshSource::None) => {}
@@ -209,6 +213,8 @@ impl<'a> Run<'a> {
                     return self.finish(&training, &scene, Outcome::Interrupted);
                 }
                 scene.meshes = vec![self.find_surface(&mut training)?];
+                // They are not rendered during the warm-up; the handover picks from them.
+                scene.splats = splat_state(&training)?.to_splats()?;
             }
         }
         let mut training = self.training(&scene)?;
@@ -219,6 +225,9 @@ impl<'a> Run<'a> {
             outcome = self.run_phase(&mut training, &scene, Phase::Warmup, warmup)?;
         }
         if outcome == Outcome::Finished {
+            if self.hands_over && !joint {
+                self.hand_over(&mut training)?;
+            }
             outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
         }
         self.finish(&training, &scene, outcome)
@@ -286,6 +295,43 @@ impl<'a> Run<'a> {
             }
             Ok(depth)
         })
+    }
+
+    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (METHODS 6: only
+    /// smooth regions are worth a mesh): a splat goes if the mesh alone has no larger error than the splats alone over
+    /// its footprint in all views. What remains is mostly fine structure, and the mesh is seen wherever it is as good.
+    fn hand_over(&mut self, training: &mut Training<'a>) -> Result<(), TrainError> {
+        let mut state = splat_state(training)?;
+        let scene = HybridScene { splats: state.to_splats()?, meshes: vec![], composition: self.composition() };
+        let mut splats_only = self.training(&scene)?;
+        let mut sums = vec![[0.0_f64; 2]; state.len()];
+        for &i in &self.train {
+            let view = &self.capture.views[i];
+            let photo = self.cache.get(view)?;
+            let background = scene.composition.background;
+            let mesh = training.render(&view.camera, background, false)?;
+            let splats = splats_only.render(&view.camera, background, true)?;
+            let errors: Vec<[f32; 3]> = photo
+                .rgba
+                .chunks_exact(4)
+                .zip(mesh.rgb.iter().zip(&splats.rgb))
+                .map(|(truth, (mesh, splats))| {
+                    let seen = if photo.masked { f32::from(truth[3]) / 255.0 } else { 1.0 };
+                    let error = |render: &[f32; 3]| {
+                        (0..3).map(|c| (f32::from(truth[c]) / 255.0 - render[c]).powi(2)).sum::<f32>() * seen
+                    };
+                    [error(mesh), error(splats), 0.0]
+                })
+                .collect();
+            for (sum, row) in sums.iter_mut().zip(splats_only.gather(&view.camera, &errors)?) {
+                sum[0] += f64::from(row[0]);
+                sum[1] += f64::from(row[1]);
+            }
+        }
+        let keep: Vec<bool> = sums.iter().map(|[mesh, splats]| mesh > splats).collect();
+        state.retain(&keep);
+        training.write_splats(&arrays(state))?;
+        Ok(())
     }
 
     /// Runs a phase from its beginning or from where `saved` left it.
@@ -357,7 +403,9 @@ impl<'a> Run<'a> {
         };
         let rates = plan.schedule.rates(t, self.extent);
         let mcmc = o.density == Density::Mcmc;
-        let sh_degree = plan.schedule.sh_degree(t, o.sh_degree);
+        // Splats that were handed over have learnt their bands already.
+        let learnt = plan.phase == Phase::Joint && self.hands_over;
+        let sh_degree = if learnt { o.sh_degree } else { plan.schedule.sh_degree(t, o.sh_degree) };
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: t + 1,
             n_splats: training.pipeline.n_splats as u32,

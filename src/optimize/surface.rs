@@ -8,6 +8,9 @@ use crate::{
     scene::{Atlas, Camera, Mesh, Texture, sh},
 };
 
+/// Most voxels along the depth range (2DGS has 1024).
+const MAX_RESOLUTION: u32 = 1024;
+
 /// Where the mesh comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum MeshSource {
@@ -35,14 +38,13 @@ pub(super) fn from_depths(
     texture_size: u32,
     mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<Mesh, TrainError> {
-    let side = cameras.iter().map(|c| c.intrinsics().width.max(c.intrinsics().height)).max().unwrap_or(1);
-    // A voxel about as large as a pixel at the middle of the depth range; finer ones would hold noise.
-    let resolution = side.clamp(128, FusionOptions::DEFAULT_RESOLUTION);
-    let mut fusion = Fusion::new(FusionOptions::suggest(cameras, points, resolution)?)?;
-    let bounds = SurfaceOptions {
-        target_triangles: options.triangles,
-        ..SurfaceOptions::new(FusionOptions::suggest(cameras, points, resolution)?)
-    };
+    // A voxel as large as a pixel at the focus: coarser ones blur the maps, finer ones hold noise. The depth range is
+    // twice the distance of the focus, which a pixel there divides by the focal length.
+    let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
+    let resolution = ((2.0 * focal) as u32).clamp(128, MAX_RESOLUTION);
+    let volume = FusionOptions::suggest(cameras, points, resolution)?;
+    let mut fusion = Fusion::new(volume)?;
+    let bounds = SurfaceOptions { target_triangles: options.triangles, ..SurfaceOptions::new(volume) };
     for (i, camera) in cameras.iter().enumerate() {
         let depth = depth_of(i)?;
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;

@@ -193,8 +193,10 @@ impl Pipeline {
             let kernel = Kernel::new(gpu, "blend_depth.wgsl", "main", &gpu.defines());
             let depth = gpu.storage("median depth", view.pixels())?;
             let lists = &self.lists;
-            let bindings =
-                kernel.bind(gpu, &[&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth]);
+            let bindings = kernel.bind(
+                gpu,
+                &[&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth, &self.splats.geometry],
+            );
             let mut frame = Frame::new(gpu);
             self.record_forward(gpu, &mut frame, &view);
             let (x, y) = view.tiles();

@@ -2,6 +2,7 @@
 
 use super::{
     adam::{AdamStep, SplatAdam, SplatFloats},
+    blend::MOMENTS,
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     loss::{Loss, LossValues, TruthAlpha},
     pipeline::Pipeline,
@@ -113,6 +114,28 @@ impl<'g> Training<'g> {
                 return self.pipeline.read_picture(self.gpu, camera);
             }
         }
+    }
+
+    /// Sums a picture over the footprint of every splat: Σ w·`values` (3) and Σ w, where w is the splat's blend weight
+    /// at a pixel. `values` is `[h·w]`; the result `[N]`. Waits.
+    pub(crate) fn gather(&mut self, camera: &Camera, values: &[[f32; 3]]) -> Result<Vec<[f32; 4]>, GpuError> {
+        let padded: Vec<[f32; 4]> = values.iter().map(|v| [v[0], v[1], v[2], 0.0]).collect();
+        loop {
+            let view = self.pipeline.prepare(self.gpu, camera)?;
+            let backward = self.pipeline.backward.as_ref().expect("made for training");
+            self.gpu.write(&backward.image_gradient, 0, &padded);
+            let mut frame = Frame::new(self.gpu);
+            self.pipeline.record_forward(self.gpu, &mut frame, &view);
+            let (x, y) = view.tiles();
+            self.pipeline.blend.record_backward(&mut frame, x as usize * y as usize);
+            frame.submit();
+            if !self.grow_if_short()? {
+                break;
+            }
+        }
+        let moments = self.pipeline.blend.moments().expect("made for training");
+        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.n_splats * MOMENTS)?;
+        Ok(rows.chunks_exact(MOMENTS).map(|m| [m[6], m[7], m[8], m[9]]).collect())
     }
 
     /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
