@@ -8,6 +8,7 @@ export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
 export XDG_RUNTIME_DIR ?= /tmp
 # For example: make demo DEMO_FLAGS="--iterations 500"
 DEMO_FLAGS ?=
+BENCH_FLAGS ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
@@ -97,8 +98,8 @@ $(CENTAUR_GSPLAT_FIXTURE): tests/oracles/gsplat_oracle.py $(ORACLES)/installed $
 	@mkdir -p $(@D)
 	$(ORACLES)/bin/python $< $(GARDEN) $@
 
-bench: system ## measure the adapter's ceilings and every stage
-	cargo bench
+bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
+	cargo bench --bench stages -- $(BENCH_FLAGS)
 
 demo-capture: .venv/installed ## render demo/ anew with Mitsuba
 	.venv/bin/python datasets-scripts/demo_capture.py demo

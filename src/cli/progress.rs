@@ -68,7 +68,7 @@ impl Reporter {
         [("loss", true, self.loss), ("held-out PSNR (dB)", false, self.psnr), ("splats", false, self.splats)]
             .into_iter()
             .filter(|(_, _, points)| !points.is_empty())
-            .map(|(title, log_y, points)| Plot { title: title.into(), log_y, points })
+            .map(|(title, log_y, points)| Plot { title: title.into(), x_label: "iteration".into(), log_y, points })
             .collect()
     }
 }

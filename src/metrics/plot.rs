@@ -2,14 +2,16 @@
 
 use std::fmt::Write as _;
 
-/// A curve over training iterations.
+/// A curve.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plot {
     /// Caption, with the unit: `"held-out PSNR (dB)"`.
     pub title: String,
+    /// Caption of the horizontal axis: `"iteration"`.
+    pub x_label: String,
     /// Logarithmic vertical axis; points ≤ 0 are left out.
     pub log_y: bool,
-    /// (iteration, value); points that are not finite are left out.
+    /// (x, value); points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
 }
 
@@ -51,7 +53,7 @@ pub fn svg(plot: &Plot) -> String {
     for &y in &y_ticks {
         text(MARGIN[0] - 6.0, py(y) + 4.0, "end", &short(if plot.log_y { 10_f64.powf(y) } else { y }));
     }
-    text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", "iteration");
+    text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", &super::report::escaped(&plot.x_label));
     let (left, right) = (MARGIN[0], WIDTH - MARGIN[2]);
     let rules: String = (y_ticks.iter()).fold(String::new(), |mut d, &y| {
         let _ = write!(d, "M{left:.1} {:.1}H{right:.1}", py(y));
@@ -161,9 +163,15 @@ mod tests {
             (true, vec![(0.0, 1e-300), (1.0, 1e300)]),
             (true, many),
         ] {
-            let text = svg(&Plot { title: "a < b".into(), log_y, points });
+            let text = svg(&Plot { title: "a < b".into(), x_label: "x < y".into(), log_y, points });
             assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
-            assert!(!text.contains("NaN") && !text.contains("inf") && text.contains("a &lt; b"), "{text}");
+            assert!(
+                !text.contains("NaN")
+                    && !text.contains("inf")
+                    && text.contains("a &lt; b")
+                    && text.contains("x &lt; y"),
+                "{text}"
+            );
             assert!(text.len() < 20_000, "{} bytes", text.len());
         }
     }

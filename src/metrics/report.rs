@@ -185,7 +185,12 @@ mod tests {
     fn page_is_self_contained_and_escaped() {
         let evaluation = example();
         let settings = [("lambda".to_owned(), "0.01 <extent>".to_owned())];
-        let plots = [Plot { title: "loss".into(), log_y: true, points: vec![(0.0, 1.0), (10.0, 0.1)] }];
+        let plots = [Plot {
+            title: "loss".into(),
+            x_label: "iteration".into(),
+            log_y: true,
+            points: vec![(0.0, 1.0), (10.0, 0.1)],
+        }];
         let pictures = [Picture::new("b <b>.jpg", &RgbImage::new(8, 8)).unwrap()];
         let page = html(&Report {
             title: "a&b",

@@ -28,6 +28,7 @@ struct Backward {
     kernel: Kernel,
     bindings: Bindings,
     moments: Buffer,
+    ends: Buffer,
 }
 
 /// Threads and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per thread, so
@@ -90,7 +91,7 @@ impl Blend {
         Ok(Self {
             image: pixels,
             forward: (kernel, bindings),
-            backward: Some(Backward { kernel: backward, bindings: backward_bindings, moments }),
+            backward: Some(Backward { kernel: backward, bindings: backward_bindings, moments, ends }),
         })
     }
 
@@ -105,6 +106,11 @@ impl Blend {
             frame.clear(&b.moments);
             frame.dispatch(&b.kernel, &b.bindings, tiles);
         }
+    }
+
+    /// `[BUCKETS][pixel]`: pair after the last that a bucket used, if made for training.
+    pub(crate) fn ends(&self) -> Option<&Buffer> {
+        self.backward.as_ref().map(|b| &b.ends)
     }
 
     /// `[n][10]` sums per splat, if made for training.

@@ -2,7 +2,12 @@
 
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
-use super::{Gpu, Renderer, loss::TruthAlpha, training::Training};
+use super::{
+    Gpu, Renderer,
+    loss::TruthAlpha,
+    measure::{TrainingSize, training_bytes},
+    training::Training,
+};
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
 
 const SH_DEGREE: u32 = 3;
@@ -69,4 +74,37 @@ fn training_takes_the_stated_bytes() {
     let per_splat = 332.0 + 48.0 * SH_TERMS + 4.0 * layers + PAIRS;
     // Texels and gradients have mips, the two moments have none. Room is made for half as many splats again.
     check(true, [1.5 * per_splat, 16.0 * (2.0 * 341.0 / 256.0 + 2.0), 104.0 + 60.0 * layers]);
+}
+
+#[test]
+fn the_account_of_training_is_what_is_allocated() {
+    for (splats, texels, side) in [(50_000, 512, 256), (20_000, 64, 1000)] {
+        let size = TrainingSize {
+            splats,
+            sh_degree: SH_DEGREE,
+            triangles: 1,
+            map_floats: 4 * texels * texels,
+            layers: LAYERS as usize,
+            width: side,
+            height: side,
+        };
+        let (found, stated) = (peak(splats, texels as u32, side as u32, true), training_bytes(&size) as f64);
+        // As above, of the counters.
+        assert!((found / stated - 1.0).abs() < 0.02, "{size:?}: {found} bytes, not {stated}");
+    }
+}
+
+#[test]
+fn a_million_splats_fit_eight_gigabytes() {
+    let size = TrainingSize {
+        splats: 1_000_000,
+        sh_degree: 3,
+        triangles: 200_000,
+        map_floats: 4 * 2048 * 2048 + 24 * 512 * 512,
+        layers: 2,
+        width: 1920,
+        height: 1080,
+    };
+    // Twice, for while buffers grow.
+    assert!(2 * training_bytes(&size) < 8_000_000_000, "{} bytes", training_bytes(&size));
 }

@@ -18,7 +18,7 @@ const GROUP: usize = 256;
 
 /// Side in pixels of the square bins that triangles are sorted into. Smaller than the splats' tiles: the triangles of
 /// a dense mesh are a few pixels large, and every triangle is tested at every pixel of its bins.
-const BIN: u32 = 8;
+pub(crate) const BIN: u32 = 8;
 
 /// Meshes on the adapter, and per-pixel layers of the view that was rendered last.
 pub(crate) struct MeshStage {

@@ -11,7 +11,7 @@ use super::{
 use crate::scene::{Camera, Composition, HybridScene, Mesh, sh};
 
 /// (tile, splat) pairs that fit at first, per splat; grown when a frame needs more.
-const PAIRS_PER_SPLAT: usize = 6;
+pub(crate) const PAIRS_PER_SPLAT: usize = 6;
 
 /// Everything that one view's frame reads and writes.
 pub(crate) struct Pipeline {

@@ -13,7 +13,7 @@ use super::{
 use crate::scene::{Atlas, Camera, HybridScene, sh};
 
 /// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
-const HEADROOM: f64 = 0.5;
+pub(crate) const HEADROOM: f64 = 0.5;
 
 /// Parameters and Adam moments of the splats as they lie on the GPU, `[N·12]` and `[N·3·(d+1)²]` each.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,7 +59,7 @@ impl<'g> Training<'g> {
         ssim_weight: f32,
         truth_alpha: TruthAlpha,
     ) -> Result<Self, GpuError> {
-        let capacity = with_headroom(scene.splats.len());
+        let capacity = with_headroom(gpu, scene.splats.len(), scene.splats.sh_degree());
         let pipeline = Pipeline::new(gpu, scene, capacity, cameras, true)?;
         let width = cameras.iter().map(|c| c.intrinsics().width).max().unwrap_or(1) as usize;
         let height = cameras.iter().map(|c| c.intrinsics().height).max().unwrap_or(1) as usize;
@@ -173,7 +173,8 @@ impl<'g> Training<'g> {
     pub(crate) fn write_splats(&mut self, arrays: &SplatArrays) -> Result<(), GpuError> {
         let n = arrays.geometry[0].len() / GEOMETRY;
         if n > self.pipeline.splats.capacity {
-            let splats = SplatBuffers::new(self.gpu, with_headroom(n), self.pipeline.splats.sh_degree)?;
+            let sh_degree = self.pipeline.splats.sh_degree;
+            let splats = SplatBuffers::new(self.gpu, with_headroom(self.gpu, n, sh_degree), sh_degree)?;
             self.pipeline.replace_splats(self.gpu, splats)?;
             self.rebind()?;
         }
@@ -254,8 +255,10 @@ impl<'g> Training<'g> {
     }
 }
 
-fn with_headroom(n: usize) -> usize {
-    n + (n as f64 * HEADROOM) as usize
+/// No more than the adapter binds at once, which `n` itself may still exceed.
+fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
+    let largest = gpu.max_binding_bytes() as usize / (12 * sh::coefficients(sh_degree)).max(4 * GEOMETRY);
+    (n + (n as f64 * HEADROOM) as usize).min(largest).max(n)
 }
 
 fn new_loss(

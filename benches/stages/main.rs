@@ -1,0 +1,230 @@
+//! What the adapter can do at best, and what a training step takes, stage by stage: `make bench`.
+//!
+//! `cargo bench -- --quick` takes a minute, `--yardstick` runs one small scene only.
+
+#![allow(clippy::print_stdout, reason = "a benchmark reports on the terminal")]
+
+mod scene;
+mod tables;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use centaur::{
+    format::atomic_write,
+    metrics::plot::{self, Plot},
+    render::gpu::{
+        Gpu,
+        measure::{self, Ceilings, StepTimes, TrainingSize},
+    },
+};
+use clap::Parser as _;
+use scene::Sheet;
+
+/// Of the scenes with a mesh: 20,000 triangles, 1024² base texels, 256² texels of bands of degree 2.
+const SHEET: Sheet = Sheet { cells: 100, side: 1024 };
+/// Pixels and splats of the yardstick: a capture of 43 views that other trainers were timed on.
+const YARDSTICK: (usize, u32, u32) = (12_000, 265, 473);
+
+/// Ceilings of the adapter, and every stage of a training step as a part of them.
+#[derive(clap::Parser)]
+struct Options {
+    /// Small scenes: finds mistakes, not speed.
+    #[arg(long)]
+    quick: bool,
+    /// Nothing but the yardstick: 12,000 splats at 265×473.
+    #[arg(long)]
+    yardstick: bool,
+    /// Also write the figures to this file.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// The first adapter whose name contains this, instead of the best one.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+    /// What cargo calls benchmarks with.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// A scene and what a step of it took.
+#[derive(serde::Serialize)]
+struct Run {
+    splats: usize,
+    width: u32,
+    height: u32,
+    mesh: bool,
+    #[serde(flatten)]
+    times: StepTimes,
+}
+
+/// Step times over one quantity.
+#[derive(serde::Serialize)]
+struct Curve {
+    over: &'static str,
+    /// (quantity, seconds per step).
+    points: Vec<(f64, f64)>,
+    /// Of the power law that fits best.
+    exponent: f64,
+    /// Seconds at zero and seconds per unit of the straight line that fits best.
+    line: (f64, f64),
+    /// Largest distance from that line, as a part of the time.
+    off_line: f64,
+}
+
+/// Bytes of training by difference between two sizes, and by the library's account.
+#[derive(serde::Serialize)]
+struct Memory {
+    per_splat: f64,
+    per_map_float: f64,
+    per_pixel: f64,
+    /// Measured over accounted.
+    agreement: f64,
+    /// 1 M splats, a 2048² atlas with 512² bands of degree 2, one layer, 1920×1080.
+    large: u64,
+}
+
+#[derive(serde::Serialize)]
+struct Results {
+    adapter: String,
+    ceilings: Option<Ceilings>,
+    yardstick: Run,
+    runs: Vec<Run>,
+    curves: Vec<Curve>,
+    memory: Option<Memory>,
+}
+
+fn main() -> anyhow::Result<()> {
+    let options = Options::parse();
+    let gpu = Gpu::open(options.adapter.as_deref())?;
+    let ceilings = measure::ceilings(&gpu)?;
+    tables::print_adapter(&gpu, ceilings.as_ref());
+
+    let (n, width, height) = YARDSTICK;
+    let yardstick = run(&gpu, n, (width, height), None)?;
+    println!("\nyardstick\n");
+    tables::print_stages(std::slice::from_ref(&yardstick), ceilings.as_ref());
+
+    let mut results =
+        Results { adapter: gpu.adapter().into(), ceilings, yardstick, runs: vec![], curves: vec![], memory: None };
+    if !options.yardstick {
+        results.runs = stages(&gpu, options.quick, ceilings.as_ref())?;
+        results.curves = curves(&gpu, options.quick)?;
+        results.memory = Some(memory(options.adapter.as_deref())?);
+    }
+    if let Some(memory) = &results.memory {
+        tables::print_memory(memory);
+    }
+    if let Some(file) = &options.json {
+        let text = serde_json::to_string_pretty(&results)?;
+        atomic_write(file, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Times a step of `n` splats. A software adapter is slow enough for few repetitions to do.
+fn run(gpu: &Gpu, n: usize, (width, height): (u32, u32), sheet: Option<Sheet>) -> anyhow::Result<Run> {
+    let camera = scene::camera(width, height);
+    timed(gpu, &scene::scene(n, &camera, sheet), &camera)
+}
+
+fn timed(gpu: &Gpu, scene: &centaur::scene::HybridScene, camera: &centaur::scene::Camera) -> anyhow::Result<Run> {
+    let (k, splats, mesh) = (camera.intrinsics(), scene.splats.len(), !scene.meshes.is_empty());
+    let repeats = if gpu.profile().is_cpu { 3 } else { 30 };
+    let times = measure::training_step(gpu, scene, camera, repeats)
+        .with_context(|| format!("{splats} splats at {}×{}", k.width, k.height))?;
+    Ok(Run { splats, width: k.width, height: k.height, mesh, times })
+}
+
+/// Every number of splats at every size, with and without mesh.
+fn stages(gpu: &Gpu, quick: bool, ceilings: Option<&Ceilings>) -> anyhow::Result<Vec<Run>> {
+    let (counts, sizes): (&[usize], &[(u32, u32)]) =
+        if quick { (&[20_000], &[(480, 270)]) } else { (&[100_000, 500_000], &[(960, 540), (1920, 1080)]) };
+    let mut runs = vec![];
+    for &n in counts {
+        println!();
+        let first = runs.len();
+        for &size in sizes {
+            for sheet in [None, Some(SHEET)] {
+                runs.push(run(gpu, n, size, sheet)?);
+            }
+        }
+        tables::print_stages(&runs[first..], ceilings);
+    }
+    Ok(runs)
+}
+
+/// Step time over splats of one size in pixels, and over the pixels of one scene.
+fn curves(gpu: &Gpu, quick: bool) -> anyhow::Result<Vec<Curve>> {
+    let (unit, fixed) = if quick { (2_500, (480, 270)) } else { (25_000, (960, 540)) };
+    let over_splats = (0..4).map(|i| unit << i).map(|n| Ok((n as f64, run(gpu, n, fixed, None)?.times.step_seconds)));
+    let over_splats = over_splats.collect::<anyhow::Result<_>>()?;
+
+    // The same splats in space, seen at other resolutions: they grow with the image.
+    let full = scene::camera(2 * fixed.0, 2 * fixed.1);
+    let scene = scene::scene(4 * unit, &full, None);
+    let over_pixels = [0.5, 1.0, 1.5, 2.0].map(|s| {
+        let camera = full.resized((f64::from(fixed.0) * s) as u32, (f64::from(fixed.1) * s) as u32);
+        let run = timed(gpu, &scene, &camera)?;
+        Ok((f64::from(run.width) * f64::from(run.height), run.times.step_seconds))
+    });
+    let over_pixels = over_pixels.into_iter().collect::<anyhow::Result<_>>()?;
+
+    let folder = Path::new("out/bench");
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let mut curves = vec![];
+    for (over, points) in [("splats", over_splats), ("pixels", over_pixels)] {
+        let points: Vec<(f64, f64)> = points;
+        let curve = Curve::of(over, points.clone());
+        tables::print_curve(&curve);
+        let plot = Plot { title: "training step (s)".into(), x_label: over.into(), log_y: false, points };
+        atomic_write(&folder.join(format!("linearity-{over}.svg")), plot::svg(&plot).as_bytes())?;
+        curves.push(curve);
+    }
+    Ok(curves)
+}
+
+impl Curve {
+    fn of(over: &'static str, points: Vec<(f64, f64)>) -> Self {
+        let logs: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x.ln(), y.ln())).collect();
+        let line = fit(&points);
+        let off_line = points.iter().map(|(x, y)| (line.0 + line.1 * x - y).abs() / y).fold(0.0, f64::max);
+        Self { over, exponent: fit(&logs).1, line, off_line, points }
+    }
+}
+
+/// Value at zero and slope of the least-squares line.
+fn fit(points: &[(f64, f64)]) -> (f64, f64) {
+    let mean = |f: fn(&(f64, f64)) -> f64| points.iter().map(f).sum::<f64>() / points.len() as f64;
+    let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
+    let covariance: f64 = points.iter().map(|(x, y)| (x - mx) * (y - my)).sum();
+    let slope = covariance / points.iter().map(|(x, _)| (x - mx).powi(2)).sum::<f64>();
+    (my - slope * mx, slope)
+}
+
+fn memory(adapter: Option<&str>) -> anyhow::Result<Memory> {
+    let size = |splats, side: u32, width: u32| {
+        let texels = side as usize * side as usize;
+        let (width, height) = (width as usize, width as usize);
+        let map_floats = 4 * texels + 24 * (texels / 16);
+        TrainingSize { splats, sh_degree: 3, triangles: 800, map_floats, layers: 1, width, height }
+    };
+    let peak = |splats, side, width| -> anyhow::Result<f64> {
+        let camera = scene::camera(width, width);
+        let scene = scene::scene(splats, &camera, Some(Sheet { cells: 20, side }));
+        Ok(measure::training_peak(adapter, &scene, &camera)? as f64)
+    };
+    let base = peak(10_000, 256, 256)?;
+    let per = |peak: f64, count: usize| (peak - base) / count as f64;
+    let small = size(10_000, 256, 256);
+    Ok(Memory {
+        per_splat: per(peak(30_000, 256, 256)?, 20_000),
+        per_map_float: per(peak(10_000, 512, 256)?, size(0, 512, 0).map_floats - small.map_floats),
+        per_pixel: per(peak(10_000, 256, 512)?, 512 * 512 - 256 * 256),
+        agreement: base / measure::training_bytes(&small) as f64,
+        large: measure::training_bytes(&TrainingSize {
+            triangles: 200_000,
+            height: 1080,
+            ..size(1_000_000, 2048, 1920)
+        }),
+    })
+}
