@@ -2,35 +2,20 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::path::Path;
-use std::process::{Command, Output};
+mod common;
 
-fn centaur_in(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_centaur")).args(args).current_dir(folder).output().unwrap()
-}
+use std::path::Path;
+use std::process::Output;
+
+use common::stderr;
 
 fn centaur(args: &[&str]) -> Output {
-    centaur_in(Path::new("."), args)
+    common::centaur(Path::new(".")).args(args).output().unwrap()
 }
 
-fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
-}
-
-/// Runs a command that must fail with one line on stderr and leave the folder as it was; returns the line.
+/// The line of a command that must fail and leave nothing behind.
 fn failure(folder: &Path, args: &[&str]) -> String {
-    let files = || {
-        let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
-        names.sort();
-        names
-    };
-    let before = files();
-    let output = centaur_in(folder, args);
-    let text = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{args:?}: {text}");
-    assert!(output.stdout.is_empty() && text.starts_with("error: ") && text.lines().count() == 1, "{args:?}: {text}");
-    assert_eq!(files(), before, "{args:?} left something behind");
-    text.trim_end().to_owned()
+    common::failure(folder, common::centaur(folder).args(args))
 }
 
 #[test]
@@ -83,8 +68,8 @@ fn inputs_that_are_not_there_or_not_scenes() {
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),
         (&["train", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),
-        (&["train", ".", "-o", "a.glb", "--mesh", "none.obj"], "error: none.obj: expected a file, found none"),
-        (&["train", ".", "-o", "a.glb", "--resume", "none"], "error: none: expected a file, found none"),
+        (&["train", ".", "-o", "a.glb", "--mesh", "none.obj"], "error: none.obj: expected a mesh file, found none"),
+        (&["train", ".", "-o", "a.glb", "--resume"], "error: a.glb.checkpoint: expected a checkpoint, found none"),
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }

@@ -101,12 +101,12 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     })
 }
 
-/// Frames and points of the model in `folder`, with the images in `root/<images folder>`.
+/// Frames and points of the model in `folder`, with the images in `root/<images folder>`, and the file that lists them.
 pub(super) fn load(
     root: &Path,
     folder: &Path,
     options: &LoadOptions,
-) -> Result<(Vec<Frame>, Vec<Point>), CaptureError> {
+) -> Result<(Vec<Frame>, Vec<Point>, PathBuf), CaptureError> {
     let binary = folder.join("cameras.bin").is_file();
     let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
     let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
@@ -127,13 +127,16 @@ pub(super) fn load(
             colmap_text::points(&super::error::read_text(&points_file)?, &points_file)?,
         )
     };
+    if cameras.is_empty() {
+        return Err(CaptureError::invalid(&cameras_file, "cameras", "at least one camera", "none"));
+    }
     let images_folder = root.join(options.images.as_deref().unwrap_or("images"));
     let frames = frames(images, &cameras, &images_file, &images_folder)?;
     if let Some(i) = points.iter().position(|p| !p.position.is_finite()) {
         let found = points[i].position.to_string();
         return Err(CaptureError::invalid(&points_file, format!("point {i}"), "finite numbers", found));
     }
-    Ok((frames, points))
+    Ok((frames, points, images_file))
 }
 
 /// Joins images with their cameras.

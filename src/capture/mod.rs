@@ -141,8 +141,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     let (frames, points, list) = if !folder {
         (transforms::load(root, &[(path.into(), None)], options)?, vec![], path.into())
     } else if let Some(model) = colmap::find_model(path) {
-        let (frames, points) = colmap::load(path, &model, options)?;
-        (frames, points, model)
+        colmap::load(path, &model, options)?
     } else {
         let files = transforms::find(path);
         let Some((first, _)) = files.first() else {

@@ -64,7 +64,7 @@ fn one_line(error: &anyhow::Error) -> String {
         let cause = without_code(&cause.to_string().split_whitespace().collect::<Vec<_>>().join(" "));
         if line.is_empty() {
             line = cause;
-        } else if !line.ends_with(&cause) {
+        } else if !line.contains(&cause) {
             line = format!("{line}: {cause}");
         }
     }
@@ -95,6 +95,8 @@ mod tests {
     fn causes_are_joined_once_each_on_one_line() {
         let error = anyhow!("no such file").context("a.bin: no such file").context("reading\nthe capture");
         assert_eq!(one_line(&error), "reading the capture: a.bin: no such file");
+        let advice = anyhow!("no surface").context("making the mesh: no surface; --no-mesh does without");
+        assert_eq!(one_line(&advice), "making the mesh: no surface; --no-mesh does without");
         let missing = anyhow::Error::new(io::Error::from_raw_os_error(2)).context("a.bin");
         assert!(!one_line(&missing).contains("os error"), "{}", one_line(&missing));
     }

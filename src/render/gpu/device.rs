@@ -37,8 +37,8 @@ pub enum GpuError {
     },
     /// A buffer exceeds what the adapter can bind.
     #[error(
-        "{what} needs a buffer of {needed} MiB, but {adapter} binds at most {limit} MiB: lower --max-splats, the \
-         texture size or the image size"
+        "{what} needs a buffer of {needed} MiB, but {adapter} binds at most {limit} MiB: lower --texture-size, \
+         --max-splats or the size of the images"
     )]
     TooLarge {
         /// What the buffer holds.

@@ -1,0 +1,98 @@
+//! What tests of the program share: a tiny capture, and the program run as a user would.
+
+#![allow(clippy::unwrap_used, dead_code, reason = "a failed unwrap is a failed test; not every test uses everything")]
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use glam::{DMat3, DQuat, DVec3};
+use image::{Rgb, RgbImage};
+
+/// The program, about to be run in `folder`.
+pub(crate) fn centaur(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_centaur"));
+    // Mesa complains on stderr where this is not set.
+    command.current_dir(folder).env("XDG_RUNTIME_DIR", std::env::temp_dir());
+    command
+}
+
+pub(crate) fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Files and folders below `folder`, sorted.
+pub(crate) fn tree(folder: &Path) -> Vec<String> {
+    let mut found = vec![];
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        found.push(path.display().to_string());
+        if path.is_dir() {
+            found.extend(tree(&path));
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Runs a command that must fail with one line on stderr and leave the folder as it was; returns the line.
+pub(crate) fn failure(folder: &Path, command: &mut Command) -> String {
+    let before = tree(folder);
+    let output = command.output().unwrap();
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{command:?}: {text}");
+    let one_line = text.starts_with("error: ") && text.lines().count() == 1;
+    assert!(output.stdout.is_empty() && one_line, "{command:?}: {text}");
+    assert_eq!(tree(folder), before, "{command:?} left something behind");
+    text.trim_end().to_owned()
+}
+
+/// A COLMAP text model of `count` cameras that look at a ball of coloured points from all around, and its pictures.
+pub(crate) fn write_capture(root: &Path, count: usize, (width, height): (u32, u32)) {
+    const COLORS: [[u8; 3]; 3] = [[230, 60, 40], [40, 190, 90], [60, 90, 220]];
+    let sparse = root.join("sparse/0");
+    std::fs::create_dir_all(&sparse).unwrap();
+    std::fs::create_dir_all(root.join("images")).unwrap();
+    let focal = f64::from(width);
+    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+    std::fs::write(sparse.join("cameras.txt"), format!("1 PINHOLE {width} {height} {focal} {focal} {cx} {cy}\n"))
+        .unwrap();
+    // A Fibonacci sphere of radius 0.4.
+    let points: Vec<DVec3> = (0..300)
+        .map(|i| {
+            let z = 1.0 - 2.0 * (f64::from(i) + 0.5) / 300.0;
+            let (r, angle) = ((1.0 - z * z).sqrt(), 2.399_963 * f64::from(i));
+            0.4 * DVec3::new(r * angle.cos(), r * angle.sin(), z)
+        })
+        .collect();
+    let mut lines = String::new();
+    for (i, p) in points.iter().enumerate() {
+        let [r, g, b] = COLORS[i % 3];
+        writeln!(lines, "{} {} {} {} {r} {g} {b} 0.1 1 0", i + 1, p.x, p.y, p.z).unwrap();
+    }
+    std::fs::write(sparse.join("points3D.txt"), lines).unwrap();
+    let mut lines = String::new();
+    for view in 0..count {
+        let angle = std::f64::consts::TAU * view as f64 / count as f64;
+        let rotation = DMat3::from_rotation_y(angle);
+        let translation = DVec3::new(0.0, 0.0, 1.5);
+        let q = DQuat::from_mat3(&rotation);
+        let [x, y, z] = translation.to_array();
+        writeln!(lines, "{} {} {} {} {} {x} {y} {z} 1 {view:03}.png\n", view + 1, q.w, q.x, q.y, q.z).unwrap();
+        let mut picture = RgbImage::from_pixel(width, height, Rgb([20, 20, 30]));
+        // Far points first, so that near ones cover them.
+        let mut seen: Vec<(DVec3, usize)> =
+            points.iter().enumerate().map(|(i, &p)| (rotation * p + translation, i)).collect();
+        seen.sort_by(|a, b| b.0.z.total_cmp(&a.0.z));
+        for (p, i) in seen {
+            let (u, v) = ((focal * p.x / p.z + cx) as u32, (focal * p.y / p.z + cy) as u32);
+            for (u, v) in [(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)] {
+                if u < width && v < height {
+                    picture.put_pixel(u, v, Rgb(COLORS[i % 3]));
+                }
+            }
+        }
+        picture.save(root.join(format!("images/{view:03}.png"))).unwrap();
+    }
+    std::fs::write(sparse.join("images.txt"), lines).unwrap();
+}
