@@ -38,8 +38,10 @@ pub enum TrainError {
     #[error("{0}")]
     Resume(String),
     /// Nothing to train on.
-    #[error("expected at least 3 views (every 8th is held out), found {found}")]
+    #[error("{capture}: expected at least 2 views to train on and those held out (every 8th), found {found} in all")]
     TooFewViews {
+        /// Name of the capture.
+        capture: String,
         /// Views in the capture.
         found: usize,
     },

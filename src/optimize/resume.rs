@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use glam::{Vec2, Vec3};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::{
     Phase, TrainError, TrainOptions,
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     render::gpu::training::Training,
-    scene::{Atlas, HybridScene, Mesh, Texture},
+    scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
 };
 
 /// The state of a run between two iterations.
@@ -27,6 +27,15 @@ pub(super) struct Saved {
     statistics: Vec<f32>,
     texel_moments: (Vec<f32>, Vec<f32>),
     epoch: EpochWeight,
+    /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
+    lists: [usize; 2],
+}
+
+/// What must be the same in a run that goes on from a checkpoint.
+pub(super) struct Identity<'a> {
+    pub(super) options: &'a TrainOptions,
+    /// Views and source of the mesh.
+    pub(super) input: Value,
 }
 
 impl Saved {
@@ -47,12 +56,14 @@ impl Saved {
             statistics: training.read_statistics()?,
             texel_moments: training.read_texel_moments()?,
             epoch: epoch.clone(),
+            lists: training.pipeline.list_lengths(),
         })
     }
 
     /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.
     pub(super) fn restore(self, training: &mut Training) -> Result<EpochWeight, TrainError> {
         training.write_splats(&arrays(self.splats))?;
+        training.lengthen_lists(self.lists)?;
         training.write_statistics(&self.statistics);
         let (first, second) = &self.texel_moments;
         if !training.write_texel_moments(first, second) {
@@ -62,7 +73,7 @@ impl Saved {
     }
 
     /// Writes the checkpoint to a temporary file and renames it.
-    pub(super) fn write(self, path: &Path, options: &TrainOptions) -> Result<(), TrainError> {
+    pub(super) fn write(self, path: &Path, run: &Identity) -> Result<(), TrainError> {
         let mut tensors = BTreeMap::new();
         let mut meshes = vec![];
         for (i, mesh) in self.meshes.iter().enumerate() {
@@ -84,30 +95,34 @@ impl Saved {
         let meta = json!({
             "phase": self.phase,
             "iteration": self.iteration,
-            "options": options,
+            "options": run.options,
+            "input": run.input,
+            "lists": self.lists,
             "meshes": meshes,
             "epoch_iterations": self.epoch.iterations,
         });
         Ok(Checkpoint { meta, splats: self.splats, tensors }.write(path)?)
     }
 
-    /// Reads a checkpoint that was written with the same options, but for how often to report and save.
-    pub(super) fn read(path: &Path, options: &TrainOptions) -> Result<Self, TrainError> {
+    /// Reads a checkpoint that was written on the same input with the same options, but for how often to report and
+    /// save.
+    pub(super) fn read(path: &Path, run: &Identity) -> Result<Self, TrainError> {
         let Checkpoint { meta, splats, mut tensors } = Checkpoint::read(path)?;
-        let damaged = |what: &str| TrainError::Resume(format!("{}: {what} is missing or damaged", path.display()));
+        let refused = |why: String| TrainError::Resume(format!("{}: {why}", path.display()));
+        let damaged = |what: &str| refused(format!("{what} is missing or damaged"));
         let field = |name: &str| meta.get(name).cloned().ok_or_else(|| damaged(name));
         let before: TrainOptions = serde_json::from_value(field("options")?).map_err(|_| damaged("options"))?;
-        let comparable = |o: &TrainOptions| TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() };
-        if comparable(&before) != comparable(options) {
-            return Err(TrainError::Resume(format!(
-                "{}: was written by a run with other options; resume with the same ones",
-                path.display()
-            )));
+        if let Some(change) = changed_option(&before, run.options) {
+            return Err(refused(format!("expected a checkpoint of a run with the same options, but {change}")));
+        }
+        if field("input")? != run.input {
+            let expected = "expected a checkpoint of the same photographs at the same size, and the same kind of mesh";
+            return Err(refused(format!("{expected}, found others")));
         }
         let mut take = |name: String| tensors.remove(&name).ok_or_else(|| damaged(&name));
+        let invalid = |e: SceneError| refused(e.to_string());
         let mut meshes = vec![];
-        let described: Vec<serde_json::Value> =
-            serde_json::from_value(field("meshes")?).map_err(|_| damaged("meshes"))?;
+        let described: Vec<Value> = serde_json::from_value(field("meshes")?).map_err(|_| damaged("meshes"))?;
         for (i, sizes) in described.iter().enumerate() {
             let positions = take(format!("mesh{i}/positions"))?;
             let uvs = take(format!("mesh{i}/corner_uvs"))?;
@@ -115,22 +130,26 @@ impl Saved {
             let texture = |name: &str, texels: Vec<f32>| -> Result<Option<Texture>, TrainError> {
                 let Some(size) = sizes.get(name).filter(|s| !s.is_null()) else { return Ok(None) };
                 let [w, h, c]: [u32; 3] = serde_json::from_value(size.clone()).map_err(|_| damaged(name))?;
-                Ok(Some(Texture::new(w, h, c, texels)?))
+                Ok(Some(Texture::new(w, h, c, texels).map_err(invalid)?))
             };
             let base = texture("base", take(format!("mesh{i}/base"))?)?.ok_or_else(|| damaged("base"))?;
             let bands = texture("bands", take(format!("mesh{i}/bands"))?)?;
-            meshes.push(Mesh::new(
+            let mesh = Mesh::new(
                 positions.chunks_exact(3).map(Vec3::from_slice).collect(),
                 triangles.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect(),
                 uvs.chunks_exact(6).map(|c| [0, 2, 4].map(|k| Vec2::new(c[k], c[k + 1]))).collect(),
-                Atlas::new(base, bands)?,
-            )?);
+                Atlas::new(base, bands).map_err(invalid)?,
+            );
+            meshes.push(mesh.map_err(invalid)?);
         }
         let statistics = take("statistics".to_owned())?;
         let weight = take("epoch_weight".to_owned())?;
         let texel_moments = (take("texels/m".to_owned())?, take("texels/v".to_owned())?);
         if statistics.len() != 4 * splats.len() {
             return Err(damaged("statistics"));
+        }
+        if !weight.is_empty() && weight.len() != splats.len() {
+            return Err(damaged("epoch_weight"));
         }
         Ok(Self {
             phase: serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?,
@@ -139,6 +158,7 @@ impl Saved {
             splats,
             statistics,
             texel_moments,
+            lists: serde_json::from_value(field("lists")?).map_err(|_| damaged("lists"))?,
             epoch: EpochWeight {
                 weight,
                 iterations: serde_json::from_value(field("epoch_iterations")?)
@@ -146,4 +166,13 @@ impl Saved {
             },
         })
     }
+}
+
+/// The first option that matters to the result and differs.
+fn changed_option(before: &TrainOptions, now: &TrainOptions) -> Option<String> {
+    let value =
+        |o: &TrainOptions| serde_json::to_value(TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() });
+    let (Ok(Value::Object(before)), Ok(Value::Object(now))) = (value(before), value(now)) else { return None };
+    let (name, value) = before.iter().find(|(name, value)| now.get(*name) != Some(value))?;
+    Some(format!("{} was {value} and is {}", name.replace('_', " "), now.get(name).unwrap_or(&Value::Null)))
 }

@@ -21,7 +21,7 @@ use super::{
         mcmc::{self, EpochWeight, McmcOptions},
     },
     initialize::{self, Initial},
-    resume::Saved,
+    resume::{Identity, Saved},
     schedule::{self, Schedule},
     state::SplatState,
     surface,
@@ -128,41 +128,11 @@ pub fn train<'a>(
     options: &'a TrainOptions,
     session: Session<'a>,
 ) -> Result<Trained, TrainError> {
-    let (train, test) = Split::Every8th.split(&capture.views);
-    if train.len() < 2 {
-        return Err(TrainError::TooFewViews { found: capture.views.len() });
-    }
-    let cache = PhotoCache::new(PHOTO_BUDGET);
-    let first = cache.get(&capture.views[train[0]])?;
-    let truth_alpha = match (first.masked, first.has_alpha) {
-        (true, _) => TruthAlpha::Mask,
-        (false, true) => TruthAlpha::Composite,
-        (false, false) => TruthAlpha::Ignore,
-    };
-    let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
-    let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
-    let extent = capture::extent(&train_cameras) as f32;
-    let mut run = Run {
-        capture,
-        options,
-        session,
-        cameras,
-        train_cameras,
-        train,
-        test,
-        cache,
-        truth_alpha,
-        extent: if extent > 0.0 { extent } else { 1.0 },
-        start: Instant::now(),
-        history: vec![],
-        joint_seconds: 0.0,
-        joint_iterations: 0,
-        hands_over: false,
-    };
-    run.all(mesh)
+    Run::new(capture, options, &mesh, session)?.all(mesh)
 }
 
 struct Run<'a> {
+    identity: Identity<'a>,
     capture: &'a Capture,
     options: &'a TrainOptions,
     session: Session<'a>,
@@ -179,6 +149,8 @@ struct Run<'a> {
     joint_iterations: u32,
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
+    /// The last iteration.
+    reached: (Phase, u32),
 }
 
 /// What one phase does.
@@ -192,9 +164,58 @@ struct Plan {
 }
 
 impl<'a> Run<'a> {
+    fn new(
+        capture: &'a Capture,
+        options: &'a TrainOptions,
+        mesh: &MeshSource,
+        session: Session<'a>,
+    ) -> Result<Self, TrainError> {
+        let (train, test) = Split::Every8th.split(&capture.views);
+        if train.len() < 2 {
+            return Err(TrainError::TooFewViews { capture: capture.name.clone(), found: capture.views.len() });
+        }
+        let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
+        let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera))).collect();
+        let mesh = match mesh {
+            MeshSource::None => "none".to_owned(),
+            MeshSource::Splats => "splats".to_owned(),
+            MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
+        };
+        let identity = Identity { options, input: serde_json::json!({ "views": views, "mesh": mesh }) };
+        let cache = PhotoCache::new(PHOTO_BUDGET);
+        let first = cache.get(&capture.views[train[0]])?;
+        let truth_alpha = match (first.masked, first.has_alpha) {
+            (true, _) => TruthAlpha::Mask,
+            (false, true) => TruthAlpha::Composite,
+            (false, false) => TruthAlpha::Ignore,
+        };
+        let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
+        let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
+        let extent = capture::extent(&train_cameras) as f32;
+        Ok(Self {
+            identity,
+            capture,
+            options,
+            session,
+            cameras,
+            train_cameras,
+            train,
+            test,
+            cache,
+            truth_alpha,
+            extent: if extent > 0.0 { extent } else { 1.0 },
+            start: Instant::now(),
+            history: vec![],
+            joint_seconds: 0.0,
+            joint_iterations: 0,
+            reached: (Phase::Surface, 0),
+            hands_over: false,
+        })
+    }
+
     fn all(&mut self, source: MeshSource) -> Result<Trained, TrainError> {
         let mut saved = match (&self.session.checkpoint, self.session.resume) {
-            (Some(path), true) => Some(Saved::read(path, self.options)?),
+            (Some(path), true) => Some(Saved::read(path, &self.identity)?),
             _ => None,
         };
         let initial = self.initial_splats()?;
@@ -362,6 +383,7 @@ impl<'a> Run<'a> {
             let begin = Instant::now();
             self.step(training, &plan, t)?;
             let done = t + 1;
+            self.reached = (phase, done);
             if self.session.gpu.profile().is_cpu || done % 16 == 0 || done <= epoch_length {
                 training.grow_if_short()?;
             }
@@ -379,7 +401,8 @@ impl<'a> Run<'a> {
             if (stop || is_due(done, o.checkpoint_every))
                 && let Some(path) = &self.session.checkpoint
             {
-                Saved::capture(training, scene, phase, done, &epoch)?.write(path, o)?;
+                check_finite(training, phase, done)?;
+                Saved::capture(training, scene, phase, done, &epoch)?.write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
@@ -470,7 +493,7 @@ impl<'a> Run<'a> {
         let statistics = training.read_statistics()?;
         let statistics = Statistics(bytemuck::cast_slice(&statistics));
         let mut state = splat_state(training)?;
-        check_finite(&state, plan.phase, done)?;
+        finite_splats(&state, plan.phase, done)?;
         if densify {
             match o.density {
                 Density::Inria => {
@@ -498,7 +521,7 @@ impl<'a> Run<'a> {
         let weight = f64::from(self.options.ssim_weight);
         let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
         if !loss.is_finite() {
-            check_finite(&splat_state(training)?, plan.phase, done)?;
+            check_finite(training, plan.phase, done)?;
             return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group: "the loss".to_owned() });
         }
         let due = is_due(done, self.options.eval_every) || done == plan.iterations;
@@ -531,8 +554,9 @@ impl<'a> Run<'a> {
     }
 
     fn finish(&mut self, training: &Training, scene: &HybridScene, outcome: Outcome) -> Result<Trained, TrainError> {
+        let (phase, iteration) = self.reached;
+        check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
-        check_finite(&state, Phase::Joint, self.joint_iterations)?;
         let atlases = training.read_atlases()?;
         let meshes = scene.meshes.iter().cloned().zip(atlases).map(|(m, a)| m.with_atlas(a)).collect();
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
@@ -580,8 +604,18 @@ pub(super) fn arrays(s: SplatState) -> SplatArrays {
     SplatArrays { geometry: [s.geometry, s.geometry_m, s.geometry_v], sh: [s.sh, s.sh_m, s.sh_v] }
 }
 
-/// Names the parameter group that holds a NaN or an infinity.
-fn check_finite(state: &SplatState, phase: Phase, iteration: u32) -> Result<(), TrainError> {
+/// Names the parameter group that holds a NaN or an infinity. Waits.
+fn check_finite(training: &Training, phase: Phase, iteration: u32) -> Result<(), TrainError> {
+    finite_splats(&splat_state(training)?, phase, iteration)?;
+    // The maps themselves are refused when read; their moments follow their gradients.
+    let (first, second) = training.read_texel_moments()?;
+    if first.iter().chain(&second).all(|v| v.is_finite()) {
+        return Ok(());
+    }
+    Err(TrainError::NotFinite { phase, iteration, group: "a map of the mesh".to_owned() })
+}
+
+fn finite_splats(state: &SplatState, phase: Phase, iteration: u32) -> Result<(), TrainError> {
     match state.first_non_finite() {
         None => Ok(()),
         Some((group, splat)) => {
@@ -589,3 +623,6 @@ fn check_finite(state: &SplatState, phase: Phase, iteration: u32) -> Result<(), 
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -196,14 +196,34 @@ impl MeshStage {
     /// # Errors
     /// If the driver failed or the list exceeds what the adapter binds.
     pub(crate) fn grow_if_short(&mut self, gpu: &Gpu, view_uniform: &Buffer) -> Result<bool, GpuError> {
-        let Some(Bound { bins, fragments, .. }) = self.bound else { return Ok(false) };
+        if self.bound.is_none() {
+            return Ok(false);
+        }
         let needed = gpu.read::<u32>(&self.geometry.pairs_needed, 1)?[0] as usize;
         if needed <= self.screen.capacity {
             return Ok(false);
         }
-        self.screen.capacity = needed.saturating_add(needed / 4);
-        self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", self.screen.capacity)?;
-        self.bound = Some(Bound { bins, fragments, ..self.bind(gpu, view_uniform) });
+        self.lengthen(gpu, view_uniform, needed.saturating_add(needed / 4))
+    }
+
+    /// Pairs that fit.
+    pub(crate) fn pair_capacity(&self) -> usize {
+        self.screen.capacity
+    }
+
+    /// Makes room for at least this many pairs; true if there was less.
+    ///
+    /// # Errors
+    /// If the list exceeds what the adapter binds.
+    pub(crate) fn lengthen(&mut self, gpu: &Gpu, view_uniform: &Buffer, pairs: usize) -> Result<bool, GpuError> {
+        if pairs <= self.screen.capacity {
+            return Ok(false);
+        }
+        self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", pairs)?;
+        self.screen.capacity = pairs;
+        if let Some(Bound { bins, fragments, .. }) = self.bound {
+            self.bound = Some(Bound { bins, fragments, ..self.bind(gpu, view_uniform) });
+        }
         Ok(true)
     }
 

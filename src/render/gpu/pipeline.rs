@@ -150,6 +150,27 @@ impl Pipeline {
         Ok(short || mesh_grew)
     }
 
+    /// Entries that the lists of (tile, splat) and (bin, triangle) pairs hold.
+    pub(crate) fn list_lengths(&self) -> [usize; 2] {
+        [self.lists.pair_capacity(), self.mesh.as_ref().map_or(0, MeshStage::pair_capacity)]
+    }
+
+    /// Makes the lists at least this long. True if they had to be made anew.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold them.
+    pub(crate) fn lengthen_lists(&mut self, gpu: &Gpu, [splats, triangles]: [usize; 2]) -> Result<bool, GpuError> {
+        let mesh_grew = match &mut self.mesh {
+            Some(mesh) => mesh.lengthen(gpu, &self.view, triangles)?,
+            None => false,
+        };
+        let short = splats > self.lists.pair_capacity();
+        if short {
+            self.renew_lists(gpu, splats)?;
+        }
+        Ok(short || mesh_grew)
+    }
+
     /// Makes the pipeline anew around other splat buffers (for more splats).
     pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<(), GpuError> {
         self.splats = splats;

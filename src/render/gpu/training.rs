@@ -157,6 +157,14 @@ impl<'g> Training<'g> {
         Ok(grew)
     }
 
+    /// Makes the lists at least as long as `Pipeline::list_lengths` of another run said.
+    pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<(), GpuError> {
+        if self.pipeline.lengthen_lists(self.gpu, lengths)? {
+            self.rebind()?;
+        }
+        Ok(())
+    }
+
     /// Parameters and moments of all splats. Waits.
     pub(crate) fn read_splats(&self) -> Result<SplatArrays, GpuError> {
         let (p, n) = (&self.pipeline, self.pipeline.n_splats);

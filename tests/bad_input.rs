@@ -1,0 +1,243 @@
+//! Captures, meshes, adapters and checkpoints that are not as they should be: one line that names the file and what
+//! was expected, exit code 1, nothing left behind.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+
+use centaur::capture::{self, LoadOptions};
+use centaur::optimize::{self, MeshSource, Outcome, Session, TrainOptions};
+use centaur::render::gpu::Gpu;
+use common::{centaur, failure, stderr, write_capture};
+
+/// A run of a second or two.
+const SHORT: [&str; 11] = [
+    "train",
+    "capture",
+    "-o",
+    "scene.glb",
+    "--iterations",
+    "12",
+    "--warmup",
+    "4",
+    "--no-eval",
+    "--quiet",
+    "--surface-iterations=20",
+];
+
+fn folder_with_capture(views: usize) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(&folder.path().join("capture"), views, (48, 32));
+    folder
+}
+
+fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
+    let mut command = centaur(folder);
+    command.args(SHORT).args(more);
+    command
+}
+
+/// Trains a capture of 8 views that `damage` has changed; returns the one line.
+fn refused(damage: impl FnOnce(&Path)) -> String {
+    let folder = folder_with_capture(8);
+    damage(&folder.path().join("capture"));
+    failure(folder.path(), &mut train(folder.path(), []))
+}
+
+fn edit(path: &Path, change: impl FnOnce(String) -> String) {
+    std::fs::write(path, change(std::fs::read_to_string(path).unwrap())).unwrap();
+}
+
+#[test]
+fn captures_with_missing_or_wrong_parts() {
+    let line = refused(|c| {
+        std::fs::remove_file(c.join("images/002.png")).unwrap();
+        std::fs::remove_file(c.join("images/005.png")).unwrap();
+    });
+    assert_eq!(line, "error: capture: 2 of 8 images missing, the first is images/002.png");
+
+    let line = refused(|c| std::fs::write(c.join("images/003.png"), "no picture").unwrap());
+    assert!(line.starts_with("error: capture/images/003.png: "), "{line}");
+
+    // Cut in the middle: the header is right, the pixels are found missing while training.
+    let line = refused(|c| {
+        let path = c.join("images/003.png");
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    });
+    assert!(line.starts_with("error: capture/images/003.png: "), "{line}");
+
+    let line = refused(|c| std::fs::write(c.join("sparse/0/cameras.txt"), "# none\n").unwrap());
+    assert_eq!(line, "error: capture/sparse/0/cameras.txt: cameras: expected at least one camera, found none");
+
+    let line = refused(|c| std::fs::write(c.join("sparse/0/images.txt"), "# none\n").unwrap());
+    assert_eq!(line, "error: capture/sparse/0/images.txt: views: expected at least 2 posed images, found 0");
+
+    for views in 1..=2 {
+        let folder = folder_with_capture(views);
+        let line = failure(folder.path(), &mut train(folder.path(), []));
+        assert!(line.starts_with("error: capture") && line.contains("expected at least"), "{line}");
+        assert!(line.contains(&format!("found {views}")), "{line}");
+    }
+}
+
+#[test]
+fn truncated_binary_models() {
+    let camera = |count: u64| {
+        let mut bytes = count.to_le_bytes().to_vec();
+        bytes.extend([1u32.to_le_bytes(), 1u32.to_le_bytes()].concat());
+        bytes.extend([48u64.to_le_bytes(), 32u64.to_le_bytes()].concat());
+        bytes.extend([48.0, 48.0, 24.0, 16.0].map(f64::to_le_bytes).concat());
+        bytes
+    };
+    let whole = camera(1);
+    // An announced count that no file could hold must not be believed either.
+    for bytes in [&whole[..5], &whole[..whole.len() - 1], &camera(u64::MAX)] {
+        let line = refused(|c| std::fs::write(c.join("sparse/0/cameras.bin"), bytes).unwrap());
+        assert!(line.starts_with("error: capture/sparse/0/cameras.bin: "), "{line}");
+        assert!(line.contains("expected"), "{line}");
+    }
+}
+
+#[test]
+fn poses_and_points_that_are_no_numbers() {
+    for (from, to) in [(" 1.5 1 004.png", " NaN 1 004.png"), (" 1.5 1 004.png", " inf 1 004.png")] {
+        let line = refused(|c| edit(&c.join("sparse/0/images.txt"), |text| text.replacen(from, to, 1)));
+        assert!(line.starts_with("error: capture/sparse/0/images.txt: image 004.png: "), "{line}");
+        assert!(line.contains("expected") && line.contains("finite"), "{line}");
+    }
+    let line = refused(|c| {
+        edit(&c.join("sparse/0/images.txt"), |_| "1 0 0 0 0 0 0 1 1 000.png\n\n2 1 0 0 0 0 0 1 1 001.png\n\n".into());
+    });
+    assert_eq!(
+        line,
+        "error: capture/sparse/0/images.txt: image 000.png: expected a unit quaternion, found [0.0, 0.0, 0.0, 0.0]"
+    );
+    let line = refused(|c| edit(&c.join("sparse/0/points3D.txt"), |text| format!("{text}999 0 NaN 0 1 2 3 0.1\n")));
+    assert!(line.starts_with("error: capture/sparse/0/points3D.txt: point 300: expected finite numbers"), "{line}");
+}
+
+#[test]
+fn captures_without_points_start_from_random_splats() {
+    let folder = folder_with_capture(8);
+    std::fs::write(folder.path().join("capture/sparse/0/points3D.txt"), "").unwrap();
+    let output = train(folder.path(), ["--no-mesh", "--max-splats", "500"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(stderr(&output).is_empty(), "{}", stderr(&output));
+    let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
+    assert_eq!(scene.splats.len(), 500);
+}
+
+#[test]
+fn meshes_without_triangles() {
+    let folder = folder_with_capture(8);
+    let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+    for (name, content) in [
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n".to_owned()),
+        ("lines.obj", "v 0 0 0\nv 1 0 0\nl 1 2\n".to_owned()),
+        ("points.ply", format!("{header}end_header\n0 0 0\n")),
+        ("text.ply", "not a mesh".to_owned()),
+        ("empty.glb", String::new()),
+    ] {
+        std::fs::write(folder.path().join(name), content).unwrap();
+        let line = failure(folder.path(), &mut train(folder.path(), ["--mesh", name]));
+        assert!(line.starts_with(&format!("error: {name}: ")) && line.contains("expected"), "{line}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn folders_that_take_no_files() {
+    let folder = folder_with_capture(3);
+    let mut command = centaur(folder.path());
+    command.args(["train", "capture", "-o", "/proc/scene.glb", "--quiet"]);
+    let line = failure(folder.path(), &mut command);
+    assert!(line.starts_with("error: /proc/scene.glb: cannot write: folder /proc: "), "{line}");
+}
+
+#[test]
+fn adapters_that_do_not_exist() {
+    let folder = folder_with_capture(3);
+    let line = failure(folder.path(), &mut train(folder.path(), ["--adapter", "abacus"]));
+    assert!(line.contains(r#"no adapter matches "abacus"; available: "#), "{line}");
+}
+
+/// Vulkan's loader is told of no driver: as on a machine without one.
+#[cfg(target_os = "linux")]
+#[test]
+fn machines_without_an_adapter() {
+    let folder = folder_with_capture(3);
+    let without_drivers = |command: &mut Command| {
+        for name in ["VK_ICD_FILENAMES", "VK_DRIVER_FILES"] {
+            command.env(name, "/nonexistent.json");
+        }
+        command.env("VK_LOADER_DRIVERS_DISABLE", "*");
+    };
+    let mut command = train(folder.path(), []);
+    without_drivers(&mut command);
+    let line = failure(folder.path(), &mut command);
+    assert!(line.starts_with("error: no GPU adapter found: install "), "{line}");
+    let mut command = centaur(folder.path());
+    command.args(["devices", "--json"]);
+    without_drivers(&mut command);
+    let output = command.output().unwrap();
+    assert_eq!((output.status.code(), output.stdout.trim_ascii()), (Some(0), &b"[]"[..]), "{}", stderr(&output));
+}
+
+#[test]
+fn maps_larger_than_the_adapter_binds() {
+    let limit = centaur::render::gpu::list_adapters()[0].max_binding_bytes;
+    if limit >= 16 * 8192 * 8192 {
+        return; // Nothing that --texture-size accepts is too large here.
+    }
+    let folder = folder_with_capture(8);
+    std::fs::write(folder.path().join("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let arguments = ["--mesh", "mesh.obj", "--texture-size", "8192", "--band-degree", "0"];
+    let line = failure(folder.path(), &mut train(folder.path(), arguments));
+    assert!(line.contains(" MiB, but ") && line.contains("--texture-size"), "{line}");
+}
+
+#[test]
+fn checkpoints_of_other_runs_and_damaged_ones() {
+    let folder = folder_with_capture(8);
+    let checkpoint = folder.path().join("scene.glb.checkpoint");
+    let line = failure(folder.path(), &mut train(folder.path(), ["--resume"]));
+    assert_eq!(line, "error: scene.glb.checkpoint: expected a checkpoint, found none");
+
+    let resumed = |more: &[&str]| {
+        let line = failure(folder.path(), train(folder.path(), ["--no-mesh", "--resume"]).args(more));
+        assert!(line.starts_with("error: scene.glb.checkpoint: "), "{line}");
+        line
+    };
+    for garbage in ["", "no checkpoint, but longer than its header would be"] {
+        std::fs::write(&checkpoint, garbage).unwrap();
+        assert!(resumed(&[]).contains("expected a safetensors file"));
+    }
+
+    let options = TrainOptions { iterations: 12, warmup: 0, surface_iterations: 20, ..TrainOptions::default() };
+    stop_after_one_iteration(folder.path(), &options, &checkpoint);
+    let whole = std::fs::read(&checkpoint).unwrap();
+    let line = resumed(&["--seed", "7"]);
+    assert!(line.ends_with("expected a checkpoint of a run with the same options, but seed was 0 and is 7"), "{line}");
+    let line = resumed(&["--max-side", "40"]);
+    assert!(line.contains("expected a checkpoint of the same photographs at the same size"), "{line}");
+    std::fs::write(&checkpoint, &whole[..whole.len() - 7]).unwrap();
+    assert!(resumed(&[]).contains("truncated"));
+}
+
+fn stop_after_one_iteration(folder: &Path, options: &TrainOptions, checkpoint: &Path) {
+    let capture = capture::open(&folder.join("capture"), &LoadOptions::default()).unwrap();
+    let session = Session {
+        gpu: &Gpu::open(None).unwrap(),
+        checkpoint: Some(checkpoint.into()),
+        resume: false,
+        stop: &AtomicBool::new(true),
+        progress: &mut |_| {},
+    };
+    let trained = optimize::train(&capture, MeshSource::None, options, session).unwrap();
+    assert_eq!(trained.outcome, Outcome::Interrupted);
+}
