@@ -64,9 +64,12 @@ pub(super) fn straighten(chart: &mut Chart) {
     }
 }
 
-/// The largest scale at which all charts fit into `side`×`side` texels, to 0.3 %. Gutters of 4 texels on each side, hence
-/// 8 between charts (METHODS 4.3), give way to 2 and 1 only if the charts do not fit at any useful scale; `None` if
-/// not even then. `area` is the charts' total.
+/// A wider gutter is taken as long as it costs no more than this fraction of the scale that a narrower one allows.
+const GUTTER_WORTH: f64 = 0.75;
+
+/// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are 4 texels on each side, hence
+/// 8 between charts (METHODS 4.3), but 2 or 1 where a mesh of many small charts would lose more than a quarter of its
+/// resolution to them. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
 pub(super) fn pack(charts: &[Chart], area: f64, side: usize) -> Option<Packing> {
     // Scale at which the charts would fill the atlas.
     let full = side as f64 / area.sqrt();
@@ -77,25 +80,42 @@ pub(super) fn pack(charts: &[Chart], area: f64, side: usize) -> Option<Packing> 
         order.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]).then(a.cmp(&b)));
         order
     };
-    for gutter in [4, 2, 1] {
-        let attempt = |scale: f64| try_scale(charts, &order, scale, side, gutter);
-        let (mut fails, mut scale) = (full, full * 0.9);
-        // 0.85^24 = 2 %: less than that and the gutter holds more than the charts.
-        for _ in 0..24 {
-            let Some(mut places) = attempt(scale) else {
-                fails = scale;
-                scale *= 0.85;
-                continue;
-            };
-            for _ in 0..6 {
-                let middle = (scale + fails) / 2.0;
-                match attempt(middle) {
-                    Some(better) => (scale, places) = (middle, better),
-                    None => fails = middle,
-                }
-            }
-            return Some(Packing { scale, gutter, places });
+    let mut chosen: Option<Packing> = None;
+    for gutter in [1, 2, 4] {
+        let least = chosen.as_ref().map_or(0.0, |c| GUTTER_WORTH * c.scale);
+        match largest_scale(charts, &order, full, least, side, gutter) {
+            Some(packing) => chosen = Some(packing),
+            None => break,
         }
+    }
+    chosen
+}
+
+/// The largest scale with this gutter to 0.3 %, unless it is below `least` or 2 % of `full`.
+fn largest_scale(
+    charts: &[Chart],
+    order: &[usize],
+    full: f64,
+    least: f64,
+    side: usize,
+    gutter: usize,
+) -> Option<Packing> {
+    let attempt = |scale: f64| try_scale(charts, order, scale, side, gutter);
+    let (mut fails, mut scale) = (full, full * 0.9);
+    while scale > least.max(0.02 * full) {
+        let Some(mut places) = attempt(scale) else {
+            fails = scale;
+            scale *= 0.85;
+            continue;
+        };
+        for _ in 0..6 {
+            let middle = (scale + fails) / 2.0;
+            match attempt(middle) {
+                Some(better) => (scale, places) = (middle, better),
+                None => fails = middle,
+            }
+        }
+        return Some(Packing { scale, gutter, places });
     }
     None
 }
@@ -149,7 +169,9 @@ fn footprint(chart: &Chart, scale: f64, side: usize, gutter: usize) -> Option<Fo
         let mut o = match flip {
             None => o.clone(),
             Some(n) => {
-                Outline { low: o.high.iter().map(|v| n - v).collect(), high: o.low.iter().map(|v| n - v).collect() }
+                // A chart of separate parts may leave columns empty: their low is `usize::MAX`.
+                let flip = |v: &usize| n.saturating_sub(*v);
+                Outline { low: o.high.iter().map(flip).collect(), high: o.low.iter().map(flip).collect() }
             }
         };
         if reverse {
