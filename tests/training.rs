@@ -6,7 +6,7 @@ mod common;
 
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
@@ -40,6 +40,8 @@ struct Bench {
     mesh: MeshSource,
     options: TrainOptions,
     folder: tempfile::TempDir,
+    /// Of a loss.
+    tolerance: f64,
 }
 
 impl Bench {
@@ -48,7 +50,10 @@ impl Bench {
         let mut capture = capture::open(&demo(), &small).unwrap();
         // Fewer than `max_splats`, so that there is something to decide on.
         capture.points.truncate(700);
-        Self { gpu: Gpu::open(None).unwrap(), capture, mesh, options, folder: tempfile::tempdir().unwrap() }
+        let gpu = Gpu::open(None).unwrap();
+        // One thread adds gradients up in one order; elsewhere the order changes from run to run.
+        let tolerance = if gpu.profile().is_cpu { 0.0 } else { 1e-4 };
+        Self { gpu, capture, mesh, options, folder: tempfile::tempdir().unwrap(), tolerance }
     }
 
     /// Trains, from the checkpoint on if `resume`, and asks for a stop at a report if there is a `stop_at`.
@@ -79,10 +84,8 @@ impl Bench {
         let mut reports = first.history.iter().chain(&second.history);
         for expected in straight {
             let found = reports.find(|p| (p.phase, p.iteration) == (expected.phase, expected.iteration)).unwrap();
-            // The order in which the adapter adds gradients up is not fixed: with gradient-based density two runs of
-            // the same thing differ by up to 3e-5 here, with MCMC by 3e-6.
             let difference = (found.loss - expected.loss).abs();
-            assert!(difference < 1e-4, "stopped at {stop_at:?}: expected {expected:?}, found {found:?}");
+            assert!(difference <= self.tolerance, "stopped at {stop_at:?}: expected {expected:?}, found {found:?}");
             assert_eq!(found.splats, expected.splats, "stopped at {stop_at:?}: {expected:?}");
         }
     }
@@ -92,6 +95,20 @@ impl Bench {
 fn square() -> MeshSource {
     let positions = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]].map(Vec3::from).to_vec();
     MeshSource::Given { surface: Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3]] }, corner_uvs: None }
+}
+
+/// Runs a test of this file in a process of its own where Mesa's software adapter has one thread. With two, gradients
+/// are added up in another order every time, Adam makes whole steps of what is left of cancelling sums, and losses of
+/// two runs of the same thing differ by up to 6e-5 after 100 iterations.
+fn on_one_thread(name: &str, test: impl FnOnce()) {
+    const THREADS: &str = "LP_NUM_THREADS";
+    if std::env::var(THREADS).as_deref() == Ok("1") {
+        return test();
+    }
+    let program = std::env::current_exe().unwrap();
+    let output = Command::new(program).args(["--exact", name]).env(THREADS, "1").output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && text.contains("1 passed"), "{text}");
 }
 
 fn resumes_in_both_phases(density: Density) {
@@ -106,23 +123,26 @@ fn resumes_in_both_phases(density: Density) {
 
 #[test]
 fn resumed_with_gradient_based_density() {
-    resumes_in_both_phases(Density::Inria);
+    on_one_thread("resumed_with_gradient_based_density", || resumes_in_both_phases(Density::Inria));
 }
 
 #[test]
 fn resumed_with_mcmc() {
-    resumes_in_both_phases(Density::Mcmc);
+    on_one_thread("resumed_with_mcmc", || resumes_in_both_phases(Density::Mcmc));
 }
 
-/// Only up to the surface: simplification of the mesh decides by comparisons, so that two runs that differ in the last
-/// bits of the splats get meshes that differ by some triangles, and losses afterwards by up to 6e-3.
 #[test]
 fn resumed_while_looking_for_a_surface() {
-    let bench = Bench::new(MeshSource::Splats, TrainOptions { iterations: 10, warmup: 10, ..options(Density::Inria) });
-    let straight = bench.run(false, None).history;
-    let surface: Vec<Progress> = straight.into_iter().filter(|p| p.phase == Phase::Surface).collect();
-    assert_eq!(surface.len(), 3);
-    bench.assert_same(&surface, (Phase::Surface, 10));
+    on_one_thread("resumed_while_looking_for_a_surface", || {
+        let options = TrainOptions { iterations: 20, warmup: 10, ..options(Density::Inria) };
+        let bench = Bench::new(MeshSource::Splats, options);
+        let mut straight = bench.run(false, None).history;
+        if bench.tolerance > 0.0 {
+            // Simplification decides by comparisons: splats that differ in their last bits make another mesh.
+            straight.retain(|p| p.phase == Phase::Surface);
+        }
+        bench.assert_same(&straight, (Phase::Surface, 10));
+    });
 }
 
 /// Ctrl-C in a terminal is SIGINT.
@@ -151,7 +171,7 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let line = lines.next().unwrap().unwrap();
     assert!(line.starts_with(r#"{"progress":"#), "{line}");
-    let sent = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(sent.success());
     // Reports are read on, so that the child does not wait for a full pipe.
     let last = lines.map(Result::unwrap).last();

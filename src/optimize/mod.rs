@@ -46,11 +46,11 @@ pub enum TrainError {
         found: usize,
     },
     /// A parameter went to NaN or infinity.
-    #[error("iteration {iteration} ({phase:?}): {group} is no longer finite; the last checkpoint is from before")]
+    #[error("iteration {iteration} ({phase:?}): {group} not finite; the last checkpoint is from before")]
     NotFinite {
         /// Phase of the run.
         phase: Phase,
-        /// Iteration in that phase.
+        /// Iteration in that phase at which it was found.
         iteration: u32,
         /// Which parameters.
         group: String,
