@@ -47,10 +47,10 @@ pub(super) struct Args {
     #[command(flatten)]
     adapter: AdapterArgs,
 
-    /// Iterations on mesh and splats together (INRIA 3DGS: 30000)
+    /// Iterations of the splats, those for the surface included (INRIA 3DGS: 30000)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION)]
     iterations: u32,
-    /// Iterations before these on the mesh's maps alone (HERA: 9000); none without a mesh
+    /// Iterations on the mesh's maps alone before it is joined with the splats (HERA: 9000); none without a mesh
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().warmup, help_heading = OPTIMISATION)]
     warmup: u32,
     /// How splats are added and removed
@@ -93,7 +93,7 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// Iterations on splats alone from whose depth the surface is fused (ours)
+    /// Of --iterations, those on splats alone before the surface is fused from their depth (ours)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().surface_iterations, help_heading = MESH)]
     surface_iterations: u32,
     /// Most triangles of a surface made from the capture (ours)

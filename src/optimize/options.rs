@@ -28,11 +28,12 @@ pub enum Background {
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct TrainOptions {
-    /// Joint iterations: 30,000 (3DGS). Schedules stretch with it.
+    /// Iterations of the splats: 30,000 (3DGS), the surface's included. Schedules stretch with it.
     pub iterations: u32,
     /// Iterations on the maps alone before: 9,000 (HERA). Unused without a mesh.
     pub warmup: u32,
-    /// Iterations on splats alone from which a surface is made: 7,000. Unused with a given mesh or without one.
+    /// Of these, iterations on splats alone before a surface is made of them: 15,000, when density control ends. Unused
+    /// with a given mesh or without one.
     pub surface_iterations: u32,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
@@ -75,7 +76,7 @@ impl Default for TrainOptions {
         Self {
             iterations: 30_000,
             warmup: 9_000,
-            surface_iterations: 7_000,
+            surface_iterations: 15_000,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Inria,

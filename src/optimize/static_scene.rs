@@ -4,6 +4,8 @@
 //! alone; everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
 //! the views and decisions of an uninterrupted one.
 
+mod handover;
+
 use std::{
     path::PathBuf,
     sync::atomic::{AtomicBool, Ordering},
@@ -159,6 +161,8 @@ struct Plan {
     /// Iterations done before this run.
     from: u32,
     iterations: u32,
+    /// Iterations of the splats before this phase.
+    clock: u32,
     schedule: Schedule,
     has_mesh: bool,
 }
@@ -222,6 +226,7 @@ impl<'a> Run<'a> {
         let mut scene = HybridScene { splats: initial, meshes: vec![], composition: self.composition() };
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         self.hands_over = source == MeshSource::Splats;
+        let mut trained = None;
         match (&after_surface, source) {
             (Some(saved), _) => scene.meshes.clone_from(&saved.meshes),
             (None, MeshSource::None) => {}
@@ -234,11 +239,16 @@ impl<'a> Run<'a> {
                     return self.finish(&training, &scene, Outcome::Interrupted);
                 }
                 scene.meshes = vec![self.find_surface(&mut training)?];
-                // They are not rendered during the warm-up; the handover picks from them.
-                scene.splats = splat_state(&training)?.to_splats()?;
+                let state = splat_state(&training)?;
+                scene.splats = state.to_splats()?;
+                trained = Some(state);
             }
         }
         let mut training = self.training(&scene)?;
+        if let Some(state) = trained {
+            // With their moments. They are not rendered during the warm-up; the handover picks from them.
+            training.write_splats(&arrays(state))?;
+        }
         let joint = after_surface.as_ref().is_some_and(|s| s.phase == Phase::Joint);
         let (warmup, rest) = if joint { (None, after_surface) } else { (after_surface, None) };
         let mut outcome = Outcome::Finished;
@@ -247,7 +257,7 @@ impl<'a> Run<'a> {
         }
         if outcome == Outcome::Finished {
             if self.hands_over && !joint {
-                self.hand_over(&mut training)?;
+                self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
             }
             outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
         }
@@ -297,64 +307,6 @@ impl<'a> Run<'a> {
         self.options.max_splats.min(by_floats)
     }
 
-    fn find_surface(&mut self, training: &mut Training) -> Result<Mesh, TrainError> {
-        let points: Vec<_> = if self.capture.points.len() < 100 {
-            splat_state(training)?.to_splats()?.means().to_vec()
-        } else {
-            self.capture.points.iter().map(|p| p.position.as_vec3()).collect()
-        };
-        let masked = self.truth_alpha != TruthAlpha::Ignore;
-        surface::from_depths(&self.train_cameras, &points, self.options, self.texture_size(), |i| {
-            let mut depth = training.median_depth(&self.train_cameras[i])?;
-            if masked {
-                let photo = self.cache.get(&self.capture.views[self.train[i]])?;
-                for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
-                    if pixel[3] < 128 {
-                        *d = 0.0;
-                    }
-                }
-            }
-            Ok(depth)
-        })
-    }
-
-    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (METHODS 6: only
-    /// smooth regions are worth a mesh): a splat goes if the mesh alone has no larger error than the splats alone over
-    /// its footprint in all views. What remains is mostly fine structure, and the mesh is seen wherever it is as good.
-    fn hand_over(&mut self, training: &mut Training<'a>) -> Result<(), TrainError> {
-        let mut state = splat_state(training)?;
-        let scene = HybridScene { splats: state.to_splats()?, meshes: vec![], composition: self.composition() };
-        let mut splats_only = self.training(&scene)?;
-        let mut sums = vec![[0.0_f64; 2]; state.len()];
-        for &i in &self.train {
-            let view = &self.capture.views[i];
-            let photo = self.cache.get(view)?;
-            let background = scene.composition.background;
-            let mesh = training.render(&view.camera, background, false)?;
-            let splats = splats_only.render(&view.camera, background, true)?;
-            let errors: Vec<[f32; 3]> = photo
-                .rgba
-                .chunks_exact(4)
-                .zip(mesh.rgb.iter().zip(&splats.rgb))
-                .map(|(truth, (mesh, splats))| {
-                    let seen = if photo.masked { f32::from(truth[3]) / 255.0 } else { 1.0 };
-                    let error = |render: &[f32; 3]| {
-                        (0..3).map(|c| (f32::from(truth[c]) / 255.0 - render[c]).powi(2)).sum::<f32>() * seen
-                    };
-                    [error(mesh), error(splats), 0.0]
-                })
-                .collect();
-            for (sum, row) in sums.iter_mut().zip(splats_only.gather(&view.camera, &errors)?) {
-                sum[0] += f64::from(row[0]);
-                sum[1] += f64::from(row[1]);
-            }
-        }
-        let keep: Vec<bool> = sums.iter().map(|[mesh, splats]| mesh > splats).collect();
-        state.retain(&keep);
-        training.write_splats(&arrays(state))?;
-        Ok(())
-    }
-
     /// Runs a phase from its beginning or from where `saved` left it.
     fn run_phase(
         &mut self,
@@ -364,15 +316,18 @@ impl<'a> Run<'a> {
         saved: Option<Saved>,
     ) -> Result<Outcome, TrainError> {
         let o = self.options;
-        let (iterations, schedule) = match phase {
-            Phase::Surface => (o.surface_iterations, Schedule::new(o.surface_iterations)),
-            Phase::Warmup => (o.warmup, Schedule::new(o.warmup)),
-            Phase::Joint => (o.iterations, Schedule::new(o.iterations)),
+        // Surface and joint phase are two parts of one run of the splats: their clock goes on.
+        let before = o.surface_iterations.min(o.iterations);
+        let (iterations, clock, schedule) = match phase {
+            Phase::Surface => (before, 0, Schedule::new(o.iterations)),
+            Phase::Warmup => (o.warmup, 0, Schedule::new(o.warmup)),
+            Phase::Joint if self.hands_over => (o.iterations - before, before, Schedule::new(o.iterations)),
+            Phase::Joint => (o.iterations, 0, Schedule::new(o.iterations)),
         };
         let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
         let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
         let from = saved.as_ref().map_or(0, |s| s.iteration);
-        let plan = Plan { phase, from, iterations, schedule, has_mesh: !scene.meshes.is_empty() };
+        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh: !scene.meshes.is_empty() };
         let mut epoch = EpochWeight::default();
         if let Some(saved) = saved {
             epoch = saved.restore(training)?;
@@ -424,13 +379,12 @@ impl<'a> Run<'a> {
             Background::White => [1.0; 3],
             Background::Random => [0; 3].map(|_| random.random()),
         };
-        let rates = plan.schedule.rates(t, self.extent);
+        let age = plan.clock + t;
+        let rates = plan.schedule.rates(age, self.extent);
         let mcmc = o.density == Density::Mcmc;
-        // Splats that were handed over have learnt their bands already.
-        let learnt = plan.phase == Phase::Joint && self.hands_over;
-        let sh_degree = if learnt { o.sh_degree } else { plan.schedule.sh_degree(t, o.sh_degree) };
+        let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
-            number: t + 1,
+            number: age + 1,
             n_splats: training.pipeline.n_splats as u32,
             sh_degree,
             rates: SplatRates {
@@ -448,7 +402,7 @@ impl<'a> Run<'a> {
             visible_only: o.visible_only,
         });
         let texels =
-            (plan.has_mesh && !(plan.phase == Phase::Joint && plan.schedule.freezes_mesh_opacity(t))).then(|| {
+            (plan.has_mesh && !(plan.phase == Phase::Joint && plan.schedule.freezes_mesh_opacity(age))).then(|| {
                 let base_rate = match plan.phase {
                     Phase::Warmup => schedule::texel_rate(o.warmup),
                     _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
@@ -485,7 +439,7 @@ impl<'a> Run<'a> {
         max_splats: usize,
         done: u32,
     ) -> Result<(), TrainError> {
-        let (o, schedule) = (self.options, &plan.schedule);
+        let (o, schedule, done) = (self.options, &plan.schedule, plan.clock + done);
         let (densify, reset) = (schedule.densifies_after(done), schedule.resets_opacity_after(done));
         if !densify && !reset {
             return Ok(());

@@ -1,0 +1,80 @@
+//! From splats to a mesh and back to the splats that the mesh does not make superfluous.
+
+use super::{Run, arrays, splat_state};
+use crate::{
+    capture::Photo,
+    optimize::{TrainError, surface},
+    render::gpu::{loss::TruthAlpha, training::Training},
+    scene::{HybridScene, Mesh},
+};
+
+impl<'a> Run<'a> {
+    /// Fuses the median depths of the splats as they are.
+    pub(super) fn find_surface(&mut self, training: &mut Training) -> Result<Mesh, TrainError> {
+        let points: Vec<_> = if self.capture.points.len() < 100 {
+            splat_state(training)?.to_splats()?.means().to_vec()
+        } else {
+            self.capture.points.iter().map(|p| p.position.as_vec3()).collect()
+        };
+        let masked = self.truth_alpha != TruthAlpha::Ignore;
+        surface::from_depths(&self.train_cameras, &points, self.options, self.texture_size(), |i| {
+            let mut depth = training.median_depth(&self.train_cameras[i])?;
+            if masked {
+                let photo = self.cache.get(&self.capture.views[self.train[i]])?;
+                for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
+                    if pixel[3] < 128 {
+                        *d = 0.0;
+                    }
+                }
+            }
+            Ok(depth)
+        })
+    }
+
+    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (METHODS 6: only
+    /// smooth regions are worth a mesh): a splat goes if the mesh alone has no larger squared error than the splats
+    /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
+    pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
+        let mut state = splat_state(training)?;
+        let scene = HybridScene { splats: state.to_splats()?, meshes: vec![], composition: self.composition() };
+        let background = scene.composition.background;
+        let mut splats_only = self.training(&scene)?;
+        let mut advantage = vec![0.0_f64; state.len()];
+        for &i in &self.train {
+            let view = &self.capture.views[i];
+            let photo = self.cache.get(view)?;
+            let mesh = training.render(&view.camera, background, false)?.rgb;
+            let splats = splats_only.render(&view.camera, background, true)?.rgb;
+            let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
+                .map(|(p, (mesh, splats))| {
+                    [squared_error(&photo, p, mesh, background), squared_error(&photo, p, splats, background), 0.0]
+                })
+                .collect();
+            for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(splats_only.gather(&view.camera, &errors)?) {
+                *sum += f64::from(mesh) - f64::from(splats);
+            }
+        }
+        let mut ranked = advantage.clone();
+        ranked.sort_by(|a, b| b.total_cmp(a));
+        let least = ranked.get(max_splats).copied().unwrap_or(0.0).max(0.0);
+        let keep: Vec<bool> = advantage.iter().map(|&a| a > least).collect();
+        state.retain(&keep);
+        training.write_splats(&arrays(state))?;
+        Ok(())
+    }
+}
+
+/// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent,
+/// nothing where it is masked.
+fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], background: [f32; 3]) -> f32 {
+    let truth = &photo.rgba[4 * p..4 * p + 4];
+    let a = f32::from(truth[3]) / 255.0;
+    let error: f32 = (0..3)
+        .map(|c| {
+            let rgb = f32::from(truth[c]) / 255.0;
+            let seen = if photo.masked { rgb } else { a * rgb + (1.0 - a) * background[c] };
+            (seen - render[c]).powi(2)
+        })
+        .sum();
+    if photo.masked { error * a } else { error }
+}
