@@ -6,8 +6,9 @@ PYTHON ?= python3
 export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
 # Mesa complains once per adapter where this is not set.
 export XDG_RUNTIME_DIR ?= /tmp
-# For example: make demo DEMO_FLAGS="--iterations 500"
-DEMO_FLAGS ?=
+# Sized for 2 cores without a GPU; on a GPU take the defaults: make demo DEMO_FLAGS=
+DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --warmup 200 --layers 1 --triangles 8000 --texture-size 512 \
+	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
@@ -61,8 +62,18 @@ test-data: ## tests on real captures and foreign files, in CENTAUR_DATA or ../sh
 test-python: ## unit tests of datasets-scripts
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
 
-test-end-to-end: ## the program on this machine's adapter
+# A coarse run of everything a user does: is a scene trained, written, read, scored, rendered?
+END_TO_END := target/end-to-end
+test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect a small demo
 	$(CENTAUR) devices
+	@rm -rf $(END_TO_END) && mkdir -p $(END_TO_END)
+	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --report $(END_TO_END)/report --max-side 112 --iterations 120 \
+		--surface-iterations 80 --warmup 30 --triangles 2000 --texture-size 128 --quiet
+	$(CENTAUR) inspect $(END_TO_END)/scene.glb
+	$(CENTAUR) eval $(END_TO_END)/scene.glb demo --max-side 112 --quiet --json > $(END_TO_END)/scores.json
+	$(PYTHON) -c "import json; p = json.load(open('$(END_TO_END)/scores.json'))['psnr']; print('held-out PSNR', p); assert p > 17"
+	$(CENTAUR) render $(END_TO_END)/scene.glb -o $(END_TO_END)/frames --quiet
+	test -s $(END_TO_END)/report/report.html && ls $(END_TO_END)/frames | head -3
 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")

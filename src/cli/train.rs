@@ -54,9 +54,9 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().warmup, help_heading = OPTIMISATION)]
     warmup: u32,
     /// How splats are added and removed
-    #[arg(long, value_enum, default_value_t = DensityKind::Inria, help_heading = OPTIMISATION)]
+    #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
     density: DensityKind,
-    /// Most splats there may be; the number to reach with `--density mcmc`
+    /// Most splats there may be; also limited by the largest buffer that the adapter binds
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().max_splats, help_heading = OPTIMISATION)]
     max_splats: usize,
     /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)

@@ -39,7 +39,8 @@ pub struct TrainOptions {
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
     pub ssim_weight: f32,
-    /// Density control: INRIA's, as in the paper.
+    /// Density control: MCMC. The paper builds on INRIA's, which reaches less in short runs at any number of splats
+    /// (demo capture, 800 iterations: 24.2 dB with 27,700 splats, MCMC 25.6 dB with 18,400).
     pub density: Density,
     /// No more splats than this: 1,000,000.
     pub max_splats: usize,
@@ -79,7 +80,7 @@ impl Default for TrainOptions {
             surface_iterations: 15_000,
             sh_degree: 3,
             ssim_weight: 0.2,
-            density: Density::Inria,
+            density: Density::Mcmc,
             max_splats: 1_000_000,
             max_floats: None,
             visible_only: false,

@@ -25,7 +25,7 @@ use super::{
     initialize::{self, Initial},
     resume::{Identity, Saved},
     schedule::{self, Schedule},
-    state::SplatState,
+    state::{GEOMETRY_FLOATS, SplatState},
     surface,
 };
 use crate::{
@@ -295,7 +295,7 @@ impl<'a> Run<'a> {
         self.options.texture_size.unwrap_or_else(|| side.next_power_of_two().clamp(128, 2048))
     }
 
-    /// Most splats that the budgets allow beside these meshes.
+    /// Most splats that the budgets and the adapter's bindings allow beside these meshes.
     fn max_splats(&self, meshes: &[Mesh]) -> usize {
         let mesh_only =
             HybridScene { splats: Splats::empty(0), meshes: meshes.to_vec(), composition: Composition::default() };
@@ -304,7 +304,10 @@ impl<'a> Run<'a> {
             .options
             .max_floats
             .map_or(usize::MAX, |floats| (floats.saturating_sub(mesh_only.total_floats()) / per_splat).max(1));
-        self.options.max_splats.min(by_floats)
+        // The longest array of a splat, in bytes.
+        let widest = 4 * (3 * sh::coefficients(self.options.sh_degree)).max(GEOMETRY_FLOATS);
+        let by_adapter = self.session.gpu.max_binding_bytes() as usize / widest;
+        self.options.max_splats.min(by_floats).min(by_adapter)
     }
 
     /// Runs a phase from its beginning or from where `saved` left it.
