@@ -272,10 +272,10 @@ impl<'a> Run<'a> {
         let (o, points) = (self.options, &self.capture.points);
         let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
         Ok(if points.is_empty() {
-            let count = RANDOM_SPLATS.min(o.max_splats);
+            let count = RANDOM_SPLATS.min(self.max_splats(&[]));
             initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
         } else {
-            initialize::from_points(points, o.sh_degree, initial, o.max_splats, o.seed)?
+            initialize::from_points(points, o.sh_degree, initial, self.max_splats(&[]), o.seed)?
         })
     }
 
