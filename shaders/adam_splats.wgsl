@@ -4,6 +4,9 @@
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
 // bandwidth, 1.7 kB per splat of degree 3.
 
+//#import shared/adam.wgsl
+//#import shared/rotation.wgsl
+
 struct Step {
     n_splats: u32,
     number: u32,                        // t, from 1
@@ -22,10 +25,6 @@ struct Step {
     opacity_slope: f32,                 // of the regulariser by each opacity
     scale_slope: f32,                   // of the regulariser by each scale
 }
-
-const BETA_1: f32 = 0.9;
-const BETA_2: f32 = 0.999;
-const EPSILON: f32 = 1e-15;
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> visible: array<u32>;
@@ -71,17 +70,6 @@ fn logistic(x: f32) -> f32 {
     return 1.0 / (1.0 + exp(min(-x, 80.0)));   // beyond 80 the exponential overflows
 }
 
-// R of a quaternion w, x, y, z.
-fn rotation(quaternion: vec4f) -> mat3x3f {
-    let q = quaternion / max(length(quaternion), 1e-30);
-    let w = q.x; let x = q.y; let y = q.z; let z = q.w;
-    return mat3x3f(
-        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
-        2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
-        2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y),
-    );
-}
-
 @compute @workgroup_size(256)
 fn geometry(
     @builtin(workgroup_id) group: vec3u,
@@ -108,7 +96,7 @@ fn geometry(
 
     if step.noise != 0.0 {
         // MCMC: transparent splats wander along their own shape, Δ = Σ3·ξ with Σ3 = R·S²·Rᵀ.
-        let r = rotation(quaternion);
+        let r = rotation_matrix(quaternion / max(length(quaternion), 1e-30));
         let scale = exp(log_scale.xyz);
         opacity = logistic(position.w);
         let strength = step.noise * logistic(-100.0 * (opacity - 0.005));

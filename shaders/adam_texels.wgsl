@@ -5,6 +5,7 @@
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
+//#import shared/adam.wgsl
 
 struct Step {
     base_rate: f32,
@@ -14,9 +15,6 @@ struct Step {
     visited_only: u32,      // leave floats without gradient and their moments alone
 }
 
-const BETA_1: f32 = 0.9;
-const BETA_2: f32 = 0.999;
-const EPSILON: f32 = 1e-15;
 const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can still fade (METHODS 6)
 
 @group(0) @binding(0) var<uniform> map: Map;

@@ -1,4 +1,5 @@
-// Lists of triangles per bin of BIN×BIN pixels, by counting: `count` triangles per bin, `scan` the counts into offsets, `scatter`.
+// Lists of triangles per bin of BIN×BIN pixels, by counting: `count` triangles per bin, `scan` the counts into offsets,
+// `scatter`.
 //
 // The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one
 // atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin.

@@ -7,8 +7,9 @@
 // A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
 // summed by the subgroup, or through workgroup memory where there are none; one atomic add per sum, splat and
 // subgroup (or tile) remains. `splat_backward` turns the sums into parameter gradients.
-// Per pair: 1 exp, ~40 flops, no memory; per splat and tile: 48 + 4·LAYERS bytes read, 10 atomic adds a subgroup.
+// Per pair: 1 exp, ~40 flops, no memory; per splat and tile: 52 + 4·LAYERS bytes read, 10 atomic adds a subgroup.
 //#import shared/view.wgsl
+//#import shared/blend.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -25,9 +26,6 @@
 @group(0) @binding(11) var<storage, read_write> layer_gradient: array<vec4f>;   // ∂L/∂rgb, ∂L/∂alpha
 //#end
 
-const ALPHA_CUT: f32 = 1.0 / 255.0;
-const ALPHA_CAP: f32 = 0.99;
-const EMPTY_DEPTH: f32 = 3.4028234e38;
 const MOMENTS: u32 = 10u;
 const BATCH: u32 = 64u;
 

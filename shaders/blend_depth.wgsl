@@ -2,6 +2,7 @@
 // never does (METHODS 6). The depth is where the pixel's ray has the Gaussian's peak, not that of its mean: on a tilted
 // surface a flat splat's mean is off by up to its radius. One thread a pixel; run once per training view.
 //#import shared/view.wgsl
+//#import shared/blend.wgsl
 //#import shared/projection.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -9,7 +10,6 @@
 @group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> depth: array<f32>;
-
 @group(0) @binding(5) var<storage, read> geometry: array<vec4f>;
 
 // Depth at which the ray through `pixel` comes closest to the splat's mean in units of its standard deviations.

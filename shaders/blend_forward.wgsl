@@ -2,8 +2,10 @@
 // splat lands in bucket b, the number of layers in front of it at this pixel, and "over" is associative, so every
 // bucket is accumulated on its own and all are composited with the layers at the end.
 // A thread owns PER_THREAD pixels of one tile column, so that a splat's record is read once for all of them.
-// Per (splat, pixel): 1 exp, ~25 flops. Per splat and tile: 48 + 4·LAYERS bytes. Per pixel: 20·BUCKETS bytes saved.
+// Per (splat, pixel): 1 exp, ~25 flops. Per splat and tile: 52 + 4·LAYERS bytes. Per pixel: 20·LAYERS bytes
+// read, 16 written and 20·BUCKETS saved.
 //#import shared/view.wgsl
+//#import shared/blend.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -20,10 +22,7 @@
 @group(0) @binding(9) var<storage, read> layer_color: array<vec4f>;
 //#end
 
-const ALPHA_CUT: f32 = 1.0 / 255.0;     // contributions below are skipped (3DGS)
-const ALPHA_CAP: f32 = 0.99;            // (3DGS)
 const STOP: f32 = 1e-4;                 // transmittance at which a bucket closes (3DGS)
-const EMPTY_DEPTH: f32 = 3.4028234e38;  // of a pixel without a layer: no threshold exceeds it
 const BATCH: u32 = 128u;
 
 var<workgroup> batch_center: array<vec4f, BATCH>;       // centre, depth, opacity

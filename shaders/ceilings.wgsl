@@ -2,6 +2,7 @@
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
 //#import shared/atomic_add.wgsl with TARGET=target_sums BINDING=1
+//#import shared/blend.wgsl
 
 // The arithmetic of the blend with no memory: LOOPS splat·pixel evaluations per thread, one pixel each. Every parameter
 // of the splat differs from one iteration to the next, as in a list of splats, so that no term can be moved out of the
@@ -22,8 +23,8 @@ fn evaluate(@builtin(global_invocation_id) id: vec3u) {
     for (var i = 0u; i < LOOPS; i++) {
         let d = pixel - center;
         let power = -0.5 * conic.x * d.x * d.x + d.y * (-conic.y * d.x - 0.5 * conic.z * d.y);
-        let alpha = min(0.99, opacity * exp(power));
-        if power <= 0.0 && alpha >= 1.0 / 255.0 {
+        let alpha = min(ALPHA_CAP, opacity * exp(power));
+        if power <= 0.0 && alpha >= ALPHA_CUT {
             color += t * alpha * rgb;
             t *= 1.0 - alpha;
         }

@@ -1,6 +1,7 @@
 // Projects every splat: screen ellipse, colour, depth key and the number of tiles it touches (0 = culled).
-// One thread a splat. Reads 48 + 12·(d+1)² bytes, writes 60.
+// One thread a splat. Reads 48 + 12·(d+1)² bytes, writes 56 (8 if culled).
 //#import shared/view.wgsl
+//#import shared/blend.wgsl
 //#import shared/projection.wgsl
 //#import shared/tile_rows.wgsl
 //#import shared/sh.wgsl

@@ -12,8 +12,6 @@
 @group(0) @binding(6) var<storage, read> band_texels: array<f32>;       // [texels, (d+1)²−1, 3]
 @group(0) @binding(7) var<storage, read_write> layer_color: array<vec4f>;   // [LAYERS, h, w]: rgb, alpha
 
-const MAX_ALPHA: f32 = 0.9999;          // the blend divides by 1 − alpha
-
 fn sample_base(pyramid: Pyramid, f: Fragment) -> vec4f {
     let level = mip_level(f, pyramid);
     let finer = u32(level);

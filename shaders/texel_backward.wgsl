@@ -1,9 +1,9 @@
 // One thread per pixel and layer: scatters the gradient of the fragment's colour and alpha to its texels.
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
-// times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient flows to uv,
-// mip level or direction (METHODS 4.5). Per fragment 112 bytes read, and per texel (4 or 8) 4 atomic additions to the
-// base and 3·((d+1)²−1) to the bands: 24 at degree 2.
+// times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient
+// flows to uv, mip level or direction (METHODS 4.5). Per fragment 112 bytes read, and per texel (4 or 8) 4 atomic
+// additions to the base and 3·((d+1)²−1) to the bands: 24 at degree 2.
 
 //#import shared/view.wgsl
 //#import shared/sh.wgsl
@@ -15,8 +15,6 @@
 //#if BANDS
 //#import shared/atomic_add.wgsl with TARGET=band_gradient BINDING=8
 //#end
-
-const MAX_ALPHA: f32 = 0.9999;          // as in shade_layers
 
 fn scatter_base(pyramid: Pyramid, f: Fragment, g: vec4f) {
     let level = mip_level(f, pyramid);

@@ -17,8 +17,8 @@ fn level_offset(map: Map, level: u32) -> u32 {
     return map.offset + texels / 3u * 4u * map.channels;
 }
 
-// Quotient and remainder, for i < 2²⁶ and d ≤ 2¹⁴. CPUs have no vector division of integers: `/` made up most of the
-// time of these kernels there. The first quotient is off by a few at most, the second by one.
+// Quotient and remainder, for i < 2³¹ and d ≤ 2¹⁴. CPUs have no vector division of integers: `/` made up most of the
+// time of these kernels there. The first quotient is off by at most i/d · 2⁻²¹ and a bit, the second by one.
 fn divide(i: u32, d: u32) -> vec2u {
     let inverse = 1.0 / f32(d);
     var quotient = i32(f32(i) * inverse);

@@ -7,7 +7,7 @@
 @group(0) @binding(3) var<storage, read> corner_uvs: array<vec4f>;      // [F, 2]: uv of corners 0, 1; of 2, mesh, 0
 @group(0) @binding(4) var<storage, read> maps: array<Maps>;             // [meshes]
 
-const SH_C0: f32 = 0.28209479177387814;         // Y₀
+const MAX_ALPHA: f32 = 0.9999;          // of a fragment: the blend divides by 1 − alpha
 
 // Change of uv per pixel that is taken for edge-on: more than every texel of the largest map; squares stay finite.
 const MAX_SLOPE: f32 = 1e6;

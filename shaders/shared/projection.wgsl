@@ -1,8 +1,7 @@
 // EWA projection of one splat (METHODS 2.2), shared by the forward and backward stages.
+//#import shared/rotation.wgsl
 
 const LOW_PASS: f32 = 0.3;              // px², added to the screen covariance's diagonal (3DGS)
-const ALPHA_CUT: f32 = 1.0 / 255.0;     // contributions below are skipped (3DGS)
-const ALPHA_CAP: f32 = 0.99;            // (3DGS)
 const CLAMP_MARGIN: f32 = 0.3;          // of half the image, for the Jacobian's clamp
 
 struct Gaussian {
@@ -12,15 +11,6 @@ struct Gaussian {
     scale: vec3f,
     quaternion: vec4f,                  // (w, x, y, z), unit
     quaternion_length: f32,
-}
-
-fn rotation_matrix(q: vec4f) -> mat3x3f {
-    let w = q.x; let x = q.y; let y = q.z; let z = q.w;
-    return mat3x3f(
-        vec3f(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        vec3f(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        vec3f(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
-    );
 }
 
 fn gaussian(a: vec4f, q: vec4f, s: vec4f) -> Gaussian {

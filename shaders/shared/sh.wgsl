@@ -1,10 +1,12 @@
 // Real spherical harmonics (METHODS 2.3) at unit direction d; `scene::sh::basis` is the host's copy.
 
+const SH_C0: f32 = 0.28209479177387814;         // Y₀
+
 fn sh_basis(d: vec3f) -> array<f32, 16> {
     let x = d.x; let y = d.y; let z = d.z;
     let xx = x * x; let yy = y * y; let zz = z * z;
     return array<f32, 16>(
-        0.28209479177387814,
+        SH_C0,
         -0.4886025119029199 * y,
         0.4886025119029199 * z,
         -0.4886025119029199 * x,
