@@ -2,6 +2,8 @@
 
 use std::io::Cursor;
 
+use image::ImageDecoder as _;
+
 use super::lift::{Asset, resolve};
 use crate::format::error::Fault;
 
@@ -14,6 +16,10 @@ pub(super) struct Texels {
 
 /// Largest side accepted, that of `scene::Texture`.
 const MAX_SIDE: u32 = 16384;
+
+/// Bytes of pixels that a byte of a file can stand for at most, with room to spare: deflate reaches 1032, a progressive
+/// JPEG of one colour about 512. Memory is not reserved on the word of a header that claims more.
+const MAX_RATIO: u64 = 4096;
 
 impl Asset {
     /// Decodes the image of texture `index`: PNG (8 or 16 bit) or JPEG.
@@ -32,6 +38,7 @@ impl Asset {
             (None, None) => return Err(Fault::pointer(at, "a bufferView or a uri", "neither")),
         };
         let undecodable = |e: &dyn std::fmt::Display| Fault::pointer(&at, "a PNG or JPEG image", e.to_string());
+        let encoded_bytes = encoded.len() as u64;
         let mut reader =
             image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
         let mut limits = image::Limits::default();
@@ -40,8 +47,37 @@ impl Asset {
         // RGBA of 16 bits at the largest size, for the decoder itself.
         limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * 8);
         reader.limits(limits);
-        let pixels = reader.decode().map_err(|e| undecodable(&e))?.into_rgba32f();
+        let decoder = reader.into_decoder().map_err(|e| undecodable(&e))?;
+        if decoder.total_bytes() / MAX_RATIO > encoded_bytes {
+            let (width, height) = decoder.dimensions();
+            let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_RATIO);
+            return Err(Fault::pointer(&at, expected, format!("{encoded_bytes} bytes")));
+        }
+        let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
         let rgba = pixels.pixels().map(|p| p.0).collect();
         Ok(Texels { width: pixels.width(), height: pixels.height(), rgba })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn an_image_header_that_claims_more_than_its_file_can_hold_is_refused() {
+        let mut jpeg = Cursor::new(vec![]);
+        image::RgbImage::new(8, 8).write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+        let mut jpeg = jpeg.into_inner();
+        let frame_header = jpeg.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+        jpeg[frame_header + 5..frame_header + 9].copy_from_slice(&[0x40, 0, 0x40, 0]);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("a.jpg"), jpeg).unwrap();
+        let json =
+            br#"{ "asset": { "version": "2.0" }, "images": [{ "uri": "a.jpg" }], "textures": [{ "source": 0 }] }"#;
+        let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
+        let message = asset.texels(0).err().unwrap().in_file(Path::new("f")).to_string();
+        assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 196608 bytes"), "{message}");
     }
 }

@@ -21,6 +21,10 @@ use crate::scene::{Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsi
 /// Image height given to cameras that do not state one.
 const DEFAULT_HEIGHT: u32 = 1080;
 
+/// Sides and pixels that the image of a camera may have, as many as the largest photographs: buffers are made for it.
+const MAX_SIDE: u32 = 1 << 16;
+const MAX_PIXELS: u64 = 1 << 28;
+
 pub(in crate::format) fn scene(asset: &Asset) -> Result<GltfScene, Fault> {
     let mut notes = vec![];
     let composition = composition(asset)?;
@@ -303,6 +307,9 @@ fn read_camera(asset: &Asset, index: usize, transform: DMat4) -> Result<(Camera,
     let extras = camera.extras.as_ref().and_then(|e| serde_json::from_str::<Value>(e.get()).ok());
     let exact = extras.and_then(|e| serde_json::from_value::<ExactCamera>(e.get(EXTRAS)?.clone()).ok());
     if let Some(c) = exact {
+        if c.width.max(c.height) > MAX_SIDE || u64::from(c.width) * u64::from(c.height) > MAX_PIXELS {
+            return Err(format!("its image of {}×{} pixels is too large", c.width, c.height));
+        }
         let k = Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy };
         let own = (DMat3::from_cols_array(&c.rotation).transpose(), DVec3::from(c.translation));
         // glTF nodes are read in f32; a larger difference means that somebody has moved the camera.

@@ -102,6 +102,19 @@ fn a_moved_root_moves_everything() {
 }
 
 #[test]
+fn cameras_too_large_to_render_are_left_out() {
+    let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
+    for (width, height) in [(u32::MAX, u32::MAX), (1 << 17, 1), (1 << 15, 1 << 14)] {
+        let mut json = json_of(&glb);
+        let exact = &mut json["cameras"][0]["extras"][extension::EXTRAS];
+        (exact["width"], exact["height"]) = (json!(width), json!(height));
+        let back = read_bytes(&with_json(&glb, &json)).unwrap();
+        assert!(back.cameras.is_empty());
+        assert!(back.notes[0].contains(&format!("{width}×{height} pixels is too large")), "{:?}", back.notes);
+    }
+}
+
+#[test]
 fn foreign_nodes_turn_splats_and_their_harmonics() {
     let scene = HybridScene { meshes: vec![], ..random_scene(4, 0, 3, 6) };
     let glb = bytes_of(&scene, &[]);

@@ -276,7 +276,6 @@ impl Gpu {
     }
 
     fn allocate(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
-        let bytes = bytes.max(16).next_multiple_of(4);
         let limit = self.max_binding_bytes();
         if bytes > limit {
             return Err(GpuError::TooLarge {
@@ -286,6 +285,7 @@ impl Gpu {
                 adapter: self.adapter.clone(),
             });
         }
+        let bytes = bytes.max(16).next_multiple_of(4);
         let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size: bytes,
@@ -300,7 +300,8 @@ impl Gpu {
     /// A zeroed storage buffer of `words` 4-byte words.
     pub(crate) fn storage(&self, label: &str, words: usize) -> Result<Buffer, GpuError> {
         use wgpu::BufferUsages as U;
-        self.allocate(label, words as u64 * 4, U::STORAGE | U::COPY_SRC | U::COPY_DST | U::INDIRECT)
+        // A checkpoint may ask for any number of words.
+        self.allocate(label, (words as u64).saturating_mul(4), U::STORAGE | U::COPY_SRC | U::COPY_DST | U::INDIRECT)
     }
 
     /// A storage buffer with these contents.
