@@ -25,7 +25,7 @@ Examples:
 ///
 /// Prints PSNR and SSIM per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
-/// --images and --masks as in training.
+/// --max-side, --images and --masks as in training.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {

@@ -21,9 +21,10 @@ use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
 const EXAMPLES: &str = "\
 Examples:
   centaur train captures/garden -o garden.glb --downscale 4 --report out/garden
-  centaur train captures/tankard -o tankard.glb --masks --density mcmc --max-splats 200000
+  centaur train captures/tankard -o tankard.glb --masks --max-splats 200000
   centaur train captures/garden -o splats.glb --no-mesh
-  centaur train captures/garden -o garden.glb --mesh scan.obj --layers 2";
+  centaur train captures/garden -o garden.glb --mesh scan.obj --layers 2
+  centaur train captures/garden -o garden.glb --downscale 4 --resume";
 
 /// Train a hybrid scene from a folder of posed photographs
 ///
@@ -77,7 +78,7 @@ pub(super) struct Args {
     /// Measure a held-out view for the progress bar after every N iterations; 0 for never
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
     eval_every: u32,
-    /// Continue from the checkpoint beside the output; give the other options as before
+    /// Continue from SCENE.glb.checkpoint; give the other options as before
     #[arg(long, help_heading = OPTIMISATION)]
     resume: bool,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
@@ -93,7 +94,8 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// Of --iterations, those on splats alone before the surface is fused from their depth (ours)
+    /// Of --iterations, those on splats alone before the surface is fused from their depth (ours); give fewer than
+    /// --iterations, the rest trains splats and mesh together
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().surface_iterations, help_heading = MESH)]
     surface_iterations: u32,
     /// Most triangles of a surface made from the capture (ours)

@@ -35,10 +35,6 @@ pub struct FusionOptions {
 }
 
 impl FusionOptions {
-    /// Voxels per depth range. 2DGS has 1024; METHODS 6 finds a surface good to 1 % sufficient, and memory and time
-    /// are a quarter with 512.
-    pub const DEFAULT_RESOLUTION: u32 = 512;
-
     /// The constants of 2DGS for bounded scenes (METHODS 6): radius = least distance of a camera to the point that all
     /// look at, `max_depth` = 2·radius, voxel = `max_depth`/resolution, truncation = 5 voxels; two views must agree.
     /// The box holds all but the outermost 0.5 % of `points` on each side and lies within `max_depth` of that point.

@@ -7,8 +7,8 @@ use super::{MetricError, psnr, quantised, ssim_inria};
 use crate::scene::HybridScene;
 
 /// How [`ViewScore`]s are taken; belongs next to every table, as numbers of different protocols do not compare.
-pub const PROTOCOL: &str = "held-out views: every 8th by file name; 8-bit quantised; PSNR per image, then mean; \
-     SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); LPIPS n/a (needs network weights)";
+pub const PROTOCOL: &str = "held-out views: the capture's own, else every 8th by file name; 8-bit quantised; PSNR per \
+     image, then mean; SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); LPIPS n/a (needs network weights)";
 
 /// Scores of one held-out view.
 #[derive(Clone, Debug, PartialEq, Serialize)]

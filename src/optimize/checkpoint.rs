@@ -28,7 +28,7 @@ const SPLATS: [&str; 6] =
 /// and the 128-bit state of a generator must be a string.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Checkpoint {
-    /// The optimiser's own: iteration, seed, state of generators, hash of the options …
+    /// The optimiser's own: phase, iteration, options, what the run was given …
     pub meta: Value,
     /// The splats with their moments.
     pub splats: SplatState,

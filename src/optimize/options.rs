@@ -32,8 +32,9 @@ pub struct TrainOptions {
     pub iterations: u32,
     /// Iterations on the maps alone before: 9,000 (HERA). Unused without a mesh.
     pub warmup: u32,
-    /// Of these, iterations on splats alone before a surface is made of them: 15,000, when density control ends. Unused
-    /// with a given mesh or without one.
+    /// Of `iterations`, those on splats alone before a surface is made of them: 15,000, when INRIA's density control
+    /// ends. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained
+    /// together.
     pub surface_iterations: u32,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
@@ -68,7 +69,7 @@ pub struct TrainOptions {
     pub triangles: usize,
     /// Iterations between checkpoints, 0 for none but the last: 2,000.
     pub checkpoint_every: u32,
-    /// Iterations between looks at a held-out view: 500.
+    /// Iterations between looks at held-out views, 0 for none but the last: 500.
     pub eval_every: u32,
 }
 
