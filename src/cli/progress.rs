@@ -30,7 +30,8 @@ impl Reporter {
     }
 
     pub(super) fn update(&mut self, p: &Progress) {
-        // The curves are those of the scene that is written, not of the splats that only served to find a surface.
+        // The curves begin with the mesh: the surface phase counts iterations of its own, and the mesh replaces most of
+        // its splats.
         let at = match p.phase {
             Phase::Surface => None,
             Phase::Warmup => Some(f64::from(p.iteration) - f64::from(p.of)),

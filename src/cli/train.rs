@@ -88,7 +88,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     max_floats: Option<usize>,
 
-    /// Surface to use: .glb, .obj or .ply; its UVs are kept [default: fused from the depth of a short splat training]
+    /// Surface to use: .glb, .obj or .ply; its UVs are kept [default: fused from the depth of splats,
+    /// see --surface-iterations]
     #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
     mesh: Option<PathBuf>,
     /// Splats alone

@@ -1,4 +1,4 @@
-//! A mesh for the hybrid: from briefly trained splats by way of depth maps, or from geometry that the user has.
+//! A mesh for the hybrid: from splats by way of their depth maps, or from geometry that the user has.
 
 use glam::{Vec2, Vec3};
 
@@ -16,7 +16,7 @@ const MAX_RESOLUTION: u32 = 1024;
 pub enum MeshSource {
     /// No mesh: plain 3DGS.
     None,
-    /// Splats are trained briefly and their median depths fused (METHODS 6).
+    /// Splats are trained first and their median depths fused (METHODS 6).
     #[default]
     Splats,
     /// The user's; unwrapped if it has no texture coordinates.
