@@ -218,7 +218,7 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
         assert!(resumed(&[]).contains("expected a safetensors file"));
     }
 
-    let options = TrainOptions { iterations: 12, warmup: 0, surface_iterations: 20, ..TrainOptions::default() };
+    let options = TrainOptions { iterations: 12, warmup: 0, surface_iterations: Some(20), ..TrainOptions::default() };
     stop_after_one_iteration(folder.path(), &options, &checkpoint);
     let whole = std::fs::read(&checkpoint).unwrap();
     let line = resumed(&["--seed", "7"]);

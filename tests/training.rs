@@ -23,7 +23,7 @@ fn options(density: Density) -> TrainOptions {
     TrainOptions {
         iterations: 90, // the fewest with a density step between those of warm-up and end
         warmup: 20,
-        surface_iterations: 30,
+        surface_iterations: Some(30),
         density,
         max_splats: 1500,
         sh_degree: 1,

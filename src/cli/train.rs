@@ -95,10 +95,10 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// Of --iterations, those on splats alone before the surface is fused from their depth (ours); give fewer than
-    /// --iterations, the rest trains splats and mesh together
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().surface_iterations, help_heading = MESH)]
-    surface_iterations: u32,
+    /// Of --iterations, those on splats alone before the surface is fused from their depth; the rest trains splats and
+    /// mesh together [default: half]
+    #[arg(long, value_name = "N", help_heading = MESH)]
+    surface_iterations: Option<u32>,
     /// Most triangles of a surface made from the capture (ours)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, help_heading = MESH)]
     triangles: usize,

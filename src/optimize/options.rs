@@ -35,7 +35,7 @@ pub struct TrainOptions {
     /// Of `iterations`, those on splats alone before a surface is made of them: 15,000, when INRIA's density control
     /// ends. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained
     /// together.
-    pub surface_iterations: u32,
+    pub surface_iterations: Option<u32>,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -73,12 +73,20 @@ pub struct TrainOptions {
     pub eval_every: u32,
 }
 
+impl TrainOptions {
+    /// Iterations on splats alone, if a surface is made of them.
+    #[must_use]
+    pub fn before_surface(&self) -> u32 {
+        self.surface_iterations.unwrap_or(self.iterations / 2).min(self.iterations)
+    }
+}
+
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             iterations: 30_000,
             warmup: 9_000,
-            surface_iterations: 15_000,
+            surface_iterations: None,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,

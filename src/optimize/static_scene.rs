@@ -320,7 +320,7 @@ impl<'a> Run<'a> {
     ) -> Result<Outcome, TrainError> {
         let o = self.options;
         // Surface and joint phase are two parts of one run of the splats: their clock goes on.
-        let before = o.surface_iterations.min(o.iterations);
+        let before = o.before_surface();
         let (iterations, clock, schedule) = match phase {
             Phase::Surface => (before, 0, Schedule::new(o.iterations)),
             Phase::Warmup => (o.warmup, 0, Schedule::new(o.warmup)),

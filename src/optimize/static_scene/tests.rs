@@ -17,7 +17,7 @@ fn options() -> TrainOptions {
     TrainOptions {
         iterations: 20,
         warmup: 10,
-        surface_iterations: 40,
+        surface_iterations: Some(40),
         max_splats: 1500,
         texture_size: Some(64),
         checkpoint_every: 0,
