@@ -193,7 +193,7 @@ fn broken_captures_are_refused_in_one_line() {
     assert!(refused("images.bin", images_bin(&names(["00.png"; 3])[..1])).contains("at least 2"));
     assert!(refused("images.bin", 0u64.to_le_bytes().to_vec()).contains("at least 2"));
     assert!(refused("images.bin", u64::MAX.to_le_bytes().to_vec()).contains("ends at byte 8"));
-    assert!(refused("cameras.bin", 0u64.to_le_bytes().to_vec()).contains("found camera 7"));
+    assert!(refused("cameras.bin", 0u64.to_le_bytes().to_vec()).contains("expected at least one camera"));
     let equirectangular = refused("cameras.bin", cameras_bin(17, 8, 4, &[8.0, 4.0]));
     assert!(equirectangular.contains("EQUIRECTANGULAR"), "{equirectangular}");
     assert!(refused("cameras.bin", cameras_bin(99, 8, 4, &[])).contains("99"));
