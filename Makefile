@@ -67,9 +67,9 @@ END_TO_END := target/end-to-end
 test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect a small demo
 	$(CENTAUR) devices
 	@rm -rf $(END_TO_END) && mkdir -p $(END_TO_END)
-	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --report $(END_TO_END)/report --max-side 112 --iterations 120 \
+	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --ply $(END_TO_END)/splats.ply --report $(END_TO_END)/report --max-side 112 --iterations 120 \
 		--surface-iterations 80 --warmup 30 --triangles 2000 --texture-size 128 --quiet
-	$(CENTAUR) inspect $(END_TO_END)/scene.glb
+	$(CENTAUR) inspect $(END_TO_END)/scene.glb && $(CENTAUR) inspect $(END_TO_END)/splats.ply
 	$(CENTAUR) eval $(END_TO_END)/scene.glb demo --max-side 112 --quiet --json > $(END_TO_END)/scores.json
 	$(PYTHON) -c "import json; p = json.load(open('$(END_TO_END)/scores.json'))['psnr']; print('held-out PSNR', p); assert p > 17"
 	$(CENTAUR) render $(END_TO_END)/scene.glb -o $(END_TO_END)/frames --quiet

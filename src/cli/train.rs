@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::Capture;
-use centaur::format::gltf;
 use centaur::format::mesh_import;
+use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
 use centaur::metrics::{Evaluation, plot::Plot};
 use centaur::optimize::{self, Background, Density, MeshSource, Outcome, Session, TrainOptions, Trained};
@@ -39,6 +39,9 @@ pub(super) struct Args {
     /// Scene to write
     #[arg(short, long, value_name = "SCENE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
     output: PathBuf,
+    /// Also write the splats alone, without the mesh, in INRIA's layout
+    #[arg(long, value_name = "SPLATS.ply", value_parser = |s: &str| output::with_extension(s, &["ply"]))]
+    ply: Option<PathBuf>,
     /// Folder for report.html, metrics.json and pictures of the held-out views
     #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]
     report: Option<PathBuf>,
@@ -218,6 +221,7 @@ impl Args {
     /// What can be known to fail before the first iteration.
     fn check(&self) -> Result<()> {
         output::check_file(&self.output)?;
+        self.ply.as_deref().map_or(Ok(()), output::check_file)?;
         self.report.as_deref().map_or(Ok(()), output::check_folder)?;
         if let Some(mesh) = &self.mesh {
             ensure!(mesh.is_file(), "{}: expected a mesh file, found none", mesh.display());
@@ -269,6 +273,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let cameras: Vec<_> = capture.views.iter().map(|v| (v.name.clone(), v.camera)).collect();
     let extras = serde_json::json!({ "capture": capture.name, "settings": options });
     gltf::write_glb(&args.output, &trained.scene, &cameras, Some(extras))?;
+    if let Some(path) = &args.ply {
+        ply::write(path, &trained.scene.splats)?;
+    }
     // The scene is complete; what was kept for resuming has served.
     let _ = std::fs::remove_file(args.checkpoint());
     let evaluation =
