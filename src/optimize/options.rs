@@ -41,7 +41,7 @@ pub struct TrainOptions {
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
     pub ssim_weight: f32,
     /// Density control: MCMC. The paper builds on INRIA's, which reaches less in short runs at any number of splats
-    /// (demo capture, 800 iterations: 24.2 dB with 27,700 splats, MCMC 25.6 dB with 18,400).
+    /// (demo capture, after 800 iterations: 24.3 dB with 27,700 splats, MCMC 25.6 dB with 18,400).
     pub density: Density,
     /// No more splats than this: 1,000,000.
     pub max_splats: usize,

@@ -1,7 +1,7 @@
 //! Static scenes: from posed photographs to a hybrid (METHODS 2.6–2.8, 4.7).
 //!
-//! Three phases: splats alone, briefly, for a surface (unless there is a mesh or none is wanted); the maps of the mesh
-//! alone; everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
+//! Three phases: splats alone, for a surface (unless there is a mesh or none is wanted); the maps of the mesh alone;
+//! everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
 //! the views and decisions of an uninterrupted one.
 
 mod handover;
@@ -73,7 +73,7 @@ pub struct Progress {
     pub iteration: u32,
     /// Iterations of this phase.
     pub of: u32,
-    /// 0.8·L1 + 0.2·(1 − SSIM) of the last view.
+    /// (1 − w)·L1 + w·(1 − SSIM) of the last view, w the option `ssim_weight`.
     pub loss: f64,
     /// Splats there are.
     pub splats: usize,
@@ -497,15 +497,16 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Mean PSNR over up to four held-out views, over black.
+    /// Mean PSNR over up to four held-out views, over the scene's background.
     fn held_out_psnr(&self, training: &mut Training, phase: Phase) -> Result<Option<f64>, TrainError> {
         let stride = self.test.len().div_ceil(4).max(1);
+        let background = self.composition().background;
         let mut scores = vec![];
         for &i in self.test.iter().step_by(stride) {
             let view = &self.capture.views[i];
             let photo = self.cache.get(view)?;
-            let picture = training.render(&view.camera, [0.0; 3], phase != Phase::Warmup)?;
-            scores.push(psnr(&photo, &picture.rgb));
+            let picture = training.render(&view.camera, background, phase != Phase::Warmup)?;
+            scores.push(psnr(&photo, &picture.rgb, background));
         }
         Ok((!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64))
     }
@@ -536,17 +537,27 @@ fn random(seed: u64, phase: Phase, t: u32) -> Pcg64 {
     Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(t) << 2 | phase as u64))
 }
 
-/// PSNR of a picture over black, where a mask multiplies both (METHODS 8), dB.
-fn psnr(photo: &Photo, render: &[[f32; 3]]) -> f64 {
-    let mut squares = 0.0;
-    for (truth, render) in photo.rgba.chunks_exact(4).zip(render) {
-        let a = f64::from(truth[3]) / 255.0;
-        for c in 0..3 {
-            let shown = f64::from((render[c].clamp(0.0, 1.0) * 255.0).round()) * if photo.masked { a } else { 1.0 };
-            squares += ((f64::from(truth[c]) * a - shown) / 255.0).powi(2);
-        }
-    }
+/// PSNR of a picture as its 8-bit file would show it (METHODS 8), dB.
+fn psnr(photo: &Photo, render: &[[f32; 3]], background: [f32; 3]) -> f64 {
+    let shown = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() / 255.0;
+    let error = |(p, rgb): (usize, &[f32; 3])| f64::from(squared_error(photo, p, &rgb.map(shown), background));
+    let squares: f64 = render.iter().enumerate().map(error).sum();
     -10.0 * (squares / (3 * render.len()).max(1) as f64).log10()
+}
+
+/// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent; a mask
+/// multiplies both (METHODS 8).
+fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], background: [f32; 3]) -> f32 {
+    let truth = &photo.rgba[4 * p..4 * p + 4];
+    let a = f32::from(truth[3]) / 255.0;
+    let error: f32 = (0..3)
+        .map(|c| {
+            let rgb = f32::from(truth[c]) / 255.0;
+            let seen = if photo.masked { rgb } else { a * rgb + (1.0 - a) * background[c] };
+            (seen - render[c]).powi(2)
+        })
+        .sum();
+    if photo.masked { error * a * a } else { error }
 }
 
 /// The splats on the GPU with their moments.

@@ -67,7 +67,7 @@ impl Texture {
         (1 + halvings).min(Self::MAX_LEVELS)
     }
 
-    /// Cap on mip levels: packed charts with gutters of 2⁴ texels stay apart to level 4.
+    /// Cap on mip levels (METHODS 4.3: at most 5 for densely packed charts). Charts `n` texels apart mix from level log₂ n on.
     pub const MAX_LEVELS: u32 = 5;
 }
 

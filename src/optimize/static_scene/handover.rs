@@ -1,8 +1,7 @@
 //! From splats to a mesh and back to the splats that the mesh does not make superfluous.
 
-use super::{Run, arrays, splat_state};
+use super::{Run, arrays, splat_state, squared_error};
 use crate::{
-    capture::Photo,
     optimize::{TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{HybridScene, Mesh},
@@ -62,19 +61,4 @@ impl<'a> Run<'a> {
         training.write_splats(&arrays(state))?;
         Ok(())
     }
-}
-
-/// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent,
-/// nothing where it is masked.
-fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], background: [f32; 3]) -> f32 {
-    let truth = &photo.rgba[4 * p..4 * p + 4];
-    let a = f32::from(truth[3]) / 255.0;
-    let error: f32 = (0..3)
-        .map(|c| {
-            let rgb = f32::from(truth[c]) / 255.0;
-            let seen = if photo.masked { rgb } else { a * rgb + (1.0 - a) * background[c] };
-            (seen - render[c]).powi(2)
-        })
-        .sum();
-    if photo.masked { error * a } else { error }
 }
