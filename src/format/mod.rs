@@ -7,6 +7,7 @@ mod color;
 mod error;
 pub mod gltf;
 mod inspect;
+mod loss;
 pub mod mesh_import;
 pub mod ply;
 #[cfg(test)]
@@ -17,6 +18,7 @@ use std::path::Path;
 pub use atomic::{atomic_write, atomic_write_with};
 pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
+pub use loss::{Loss, SplatError, WriteReport};
 
 use crate::scene::{Composition, HybridScene};
 

@@ -1,0 +1,242 @@
+//! What a written file does not hold of the scene that it was made from.
+
+use std::fmt;
+
+use glam::{Quat, Vec3};
+use serde::Serialize;
+
+use super::activation;
+use crate::scene::{Splats, sh};
+
+/// What a writer did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WriteReport {
+    /// Length of the file.
+    pub bytes: u64,
+    /// What did not get into it.
+    pub loss: Loss,
+}
+
+/// What a reader of the written file cannot get back. Measured on what was written, not derived from the format.
+///
+/// `Display` gives one line: the parts that are lost, separated by `; `, or `nothing`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Loss {
+    /// Number of meshes left out.
+    pub meshes: usize,
+    /// Number of cameras left out.
+    pub cameras: usize,
+    /// True if the rule of blending (order, λ, background, colour space) is left out.
+    pub composition: bool,
+    /// SH degree of the scene and that of the file, where bands are left out.
+    pub sh_degree: Option<[u32; 2]>,
+    /// Largest differences between the splats and what the file says of them.
+    pub max_error: SplatError,
+}
+
+/// Largest absolute difference per attribute, over all splats.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SplatError {
+    /// Along x, y or z, in scene units.
+    pub mean: f32,
+    /// Angle between the orientations, in degrees. (For round splats it has no effect.)
+    pub rotation: f32,
+    /// Of the natural logarithm of a standard deviation: 0.01 is 1 % in size. Standard deviations below 10⁻⁸ count as
+    /// 10⁻⁸.
+    pub log_scale: f32,
+    /// In 0..1.
+    pub opacity: f32,
+    /// Of the colour of SH coefficient 0 alone, `0.5 + C0·dc`, not clamped: 1 is the full range of display.
+    pub color: f32,
+    /// Of an SH coefficient of the bands that both have.
+    pub sh: f32,
+}
+
+impl Loss {
+    /// True if a reader gets back everything, to the last bit of the parameters of the splats.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// That of splats which are written as `after`, splat by splat in the same order.
+    ///
+    /// # Panics
+    /// If the numbers of splats differ.
+    #[must_use]
+    pub fn of_splats(before: &Splats, after: &Splats) -> Self {
+        assert_eq!(before.len(), after.len(), "the same splats before and after");
+        let mut loss = Self::of_sh_degree(before.sh_degree(), after.sh_degree());
+        for i in 0..before.len() {
+            loss.max_error.include(&Record::of(before, i), &Record::of(after, i));
+        }
+        loss
+    }
+
+    pub(super) fn of_sh_degree(before: u32, after: u32) -> Self {
+        Self { sh_degree: (after < before).then_some([before, after]), ..Self::default() }
+    }
+}
+
+impl fmt::Display for Loss {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut parts = vec![];
+        if self.meshes > 0 {
+            parts.push(format!("{} mesh(es)", self.meshes));
+        }
+        if self.cameras > 0 {
+            parts.push(format!("{} camera(s)", self.cameras));
+        }
+        if self.composition {
+            parts.push("the rule of blending".to_owned());
+        }
+        if let Some([before, after]) = self.sh_degree {
+            parts.push(format!("SH bands above degree {after} of {before}"));
+        }
+        let e = &self.max_error;
+        let errors = [
+            (e.mean, "mean", ""),
+            (e.rotation, "rotation", "°"),
+            (e.log_scale, "log scale", ""),
+            (e.opacity, "opacity", ""),
+            (e.color, "colour", ""),
+            (e.sh, "SH", ""),
+        ];
+        let errors = errors.iter().filter(|(error, ..)| *error > 0.0);
+        let errors: Vec<String> = errors.map(|(error, name, unit)| format!("{name} ±{error:.2e}{unit}")).collect();
+        if !errors.is_empty() {
+            parts.push(format!("precision: {}", errors.join(", ")));
+        }
+        if parts.is_empty() {
+            return write!(f, "nothing");
+        }
+        write!(f, "{}", parts.join("; "))
+    }
+}
+
+impl SplatError {
+    /// Takes the larger of both, attribute by attribute.
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            mean: self.mean.max(other.mean),
+            rotation: self.rotation.max(other.rotation),
+            log_scale: self.log_scale.max(other.log_scale),
+            opacity: self.opacity.max(other.opacity),
+            color: self.color.max(other.color),
+            sh: self.sh.max(other.sh),
+        }
+    }
+
+    /// Takes in the differences of one splat. Coefficients are compared where both have them.
+    pub(super) fn include(&mut self, before: &Record<'_>, after: &Record<'_>) {
+        let widest = |a: [f32; 3], b: [f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+        let floored = |log_scale: Vec3| log_scale.max(Vec3::splat(LEAST_LOG_SCALE));
+        *self = self.max(Self {
+            mean: (before.mean - after.mean).abs().max_element(),
+            rotation: degrees_between(before.rotation, after.rotation),
+            log_scale: (floored(before.log_scale) - floored(after.log_scale)).abs().max_element(),
+            opacity: (activation::opacity(before.opacity_logit) - activation::opacity(after.opacity_logit)).abs(),
+            color: sh::C0 as f32 * widest(before.sh[0], after.sh[0]),
+            sh: before.sh[1..].iter().zip(&after.sh[1..]).map(|(a, b)| widest(*a, *b)).fold(0.0, f32::max),
+        });
+    }
+}
+
+/// ln 10⁻⁸. A splat that thin is a disc to every renderer (they widen it by 0.3 px), and 0 is how some write it.
+const LEAST_LOG_SCALE: f32 = -18.420_68;
+
+/// Angle of the rotation between two orientations. By the chord, which is exact where the cosine has lost all digits.
+fn degrees_between(a: Quat, b: Quat) -> f32 {
+    let (a, b) = (a.as_dquat(), b.as_dquat());
+    let chord = (a - b).length().min((a + b).length());
+    (4.0 * (chord / 2.0).min(1.0).asin()).to_degrees() as f32
+}
+
+/// One splat in the parameters of [`Splats`]: what codecs encode and decode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Record<'a> {
+    pub(super) mean: Vec3,
+    pub(super) rotation: Quat,
+    pub(super) log_scale: Vec3,
+    pub(super) opacity_logit: f32,
+    pub(super) sh: &'a [[f32; 3]],
+}
+
+impl<'a> Record<'a> {
+    pub(super) fn of(splats: &'a Splats, i: usize) -> Self {
+        Self {
+            mean: splats.means()[i],
+            rotation: splats.rotations()[i],
+            log_scale: splats.log_scales()[i],
+            opacity_logit: splats.opacity_logits()[i],
+            sh: splats.sh_of(i),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::format::test_scenes::random_splats;
+
+    struct Arrays {
+        means: Vec<Vec3>,
+        rotations: Vec<Quat>,
+        log_scales: Vec<Vec3>,
+        logits: Vec<f32>,
+        sh: Vec<[f32; 3]>,
+    }
+
+    #[test]
+    fn each_attribute_is_measured_in_its_unit() {
+        let splats = random_splats(5, 2, 1);
+        assert!(Loss::of_splats(&splats, &splats).is_none());
+        let changed = |change: fn(usize, &mut Arrays)| {
+            let mut arrays = Arrays {
+                means: splats.means().to_vec(),
+                rotations: splats.rotations().to_vec(),
+                log_scales: splats.log_scales().to_vec(),
+                logits: splats.opacity_logits().to_vec(),
+                sh: splats.sh().to_vec(),
+            };
+            (0..5).for_each(|i| change(i, &mut arrays));
+            let Arrays { means, rotations, log_scales, logits, sh } = arrays;
+            let after = Splats::new(means, rotations, log_scales, logits, 2, sh).unwrap();
+            Loss::of_splats(&splats, &after).max_error
+        };
+        let near = |a: f32, b: f32| (a - b).abs() <= 1e-5 * b;
+        let e = changed(|i, s| s.means[i].y += 0.01 * i as f32);
+        assert!((e.mean - 0.04).abs() < 1e-6 && SplatError { mean: 0.0, ..e } == SplatError::default());
+        let e = changed(|i, s| s.rotations[i] *= Quat::from_rotation_y(0.1 * i as f32));
+        assert!(near(e.rotation, 0.4f32.to_degrees()), "{}", e.rotation);
+        let e = changed(|i, s| s.rotations[i] = -s.rotations[i]);
+        assert!(e.rotation < 1e-4, "the same orientation: {}", e.rotation);
+        let e = changed(|i, s| s.log_scales[i].z -= 0.5);
+        assert!(near(e.log_scale, 0.5));
+        let e = changed(|i, s| s.logits[i] = 40.0);
+        assert!(e.opacity <= 1.0 && e.opacity > 0.5);
+        let e = changed(|i, s| s.sh[9 * i][2] += 1.0);
+        assert!(near(e.color, sh::C0 as f32) && e.sh == 0.0);
+        let e = changed(|i, s| s.sh[9 * i + 8][0] += 0.25);
+        assert!(near(e.sh, 0.25) && e.color == 0.0);
+    }
+
+    #[test]
+    fn the_line_names_what_is_lost() {
+        assert_eq!(Loss::default().to_string(), "nothing");
+        let loss = Loss {
+            meshes: 2,
+            cameras: 1,
+            composition: true,
+            sh_degree: Some([3, 0]),
+            max_error: SplatError { mean: 0.00012, rotation: 0.5, ..SplatError::default() },
+        };
+        assert_eq!(
+            loss.to_string(),
+            "2 mesh(es); 1 camera(s); the rule of blending; SH bands above degree 0 of 3; \
+             precision: mean ±1.20e-4, rotation ±5.00e-1°"
+        );
+        assert!(!loss.is_none());
+    }
+}
