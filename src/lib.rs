@@ -7,6 +7,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test"))]
 
 pub mod capture;
+pub mod edit;
 pub mod format;
 pub mod geometry;
 pub mod metrics;

@@ -6,9 +6,10 @@
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
-const MAY_IMPORT: [(&str, &[&str]); 7] = [
+const MAY_IMPORT: [(&str, &[&str]); 8] = [
     ("scene", &[]),
     ("capture", &["scene"]),
+    ("edit", &["scene"]),
     ("format", &["scene"]),
     ("geometry", &["scene"]),
     ("metrics", &["scene"]),

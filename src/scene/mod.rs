@@ -13,7 +13,7 @@ mod splats;
 pub use camera::{Camera, Intrinsics};
 pub use composition::{ColorSpace, Composition, OrderMode};
 pub use mesh::{Atlas, Mesh, Texture};
-pub use splats::Splats;
+pub use splats::{SplatArrays, Splats};
 
 /// Splats, meshes and the rule by which they are blended.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,5 +1,9 @@
 //! Real spherical harmonics in the sign convention of INRIA 3DGS and `KHR_gaussian_splatting` (METHODS 2.3).
 
+mod rotation;
+
+pub use rotation::Rotation;
+
 /// Highest supported degree.
 pub const MAX_DEGREE: u32 = 3;
 

@@ -2,6 +2,9 @@ use glam::{Quat, Vec3};
 
 use super::{SceneError, check_finite, check_len, sh};
 
+/// How far rounding four components to f32 takes a quaternion's length from 1: 2 · 2⁻²⁵ where they are equal.
+const UNIT_TOLERANCE: f64 = 6e-8;
+
 /// `N` anisotropic 3D Gaussians in the parameters that are optimised (METHODS 2.1).
 ///
 /// Every array has the same length and only finite values; rotations are not zero.
@@ -48,13 +51,23 @@ impl Splats {
         check_finite("sh", bytemuck::cast_slice(&sh), 3 * sh::coefficients(sh_degree))?;
         for (i, q) in rotations.iter_mut().enumerate() {
             // In f64, so that any finite non-zero f32 quaternion survives.
-            let unit = q.as_dquat().normalize();
-            if !unit.is_finite() {
+            let length = q.as_dquat().length();
+            if !(length > 0.0 && length.is_finite()) {
                 return Err(SceneError::new(format!("rotations[{i}]"), "a non-zero quaternion", q.to_string()));
             }
-            *q = unit.as_quat();
+            // One that is as long as f32 can tell keeps its bits, however often it comes by here.
+            if (length - 1.0).abs() > UNIT_TOLERANCE {
+                *q = (q.as_dquat() / length).as_quat();
+            }
         }
         Ok(Self { means, rotations, log_scales, opacity_logits, sh_degree, sh })
+    }
+
+    /// Gives the arrays back, to be changed and taken by [`Self::new`] again.
+    #[must_use]
+    pub fn into_arrays(self) -> SplatArrays {
+        let Self { means, rotations, log_scales, opacity_logits, sh_degree, sh } = self;
+        SplatArrays { means, rotations, log_scales, opacity_logits, sh_degree, sh }
     }
 
     /// No splats at all.
@@ -126,5 +139,28 @@ impl Splats {
     pub fn sh_of(&self, i: usize) -> &[[f32; 3]] {
         let k = sh::coefficients(self.sh_degree);
         &self.sh[i * k..(i + 1) * k]
+    }
+}
+
+/// The arrays of [`Splats`] without their guarantees; shapes and units are those of [`Splats::new`].
+#[derive(Clone, Debug, Default, PartialEq)]
+#[expect(missing_docs, reason = "the fields are the arguments of `Splats::new`")]
+pub struct SplatArrays {
+    pub means: Vec<Vec3>,
+    pub rotations: Vec<Quat>,
+    pub log_scales: Vec<Vec3>,
+    pub opacity_logits: Vec<f32>,
+    pub sh_degree: u32,
+    pub sh: Vec<[f32; 3]>,
+}
+
+impl SplatArrays {
+    /// Checks what it has become.
+    ///
+    /// # Errors
+    /// As [`Splats::new`].
+    pub fn check(self) -> Result<Splats, SceneError> {
+        let Self { means, rotations, log_scales, opacity_logits, sh_degree, sh } = self;
+        Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)
     }
 }

@@ -11,7 +11,7 @@ use super::extension::{
     parse_color_space, sh_attributes,
 };
 use super::lift::Asset;
-use super::transform::{Similarity, placements, rotate_sh, sh_rotation, similarity};
+use super::transform::{Similarity, placements, similarity};
 use super::triangles::{self, Triangles};
 use super::{GltfScene, material};
 use crate::format::activation;
@@ -185,8 +185,8 @@ impl Part {
         self.rotations.iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
         self.log_scales.iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
         if self.degree > 0 {
-            let matrix = sh_rotation(rotation);
-            self.sh.chunks_exact_mut(sh::coefficients(self.degree)).for_each(|c| rotate_sh(&matrix, c));
+            let harmonics = sh::Rotation::new(DMat3::from_quat(rotation));
+            self.sh.chunks_exact_mut(sh::coefficients(self.degree)).for_each(|c| harmonics.apply(&mut c[1..]));
         }
         Ok(self)
     }
@@ -237,7 +237,7 @@ fn read_mesh(
             let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
             return Err(Fault::pointer(at, expected, "another transform"));
         };
-        atlas = turned(&atlas, &sh_rotation(rotation))?;
+        atlas = turned(&atlas, &sh::Rotation::new(DMat3::from_quat(rotation)))?;
     }
     let Triangles { mut positions, mut triangles, uvs } = geometry;
     let uvs = uvs.unwrap_or_else(|| {
@@ -283,16 +283,10 @@ fn surface_vertices(
     Ok(Some(source))
 }
 
-fn turned(atlas: &Atlas, matrix: &[[f64; 16]; 16]) -> Result<Atlas, Fault> {
+fn turned(atlas: &Atlas, harmonics: &sh::Rotation) -> Result<Atlas, Fault> {
     let Some(bands) = atlas.bands() else { return Ok(atlas.clone()) };
     let mut texels = bands.texels().to_vec();
-    for texel in texels.chunks_exact_mut(bands.channels() as usize) {
-        // Degree 0 does not mix with the others: any value will do in its place.
-        let mut coefficients = vec![[0.0; 3]];
-        coefficients.extend_from_slice(texel.as_chunks().0);
-        rotate_sh(matrix, &mut coefficients);
-        texel.copy_from_slice(coefficients[1..].as_flattened());
-    }
+    texels.chunks_exact_mut(bands.channels() as usize).for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
     Ok(Atlas::new(atlas.base().clone(), Some(Texture::new(bands.width(), bands.height(), bands.channels(), texels)?))?)
 }
 

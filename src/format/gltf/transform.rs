@@ -7,7 +7,6 @@ use gltf::scene::Transform;
 
 use super::extension::{EXTRAS, ROOT_NODE};
 use crate::format::error::Fault;
-use crate::scene::sh;
 
 /// Rotation of the root node of our own files: half a turn about x takes COLMAP's y-down world to glTF's y-up. It is
 /// its own inverse, and exact in floating point.
@@ -81,66 +80,9 @@ pub(super) fn similarity(transform: DMat4) -> Option<Similarity> {
     })
 }
 
-/// Matrix `D` that rotates spherical harmonics up to degree 3: `c' = D c` has, in direction `R d`, the colour that `c`
-/// has in direction `d`.
-///
-/// `D_ij = ∫ Y_i(d) Y_j(Rᵀd)` over the sphere; products of degree 6 are integrated exactly by 4 Gauss–Legendre nodes in
-/// z times 8 azimuths.
-pub(super) fn sh_rotation(rotation: DQuat) -> [[f64; 16]; 16] {
-    const NODES: [(f64, f64); 4] = [
-        (-0.861_136_311_594_052_6, 0.347_854_845_137_453_86),
-        (-0.339_981_043_584_856_3, 0.652_145_154_862_546_1),
-        (0.339_981_043_584_856_3, 0.652_145_154_862_546_1),
-        (0.861_136_311_594_052_6, 0.347_854_845_137_453_86),
-    ];
-    let inverse = rotation.inverse();
-    let mut matrix = [[0.0; 16]; 16];
-    for (z, weight) in NODES {
-        for step in 0..8 {
-            let (sin, cos) = (f64::from(step) * std::f64::consts::FRAC_PI_4).sin_cos();
-            let r = (1.0 - z * z).sqrt();
-            let d = DVec3::new(r * cos, r * sin, z);
-            let (to, from) = (sh::basis(d.to_array()), sh::basis((inverse * d).to_array()));
-            for (row, y) in matrix.iter_mut().zip(to) {
-                row.iter_mut().zip(from).for_each(|(m, x)| *m += weight * std::f64::consts::FRAC_PI_4 * y * x);
-            }
-        }
-    }
-    matrix
-}
-
-/// Applies [`sh_rotation`] to the `(d+1)²` RGB coefficients of one function.
-pub(super) fn rotate_sh(matrix: &[[f64; 16]; 16], coefficients: &mut [[f32; 3]]) {
-    let old: Vec<[f64; 3]> = coefficients.iter().map(|c| c.map(f64::from)).collect();
-    for (new, row) in coefficients.iter_mut().zip(matrix) {
-        *new = [0, 1, 2].map(|channel| row.iter().zip(&old).map(|(m, c)| m * c[channel]).sum::<f64>() as f32);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn rotated_harmonics_turn_with_the_object() {
-        let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -1.1, 2.0);
-        let matrix = sh_rotation(rotation);
-        let coefficients: Vec<[f32; 3]> = (0..16).map(|i| [i as f32 - 7.0, (i * i) as f32, 1.0]).collect();
-        let mut rotated = coefficients.clone();
-        rotate_sh(&matrix, &mut rotated);
-        let colour = |c: &[[f32; 3]], d: DVec3| -> f64 {
-            sh::basis(d.to_array()).iter().zip(c).map(|(y, c)| y * f64::from(c[1])).sum()
-        };
-        for d in [DVec3::X, DVec3::Y, DVec3::new(0.36, -0.48, 0.8)] {
-            let (before, after) = (colour(&coefficients, d), colour(&rotated, rotation * d));
-            // Coefficients reach 225 and are stored in f32: 225 · 6e-8 · 16 terms.
-            assert!((before - after).abs() < 2e-4, "{before} {after}");
-        }
-        // Degree 1 alone is closed under rotation: a truncated stack gives the same first four.
-        let mut low = coefficients[..4].to_vec();
-        rotate_sh(&matrix, &mut low);
-        assert!(low.iter().zip(&rotated).all(|(a, b)| (a[1] - b[1]).abs() < 1e-4));
-    }
 
     #[test]
     fn only_similarities_come_apart() {

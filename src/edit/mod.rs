@@ -1,0 +1,17 @@
+//! From a scene to another: moving, filtering, thinning, joining. Pure functions in linear or n·log n time; nothing
+//! depends on the number of threads.
+//!
+//! Whatever chooses among splats returns their indices, to be taken with [`gather`]: what a file says about its splats
+//! besides their parameters can follow them.
+
+mod axes;
+mod join;
+mod select;
+mod similarity;
+#[cfg(test)]
+mod tests;
+
+pub use axes::Axes;
+pub use join::{gather, join, with_mesh_sh_degree, with_sh_degree};
+pub use select::{Crop, Volume, crop_mesh, in_crops, in_morton_order, most_important, not_below_opacity};
+pub use similarity::Similarity;

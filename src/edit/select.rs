@@ -1,0 +1,153 @@
+use glam::{DVec3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use crate::scene::{Mesh, Splats};
+
+/// A part of space, its border included.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Volume {
+    /// From the lower corner to the upper; sides may be infinite.
+    Box {
+        /// Lower corner.
+        low: DVec3,
+        /// Upper corner.
+        high: DVec3,
+    },
+    /// A ball.
+    Sphere {
+        /// Its centre.
+        center: DVec3,
+        /// Its radius, ≥ 0.
+        radius: f64,
+    },
+}
+
+impl Volume {
+    /// Whether `p` lies in it.
+    #[must_use]
+    pub fn contains(&self, p: DVec3) -> bool {
+        match self {
+            Self::Box { low, high } => p.cmpge(*low).all() && p.cmple(*high).all(),
+            Self::Sphere { center, radius } => p.distance_squared(*center) <= radius * radius,
+        }
+    }
+}
+
+/// What of space is kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Crop {
+    /// What lies inside.
+    Inside(Volume),
+    /// What lies outside.
+    Outside(Volume),
+}
+
+impl Crop {
+    fn keeps(&self, p: DVec3) -> bool {
+        match self {
+            Self::Inside(volume) => volume.contains(p),
+            Self::Outside(volume) => !volume.contains(p),
+        }
+    }
+}
+
+/// Indices of the splats whose means all `crops` keep.
+#[must_use]
+pub fn in_crops(splats: &Splats, crops: &[Crop]) -> Vec<usize> {
+    indices(splats, |i| crops.iter().all(|c| c.keeps(splats.means()[i].as_dvec3())))
+}
+
+/// The triangles whose centroids all `crops` keep, and their vertices; `None` if none is left.
+#[must_use]
+pub fn crop_mesh(mesh: &Mesh, crops: &[Crop]) -> Option<Mesh> {
+    let keeps = |t: &[u32; 3]| {
+        let centroid = t.iter().map(|&v| mesh.positions()[v as usize].as_dvec3()).sum::<DVec3>() / 3.0;
+        crops.iter().all(|c| c.keeps(centroid))
+    };
+    let kept = mesh.triangles().iter().zip(mesh.corner_uvs()).filter(|(t, _)| keeps(t));
+    let (mut triangles, corner_uvs): (Vec<[u32; 3]>, Vec<[Vec2; 3]>) = kept.map(|(t, uvs)| (*t, *uvs)).unzip();
+    if triangles.is_empty() {
+        return None;
+    }
+    let mut used = vec![false; mesh.positions().len()];
+    triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+    let (mut positions, mut renamed): (Vec<Vec3>, Vec<u32>) = (vec![], vec![]);
+    for (&position, used) in mesh.positions().iter().zip(used) {
+        renamed.push(positions.len() as u32);
+        positions.extend(used.then_some(position));
+    }
+    triangles.as_flattened_mut().iter_mut().for_each(|v| *v = renamed[*v as usize]);
+    Some(Mesh::new(positions, triangles, corner_uvs, mesh.atlas().clone()).expect("a part of a valid mesh is valid"))
+}
+
+/// Indices of the splats with at least this opacity, 0 to 1.
+#[must_use]
+pub fn not_below_opacity(splats: &Splats, opacity: f64) -> Vec<usize> {
+    indices(splats, |i| sigmoid(splats.opacity_logits()[i]) >= opacity)
+}
+
+/// Indices, ascending, of the `count` splats that weigh most in pictures: opacity times the area of the ellipsoid's
+/// largest section. Of equals the first are taken.
+#[must_use]
+pub fn most_important(splats: &Splats, count: usize) -> Vec<usize> {
+    let mut ranked: Vec<(f64, usize)> = (0..splats.len()).into_par_iter().map(|i| (importance(splats, i), i)).collect();
+    if count < ranked.len() {
+        ranked.select_nth_unstable_by(count, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        ranked.truncate(count);
+    }
+    let mut indices: Vec<usize> = ranked.into_iter().map(|(_, i)| i).collect();
+    indices.par_sort_unstable();
+    indices
+}
+
+/// Logarithm of opacity times the product of the two larger standard deviations: free of overflow.
+fn importance(splats: &Splats, i: usize) -> f64 {
+    let s = splats.log_scales()[i].as_dvec3();
+    // ln σ(x) = −ln(1 + e^−x), which is x itself where e^−x overflows.
+    let x = f64::from(splats.opacity_logits()[i]);
+    let log_opacity = if x < -700.0 { x } else { -(-x).exp().ln_1p() };
+    log_opacity + s.element_sum() - s.min_element()
+}
+
+/// All indices in the order of a Morton curve through the cube around the means, 2²¹ cells a side: neighbours in space
+/// come to lie together, which compresses and renders better. Splats of one cell keep their order.
+#[must_use]
+pub fn in_morton_order(splats: &Splats) -> Vec<usize> {
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for p in splats.means() {
+        low = low.min(p.as_dvec3());
+        high = high.max(p.as_dvec3());
+    }
+    let cells = f64::from(1 << 21) / (high - low).max_element().max(f64::MIN_POSITIVE);
+    let code = |p: Vec3| {
+        // A float-to-integer cast saturates.
+        let cell = ((p.as_dvec3() - low) * cells).to_array().map(|c| (c as u64).min((1 << 21) - 1));
+        cell.into_iter().enumerate().fold(0, |code, (axis, c)| code | spread(c) << axis)
+    };
+    let mut keys: Vec<(u64, usize)> = splats.means().par_iter().enumerate().map(|(i, &p)| (code(p), i)).collect();
+    keys.par_sort_unstable();
+    keys.into_iter().map(|(_, i)| i).collect()
+}
+
+/// Two zeros before each of 21 bits.
+fn spread(bits: u64) -> u64 {
+    let mut x = bits;
+    for (shift, mask) in [
+        (32, 0x001f_0000_0000_ffff),
+        (16, 0x001f_0000_ff00_00ff),
+        (8, 0x100f_00f0_0f00_f00f),
+        (4, 0x10c3_0c30_c30c_30c3),
+        (2, 0x1249_2492_4924_9249),
+    ] {
+        x = (x | x << shift) & mask;
+    }
+    x
+}
+
+fn indices(splats: &Splats, keeps: impl Fn(usize) -> bool + Sync) -> Vec<usize> {
+    (0..splats.len()).into_par_iter().filter(|&i| keeps(i)).collect()
+}
+
+fn sigmoid(logit: f32) -> f64 {
+    1.0 / (1.0 + f64::from(-logit).exp())
+}

@@ -1,0 +1,144 @@
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::scene::{Atlas, Camera, HybridScene, Intrinsics, Mesh, SceneError, Splats, Texture, sh};
+
+/// `p' = scale · orthogonal · p + translation`: everything that leaves shapes alone. `orthogonal` may mirror.
+///
+/// A scene and a camera that are both moved give the same picture; mirrored ones give it mirrored left to right.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Similarity {
+    scale: f64,
+    orthogonal: DMat3,
+    translation: DVec3,
+}
+
+impl Similarity {
+    /// Leaves everything where it is, to the bit.
+    pub const IDENTITY: Self = Self { scale: 1.0, orthogonal: DMat3::IDENTITY, translation: DVec3::ZERO };
+
+    /// Scales and turns (or mirrors) about the origin, then translates.
+    ///
+    /// # Errors
+    /// If a number is not finite, the scale is not positive or the matrix not orthogonal to 1e-9.
+    pub fn new(scale: f64, orthogonal: DMat3, translation: DVec3) -> Result<Self, SceneError> {
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Err(SceneError::new("scale", "a positive number", scale.to_string()));
+        }
+        if !(orthogonal.transpose() * orthogonal).abs_diff_eq(DMat3::IDENTITY, 1e-9) {
+            return Err(SceneError::new("rotation", "an orthogonal matrix", orthogonal.to_string()));
+        }
+        if !translation.is_finite() {
+            return Err(SceneError::new("translation", "finite numbers", translation.to_string()));
+        }
+        Ok(Self { scale, orthogonal, translation })
+    }
+
+    /// This one, then `next`.
+    #[must_use]
+    pub fn then(&self, next: &Self) -> Self {
+        Self {
+            scale: next.scale * self.scale,
+            orthogonal: next.orthogonal * self.orthogonal,
+            translation: next.point(self.translation),
+        }
+    }
+
+    /// A moved point.
+    #[must_use]
+    pub fn point(&self, p: DVec3) -> DVec3 {
+        self.scale * (self.orthogonal * p) + self.translation
+    }
+
+    /// Moved splats: means, scales, rotations and spherical harmonics.
+    ///
+    /// # Errors
+    /// If a number leaves the range of f32.
+    pub fn splats(&self, splats: Splats) -> Result<Splats, SceneError> {
+        if *self == Self::IDENTITY {
+            return Ok(splats);
+        }
+        let mut s = splats.into_arrays();
+        s.means.par_iter_mut().for_each(|p| *p = self.point(p.as_dvec3()).as_vec3());
+        let stretch = self.scale.ln();
+        s.log_scales.par_iter_mut().for_each(|l| *l = (l.as_dvec3() + stretch).as_vec3());
+        if self.orthogonal != DMat3::IDENTITY {
+            let turn = self.turn();
+            s.rotations.par_iter_mut().for_each(|q| *q = (turn * q.as_dquat()).as_quat());
+            let harmonics = sh::Rotation::new(self.orthogonal);
+            s.sh.par_chunks_exact_mut(sh::coefficients(s.sh_degree)).for_each(|c| harmonics.apply(&mut c[1..]));
+        }
+        s.check()
+    }
+
+    /// A moved mesh: positions and the harmonics of every texel. Mirroring turns the winding of triangles, so that
+    /// their front stays their front.
+    ///
+    /// # Errors
+    /// If a number leaves the range of f32.
+    pub fn mesh(&self, mesh: &Mesh) -> Result<Mesh, SceneError> {
+        let positions: Vec<Vec3> = mesh.positions().iter().map(|p| self.point(p.as_dvec3()).as_vec3()).collect();
+        let (mut triangles, mut corner_uvs) = (mesh.triangles().to_vec(), mesh.corner_uvs().to_vec());
+        if self.mirrors() {
+            triangles.iter_mut().for_each(|t| t.swap(1, 2));
+            corner_uvs.iter_mut().for_each(|uvs| uvs.swap(1, 2));
+        }
+        let atlas = mesh.atlas();
+        let bands = match atlas.bands() {
+            Some(bands) if self.orthogonal != DMat3::IDENTITY => Some(self.turned(bands)?),
+            bands => bands.cloned(),
+        };
+        Mesh::new(positions, triangles, corner_uvs, Atlas::new(atlas.base().clone(), bands)?)
+    }
+
+    fn turned(&self, bands: &Texture) -> Result<Texture, SceneError> {
+        let harmonics = sh::Rotation::new(self.orthogonal);
+        let mut texels = bands.texels().to_vec();
+        texels
+            .par_chunks_exact_mut(bands.channels() as usize)
+            .for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
+        Texture::new(bands.width(), bands.height(), bands.channels(), texels)
+    }
+
+    /// The camera to which a moved scene looks as the scene did to `camera`; mirrored left to right if the scene is.
+    ///
+    /// # Errors
+    /// If a number leaves the range of f64.
+    pub fn camera(&self, camera: &Camera) -> Result<Camera, SceneError> {
+        if *self == Self::IDENTITY {
+            return Ok(*camera);
+        }
+        let mut k: Intrinsics = *camera.intrinsics();
+        let mut to_image = DMat3::IDENTITY;
+        if self.mirrors() {
+            to_image = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
+            k.cx = f64::from(k.width) - k.cx;
+        }
+        let rotation = to_image * camera.rotation() * self.orthogonal.transpose();
+        let translation = self.scale * (to_image * camera.translation()) - rotation * self.translation;
+        Camera::new(k, rotation, translation)
+    }
+
+    /// A moved scene; λ and the near distance grow with it.
+    ///
+    /// # Errors
+    /// If a number leaves the range of f32.
+    pub fn scene(&self, scene: HybridScene) -> Result<HybridScene, SceneError> {
+        let HybridScene { splats, meshes, mut composition } = scene;
+        composition.lambda = (f64::from(composition.lambda) * self.scale) as f32;
+        composition.near = (f64::from(composition.near) * self.scale) as f32;
+        composition.validate()?;
+        let meshes = meshes.iter().map(|m| self.mesh(m)).collect::<Result<_, _>>()?;
+        Ok(HybridScene { splats: self.splats(splats)?, meshes, composition })
+    }
+
+    fn mirrors(&self) -> bool {
+        self.orthogonal.determinant() < 0.0
+    }
+
+    /// The rotation that turns ellipsoids as `orthogonal` does: they are the same seen through their centre, so that
+    /// a reflection `O` turns them like the rotation `−O`.
+    fn turn(&self) -> DQuat {
+        DQuat::from_mat3(&if self.mirrors() { -self.orthogonal } else { self.orthogonal }).normalize()
+    }
+}
