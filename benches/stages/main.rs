@@ -15,7 +15,8 @@ use centaur::{
     metrics::plot::{self, Plot},
     render::gpu::{
         Gpu,
-        measure::{self, Ceilings, StepTimes, TrainingSize},
+        measure::{self, Ceilings, StepTimes},
+        memory::{self, TrainingSize},
     },
 };
 use clap::Parser as _;
@@ -220,11 +221,12 @@ fn memory(adapter: Option<&str>) -> anyhow::Result<Memory> {
         per_splat: per(peak(30_000, 256, 256)?, 20_000),
         per_map_float: per(peak(10_000, 512, 256)?, size(0, 512, 0).map_floats - small.map_floats),
         per_pixel: per(peak(10_000, 256, 512)?, 512 * 512 - 256 * 256),
-        agreement: base / measure::training_bytes(&small) as f64,
-        large: measure::training_bytes(&TrainingSize {
+        agreement: base / memory::training_bytes(&small).total() as f64,
+        large: memory::training_bytes(&TrainingSize {
             triangles: 200_000,
             height: 1080,
             ..size(1_000_000, 2048, 1920)
-        }),
+        })
+        .total(),
     })
 }

@@ -2,13 +2,13 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::Capture;
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
 use centaur::metrics::{Evaluation, plot::Plot};
-use centaur::optimize::{self, Background, Density, MeshSource, Outcome, Session, TrainOptions, Trained};
+use centaur::optimize::{self, Background, Density, MeshSource, Outcome, Session, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
 use centaur::scene::OrderMode;
 use clap::ValueEnum;
@@ -265,7 +265,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let trained = optimize::train(&capture, mesh, &options, session);
     let plots = reporter.finish();
-    let trained = trained?;
+    let trained = trained.map_err(with_advice)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         return report_interruption(args);
     }
@@ -308,6 +308,16 @@ fn evaluate(
     };
     eval::evaluate(gpu, &trained.scene, capture, &job)
         .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
+}
+
+/// The failure, and what of this command changes it.
+fn with_advice(error: TrainError) -> anyhow::Error {
+    let advice = match &error {
+        TrainError::Gpu(e) if e.is_lack_of_memory() => "see --max-splats, --texture-size and --downscale",
+        TrainError::Geometry(_) => "--no-mesh trains splats alone, --mesh FILE takes yours",
+        _ => return error.into(),
+    };
+    anyhow!("{error}; {advice}")
 }
 
 /// The flag that the trainer polls. A second Ctrl-C does what it does to any program.

@@ -3,6 +3,7 @@
 pub mod checkpoint;
 pub mod density;
 pub mod initialize;
+mod memory;
 mod options;
 mod resume;
 pub mod schedule;
@@ -23,7 +24,7 @@ pub enum TrainError {
     #[error(transparent)]
     Capture(#[from] CaptureError),
     /// No surface could be made.
-    #[error("making the mesh: {0}; --no-mesh trains splats alone, --mesh FILE takes yours")]
+    #[error("making the mesh: {0}")]
     Geometry(#[from] GeometryError),
     /// The adapter failed.
     #[error(transparent)]

@@ -23,6 +23,7 @@ use super::{
         mcmc::{self, EpochWeight, McmcOptions},
     },
     initialize::{self, Initial},
+    memory,
     resume::{Identity, Saved},
     schedule::{self, Schedule},
     state::{GEOMETRY_FLOATS, SplatState},
@@ -222,6 +223,14 @@ impl<'a> Run<'a> {
             (Some(path), true) => Some(Saved::read(path, &self.identity)?),
             _ => None,
         };
+        memory::check(
+            self.session.gpu,
+            self.options,
+            &self.cameras,
+            &source,
+            self.max_splats(&[]),
+            self.texture_size(),
+        )?;
         let initial = self.initial_splats()?;
         let mut scene = HybridScene { splats: initial, meshes: vec![], composition: self.composition() };
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);

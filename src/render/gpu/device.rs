@@ -8,7 +8,10 @@ use std::{
     },
 };
 
-use super::shader::{self, Access, Defines};
+use super::{
+    memory::host_memory,
+    shader::{self, Access, Defines},
+};
 
 /// A failure of the adapter or the driver.
 #[derive(Debug, thiserror::Error)]
@@ -36,10 +39,7 @@ pub enum GpuError {
         reason: String,
     },
     /// A buffer exceeds what the adapter can bind.
-    #[error(
-        "{what} needs a buffer of {needed} MiB, but {adapter} binds at most {limit} MiB: lower --texture-size, \
-         --max-splats or the size of the images"
-    )]
+    #[error("{what} needs a buffer of {needed} MiB, but {adapter} binds at most {limit} MiB: {LESS}")]
     TooLarge {
         /// What the buffer holds.
         what: String,
@@ -47,6 +47,28 @@ pub enum GpuError {
         needed: u64,
         /// MiB the adapter binds.
         limit: u64,
+        /// Adapter name.
+        adapter: String,
+    },
+    /// What is about to be allocated exceeds what is free.
+    #[error("{what} needs {needed} MiB of memory, but {adapter} has {free} MiB free: {LESS}")]
+    NotEnoughMemory {
+        /// What the memory is for.
+        what: String,
+        /// MiB asked for.
+        needed: u64,
+        /// MiB that are free.
+        free: u64,
+        /// Adapter name.
+        adapter: String,
+    },
+    /// The driver has no memory left.
+    #[error("{adapter} is out of memory: no room for {what} beside the {held} MiB in use: {LESS}")]
+    OutOfMemory {
+        /// What there was no room for.
+        what: String,
+        /// MiB allocated before, without what the driver needs itself.
+        held: u64,
         /// Adapter name.
         adapter: String,
     },
@@ -58,6 +80,17 @@ pub enum GpuError {
         /// The driver's words.
         reason: String,
     },
+}
+
+/// How to get by with less memory.
+const LESS: &str = "fewer splats, smaller maps or smaller images need less";
+
+impl GpuError {
+    /// Whether a smaller scene or smaller images would help.
+    #[must_use]
+    pub fn is_lack_of_memory(&self) -> bool {
+        matches!(self, Self::TooLarge { .. } | Self::NotEnoughMemory { .. } | Self::OutOfMemory { .. })
+    }
 }
 
 /// What shaders may use on this adapter.
@@ -101,9 +134,27 @@ pub struct Gpu {
     adapter: String,
     profile: Profile,
     limits: wgpu::Limits,
+    /// Its memory is the host's.
+    is_unified: bool,
     memory: Arc<Memory>,
-    failure: Arc<Mutex<Option<String>>>,
+    failure: Arc<Mutex<Option<Failure>>>,
     kernels: Mutex<HashMap<(String, Defines), Kernel>>,
+}
+
+/// An error outside a call that returns one.
+#[derive(Clone)]
+enum Failure {
+    OutOfMemory,
+    Other(String),
+}
+
+impl From<wgpu::Error> for Failure {
+    fn from(error: wgpu::Error) -> Self {
+        match error {
+            wgpu::Error::OutOfMemory { .. } => Self::OutOfMemory,
+            other => Self::Other(other.to_string()),
+        }
+    }
 }
 
 #[derive(Default)]
@@ -129,6 +180,9 @@ impl Drop for Allocation {
         self.memory.now.fetch_sub(self.bytes, Ordering::Relaxed);
     }
 }
+
+/// Bytes of the buffers by which free memory is found.
+const PROBE: u64 = 256 << 20;
 
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
@@ -218,11 +272,17 @@ impl Gpu {
         }))
         .map_err(|e| GpuError::Device { adapter: info.name.clone(), reason: e.to_string() })?;
         let failure = Arc::new(Mutex::new(None));
-        let first = Arc::clone(&failure);
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            let mut slot = first.lock().unwrap_or_else(PoisonError::into_inner);
-            slot.get_or_insert_with(|| error.to_string());
-        }));
+        let report = |slot: &Mutex<Option<Failure>>, failure: Failure| {
+            slot.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(failure);
+        };
+        let slot = Arc::clone(&failure);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| report(&slot, error.into())));
+        let slot = Arc::clone(&failure);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                report(&slot, Failure::Other(format!("the device was lost: {message}")));
+            }
+        });
         Ok(Self {
             device,
             queue,
@@ -234,6 +294,7 @@ impl Gpu {
                 is_cpu: info.device_type == wgpu::DeviceType::Cpu,
             },
             limits,
+            is_unified: matches!(info.device_type, wgpu::DeviceType::Cpu | wgpu::DeviceType::IntegratedGpu),
             memory: Arc::default(),
             failure,
             kernels: Mutex::default(),
@@ -271,27 +332,78 @@ impl Gpu {
     pub fn check(&self) -> Result<(), GpuError> {
         match self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone() {
             None => Ok(()),
-            Some(reason) => Err(GpuError::Failed { adapter: self.adapter.clone(), reason }),
+            Some(Failure::OutOfMemory) => Err(self.out_of_memory("a copy to or from the host".to_owned())),
+            Some(Failure::Other(reason)) => Err(GpuError::Failed { adapter: self.adapter.clone(), reason }),
+        }
+    }
+
+    fn out_of_memory(&self, what: String) -> GpuError {
+        let held = self.memory.now.load(Ordering::Relaxed) >> 20;
+        GpuError::OutOfMemory { what, held, adapter: self.adapter.clone() }
+    }
+
+    /// Error if a shader cannot bind a buffer of so many bytes.
+    ///
+    /// # Errors
+    /// [`GpuError::TooLarge`], for `what`.
+    pub(crate) fn ensure_bindable(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let limit = self.max_binding_bytes();
+        if bytes <= limit {
+            return Ok(());
+        }
+        let (what, adapter) = (what.to_owned(), self.adapter.clone());
+        Err(GpuError::TooLarge { what, needed: bytes >> 20, limit: limit >> 20, adapter })
+    }
+
+    /// Error if the adapter cannot hold `bytes` more. Memory that is the host's is taken from nobody by this; other
+    /// memory is allocated and given back, as drivers do not otherwise say what is free.
+    ///
+    /// # Errors
+    /// [`GpuError::NotEnoughMemory`], for `what`.
+    pub(crate) fn ensure_free(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let of_host = if self.is_unified { host_memory() } else { None };
+        let mut free = of_host.unwrap_or(u64::MAX);
+        if free >= bytes && !self.profile.is_cpu {
+            free = self.allocatable(bytes);
+        }
+        if free >= bytes {
+            return Ok(());
+        }
+        let (what, adapter) = (what.to_owned(), self.adapter.clone());
+        Err(GpuError::NotEnoughMemory { what, needed: bytes >> 20, free: free >> 20, adapter })
+    }
+
+    /// How many of `bytes` the driver hands out now.
+    fn allocatable(&self, bytes: u64) -> u64 {
+        let largest = PROBE.min(self.limits.max_buffer_size);
+        let (mut found, mut probes) = (0, vec![]);
+        while found < bytes {
+            let size = largest.min(bytes - found).next_multiple_of(4);
+            let Ok(probe) = self.create("memory probe", size, wgpu::BufferUsages::STORAGE) else { break };
+            probes.push(probe);
+            found += size;
+        }
+        probes.iter().for_each(wgpu::Buffer::destroy);
+        drop(probes);
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        found
+    }
+
+    /// A buffer, or the error that there is no memory for it.
+    fn create(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
+        let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        let buffer = self.device.create_buffer(&descriptor);
+        match pollster::block_on(scope.pop()) {
+            None => Ok(buffer),
+            Some(_) => Err(self.out_of_memory(format!("{label} ({} MiB)", size >> 20))),
         }
     }
 
     fn allocate(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
-        let limit = self.max_binding_bytes();
-        if bytes > limit {
-            return Err(GpuError::TooLarge {
-                what: label.to_owned(),
-                needed: bytes >> 20,
-                limit: limit >> 20,
-                adapter: self.adapter.clone(),
-            });
-        }
+        self.ensure_bindable(label, bytes)?;
         let bytes = bytes.max(16).next_multiple_of(4);
-        let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: bytes,
-            usage,
-            mapped_at_creation: false,
-        });
+        let raw = self.create(label, bytes, usage)?;
         let now = self.memory.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
         self.memory.peak.fetch_max(now, Ordering::Relaxed);
         Ok(Buffer { raw, allocation: Arc::new(Allocation { bytes, memory: Arc::clone(&self.memory) }) })
@@ -334,12 +446,8 @@ impl Gpu {
         if bytes == 0 {
             return Ok(vec![]);
         }
-        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read-back"),
-            size: bytes.next_multiple_of(4),
-            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-            mapped_at_creation: false,
-        });
+        let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
+        let staging = self.create("read-back", bytes.next_multiple_of(4), usage)?;
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, bytes.next_multiple_of(4));
         self.queue.submit([encoder.finish()]);
@@ -365,6 +473,8 @@ impl Gpu {
     /// # Errors
     /// If the device was lost.
     pub(crate) fn wait(&self) -> Result<(), GpuError> {
+        // wgpu panics when it is asked to wait for a device that is lost.
+        self.check()?;
         self.device
             .poll(wgpu::PollType::wait_indefinitely())
             .map(|_| ())
@@ -597,4 +707,39 @@ impl Timer {
 /// Workgroups of `size` threads that cover `items`.
 pub(crate) fn groups(items: usize, size: usize) -> usize {
     items.div_ceil(size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn too_little_memory_is_an_error_that_says_how_much_there_is() {
+        let gpu = Gpu::open(None).unwrap();
+        gpu.ensure_free("a little", 1 << 20).unwrap();
+        gpu.check().unwrap();
+        if !gpu.is_unified || host_memory().is_none() {
+            return; // All of a GPU's memory is not to be taken by a test.
+        }
+        let error = gpu.ensure_free("training", 1 << 60).unwrap_err();
+        assert!(error.is_lack_of_memory());
+        let text = error.to_string();
+        assert!(text.starts_with("training needs 1099511627776 MiB of memory, but ") && text.contains(LESS), "{text}");
+    }
+
+    #[test]
+    fn running_out_of_memory_is_an_error_that_names_the_adapter() {
+        let gpu = Gpu::open(None).unwrap();
+        let held = gpu.storage("something", 3 << 18).unwrap();
+        // As wgpu reports it when it stages a copy.
+        let error = wgpu::Error::OutOfMemory { source: "no memory".into() };
+        *gpu.failure.lock().unwrap() = Some(error.into());
+        let expected = format!(
+            "{} is out of memory: no room for a copy to or from the host beside the 3 MiB in use: {LESS}",
+            gpu.adapter()
+        );
+        for error in [gpu.check().unwrap_err(), gpu.read::<u32>(&held, 1).unwrap_err(), gpu.wait().unwrap_err()] {
+            assert_eq!(error.to_string(), expected);
+        }
+    }
 }

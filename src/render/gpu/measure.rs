@@ -6,11 +6,9 @@ use super::{
     adam::{AdamStep, SplatRates},
     device::{Frame, Gpu, GpuError, Kernel, Timer},
     loss::TruthAlpha,
-    mesh::BIN,
-    pipeline::PAIRS_PER_SPLAT,
     renderer::Renderer,
     texels::TexelStep,
-    training::{HEADROOM, Step, Training},
+    training::{Step, Training},
     view::TILE,
 };
 use crate::scene::{Camera, HybridScene, sh};
@@ -192,53 +190,6 @@ fn evaluations(gpu: &Gpu, training: &Training, camera: &Camera) -> Result<usize,
         *of_tile = end.max(*of_tile);
     }
     Ok(last.iter().zip(&ranges).map(|(end, range)| (end - range[0]) as usize * tile * tile).sum())
-}
-
-/// What the memory of a training run depends on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TrainingSize {
-    /// Splats.
-    pub splats: usize,
-    /// Of the splats.
-    pub sh_degree: u32,
-    /// Triangles of all meshes.
-    pub triangles: usize,
-    /// Floats of all maps, without mips: 4 per base texel, 3·((d+1)²−1) per texel of bands.
-    pub map_floats: usize,
-    /// Mesh layers, 0 without a mesh.
-    pub layers: usize,
-    /// Of the largest image.
-    pub width: usize,
-    /// Of the largest image.
-    pub height: usize,
-}
-
-/// Bytes of GPU buffers that training takes, as long as no view has more (tile, splat) pairs than there is room for at
-/// first. While buffers make place for larger ones both exist, so that a run's peak is below twice what it ends with.
-#[must_use]
-pub fn training_bytes(size: &TrainingSize) -> u64 {
-    let s = size;
-    let (pixels, layers) = (s.width * s.height, s.layers);
-    let splats = s.splats + (s.splats as f64 * HEADROOM) as usize;
-    let sh_floats = 3 * sh::coefficients(s.sh_degree);
-    let tiles = s.width.div_ceil(TILE as usize) * s.height.div_ceil(TILE as usize);
-    // Parameters, gradients and two moments; projection, blend moments, statistics, five counters, the depth sort.
-    let per_splat = 4 * (12 + sh_floats) + 12 + 10 + 4 + 5 + 4 + layers.max(1);
-    let pairs = PAIRS_PER_SPLAT * splats + tiles;
-    // Image, its gradient, photograph, slopes of SSIM; colour, transmittance and end of every bucket.
-    let per_pixel = 4 + 4 + 1 + 12 + 5 * (layers + 1);
-    let mut floats = per_splat * splats + 4 * pairs + 2 * tiles + per_pixel * pixels;
-    if layers > 0 {
-        // A closed mesh has half as many vertices as triangles. Triangles, UVs, corners, boxes, four pairs.
-        let bins = s.width.div_ceil(BIN as usize) * s.height.div_ceil(BIN as usize);
-        floats += s.triangles * 3 / 2 + (4 + 8 + 12 + 2 + 4) * s.triangles + (2 + 16) * bins;
-        floats += (1 + 1 + 4 + 4) * layers * pixels;
-        // Texels and gradients have mips of up to five levels, the two moments none.
-        floats += 2 * s.map_floats + 2 * (s.map_floats * 341 / 256);
-    }
-    // The counters of two sorts.
-    floats += 2 * 256 * 256;
-    4 * floats as u64
 }
 
 /// Peak bytes of GPU buffers in a training step, on an adapter opened for it.

@@ -6,6 +6,7 @@ mod blend;
 mod device;
 pub(crate) mod loss;
 pub mod measure;
+pub mod memory;
 #[cfg(test)]
 mod memory_tests;
 mod mesh;

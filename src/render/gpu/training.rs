@@ -182,9 +182,13 @@ impl<'g> Training<'g> {
         let n = arrays.geometry[0].len() / GEOMETRY;
         if n > self.pipeline.splats.capacity {
             let sh_degree = self.pipeline.splats.sh_degree;
-            let splats = SplatBuffers::new(self.gpu, with_headroom(self.gpu, n, sh_degree), sh_degree)?;
-            self.pipeline.replace_splats(self.gpu, splats)?;
-            self.rebind()?;
+            // All that matters is on the host: the old buffers go first, so that there is never room for both.
+            self.pipeline.n_splats = 0;
+            for capacity in [0, with_headroom(self.gpu, n, sh_degree)] {
+                let splats = SplatBuffers::new(self.gpu, capacity, sh_degree)?;
+                self.pipeline.replace_splats(self.gpu, splats)?;
+                self.rebind()?;
+            }
         }
         self.pipeline.n_splats = n;
         let p = &self.pipeline;

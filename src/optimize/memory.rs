@@ -1,0 +1,145 @@
+//! Whether a run fits the adapter's memory, before it begins.
+
+use super::{MeshSource, TrainError, TrainOptions};
+use crate::{
+    render::gpu::{
+        Gpu,
+        memory::{TrainingSize, training_bytes},
+    },
+    scene::{Camera, sh},
+};
+
+/// Error if the run would end for lack of memory once it has `max_splats`.
+///
+/// # Errors
+/// [`GpuError::NotEnoughMemory`](crate::render::gpu::GpuError) with what takes how much.
+pub(super) fn check(
+    gpu: &Gpu,
+    options: &TrainOptions,
+    cameras: &[Camera],
+    source: &MeshSource,
+    max_splats: usize,
+    texture_size: u32,
+) -> Result<(), TrainError> {
+    let hybrid = size(options, cameras, source, max_splats, texture_size);
+    // The longest buffers. Splats are limited to what can be bound.
+    let [base, bands] = map_floats(options, texture_size).map(|floats| floats as u64 * 341 / 256);
+    let area = |c: &Camera| u64::from(c.intrinsics().width) * u64::from(c.intrinsics().height);
+    let pixels = cameras.iter().map(area).max().unwrap_or(1);
+    if hybrid.layers > 0 {
+        gpu.ensure_bindable("the map of colour and opacity", 4 * base)?;
+        gpu.ensure_bindable("the map of view dependence", 4 * bands)?;
+        gpu.ensure_bindable("the mesh layers of an image", 16 * (hybrid.layers as u64 + 1) * pixels)?;
+    }
+    gpu.ensure_bindable("the loss of an image", 48 * pixels)?;
+    let (what, bytes) = needed(&hybrid, *source == MeshSource::Splats, texture_size);
+    Ok(gpu.ensure_free(&what, bytes)?)
+}
+
+/// The run when it is largest.
+fn size(
+    options: &TrainOptions,
+    cameras: &[Camera],
+    source: &MeshSource,
+    splats: usize,
+    texture_size: u32,
+) -> TrainingSize {
+    let triangles = match source {
+        MeshSource::None => 0,
+        MeshSource::Splats => options.triangles,
+        MeshSource::Given { surface, .. } => surface.triangles.len(),
+    };
+    let side = |of: fn(&Camera) -> u32| cameras.iter().map(of).max().unwrap_or(1) as usize;
+    let has_mesh = *source != MeshSource::None;
+    TrainingSize {
+        splats,
+        sh_degree: options.sh_degree,
+        triangles,
+        map_floats: if has_mesh { map_floats(options, texture_size).iter().sum() } else { 0 },
+        layers: if has_mesh { options.layers as usize } else { 0 },
+        width: side(|c| c.intrinsics().width),
+        height: side(|c| c.intrinsics().height),
+    }
+}
+
+/// What the memory is for, and the bytes at the time when most of them are in use.
+fn needed(hybrid: &TrainingSize, hands_over: bool, texture_size: u32) -> (String, u64) {
+    let mut bytes = training_bytes(hybrid);
+    if hands_over {
+        // When the splats of the surface phase are handed over, they are rendered alone beside the hybrid.
+        let alone = training_bytes(&TrainingSize { layers: 0, ..*hybrid });
+        bytes.splats = bytes.splats.saturating_add(alone.splats);
+        bytes.images = bytes.images.saturating_add(alone.images);
+    }
+    let mib = |bytes: u64| bytes >> 20;
+    let TrainingSize { splats, sh_degree, layers, width, height, .. } = *hybrid;
+    let mesh = match layers {
+        0 => String::new(),
+        _ => format!(", the mesh with maps of {texture_size}² texels {} MiB", mib(bytes.meshes)),
+    };
+    let what = format!(
+        "training ({splats} splats of SH degree {sh_degree}: {} MiB{mesh}, images of {width}×{height}: {} MiB)",
+        mib(bytes.splats),
+        mib(bytes.images),
+    );
+    (what, bytes.total())
+}
+
+/// Floats of the two maps that `surface::textured` makes.
+fn map_floats(options: &TrainOptions, texture_size: u32) -> [usize; 2] {
+    let texels = |side: u32| side as usize * side as usize;
+    let bands = 3 * (sh::coefficients(options.band_degree.min(sh::MAX_DEGREE)) - 1);
+    [4 * texels(texture_size), bands * texels((texture_size / 4).max(16))]
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3, Vec3};
+
+    use super::*;
+    use crate::{geometry::Surface, optimize::surface, scene::Intrinsics};
+
+    fn camera(width: u32, height: u32) -> Camera {
+        let intrinsics = Intrinsics { width, height, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+        Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap()
+    }
+
+    #[test]
+    fn the_maps_are_those_that_are_made() {
+        let positions = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+        let surface = Surface { positions, triangles: vec![[0, 1, 2]] };
+        for (band_degree, side) in [(0, 64), (2, 32), (3, 128)] {
+            let options = TrainOptions { band_degree, ..TrainOptions::default() };
+            let mesh = surface::textured(surface.clone(), None, &options, side).unwrap();
+            assert_eq!(map_floats(&options, side).iter().sum::<usize>(), mesh.atlas().floats());
+        }
+    }
+
+    #[test]
+    fn the_message_names_every_part() {
+        let (options, cameras) = (TrainOptions::default(), [camera(1920, 100), camera(80, 1080)]);
+        let of = |source: &MeshSource| {
+            needed(&size(&options, &cameras, source, 1_000_000, 2048), *source == MeshSource::Splats, 2048)
+        };
+        let (what, hybrid) = of(&MeshSource::Splats);
+        let expected = "training (1000000 splats of SH degree 3: 3439 MiB, the mesh with maps of 2048² texels 412 MiB, \
+                        images of 1920×1080: 651 MiB)";
+        assert_eq!(what, expected);
+        let (what, alone) = of(&MeshSource::None);
+        assert!(alone < hybrid && !what.contains("mesh"), "{what}");
+    }
+
+    #[test]
+    fn more_than_there_is_is_refused() {
+        let gpu = Gpu::open(None).unwrap();
+        let options = TrainOptions::default();
+        let error = check(&gpu, &options, &[camera(64, 64)], &MeshSource::Splats, 1, 1 << 20).unwrap_err().to_string();
+        assert!(error.starts_with("the map of colour and opacity needs a buffer of "), "{error}");
+        let of = |n| check(&gpu, &options, &[camera(64, 64)], &MeshSource::None, n, 64);
+        of(1000).unwrap();
+        // A software adapter takes the host's memory; that of a GPU is not for a test to take.
+        if gpu.profile().is_cpu {
+            assert!(matches!(of(1 << 50), Err(TrainError::Gpu(e)) if e.is_lack_of_memory()));
+        }
+    }
+}

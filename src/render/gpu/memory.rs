@@ -1,0 +1,116 @@
+//! How much memory training takes, and how much there is.
+
+use super::{mesh::BIN, pipeline::PAIRS_PER_SPLAT, training::HEADROOM, view::TILE};
+use crate::scene::sh;
+
+/// What the memory of a training run depends on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TrainingSize {
+    /// Splats.
+    pub splats: usize,
+    /// Of the splats.
+    pub sh_degree: u32,
+    /// Triangles of all meshes.
+    pub triangles: usize,
+    /// Floats of all maps, without mips: 4 per base texel, 3·((d+1)²−1) per texel of bands.
+    pub map_floats: usize,
+    /// Mesh layers, 0 without a mesh.
+    pub layers: usize,
+    /// Of the largest image.
+    pub width: usize,
+    /// Of the largest image.
+    pub height: usize,
+}
+
+/// Bytes of GPU buffers that training takes, by what they grow with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TrainingBytes {
+    /// Parameters, gradients, moments and lists of the splats, with room for half as many again.
+    pub splats: u64,
+    /// Maps of the meshes, with mips, gradients and moments; triangles.
+    pub meshes: u64,
+    /// Images, layers and what the loss needs.
+    pub images: u64,
+}
+
+impl TrainingBytes {
+    /// All of it.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.splats.saturating_add(self.meshes).saturating_add(self.images)
+    }
+}
+
+/// Bytes of GPU buffers that training takes, as long as no view has more (tile, splat) pairs than there is room for at
+/// first. Lists exist twice while longer ones take their place. Saturates.
+#[must_use]
+pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
+    let s = size;
+    let wide = |n: usize| n as u64;
+    let bytes = |parts: &[(u64, u64)]| {
+        parts.iter().fold(0_u64, |sum, (count, floats)| sum.saturating_add(count.saturating_mul(4 * floats)))
+    };
+    let (pixels, layers) = (wide(s.width).saturating_mul(wide(s.height)), wide(s.layers));
+    let splats = wide(s.splats).saturating_add((s.splats as f64 * HEADROOM) as u64);
+    let sh_floats = 3 * wide(sh::coefficients(s.sh_degree));
+    let per_side =
+        |side: u32| wide(s.width.div_ceil(side as usize)).saturating_mul(wide(s.height.div_ceil(side as usize)));
+    let tiles = per_side(TILE);
+    // Parameters, gradients and two moments; projection, blend moments, statistics, five counters, the depth sort.
+    let per_splat = 4 * (12 + sh_floats) + 12 + 10 + 4 + 5 + 4 + layers.max(1);
+    let pairs = wide(PAIRS_PER_SPLAT).saturating_mul(splats);
+    // Image, its gradient, photograph, slopes of SSIM; colour, transmittance and end of every bucket.
+    let mut per_pixel = 4 + 4 + 1 + 12 + 5 * (layers + 1);
+    let (mut per_bin, mut meshes) = (0, 0);
+    if layers > 0 {
+        per_pixel += (1 + 1 + 4 + 4) * layers;
+        per_bin = 2 + 16;
+        // Texels and gradients have mips of up to five levels, the two moments none. Triangles, UVs, corners, boxes, four
+        // pairs; a closed mesh has half as many vertices as triangles.
+        let (map_floats, triangles) = (wide(s.map_floats), wide(s.triangles));
+        meshes = bytes(&[
+            (map_floats, 2),
+            (map_floats.saturating_mul(341) / 256, 2),
+            (triangles, 4 + 8 + 12 + 2 + 4),
+            (triangles / 2, 3),
+        ]);
+    }
+    TrainingBytes {
+        // Pairs: keys and values, twice. The counters of two sorts.
+        splats: bytes(&[(splats, per_splat), (pairs, 4), (2 * 256 * 256, 1)]),
+        meshes,
+        images: bytes(&[(pixels, per_pixel), (tiles, 4 + 2), (per_side(BIN), per_bin)]),
+    }
+}
+
+/// Bytes of the host's memory that programs may still take, where the system says so.
+pub(super) fn host_memory() -> Option<u64> {
+    available_bytes(&std::fs::read_to_string("/proc/meminfo").ok()?)
+}
+
+/// `MemAvailable` of Linux's `/proc/meminfo`.
+fn available_bytes(meminfo: &str) -> Option<u64> {
+    let kib = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    kib.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn free_memory_is_read_from_linux() {
+        let text = "MemTotal:       24684000 kB\nMemFree:  100 kB\nMemAvailable:   23256352 kB\nBuffers: 1 kB\n";
+        assert_eq!(available_bytes(text), Some(23_256_352 * 1024));
+        assert_eq!(available_bytes("MemTotal: 5 kB\n"), None);
+        assert_eq!(available_bytes("MemAvailable: some\n"), None);
+    }
+
+    #[test]
+    fn absurd_sizes_saturate() {
+        let n = usize::MAX;
+        let size =
+            TrainingSize { splats: n, sh_degree: 3, triangles: n, map_floats: n, layers: 4, width: n, height: n };
+        assert_eq!(training_bytes(&size).total(), u64::MAX);
+    }
+}
