@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{Asset, bytes_by_part, scene_of};
-use super::{FormatError, Kind, kind, ply};
+use super::{FormatError, Kind, kind, read_splats};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
@@ -16,7 +16,7 @@ use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats
 pub struct Summary {
     /// Path as given.
     pub file: String,
-    /// `glTF` or `INRIA PLY`.
+    /// `glTF`, `INRIA PLY` or `splat`.
     pub format: &'static str,
     /// Length of the file.
     pub bytes: u64,
@@ -96,7 +96,6 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let asset = Asset::open(path)?;
             let content = scene_of(&asset).map_err(|fault| fault.in_file(path))?;
             Ok(Summary {
-                format: "glTF",
                 cameras: content.cameras.len(),
                 composition: Some(composition(&content.scene.composition)),
                 bytes_by_part: bytes_by_part(&asset, bytes),
@@ -106,9 +105,10 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 ..summary(path, bytes, &content.scene)
             })
         }
-        Kind::Ply => {
-            let splats = ply::read(path)?;
-            Ok(summary(path, bytes, &HybridScene { splats, meshes: vec![], composition: Composition::default() }))
+        kind => {
+            let scene =
+                HybridScene { splats: read_splats(path, kind)?, meshes: vec![], composition: Composition::default() };
+            Ok(Summary { format: kind.name(), ..summary(path, bytes, &scene) })
         }
     }
 }
@@ -116,7 +116,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
 fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
     Summary {
         file: path.display().to_string(),
-        format: "INRIA PLY",
+        format: Kind::Gltf.name(),
         bytes,
         bytes_by_part: BTreeMap::from([("splats", bytes)]),
         total_floats: scene.total_floats(),

@@ -6,6 +6,7 @@ use glam::{Quat, Vec3};
 use serde::Serialize;
 
 use super::activation;
+use super::record::Record;
 use crate::scene::{Splats, sh};
 
 /// What a writer did.
@@ -129,7 +130,7 @@ impl SplatError {
     }
 
     /// Takes in the differences of one splat. Coefficients are compared where both have them.
-    pub(super) fn include(&mut self, before: &Record<'_>, after: &Record<'_>) {
+    pub(super) fn include(&mut self, before: &Record, after: &Record) {
         let widest = |a: [f32; 3], b: [f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
         let floored = |log_scale: Vec3| log_scale.max(Vec3::splat(LEAST_LOG_SCALE));
         *self = self.max(Self {
@@ -138,7 +139,7 @@ impl SplatError {
             log_scale: (floored(before.log_scale) - floored(after.log_scale)).abs().max_element(),
             opacity: (activation::opacity(before.opacity_logit) - activation::opacity(after.opacity_logit)).abs(),
             color: sh::C0 as f32 * widest(before.sh[0], after.sh[0]),
-            sh: before.sh[1..].iter().zip(&after.sh[1..]).map(|(a, b)| widest(*a, *b)).fold(0.0, f32::max),
+            sh: before.sh()[1..].iter().zip(&after.sh()[1..]).map(|(a, b)| widest(*a, *b)).fold(0.0, f32::max),
         });
     }
 }
@@ -148,31 +149,9 @@ const LEAST_LOG_SCALE: f32 = -18.420_68;
 
 /// Angle of the rotation between two orientations. By the chord, which is exact where the cosine has lost all digits.
 fn degrees_between(a: Quat, b: Quat) -> f32 {
-    let (a, b) = (a.as_dquat(), b.as_dquat());
+    let (a, b) = (a.as_dquat().normalize(), b.as_dquat().normalize());
     let chord = (a - b).length().min((a + b).length());
     (4.0 * (chord / 2.0).min(1.0).asin()).to_degrees() as f32
-}
-
-/// One splat in the parameters of [`Splats`]: what codecs encode and decode.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Record<'a> {
-    pub(super) mean: Vec3,
-    pub(super) rotation: Quat,
-    pub(super) log_scale: Vec3,
-    pub(super) opacity_logit: f32,
-    pub(super) sh: &'a [[f32; 3]],
-}
-
-impl<'a> Record<'a> {
-    pub(super) fn of(splats: &'a Splats, i: usize) -> Self {
-        Self {
-            mean: splats.means()[i],
-            rotation: splats.rotations()[i],
-            log_scale: splats.log_scales()[i],
-            opacity_logit: splats.opacity_logits()[i],
-            sh: splats.sh_of(i),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -10,6 +10,8 @@ mod inspect;
 mod loss;
 pub mod mesh_import;
 pub mod ply;
+mod record;
+pub mod splat;
 #[cfg(test)]
 mod test_scenes;
 
@@ -20,22 +22,46 @@ pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
 
-use crate::scene::{Composition, HybridScene};
+use crate::scene::{Composition, HybridScene, Splats};
 
-/// What a file is, by its first bytes.
+/// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
+#[derive(Clone, Copy)]
 enum Kind {
     Gltf,
     Ply,
+    Splat,
 }
 
-/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from an INRIA `.ply`; told apart by content.
+impl Kind {
+    /// For people.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Gltf => "glTF",
+            Self::Ply => "INRIA PLY",
+            Self::Splat => "splat",
+        }
+    }
+}
+
+/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA) or `.splat`. glTF and PLY are
+/// told by their content, `.splat` by the file's name.
 ///
 /// # Errors
-/// If the file cannot be read or is none of these; see [`gltf::read`] and [`ply::read`].
+/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`] and [`splat::read`].
 pub fn read_scene(path: &Path) -> Result<HybridScene, FormatError> {
     match kind(path)? {
         Kind::Gltf => Ok(gltf::read(path)?.scene),
-        Kind::Ply => Ok(HybridScene { splats: ply::read(path)?, meshes: vec![], composition: Composition::default() }),
+        kind => {
+            Ok(HybridScene { splats: read_splats(path, kind)?, meshes: vec![], composition: Composition::default() })
+        }
+    }
+}
+
+fn read_splats(path: &Path, kind: Kind) -> Result<Splats, FormatError> {
+    match kind {
+        Kind::Gltf => Ok(gltf::read(path)?.scene.splats),
+        Kind::Ply => ply::read(path),
+        Kind::Splat => splat::read(path),
     }
 }
 
@@ -46,12 +72,17 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     // Enough to see past the white space with which JSON may begin.
     std::fs::File::open(path).and_then(|f| f.take(256).read_to_end(&mut start)).map_err(failed)?;
     let first = start.iter().find(|b| !b.is_ascii_whitespace());
-    if start.starts_with(b"glTF") || first == Some(&b'{') {
+    let named = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+    if start.starts_with(b"glTF") {
         Ok(Kind::Gltf)
     } else if start.starts_with(b"ply") {
         Ok(Kind::Ply)
+    } else if named("splat") {
+        Ok(Kind::Splat)
+    } else if first == Some(&b'{') {
+        Ok(Kind::Gltf)
     } else {
-        let expected = "a .glb, .gltf or .ply file";
+        let expected = "a .glb, .gltf, .ply or .splat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
         Err(error::Fault::whole(expected, found).in_file(path))
     }

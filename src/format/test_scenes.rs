@@ -4,6 +4,7 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
+use super::loss::{Loss, SplatError};
 use crate::scene::{
     Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh,
 };
@@ -56,4 +57,28 @@ pub(super) fn camera() -> Camera {
     let intrinsics = Intrinsics { width: 640, height: 480, fx: 510.3, fy: 498.7, cx: 301.1, cy: 250.9 };
     let rotation = DMat3::from_euler(glam::EulerRot::YXZ, 0.4, -0.2, 1.7);
     Camera::new(intrinsics, rotation, DVec3::new(0.3, -2.0, 5.0)).unwrap()
+}
+
+/// Splats at the limits of what [`Splats`] may hold and other programs write: transparent and opaque beyond 8 bits,
+/// thin and wide beyond every table, far away, saturated in colour, and a component of the rotation at exactly ±1.
+pub(super) fn saturated_splats() -> Splats {
+    let means = vec![Vec3::ZERO, Vec3::splat(-1e6), Vec3::new(1e6, 0.0, -0.0), Vec3::X];
+    let rotations = vec![
+        Quat::IDENTITY,
+        -Quat::IDENTITY,
+        Quat::from_xyzw(0.0, -1.0, 0.0, 0.0),
+        Quat::from_xyzw(0.5, -0.5, 0.5, -0.5),
+    ];
+    let log_scales = vec![Vec3::splat(-87.0), Vec3::splat(80.0), Vec3::new(0.0, -30.0, 30.0), Vec3::ZERO];
+    let logits = vec![-80.0, 80.0, 16.0, -16.0];
+    let sh = (0..64).map(|i| if i % 2 == 0 { [9.0, -9.0, 0.0] } else { [-9.0, 1e4, -1e4] }).collect();
+    Splats::new(means, rotations, log_scales, logits, 3, sh).unwrap()
+}
+
+/// Asserts that both state the same, but for the last bits of rotations, which `Splats::new` normalises once more.
+pub(super) fn assert_same_loss(measured: &Loss, found: &Loss) {
+    let rotation = measured.max_error.rotation;
+    assert!((rotation - found.max_error.rotation).abs() < 1e-3 * rotation + 1e-4, "{measured:?} {found:?}");
+    let max_error = SplatError { rotation, ..found.max_error };
+    assert_eq!(*measured, Loss { max_error, ..found.clone() });
 }

@@ -1,0 +1,103 @@
+//! One splat at a time: what the codecs of splats have in common.
+
+use glam::{Quat, Vec3};
+
+use super::activation;
+use super::error::Fault;
+use crate::scene::{Splats, sh};
+
+/// One splat in the parameters of [`Splats`]. The rotation need not be normalised.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Record {
+    pub(super) mean: Vec3,
+    pub(super) rotation: Quat,
+    pub(super) log_scale: Vec3,
+    pub(super) opacity_logit: f32,
+    pub(super) sh_degree: u32,
+    /// Only the first `(sh_degree + 1)²` have a meaning.
+    pub(super) sh: [[f32; 3]; 16],
+}
+
+impl Record {
+    pub(super) fn of(splats: &Splats, i: usize) -> Self {
+        let mut all = [[0.0; 3]; 16];
+        let own = splats.sh_of(i);
+        all[..own.len()].copy_from_slice(own);
+        Self {
+            mean: splats.means()[i],
+            rotation: splats.rotations()[i],
+            log_scale: splats.log_scales()[i],
+            opacity_logit: splats.opacity_logits()[i],
+            sh_degree: splats.sh_degree(),
+            sh: all,
+        }
+    }
+
+    pub(super) fn sh(&self) -> &[[f32; 3]] {
+        &self.sh[..sh::coefficients(self.sh_degree)]
+    }
+}
+
+/// The arrays of [`Splats`] while they are read.
+pub(super) struct Columns {
+    means: Vec<Vec3>,
+    rotations: Vec<Quat>,
+    log_scales: Vec<Vec3>,
+    opacity_logits: Vec<f32>,
+    sh_degree: u32,
+    sh: Vec<[f32; 3]>,
+}
+
+impl Columns {
+    /// Makes room for `count` splats, which the caller knows to fit into the file.
+    pub(super) fn with_capacity(count: usize, sh_degree: u32) -> Self {
+        Self {
+            means: Vec::with_capacity(count),
+            rotations: Vec::with_capacity(count),
+            log_scales: Vec::with_capacity(count),
+            opacity_logits: Vec::with_capacity(count),
+            sh_degree,
+            sh: Vec::with_capacity(count * sh::coefficients(sh_degree)),
+        }
+    }
+
+    /// Coefficients that `record` does not have are 0.
+    pub(super) fn push(&mut self, record: &Record) {
+        self.means.push(record.mean);
+        self.rotations.push(record.rotation);
+        self.log_scales.push(record.log_scale);
+        self.opacity_logits.push(record.opacity_logit);
+        let own = record.sh().iter().copied().chain(std::iter::repeat([0.0; 3]));
+        self.sh.extend(own.take(sh::coefficients(self.sh_degree)));
+    }
+
+    pub(super) fn finish(self) -> Result<Splats, Fault> {
+        let Self { means, rotations, log_scales, opacity_logits, sh_degree, sh } = self;
+        Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+    }
+}
+
+/// The nearest of `0..=levels` to `levels · x`, for x in 0..1; x outside goes to the ends.
+pub(super) fn quantize(x: f32, levels: u32) -> u32 {
+    (f64::from(x.clamp(0.0, 1.0)) * f64::from(levels)).round() as u32
+}
+
+/// Opacity of a logit in 255 steps, and back.
+pub(super) fn opacity_byte(logit: f32) -> u8 {
+    quantize(activation::opacity(logit), 255) as u8
+}
+
+/// Inverse of [`opacity_byte`]; 0 and 255 become the logits next to −∞ and ∞ that [`activation::logit`] knows.
+pub(super) fn logit_of_byte(byte: u8) -> f32 {
+    activation::logit(f32::from(byte) / 255.0).0
+}
+
+/// The displayed colour of SH coefficient 0 alone in 255 steps; what lies outside of 0..1 is clipped.
+pub(super) fn color_bytes(dc: [f32; 3]) -> [u8; 3] {
+    sh::rgb_from_dc(dc).map(|c| quantize(c, 255) as u8)
+}
+
+/// Inverse of [`color_bytes`].
+pub(super) fn dc_of_bytes(rgb: [u8; 3]) -> [f32; 3] {
+    sh::dc_from_rgb(rgb.map(|c| f32::from(c) / 255.0))
+}

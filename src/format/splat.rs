@@ -1,0 +1,166 @@
+//! `.splat`: 32 bytes per splat without a header, as antimatter15's viewer reads them.
+//!
+//! | bytes | what | largest error of [`write`] |
+//! |---|---|---|
+//! | 0..12 | mean x, y, z, f32 | 0 |
+//! | 12..24 | standard deviations (linear), f32 | rounding of f32 |
+//! | 24..27 | red, green, blue of SH coefficient 0 in 255 steps | 1/510; what is outside of 0..1 is clipped |
+//! | 27 | opacity in 255 steps | 1/510 |
+//! | 28..32 | rotation w, x, y, z, a component c as 128 + 128·c | 1.1° |
+//!
+//! There are no further SH bands. The file cannot state its frame: as for PLY it is the scene's own, by custom y down.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use glam::{Quat, Vec3};
+
+use super::error::{Fault, read_file};
+use super::loss::{Loss, WriteReport};
+use super::record::{Columns, Record, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
+use super::{FormatError, activation, atomic_write_with};
+use crate::scene::Splats;
+
+const BYTES: usize = 32;
+
+/// Reads splats. Opacities of 0 and 1 and scales of 0 become the nearest finite parameters.
+///
+/// # Errors
+/// If the file cannot be read, its length is not a multiple of 32, or it holds values that [`Splats::new`] refuses.
+pub fn read(path: &Path) -> Result<Splats, FormatError> {
+    parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
+}
+
+/// Writes splats in their own order.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
+    let mut loss = Loss::of_sh_degree(splats.sh_degree(), 0);
+    let bytes = atomic_write_with(path, |out| {
+        (0..splats.len()).try_for_each(|i| {
+            let splat = Record::of(splats, i);
+            let row = encode(&splat);
+            loss.max_error.include(&splat, &decode(&row));
+            out.write_all(&row)
+        })
+    })?;
+    Ok(WriteReport { bytes, loss })
+}
+
+fn parse(bytes: &[u8]) -> Result<Splats, Fault> {
+    let (rows, rest) = bytes.as_chunks::<BYTES>();
+    if !rest.is_empty() {
+        let found = format!("{} bytes", bytes.len());
+        return Err(Fault::whole(format!("a .splat file of {BYTES} bytes per splat"), found));
+    }
+    let mut columns = Columns::with_capacity(rows.len(), 0);
+    rows.iter().for_each(|row| columns.push(&decode(row)));
+    columns.finish()
+}
+
+fn encode(splat: &Record) -> [u8; BYTES] {
+    let mut row = [0; BYTES];
+    let scales = splat.log_scale.to_array().map(activation::scale);
+    for (place, value) in row.as_chunks_mut::<4>().0.iter_mut().zip(splat.mean.to_array().into_iter().chain(scales)) {
+        *place = value.to_le_bytes();
+    }
+    row[24..27].copy_from_slice(&color_bytes(splat.sh[0]));
+    row[27] = opacity_byte(splat.opacity_logit);
+    let q = splat.rotation;
+    // A cast to u8 saturates: a component of exactly 1 would be 256.
+    row[28..].copy_from_slice(&[q.w, q.x, q.y, q.z].map(|c| (128.0 + 128.0 * c).round() as u8));
+    row
+}
+
+fn decode(row: &[u8; BYTES]) -> Record {
+    let (words, _) = row.as_chunks::<4>();
+    let float = |k: usize| f32::from_le_bytes(words[k]);
+    let [w, x, y, z] = words[7].map(|b| f32::from(b) / 128.0 - 1.0);
+    let [red, green, blue, alpha] = words[6];
+    let mut sh = [[0.0; 3]; 16];
+    sh[0] = dc_of_bytes([red, green, blue]);
+    Record {
+        mean: Vec3::new(float(0), float(1), float(2)),
+        rotation: Quat::from_xyzw(x, y, z, w),
+        log_scale: Vec3::from([3, 4, 5].map(|k| activation::log_scale(float(k)).0)),
+        opacity_logit: logit_of_byte(alpha),
+        sh_degree: 0,
+        sh,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_splats};
+
+    fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.splat");
+        let report = write(&path, splats).unwrap();
+        (std::fs::read(path).unwrap(), report)
+    }
+
+    #[test]
+    fn round_trip_stays_within_the_stated_errors() {
+        let splats = random_splats(5000, 3, 1);
+        let (bytes, report) = written(&splats);
+        assert_eq!((bytes.len() as u64, bytes.len()), (report.bytes, 5000 * BYTES));
+        let back = parse(&bytes).unwrap();
+        assert_same_loss(&report.loss, &Loss::of_splats(&splats, &back));
+        assert_eq!(report.loss.sh_degree, Some([3, 0]));
+        let e = report.loss.max_error;
+        assert_eq!((e.mean, e.sh), (0.0, 0.0));
+        // exp and ln in f64, rounded to f32 between them: 6e-8 of the scale, and 5e-7 of a logarithm near 9.
+        assert!(e.log_scale < 1e-6, "{e:?}");
+        assert!(e.opacity <= 1.0 / 510.0 + 1e-6 && e.opacity > 0.0015, "{e:?}");
+        assert!(e.rotation < 1.1 && e.rotation > 0.3, "{e:?}");
+        // Coefficients up to ±2 leave 0..1 by 0.064.
+        assert!((0.05..0.066).contains(&e.color), "{e:?}");
+    }
+
+    #[test]
+    fn layout() {
+        let splats = random_splats(2, 0, 4);
+        let (bytes, _) = written(&splats);
+        assert_eq!(bytes[..4], splats.means()[0].x.to_le_bytes());
+        assert_eq!(bytes[32 + 12..32 + 16], activation::scale(splats.log_scales()[1].x).to_le_bytes());
+        let q = splats.rotations()[0];
+        assert_eq!(bytes[28], (128.0 + 128.0 * q.w).round() as u8);
+        assert_eq!(bytes[31], (128.0 + 128.0 * q.z).round() as u8);
+    }
+
+    #[test]
+    fn extremes_survive() {
+        let splats = saturated_splats();
+        let (bytes, report) = written(&splats);
+        assert_eq!(parse(&bytes).unwrap().len(), splats.len());
+        assert!(report.loss.max_error.opacity < 1e-6, "{:?}", report.loss);
+        assert_eq!(parse(&[]).unwrap(), Splats::empty(0));
+    }
+
+    #[test]
+    fn messages_name_place_expected_and_found() {
+        let (mut bytes, _) = written(&random_splats(2, 0, 4));
+        bytes[32..36].copy_from_slice(&f32::NAN.to_le_bytes());
+        let message = |bytes: &[u8]| parse(bytes).unwrap_err().in_file(Path::new("a.splat")).to_string();
+        assert_eq!(message(&bytes), "a.splat: means[1]: expected finite numbers, found NaN");
+        assert_eq!(message(&bytes[..63]), "a.splat: expected a .splat file of 32 bytes per splat, found 63 bytes");
+        bytes[28..32].fill(128);
+        bytes[32..36].fill(0);
+        assert!(message(&bytes).contains("rotations[0]: expected a non-zero quaternion"), "{}", message(&bytes));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_do_not_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+            let whole = bytes.len() / BYTES * BYTES;
+            if let Ok(splats) = parse(&bytes[..whole]) {
+                prop_assert_eq!(splats.len(), whole / BYTES);
+            }
+        }
+    }
+}
