@@ -9,6 +9,7 @@ pub mod gltf;
 mod inspect;
 mod loss;
 pub mod mesh_import;
+mod morton;
 pub mod ply;
 mod record;
 pub mod splat;

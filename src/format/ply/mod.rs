@@ -1,5 +1,6 @@
-//! PLY: the INRIA layout of splats (METHODS 1), and coloured points.
+//! PLY: the INRIA layout of splats (METHODS 1), that of `PlayCanvas`, and coloured points.
 
+pub mod compressed;
 pub(crate) mod table;
 
 use std::io::Write as _;
@@ -7,7 +8,7 @@ use std::path::Path;
 
 use glam::{DVec3, Quat, Vec3};
 
-use self::table::Ply;
+use self::table::{Element, Ply};
 use super::error::{Fault, FormatError, read_file};
 use super::{activation, atomic_write_with};
 use crate::scene::{Splats, sh};
@@ -43,7 +44,8 @@ pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
 }
 
 /// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 3 by
-/// the number of `f_rest` properties; other properties and elements are ignored.
+/// the number of `f_rest` properties; other properties and elements are ignored. The layout of [`compressed`] is told
+/// by its properties.
 ///
 /// Infinite logits (opacities of exactly 0 or 1, as writers make them from 8-bit alpha) and log-scales of −∞ (scales of
 /// 0) become the nearest finite ones.
@@ -67,16 +69,17 @@ pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
 
 fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
     let ply = Ply::parse(bytes)?;
+    if compressed::is_compressed(&ply) {
+        return compressed::parse(&ply);
+    }
     let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
     let dc = vertex.scalars(["f_dc_0", "f_dc_1", "f_dc_2"])?;
     let [opacity] = vertex.scalars(["opacity"])?;
     let scales = vertex.scalars(["scale_0", "scale_1", "scale_2"])?;
     let [qw, qx, qy, qz] = vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"])?;
-    let rest: Vec<usize> = (0..).map_while(|i| vertex.scalar(&format!("f_rest_{i}"))).collect();
-    let sh_degree = (0..=sh::MAX_DEGREE)
-        .find(|&d| rest.len() == 3 * (sh::coefficients(d) - 1))
-        .ok_or_else(|| Fault::whole("0, 9, 24 or 45 `f_rest` properties", rest.len().to_string()))?;
+    let rest = rest_columns(vertex);
+    let sh_degree = degree_of_rest(rest.len())?;
     let (k, bands) = (sh::coefficients(sh_degree), rest.len() / 3);
 
     type Columns = (Vec<Vec3>, Vec<Quat>, Vec<Vec3>, Vec<f32>, Vec<[f32; 3]>);
@@ -96,6 +99,18 @@ fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
         Ok(())
     })?;
     Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+}
+
+/// Columns of `f_rest_0`, `f_rest_1`, …
+fn rest_columns(element: &Element) -> Vec<usize> {
+    (0..).map_while(|i| element.scalar(&format!("f_rest_{i}"))).collect()
+}
+
+/// SH degree that has `rest` coefficients above the first, in three channels.
+fn degree_of_rest(rest: usize) -> Result<u32, Fault> {
+    (0..=sh::MAX_DEGREE)
+        .find(|&d| rest == 3 * (sh::coefficients(d) - 1))
+        .ok_or_else(|| Fault::whole("0, 9, 24 or 45 `f_rest` properties", rest.to_string()))
 }
 
 fn finite_logit(logit: f32) -> f32 {

@@ -1,0 +1,418 @@
+//! The compressed PLY of `PlayCanvas` (`SuperSplat`, splat-transform): chunks of 256 splats with their bounds, then 16 bytes
+//! per splat, then a byte per SH coefficient above 0.
+//!
+//! | word | bits from the top | what | largest error of [`write`] |
+//! |---|---|---|---|
+//! | position | 11, 10, 11 | mean x, y, z between the chunk's bounds | 1/4094 (x, z) or 1/2046 (y) of its extent |
+//! | rotation | 2, 10, 10, 10 | index in (w, x, y, z) of the largest component, which is positive; the others ×√½ + ½ | 0.28° |
+//! | scale | 11, 10, 11 | log standard deviations between the chunk's bounds; below −20 is −20 | as for means |
+//! | colour | 8, 8, 8, 8 | red, green, blue of SH coefficient 0 between the chunk's bounds (or 0..1), opacity | 1/510 of the extent, 1/510 |
+//! | SH | 8 each | `f_rest_*`, −4..4 in 256 bins, of which the first and the last stand for ±4 | 1/64, 1/32 at the ends; beyond ±4 clipped |
+//!
+//! The frame is that of INRIA PLY: the scene's own, by custom y down.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use glam::{Quat, Vec3};
+use rayon::prelude::*;
+
+use super::table::Ply;
+use super::{degree_of_rest, rest_columns};
+use crate::format::error::Fault;
+use crate::format::loss::{Loss, SplatError, WriteReport};
+use crate::format::record::{Columns, Record, logit_of_byte, opacity_byte, quantize};
+use crate::format::{FormatError, atomic_write_with, morton};
+use crate::scene::{Splats, sh};
+
+/// Splats in a chunk.
+const CHUNK: usize = 256;
+
+/// Half the range of SH coefficients.
+const SH_RANGE: f32 = 4.0;
+
+/// The least log-scale written, as by `PlayCanvas`: a splat of 10⁻³⁵ must not take the precision from its neighbours.
+const LEAST_LOG_SCALE: f32 = -20.0;
+
+/// Names of the bounds in the order in which they are written. The last six may be absent.
+const BOUNDS: [&str; 18] = [
+    "min_x",
+    "min_y",
+    "min_z",
+    "max_x",
+    "max_y",
+    "max_z",
+    "min_scale_x",
+    "min_scale_y",
+    "min_scale_z",
+    "max_scale_x",
+    "max_scale_y",
+    "max_scale_z",
+    "min_r",
+    "min_g",
+    "min_b",
+    "max_r",
+    "max_g",
+    "max_b",
+];
+const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
+
+/// Lowest and highest values in a chunk, axis by axis.
+#[derive(Clone, Copy)]
+struct Bounds {
+    mean: [Vec3; 2],
+    log_scale: [Vec3; 2],
+    color: [Vec3; 2],
+}
+
+/// Writes splats as compressed PLY, in Morton order: neighbours in one chunk have narrow bounds.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
+    let bands = sh::coefficients(splats.sh_degree()) - 1;
+    let chunks: Vec<EncodedChunk> =
+        morton::order(splats.means()).par_chunks(CHUNK).map(|indices| encode_chunk(splats, indices)).collect();
+    let properties =
+        |kind: &str, names: &[&str]| names.iter().map(|name| format!("property {kind} {name}\n")).collect::<String>();
+    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement chunk {}\n", chunks.len());
+    header += &properties("float", &BOUNDS);
+    header += &format!("element vertex {}\n", splats.len());
+    header += &properties("uint", &PACKED);
+    if bands > 0 {
+        header += &format!("element sh {}\n", splats.len());
+        (0..3 * bands).for_each(|i| header += &properties("uchar", &[&format!("f_rest_{i}")]));
+    }
+    header += "end_header\n";
+    let bytes = atomic_write_with(path, |out| {
+        out.write_all(header.as_bytes())?;
+        chunks.iter().try_for_each(|c| c.bounds.iter().try_for_each(|v| out.write_all(&v.to_le_bytes())))?;
+        chunks.iter().try_for_each(|c| c.packed.iter().flatten().try_for_each(|v| out.write_all(&v.to_le_bytes())))?;
+        chunks.iter().try_for_each(|c| out.write_all(&c.sh))
+    })?;
+    let max_error = chunks.iter().map(|c| c.error).fold(SplatError::default(), SplatError::max);
+    Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() } })
+}
+
+/// True if the header is that of a compressed PLY.
+pub(super) fn is_compressed(ply: &Ply<'_>) -> bool {
+    ply.element("vertex").is_some_and(|vertex| vertex.scalar(PACKED[0]).is_some())
+}
+
+pub(super) fn parse(ply: &Ply<'_>) -> Result<Splats, Fault> {
+    let missing =
+        |name: &str| Fault::whole(format!("a compressed PLY with the element `{name}`"), "a header without it");
+    let chunk = ply.element("chunk").ok_or_else(|| missing("chunk"))?;
+    let vertex = ply.element("vertex").ok_or_else(|| missing("vertex"))?;
+    let geometry: [usize; 12] = chunk.scalars([
+        "min_x",
+        "min_y",
+        "min_z",
+        "max_x",
+        "max_y",
+        "max_z",
+        "min_scale_x",
+        "min_scale_y",
+        "min_scale_z",
+        "max_scale_x",
+        "max_scale_y",
+        "max_scale_z",
+    ])?;
+    let color = chunk.scalars(["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"]).ok();
+    let packed = vertex.scalars(PACKED)?;
+    let (count, needed) = (vertex.count, vertex.count.div_ceil(CHUNK));
+    if chunk.count < needed {
+        let found = format!("{} chunks", chunk.count);
+        return Err(Fault::whole(format!("{needed} chunks of {CHUNK} splats for {count} splats"), found));
+    }
+    let chunks = ply.rows("chunk", Vec::with_capacity, |chunks, row| {
+        let at = |k: usize| Vec3::from([0, 1, 2].map(|axis| row.values[geometry[k + axis]] as f32));
+        let color_at = |c: [usize; 3]| Vec3::from(c.map(|column| row.values[column] as f32));
+        let color =
+            color.map_or([Vec3::ZERO, Vec3::ONE], |[a, b, c, d, e, f]| [color_at([a, b, c]), color_at([d, e, f])]);
+        chunks.push(Bounds { mean: [at(0), at(3)], log_scale: [at(6), at(9)], color });
+        Ok(())
+    })?;
+
+    let sh_degree = match ply.element("sh") {
+        None => 0,
+        Some(element) if element.count != count || element.is_float("f_rest_0") => {
+            let found = format!("{} rows", element.count);
+            return Err(Fault::whole(format!("the element `sh` with {count} rows of uchar"), found));
+        }
+        Some(element) => degree_of_rest(rest_columns(element).len())?,
+    };
+    let rows = ply.rows("vertex", Vec::with_capacity, |rows, row| {
+        rows.push(packed.map(|column| row.values[column] as u32));
+        Ok(())
+    })?;
+    let record = |i: usize| decode(&chunks[i / CHUNK], rows[i]);
+    let columns = match ply.element("sh").filter(|_| sh_degree > 0) {
+        None => {
+            let mut columns = Columns::with_capacity(count, 0);
+            (0..count).for_each(|i| columns.push(&record(i)));
+            columns
+        }
+        Some(element) => {
+            let (rest, bands) = (rest_columns(element), sh::coefficients(sh_degree) - 1);
+            // As many rows of `sh` as splats, so that `count` fits into the file.
+            let start = |_| (0, Columns::with_capacity(count, sh_degree));
+            ply.rows("sh", start, |(i, columns), row| {
+                let mut splat = Record { sh_degree, ..record(*i) };
+                for band in 0..bands {
+                    let byte = |channel: usize| row.values[rest[channel * bands + band]] as u8;
+                    splat.sh[1 + band] = [0, 1, 2].map(|channel| coefficient(byte(channel)));
+                }
+                columns.push(&splat);
+                *i += 1;
+                Ok(())
+            })?
+            .1
+        }
+    };
+    columns.finish()
+}
+
+struct EncodedChunk {
+    bounds: [f32; 18],
+    packed: Vec<[u32; 4]>,
+    sh: Vec<u8>,
+    error: SplatError,
+}
+
+fn encode_chunk(splats: &Splats, indices: &[u32]) -> EncodedChunk {
+    let records: Vec<Record> = indices.iter().map(|&i| Record::of(splats, i as usize)).collect();
+    let span = |value: fn(&Record) -> Vec3| {
+        let values = || records.iter().map(value);
+        [values().reduce(Vec3::min).unwrap_or_default(), values().reduce(Vec3::max).unwrap_or_default()]
+    };
+    let bounds = Bounds { mean: span(|r| r.mean), log_scale: span(log_scale), color: span(color) };
+    let bands = sh::coefficients(splats.sh_degree()) - 1;
+    let mut chunk = EncodedChunk {
+        bounds: [0.0; 18],
+        packed: Vec::with_capacity(indices.len()),
+        sh: Vec::with_capacity(indices.len() * 3 * bands),
+        error: SplatError::default(),
+    };
+    let ends = [bounds.mean, bounds.log_scale, bounds.color].into_iter().flatten().flat_map(|v| v.to_array());
+    chunk.bounds.iter_mut().zip(ends).for_each(|(to, from)| *to = from);
+    for splat in &records {
+        let packed = encode(&bounds, splat);
+        let mut back = Record { sh_degree: splat.sh_degree, ..decode(&bounds, packed) };
+        for channel in 0..3 {
+            for (band, value) in splat.sh().iter().enumerate().skip(1) {
+                let byte = coefficient_byte(value[channel]);
+                back.sh[band][channel] = coefficient(byte);
+                chunk.sh.push(byte);
+            }
+        }
+        chunk.error.include(splat, &back);
+        chunk.packed.push(packed);
+    }
+    chunk
+}
+
+fn log_scale(splat: &Record) -> Vec3 {
+    splat.log_scale.max(Vec3::splat(LEAST_LOG_SCALE))
+}
+
+fn color(splat: &Record) -> Vec3 {
+    Vec3::from(sh::rgb_from_dc(splat.sh[0]))
+}
+
+fn encode(bounds: &Bounds, splat: &Record) -> [u32; 4] {
+    let [x, y, z] = parts(splat.mean, bounds.mean);
+    let [sx, sy, sz] = parts(log_scale(splat), bounds.log_scale);
+    let [r, g, b] = parts(color(splat), bounds.color).map(|c| quantize(c, 255));
+    let pack = |x, y, z| quantize(x, 2047) << 21 | quantize(y, 1023) << 11 | quantize(z, 2047);
+    let alpha = u32::from(opacity_byte(splat.opacity_logit));
+    [pack(x, y, z), encode_rotation(splat.rotation), pack(sx, sy, sz), r << 24 | g << 16 | b << 8 | alpha]
+}
+
+fn decode(bounds: &Bounds, [position, rotation, scale, color]: [u32; 4]) -> Record {
+    let unpack = |v: u32| Vec3::new(unit(v >> 21, 2047), unit(v >> 11, 1023), unit(v, 2047));
+    let rgb = Vec3::new(unit(color >> 24, 255), unit(color >> 16, 255), unit(color >> 8, 255));
+    let mut sh = [[0.0; 3]; 16];
+    sh[0] = sh::dc_from_rgb(between(bounds.color, rgb).to_array());
+    Record {
+        mean: between(bounds.mean, unpack(position)),
+        rotation: decode_rotation(rotation),
+        log_scale: between(bounds.log_scale, unpack(scale)),
+        opacity_logit: logit_of_byte(color as u8),
+        sh_degree: 0,
+        sh,
+    }
+}
+
+/// Where `value` lies between the bounds, 0 to 1; 0 where these are one.
+fn parts(value: Vec3, [low, high]: [Vec3; 2]) -> [f32; 3] {
+    // In f64: the extent of f32 values may exceed f32.
+    let (value, low, high) = (value.as_dvec3(), low.as_dvec3(), high.as_dvec3());
+    let part = (value - low) / (high - low).max(glam::DVec3::splat(f64::MIN_POSITIVE));
+    part.as_vec3().to_array()
+}
+
+fn between([low, high]: [Vec3; 2], part: Vec3) -> Vec3 {
+    low * (Vec3::ONE - part) + high * part
+}
+
+/// The lowest bits of `v`, of which `levels` has all set, as a part of `levels`.
+fn unit(v: u32, levels: u32) -> f32 {
+    (v & levels) as f32 / levels as f32
+}
+
+fn encode_rotation(q: Quat) -> u32 {
+    let q = [q.w, q.x, q.y, q.z];
+    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let sign = q[largest].signum();
+    let others =
+        (0..4).filter(|&i| i != largest).map(|i| quantize(sign * q[i] * std::f32::consts::FRAC_1_SQRT_2 + 0.5, 1023));
+    others.fold(largest as u32, |word, component| word << 10 | component)
+}
+
+fn decode_rotation(word: u32) -> Quat {
+    let part = |shift: u32| (unit(word >> shift, 1023) - 0.5) * std::f32::consts::SQRT_2;
+    let others = [part(20), part(10), part(0)];
+    let largest = (1.0 - others.iter().map(|c| c * c).sum::<f32>()).max(0.0).sqrt();
+    let [a, b, c] = others;
+    let [w, x, y, z] = match word >> 30 {
+        0 => [largest, a, b, c],
+        1 => [a, largest, b, c],
+        2 => [a, b, largest, c],
+        _ => [a, b, c, largest],
+    };
+    Quat::from_xyzw(x, y, z, w)
+}
+
+fn coefficient_byte(value: f32) -> u8 {
+    // A cast saturates, which clips.
+    ((value / (2.0 * SH_RANGE) + 0.5) * 256.0) as u8
+}
+
+fn coefficient(byte: u8) -> f32 {
+    let part = match byte {
+        0 => 0.0,
+        255 => 1.0,
+        _ => (f32::from(byte) + 0.5) / 256.0,
+    };
+    (part - 0.5) * 2.0 * SH_RANGE
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::format::ply::parse_splats;
+    use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_splats};
+
+    fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.compressed.ply");
+        let report = write(&path, splats).unwrap();
+        (std::fs::read(path).unwrap(), report)
+    }
+
+    fn in_morton_order(splats: &Splats) -> Splats {
+        let mut columns = Columns::with_capacity(splats.len(), splats.sh_degree());
+        morton::order(splats.means()).iter().for_each(|&i| columns.push(&Record::of(splats, i as usize)));
+        columns.finish().unwrap()
+    }
+
+    #[test]
+    fn round_trip_stays_within_the_stated_errors() {
+        for degree in 0..4 {
+            let splats = random_splats(3000, degree, 1);
+            let (bytes, report) = written(&splats);
+            assert_eq!(bytes.len() as u64, report.bytes);
+            let back = parse_splats(&bytes).unwrap();
+            assert_same_loss(&report.loss, &Loss::of_splats(&in_morton_order(&splats), &back));
+            let e = report.loss.max_error;
+            assert_eq!(report.loss.sh_degree, None);
+            // Chunks are smaller than the scene, whose extent is 6 and of whose log-scales it is 10; y has 10 bits.
+            assert!(e.mean < 6.0 / 2046.0 && e.mean > 1e-4, "{e:?}");
+            assert!(e.log_scale <= 10.0 / 2046.0 + 1e-5 && e.log_scale > 0.003, "{e:?}");
+            assert!(e.rotation < 0.28 && e.rotation > 0.1, "{e:?}");
+            assert!(e.opacity <= 1.0 / 510.0 + 1e-6, "{e:?}");
+            // Coefficients of ±2 are colours from −0.064 to 1.064.
+            assert!(e.color <= 1.13 / 510.0, "{e:?}");
+            assert!(e.sh <= 1.0 / 64.0 + 1e-6 && (degree == 0 || e.sh > 0.015), "{e:?}");
+        }
+    }
+
+    #[test]
+    fn rotations_of_any_largest_component_and_sign() {
+        for i in 0..4 {
+            for sign in [-1.0, 1.0] {
+                let mut c = [0.1, -0.2, 0.3, -0.25];
+                c[i] = 0.9 * sign;
+                let q = Quat::from_array(c).normalize();
+                let back = decode_rotation(encode_rotation(q));
+                assert!(q.dot(back).abs() > 0.999_99, "{q} {back}");
+            }
+        }
+        assert_eq!(encode_rotation(Quat::IDENTITY) >> 30, 0, "w comes first");
+    }
+
+    #[test]
+    fn extremes_survive() {
+        let splats = saturated_splats();
+        let (bytes, report) = written(&splats);
+        let back = parse_splats(&bytes).unwrap();
+        assert_eq!(back.len(), splats.len());
+        assert!(report.loss.max_error.opacity < 1e-6);
+        assert_eq!(parse_splats(&written(&Splats::empty(2)).0).unwrap(), Splats::empty(2));
+        assert_eq!(
+            (coefficient(0), coefficient(255), coefficient_byte(-1e9), coefficient_byte(4.0)),
+            (-4.0, 4.0, 0, 255)
+        );
+    }
+
+    #[test]
+    fn chunks_without_colour_bounds() {
+        let splats = random_splats(2, 0, 3);
+        let (bytes, _) = written(&splats);
+        let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let header = String::from_utf8(bytes[..end].to_vec()).unwrap();
+        let header: String = header
+            .lines()
+            .filter(|l| !l.ends_with("_r") && !l.ends_with("_g") && !l.ends_with("_b"))
+            .fold(String::new(), |h, l| h + l + "\n");
+        let mut old = header.into_bytes();
+        old.extend(&bytes[end..end + 48]);
+        old.extend(&bytes[end + 72..]);
+        let last = old.len();
+        old[last - 4..].copy_from_slice(&0x00ff_8040_u32.to_le_bytes());
+        let rgb = sh::rgb_from_dc(parse_splats(&old).unwrap().sh_of(1)[0]);
+        let expected = [0.0, 1.0, 128.0 / 255.0];
+        assert!(rgb.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{rgb:?}");
+    }
+
+    #[test]
+    fn messages_name_what_is_missing() {
+        let (bytes, _) = written(&random_splats(300, 1, 3));
+        let message = |from: &str, to: &str| {
+            let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap();
+            let header = String::from_utf8(bytes[..end].to_vec()).unwrap().replace(from, to);
+            let changed = [header.as_bytes(), &bytes[end..]].concat();
+            parse_splats(&changed).unwrap_err().in_file(Path::new("a.ply")).to_string()
+        };
+        assert!(
+            message("chunk 2", "chunk 1").contains("expected 2 chunks of 256 splats for 300 splats, found 1 chunks")
+        );
+        assert!(message("element sh 300", "element sh 299").contains("`sh` with 300 rows of uchar, found 299 rows"));
+        assert!(message("f_rest_8", "f_other").contains("`f_rest` properties, found 8"));
+        assert!(message("packed_scale", "other").contains("property `packed_scale`"));
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_do_not_panic(cut in 0usize..9000, at in 0usize..9000, byte: u8, degree in 0u32..4, n in 0usize..300) {
+            let (mut file, _) = written(&random_splats(n, degree, 9));
+            file.truncate(cut.max(1));
+            let at = at % file.len();
+            file[at] = byte;
+            let _ = parse_splats(&file);
+        }
+    }
+}
