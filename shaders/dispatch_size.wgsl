@@ -1,4 +1,5 @@
-// Workgroups that cover the number of items in counts[COUNT_WORD], as arguments of an indirect dispatch.
+// Workgroups that cover the number of items in counts[COUNT_WORD], as arguments of an indirect dispatch: rows of
+// at most WIDEST.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read_write> size: array<u32>;
@@ -7,7 +8,10 @@
 fn main() {
     // A count beyond the capacity (an overflow that the host will report) must not reach past the buffers.
     let items = min(counts[COUNT_WORD], CAPACITY);
-    size[0] = (items + BLOCK - 1u) / BLOCK;
-    size[1] = 1u;
+    let groups = (items + BLOCK - 1u) / BLOCK;
+    // As Frame::dispatch folds: kernels index their groups row by row and leave out those that are too many.
+    let rows = max((groups + WIDEST - 1u) / WIDEST, 1u);
+    size[0] = (groups + rows - 1u) / rows;
+    size[1] = rows;
     size[2] = 1u;
 }

@@ -58,9 +58,14 @@ fn count_digits(thread: u32, start: u32, n: u32) {
 }
 
 @compute @workgroup_size(256)
-fn count(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+fn count(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
     let n = item_count();
-    count_digits(thread, group.x * BLOCK + thread * 8u, n);
+    let block = group.x + group.y * groups.x;
+    count_digits(thread, block * BLOCK + thread * 8u, n);
     // 32 threads per pair of digits add eight words each.
     var sum = 0u;
     //#for k in 0..8
@@ -68,11 +73,11 @@ fn count(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) gr
     //#end
     row_values[thread] = sum;
     workgroupBarrier();
-    if thread < DIGITS {
+    let n_blocks = (n + BLOCK - 1u) / BLOCK;
+    if thread < DIGITS && block < n_blocks {
         sum = 0u;
         for (var i = 0u; i < 32u; i++) { sum += row_values[(thread % 8u) * 32u + i]; }
-        let n_blocks = (n + BLOCK - 1u) / BLOCK;
-        histograms[thread * n_blocks + group.x] = (sum >> half(thread)) & 0xffffu;
+        histograms[thread * n_blocks + block] = (sum >> half(thread)) & 0xffffu;
     }
 }
 
@@ -99,9 +104,14 @@ fn scan(@builtin(local_invocation_index) thread: u32) {
 }
 
 @compute @workgroup_size(256)
-fn scatter(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+fn scatter(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
     let n = item_count();
-    let first = group.x * BLOCK;
+    let block = group.x + group.y * groups.x;
+    let first = block * BLOCK;
     let start = first + thread * 8u;
     count_digits(thread, start, n);
 
@@ -121,7 +131,7 @@ fn scatter(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) 
     if thread < DIGITS {
         let n_blocks = (n + BLOCK - 1u) / BLOCK;
         let in_block = (counters[counter(thread, 0u)] >> half(thread)) & 0xffffu;
-        digit_base[thread] = histograms[thread * n_blocks + group.x] - in_block;
+        digit_base[thread] = histograms[thread * n_blocks + block] - in_block;
     }
     workgroupBarrier();
 

@@ -16,15 +16,20 @@ fn item_count() -> u32 {
 }
 
 @compute @workgroup_size(256)
-fn sum_blocks(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+fn sum_blocks(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
     let n = item_count();
+    let block = group.x + group.y * groups.x;
     var sum = 0u;
     for (var k = 0u; k < PER_THREAD; k++) {
-        let i = group.x * BLOCK + k * 256u + thread;
+        let i = block * BLOCK + k * 256u + thread;
         if i < n { sum += input[i]; }
     }
     workgroup_scan(thread, sum);
-    if thread == 0u { block_sums[group.x] = workgroup_total; }
+    if thread == 0u && block * BLOCK < n { block_sums[block] = workgroup_total; }
 }
 
 @compute @workgroup_size(256)
@@ -44,13 +49,18 @@ fn scan_sums(@builtin(local_invocation_index) thread: u32) {
 }
 
 @compute @workgroup_size(256)
-fn scan_blocks(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+fn scan_blocks(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
     let n = item_count();
-    let start = group.x * BLOCK + thread * PER_THREAD;
+    let block = group.x + group.y * groups.x;
+    let start = block * BLOCK + thread * PER_THREAD;
     let end = min(start + PER_THREAD, n);
     var sum = 0u;
     for (var i = start; i < end; i++) { sum += input[i]; }
-    var before = block_sums[group.x] + workgroup_scan(thread, sum);
+    var before = block_sums[block] + workgroup_scan(thread, sum);
     for (var i = start; i < end; i++) {
         let value = input[i];           // again: from the cache
         output[i] = before;

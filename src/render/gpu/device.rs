@@ -325,6 +325,18 @@ impl Gpu {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
     }
 
+    /// Most workgroups in a row of a dispatch.
+    pub(crate) fn widest_dispatch(&self) -> u32 {
+        self.limits.max_compute_workgroups_per_dimension
+    }
+
+    /// The same adapter, but dispatches are folded into rows of at most so many workgroups.
+    #[cfg(test)]
+    pub(crate) fn narrowed(mut self, widest: u32) -> Self {
+        self.limits.max_compute_workgroups_per_dimension = widest;
+        self
+    }
+
     /// The first error the driver reported outside a call that returns one.
     ///
     /// # Errors
@@ -628,7 +640,7 @@ impl<'a> Frame<'a> {
         if groups == 0 {
             return;
         }
-        let widest = self.gpu.limits.max_compute_workgroups_per_dimension as usize;
+        let widest = self.gpu.widest_dispatch() as usize;
         let y = groups.div_ceil(widest);
         let x = groups.div_ceil(y);
         let pass = self.pass(kernel);

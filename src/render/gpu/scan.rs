@@ -24,8 +24,12 @@ impl DispatchSize {
         counts: &Buffer,
         count_word: u32,
     ) -> Result<Self, GpuError> {
-        let defines =
-            gpu.defines().with("COUNT_WORD", count_word).with("CAPACITY", capacity as u32).with("BLOCK", block as u32);
+        let defines = gpu
+            .defines()
+            .with("COUNT_WORD", count_word)
+            .with("CAPACITY", capacity as u32)
+            .with("BLOCK", block as u32)
+            .with("WIDEST", gpu.widest_dispatch());
         let kernel = Kernel::new(gpu, "dispatch_size.wgsl", "main", &defines);
         let size = gpu.storage("dispatch size", 3)?;
         let bindings = kernel.bind(gpu, &[counts, &size]);
@@ -102,18 +106,43 @@ mod tests {
 
     #[test]
     fn scan_equals_a_running_sum() {
+        // Folded into 27 rows of 10 workgroups, 7 of them too many, as more than 65,535 would be.
+        for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().narrowed(10)] {
+            check(&gpu);
+        }
+    }
+
+    #[test]
+    fn no_row_of_workgroups_is_wider_than_allowed() {
         let gpu = Gpu::open(None).unwrap();
+        let widest = gpu.widest_dispatch();
+        let counts = gpu.storage("counts", 1).unwrap();
+        let capacity = u32::MAX / 2;
+        let size = DispatchSize::new(&gpu, capacity as usize, 256, &counts, 0).unwrap();
+        for items in [0, 1, 256, 257, 256 * widest, 256 * widest + 1, 400_000_000, capacity, u32::MAX] {
+            gpu.write(&counts, 0, &[items]);
+            let mut frame = Frame::new(&gpu);
+            size.record(&mut frame);
+            frame.submit();
+            let [x, y, z] = gpu.read::<u32>(&size.size, 3).unwrap()[..] else { unreachable!() };
+            let needed = items.min(capacity).div_ceil(256);
+            assert!(x <= widest && y <= widest && z == 1, "{items}: {x} {y} {z}");
+            assert!((needed..needed + y).contains(&(x * y)), "{items}: {x} {y}");
+        }
+    }
+
+    fn check(gpu: &Gpu) {
         let mut rng = Pcg32::seed_from_u64(1);
         let capacity = 4_300_000; // more than 256 blocks on any adapter: the middle kernel loops
         let values: Vec<u32> = (0..capacity).map(|_| rng.random_range(0..1000)).collect();
         let input = gpu.storage_with("input", &values).unwrap();
         let output = gpu.storage("output", capacity).unwrap();
         let counts = gpu.storage("counts", 4).unwrap();
-        let scan = Scan::new(&gpu, capacity, &input, &output, &counts, 1, 3).unwrap();
+        let scan = Scan::new(gpu, capacity, &input, &output, &counts, 1, 3).unwrap();
         for n in [0, 1, 255, 2047, 2048, 2049, 16_383, 16_385, 100_000, capacity] {
             gpu.write(&output, 0, &vec![u32::MAX; capacity]);
             gpu.write(&counts, 0, &[7, n as u32, 8, 9]);
-            let mut frame = Frame::new(&gpu);
+            let mut frame = Frame::new(gpu);
             scan.record(&mut frame);
             frame.submit();
             let mut sum = 0;

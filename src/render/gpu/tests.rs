@@ -120,6 +120,18 @@ fn images_equal_the_reference() {
     assert!(all_excused * 10 < pixels, "{all_excused} of {pixels} pixels are threshold pixels");
 }
 
+/// As images with more than 65,535 workgroups in a dispatch.
+#[test]
+fn folded_dispatches_equal_the_reference() {
+    let gpu = Gpu::open(None).unwrap().narrowed(7);
+    for seed in 30..33 {
+        let (scene, camera) = testing::random_scene(seed, 1500, 1, 1, 2, OrderMode::Stable);
+        let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
+        let (mean, most, _) = compare(&found, &scene, &camera);
+        assert!(mean < 1e-4 && most < 2e-3, "scene {seed}: mean {mean:e}, max {most:e}");
+    }
+}
+
 /// Relative error of a whole class: ‖found − expected‖ / ‖expected‖.
 fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64>) -> f64 {
     let (mut difference, mut norm) = (0.0, 0.0);
