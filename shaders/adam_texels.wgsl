@@ -13,6 +13,7 @@ struct Step {
     correction_1: f32,      // 1 − β₁ᵗ
     correction_2: f32,      // 1 − β₂ᵗ
     visited_only: u32,      // leave floats without gradient and their moments alone
+    holds_opacity: u32,     // leave opacity logits and their moments alone
 }
 
 const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can still fade (METHODS 6)
@@ -31,6 +32,8 @@ fn adam(
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
     if i >= map.width * map.height * map.channels { return; }
+    let is_opacity = map.is_base != 0u && i % 4u == 3u;
+    if is_opacity && step.holds_opacity != 0u { return; }
     var g = gradient[map.offset + i];
     if map.levels > 1u {
         g += 0.25 * gradient[parent_of(map, 0u, i)];
@@ -42,7 +45,7 @@ fn adam(
     let rate = select(step.band_rate, step.base_rate, map.is_base != 0u);
     var value = texels[map.offset + i];
     value -= rate * (m.x / step.correction_1) / (sqrt(m.y / step.correction_2) + EPSILON);
-    if map.is_base != 0u && i % 4u == 3u {
+    if is_opacity {
         value = clamp(value, -MAX_LOGIT, MAX_LOGIT);
     }
     texels[map.offset + i] = value;

@@ -413,15 +413,20 @@ impl<'a> Run<'a> {
             seed: random.random(),
             visible_only: o.visible_only,
         });
-        let texels =
-            (plan.has_mesh && !(plan.phase == Phase::Joint && plan.schedule.freezes_mesh_opacity(age))).then(|| {
-                let base_rate = match plan.phase {
-                    Phase::Warmup => schedule::texel_rate(o.warmup),
-                    _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
-                };
-                let number = if plan.phase == Phase::Joint { o.warmup + t + 1 } else { t + 1 };
-                TexelStep { number, base_rate, band_rate: base_rate / BAND_RATE_DIVISOR, visited_only: false }
-            });
+        let texels = plan.has_mesh.then(|| {
+            let is_joint = plan.phase == Phase::Joint;
+            let base_rate = match plan.phase {
+                Phase::Warmup => schedule::texel_rate(o.warmup),
+                _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
+            };
+            TexelStep {
+                number: if is_joint { o.warmup + t + 1 } else { t + 1 },
+                base_rate,
+                band_rate: base_rate / BAND_RATE_DIVISOR,
+                visited_only: false,
+                holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age),
+            }
+        });
         let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
         training.step(&Step {
             camera: &view.camera,

@@ -114,3 +114,20 @@ fn the_file_shows_what_the_trainer_showed() {
         }
     });
 }
+
+#[test]
+fn after_an_opacity_reset_the_mesh_learns_colours_only() {
+    with_run(&options(), |run, training, scene| {
+        let schedule = Schedule { opacity_reset_interval: Some(5), densify_until: 1000, ..Schedule::new(1000) };
+        let plan = Plan { phase: Phase::Joint, from: 0, iterations: 1000, clock: 0, schedule, has_mesh: true };
+        let before = scene.meshes[0].atlas().base().texels();
+        let mut changed = |t| {
+            run.step(training, &plan, t).unwrap();
+            let after = training.read_atlases().unwrap().remove(0);
+            let changed = |c: usize| before.iter().zip(after.base().texels()).skip(c).step_by(4).any(|(a, b)| a != b);
+            [changed(0), changed(3)]
+        };
+        assert_eq!(changed(6), [true, false], "the reset is at iteration 5");
+        assert_eq!(changed(0), [true, true]);
+    });
+}

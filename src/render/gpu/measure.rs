@@ -125,6 +125,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
             base_rate: 0.0,
             band_rate: 0.0,
             visited_only: false,
+            holds_opacity: false,
         }),
     };
     // Compiled kernels, long enough lists.

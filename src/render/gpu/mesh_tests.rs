@@ -438,7 +438,7 @@ fn adam_steps_and_moments_are_restored() {
     let mut rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, true);
     let weights: Vec<f32> = (0..4 * view.pixels()).map(|_| random.signed()).collect();
     rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
-    let step = TexelStep { number: 1, base_rate: 1e-3, band_rate: 2e-3, visited_only: false };
+    let step = TexelStep { number: 1, base_rate: 1e-3, band_rate: 2e-3, visited_only: false, holds_opacity: false };
     rig.stage.set_step(&rig.gpu, &step);
     let mut frame = Frame::new(&rig.gpu);
     rig.stage.record_backward(&mut frame);
@@ -481,6 +481,21 @@ fn adam_steps_and_moments_are_restored() {
         let changed = other.read_atlases(&rig.gpu).unwrap().remove(0) != after;
         assert_eq!(changed, !visited_only, "gradients are zero, moments are not");
     }
+
+    // While opacity is held, colours go on.
+    let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, true).unwrap();
+    assert!(other.write_moments(&rig.gpu, &first, &second));
+    other.set_step(&rig.gpu, &TexelStep { number: 2, holds_opacity: true, ..step });
+    let mut frame = Frame::new(&rig.gpu);
+    other.record_adam(&mut frame);
+    frame.submit();
+    let held = other.read_atlases(&rig.gpu).unwrap().remove(0);
+    let (m, v) = other.read_moments(&rig.gpu).unwrap();
+    for (i, (a, b)) in after.base().texels().iter().zip(held.base().texels()).enumerate() {
+        let stays = i % 4 == 3 || first[i] == 0.0;
+        assert!((a == b) == stays && ((m[i], v[i]) == (first[i], second[i])) == stays, "float {i}: {a} became {b}");
+    }
+    assert_ne!(after.bands(), held.bands());
 }
 
 /// Nothing is dispatched and next to nothing allocated without meshes.
@@ -513,7 +528,10 @@ fn stage_times() {
         let rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, true);
         let weights: Vec<f32> = (0..4 * layers as usize * view.pixels()).map(|_| random.signed()).collect();
         rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
-        rig.stage.set_step(&rig.gpu, &TexelStep { number: 1, base_rate: 5e-4, band_rate: 5e-4, visited_only: false });
+        rig.stage.set_step(
+            &rig.gpu,
+            &TexelStep { number: 1, base_rate: 5e-4, band_rate: 5e-4, visited_only: false, holds_opacity: false },
+        );
         let mut timer = Timer::new(&rig.gpu).unwrap();
         let mut best: Vec<(String, f64)> = vec![];
         for _ in 0..5 {

@@ -26,10 +26,12 @@ pub(crate) struct TexelStep {
     pub(crate) band_rate: f32,
     /// Skip floats whose gradient is exactly 0, moments included: what no pixel saw does not drift.
     pub(crate) visited_only: bool,
+    /// Leave opacity logits and their moments alone, while colours are learnt.
+    pub(crate) holds_opacity: bool,
 }
 
 impl TexelStep {
-    fn words(&self) -> [u32; 5] {
+    fn words(&self) -> [u32; 6] {
         let correction = |beta: f64| (1.0 - beta.powf(f64::from(self.number.max(1)))) as f32;
         [
             self.base_rate.to_bits(),
@@ -37,6 +39,7 @@ impl TexelStep {
             correction(0.9).to_bits(),
             correction(0.999).to_bits(),
             u32::from(self.visited_only),
+            u32::from(self.holds_opacity),
         ]
     }
 }
