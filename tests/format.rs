@@ -116,7 +116,7 @@ fn what_cannot_be_read_says_so() {
     let draft = message("oracle_cesium_gltf_splat/synthetic_5splats.gltf");
     assert!(draft.contains("synthetic_5splats.gltf: /"), "{draft}");
     let spz = message("oracle_splat_transform/splat/minimal-v4.spz");
-    assert!(spz.ends_with("expected a .glb, .gltf, .ply or .splat file, found other content"), "{spz}");
+    assert!(spz.ends_with("expected a .glb, .gltf, .ply, .sog or .splat file, found other content"), "{spz}");
     let mesh = message("oracle_metalsplatter/PLYIO/TestData/beetle.binary.ply");
     assert!(mesh.contains("f_dc_0"), "{mesh}");
 }

@@ -16,9 +16,9 @@ use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats
 pub struct Summary {
     /// Path as given.
     pub file: String,
-    /// `glTF`, `INRIA PLY` or `splat`.
+    /// `glTF`, `INRIA PLY`, `SOG` or `splat`.
     pub format: &'static str,
-    /// Length of the file.
+    /// Length of the file; of a SOG that is a folder, of its `meta.json`.
     pub bytes: u64,
     /// Where the bytes go: part → bytes.
     pub bytes_by_part: BTreeMap<&'static str, u64>,

@@ -12,6 +12,7 @@ pub mod mesh_import;
 mod morton;
 pub mod ply;
 mod record;
+pub mod sog;
 pub mod splat;
 #[cfg(test)]
 mod test_scenes;
@@ -30,6 +31,7 @@ use crate::scene::{Composition, HybridScene, Splats};
 enum Kind {
     Gltf,
     Ply,
+    Sog,
     Splat,
 }
 
@@ -39,16 +41,17 @@ impl Kind {
         match self {
             Self::Gltf => "glTF",
             Self::Ply => "INRIA PLY",
+            Self::Sog => "SOG",
             Self::Splat => "splat",
         }
     }
 }
 
-/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA) or `.splat`. glTF and PLY are
-/// told by their content, `.splat` by the file's name.
+/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA), `.sog` or `.splat`. They are told
+/// by their content, `.splat` and the `meta.json` of a SOG that is a folder by the file's name.
 ///
 /// # Errors
-/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`] and [`splat::read`].
+/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`] and [`splat::read`].
 pub fn read_scene(path: &Path) -> Result<HybridScene, FormatError> {
     match kind(path)? {
         Kind::Gltf => Ok(gltf::read(path)?.scene),
@@ -62,6 +65,7 @@ fn read_splats(path: &Path, kind: Kind) -> Result<Splats, FormatError> {
     match kind {
         Kind::Gltf => Ok(gltf::read(path)?.scene.splats),
         Kind::Ply => ply::read(path),
+        Kind::Sog => sog::read(path),
         Kind::Splat => splat::read(path),
     }
 }
@@ -78,12 +82,14 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Gltf)
     } else if start.starts_with(b"ply") {
         Ok(Kind::Ply)
+    } else if sog::is_folder(path) || start.starts_with(b"PK\x03\x04") {
+        Ok(Kind::Sog)
     } else if named("splat") {
         Ok(Kind::Splat)
     } else if first == Some(&b'{') {
         Ok(Kind::Gltf)
     } else {
-        let expected = "a .glb, .gltf, .ply or .splat file";
+        let expected = "a .glb, .gltf, .ply, .sog or .splat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
         Err(error::Fault::whole(expected, found).in_file(path))
     }

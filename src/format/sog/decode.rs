@@ -1,0 +1,348 @@
+//! From `meta.json` and images to splats.
+
+use glam::{DQuat, Quat, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::files::FileSet;
+use super::texels::Texels;
+use crate::format::error::Fault;
+use crate::format::record::logit_of_byte;
+use crate::scene::{Splats, sh};
+
+/// `meta.json` of both versions.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Meta {
+    /// 2; absent from version 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) version: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) asset: Option<serde_json::Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) count: Option<u64>,
+    pub(super) means: Field,
+    pub(super) scales: Field,
+    pub(super) quats: Field,
+    pub(super) sh0: Field,
+    #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
+    pub(super) sh_n: Option<Field>,
+}
+
+/// An attribute: its images, and what their bytes mean.
+#[derive(Default, Serialize, Deserialize)]
+pub(super) struct Field {
+    /// Version 1: number of splats, then of components.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) shape: Option<Vec<u64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) mins: Option<Numbers>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) maxs: Option<Numbers>,
+    /// Version 2. Some writers have put `null` in the first place.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) codebook: Option<Vec<Option<f32>>>,
+    /// Entries of the palette.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) count: Option<u64>,
+    /// SH degree.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) bands: Option<u32>,
+    pub(super) files: Vec<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+pub(super) enum Numbers {
+    One(f64),
+    Many(Vec<f64>),
+}
+
+impl Numbers {
+    fn get(&self, i: usize) -> Option<f64> {
+        match self {
+            Self::One(v) => Some(*v),
+            Self::Many(values) => values.get(i).copied(),
+        }
+    }
+}
+
+impl Meta {
+    /// Names of the images: lower and upper bytes of the means, scales, rotations, colours; entries and labels of the
+    /// palette.
+    pub(super) fn files(&self) -> Vec<&str> {
+        let fields = [&self.means, &self.scales, &self.quats, &self.sh0].into_iter().chain(&self.sh_n);
+        fields.flat_map(|field| field.files.iter().map(String::as_str)).collect()
+    }
+}
+
+/// What each of the 256 values of a byte stands for.
+type Table = [f32; 256];
+
+/// What the images mean: `meta.json`, checked.
+pub(super) struct Scheme {
+    count: usize,
+    /// Lowest and highest of the transformed means, per axis.
+    means: [[f64; 2]; 3],
+    scales: [Table; 3],
+    /// RGB of coefficient 0, and opacity logits.
+    colors: [Table; 4],
+    palette: Option<Palette>,
+    /// JSON pointer and name of each image, in the order of [`Meta::files`].
+    files: Vec<(String, String)>,
+}
+
+struct Palette {
+    table: Table,
+    /// Degree and number of entries where `meta.json` states them; version 1 leaves them to the image's size.
+    stated: Option<(u32, usize)>,
+}
+
+/// Texels of a row of the palette's image, per coefficient.
+pub(super) const ENTRIES_PER_ROW: usize = 64;
+
+impl Scheme {
+    /// `bytes` is the length of all files together.
+    pub(super) fn parse(meta: &Meta, bytes: u64) -> Result<Self, Fault> {
+        let first = meta.version.is_none();
+        if !matches!(meta.version, None | Some(2)) {
+            let found = meta.version.unwrap_or_default().to_string();
+            return Err(Fault::pointer("/version", "version 2, or none for version 1", found));
+        }
+        let (at, count) = if first {
+            ("/means/shape/0", meta.means.shape.as_ref().and_then(|s| s.first()).copied())
+        } else {
+            ("/count", meta.count)
+        };
+        let count = count.ok_or_else(|| Fault::pointer(at, "the number of splats", "none"))?;
+        // Trained splats take 8 to 20 bytes each. Files of constant images could claim any number.
+        let most = bytes.saturating_mul(4).saturating_add(4096);
+        if count > most {
+            let expected = format!("at most {most} splats in {bytes} bytes");
+            return Err(Fault::pointer(at, expected, count.to_string()));
+        }
+        let count = count as usize;
+
+        let mut files = vec![];
+        let mut take = |name: &str, field: &Field, expected: usize| {
+            if field.files.len() != expected {
+                let found = field.files.len().to_string();
+                return Err(Fault::pointer(format!("/{name}/files"), format!("{expected} file(s)"), found));
+            }
+            files.extend(field.files.iter().enumerate().map(|(i, f)| (format!("/{name}/files/{i}"), f.clone())));
+            Ok(())
+        };
+        take("means", &meta.means, 2)?;
+        take("scales", &meta.scales, 1)?;
+        take("quats", &meta.quats, 1)?;
+        take("sh0", &meta.sh0, 1)?;
+        if let Some(field) = &meta.sh_n {
+            take("shN", field, 2)?;
+        }
+
+        let table = |name: &str, field: &Field, channel| {
+            if first { range_table(name, field, channel) } else { codebook_table(name, field) }
+        };
+        let sh0 = |channel| table("sh0", &meta.sh0, channel);
+        let opacities = if first { sh0(3)? } else { std::array::from_fn(|v| logit_of_byte(v as u8)) };
+        let palette = match &meta.sh_n {
+            None => None,
+            Some(field) => Some(Palette { table: table("shN", field, 0)?, stated: stated(field, first)? }),
+        };
+        Ok(Self {
+            count,
+            means: [range("means", &meta.means, 0)?, range("means", &meta.means, 1)?, range("means", &meta.means, 2)?],
+            scales: [
+                table("scales", &meta.scales, 0)?,
+                table("scales", &meta.scales, 1)?,
+                table("scales", &meta.scales, 2)?,
+            ],
+            colors: [sh0(0)?, sh0(1)?, sh0(2)?, opacities],
+            palette,
+            files,
+        })
+    }
+
+    /// Reads and decodes the images.
+    pub(super) fn fetch(&self, files: &mut FileSet) -> Result<Vec<Texels>, Fault> {
+        let fault = |i: usize, (expected, found): (String, String)| Fault::pointer(&self.files[i].0, expected, found);
+        let mut contents = vec![];
+        for (i, (_, name)) in self.files.iter().enumerate() {
+            contents.push(files.image(name).map_err(|e| fault(i, e))?);
+        }
+        let decode = |(i, content): (usize, Vec<u8>)| {
+            Texels::decode(&content, |width, height| self.check_size(i, width, height)).map_err(|e| fault(i, e))
+        };
+        contents.into_par_iter().enumerate().map(decode).collect()
+    }
+
+    /// What image `i` should measure, if it does not.
+    fn check_size(&self, i: usize, width: usize, height: usize) -> Result<(), String> {
+        if i == 5 {
+            let palette_fits = degree_of_width(width).is_some() && height <= (1 << 16) / ENTRIES_PER_ROW;
+            let expected = "64 texels per coefficient (192, 512 or 960) by at most 1024";
+            return if palette_fits { Ok(()) } else { Err(expected.to_owned()) };
+        }
+        let most = self.count.saturating_mul(2).saturating_add(1 << 16);
+        let fits = (self.count..=most).contains(&(width * height));
+        if fits { Ok(()) } else { Err(format!("{} to {most} texels", self.count)) }
+    }
+
+    /// The splats of images as [`Self::fetch`] returns them.
+    pub(super) fn splats(&self, images: &[Texels]) -> Result<Splats, Fault> {
+        let [lower, upper, scales, rotations, colors, palette @ ..] = images else {
+            return Err(Fault::whole("at least 5 images", images.len().to_string()));
+        };
+        let mean = |i| {
+            let (low, high) = (lower.at(i), upper.at(i));
+            Vec3::from_array(std::array::from_fn(|axis| {
+                let [first, last] = self.means[axis];
+                let part = f64::from(u16::from_le_bytes([low[axis], high[axis]])) / 65535.0;
+                expand(first + (last - first) * part) as f32
+            }))
+        };
+        let log_scale = |i| {
+            let texel = scales.at(i);
+            Vec3::from_array(std::array::from_fn(|axis| self.scales[axis][usize::from(texel[axis])]))
+        };
+        let color = |i, channel: usize| self.colors[channel][usize::from(colors.at(i)[channel])];
+        let indices = || (0..self.count).into_par_iter();
+        let means = indices().map(mean).collect();
+        let log_scales = indices().map(log_scale).collect();
+        let opacity_logits = indices().map(|i| color(i, 3)).collect();
+        let rotations: Vec<Quat> = indices()
+            .map(|i| {
+                let found = |tag| format!("{tag} in texel {i}");
+                rotation(rotations.at(i)).map_err(|tag| Fault::pointer("/quats", "alpha of 252 to 255", found(tag)))
+            })
+            .collect::<Result<_, _>>()?;
+
+        let (sh_degree, coefficients) = match (&self.palette, palette) {
+            (Some(palette), [entries, labels]) => self.harmonics(palette, entries, labels)?,
+            _ => (0, vec![]),
+        };
+        let k = sh::coefficients(sh_degree);
+        let sh = indices()
+            .flat_map_iter(|i| {
+                let dc = [color(i, 0), color(i, 1), color(i, 2)];
+                let rest = coefficients.get(i * (k - 1)..(i + 1) * (k - 1)).unwrap_or_default();
+                std::iter::once(dc).chain(rest.iter().copied())
+            })
+            .collect();
+        Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+    }
+
+    /// Degree, and the coefficients above 0 of all splats.
+    fn harmonics(&self, palette: &Palette, entries: &Texels, labels: &Texels) -> Result<(u32, Vec<[f32; 3]>), Fault> {
+        let degree = degree_of_width(entries.width).unwrap_or_default();
+        let held = ENTRIES_PER_ROW * entries.height;
+        if let Some((stated, count)) = palette.stated {
+            if stated != degree {
+                let found = format!("an image for degree {degree}");
+                return Err(Fault::pointer("/shN/bands", format!("{stated} as by the palette's width"), found));
+            }
+            if count > held {
+                return Err(Fault::pointer("/shN/count", format!("at most {held} entries"), count.to_string()));
+            }
+        }
+        let count = palette.stated.map_or(held, |(_, count)| count);
+        let per_entry = sh::coefficients(degree) - 1;
+        let mut coefficients = Vec::with_capacity(self.count * per_entry);
+        for i in 0..self.count {
+            let [low, high, ..] = labels.at(i);
+            let label = usize::from(u16::from_le_bytes([low, high]));
+            if label >= count {
+                let found = format!("{label} in texel {i}");
+                return Err(Fault::pointer("/shN/files/1", format!("labels below {count}"), found));
+            }
+            // Entries follow each other in rows of 64, so that all coefficients lie in one sequence.
+            coefficients.extend((0..per_entry).map(|c| {
+                let [r, g, b, _] = entries.at(label * per_entry + c);
+                [r, g, b].map(|v| palette.table[usize::from(v)])
+            }));
+        }
+        Ok((degree, coefficients))
+    }
+}
+
+fn degree_of_width(width: usize) -> Option<u32> {
+    (1..=sh::MAX_DEGREE).find(|&d| width == ENTRIES_PER_ROW * (sh::coefficients(d) - 1))
+}
+
+fn stated(field: &Field, first: bool) -> Result<Option<(u32, usize)>, Fault> {
+    if first {
+        return Ok(None);
+    }
+    let bands = field.bands.filter(|b| (1..=sh::MAX_DEGREE).contains(b));
+    let bands = bands.ok_or_else(|| Fault::pointer("/shN/bands", "1 to 3", format!("{:?}", field.bands)))?;
+    let count = field.count.filter(|&c| c <= 1 << 16);
+    let count = count.ok_or_else(|| Fault::pointer("/shN/count", "at most 65536", format!("{:?}", field.count)))?;
+    Ok(Some((bands, count as usize)))
+}
+
+fn range(name: &str, field: &Field, channel: usize) -> Result<[f64; 2], Fault> {
+    let end = |key: &str, numbers: &Option<Numbers>| {
+        numbers
+            .as_ref()
+            .and_then(|n| n.get(channel))
+            .ok_or_else(|| Fault::pointer(format!("/{name}/{key}"), format!("a number for channel {channel}"), "none"))
+    };
+    Ok([end("mins", &field.mins)?, end("maxs", &field.maxs)?])
+}
+
+/// Version 1: evenly spaced.
+fn range_table(name: &str, field: &Field, channel: usize) -> Result<Table, Fault> {
+    let [low, high] = range(name, field, channel)?;
+    Ok(std::array::from_fn(|v| (low + (high - low) * v as f64 / 255.0) as f32))
+}
+
+/// Version 2.
+fn codebook_table(name: &str, field: &Field) -> Result<Table, Fault> {
+    let at = format!("/{name}/codebook");
+    let fault = |found: String| Fault::pointer(&at, "256 numbers", found);
+    let codebook = field.codebook.as_ref().ok_or_else(|| fault("none".to_owned()))?;
+    let values: &[Option<f32>; 256] = codebook.as_slice().try_into().map_err(|_| fault(codebook.len().to_string()))?;
+    let mut table = [0.0; 256];
+    for (slot, value) in table.iter_mut().zip(values).skip(1) {
+        *slot = value.ok_or_else(|| fault("null".to_owned()))?;
+    }
+    // A missing first value is taken to be one mean step below the second, as PlayCanvas' own reader does.
+    table[0] = values[0].unwrap_or(table[1] - (table[255] - table[1]) / 255.0);
+    Ok(table)
+}
+
+/// The inverse of [`compress`].
+fn expand(v: f64) -> f64 {
+    v.abs().exp_m1().copysign(v)
+}
+
+/// The signed logarithm in which means are stored: fine near the origin, coarse far out.
+pub(super) fn compress(v: f64) -> f64 {
+    v.abs().ln_1p().copysign(v)
+}
+
+/// Components other than the largest of (w, x, y, z), in order, and which that is.
+fn rotation([a, b, c, tag]: [u8; 4]) -> Result<Quat, u8> {
+    let largest = usize::from(tag.checked_sub(252).ok_or(tag)?);
+    let rest = [a, b, c].map(|v| (f64::from(v) / 255.0 * 2.0 - 1.0) * std::f64::consts::FRAC_1_SQRT_2);
+    let mut wxyz = [0.0; 4];
+    let others = (0..4).filter(|&i| i != largest);
+    others.zip(rest).for_each(|(i, v)| wxyz[i] = v);
+    wxyz[largest] = (1.0 - rest.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();
+    let [w, x, y, z] = wxyz;
+    Ok(DQuat::from_xyzw(x, y, z, w).normalize().as_quat())
+}
+
+/// The inverse of [`rotation`], for a unit quaternion.
+pub(super) fn rotation_texel(q: Quat) -> [u8; 4] {
+    let [x, y, z, w] = q.as_dquat().to_array();
+    let wxyz = [w, x, y, z];
+    let largest = (1..4).fold(0, |best, i| if wxyz[i].abs() > wxyz[best].abs() { i } else { best });
+    // A quaternion and its negative are one rotation; readers take the largest component to be positive.
+    let sign = wxyz[largest].signum();
+    let mut others = (0..4).filter(|&i| i != largest);
+    let mut byte = || {
+        let v = others.next().map_or(0.0, |i| sign * wxyz[i] * std::f64::consts::SQRT_2);
+        ((0.5 * v + 0.5) * 255.0).round() as u8
+    };
+    [byte(), byte(), byte(), 252 + largest as u8]
+}

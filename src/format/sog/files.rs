@@ -1,0 +1,136 @@
+//! The files of a SOG: members of a zip, or of a folder.
+
+use std::fs::File;
+use std::io::{Cursor, Read as _, Write as _};
+use std::path::{Path, PathBuf};
+
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipArchive, ZipWriter};
+
+use super::decode::Meta;
+use super::encode::Encoded;
+use crate::format::error::{Fault, FormatError, read_file};
+use crate::format::{atomic_write, atomic_write_with};
+
+pub(super) const META: &str = "meta.json";
+/// Largest `meta.json`: three codebooks of 256 numbers take 20 kB.
+const MAX_META: u64 = 1 << 20;
+
+/// Where the files are.
+pub(super) struct FileSet {
+    place: Place,
+    bytes: u64,
+}
+
+enum Place {
+    Bundle(Box<ZipArchive<Cursor<Vec<u8>>>>),
+    Folder(PathBuf),
+}
+
+impl FileSet {
+    /// `path` is a zip, or the `meta.json` of a folder.
+    pub(super) fn open(path: &Path) -> Result<Self, FormatError> {
+        if is_folder(path) {
+            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            // The images count once they are read.
+            return Ok(Self { place: Place::Folder(folder.to_owned()), bytes: folder_bytes(folder) });
+        }
+        Self::bundle(read_file(path)?).map_err(|fault| fault.in_file(path))
+    }
+
+    pub(super) fn bundle(zip: Vec<u8>) -> Result<Self, Fault> {
+        let bytes = zip.len() as u64;
+        let archive = ZipArchive::new(Cursor::new(zip)).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+        Ok(Self { place: Place::Bundle(Box::new(archive)), bytes })
+    }
+
+    /// Length of all files together.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    pub(super) fn meta(&mut self) -> Result<Meta, Fault> {
+        let text = self.read(META, MAX_META).map_err(|(expected, found)| Fault::whole(expected, found))?;
+        serde_json::from_slice(&text).map_err(|e| Fault::whole("the `meta.json` of a SOG", e.to_string()))
+    }
+
+    /// The content of an image. On failure: what was expected, and what was found.
+    pub(super) fn image(&mut self, name: &str) -> Result<Vec<u8>, (String, String)> {
+        // Lossless WebP does not deflate further, so that a member much larger than the whole zip is a trap.
+        self.read(name, self.bytes.saturating_mul(8).saturating_add(1 << 16))
+    }
+
+    fn read(&mut self, name: &str, limit: u64) -> Result<Vec<u8>, (String, String)> {
+        let missing = |reason: String| ("a readable file".to_owned(), format!("`{name}` ({reason})"));
+        let mut content = vec![];
+        match &mut self.place {
+            Place::Bundle(archive) => {
+                let member = archive.by_name(name).map_err(|e| missing(e.to_string()))?;
+                member.take(limit + 1).read_to_end(&mut content).map_err(|e| missing(e.to_string()))?;
+            }
+            Place::Folder(folder) => {
+                let path = inside(folder, name)?;
+                let file = File::open(path).map_err(|e| missing(e.to_string()))?;
+                file.take(limit + 1).read_to_end(&mut content).map_err(|e| missing(e.to_string()))?;
+            }
+        }
+        if content.len() as u64 > limit {
+            return Err((format!("at most {limit} bytes"), format!("more in `{name}`")));
+        }
+        Ok(content)
+    }
+}
+
+/// True if `path` names a folder's files rather than a bundle.
+pub(in crate::format) fn is_folder(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name == META)
+}
+
+/// Length of the files next to `meta.json`; unreadable ones do not count.
+fn folder_bytes(folder: &Path) -> u64 {
+    let entries = folder.read_dir().into_iter().flatten().filter_map(Result::ok);
+    entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
+}
+
+/// The path of a file in `folder` itself; neither names nor symbolic links may lead out of it.
+fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, String)> {
+    let refused = || ("the name of a file in the folder".to_owned(), format!("`{name}`"));
+    let unreadable = |e: std::io::Error| ("a readable file".to_owned(), format!("`{name}` ({e})"));
+    let mut components = Path::new(name).components();
+    let plain = matches!((components.next(), components.next()), (Some(std::path::Component::Normal(_)), None));
+    if !plain || name.contains(['/', '\\', ':']) {
+        return Err(refused());
+    }
+    let folder = folder.canonicalize().map_err(unreadable)?;
+    let path = folder.join(name).canonicalize().map_err(unreadable)?;
+    if path.parent() == Some(&folder) { Ok(path) } else { Err(refused()) }
+}
+
+/// Writes all files; returns their length together.
+pub(super) fn write(path: &Path, encoded: &Encoded) -> Result<u64, FormatError> {
+    use rayon::prelude::*;
+    let failed = |source| FormatError::Write { file: path.to_owned(), source };
+    let meta = serde_json::to_vec(&encoded.meta).map_err(|e| failed(e.into()))?;
+    let images: Vec<Vec<u8>> = encoded.images.par_iter().map(super::texels::Texels::encode).collect();
+    let names = encoded.meta.files();
+    let files = names.into_iter().zip(&images).chain([(META, &meta)]);
+    if !is_folder(path) {
+        return atomic_write_with(path, |out| {
+            let mut zip = ZipWriter::new(out);
+            // Without a date the zip depends on its content alone. Compressed images do not deflate.
+            let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+            for (name, content) in files {
+                zip.start_file(name, options.large_file(content.len() > i32::MAX as usize))?;
+                zip.write_all(content)?;
+            }
+            zip.finish()?;
+            Ok(())
+        });
+    }
+    let mut bytes = 0;
+    for (name, content) in files {
+        atomic_write(&path.with_file_name(name), content)?;
+        bytes += content.len() as u64;
+    }
+    Ok(bytes)
+}

@@ -1,0 +1,61 @@
+//! SOG (spatially ordered Gaussians, `PlayCanvas`): `meta.json` and lossless `WebP` images, together in a folder or in a
+//! zip called `.sog`. The format is described at
+//! <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/>.
+//!
+//! One texel is one splat: means in 16 bits of a signed logarithm, rotations in 26, opacities in 8; scales and colours
+//! are indices into codebooks of 256 values, harmonics into a palette of up to 65,536 vectors. Version 1, which has
+//! ranges in place of codebooks, is read but not written.
+
+mod codebook;
+mod decode;
+mod encode;
+mod files;
+mod palette;
+#[cfg(test)]
+mod tests;
+mod texels;
+
+use std::path::Path;
+
+use self::files::FileSet;
+pub(super) use self::files::is_folder;
+use super::error::{Fault, FormatError};
+use super::loss::{Loss, WriteReport};
+use super::record::Record;
+use crate::scene::Splats;
+
+/// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
+/// to 3. Frame and colour space are the file's own: the format cannot state them.
+///
+/// # Errors
+/// If a file cannot be read or is missing, names a path outside of the folder, holds lossy images or images of another
+/// size than the number of splats calls for, refers to more than its palettes hold, or declares more splats than files
+/// of its size can describe.
+pub fn read(path: &Path) -> Result<Splats, FormatError> {
+    let mut files = FileSet::open(path)?;
+    read_set(&mut files).map_err(|fault| fault.in_file(path))
+}
+
+fn read_set(files: &mut FileSet) -> Result<Splats, Fault> {
+    let meta = files.meta()?;
+    let scheme = decode::Scheme::parse(&meta, files.bytes())?;
+    let images = scheme.fetch(files)?;
+    scheme.splats(&images)
+}
+
+/// Writes version 2, splats in Morton order: a bundle, or where `path` ends in `meta.json` the files of one into that
+/// folder (the images first, each at once or not at all). The same splats always give the same bytes.
+///
+/// # Errors
+/// If a file cannot be written, or there are more splats than an image has texels (16384²).
+pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
+    let encoded = encode::encode(splats).map_err(|fault| fault.in_file(path))?;
+    let written = decode::Scheme::parse(&encoded.meta, u64::MAX).and_then(|scheme| scheme.splats(&encoded.images));
+    let written = written.map_err(|fault| fault.in_file(path))?;
+    let mut loss = Loss::default();
+    for (i, &source) in encoded.order.iter().enumerate() {
+        loss.max_error.include(&Record::of(splats, source as usize), &Record::of(&written, i));
+    }
+    drop(written);
+    Ok(WriteReport { bytes: files::write(path, &encoded)?, loss })
+}
