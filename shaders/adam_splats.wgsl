@@ -6,6 +6,7 @@
 
 //#import shared/adam.wgsl
 //#import shared/rotation.wgsl
+//#import shared/status.wgsl
 
 struct Step {
     n_splats: u32,
@@ -28,6 +29,7 @@ struct Step {
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> visible: array<u32>;
+@group(0) @binding(6) var<storage, read_write> status: Status;
 //#if GEOMETRY
 // Three per splat: mean and opacity logit; quaternion w, x, y, z of any length; log-scale and 0.
 @group(0) @binding(2) var<storage, read_write> parameters: array<vec4f>;
@@ -77,7 +79,7 @@ fn geometry(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let i = (group.x + group.y * groups.x) * 256u + thread;
-    if i >= step.n_splats || (step.visible_only != 0u && visible[i] == 0u) { return; }
+    if i >= step.n_splats || status.is_short != 0u || (step.visible_only != 0u && visible[i] == 0u) { return; }
     let place = 3u * i;
 
     var position = parameters[place];
@@ -103,6 +105,10 @@ fn geometry(
         position += vec4f(strength * (r * (scale * scale * (normal(i) * r))), 0.0);
     }
     parameters[place] = position;
+    if !(are_finite(position) && are_finite(quaternion) && are_finite(log_scale) && are_finite(second[place])
+        && are_finite(second[place + 1u]) && are_finite(second[place + 2u])) {
+        atomicOr(&status.not_finite, NOT_FINITE_GEOMETRY);
+    }
 }
 //#else
 // [splat][coefficient][rgb]
@@ -119,7 +125,8 @@ fn harmonics(
 ) {
     let index = (group.x + group.y * groups.x) * 256u + thread;
     let splat = index / step.active_floats;
-    if splat >= step.n_splats || (step.visible_only != 0u && visible[splat] == 0u) { return; }
+    if splat >= step.n_splats || status.is_short != 0u { return; }
+    if step.visible_only != 0u && visible[splat] == 0u { return; }
     let float = index % step.active_floats;
     let i = splat * SH_FLOATS + float;
     let g = gradient[i];
@@ -128,6 +135,10 @@ fn harmonics(
     first[i] = m;
     second[i] = v;
     let rate = select(step.rest_rate, step.dc_rate, float < 3u);
-    parameters[i] -= rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    let value = parameters[i] - rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    parameters[i] = value;
+    if !(is_finite(value) && is_finite(v)) {
+        atomicOr(&status.not_finite, NOT_FINITE_SH);
+    }
 }
 //#end

@@ -6,6 +6,7 @@
 //#import shared/view.wgsl
 //#import shared/map.wgsl
 //#import shared/adam.wgsl
+//#import shared/status.wgsl
 
 struct Step {
     base_rate: f32,
@@ -23,6 +24,7 @@ const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can
 @group(0) @binding(2) var<storage, read> gradient: array<f32>;          // pyramid
 @group(0) @binding(3) var<storage, read_write> texels: array<f32>;      // pyramid; level 0 is written
 @group(0) @binding(4) var<storage, read_write> moments: array<vec2f>;   // level 0 only: first, second
+@group(0) @binding(5) var<storage, read_write> status: Status;
 
 @compute @workgroup_size(256)
 fn adam(
@@ -31,7 +33,7 @@ fn adam(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
-    if i >= map.width * map.height * map.channels { return; }
+    if i >= map.width * map.height * map.channels || status.is_short != 0u { return; }
     let is_opacity = map.is_base != 0u && i % 4u == 3u;
     if is_opacity && step.holds_opacity != 0u { return; }
     var g = gradient[map.offset + i];
@@ -45,8 +47,11 @@ fn adam(
     let rate = select(step.band_rate, step.base_rate, map.is_base != 0u);
     var value = texels[map.offset + i];
     value -= rate * (m.x / step.correction_1) / (sqrt(m.y / step.correction_2) + EPSILON);
-    if is_opacity {
+    if is_opacity && is_finite(value) {
         value = clamp(value, -MAX_LOGIT, MAX_LOGIT);
     }
     texels[map.offset + i] = value;
+    if !(is_finite(value) && is_finite(m.y)) {
+        atomicOr(&status.not_finite, select(NOT_FINITE_BANDS, NOT_FINITE_BASE, map.is_base != 0u));
+    }
 }

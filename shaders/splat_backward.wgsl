@@ -4,6 +4,7 @@
 //#import shared/projection.wgsl
 //#import shared/sh.wgsl
 //#import shared/sh_gradient.wgsl
+//#import shared/status.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
@@ -15,6 +16,7 @@
 @group(0) @binding(7) var<storage, read_write> sh_gradient: array<f32>;
 // Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, views in which it was visible, blend weight, largest radius (px).
 @group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
+@group(0) @binding(9) var<storage, read_write> status: Status;
 
 @compute @workgroup_size(256)
 fn main(
@@ -122,6 +124,7 @@ fn main(
     geometry_gradient[3u * i + 1u] = g_rotation;
     geometry_gradient[3u * i + 2u] = vec4f(g_log_scale, 0.0);
 
+    if status.is_short != 0u { return; }
     let old = statistics[i];
     let norm = length(0.5 * vec2f(view.size) * g_uv);
     statistics[i] = vec4f(old.x + norm, old.y + 1.0, old.z + weight, max(old.w, projected[3u * i + 1u].w));

@@ -283,6 +283,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json {
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
+            "skipped_iterations": trained.skipped_iterations,
             "settings": options, "evaluation": evaluation,
         });
         return output::print_json(&outcome);

@@ -104,6 +104,8 @@ pub struct Trained {
     pub history: Vec<Progress>,
     /// Seconds per joint iteration of this run, without evaluation.
     pub seconds_per_iteration: f64,
+    /// Iterations of this run that changed nothing because their view needed longer lists, which were made then.
+    pub skipped_iterations: u32,
 }
 
 /// What a run needs besides the capture and the options.
@@ -150,6 +152,7 @@ struct Run<'a> {
     history: Vec<Progress>,
     joint_seconds: f64,
     joint_iterations: u32,
+    skipped_iterations: u32,
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
     /// The last iteration.
@@ -213,6 +216,7 @@ impl<'a> Run<'a> {
             history: vec![],
             joint_seconds: 0.0,
             joint_iterations: 0,
+            skipped_iterations: 0,
             reached: (Phase::Surface, 0),
             hands_over: false,
         })
@@ -488,12 +492,15 @@ impl<'a> Run<'a> {
     }
 
     fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {
+        let status = training.take_status()?;
+        self.skipped_iterations += status.skipped;
         let values = training.loss()?;
         let weight = f64::from(self.options.ssim_weight);
         let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
-        if !loss.is_finite() {
+        if !loss.is_finite() || status.not_finite.is_some() {
             check_finite(training, plan.phase, done)?;
-            return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group: "the loss".to_owned() });
+            let group = status.not_finite.unwrap_or("the loss").to_owned();
+            return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group });
         }
         let due = is_due(done, self.options.eval_every) || done == plan.iterations;
         let psnr = if due { self.held_out_psnr(training, plan.phase)? } else { None };
@@ -537,6 +544,7 @@ impl<'a> Run<'a> {
             outcome,
             history: std::mem::take(&mut self.history),
             seconds_per_iteration: self.joint_seconds / f64::from(self.joint_iterations.max(1)),
+            skipped_iterations: self.skipped_iterations,
         })
     }
 }

@@ -64,7 +64,7 @@ fn error_with(geometry: bool, at: usize, value: f32) -> TrainError {
 
 #[test]
 fn a_nan_is_found_and_named() {
-    // Such a splat is not drawn, so that the loss says nothing: it is found when the splats are read.
+    // Such a splat is not drawn, so that the loss says nothing; it is found by the first look at the run all the same.
     for (geometry, at, value, group) in [
         (true, 12 * 7, f32::NAN, "means of splat 7"),
         (true, 12 * 8 + 3, f32::NAN, "opacity logits of splat 8"),
@@ -72,9 +72,20 @@ fn a_nan_is_found_and_named() {
         (false, 48 * 10, f32::NAN, "SH coefficients of splat 10"),
     ] {
         let error = error_with(geometry, at, value).to_string();
-        let expected = format!("iteration 20 (Joint): {group} not finite; the last checkpoint is from before");
+        let expected = format!("iteration 10 (Joint): {group} not finite; the last checkpoint is from before");
         assert_eq!(error, expected);
     }
+}
+
+#[test]
+fn a_nan_in_a_map_is_found_and_named() {
+    with_run(&options(), |run, training, scene| {
+        let (mut first, second) = training.read_texel_moments().unwrap();
+        first[4 * 70 + 1] = f32::NAN;
+        assert!(training.write_texel_moments(&first, &second));
+        let error = run.run_phase(training, scene, Phase::Warmup, None).unwrap_err().to_string();
+        assert!(error.starts_with("iteration 10 (Warmup): a map of the mesh not finite"), "{error}");
+    });
 }
 
 /// The handover of the surface phase may keep none.

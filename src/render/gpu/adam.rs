@@ -57,7 +57,7 @@ pub(crate) struct SplatAdam {
 
 impl SplatAdam {
     /// For splats with `sh_floats` = 3·(degree+1)² SH floats each. `visible` is `array<u32>` `[N]`, non-zero for a
-    /// splat that the view sees. No step is set.
+    /// splat that the view sees; `status` is that of the step (`shared/status.wgsl`). No step is set.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -70,6 +70,7 @@ impl SplatAdam {
         first_moment: SplatFloats,
         second_moment: SplatFloats,
         visible: &Buffer,
+        status: &Buffer,
     ) -> Result<Self, GpuError> {
         let uniform = gpu.uniform("Adam step", 16)?;
         let defines = gpu.defines().with("SH_FLOATS", sh_floats as u32);
@@ -78,7 +79,7 @@ impl SplatAdam {
             let defines = defines.clone().with("GEOMETRY", u32::from(is_geometry));
             let kernel = Kernel::new(gpu, "adam_splats.wgsl", entry, &defines);
             let [p, g, m, v] = sets.map(|s| if is_geometry { s.geometry } else { s.sh });
-            let bindings = kernel.bind(gpu, &[&uniform, visible, p, g, m, v]);
+            let bindings = kernel.bind(gpu, &[&uniform, visible, p, g, m, v, status]);
             (kernel, bindings)
         };
         let (geometry, harmonics) = (kernel("geometry", true), kernel("harmonics", false));
@@ -124,6 +125,7 @@ mod tests {
     use rand_pcg::Pcg32;
 
     use super::*;
+    use crate::render::gpu::status::status_buffer;
 
     const SH_DEGREE: u32 = 1;
     const SH_FLOATS: usize = 12;
@@ -146,6 +148,7 @@ mod tests {
         geometry: [Buffer; 4],
         sh: [Buffer; 4],
         visible: Buffer,
+        status: Buffer,
         n: usize,
     }
 
@@ -159,12 +162,18 @@ mod tests {
                 })
             };
             let n = geometry.len() / 12;
-            Self { geometry: set(geometry), sh: set(sh), visible: gpu.storage("visible", n).unwrap(), n }
+            Self {
+                geometry: set(geometry),
+                sh: set(sh),
+                visible: gpu.storage("visible", n).unwrap(),
+                status: status_buffer(gpu).unwrap(),
+                n,
+            }
         }
 
         fn adam(&self, gpu: &Gpu) -> SplatAdam {
             let [p, g, m, v] = [0, 1, 2, 3].map(|i| SplatFloats { geometry: &self.geometry[i], sh: &self.sh[i] });
-            SplatAdam::new(gpu, SH_FLOATS, p, g, m, v, &self.visible).unwrap()
+            SplatAdam::new(gpu, SH_FLOATS, p, g, m, v, &self.visible, &self.status).unwrap()
         }
 
         fn run(&self, gpu: &Gpu, adam: &mut SplatAdam, step: AdamStep) {

@@ -145,12 +145,14 @@ impl Kernels {
 }
 
 impl MeshStage {
-    /// Uploads `meshes`. `layers` is 1, 2 or 4; `trainable` adds what `record_backward` and `record_adam` need.
+    /// Uploads `meshes`. `layers` is 1, 2 or 4; a step's `status` adds what `record_backward` and `record_adam`
+    /// need.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
-    pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], layers: u32, trainable: bool) -> Result<Self, GpuError> {
-        let texels = Texels::new(gpu, meshes, trainable)?;
+    pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], layers: u32, status: Option<&Buffer>) -> Result<Self, GpuError> {
+        let trainable = status.is_some();
+        let texels = Texels::new(gpu, meshes, status)?;
         let kernels = Kernels::new(gpu, layers, texels.has_bands());
         Ok(Self {
             layers,
@@ -209,6 +211,11 @@ impl MeshStage {
     /// Pairs that fit.
     pub(crate) fn pair_capacity(&self) -> usize {
         self.screen.capacity
+    }
+
+    /// `array<u32>` `[1]`: most pairs that a view needed; the pairs themselves.
+    pub(crate) fn pairs(&self) -> [&Buffer; 2] {
+        [&self.geometry.pairs_needed, &self.screen.pairs]
     }
 
     /// Makes room for at least this many pairs; true if there was less.

@@ -5,6 +5,7 @@ use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3};
 
 use super::device::{Buffer, Frame, Gpu, Timer};
 use super::mesh::MeshStage;
+use super::status::status_buffer;
 use super::texels::TexelStep;
 use super::view::{VIEW_WORDS, View};
 use crate::scene::{Atlas, Camera, Composition, Intrinsics, Mesh, Texture, sh};
@@ -223,7 +224,8 @@ struct Rig {
 impl Rig {
     fn new(gpu: Gpu, view: &View, meshes: &[Mesh], trainable: bool) -> Self {
         let uniform = gpu.uniform("view", VIEW_WORDS).unwrap();
-        let stage = MeshStage::new(&gpu, meshes, view.composition.layers, trainable).unwrap();
+        let status = trainable.then(|| status_buffer(&gpu).unwrap());
+        let stage = MeshStage::new(&gpu, meshes, view.composition.layers, status.as_ref()).unwrap();
         let mut rig = Self { gpu, uniform, stage };
         rig.forward(view);
         rig
@@ -469,8 +471,9 @@ fn adam_steps_and_moments_are_restored() {
     // Another camera: dense Adam moves what was visited before by its momentum, the visited-only variant does not.
     let (first, second) = rig.stage.read_moments(&rig.gpu).unwrap();
     assert!(first.iter().zip(&second).all(|(m, v)| (*m == 0.0) == (*v == 0.0)));
+    let status = status_buffer(&rig.gpu).unwrap();
     for visited_only in [false, true] {
-        let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, true).unwrap();
+        let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, Some(&status)).unwrap();
         assert!(other.write_moments(&rig.gpu, &first, &second));
         assert!(!other.write_moments(&rig.gpu, &first[1..], &second[1..]));
         assert_eq!(other.read_moments(&rig.gpu).unwrap(), (first.clone(), second.clone()));
@@ -483,7 +486,7 @@ fn adam_steps_and_moments_are_restored() {
     }
 
     // While opacity is held, colours go on.
-    let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, true).unwrap();
+    let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, Some(&status)).unwrap();
     assert!(other.write_moments(&rig.gpu, &first, &second));
     other.set_step(&rig.gpu, &TexelStep { number: 2, holds_opacity: true, ..step });
     let mut frame = Frame::new(&rig.gpu);

@@ -18,6 +18,7 @@ mod scan;
 mod shader;
 mod sort;
 mod splats;
+pub(crate) mod status;
 pub(crate) mod texels;
 pub(crate) mod training;
 mod view;
@@ -27,3 +28,5 @@ pub use renderer::{Picture, Renderer};
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod training_tests;

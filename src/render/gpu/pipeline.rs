@@ -6,6 +6,7 @@ use super::{
     mesh::MeshStage,
     renderer::Picture,
     splats::{GEOMETRY, ImageCapacity, SplatBuffers, SplatLists},
+    status::status_buffer,
     view::{VIEW_WORDS, View},
 };
 use crate::scene::{Camera, Composition, HybridScene, Mesh, sh};
@@ -36,6 +37,8 @@ pub(crate) struct Backward {
     pub(crate) sh_gradient: Buffer,
     /// `[capacity]` vec4, see `splat_backward.wgsl`.
     pub(crate) statistics: Buffer,
+    /// See `status.rs`.
+    pub(crate) status: Buffer,
     capacity: usize,
     kernel: Kernel,
     bindings: Option<Bindings>,
@@ -70,9 +73,10 @@ impl Pipeline {
     ) -> Result<Self, GpuError> {
         let image = ImageCapacity::of(cameras.iter().map(|c| (c.intrinsics().width, c.intrinsics().height)));
         let view = gpu.uniform("view", VIEW_WORDS)?;
+        let status = if trainable { Some(status_buffer(gpu)?) } else { None };
         let mut mesh = match meshes {
             [] => None,
-            _ => Some(MeshStage::new(gpu, meshes, composition.layers, trainable)?),
+            _ => Some(MeshStage::new(gpu, meshes, composition.layers, status.as_ref())?),
         };
         if let Some(mesh) = &mut mesh {
             for camera in cameras {
@@ -85,9 +89,9 @@ impl Pipeline {
         let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
         let training = image_gradient.as_ref().map(|g| (g, splats.capacity));
         let blend = Blend::new(gpu, &lists, image, &view, layer_buffers(mesh.as_ref()), training)?;
-        let backward = match image_gradient {
+        let backward = match image_gradient.zip(status) {
             None => None,
-            Some(g) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, g)?),
+            Some(kept) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, kept)?),
         };
         Ok(Self { view, n_splats: 0, splats, mesh, lists, blend, composition, backward, image })
     }
@@ -188,8 +192,8 @@ impl Pipeline {
             self.backward = Some(if old.capacity == self.splats.capacity {
                 old.bind(gpu, &self.view, &self.splats, &self.lists, &self.blend)
             } else {
-                let gradient = old.image_gradient;
-                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, gradient)?
+                let kept = (old.image_gradient, old.status);
+                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, kept)?
             });
         }
         Ok(())
@@ -245,7 +249,7 @@ impl Backward {
         splats: &SplatBuffers,
         lists: &SplatLists,
         blend: &Blend,
-        image_gradient: Buffer,
+        (image_gradient, status): (Buffer, Buffer),
     ) -> Result<Self, GpuError> {
         let terms = sh::coefficients(splats.sh_degree);
         let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &gpu.defines().with("SH_TERMS", terms as u32));
@@ -255,6 +259,7 @@ impl Backward {
             geometry_gradient: gpu.storage("geometry gradient", splats.capacity * GEOMETRY)?,
             sh_gradient: gpu.storage("SH gradient", splats.capacity * 3 * terms)?,
             statistics: gpu.storage("density statistics", splats.capacity * 4)?,
+            status,
             kernel,
             bindings: None,
         };
@@ -273,6 +278,7 @@ impl Backward {
             &self.geometry_gradient,
             &self.sh_gradient,
             &self.statistics,
+            &self.status,
         ];
         self.bindings = Some(self.kernel.bind(gpu, &buffers));
         self

@@ -11,7 +11,7 @@ use crate::scene::{Splats, sh};
 /// Words of the buffer of counts.
 const COUNT_SPLATS: u32 = 0;
 const COUNT_VISIBLE: u32 = 1;
-const COUNT_PAIRS: u32 = 2;
+pub(super) const COUNT_PAIRS: u32 = 2;
 const COUNT_STORED_PAIRS: u32 = 3;
 
 /// Bits of a depth key, see `compact_visible.wgsl`.
@@ -211,6 +211,11 @@ impl SplatLists {
     /// Splat of every (tile, splat) pair, sorted by tile and depth.
     pub(crate) fn pair_splats(&self) -> &Buffer {
         self.tile_sort.values_out()
+    }
+
+    /// Splats, visible splats, pairs, pairs that fit.
+    pub(crate) fn counts(&self) -> &Buffer {
+        &self.counts
     }
 
     /// Mesh layers that splats are ordered against.

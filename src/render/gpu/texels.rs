@@ -121,7 +121,7 @@ impl Pool {
         step: &Buffer,
         (label, is_base): (&str, bool),
         textures: &[Option<&Texture>],
-        trainable: bool,
+        status: Option<&Buffer>,
     ) -> Result<Self, GpuError> {
         let (mut offset, mut moments, mut maps) = (0, 0, vec![]);
         for texture in textures {
@@ -146,19 +146,19 @@ impl Pool {
             }
         }
         let mut pool = Self { texels, maps, mips, training: None };
-        if trainable {
+        if let Some(status) = status {
             pool.training = Some(Training {
                 gradients: gpu.storage("mesh texel gradients", offset)?,
                 moments: gpu.storage("mesh texel moments", 2 * moments)?,
                 pull: vec![],
                 adam: vec![],
             });
-            pool.bind_training(gpu, kernels, step)?;
+            pool.bind_training(gpu, kernels, step, status)?;
         }
         Ok(pool)
     }
 
-    fn bind_training(&mut self, gpu: &Gpu, kernels: &Kernels, step: &Buffer) -> Result<(), GpuError> {
+    fn bind_training(&mut self, gpu: &Gpu, kernels: &Kernels, step: &Buffer, status: &Buffer) -> Result<(), GpuError> {
         let Some(training) = &mut self.training else { return Ok(()) };
         for map in self.maps.iter().flatten() {
             for level in (1..map.levels - 1).rev() {
@@ -166,7 +166,7 @@ impl Pool {
                 training.pull.push((bindings, groups(map.floats(level), GROUP)));
             }
             let uniform = uniform(gpu, map, 0)?;
-            let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments];
+            let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status];
             training.adam.push((kernels.adam.bind(gpu, &buffers), groups(map.floats(0), GROUP)));
         }
         Ok(())
@@ -204,11 +204,11 @@ pub(crate) struct Texels {
 }
 
 impl Texels {
-    /// Uploads the maps of `meshes` and builds their mips; `trainable` adds gradients and moments, all zero.
+    /// Uploads the maps of `meshes` and builds their mips; a step's `status` adds gradients and moments, all zero.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
-    pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], trainable: bool) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], status: Option<&Buffer>) -> Result<Self, GpuError> {
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &gpu.defines());
         let kernels = Kernels {
             mips: kernel("build_mips.wgsl", "build"),
@@ -219,8 +219,8 @@ impl Texels {
         let base: Vec<_> = meshes.iter().map(|m| Some(m.atlas().base())).collect();
         let bands: Vec<_> = meshes.iter().map(|m| m.atlas().bands()).collect();
         let texels = Self {
-            base: Pool::new(gpu, &kernels, &step, ("mesh base texels", true), &base, trainable)?,
-            bands: Pool::new(gpu, &kernels, &step, ("mesh band texels", false), &bands, trainable)?,
+            base: Pool::new(gpu, &kernels, &step, ("mesh base texels", true), &base, status)?,
+            bands: Pool::new(gpu, &kernels, &step, ("mesh band texels", false), &bands, status)?,
             degrees: meshes.iter().map(|m| m.atlas().sh_degree()).collect(),
             kernels,
             step,

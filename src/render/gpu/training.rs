@@ -8,6 +8,7 @@ use super::{
     pipeline::Pipeline,
     renderer::Picture,
     splats::{GEOMETRY, SplatBuffers},
+    status::{ListCheck, Status},
     texels::TexelStep,
 };
 use crate::scene::{Atlas, Camera, HybridScene, sh};
@@ -44,6 +45,7 @@ pub(crate) struct Training<'g> {
     size: (usize, usize),
     ssim_weight: f32,
     truth_alpha: TruthAlpha,
+    list_check: ListCheck,
     loss: Loss,
     adam: SplatAdam,
     moments: [Buffer; 4],
@@ -66,11 +68,14 @@ impl<'g> Training<'g> {
         let truth = gpu.storage("photograph", width * height)?;
         let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, truth_alpha)?;
         let (adam, moments) = new_adam(gpu, &pipeline)?;
+        let list_check = new_list_check(gpu, &pipeline);
         let size = (width, height);
-        Ok(Self { gpu, pipeline, truth, size, ssim_weight, truth_alpha, loss, adam, moments, timer: None })
+        let timer = None;
+        Ok(Self { gpu, pipeline, truth, size, ssim_weight, truth_alpha, list_check, loss, adam, moments, timer })
     }
 
-    /// Renders the view, differentiates the loss and moves the parameters. Does not wait.
+    /// Renders the view, differentiates the loss and moves the parameters, unless lists were too short for the view:
+    /// then nothing changes until [`Self::grow_if_short`] is called. Does not wait.
     pub(crate) fn step(&mut self, step: &Step) -> Result<(), GpuError> {
         self.pipeline.composition.background = step.background;
         let mut view = self.pipeline.prepare(self.gpu, step.camera)?;
@@ -85,6 +90,7 @@ impl<'g> Training<'g> {
             None => Frame::new(self.gpu),
         };
         self.pipeline.record_forward(self.gpu, &mut frame, &view);
+        self.list_check.record(&mut frame);
         self.loss.record(&mut frame);
         self.pipeline.record_backward(&mut frame, &view);
         if let Some(rates) = &step.splats {
@@ -110,7 +116,7 @@ impl<'g> Training<'g> {
             let mut frame = Frame::new(self.gpu);
             self.pipeline.record_forward(self.gpu, &mut frame, &view);
             frame.submit();
-            if !self.grow_if_short()? {
+            if !self.grow_after_frame()? {
                 return self.pipeline.read_picture(self.gpu, camera);
             }
         }
@@ -129,7 +135,7 @@ impl<'g> Training<'g> {
             let (x, y) = view.tiles();
             self.pipeline.blend.record_backward(&mut frame, x as usize * y as usize);
             frame.submit();
-            if !self.grow_if_short()? {
+            if !self.grow_after_frame()? {
                 break;
             }
         }
@@ -148,8 +154,29 @@ impl<'g> Training<'g> {
         self.loss.read(self.gpu)
     }
 
-    /// Waits for the last step and enlarges lists that were too short for it; true if so.
+    /// What the steps since the last call found out about themselves. Waits for the last one.
+    pub(crate) fn take_status(&self) -> Result<Status, GpuError> {
+        Status::take(self.gpu, self.status())
+    }
+
+    /// Waits for the last step and enlarges lists that were too short for any so far; true if so.
     pub(crate) fn grow_if_short(&mut self) -> Result<bool, GpuError> {
+        let needed = Status::read(self.gpu, self.status())?.pairs;
+        let lengths = self.pipeline.list_lengths();
+        let short = needed[0] > lengths[0] || needed[1] > lengths[1];
+        if short {
+            let longer = |i: usize| if needed[i] > lengths[i] { needed[i] + needed[i] / 2 } else { 0 };
+            self.lengthen_lists([longer(0), longer(1)])?;
+        }
+        Ok(short)
+    }
+
+    fn status(&self) -> &Buffer {
+        &self.pipeline.backward.as_ref().expect("made for training").status
+    }
+
+    /// Waits for a forward frame and enlarges lists that were too short for it; true if so.
+    fn grow_after_frame(&mut self) -> Result<bool, GpuError> {
         let grew = self.pipeline.grow_if_short(self.gpu)?;
         if grew {
             self.rebind()?;
@@ -246,6 +273,7 @@ impl<'g> Training<'g> {
     /// Binds what reads the pipeline's buffers to their replacements; moments of a larger capacity start at zero.
     fn rebind(&mut self) -> Result<(), GpuError> {
         let old = self.read_moments_if_any()?;
+        self.list_check = new_list_check(self.gpu, &self.pipeline);
         self.loss = new_loss(self.gpu, &self.pipeline, &self.truth, self.size, self.ssim_weight, self.truth_alpha)?;
         (self.adam, self.moments) = new_adam(self.gpu, &self.pipeline)?;
         for (buffer, values) in self.moments.iter().zip(&old) {
@@ -286,6 +314,11 @@ fn new_loss(
     Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, truth_alpha)
 }
 
+fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {
+    let status = &pipeline.backward.as_ref().expect("made for training").status;
+    ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref(), status)
+}
+
 fn new_adam(gpu: &Gpu, pipeline: &Pipeline) -> Result<(SplatAdam, [Buffer; 4]), GpuError> {
     let (n, terms) = (pipeline.splats.capacity, 3 * sh::coefficients(pipeline.splats.sh_degree));
     let moments = [
@@ -304,6 +337,7 @@ fn new_adam(gpu: &Gpu, pipeline: &Pipeline) -> Result<(SplatAdam, [Buffer; 4]), 
         SplatFloats { geometry: geometry_m, sh: sh_m },
         SplatFloats { geometry: geometry_v, sh: sh_v },
         &pipeline.lists.visible,
+        &backward.status,
     )?;
     Ok((adam, moments))
 }

@@ -1,0 +1,25 @@
+// What a training step finds out about itself; render/gpu/status.rs reads it.
+
+struct Status {
+    is_short: u32,              // 1: a list of this step was too short, so that it must not change anything
+    skipped: u32,               // steps of which that was so since the host last looked
+    pairs: u32,                 // longest list of (tile, splat) pairs so far
+    triangle_pairs: u32,        // longest list of (bin, triangle) pairs so far
+    not_finite: atomic<u32>,    // NOT_FINITE_…: what has become NaN or infinite
+}
+
+const NOT_FINITE_GEOMETRY: u32 = 1u;
+const NOT_FINITE_SH: u32 = 2u;
+const NOT_FINITE_BASE: u32 = 4u;
+const NOT_FINITE_BANDS: u32 = 8u;
+
+const EXPONENT: u32 = 0x7f800000u;
+
+// By the bits: a compiler may take it that no float is NaN.
+fn is_finite(v: f32) -> bool {
+    return (bitcast<u32>(v) & EXPONENT) != EXPONENT;
+}
+
+fn are_finite(v: vec4f) -> bool {
+    return all((bitcast<vec4u>(v) & vec4u(EXPONENT)) != vec4u(EXPONENT));
+}

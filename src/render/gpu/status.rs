@@ -1,0 +1,81 @@
+//! What a training step finds out about itself on the GPU, for a step that learns nothing from an incomplete image and for
+//! a host that looks only now and then (`shaders/check_lists.wgsl`, `shaders/shared/status.wgsl`).
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    mesh::MeshStage,
+    splats::{COUNT_PAIRS, SplatLists},
+};
+
+/// Words of the buffer.
+const WORDS: usize = 5;
+/// Byte of the number of skipped steps.
+const SKIPPED: u64 = 4;
+
+/// A zeroed buffer for it.
+pub(crate) fn status_buffer(gpu: &Gpu) -> Result<Buffer, GpuError> {
+    gpu.storage("step status", WORDS)
+}
+
+/// The steps since the last look.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Status {
+    /// Steps that changed nothing because a list was too short for their view.
+    pub(crate) skipped: u32,
+    /// What has become NaN or infinite, if anything, parameters or second moments.
+    pub(crate) not_finite: Option<&'static str>,
+    /// Longest lists of (tile, splat) and (bin, triangle) pairs of any step.
+    pub(crate) pairs: [usize; 2],
+}
+
+impl Status {
+    /// Reads it and counts skipped steps from 0 again. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn take(gpu: &Gpu, buffer: &Buffer) -> Result<Self, GpuError> {
+        let status = Self::read(gpu, buffer)?;
+        if status.skipped > 0 {
+            gpu.write(buffer, SKIPPED, &[0_u32]);
+        }
+        Ok(status)
+    }
+
+    /// Reads it. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read(gpu: &Gpu, buffer: &Buffer) -> Result<Self, GpuError> {
+        let words: Vec<u32> = gpu.read(buffer, WORDS)?;
+        let groups = ["splat geometry", "SH coefficients", "a map of colour and opacity", "a map of view dependence"];
+        let not_finite = groups.into_iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
+        Ok(Self {
+            skipped: words[1],
+            not_finite: not_finite.map(|(_, group)| group),
+            pairs: [words[2] as usize, words[3] as usize],
+        })
+    }
+}
+
+/// The stage that finds out whether lists were too short.
+pub(crate) struct ListCheck {
+    kernel: Kernel,
+    bindings: Bindings,
+}
+
+impl ListCheck {
+    /// For these lists; to be made anew when they are.
+    pub(crate) fn new(gpu: &Gpu, view: &Buffer, lists: &SplatLists, mesh: Option<&MeshStage>, status: &Buffer) -> Self {
+        let defines = gpu.defines().with("COUNT_PAIRS", COUNT_PAIRS).with("MESH", u32::from(mesh.is_some()));
+        let kernel = Kernel::new(gpu, "check_lists.wgsl", "main", &defines);
+        let mut buffers = vec![view, lists.counts(), status];
+        buffers.extend(mesh.map(MeshStage::pairs).into_iter().flatten());
+        let bindings = kernel.bind(gpu, &buffers);
+        Self { kernel, bindings }
+    }
+
+    /// Appends it to a frame, behind the lists.
+    pub(crate) fn record(&self, frame: &mut Frame) {
+        frame.dispatch(&self.kernel, &self.bindings, 1);
+    }
+}

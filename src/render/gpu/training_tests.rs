@@ -1,0 +1,130 @@
+//! Steps that must not change anything, and what steps find out about themselves.
+
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
+
+use super::{
+    Gpu,
+    adam::{AdamStep, SplatRates},
+    loss::TruthAlpha,
+    texels::TexelStep,
+    training::{SplatArrays, Step, Training},
+};
+use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
+
+const SIDE: u32 = 256;
+
+fn camera(distance: f64) -> Camera {
+    let size = f64::from(SIDE);
+    let intrinsics = Intrinsics { width: SIDE, height: SIDE, fx: size, fy: size, cx: 0.5 * size, cy: 0.5 * size };
+    Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, distance)).unwrap()
+}
+
+/// `n` splats and `triangles` triangles that all cover the image.
+fn scene(n: usize, triangles: usize) -> HybridScene {
+    let splats = Splats::new(
+        (0..n).map(|i| Vec3::new(0.0, 0.0, 0.1 * i as f32)).collect(),
+        vec![Quat::IDENTITY; n],
+        vec![Vec3::ZERO; n],
+        vec![0.0; n],
+        0,
+        vec![[0.5; 3]; n],
+    )
+    .unwrap();
+    let corners = |i: usize| {
+        let z = 0.01 * i as f32;
+        [Vec3::new(-20.0, -20.0, z), Vec3::new(20.0, -20.0, z), Vec3::new(0.0, 40.0, z)]
+    };
+    let positions = (0..triangles).flat_map(corners).collect();
+    let faces = (0..triangles as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    let uvs = vec![[Vec2::ZERO, Vec2::X, Vec2::Y]; triangles];
+    let atlas = Atlas::new(Texture::zeros(16, 16, 4), None).unwrap();
+    let meshes = vec![Mesh::new(positions, faces, uvs, atlas).unwrap()];
+    HybridScene { splats, meshes, composition: Composition { layers: 2, ..Composition::default() } }
+}
+
+fn step(training: &mut Training, camera: &Camera) {
+    let truth = vec![200; 4 * (SIDE * SIDE) as usize];
+    let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
+    let splats = AdamStep {
+        number: 1,
+        n_splats: training.pipeline.n_splats as u32,
+        sh_degree: 0,
+        rates,
+        opacity_weight: 0.0,
+        scale_weight: 0.0,
+        noise: 0.0,
+        seed: 0,
+        visible_only: false,
+    };
+    let texels = TexelStep { number: 1, base_rate: 0.01, band_rate: 0.01, visited_only: false, holds_opacity: false };
+    training
+        .step(&Step {
+            camera,
+            truth: &truth,
+            background: [0.0; 3],
+            sh_degree: 0,
+            band_degree: 0,
+            splats: Some(splats),
+            texels: Some(texels),
+        })
+        .unwrap();
+}
+
+type Learnt = (SplatArrays, Vec<f32>, Vec<Atlas>, (Vec<f32>, Vec<f32>));
+
+/// Everything that a step changes.
+fn learnt(training: &Training) -> Learnt {
+    let read = (training.read_splats(), training.read_statistics(), training.read_atlases());
+    (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), training.read_texel_moments().unwrap())
+}
+
+/// Nothing is learnt from an image that lacks what did not fit its lists: four splats in 256 tiles each, where there is
+/// room for six pairs per splat and one per tile; 40 triangles in 1024 bins each, where there is room for 16 per bin.
+#[test]
+fn a_step_with_lists_too_short_changes_nothing() {
+    for (n, triangles) in [(4, 1), (1, 40)] {
+        let scene = scene(n, triangles);
+        let gpu = Gpu::open(None).unwrap();
+        // From far away everything is small.
+        let (near, far) = (camera(3.0), camera(1e5));
+        let mut training = Training::new(&gpu, &scene, &[near], 0.2, TruthAlpha::Ignore).unwrap();
+        let before = learnt(&training);
+        step(&mut training, &near);
+        step(&mut training, &near);
+        assert!(learnt(&training) == before, "{n} splats, {triangles} triangles");
+        assert_eq!(training.take_status().unwrap().skipped, 2);
+        // The host may look after a step that did fit.
+        step(&mut training, &far);
+        assert!(training.grow_if_short().unwrap());
+        assert!(!training.grow_if_short().unwrap());
+        training.take_status().unwrap();
+        let before = learnt(&training);
+        step(&mut training, &near);
+        let after = learnt(&training);
+        assert!(after.0.geometry != before.0.geometry && after.1 != before.1 && after.2 != before.2);
+        assert_eq!(training.take_status().unwrap().skipped, 0);
+    }
+}
+
+#[test]
+fn what_is_not_finite_is_found_in_the_step() {
+    let gpu = Gpu::open(None).unwrap();
+    let scene = scene(2, 1);
+    let broken = |change: fn(&mut SplatArrays, &mut Vec<f32>)| {
+        let mut training = Training::new(&gpu, &scene, &[camera(3.0)], 0.2, TruthAlpha::Ignore).unwrap();
+        step(&mut training, &camera(3.0));
+        training.grow_if_short().unwrap();
+        let mut splats = training.read_splats().unwrap();
+        let (mut first, second) = training.read_texel_moments().unwrap();
+        change(&mut splats, &mut first);
+        training.write_splats(&splats).unwrap();
+        assert!(training.write_texel_moments(&first, &second));
+        step(&mut training, &camera(3.0));
+        training.take_status().unwrap().not_finite
+    };
+    assert_eq!(broken(|_, _| {}), None);
+    assert_eq!(broken(|s, _| s.geometry[0][12 + 6] = f32::NAN), Some("splat geometry"));
+    assert_eq!(broken(|s, _| s.geometry[2][12 + 8] = f32::INFINITY), Some("splat geometry"));
+    assert_eq!(broken(|s, _| s.sh[0][4] = f32::NEG_INFINITY), Some("SH coefficients"));
+    assert_eq!(broken(|_, texels| texels[17] = f32::NAN), Some("a map of colour and opacity"));
+}
