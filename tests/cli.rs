@@ -64,7 +64,10 @@ fn inputs_that_are_not_there_or_not_scenes() {
     std::fs::write(folder.path().join("notes.txt"), "not a scene").unwrap();
     for (args, expected) in [
         (&["inspect", "none.glb"][..], "error: none.glb: cannot read: No such file or directory"),
-        (&["inspect", "notes.txt"], "error: notes.txt: expected a .glb, .gltf, .ply, .sog or .splat file, found other content"),
+        (
+            &["inspect", "notes.txt"],
+            "error: notes.txt: expected a .glb, .gltf, .ply, .sog, .spz or .splat file, found other content",
+        ),
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),
         (&["train", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),

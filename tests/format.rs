@@ -111,12 +111,32 @@ fn khronos_samples_as_scenes() {
 
 #[test]
 #[ignore = "needs shared data"]
+fn splats_of_every_format_are_told_by_content_or_name() {
+    for (file, format, count) in [
+        ("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.ply", "PLY", 3),
+        ("splats_playcanvas/guitar.compressed.ply", "PLY", 90_854),
+        ("oracle_splat_transform/splat/minimal-raw.spz", "SPZ", 4),
+        ("oracle_splat_transform/splat/minimal-v2.spz", "SPZ", 4),
+        ("oracle_splat_transform/splat/minimal-v4.spz", "SPZ", 4),
+        ("oracle_splat_transform/splat/minimal.splat", "splat", 4),
+    ] {
+        assert_eq!(read_scene(&data(file)).unwrap().splats.len(), count, "{file}");
+        let summary = inspect(&data(file)).unwrap();
+        assert_eq!((summary.format, summary.splats.unwrap().count), (format, count), "{file}");
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
 fn what_cannot_be_read_says_so() {
     let message = |path: &str| read_scene(&data(path)).unwrap_err().to_string();
     let draft = message("oracle_cesium_gltf_splat/synthetic_5splats.gltf");
     assert!(draft.contains("synthetic_5splats.gltf: /"), "{draft}");
-    let spz = message("oracle_splat_transform/splat/minimal-v4.spz");
-    assert!(spz.ends_with("expected a .glb, .gltf, .ply, .sog or .splat file, found other content"), "{spz}");
+    let picture = message("oracle_splat_transform/golden-render/tiny.webp");
+    assert!(
+        picture.ends_with("expected a .glb, .gltf, .ply, .sog, .spz or .splat file, found other content"),
+        "{picture}"
+    );
     let mesh = message("oracle_metalsplatter/PLYIO/TestData/beetle.binary.ply");
     assert!(mesh.contains("f_dc_0"), "{mesh}");
 }

@@ -81,6 +81,11 @@ impl Fault {
         Self { location: Location::Pointer(at.into()), expected: expected.into(), found: found.into() }
     }
 
+    /// The same at a place that the finder did not know.
+    pub(crate) fn at_byte(self, offset: usize) -> Self {
+        Self { location: Location::Byte(offset as u64), ..self }
+    }
+
     pub(crate) fn in_file(self, file: &Path) -> FormatError {
         let Self { location, expected, found } = self;
         FormatError::Content { file: file.to_owned(), location, expected, found }

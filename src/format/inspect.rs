@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{Asset, bytes_by_part, scene_of};
-use super::{FormatError, Kind, kind, read_splats};
+use super::{FormatError, Kind, kind, read_scene_noted};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
@@ -16,7 +16,7 @@ use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats
 pub struct Summary {
     /// Path as given.
     pub file: String,
-    /// `glTF`, `INRIA PLY`, `SOG` or `splat`.
+    /// `glTF`, `PLY`, `SOG`, `SPZ` or `splat`.
     pub format: &'static str,
     /// Length of the file; of a SOG that is a folder, of its `meta.json`.
     pub bytes: u64,
@@ -106,9 +106,8 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             })
         }
         kind => {
-            let scene =
-                HybridScene { splats: read_splats(path, kind)?, meshes: vec![], composition: Composition::default() };
-            Ok(Summary { format: kind.name(), ..summary(path, bytes, &scene) })
+            let (scene, warnings) = read_scene_noted(path)?;
+            Ok(Summary { format: kind.name(), warnings, ..summary(path, bytes, &scene) })
         }
     }
 }

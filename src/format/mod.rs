@@ -14,6 +14,7 @@ pub mod ply;
 mod record;
 pub mod sog;
 pub mod splat;
+pub mod spz;
 #[cfg(test)]
 mod test_scenes;
 
@@ -24,7 +25,7 @@ pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
 
-use crate::scene::{Composition, HybridScene, Splats};
+use crate::scene::{Composition, HybridScene};
 
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
 #[derive(Clone, Copy)]
@@ -33,6 +34,7 @@ enum Kind {
     Ply,
     Sog,
     Splat,
+    Spz,
 }
 
 impl Kind {
@@ -40,34 +42,40 @@ impl Kind {
     fn name(self) -> &'static str {
         match self {
             Self::Gltf => "glTF",
-            Self::Ply => "INRIA PLY",
+            Self::Ply => "PLY",
             Self::Sog => "SOG",
             Self::Splat => "splat",
+            Self::Spz => "SPZ",
         }
     }
 }
 
-/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA), `.sog` or `.splat`. They are told
-/// by their content, `.splat` and the `meta.json` of a SOG that is a folder by the file's name.
+/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz` or
+/// `.splat`. They are told by their content, `.splat` and the `meta.json` of a SOG that is a folder by the file's name.
 ///
 /// # Errors
-/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`] and [`splat::read`].
+/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`], [`spz::read`] and
+/// [`splat::read`].
 pub fn read_scene(path: &Path) -> Result<HybridScene, FormatError> {
-    match kind(path)? {
-        Kind::Gltf => Ok(gltf::read(path)?.scene),
-        kind => {
-            Ok(HybridScene { splats: read_splats(path, kind)?, meshes: vec![], composition: Composition::default() })
-        }
-    }
+    read_scene_noted(path).map(|(scene, _)| scene)
 }
 
-fn read_splats(path: &Path, kind: Kind) -> Result<Splats, FormatError> {
-    match kind {
-        Kind::Gltf => Ok(gltf::read(path)?.scene.splats),
-        Kind::Ply => ply::read(path),
-        Kind::Sog => sog::read(path),
-        Kind::Splat => splat::read(path),
-    }
+/// As [`read_scene`], with what the file says and Centaur cannot take over.
+///
+/// # Errors
+/// As [`read_scene`].
+pub fn read_scene_noted(path: &Path) -> Result<(HybridScene, Vec<String>), FormatError> {
+    let (splats, notes) = match kind(path)? {
+        Kind::Gltf => {
+            let content = gltf::read(path)?;
+            return Ok((content.scene, content.notes));
+        }
+        Kind::Ply => (ply::read(path)?, vec![]),
+        Kind::Sog => (sog::read(path)?, vec![]),
+        Kind::Splat => (splat::read(path)?, vec![]),
+        Kind::Spz => spz::read_noted(path)?,
+    };
+    Ok((HybridScene { splats, meshes: vec![], composition: Composition::default() }, notes))
 }
 
 fn kind(path: &Path) -> Result<Kind, FormatError> {
@@ -84,12 +92,15 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Ply)
     } else if sog::is_folder(path) || start.starts_with(b"PK\x03\x04") {
         Ok(Kind::Sog)
+    } else if start.starts_with(b"NGSP") || start.starts_with(&[0x1f, 0x8b, 8]) {
+        // gzip of something else says so when it is opened.
+        Ok(Kind::Spz)
     } else if named("splat") {
         Ok(Kind::Splat)
     } else if first == Some(&b'{') {
         Ok(Kind::Gltf)
     } else {
-        let expected = "a .glb, .gltf, .ply, .sog or .splat file";
+        let expected = "a .glb, .gltf, .ply, .sog, .spz or .splat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
         Err(error::Fault::whole(expected, found).in_file(path))
     }

@@ -1,0 +1,251 @@
+//! The bytes of an SPZ file: headers, streams, compression, extensions.
+
+use std::io::{self, Read, Write as _};
+
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+use rayon::prelude::*;
+
+use super::frame::Frame;
+use crate::format::error::Fault;
+use crate::scene::sh;
+
+/// Means, opacities, SH coefficient 0, scales, rotations, higher bands; in this order in every version.
+pub(super) const STREAMS: usize = 6;
+const NAMES: [&str; STREAMS] = ["means", "opacities", "colours", "scales", "rotations", "SH bands"];
+
+const MAGIC: &[u8; 4] = b"NGSP";
+const GZIP: [u8; 2] = [0x1f, 0x8b];
+const LEGACY_HEADER: usize = 16;
+const HEADER: usize = 32;
+const TOC_ENTRY: usize = 16;
+const ANTIALIASED: u8 = 1;
+const HAS_EXTENSIONS: u8 = 2;
+/// `SPZ_ADOBE_coordinate_system`.
+const COORDINATE_SYSTEM: u32 = 0xADBE_0003;
+
+/// Deflate cannot expand further, and no scene of different splats comes near it. zstd could expand to 30 times as
+/// much, so that a short file would fill the memory.
+const GREATEST_EXPANSION: u64 = 1032;
+/// What a file may expand to however short it is.
+const ALWAYS_PLAUSIBLE: u64 = 64 << 20;
+/// What follows the attributes of versions 2 and 3 is not read beyond this.
+const GREATEST_TRAILER: u64 = 1 << 16;
+/// zstd's own limit of memory for a decoder, 2²⁷ bytes.
+const WINDOW_LOG_MAX: u32 = 27;
+/// Compresses within 1 % of level 12, which the format's own library has used, at a fraction of its time.
+const ZSTD_LEVEL: i32 = 9;
+
+/// What all versions state first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Header {
+    pub(super) version: u32,
+    pub(super) count: usize,
+    /// Up to 4 in files.
+    pub(super) sh_degree: u32,
+    pub(super) fractional_bits: u8,
+    pub(super) flags: u8,
+}
+
+/// A file before its splats are decoded. Streams have exactly the lengths of `header`.
+pub(super) struct Packed {
+    pub(super) header: Header,
+    pub(super) frame: Frame,
+    pub(super) streams: [Vec<u8>; STREAMS],
+    pub(super) notes: Vec<String>,
+}
+
+impl Header {
+    /// Bytes of the higher bands of one splat.
+    pub(super) fn band_bytes(&self) -> usize {
+        3 * (sh::coefficients(self.sh_degree) - 1)
+    }
+
+    fn stream_bytes(&self) -> [u64; STREAMS] {
+        let rotation = if self.version == 2 { 3 } else { 4 };
+        // Counts are 32 bits in the file, so that 64 bits suffice.
+        [9, 1, 3, 3, rotation, self.band_bytes() as u64].map(|bytes| bytes * self.count as u64)
+    }
+
+    fn parse(bytes: &[u8; LEGACY_HEADER]) -> Result<Self, Fault> {
+        let (words, _) = bytes.as_chunks::<4>();
+        let word = |k: usize| u32::from_le_bytes(words[k]);
+        if words[0] != *MAGIC {
+            return Err(Fault::byte(0, "an SPZ header (`NGSP`)", format!("{:02x?}", words[0])));
+        }
+        let [sh_degree, fractional_bits, flags, _] = words[3];
+        let version = word(1);
+        if !(2..=4).contains(&version) {
+            return Err(Fault::byte(4, "SPZ version 2, 3 or 4", version.to_string()));
+        }
+        if sh_degree > 4 {
+            return Err(Fault::byte(12, "SH degree 0 to 4", sh_degree.to_string()));
+        }
+        Ok(Self { version, count: word(2) as usize, sh_degree: sh_degree.into(), fractional_bits, flags })
+    }
+
+    fn check_plausible(&self, file: usize) -> Result<(), Fault> {
+        let needed: u64 = self.stream_bytes().iter().sum();
+        let most = ALWAYS_PLAUSIBLE.max(GREATEST_EXPANSION * file as u64);
+        if needed <= most {
+            return Ok(());
+        }
+        let expected = format!("at most {most} bytes of splats in a file of {file}");
+        Err(Fault::byte(8, expected, format!("{} splats of {needed} bytes", self.count)))
+    }
+}
+
+/// Takes a file apart.
+pub(super) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
+    if bytes.starts_with(&GZIP) {
+        return decode_legacy(&mut GzDecoder::new(bytes), bytes.len());
+    }
+    let Some(start) = bytes.first_chunk::<LEGACY_HEADER>() else {
+        return Err(Fault::whole(format!("an SPZ file of at least {LEGACY_HEADER} bytes"), bytes.len().to_string()));
+    };
+    let header = Header::parse(start)?;
+    if header.version == 4 {
+        return decode_v4(header, bytes);
+    }
+    decode_legacy(&mut &bytes[..], bytes.len())
+}
+
+fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> {
+    let start = read_exactly(content, LEGACY_HEADER as u64, "header")?;
+    // `read_exactly` has made sure of the length.
+    let header = Header::parse(start.first_chunk().unwrap_or(&[0; LEGACY_HEADER]))?;
+    if header.version == 4 {
+        return Err(Fault::byte(4, "version 2 or 3 inside gzip", "4"));
+    }
+    header.check_plausible(file)?;
+    let mut streams = [const { Vec::new() }; STREAMS];
+    for ((stream, bytes), name) in streams.iter_mut().zip(header.stream_bytes()).zip(NAMES) {
+        *stream = read_exactly(content, bytes, name)?;
+    }
+    // Reading on to the end also verifies the checksum of gzip.
+    let mut trailer = vec![];
+    content.take(GREATEST_TRAILER).read_to_end(&mut trailer).map_err(|e| damaged("trailer", &e))?;
+    let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { trailer.as_slice() };
+    finish(header, streams, extensions)
+}
+
+fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
+    let Some(start) = bytes.first_chunk::<HEADER>() else {
+        return Err(Fault::whole(format!("a header of {HEADER} bytes"), format!("{} bytes", bytes.len())));
+    };
+    header.check_plausible(bytes.len())?;
+    let expected: Vec<(&str, u64)> = NAMES.into_iter().zip(header.stream_bytes()).collect();
+    // Empty streams are left out, but for one writer or another.
+    let kept: Vec<usize> = (0..STREAMS).filter(|&k| k + 1 < STREAMS || header.sh_degree > 0).collect();
+    let count = usize::from(start[15]);
+    if count != kept.len() && count != STREAMS {
+        return Err(Fault::byte(15, format!("{} streams", kept.len()), count.to_string()));
+    }
+    let toc = u32::from_le_bytes(start.as_chunks::<4>().0[4]) as usize;
+    let table_end = toc.checked_add(count * TOC_ENTRY).filter(|&end| toc >= HEADER && end <= bytes.len());
+    let Some(table_end) = table_end else {
+        return Err(Fault::byte(
+            16,
+            format!("a table of {count} streams within {} bytes", bytes.len()),
+            toc.to_string(),
+        ));
+    };
+    let mut streams = [const { Vec::new() }; STREAMS];
+    let mut offset = table_end;
+    for (entry, (name, wanted)) in expected.into_iter().take(count).enumerate() {
+        let at = toc + entry * TOC_ENTRY;
+        let (sizes, _) = bytes[at..at + TOC_ENTRY].as_chunks::<8>();
+        let [compressed, size] = [0, 1].map(|k| u64::from_le_bytes(sizes[k]));
+        if size != wanted {
+            return Err(Fault::byte(at + 8, format!("{wanted} bytes of {name}"), size.to_string()));
+        }
+        let end = usize::try_from(compressed).ok().and_then(|c| offset.checked_add(c)).filter(|&e| e <= bytes.len());
+        let Some(end) = end else {
+            let expected = format!("{name} within the {} bytes left", bytes.len() - offset);
+            return Err(Fault::byte(at, expected, format!("{compressed} bytes")));
+        };
+        if size > 0 {
+            streams[entry] = decompress(&bytes[offset..end], size, name).map_err(|fault| fault.at_byte(offset))?;
+        }
+        offset = end;
+    }
+    let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { &bytes[HEADER..toc] };
+    finish(header, streams, extensions)
+}
+
+fn decompress(frame: &[u8], size: u64, name: &str) -> Result<Vec<u8>, Fault> {
+    let failed = |e: io::Error| damaged(name, &e);
+    let mut decoder = zstd::stream::read::Decoder::with_buffer(frame).map_err(failed)?;
+    decoder.window_log_max(WINDOW_LOG_MAX).map_err(failed)?;
+    let stream = read_exactly(&mut decoder, size, name)?;
+    let more = decoder.read(&mut [0]).map_err(failed)?;
+    if more > 0 {
+        return Err(Fault::whole(format!("{size} bytes of {name}"), "more"));
+    }
+    Ok(stream)
+}
+
+/// Memory grows with what arrives, not with what is declared.
+fn read_exactly(content: &mut impl Read, size: u64, name: &str) -> Result<Vec<u8>, Fault> {
+    let mut stream = vec![];
+    content.take(size).read_to_end(&mut stream).map_err(|e| damaged(name, &e))?;
+    if stream.len() as u64 == size {
+        return Ok(stream);
+    }
+    Err(Fault::whole(format!("{size} bytes of {name}"), format!("{} bytes", stream.len())))
+}
+
+fn damaged(name: &str, error: &io::Error) -> Fault {
+    Fault::whole(format!("{name} that can be decompressed"), error.to_string())
+}
+
+fn finish(header: Header, streams: [Vec<u8>; STREAMS], extensions: &[u8]) -> Result<Packed, Fault> {
+    let (mut frame, mut notes) = (Frame::default(), vec![]);
+    let mut rest = extensions;
+    // Records of type, length and content; what is left of a cut one is ignored, as by the format's own library.
+    while let Some((&[a, b, c, d, e, f, g, h], after)) = rest.split_first_chunk::<8>() {
+        let (kind, length) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
+        let Some((content, next)) = after.split_at_checked(length as usize) else { break };
+        rest = next;
+        match (kind, content.first_chunk().map(|&code| u32::from_le_bytes(code))) {
+            (COORDINATE_SYSTEM, Some(code)) => {
+                let unknown = || Fault::whole("a coordinate system of 0 to 16", code.to_string());
+                frame = Frame::from_code(code).ok_or_else(unknown)?;
+            }
+            _ => notes.push(format!("the extension {kind:#010x} ({length} bytes) is not known and left out")),
+        }
+    }
+    if header.flags & ANTIALIASED != 0 {
+        notes.push("trained with anti-aliasing, which is left out: small splats will look too strong".to_owned());
+    }
+    Ok(Packed { header, frame, streams, notes })
+}
+
+/// Puts a file together.
+pub(super) fn encode(header: &Header, streams: &[Vec<u8>; STREAMS]) -> io::Result<Vec<u8>> {
+    let count = u32::try_from(header.count).map_err(|_| io::Error::other("SPZ holds at most 2^32 splats"))?;
+    let mut start = MAGIC.to_vec();
+    start.extend(header.version.to_le_bytes());
+    start.extend(count.to_le_bytes());
+    start.extend([header.sh_degree as u8, header.fractional_bits, header.flags]);
+    if header.version < 4 {
+        start.push(0);
+        let mut gzip = GzEncoder::new(vec![], Compression::default());
+        gzip.write_all(&start)?;
+        streams.iter().try_for_each(|stream| gzip.write_all(stream))?;
+        return gzip.finish();
+    }
+    let kept = &streams[..if header.sh_degree > 0 { STREAMS } else { STREAMS - 1 }];
+    let frames: Vec<Vec<u8>> =
+        kept.par_iter().map(|stream| zstd::bulk::compress(stream, ZSTD_LEVEL)).collect::<io::Result<_>>()?;
+    start.push(kept.len() as u8);
+    start.extend((HEADER as u32).to_le_bytes());
+    start.resize(HEADER, 0);
+    for (frame, stream) in frames.iter().zip(kept) {
+        start.extend((frame.len() as u64).to_le_bytes());
+        start.extend((stream.len() as u64).to_le_bytes());
+    }
+    frames.iter().for_each(|frame| start.extend(frame));
+    Ok(start)
+}

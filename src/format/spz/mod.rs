@@ -1,0 +1,142 @@
+//! SPZ (Niantic Labs, github.com/nianticlabs/spz): attribute by attribute in 8 to 32 bits, then compressed.
+//!
+//! | attribute | stored as | largest error of [`write`] |
+//! |---|---|---|
+//! | mean | 24-bit fixed point with `fractionalBits` f, chosen by the scene's size | 2^−(f+1) |
+//! | opacity | 255 steps | 1/510 |
+//! | SH coefficient 0 | 0.15·c + 0.5 in 255 steps, which reaches ±3.3 | 0.0037 of the colour; beyond clipped |
+//! | log standard deviation | 16 steps per e-fold from −10 to 5.94 | 1/32; beyond clipped |
+//! | rotation, version 2 | x, y, z in 255 steps of the quaternion with w ≥ 0 | 1°, near half a turn 13.5° |
+//! | rotation, versions 3, 4 | the three smallest components in sign and 9 bits, index of the largest in (x, y, z, w) | 0.28° |
+//! | SH bands 1; 2, 3 | (c + 1)·128 rounded to 5; 4 bits ([`Options::sh_bits`]) | 1/32; 1/16 (1/256 with 8 bits); beyond ±1 clipped |
+//!
+//! Versions 2 and 3 are one gzip stream of a header of 16 bytes and the attributes; version 4 has a header of 32 bytes,
+//! records of extensions, a table of sizes and a zstd frame per attribute.
+//!
+//! **Frame.** SPZ is x right, y up, z backwards; PLY and captures are y down, z forwards. Splats are turned by half a turn
+//! about x on the way in and out, rotations and SH included, so that one scene read from PLY and from SPZ is the same.
+//! A file of version 4 may state another frame (`SPZ_ADOBE_coordinate_system`), which is honoured, mirrored ones too.
+//! Some programs store PLY axes without saying so; such files arrive upside down.
+
+mod container;
+mod frame;
+mod packed;
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use self::container::{Header, Packed, STREAMS};
+use self::frame::Frame;
+use super::error::{Fault, read_file};
+use super::loss::{Loss, SplatError, WriteReport};
+use super::record::{Columns, Record};
+use super::{FormatError, atomic_write};
+use crate::scene::{Splats, sh};
+
+/// Which layout to write.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Version {
+    /// gzip, 24-bit rotations: for readers of before 2025.
+    V2,
+    /// gzip, 32-bit rotations.
+    V3,
+    /// zstd, a stream per attribute.
+    #[default]
+    V4,
+}
+
+/// How to write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Layout.
+    pub version: Version,
+    /// Bits of SH coefficients in band 1 and in the higher bands, 1 to 8. Readers do not need to know; fewer bits
+    /// compress better. The default of 5 and 4 is that of the format's own library.
+    pub sh_bits: [u32; 2],
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { version: Version::default(), sh_bits: [5, 4] }
+    }
+}
+
+/// Reads splats of versions 2 to 4, compressed or not.
+///
+/// # Errors
+/// If the file cannot be read, is not SPZ, is truncated or damaged, or declares more splats than a file of its length can
+/// hold.
+pub fn read(path: &Path) -> Result<Splats, FormatError> {
+    read_noted(path).map(|(splats, _)| splats)
+}
+
+/// As [`read`], with what could not be taken over: SH of degree 4, anti-aliasing, unknown extensions.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_noted(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
+    parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
+}
+
+/// Writes splats in their own order.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteReport, FormatError> {
+    let header = Header {
+        version: match options.version {
+            Version::V2 => 2,
+            Version::V3 => 3,
+            Version::V4 => 4,
+        },
+        // Beyond 2³² splats `encode` refuses.
+        count: splats.len(),
+        sh_degree: splats.sh_degree(),
+        fractional_bits: packed::fractional_bits(splats.means()),
+        flags: 0,
+    };
+    let (streams, max_error) = pack(&header, splats, options.sh_bits.map(|bits| bits.clamp(1, 8)));
+    let write_error = |source| FormatError::Write { file: path.to_owned(), source };
+    let file = container::encode(&header, &streams).map_err(write_error)?;
+    atomic_write(path, &file)?;
+    Ok(WriteReport { bytes: file.len() as u64, loss: Loss { max_error, ..Loss::default() } })
+}
+
+pub(super) fn parse(bytes: &[u8]) -> Result<(Splats, Vec<String>), Fault> {
+    let Packed { header, frame, streams, mut notes } = container::decode(bytes)?;
+    let sh_degree = header.sh_degree.min(sh::MAX_DEGREE);
+    if sh_degree < header.sh_degree {
+        notes.push(format!("SH bands above degree {sh_degree} of {} are left out", header.sh_degree));
+    }
+    let mut columns = Columns::with_capacity(header.count, sh_degree);
+    let streams = streams.each_ref().map(Vec::as_slice);
+    (0..header.count).for_each(|i| columns.push(&frame.to_scene(&packed::decode(&header, streams, i))));
+    Ok((columns.finish()?, notes))
+}
+
+/// The attributes' streams, and what a reader of them will miss.
+fn pack(header: &Header, splats: &Splats, sh_bits: [u32; 2]) -> ([Vec<u8>; STREAMS], SplatError) {
+    // Splats per task: large against the cost of a task, small against memory.
+    const BLOCK: usize = 1 << 14;
+    let frame = Frame::default();
+    let starts: Vec<usize> = (0..splats.len()).step_by(BLOCK).collect();
+    let blocks: Vec<([Vec<u8>; STREAMS], SplatError)> = starts
+        .par_iter()
+        .map(|&start| {
+            let (mut streams, mut error) = ([const { Vec::new() }; STREAMS], SplatError::default());
+            for i in start..splats.len().min(start + BLOCK) {
+                let splat = Record::of(splats, i);
+                packed::encode(header, sh_bits, &frame.to_file(&splat), &mut streams);
+                let written = streams.each_ref().map(Vec::as_slice);
+                error.include(&splat, &frame.to_scene(&packed::decode(header, written, i - start)));
+            }
+            (streams, error)
+        })
+        .collect();
+    let error = blocks.iter().map(|(_, error)| *error).fold(SplatError::default(), SplatError::max);
+    (std::array::from_fn(|k| blocks.iter().flat_map(|(streams, _)| &streams[k]).copied().collect()), error)
+}
+
+#[cfg(test)]
+mod tests;
