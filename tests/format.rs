@@ -119,6 +119,7 @@ fn splats_of_every_format_are_told_by_content_or_name() {
         ("oracle_splat_transform/splat/minimal-v2.spz", "SPZ", 4),
         ("oracle_splat_transform/splat/minimal-v4.spz", "SPZ", 4),
         ("oracle_splat_transform/splat/minimal.splat", "splat", 4),
+        ("oracle_splat_transform/splat/minimal.ksplat", "ksplat", 4),
     ] {
         assert_eq!(read_scene(&data(file)).unwrap().splats.len(), count, "{file}");
         let summary = inspect(&data(file)).unwrap();
@@ -134,7 +135,7 @@ fn what_cannot_be_read_says_so() {
     assert!(draft.contains("synthetic_5splats.gltf: /"), "{draft}");
     let picture = message("oracle_splat_transform/golden-render/tiny.webp");
     assert!(
-        picture.ends_with("expected a .glb, .gltf, .ply, .sog, .spz or .splat file, found other content"),
+        picture.ends_with("expected a .glb, .gltf, .ply, .sog, .spz, .splat or .ksplat file, found other content"),
         "{picture}"
     );
     let mesh = message("oracle_metalsplatter/PLYIO/TestData/beetle.binary.ply");

@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use centaur::format::{Loss, ply, splat, spz};
+use centaur::format::{Loss, ksplat, ply, splat, spz};
 use centaur::scene::{Splats, sh};
 use glam::Vec3;
 
@@ -51,7 +51,10 @@ fn assert_minimal(splats: &Splats, z: [f32; 2], rgb: [f32; 2]) {
 fn four_splats_of_splat_transform() {
     let splats = splat::read(&data("oracle_splat_transform/splat/minimal.splat")).unwrap();
     assert_minimal(&splats, [-1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0]);
-    // Its writer put w last, where the format has it first: half a turn about z, which a ball does not show.
+    // Its writer put w last, where both formats have it first: half a turn about z, which a ball does not show.
+    assert!(splats.rotations().iter().all(|q| q.z > 0.9999));
+    let splats = ksplat::read(&data("oracle_splat_transform/splat/minimal.ksplat")).unwrap();
+    assert_minimal(&splats, [-1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0]);
     assert!(splats.rotations().iter().all(|q| q.z > 0.9999));
 }
 
@@ -128,6 +131,26 @@ fn biker_is_one_in_compressed_ply_and_spz() {
         assert!(e.rotation < if version == spz::Version::V2 { 13.5 } else { 0.1 }, "{e:?}");
         assert!(report.bytes < 2_500_000, "{version:?} {report:?}");
         assert_eq!(spz::read(&path).unwrap().means(), packed.means());
+    }
+}
+
+#[test]
+#[ignore = "needs shared data"]
+fn biker_as_ksplat() {
+    let biker = ply::read(&data("splats_playcanvas/biker.compressed.ply")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("biker.ksplat");
+    for (level, bytes) in
+        [(ksplat::Level::Float, 44.0), (ksplat::Level::Half, 24.0), (ksplat::Level::HalfAndByte, 24.0)]
+    {
+        let report = ksplat::write(&path, &biker, level).unwrap();
+        let e = report.loss.max_error;
+        // Buckets take a few bytes more.
+        assert!((report.bytes as f64) < 1.02 * bytes * biker.len() as f64 + 5120.0, "{report:?}");
+        // Blocks are 3.18/16 wide; the smallest splats have 1e-5, where f16 has 170 steps.
+        assert!(e.mean < 3.18 / 16.0 / 131_068.0 + 3e-7 && e.log_scale < 0.004 && e.rotation < 0.06, "{e:?}");
+        assert!(e.opacity < 1e-6 && e.color <= 1.0 / 510.0 + 1e-6, "{e:?}");
+        assert_eq!(ksplat::read(&path).unwrap().len(), biker.len());
     }
 }
 

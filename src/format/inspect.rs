@@ -16,7 +16,7 @@ use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats
 pub struct Summary {
     /// Path as given.
     pub file: String,
-    /// `glTF`, `PLY`, `SOG`, `SPZ` or `splat`.
+    /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat` or `ksplat`.
     pub format: &'static str,
     /// Length of the file; of a SOG that is a folder, of its `meta.json`.
     pub bytes: u64,

@@ -7,6 +7,7 @@ mod color;
 mod error;
 pub mod gltf;
 mod inspect;
+pub mod ksplat;
 mod loss;
 pub mod mesh_import;
 mod morton;
@@ -25,12 +26,13 @@ pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
 
-use crate::scene::{Composition, HybridScene};
+use crate::scene::{Composition, HybridScene, Splats};
 
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
 #[derive(Clone, Copy)]
 enum Kind {
     Gltf,
+    Ksplat,
     Ply,
     Sog,
     Splat,
@@ -42,6 +44,7 @@ impl Kind {
     fn name(self) -> &'static str {
         match self {
             Self::Gltf => "glTF",
+            Self::Ksplat => "ksplat",
             Self::Ply => "PLY",
             Self::Sog => "SOG",
             Self::Splat => "splat",
@@ -50,12 +53,13 @@ impl Kind {
     }
 }
 
-/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz` or
-/// `.splat`. They are told by their content, `.splat` and the `meta.json` of a SOG that is a folder by the file's name.
+/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
+/// `.splat` or `.ksplat`. They are told by their content; the last two and the `meta.json` of a SOG that is a folder, which have
+/// no mark of their own, by the file's name.
 ///
 /// # Errors
-/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`], [`spz::read`] and
-/// [`splat::read`].
+/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`], [`spz::read`],
+/// [`splat::read`] and [`ksplat::read`].
 pub fn read_scene(path: &Path) -> Result<HybridScene, FormatError> {
     read_scene_noted(path).map(|(scene, _)| scene)
 }
@@ -70,12 +74,36 @@ pub fn read_scene_noted(path: &Path) -> Result<(HybridScene, Vec<String>), Forma
             let content = gltf::read(path)?;
             return Ok((content.scene, content.notes));
         }
+        Kind::Ksplat => (ksplat::read(path)?, vec![]),
         Kind::Ply => (ply::read(path)?, vec![]),
         Kind::Sog => (sog::read(path)?, vec![]),
         Kind::Splat => (splat::read(path)?, vec![]),
         Kind::Spz => spz::read_noted(path)?,
     };
     Ok((HybridScene { splats, meshes: vec![], composition: Composition::default() }, notes))
+}
+
+/// Writes splats in the format that the file's name says, with its default options: `.ply`, `.compressed.ply`, `.sog`,
+/// `.spz`, `.splat` or `.ksplat`.
+///
+/// # Errors
+/// If the name ends in none of these, or the file cannot be written.
+pub fn write_splats(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
+    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
+    if name.ends_with(".compressed.ply") {
+        return ply::compressed::write(path, splats);
+    }
+    match name.rsplit('.').next() {
+        Some("ply") => Ok(WriteReport { bytes: ply::write(path, splats)?, loss: Loss::default() }),
+        Some("sog") => sog::write(path, splats),
+        Some("spz") => spz::write(path, splats, &spz::Options::default()),
+        Some("splat") => splat::write(path, splats),
+        Some("ksplat") => ksplat::write(path, splats, ksplat::Level::default()),
+        _ => {
+            let expected = "a name that ends in .ply, .compressed.ply, .sog, .spz, .splat or .ksplat";
+            Err(error::Fault::whole(expected, format!("`{name}`")).in_file(path))
+        }
+    }
 }
 
 fn kind(path: &Path) -> Result<Kind, FormatError> {
@@ -97,10 +125,12 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Spz)
     } else if named("splat") {
         Ok(Kind::Splat)
+    } else if named("ksplat") {
+        Ok(Kind::Ksplat)
     } else if first == Some(&b'{') {
         Ok(Kind::Gltf)
     } else {
-        let expected = "a .glb, .gltf, .ply, .sog, .spz or .splat file";
+        let expected = "a .glb, .gltf, .ply, .sog, .spz, .splat or .ksplat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
         Err(error::Fault::whole(expected, found).in_file(path))
     }

@@ -1,0 +1,187 @@
+use glam::{DVec3, Quat, Vec3};
+use half::f16;
+
+use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SECTION_HEADER};
+use crate::format::activation;
+use crate::format::error::Fault;
+use crate::format::record::{Columns, Record, dc_of_bytes, logit_of_byte};
+use crate::scene::{Splats, sh};
+
+/// How the numbers of a splat are stored.
+#[derive(Clone, Copy)]
+pub(super) struct Layout {
+    pub(super) level: Level,
+    pub(super) sh_degree: u32,
+    /// What 0 and 255 stand for in 8-bit SH.
+    pub(super) sh_range: [f32; 2],
+    /// Scene units per step of a 16-bit mean, and the step of the centre.
+    pub(super) mean_step: f64,
+    pub(super) mean_range: u32,
+}
+
+struct Section {
+    count: usize,
+    layout: Layout,
+    bucket_size: usize,
+    bucket_stride: usize,
+    full_buckets: usize,
+    /// Lengths of the buckets that are not full, centres, splats: ranges of bytes of the file.
+    lengths: std::ops::Range<usize>,
+    centers: std::ops::Range<usize>,
+    splats: std::ops::Range<usize>,
+}
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Splats, Fault> {
+    let Some(header) = bytes.get(..HEADER) else {
+        return Err(Fault::whole(format!("a .ksplat header of {HEADER} bytes"), format!("{} bytes", bytes.len())));
+    };
+    if header[..2] != [0, 1] {
+        return Err(Fault::byte(0, ".ksplat version 0.1", format!("{}.{}", header[0], header[1])));
+    }
+    let sections = u32_at(header, 4) as usize;
+    let declared = u32_at(header, 16);
+    let code = u16_at(header, 20);
+    let level =
+        Level::from_code(code).ok_or_else(|| Fault::byte(20, "compression level 0, 1 or 2", code.to_string()))?;
+    let or = |value: f32, default| if value == 0.0 { default } else { value };
+    let sh_range = [or(f32_at(header, 36), -DEFAULT_SH_RANGE), or(f32_at(header, 40), DEFAULT_SH_RANGE)];
+    let most = (bytes.len() - HEADER) / SECTION_HEADER;
+    if sections > most {
+        return Err(Fault::byte(4, format!("at most {most} sections in {} bytes", bytes.len()), sections.to_string()));
+    }
+    let mut offset = HEADER + sections * SECTION_HEADER;
+    let mut parsed = Vec::with_capacity(sections);
+    for i in 0..sections {
+        let section = Section::parse(bytes, HEADER + i * SECTION_HEADER, &mut offset, level, sh_range)?;
+        parsed.push(section);
+    }
+    // Each splat has bytes of its own in the file.
+    let count: usize = parsed.iter().map(|s| s.count).sum();
+    if count != declared as usize {
+        return Err(Fault::byte(16, format!("{count} splats as in the sections"), declared.to_string()));
+    }
+    let sh_degree = parsed.iter().map(|s| s.layout.sh_degree).max().unwrap_or(0);
+    let mut columns = Columns::with_capacity(count, sh_degree);
+    parsed.iter().try_for_each(|section| section.decode(bytes, &mut columns))?;
+    columns.finish()
+}
+
+impl Section {
+    /// Parses the header at `at`, and moves `offset` from the section's content to behind it.
+    fn parse(bytes: &[u8], at: usize, offset: &mut usize, level: Level, sh_range: [f32; 2]) -> Result<Self, Fault> {
+        let header = &bytes[at..at + SECTION_HEADER];
+        let [count, room, bucket_size, buckets] = [0, 4, 8, 12].map(|k| u32_at(header, k) as usize);
+        let (block, stride) = (f32_at(header, 16), usize::from(u16_at(header, 20)));
+        let mean_range = Some(u32_at(header, 24)).filter(|&range| range > 0).unwrap_or(MEAN_RANGE);
+        let [full_buckets, partial_buckets] = [32, 36].map(|k| u32_at(header, k) as usize);
+        let sh_degree = u32::from(u16_at(header, 40));
+        if sh_degree > MAX_DEGREE {
+            return Err(Fault::byte(at + 40, format!("SH degree 0 to {MAX_DEGREE}"), sh_degree.to_string()));
+        }
+        if count > room {
+            return Err(Fault::byte(at, format!("at most {room} splats in the section"), count.to_string()));
+        }
+        if level != Level::Float && buckets > 0 && stride < CENTER {
+            return Err(Fault::byte(at + 20, format!("at least {CENTER} bytes per bucket"), stride.to_string()));
+        }
+        let mut take = |length: Option<usize>| {
+            let end = length.and_then(|l| offset.checked_add(l)).filter(|&end| end <= bytes.len())?;
+            Some(std::mem::replace(offset, end)..end)
+        };
+        let ranges = (|| {
+            let lengths = take(partial_buckets.checked_mul(4))?;
+            let centers = take(buckets.checked_mul(stride))?;
+            Some((lengths, centers, take(room.checked_mul(level.splat_bytes(sh_degree)))?))
+        })();
+        let Some((lengths, centers, splats)) = ranges else {
+            let expected = format!("a section that ends within the file's {} bytes", bytes.len());
+            return Err(Fault::byte(at, expected, format!("{room} splats, {buckets} buckets")));
+        };
+        let mean_step = f64::from(block) / 2.0 / f64::from(mean_range);
+        let layout = Layout { level, sh_degree, sh_range, mean_step, mean_range };
+        Ok(Self { count, layout, bucket_size, bucket_stride: stride, full_buckets, lengths, centers, splats })
+    }
+
+    fn decode(&self, bytes: &[u8], columns: &mut Columns) -> Result<(), Fault> {
+        let rows = bytes[self.splats.clone()].chunks_exact(self.layout.level.splat_bytes(self.layout.sh_degree));
+        let rows = rows.take(self.count);
+        if self.layout.level == Level::Float {
+            rows.for_each(|row| columns.push(&decode_splat(&self.layout, Vec3::ZERO, row)));
+            return Ok(());
+        }
+        let partial = bytes[self.lengths.clone()].as_chunks::<4>().0;
+        let lengths = std::iter::repeat_n(self.bucket_size, self.full_buckets)
+            .chain(partial.iter().map(|&length| u32::from_le_bytes(length) as usize));
+        let mut centers = lengths
+            .zip(bytes[self.centers.clone()].chunks_exact(self.bucket_stride.max(1)))
+            .flat_map(|(length, center)| std::iter::repeat_n(Vec3::from([0, 4, 8].map(|k| f32_at(center, k))), length));
+        for (i, row) in rows.enumerate() {
+            let Some(center) = centers.next() else {
+                let expected = format!("buckets for {} splats", self.count);
+                return Err(Fault::byte(self.lengths.start, expected, format!("for {i}")));
+            };
+            columns.push(&decode_splat(&self.layout, center, row));
+        }
+        Ok(())
+    }
+}
+
+/// `row` has [`Level::splat_bytes`].
+pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> Record {
+    let (component, sh_component) = layout.level.component_bytes();
+    let number = |k: usize| match layout.level {
+        Level::Float => f32_at(row, 4 * k),
+        _ => f16::from_bits(u16_at(row, 2 * k)).to_f32(),
+    };
+    let mean = match layout.level {
+        Level::Float => Vec3::from([0, 1, 2].map(number)),
+        _ => {
+            let steps = [0, 2, 4].map(|at| f64::from(u16_at(row, at)) - f64::from(layout.mean_range));
+            (DVec3::from(steps) * layout.mean_step + center.as_dvec3()).as_vec3()
+        }
+    };
+    let [w, x, y, z] = [6, 7, 8, 9].map(number);
+    let colors = 10 * component;
+    let mut all = [[0.0; 3]; 16];
+    all[0] = dc_of_bytes([row[colors], row[colors + 1], row[colors + 2]]);
+    let bands = colors + 4;
+    for (k, coefficient) in all.iter_mut().enumerate().take(sh::coefficients(layout.sh_degree)).skip(1) {
+        *coefficient = [0, 1, 2].map(|channel| {
+            let at = bands + sh_component * sh_place(k, channel);
+            match layout.level {
+                Level::Float => f32_at(row, at),
+                Level::Half => f16::from_bits(u16_at(row, at)).to_f32(),
+                Level::HalfAndByte => {
+                    let [low, high] = layout.sh_range;
+                    low + f32::from(row[at]) / 255.0 * (high - low)
+                }
+            }
+        });
+    }
+    Record {
+        mean,
+        rotation: Quat::from_xyzw(x, y, z, w),
+        log_scale: Vec3::from([3, 4, 5].map(|k| activation::log_scale(number(k)).0)),
+        opacity_logit: logit_of_byte(row[colors + 3]),
+        sh_degree: layout.sh_degree,
+        sh: all,
+    }
+}
+
+/// Place of coefficient `k` ≥ 1 of a channel among the SH components of a splat: bands in order, in a band the channels in order.
+pub(super) fn sh_place(k: usize, channel: usize) -> usize {
+    let (start, width) = if k < 4 { (1, 3) } else { (4, 5) };
+    3 * (start - 1) + channel * width + (k - start)
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> u16 {
+    u16::from_le_bytes([bytes[at], bytes[at + 1]])
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+}
+
+fn f32_at(bytes: &[u8], at: usize) -> f32 {
+    f32::from_bits(u32_at(bytes, at))
+}

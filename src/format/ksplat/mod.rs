@@ -1,0 +1,93 @@
+//! `.ksplat` of mkkellogg's `GaussianSplats3D`, version 0.1: a header of 4096 bytes, headers of 1024 bytes per section, sections.
+//!
+//! A splat is its mean, scales (linear), rotation (w, x, y, z), red, green, blue and opacity in 255 steps, then the SH bands above
+//! 0 to degree 2 at most, band by band and in a band channel by channel. [`Level`] says in what precision.
+//!
+//! | attribute | level 0 | level 1 | level 2 |
+//! |---|---|---|---|
+//! | mean | f32, exact | 16 bits about the centre of a bucket of ≤ 256 splats in a block of side b: b/131068, b ≤ 5 | as 1 |
+//! | log standard deviation | rounding of f32 | f16: 1/2048 from e^−9.7 to e^11, less exact below, clipped above | as 1 |
+//! | rotation | rounding of f32 | f16: 0.06° | as 1 |
+//! | colour, opacity | 1/510; colours outside of 0..1 are clipped | as 0 | as 0 |
+//! | SH bands | f32, exact | f16: 1/2048 of the coefficient | 255 steps from the least to the greatest: 1/510 of their range |
+//!
+//! The figures are the largest errors of [`write`]. The file cannot state its frame: as for PLY it is the scene's own, by custom
+//! y down.
+
+mod decode;
+mod encode;
+
+use std::path::Path;
+
+use super::error::read_file;
+use super::loss::WriteReport;
+use super::{FormatError, atomic_write};
+use crate::scene::Splats;
+
+/// Bytes of the file's header.
+const HEADER: usize = 4096;
+/// Bytes of the header of a section.
+const SECTION_HEADER: usize = 1024;
+/// Bytes of the centre of a bucket.
+const CENTER: usize = 12;
+/// Half the range of a 16-bit mean.
+const MEAN_RANGE: u32 = 32767;
+/// Highest SH degree that the format has.
+const MAX_DEGREE: u32 = 2;
+/// Half the range of 8-bit SH where the header does not state one.
+const DEFAULT_SH_RANGE: f32 = 1.5;
+
+/// The format's compression levels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Level {
+    /// 0: f32.
+    #[default]
+    Float,
+    /// 1: 16 bits.
+    Half,
+    /// 2: 16 bits, and 8 for SH.
+    HalfAndByte,
+}
+
+impl Level {
+    fn from_code(code: u16) -> Option<Self> {
+        [Self::Float, Self::Half, Self::HalfAndByte].into_iter().find(|&level| level as u16 == code)
+    }
+
+    /// Bytes of one component of mean, scale and rotation, and of SH.
+    fn component_bytes(self) -> (usize, usize) {
+        match self {
+            Self::Float => (4, 4),
+            Self::Half => (2, 2),
+            Self::HalfAndByte => (2, 1),
+        }
+    }
+
+    /// Bytes of a splat.
+    fn splat_bytes(self, sh_degree: u32) -> usize {
+        let (component, sh_component) = self.component_bytes();
+        10 * component + 4 + 3 * (crate::scene::sh::coefficients(sh_degree) - 1) * sh_component
+    }
+}
+
+/// Reads splats of any level.
+///
+/// # Errors
+/// If the file cannot be read, is not such a file, is truncated, declares what contradicts itself, or holds values that
+/// [`Splats::new`] refuses.
+pub fn read(path: &Path) -> Result<Splats, FormatError> {
+    decode::decode(&read_file(path)?).map_err(|fault| fault.in_file(path))
+}
+
+/// Writes splats: in their own order at level 0, bucket by bucket at the others.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(path: &Path, splats: &Splats, level: Level) -> Result<WriteReport, FormatError> {
+    let (file, loss) = encode::encode(splats, level);
+    atomic_write(path, &file)?;
+    Ok(WriteReport { bytes: file.len() as u64, loss })
+}
+
+#[cfg(test)]
+mod tests;
