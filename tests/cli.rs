@@ -43,7 +43,7 @@ fn wrong_usage_is_exit_code_2() {
 #[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
-    let commands = ["train", "eval", "render", "inspect", "devices"].map(of_command);
+    let commands = ["train", "eval", "render", "inspect", "validate", "devices"].map(of_command);
     for args in [vec!["--help"], vec!["--version"]].into_iter().chain(commands) {
         let output = centaur(&args);
         assert_eq!(output.status.code(), Some(0), "{args:?}");
@@ -99,4 +99,26 @@ fn outputs_that_cannot_be_written_are_found_before_any_work() {
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }
+}
+
+#[test]
+fn validation_tells_by_its_exit_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |text: &str| std::fs::write(folder.path().join("a.gltf"), text).unwrap();
+    let run = |more: &[&str]| common::centaur(folder.path()).args(["validate", "a.gltf"]).args(more).output().unwrap();
+    write(r#"{ "asset": { "version": "2.0" }, "extensionsUsed": ["NONE_such"] }"#);
+    let output = run(&[]);
+    assert_eq!(output.status.code(), Some(0), "a warning is no failure: {}", stderr(&output));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(
+        text,
+        "warning EXTENSION_UNUSED: /extensionsUsed/0: expected an object of `NONE_such`, found none\n\
+         a.gltf: glTF, 0 error(s), 1 warning(s)\n"
+    );
+    write(r#"{ "asset": {}, "scene": 3 }"#);
+    let output = run(&["--json"]);
+    assert_eq!((output.status.code(), stderr(&output).trim()), (Some(1), "error: a.gltf: 2 error(s)"));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json["findings"][0]["location"]["pointer"], "/asset");
+    assert_eq!((&json["errors"], &json["findings"][1]["code"]), (&2.into(), &"INDEX_RANGE".into()));
 }

@@ -8,6 +8,7 @@ mod progress;
 mod render;
 mod shared;
 mod train;
+mod validate;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;
@@ -29,6 +30,7 @@ enum Command {
     Eval(eval::Args),
     Render(render::Args),
     Inspect(inspect::Args),
+    Validate(validate::Args),
     Devices(devices::Args),
 }
 
@@ -39,6 +41,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Validate(args) => validate::run(&args),
         Command::Devices(args) => devices::run(&args),
     };
     match result {

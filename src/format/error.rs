@@ -1,6 +1,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 use crate::scene::SceneError;
 
 /// Why a file could not be read or written. One line: the file, where in it, what was expected, what was found.
@@ -37,7 +39,8 @@ pub enum FormatError {
 }
 
 /// A place in a file. Displays as a prefix of a message: `byte 1204: `.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Location {
     /// The file as a whole.
     File,
@@ -84,6 +87,11 @@ impl Fault {
     /// The same at a place that the finder did not know.
     pub(crate) fn at_byte(self, offset: usize) -> Self {
         Self { location: Location::Byte(offset as u64), ..self }
+    }
+
+    /// Where, what was expected and what was found.
+    pub(crate) fn into_parts(self) -> (Location, String, String) {
+        (self.location, self.expected, self.found)
     }
 
     pub(crate) fn in_file(self, file: &Path) -> FormatError {

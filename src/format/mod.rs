@@ -18,6 +18,7 @@ pub mod splat;
 pub mod spz;
 #[cfg(test)]
 mod test_scenes;
+mod validate;
 
 use std::path::Path;
 
@@ -25,6 +26,7 @@ pub use atomic::{atomic_write, atomic_write_with};
 pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
+pub use validate::{Finding, Severity, Validation, validate};
 
 use crate::scene::{Composition, HybridScene, Splats};
 

@@ -35,7 +35,7 @@ pub(in crate::format) struct Asset {
 
 /// Extensions without which a file cannot be understood, and which are understood here: the three of our own files, and
 /// quantised attributes, which are read like any others.
-const UNDERSTOOD: [&str; 4] = [KHR_SPLATS, HYBRID, UNLIT, "KHR_mesh_quantization"];
+pub(in crate::format) const UNDERSTOOD: [&str; 4] = [KHR_SPLATS, HYBRID, UNLIT, "KHR_mesh_quantization"];
 
 impl Asset {
     /// Opens a `.glb` or `.gltf` file with all its buffers.
@@ -152,7 +152,7 @@ fn load_buffers(document: &gltf::Document, bin: Option<&[u8]>, folder: &Path) ->
 }
 
 /// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
-pub(super) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
+pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
     if let Some(data) = uri.strip_prefix("data:") {
         let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
         return encoded

@@ -5,7 +5,7 @@
 //! shows the splats; Centaur reads back exactly what it wrote.
 
 mod accessor;
-mod extension;
+pub(super) mod extension;
 mod glb;
 mod image;
 mod lift;
@@ -20,7 +20,7 @@ mod write;
 
 use std::path::Path;
 
-pub(super) use lift::Asset;
+pub(super) use lift::{Asset, UNDERSTOOD, resolve};
 pub(super) use read::scene as scene_of;
 pub(super) use sizes::bytes_by_part;
 pub(super) use transform::placements;

@@ -67,7 +67,7 @@ pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
     parse_points(&bytes).map_err(|fault| fault.in_file(path))
 }
 
-fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
+pub(super) fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
     let ply = Ply::parse(bytes)?;
     if compressed::is_compressed(&ply) {
         return compressed::parse(&ply);

@@ -111,6 +111,12 @@ impl Element {
         Ok(columns)
     }
 
+    /// Column and name of every scalar property.
+    pub(crate) fn scalar_names(&self) -> Vec<(usize, &str)> {
+        let columns = self.properties.iter().enumerate();
+        columns.filter(|(_, p)| p.list_length.is_none()).map(|(column, p)| (column, p.name.as_str())).collect()
+    }
+
     /// True if `name` is declared as a floating-point property.
     pub(crate) fn is_float(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name && matches!(p.kind, Scalar::F32 | Scalar::F64))
@@ -171,6 +177,27 @@ impl<'a> Ply<'a> {
     /// The first table of this name.
     pub(crate) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)
+    }
+
+    /// A property that its element has twice; readers see the first alone.
+    pub(crate) fn repeated_property(&self) -> Option<&str> {
+        self.elements.iter().find_map(|element| {
+            let names = element.properties.iter().map(|p| p.name.as_str());
+            let mut seen = std::collections::HashSet::new();
+            names.into_iter().find(|name| !seen.insert(*name))
+        })
+    }
+
+    /// Walks over all rows of all elements without looking at values. Returns the number of bytes after the last row.
+    pub(crate) fn bytes_after_rows(&self) -> Result<usize, Fault> {
+        let mut cursor = Cursor { bytes: self.bytes, offset: self.body, encoding: self.encoding };
+        for element in &self.elements {
+            cursor.check_fits(element)?;
+            cursor.skip(element)?;
+        }
+        let rest = &self.bytes[cursor.offset..];
+        let blank = self.encoding == Encoding::Ascii && rest.iter().all(u8::is_ascii_whitespace);
+        Ok(if blank { 0 } else { rest.len() })
     }
 
     /// Calls `visit` with each row of the first table called `name`, in order.

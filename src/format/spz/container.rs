@@ -12,7 +12,7 @@ use crate::format::error::Fault;
 use crate::scene::sh;
 
 /// Means, opacities, SH coefficient 0, scales, rotations, higher bands; in this order in every version.
-pub(super) const STREAMS: usize = 6;
+pub(in crate::format) const STREAMS: usize = 6;
 const NAMES: [&str; STREAMS] = ["means", "opacities", "colours", "scales", "rotations", "SH bands"];
 
 const MAGIC: &[u8; 4] = b"NGSP";
@@ -39,21 +39,21 @@ const ZSTD_LEVEL: i32 = 9;
 
 /// What all versions state first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Header {
-    pub(super) version: u32,
-    pub(super) count: usize,
+pub(in crate::format) struct Header {
+    pub(in crate::format) version: u32,
+    pub(in crate::format) count: usize,
     /// Up to 4 in files.
-    pub(super) sh_degree: u32,
-    pub(super) fractional_bits: u8,
-    pub(super) flags: u8,
+    pub(in crate::format) sh_degree: u32,
+    pub(in crate::format) fractional_bits: u8,
+    pub(in crate::format) flags: u8,
 }
 
 /// A file before its splats are decoded. Streams have exactly the lengths of `header`.
-pub(super) struct Packed {
-    pub(super) header: Header,
-    pub(super) frame: Frame,
-    pub(super) streams: [Vec<u8>; STREAMS],
-    pub(super) notes: Vec<String>,
+pub(in crate::format) struct Packed {
+    pub(in crate::format) header: Header,
+    pub(in crate::format) frame: Frame,
+    pub(in crate::format) streams: [Vec<u8>; STREAMS],
+    pub(in crate::format) notes: Vec<String>,
 }
 
 impl Header {
@@ -97,7 +97,7 @@ impl Header {
 }
 
 /// Takes a file apart.
-pub(super) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
+pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
     if bytes.starts_with(&GZIP) {
         return decode_legacy(&mut GzDecoder::new(bytes), bytes.len());
     }
@@ -223,7 +223,7 @@ fn finish(header: Header, streams: [Vec<u8>; STREAMS], extensions: &[u8]) -> Res
 }
 
 /// Puts a file together.
-pub(super) fn encode(header: &Header, streams: &[Vec<u8>; STREAMS]) -> io::Result<Vec<u8>> {
+pub(in crate::format) fn encode(header: &Header, streams: &[Vec<u8>; STREAMS]) -> io::Result<Vec<u8>> {
     let count = u32::try_from(header.count).map_err(|_| io::Error::other("SPZ holds at most 2^32 splats"))?;
     let mut start = MAGIC.to_vec();
     start.extend(header.version.to_le_bytes());

@@ -7,7 +7,7 @@ use crate::scene::sh;
 
 /// How the axes of a file become those of a scene: a quarter turn about x where the file has z up, then changes of sign.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Frame {
+pub(in crate::format) struct Frame {
     /// SH under the quarter turn (x, y, z) → (x, z, −y), if there is one.
     quarter_turn: Option<sh::Rotation>,
     signs: Vec3,

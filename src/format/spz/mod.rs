@@ -18,7 +18,7 @@
 //! A file of version 4 may state another frame (`SPZ_ADOBE_coordinate_system`), which is honoured, mirrored ones too.
 //! Some programs store PLY axes without saying so; such files arrive upside down.
 
-mod container;
+pub(super) mod container;
 mod frame;
 mod packed;
 

@@ -1,0 +1,302 @@
+//! Buffers, and accessors as numbers.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::super::Findings;
+use super::index;
+use crate::format::gltf::resolve;
+
+/// A document with its buffers.
+pub(super) struct Document<'a> {
+    pub(super) root: &'a Value,
+    /// `None` where the content could not be had.
+    buffers: Vec<Option<Vec<u8>>>,
+    pub(super) folder: &'a Path,
+}
+
+/// An accessor whose range lies in its buffer.
+pub(super) struct Elements<'a> {
+    pub(super) count: usize,
+    pub(super) components: usize,
+    pub(super) kind: Component,
+    pub(super) normalized: bool,
+    /// `None`: all zero but for the sparse elements.
+    base: Option<Run<'a>>,
+    sparse: Option<Sparse<'a>>,
+}
+
+struct Sparse<'a> {
+    indices: Vec<u32>,
+    values: Run<'a>,
+}
+
+/// Elements `stride` bytes apart.
+struct Run<'a> {
+    bytes: &'a [u8],
+    stride: usize,
+    /// Bytes from the start of a column of a matrix to that of the next, and components of a column.
+    columns: Option<(usize, usize)>,
+}
+
+/// A component type of glTF.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Component {
+    Byte,
+    UnsignedByte,
+    Short,
+    UnsignedShort,
+    UnsignedInt,
+    Float,
+}
+
+impl Component {
+    pub(super) fn of(code: u64) -> Option<Self> {
+        Some(match code {
+            5120 => Self::Byte,
+            5121 => Self::UnsignedByte,
+            5122 => Self::Short,
+            5123 => Self::UnsignedShort,
+            5125 => Self::UnsignedInt,
+            5126 => Self::Float,
+            _ => return None,
+        })
+    }
+
+    pub(super) fn size(self) -> usize {
+        match self {
+            Self::Byte | Self::UnsignedByte => 1,
+            Self::Short | Self::UnsignedShort => 2,
+            Self::UnsignedInt | Self::Float => 4,
+        }
+    }
+
+    /// Largest value of an integer type.
+    pub(super) fn largest(self) -> f64 {
+        match self {
+            Self::Byte => 127.0,
+            Self::UnsignedByte => 255.0,
+            Self::Short => 32767.0,
+            Self::UnsignedShort => 65535.0,
+            Self::UnsignedInt => f64::from(u32::MAX),
+            Self::Float => f64::INFINITY,
+        }
+    }
+
+    /// `b` begins with the component.
+    fn decode(self, b: &[u8]) -> f64 {
+        match self {
+            Self::Byte => f64::from(b[0] as i8),
+            Self::UnsignedByte => f64::from(b[0]),
+            Self::Short => f64::from(i16::from_le_bytes([b[0], b[1]])),
+            Self::UnsignedShort => f64::from(u16::from_le_bytes([b[0], b[1]])),
+            Self::UnsignedInt => f64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+            Self::Float => f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+        }
+    }
+}
+
+impl Elements<'_> {
+    /// Component `c` of element `i` as stored.
+    pub(super) fn raw(&self, i: usize, c: usize) -> f64 {
+        if let Some(sparse) = &self.sparse
+            && let Ok(at) = sparse.indices.binary_search(&(i as u32))
+        {
+            return sparse.values.get(at, c, self.kind);
+        }
+        self.base.as_ref().map_or(0.0, |base| base.get(i, c, self.kind))
+    }
+
+    /// Component `c` of element `i`, normalised where the accessor says so.
+    pub(super) fn value(&self, i: usize, c: usize) -> f64 {
+        let raw = self.raw(i, c);
+        if self.normalized { (raw / self.kind.largest()).max(-1.0) } else { raw }
+    }
+
+    /// Element `i`, with at most four components.
+    pub(super) fn vector<const N: usize>(&self, i: usize) -> [f64; N] {
+        std::array::from_fn(|c| if c < self.components { self.value(i, c) } else { 0.0 })
+    }
+}
+
+impl Run<'_> {
+    fn get(&self, i: usize, c: usize, kind: Component) -> f64 {
+        let offset = match self.columns {
+            Some((bytes, rows)) => c / rows * bytes + c % rows * kind.size(),
+            None => c * kind.size(),
+        };
+        kind.decode(&self.bytes[i * self.stride + offset..])
+    }
+}
+
+/// Components of a type.
+pub(super) fn components(kind: &str) -> Option<usize> {
+    Some(match kind {
+        "SCALAR" => 1,
+        "VEC2" => 2,
+        "VEC3" => 3,
+        "VEC4" | "MAT2" => 4,
+        "MAT3" => 9,
+        "MAT4" => 16,
+        _ => return None,
+    })
+}
+
+/// Bytes of an element, and its columns if they are padded: each begins at a multiple of 4 (glTF 2.0, 3.6.2.4).
+fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usize)>)> {
+    let rows = match kind {
+        "MAT2" => 2,
+        "MAT3" => 3,
+        "MAT4" => 4,
+        _ => return Some((components(kind)? * component.size(), None)),
+    };
+    let column = (rows * component.size()).next_multiple_of(4);
+    Some((rows * column, Some((column, rows))))
+}
+
+impl<'a> Document<'a> {
+    /// Loads the buffers, and reports those that are missing or too short.
+    pub(super) fn load(root: &'a Value, bin: Option<&[u8]>, folder: &'a Path, findings: &mut Findings) -> Self {
+        let mut buffers = vec![];
+        for (at, buffer) in super::objects(root, "buffers", "") {
+            let needed = index(buffer, "byteLength").unwrap_or(0);
+            let embedded = if buffers.is_empty() { bin } else { None };
+            let content = match (buffer.get("uri").and_then(Value::as_str), embedded) {
+                (Some(uri), _) => resolve(uri, folder)
+                    .map_err(|(expected, found)| findings.error("BUFFER_URI", format!("{at}/uri"), expected, found))
+                    .ok(),
+                (None, Some(bin)) => {
+                    // Up to three bytes of padding end the chunk.
+                    if bin.len() > needed.saturating_add(3) {
+                        let expected =
+                            format!("{needed} bytes in the binary chunk, as declared, and up to 3 of padding");
+                        findings.warning("BUFFER_LENGTH", format!("{at}/byteLength"), expected, bin.len());
+                    }
+                    Some(bin.to_vec())
+                }
+                // Some compression extensions describe a buffer that is never stored.
+                (None, None) if buffer.get("extensions").is_some() => None,
+                (None, None) => {
+                    findings.error("BUFFER_URI", &at, "a uri or, for buffer 0, the binary chunk of a GLB", "neither");
+                    None
+                }
+            };
+            if let Some(content) = &content
+                && content.len() < needed
+            {
+                let expected = format!("at most {}, the bytes there are", content.len());
+                findings.error("BUFFER_LENGTH", format!("{at}/byteLength"), expected, needed);
+            }
+            buffers.push(content.map(|mut content| {
+                content.truncate(needed);
+                content
+            }));
+        }
+        if buffers.is_empty() && bin.is_some_and(|bin| !bin.is_empty()) {
+            findings.warning("BUFFER_UNUSED", "/buffers", "a buffer for the binary chunk", "none");
+        }
+        Self { root, buffers, folder }
+    }
+
+    /// True if `name` stands in `extensionsUsed`.
+    pub(super) fn uses(&self, name: &str) -> bool {
+        let used = self.root.get("extensionsUsed").and_then(Value::as_array);
+        used.is_some_and(|used| used.iter().any(|n| n == name))
+    }
+
+    /// An object of one of the root's arrays.
+    pub(super) fn object(&self, array: &str, i: usize) -> Option<&'a Value> {
+        self.root.get(array)?.get(i)
+    }
+
+    /// Length of a buffer if its content is there.
+    pub(super) fn buffer_length(&self, i: usize) -> Option<usize> {
+        self.buffers.get(i)?.as_ref().map(Vec::len)
+    }
+
+    /// Content of a buffer view.
+    pub(super) fn view(&self, i: usize) -> Option<&[u8]> {
+        let view = self.object("bufferViews", i)?;
+        let start = index(view, "byteOffset").unwrap_or(0);
+        let end = start.checked_add(index(view, "byteLength")?)?;
+        self.buffers.get(index(view, "buffer")?)?.as_ref()?.get(start..end)
+    }
+
+    /// `None` if something about it is broken, which [`super::accessors`] reports.
+    pub(super) fn elements(&self, accessor: usize) -> Option<Elements<'_>> {
+        let accessor = self.object("accessors", accessor)?;
+        let kind = Component::of(accessor.get("componentType")?.as_u64()?)?;
+        let shape = accessor.get("type")?.as_str()?;
+        let count = index(accessor, "count")?;
+        let base = match index(accessor, "bufferView") {
+            Some(view) => Some(self.run(view, index(accessor, "byteOffset").unwrap_or(0), count, kind, shape)?),
+            None => None,
+        };
+        let sparse = match accessor.get("sparse") {
+            Some(sparse) => Some(self.sparse(sparse, kind, shape)?),
+            None => None,
+        };
+        // Without any bytes behind it, a count could be any number.
+        let stored = self.buffers.iter().flatten().map(Vec::len).sum::<usize>();
+        if base.is_none() && (sparse.is_none() || count > stored) {
+            return None;
+        }
+        let normalized = accessor.get("normalized") == Some(&Value::Bool(true)) && kind != Component::Float;
+        Some(Elements { count, components: components(shape)?, kind, normalized, base, sparse })
+    }
+
+    fn sparse(&self, sparse: &Value, kind: Component, shape: &str) -> Option<Sparse<'_>> {
+        let count = index(sparse, "count")?;
+        let (indices, values) = (sparse.get("indices")?, sparse.get("values")?);
+        let offset = |object: &Value| index(object, "byteOffset").unwrap_or(0);
+        let index_kind = Component::of(indices.get("componentType")?.as_u64()?)?;
+        let run = self.run(index(indices, "bufferView")?, offset(indices), count, index_kind, "SCALAR")?;
+        let indices = (0..count).map(|i| run.get(i, 0, index_kind) as u32).collect();
+        Some(Sparse { indices, values: self.run(index(values, "bufferView")?, offset(values), count, kind, shape)? })
+    }
+
+    /// Indices of a sparse accessor, and how many elements it has.
+    pub(super) fn sparse_indices(&self, accessor: usize) -> Option<(Vec<u32>, usize)> {
+        let accessor = self.object("accessors", accessor)?;
+        let kind = Component::of(accessor.get("componentType")?.as_u64()?)?;
+        let sparse = self.sparse(accessor.get("sparse")?, kind, accessor.get("type")?.as_str()?)?;
+        Some((sparse.indices, index(accessor, "count")?))
+    }
+
+    fn run(&self, view: usize, offset: usize, count: usize, kind: Component, shape: &str) -> Option<Run<'_>> {
+        let (size, columns) = layout(shape, kind)?;
+        let stride = index(self.object("bufferViews", view)?, "byteStride").unwrap_or(size);
+        let bytes = self.view(view)?.get(offset..)?;
+        let needed = needed(count, stride, size)?;
+        (stride >= size && needed <= bytes.len()).then_some(Run { bytes, stride, columns })
+    }
+
+    /// What an accessor's (or sparse part's) range is wrong about: expectation and finding.
+    pub(super) fn range_fault(
+        &self,
+        view: usize,
+        offset: usize,
+        count: usize,
+        kind: Component,
+        shape: &str,
+    ) -> Option<(String, String)> {
+        let (size, _) = layout(shape, kind)?;
+        let object = self.object("bufferViews", view)?;
+        let stride = index(object, "byteStride").unwrap_or(size);
+        if stride < size {
+            return Some((format!("a byteStride of at least {size}"), stride.to_string()));
+        }
+        let length = index(object, "byteLength")?;
+        let fits = needed(count, stride, size).and_then(|n| n.checked_add(offset)).is_some_and(|end| end <= length);
+        let expected = || format!("{count} elements of {size} bytes, {stride} apart, from byte {offset} of the view");
+        (!fits).then(|| (expected(), format!("a view of {length} bytes")))
+    }
+}
+
+fn needed(count: usize, stride: usize, size: usize) -> Option<usize> {
+    match count {
+        0 => Some(0),
+        n => (n - 1).checked_mul(stride)?.checked_add(size),
+    }
+}

@@ -1,0 +1,84 @@
+//! Which extensions are used, declared and understood.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::super::Findings;
+use super::schema::escaped;
+use crate::format::gltf::UNDERSTOOD;
+
+/// Extensions that change what is allowed without an object anywhere.
+const WITHOUT_OBJECT: [&str; 1] = ["KHR_mesh_quantization"];
+
+pub(super) fn check(root: &Value, findings: &mut Findings) {
+    let (used, required) = (strings(root, "extensionsUsed"), strings(root, "extensionsRequired"));
+    let mut present = BTreeMap::new();
+    walk(root, &mut String::new(), &mut present);
+    for (name, at) in &present {
+        if !used.contains(name) {
+            findings.error("EXTENSION_UNDECLARED", at, format!("`{name}` in extensionsUsed"), "none");
+        }
+    }
+    for (i, name) in required.iter().enumerate() {
+        if !used.contains(name) {
+            let at = format!("/extensionsRequired/{i}");
+            findings.error("EXTENSION_UNDECLARED", at, format!("`{name}` in extensionsUsed as well"), "none");
+        }
+    }
+    for (i, name) in used.iter().enumerate() {
+        if !present.contains_key(*name) && !WITHOUT_OBJECT.contains(name) {
+            let at = format!("/extensionsUsed/{i}");
+            findings.warning("EXTENSION_UNUSED", at, format!("an object of `{name}`"), "none");
+        }
+    }
+}
+
+/// Extensions that are required, and that Centaur does not know.
+pub(super) fn check_support(root: &Value, findings: &mut Findings) {
+    for (i, name) in strings(root, "extensionsRequired").iter().enumerate() {
+        if !UNDERSTOOD.contains(name) {
+            let expected = format!("no other than {}", UNDERSTOOD.join(", "));
+            findings.warning(
+                "EXTENSION_UNSUPPORTED",
+                format!("/extensionsRequired/{i}"),
+                expected,
+                format!("`{name}`"),
+            );
+        }
+    }
+}
+
+fn strings<'a>(root: &'a Value, key: &str) -> Vec<&'a str> {
+    root.get(key).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect()
+}
+
+/// Every extension's name with the place of its first object. Within `extras` anything goes.
+fn walk<'a>(value: &'a Value, at: &mut String, present: &mut BTreeMap<&'a str, String>) {
+    let length = at.len();
+    match value {
+        Value::Object(object) => {
+            for (key, inner) in object.iter().filter(|(key, _)| *key != "extras") {
+                at.push('/');
+                at.push_str(&escaped(key));
+                if key == "extensions"
+                    && let Some(extensions) = inner.as_object()
+                {
+                    for name in extensions.keys() {
+                        present.entry(name).or_insert_with(|| format!("{at}/{}", escaped(name)));
+                    }
+                }
+                walk(inner, at, present);
+                at.truncate(length);
+            }
+        }
+        Value::Array(items) => {
+            for (i, item) in items.iter().enumerate() {
+                at.push_str(&format!("/{i}"));
+                walk(item, at, present);
+                at.truncate(length);
+            }
+        }
+        _ => {}
+    }
+}

@@ -1,0 +1,249 @@
+//! `EXT_gaussian_splatting_hybrid`: schemas, and what they cannot say.
+
+use std::collections::HashMap;
+
+use serde_json::Value;
+
+use super::super::{Findings, Offenders};
+use super::document::{Component, Document, Elements};
+use super::scenes::{check_times, check_unit};
+use super::splats::check_token;
+use super::{extension, fields, index, objects, primitives, schema};
+use crate::format::gltf::extension::{HYBRID, KHR_SPLATS};
+
+const COLOR_SPACES: [&str; 2] = ["srgb_rec709_display", "lin_rec709_display"];
+
+pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
+    let root = document.root;
+    let required = root.get("extensionsRequired").and_then(Value::as_array).into_iter().flatten();
+    if let Some(i) = required.clone().position(|name| name == HYBRID) {
+        let expected = "optional use: every part has a fallback in core glTF";
+        findings.warning("HYBRID_REQUIRED", format!("/extensionsRequired/{i}"), expected, "required");
+    }
+    for (at, scene) in objects(root, "scenes", "") {
+        if let Some((at, contract)) = extension(scene, HYBRID, &at) {
+            schema::check(contract, &format!("scene.{HYBRID}.schema.json"), &at, findings);
+            check_scene(root, contract, &at, findings);
+        }
+    }
+    for (i, (at, material)) in objects(root, "materials", "").enumerate() {
+        if let Some((at_radiance, radiance)) = extension(material, HYBRID, &at) {
+            schema::check(radiance, &format!("material.{HYBRID}.schema.json"), &at_radiance, findings);
+            check_material(document, (i, material), radiance, &at_radiance, findings);
+        }
+    }
+    for (at, primitive) in primitives(root) {
+        if let Some((at_surface, surface)) = extension(primitive, HYBRID, &at) {
+            schema::check(surface, &format!("mesh.primitive.{HYBRID}.schema.json"), &at_surface, findings);
+            check_surface(document, primitive, surface, (&at, &at_surface), findings);
+        }
+        if let Some((at_khr, khr)) = extension(primitive, KHR_SPLATS, &at)
+            && let Some((at, bound)) = extension(khr, HYBRID, &at_khr)
+        {
+            schema::check(bound, &format!("{KHR_SPLATS}.{HYBRID}.schema.json"), &at, findings);
+            if let Some(binding) = bound.get("binding") {
+                check_binding(document, primitive, binding, &format!("{at}/binding"), findings);
+            }
+        }
+    }
+    if let Some((at, own)) = extension(root, HYBRID, "") {
+        schema::check(own, &format!("glTF.{HYBRID}.schema.json"), &at, findings);
+        fields::check(document, own, &at, findings);
+    }
+}
+
+fn check_scene(root: &Value, contract: &Value, at: &str, findings: &mut Findings) {
+    check_token(contract, "colorSpace", &COLOR_SPACES, "HYBRID_TOKEN", at, findings);
+    check_token(contract, "mode", &["stable", "surfaceConsistent", "direct"], "HYBRID_TOKEN", at, findings);
+    check_token(contract, "sortKey", &["viewZ"], "HYBRID_TOKEN", at, findings);
+    let Some(space) = contract.get("colorSpace").and_then(Value::as_str) else { return };
+    let splats = primitives(root).filter_map(|(at, primitive)| extension(primitive, KHR_SPLATS, &at));
+    let materials = objects(root, "materials", "").filter_map(|(at, material)| extension(material, HYBRID, &at));
+    for (place, object) in splats.chain(materials) {
+        if let Some(other) = object.get("colorSpace").and_then(Value::as_str).filter(|&other| other != space) {
+            let expected = format!("{space}, as in {at}");
+            findings.error("HYBRID_COLOR_SPACE", format!("{place}/colorSpace"), expected, other);
+        }
+    }
+}
+
+fn check_material(
+    document: &Document<'_>,
+    (i, material): (usize, &Value),
+    radiance: &Value,
+    at: &str,
+    findings: &mut Findings,
+) {
+    check_token(radiance, "colorSpace", &COLOR_SPACES, "HYBRID_TOKEN", at, findings);
+    if let Some(opacity) = radiance.get("opacity") {
+        check_token(opacity, "activation", &["none", "logistic"], "HYBRID_TOKEN", &format!("{at}/opacity"), findings);
+        check_texels(document, (i, opacity), 1, &format!("{at}/opacity"), findings);
+        let mode = material.get("alphaMode").and_then(Value::as_str).unwrap_or("OPAQUE");
+        if mode != "BLEND" {
+            let expected = "alphaMode BLEND, so that other viewers blend as well";
+            findings.warning("HYBRID_ALPHA_MODE", format!("/materials/{i}"), expected, mode);
+        }
+    }
+    let Some(harmonics) = radiance.get("sphericalHarmonics") else { return };
+    let at = format!("{at}/sphericalHarmonics");
+    check_token(harmonics, "frame", &["node", "triangle"], "HYBRID_TOKEN", &at, findings);
+    let stored = harmonics.get("coefficients").and_then(Value::as_array).map_or(0, Vec::len);
+    if let Some(degree) = index(harmonics, "degree").filter(|d| *d <= 3 && (d + 1) * (d + 1) != stored) {
+        let expected = format!("{} for degree {degree}", (degree + 1) * (degree + 1));
+        findings.error("HYBRID_SH_COUNT", format!("{at}/coefficients"), expected, stored);
+    }
+    for (at, source) in objects(harmonics, "coefficients", &at) {
+        check_texels(document, (i, source), 3, &at, findings);
+    }
+}
+
+/// A texel source with `channels` values per texel, used by material `material`.
+fn check_texels(
+    document: &Document<'_>,
+    (material, source): (usize, &Value),
+    channels: usize,
+    at: &str,
+    findings: &mut Findings,
+) {
+    if source.get("accessor").is_some() == source.get("texture").is_some() {
+        // The schema has said so; what the one or the other should be like is anybody's guess.
+        return;
+    }
+    if let Some(accessor) = index(source, "accessor")
+        && let Some(elements) = document.elements(accessor)
+    {
+        let at = format!("{at}/accessor");
+        let size = index(source, "width").unwrap_or(0).saturating_mul(index(source, "height").unwrap_or(0));
+        if elements.count != size {
+            findings.error("HYBRID_TEXEL_COUNT", &at, format!("width × height = {size} elements"), elements.count);
+        }
+        let is_number = elements.kind == Component::Float || elements.normalized;
+        if elements.components != channels || !is_number {
+            let expected = format!("{channels} component(s), of Float or a normalised type");
+            let found = format!("{} of {:?}", elements.components, elements.kind);
+            findings.error("HYBRID_TEXEL_TYPE", &at, expected, found);
+        }
+    }
+    for key in ["offset", "scale"] {
+        let length = source.get(key).and_then(Value::as_array).map(Vec::len);
+        if let Some(length) = length.filter(|&n| n != 1 && n != channels) {
+            findings.error("HYBRID_TEXEL_RANGE", format!("{at}/{key}"), format!("1 or {channels} numbers"), length);
+        }
+    }
+    let own = index(source, "texCoord");
+    let set = own.or_else(|| source.get("texture").and_then(|t| index(t, "texCoord"))).unwrap_or(0);
+    for (at_primitive, primitive) in primitives(document.root) {
+        let uses = index(primitive, "material") == Some(material);
+        let name = format!("TEXCOORD_{set}");
+        if uses && primitive.get("attributes").is_some_and(|a| a.get(&name).is_none()) {
+            let found = format!("none in {at_primitive}");
+            findings.error("HYBRID_TEXCOORD", at, format!("{name} in every primitive of the material"), found);
+        }
+    }
+}
+
+fn position_of<'a>(document: &'a Document<'_>, primitive: &Value) -> Option<Elements<'a>> {
+    document.elements(index(primitive.get("attributes")?, "POSITION")?)
+}
+
+fn check_surface(
+    document: &Document<'_>,
+    primitive: &Value,
+    surface: &Value,
+    (at_primitive, at): (&str, &str),
+    findings: &mut Findings,
+) {
+    let mode = index(primitive, "mode").unwrap_or(4);
+    if mode != 4 {
+        findings.error("HYBRID_MODE", format!("{at_primitive}/mode"), "4 (TRIANGLES)", mode);
+    }
+    let Some(positions) = position_of(document, primitive) else { return };
+    if let Some(source) = index(surface, "surfaceVertices").and_then(|i| document.elements(i)) {
+        check_surface_vertices(&source, &positions, &format!("{at}/surfaceVertices"), findings);
+    }
+    check_token(surface, "interpolation", &["LINEAR", "STEP"], "HYBRID_TOKEN", at, findings);
+    let Some(times) = index(surface, "times").and_then(|i| document.elements(i)) else { return };
+    check_times(&times, &format!("{at}/times"), findings);
+    if let Some(moved) = index(surface, "translations").and_then(|i| document.elements(i)) {
+        let expected = times.count.saturating_mul(positions.count);
+        if moved.count != expected || moved.components != 3 {
+            let expected = format!("{expected} elements of 3 components: {} times {}", times.count, positions.count);
+            let found = format!("{} of {}", moved.count, moved.components);
+            findings.error("HYBRID_TRANSLATIONS", format!("{at}/translations"), expected, found);
+        }
+    }
+}
+
+fn is_unsigned(elements: &Elements<'_>) -> bool {
+    let kinds = [Component::UnsignedByte, Component::UnsignedShort, Component::UnsignedInt];
+    elements.components == 1 && !elements.normalized && kinds.contains(&elements.kind)
+}
+
+fn check_surface_vertices(source: &Elements<'_>, positions: &Elements<'_>, at: &str, findings: &mut Findings) {
+    if !is_unsigned(source) || source.count != positions.count {
+        let expected = format!("{} SCALAR elements of an unsigned integer type", positions.count);
+        return findings.error("HYBRID_SURFACE_TYPE", at, expected, format!("{} of {:?}", source.count, source.kind));
+    }
+    let mut places: HashMap<u64, [f64; 3]> = HashMap::new();
+    let mut apart = Offenders::default();
+    for i in 0..source.count {
+        let (vertex, position) = (source.raw(i, 0) as u64, positions.vector::<3>(i));
+        if *places.entry(vertex).or_insert(position) != position {
+            apart.note(|| format!("vertex {i}, a copy of {vertex}"));
+        }
+    }
+    if let Some(found) = apart.summary(source.count) {
+        findings.error("HYBRID_SURFACE_POSITION", at, "copies of a surface vertex in one place", found);
+    }
+    let gap = (0..places.len() as u64).find(|v| !places.contains_key(v));
+    if let Some(gap) = gap {
+        let expected = format!("numbers from 0 to {} without gaps", places.len() - 1);
+        findings.error("HYBRID_SURFACE_GAP", at, expected, format!("none that is {gap}"));
+    }
+}
+
+fn check_binding(document: &Document<'_>, primitive: &Value, binding: &Value, at: &str, findings: &mut Findings) {
+    let splats = position_of(document, primitive).map_or(0, |p| p.count);
+    let elements = |key: &str| index(binding, key).and_then(|i| document.elements(i));
+    for (key, components) in [("triangles", 1), ("translations", 3), ("rotations", 4), ("scales", 3)] {
+        if let Some(e) = elements(key).filter(|e| e.count != splats || e.components != components) {
+            let expected = format!("{splats} elements of {components} component(s), one per splat");
+            findings.error(
+                "HYBRID_BINDING_COUNT",
+                format!("{at}/{key}"),
+                expected,
+                format!("{} of {}", e.count, e.components),
+            );
+        }
+    }
+    check_unit::<4>(elements("rotations"), &format!("{at}/rotations"), "HYBRID_BINDING_ROTATION", findings);
+    let declared = index(binding, "triangleCount");
+    if let (Some(triangles), Some(declared)) = (elements("triangles"), declared) {
+        let mut offenders = Offenders::default();
+        for i in 0..triangles.count {
+            let v = triangles.raw(i, 0);
+            if v >= declared as f64 || !is_unsigned(&triangles) {
+                offenders.note(|| format!("{v} of splat {i}"));
+            }
+        }
+        if let Some(found) = offenders.summary(triangles.count) {
+            let expected = format!("unsigned integers below triangleCount = {declared}");
+            findings.error("HYBRID_BINDING_TRIANGLE", format!("{at}/triangles"), expected, found);
+        }
+    }
+    let Some(node) = index(binding, "node").and_then(|i| document.object("nodes", i)) else { return };
+    let mesh = index(node, "mesh").and_then(|i| document.object("meshes", i));
+    let number = index(binding, "primitive").unwrap_or(0);
+    let Some(bound) = mesh.and_then(|mesh| mesh.get("primitives")?.get(number)) else {
+        let expected = format!("a node whose mesh has a primitive {number}");
+        return findings.error("HYBRID_BINDING_MESH", format!("{at}/node"), expected, "another");
+    };
+    let indices = index(bound, "indices").and_then(|i| document.elements(i)).map(|e| e.count);
+    let corners = indices.or_else(|| position_of(document, bound).map(|p| p.count));
+    if let (Some(corners), Some(declared)) = (corners, declared)
+        && corners / 3 != declared
+    {
+        let expected = format!("{}, the triangles of the mesh", corners / 3);
+        findings.error("HYBRID_BINDING_MESH", format!("{at}/triangleCount"), expected, declared);
+    }
+}

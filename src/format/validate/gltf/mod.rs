@@ -1,0 +1,60 @@
+//! glTF 2.0 and the splat extensions.
+
+mod accessors;
+mod container;
+mod document;
+mod extensions;
+mod fields;
+mod hybrid;
+mod references;
+mod scenes;
+mod schema;
+mod splats;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use self::document::Document;
+use super::Findings;
+
+/// Checks a `.glb` or `.gltf`; `folder` is where its buffers and images may lie.
+pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
+    let Some(container::Parts { root, bin }) = container::open(bytes, findings) else { return };
+    schema::check(&root, "glTF", "", findings);
+    references::check(&root, findings);
+    extensions::check(&root, findings);
+    let document = Document::load(&root, bin, folder, findings);
+    accessors::check(&document, findings);
+    scenes::check(&document, findings);
+    splats::check(&document, findings);
+    hybrid::check(&document, findings);
+    // Where the structure is sound, a reader may still lack something.
+    if !findings.has_errors() {
+        extensions::check_support(&root, findings);
+    }
+}
+
+/// The objects of the array `key`, each with its JSON pointer.
+fn objects<'a>(parent: &'a Value, key: &str, at: &str) -> impl Iterator<Item = (String, &'a Value)> {
+    let prefix = format!("{at}/{key}");
+    let items = parent.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    items.iter().enumerate().map(move |(i, item)| (format!("{prefix}/{i}"), item))
+}
+
+/// A non-negative integer property.
+fn index(object: &Value, key: &str) -> Option<usize> {
+    object.get(key).and_then(Value::as_u64).and_then(|i| usize::try_from(i).ok())
+}
+
+/// All primitives of all meshes.
+fn primitives(root: &Value) -> impl Iterator<Item = (String, &Value)> {
+    objects(root, "meshes", "").flat_map(|(at, mesh)| objects(mesh, "primitives", &at).collect::<Vec<_>>())
+}
+
+/// An extension of an object, with its JSON pointer.
+fn extension<'a>(object: &'a Value, name: &str, at: &str) -> Option<(String, &'a Value)> {
+    Some((format!("{at}/extensions/{name}"), object.get("extensions")?.get(name)?))
+}

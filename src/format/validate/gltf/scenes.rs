@@ -1,0 +1,281 @@
+//! Nodes, primitives, images, skins and animations of core glTF.
+
+use serde_json::Value;
+
+use super::super::{Findings, Offenders};
+use super::document::{Component, Document, Elements};
+use super::{index, objects, primitives};
+
+/// How far from 1 the length of a unit vector or quaternion may be. 8-bit components are half a step of 1/127 off each.
+pub(super) const UNIT_TOLERANCE: f64 = 0.01;
+
+pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
+    check_nodes(document.root, findings);
+    for (at, primitive) in primitives(document.root) {
+        check_primitive(document, primitive, &at, findings);
+    }
+    for (at, image) in objects(document.root, "images", "") {
+        check_image(document, image, &at, findings);
+    }
+    check_skins(document, findings);
+    check_animations(document, findings);
+}
+
+fn check_nodes(root: &Value, findings: &mut Findings) {
+    let nodes: Vec<(String, &Value)> = objects(root, "nodes", "").collect();
+    let children = |node: &Value| -> Vec<usize> {
+        let list = node.get("children").and_then(Value::as_array).into_iter().flatten();
+        list.filter_map(Value::as_u64).map(|i| i as usize).filter(|&i| i < nodes.len()).collect()
+    };
+    let mut parent: Vec<Option<usize>> = vec![None; nodes.len()];
+    for (i, (at, node)) in nodes.iter().enumerate() {
+        for child in children(node) {
+            let first = *parent[child].get_or_insert(i);
+            if first != i {
+                let expected = format!("one parent of node {child}");
+                findings.error("NODE_PARENT", format!("{at}/children"), expected, format!("nodes {first} and {i}"));
+            }
+        }
+        if node.get("matrix").is_some() && ["translation", "rotation", "scale"].iter().any(|k| node.get(k).is_some()) {
+            findings.error("NODE_TRANSFORM", at, "a matrix or translation, rotation and scale", "both");
+        }
+        let rotation = numbers(node.get("rotation"));
+        let norm = rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
+        if rotation.len() == 4 && (norm - 1.0).abs() > UNIT_TOLERANCE {
+            findings.error("NODE_ROTATION", format!("{at}/rotation"), "a unit quaternion", format!("norm {norm:.4}"));
+        }
+    }
+    // Walks up from every node, but over no node twice.
+    let mut walked_from = vec![None; nodes.len()];
+    for start in 0..nodes.len() {
+        let mut above = Some(start);
+        while let Some(node) = above.filter(|&node| walked_from[node].is_none()) {
+            walked_from[node] = Some(start);
+            above = parent[node];
+        }
+        if let Some(node) = above.filter(|&node| walked_from[node] == Some(start)) {
+            findings.error("NODE_CYCLE", &nodes[node].0, "a node that is not its own ancestor", "one that is");
+        }
+    }
+    for (at, scene) in objects(root, "scenes", "") {
+        for (k, node) in numbers(scene.get("nodes")).into_iter().enumerate() {
+            if let Some(Some(other)) = parent.get(node as usize) {
+                findings.error(
+                    "SCENE_ROOT",
+                    format!("{at}/nodes/{k}"),
+                    "a node without parent",
+                    format!("child of {other}"),
+                );
+            }
+        }
+    }
+}
+
+fn numbers(value: Option<&Value>) -> Vec<f64> {
+    value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64).collect()
+}
+
+/// Type and component types of an attribute of the core; `KHR_mesh_quantization` allows others.
+fn attribute_rule(name: &str) -> Option<(&'static str, &'static [Component])> {
+    use Component::{Float, UnsignedByte, UnsignedShort};
+    let set = name.rsplit_once('_').filter(|(_, digits)| digits.bytes().all(|b| b.is_ascii_digit()));
+    Some(match (name, set.map(|(name, _)| name)) {
+        ("POSITION" | "NORMAL", _) => ("VEC3", &[Float]),
+        ("TANGENT", _) => ("VEC4", &[Float]),
+        (_, Some("TEXCOORD")) => ("VEC2", &[Float, UnsignedByte, UnsignedShort]),
+        (_, Some("JOINTS")) => ("VEC4", &[UnsignedByte, UnsignedShort]),
+        (_, Some("WEIGHTS")) => ("VEC4", &[Float, UnsignedByte, UnsignedShort]),
+        _ => return None,
+    })
+}
+
+fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, findings: &mut Findings) {
+    let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return };
+    let accessor = |i: &Value| i.as_u64().and_then(|i| document.root.get("accessors")?.get(i as usize));
+    let is_splats = primitive.get("extensions").and_then(|e| e.get("KHR_gaussian_splatting")).is_some();
+    let quantized = document.uses("KHR_mesh_quantization");
+    let positions = attributes.get("POSITION").and_then(accessor);
+    let vertices = positions.and_then(|p| index(p, "count"));
+    match positions {
+        None => findings.warning("PRIMITIVE_POSITION", format!("{at}/attributes"), "POSITION", "none"),
+        Some(positions) => {
+            if positions.get("min").is_none() || positions.get("max").is_none() {
+                let place = format!("/accessors/{}", attributes["POSITION"]);
+                findings.error("PRIMITIVE_BOUNDS", place, "min and max, as for every POSITION", "none");
+            }
+        }
+    }
+    for (name, value) in attributes {
+        let place = || format!("{at}/attributes/{}", super::schema::escaped(name));
+        let Some(accessor) = accessor(value) else { continue };
+        let count = index(accessor, "count");
+        if count != vertices && vertices.is_some() {
+            let expected = format!("{} elements, as in POSITION", vertices.unwrap_or_default());
+            findings.error("PRIMITIVE_COUNT", place(), expected, count.unwrap_or_default());
+        }
+        if let Some((shape, kinds)) = attribute_rule(name) {
+            let found_shape = accessor.get("type").and_then(Value::as_str).unwrap_or_default();
+            let found_kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
+            let allowed = found_kind.is_none_or(|k| kinds.contains(&k) || quantized);
+            if found_shape != shape || !allowed {
+                let expected = format!("{shape} of {kinds:?}");
+                findings.error("PRIMITIVE_ATTRIBUTE", place(), expected, format!("{found_shape} of {found_kind:?}"));
+            }
+        }
+    }
+    check_indices(document, primitive, vertices, at, findings);
+    if !is_splats && let Some(normals) = attributes.get("NORMAL").and_then(Value::as_u64) {
+        check_unit::<3>(
+            document.elements(normals as usize),
+            &format!("{at}/attributes/NORMAL"),
+            "NORMAL_NORM",
+            findings,
+        );
+    }
+}
+
+fn check_indices(
+    document: &Document<'_>,
+    primitive: &Value,
+    vertices: Option<usize>,
+    at: &str,
+    findings: &mut Findings,
+) {
+    let mode = index(primitive, "mode").unwrap_or(4);
+    let mut corners = vertices;
+    if let Some(accessor) = index(primitive, "indices")
+        && let Some(elements) = document.elements(accessor)
+    {
+        let place = format!("{at}/indices");
+        corners = Some(elements.count);
+        let unsigned = [Component::UnsignedByte, Component::UnsignedShort, Component::UnsignedInt];
+        if !unsigned.contains(&elements.kind) || elements.components != 1 || elements.normalized {
+            let expected = "SCALAR of an unsigned integer type, not normalised";
+            return findings.error("INDICES_TYPE", place, expected, format!("{:?}", elements.kind));
+        }
+        let mut offenders = Offenders::default();
+        for i in 0..elements.count {
+            let v = elements.raw(i, 0);
+            if vertices.is_some_and(|n| v >= n as f64) || v == elements.kind.largest() {
+                offenders.note(|| format!("{v} at position {i}"));
+            }
+        }
+        if let Some(found) = offenders.summary(elements.count) {
+            let expected = format!("indices below {}, the number of vertices", vertices.unwrap_or_default());
+            findings.error("INDICES_RANGE", place, expected, found);
+        }
+    }
+    let whole = match (mode, corners) {
+        (1, Some(n)) => n.is_multiple_of(2) && n > 0,
+        (4, Some(n)) => n.is_multiple_of(3) && n > 0,
+        _ => true,
+    };
+    if !whole {
+        let expected = if mode == 4 { "three corners per triangle" } else { "two ends per line" };
+        findings.warning("PRIMITIVE_INCOMPLETE", at, expected, format!("{} in all", corners.unwrap_or_default()));
+    }
+}
+
+/// Reports vectors whose length is not 1.
+pub(super) fn check_unit<const N: usize>(
+    elements: Option<Elements<'_>>,
+    at: &str,
+    code: &'static str,
+    findings: &mut Findings,
+) {
+    let Some(elements) = elements.filter(|e| e.components == N) else { return };
+    let mut offenders = Offenders::default();
+    for i in 0..elements.count {
+        let norm = elements.vector::<N>(i).iter().map(|v| v * v).sum::<f64>().sqrt();
+        // NaN has a finding of its own.
+        if (norm - 1.0).abs() > UNIT_TOLERANCE {
+            offenders.note(|| format!("length {norm:.4} of element {i}"));
+        }
+    }
+    if let Some(found) = offenders.summary(elements.count) {
+        findings.error(code, at, "length 1", found);
+    }
+}
+
+fn check_image(document: &Document<'_>, image: &Value, at: &str, findings: &mut Findings) {
+    let content = match (image.get("uri").and_then(Value::as_str), index(image, "bufferView")) {
+        (Some(uri), None) => match crate::format::gltf::resolve(uri, document.folder) {
+            Ok(content) => content,
+            Err((expected, found)) => return findings.error("IMAGE_URI", format!("{at}/uri"), expected, found),
+        },
+        (None, Some(view)) => match document.view(view) {
+            Some(content) => content.to_vec(),
+            None => return,
+        },
+        _ => return,
+    };
+    let found = match content.as_slice() {
+        [0x89, b'P', b'N', b'G', ..] => "image/png",
+        [0xFF, 0xD8, 0xFF, ..] => "image/jpeg",
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "image/webp",
+        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "image/ktx2",
+        _ => return findings.error("IMAGE_CONTENT", at, "PNG or JPEG", "other content"),
+    };
+    let declared = image.get("mimeType").and_then(Value::as_str);
+    if let Some(declared) = declared.filter(|&declared| declared != found) {
+        findings.error("IMAGE_TYPE", format!("{at}/mimeType"), found, declared);
+    }
+}
+
+fn check_skins(document: &Document<'_>, findings: &mut Findings) {
+    for (at, skin) in objects(document.root, "skins", "") {
+        let joints = skin.get("joints").and_then(Value::as_array).map_or(0, Vec::len);
+        let matrices = index(skin, "inverseBindMatrices").and_then(|i| document.elements(i));
+        if let Some(m) = matrices.filter(|m| m.count < joints || m.components != 16 || m.kind != Component::Float) {
+            let expected = format!("MAT4 of Float, one for each of {joints} joints");
+            let found = format!("{} elements of {} components of {:?}", m.count, m.components, m.kind);
+            findings.error("SKIN_MATRICES", format!("{at}/inverseBindMatrices"), expected, found);
+        }
+    }
+}
+
+fn check_animations(document: &Document<'_>, findings: &mut Findings) {
+    for (at, animation) in objects(document.root, "animations", "") {
+        for (at, sampler) in objects(animation, "samplers", &at) {
+            if let Some(times) = index(sampler, "input").and_then(|i| document.elements(i)) {
+                check_times(&times, &format!("{at}/input"), findings);
+            }
+        }
+        for (at, channel) in objects(animation, "channels", &at) {
+            let path = channel.pointer("/target/path").and_then(Value::as_str).unwrap_or_default();
+            let per_key = match path {
+                "translation" | "scale" => 3,
+                "rotation" => 4,
+                _ => continue,
+            };
+            let sampler = index(channel, "sampler").and_then(|s| animation.get("samplers")?.get(s));
+            let Some(sampler) = sampler else { continue };
+            let elements = |key| index(sampler, key).and_then(|i| document.elements(i));
+            let (Some(input), Some(output)) = (elements("input"), elements("output")) else { continue };
+            let tangents = sampler.get("interpolation").and_then(Value::as_str) == Some("CUBICSPLINE");
+            let expected = input.count.saturating_mul(if tangents { 3 } else { 1 });
+            if output.count != expected || output.components != per_key {
+                let expected = format!("{expected} elements of {per_key} components for {path}");
+                let found = format!("{} of {}", output.count, output.components);
+                findings.error("ANIMATION_OUTPUT", at, expected, found);
+            }
+        }
+    }
+}
+
+/// Reports times that are not strictly increasing from 0 or later.
+pub(super) fn check_times(times: &Elements<'_>, at: &str, findings: &mut Findings) {
+    if times.components != 1 || times.kind != Component::Float {
+        return findings.error("TIMES_TYPE", at, "SCALAR of Float", format!("{:?}", times.kind));
+    }
+    let mut offenders = Offenders::default();
+    for i in 0..times.count {
+        let (t, before) = (times.raw(i, 0), if i == 0 { -f64::MIN_POSITIVE } else { times.raw(i - 1, 0) });
+        if t <= before || t < 0.0 {
+            offenders.note(|| format!("{t} at position {i}"));
+        }
+    }
+    if let Some(found) = offenders.summary(times.count) {
+        findings.error("TIMES_ORDER", at, "strictly increasing times from 0 s", found);
+    }
+}

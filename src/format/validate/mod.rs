@@ -1,0 +1,189 @@
+//! Whether a file is what its format says it must be: every fault in it, not only the first.
+//!
+//! Readers stop at what they cannot use; this looks at everything, and says where it is, what was expected and what was
+//! found. It owes nothing to the readers but the containers.
+
+mod gltf;
+mod ply;
+mod spz;
+
+use std::fmt;
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::error::{Fault, FormatError, Location, read_file};
+use super::{Kind, kind, read_scene};
+
+/// How bad a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// Allowed, but probably not meant, or not understood by Centaur.
+    Warning,
+    /// The format forbids it.
+    Error,
+}
+
+/// One fault of a file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// How bad it is.
+    pub severity: Severity,
+    /// Which rule is broken, for scripts: `ACCESSOR_RANGE`.
+    pub code: &'static str,
+    /// Where: a JSON pointer into the glTF document, or an offset in bytes.
+    pub location: Location,
+    /// What the rule asks for.
+    pub expected: String,
+    /// What is there instead.
+    pub found: String,
+}
+
+/// Everything found in one file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Validation {
+    /// Path as given.
+    pub file: String,
+    /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat` or `ksplat`.
+    pub format: &'static str,
+    /// Number of findings that are errors.
+    pub errors: usize,
+    /// Number of findings that are warnings.
+    pub warnings: usize,
+    /// Container first, then structure, then values.
+    pub findings: Vec<Finding>,
+}
+
+/// Checks a file against the rules of its format.
+///
+/// * `.glb`, `.gltf`: container, schema, references, ranges of accessors and their values, declared extensions, the rules
+///   of `KHR_gaussian_splatting` and of `EXT_gaussian_splatting_hybrid`.
+/// * `.ply` of splats: header, rows against the length of the file, values.
+/// * `.spz`: container, streams against the number of splats, values at the ends of their ranges.
+/// * other files of splats: what the reader refuses.
+///
+/// # Errors
+/// If the file cannot be read or is none of these. What is wrong *in* it is no error, but a finding.
+pub fn validate(path: &Path) -> Result<Validation, FormatError> {
+    let kind = kind(path)?;
+    let mut findings = Findings::default();
+    match kind {
+        Kind::Gltf => gltf::check(&read_file(path)?, path.parent().unwrap_or(Path::new("")), &mut findings),
+        Kind::Ply => ply::check(&read_file(path)?, &mut findings),
+        Kind::Spz => spz::check(&read_file(path)?, &mut findings),
+        Kind::Ksplat | Kind::Sog | Kind::Splat => match read_scene(path) {
+            Ok(_) => {}
+            Err(FormatError::Content { location, expected, found, .. }) => {
+                findings.add(Severity::Error, "CONTENT", location, expected, found);
+            }
+            Err(e) => return Err(e),
+        },
+    }
+    let format = kind.name();
+    let Findings(findings) = findings;
+    let errors = findings.iter().filter(|f| f.severity == Severity::Error).count();
+    let warnings = findings.len() - errors;
+    Ok(Validation { file: path.display().to_string(), format, errors, warnings, findings })
+}
+
+/// Collects findings.
+#[derive(Default)]
+struct Findings(Vec<Finding>);
+
+impl Findings {
+    #[expect(clippy::needless_pass_by_value, reason = "numbers and strings, without & at every call")]
+    fn error(
+        &mut self,
+        code: &'static str,
+        at: impl Into<Location>,
+        expected: impl Into<String>,
+        found: impl ToString,
+    ) {
+        self.add(Severity::Error, code, at.into(), expected.into(), found.to_string());
+    }
+
+    #[expect(clippy::needless_pass_by_value, reason = "numbers and strings, without & at every call")]
+    fn warning(
+        &mut self,
+        code: &'static str,
+        at: impl Into<Location>,
+        expected: impl Into<String>,
+        found: impl ToString,
+    ) {
+        self.add(Severity::Warning, code, at.into(), expected.into(), found.to_string());
+    }
+
+    /// What a reader stopped at.
+    fn fault(&mut self, code: &'static str, fault: Fault) {
+        let (location, expected, found) = fault.into_parts();
+        self.add(Severity::Error, code, location, expected, found);
+    }
+
+    fn has_errors(&self) -> bool {
+        self.0.iter().any(|f| f.severity == Severity::Error)
+    }
+
+    fn add(&mut self, severity: Severity, code: &'static str, location: Location, expected: String, found: String) {
+        self.0.push(Finding { severity, code, location, expected, found });
+    }
+}
+
+/// JSON pointers.
+impl From<String> for Location {
+    fn from(pointer: String) -> Self {
+        Self::Pointer(pointer)
+    }
+}
+
+impl From<&str> for Location {
+    fn from(pointer: &str) -> Self {
+        Self::Pointer(pointer.to_owned())
+    }
+}
+
+impl From<&String> for Location {
+    fn from(pointer: &String) -> Self {
+        Self::Pointer(pointer.clone())
+    }
+}
+
+/// How many values broke a rule, and the first of them.
+#[derive(Default)]
+struct Offenders {
+    count: usize,
+    first: Option<String>,
+}
+
+impl Offenders {
+    fn note(&mut self, describe: impl FnOnce() -> String) {
+        self.count += 1;
+        if self.first.is_none() {
+            self.first = Some(describe());
+        }
+    }
+
+    /// `7 of 100, the first: …`; `None` if there were none.
+    fn summary(self, of: usize) -> Option<String> {
+        let first = self.first?;
+        Some(format!("{} of {of}, the first: {first}", self.count))
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let severity = match self.severity {
+            Severity::Error => "error",
+            Severity::Warning => "warning",
+        };
+        let Self { code, location, expected, found, .. } = self;
+        write!(f, "{severity} {code}: {location}expected {expected}, found {found}")
+    }
+}
+
+impl fmt::Display for Validation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.findings.iter().try_for_each(|finding| writeln!(f, "{finding}"))?;
+        write!(f, "{}: {}, {} error(s), {} warning(s)", self.file, self.format, self.errors, self.warnings)
+    }
+}

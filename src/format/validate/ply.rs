@@ -1,0 +1,247 @@
+//! PLY files of splats.
+
+use super::{Findings, Offenders};
+use crate::format::error::Location;
+use crate::format::ply::parse_splats;
+use crate::format::ply::table::Ply;
+use crate::scene::sh;
+
+/// Logits beyond which opacities in f32 are 0 or 1.
+const SATURATED: f64 = 20.0;
+
+/// Checks a PLY in the INRIA layout, or a packed one. Any other (points, meshes) is held to its header and length alone.
+pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
+    let ply = match Ply::parse(bytes) {
+        Ok(ply) => ply,
+        Err(fault) => return findings.fault("PLY_HEADER", fault),
+    };
+    let Some(vertex) = ply.element("vertex") else {
+        return findings.error("PLY_ELEMENT", Location::File, "the element `vertex`", "none");
+    };
+    if let Some(name) = ply.repeated_property() {
+        findings.error("PLY_PROPERTY_TWICE", Location::File, "each property once", format!("`{name}` twice"));
+    }
+    match ply.bytes_after_rows() {
+        Ok(0) => {}
+        Ok(rest) => findings.warning("PLY_LENGTH", Location::File, "no bytes after the last row", rest),
+        Err(fault) => return findings.fault("PLY_LENGTH", fault),
+    }
+    if vertex.scalar("packed_position").is_some() {
+        // All values are integers between the bounds of their chunk; what else can be wrong, the reader refuses.
+        if let Err(fault) = parse_splats(bytes) {
+            findings.fault("PLY_PACKED", fault);
+        }
+        return;
+    }
+    if !["opacity", "scale_0", "rot_0", "f_dc_0"].iter().any(|name| vertex.scalar(name).is_some()) {
+        let expected = "splats in the INRIA or the packed layout";
+        return findings.warning("PLY_CONTENT", Location::File, expected, "a PLY of something else");
+    }
+    let required = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0"];
+    let required = required.into_iter().chain(["rot_1", "rot_2", "rot_3"]);
+    let missing: Vec<&str> = required.filter(|name| vertex.scalar(name).is_none()).collect();
+    if !missing.is_empty() {
+        return findings.error("PLY_PROPERTY_MISSING", Location::File, missing.join(", "), "none of these");
+    }
+    let rest = (0..).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
+    if !(0..=sh::MAX_DEGREE).any(|d| rest == 3 * (sh::coefficients(d) - 1)) {
+        findings.error("PLY_SH_COUNT", Location::File, "0, 9, 24 or 45 properties `f_rest_0`, …", rest);
+    }
+    check_values(&ply, findings);
+}
+
+fn check_values(ply: &Ply<'_>, findings: &mut Findings) {
+    let Some(vertex) = ply.element("vertex") else { return };
+    let (Ok([opacity]), Ok(scales), Ok(rotation)) = (
+        vertex.scalars(["opacity"]),
+        vertex.scalars(["scale_0", "scale_1", "scale_2"]),
+        vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"]),
+    ) else {
+        return;
+    };
+    let names = vertex.scalar_names();
+    let mut row_number = 0usize;
+    let mut not_finite: Vec<Offenders> = names.iter().map(|_| Offenders::default()).collect();
+    let (mut zero, mut unnormalised) = (Offenders::default(), Offenders::default());
+    let (mut linear_opacities, mut linear_scales, mut saturated) = (0usize, 0usize, 0usize);
+    let walked = ply.rows(
+        "vertex",
+        |_| (),
+        |(), row| {
+            for ((column, name), offenders) in names.iter().zip(&mut not_finite) {
+                let v = row.values[*column];
+                // A logit of ±∞ is an opacity of 0 or 1, a log-scale of −∞ a flat splat: readers know what is meant.
+                let is_meant =
+                    (*column == opacity && v.is_infinite()) || (scales.contains(column) && v == f64::NEG_INFINITY);
+                if !v.is_finite() && !is_meant {
+                    offenders.note(|| format!("{v} in row {row_number} of `{name}`"));
+                }
+            }
+            let norm = rotation.map(|c| row.values[c] * row.values[c]).iter().sum::<f64>().sqrt();
+            if norm == 0.0 {
+                zero.note(|| format!("row {row_number}"));
+            } else if (norm - 1.0).abs() > 0.01 {
+                unnormalised.note(|| format!("norm {norm:.4} in row {row_number}"));
+            }
+            linear_opacities += usize::from((0.0..=1.0).contains(&row.values[opacity]));
+            linear_scales += usize::from(scales.iter().all(|&c| row.values[c] >= 0.0));
+            saturated += usize::from(row.values[opacity].abs() > SATURATED);
+            row_number += 1;
+            Ok(())
+        },
+    );
+    if let Err(fault) = walked {
+        findings.fault("PLY_ROWS", fault);
+    }
+    let n = row_number;
+    for offenders in not_finite {
+        if let Some(found) = offenders.summary(n) {
+            findings.error("PLY_NOT_FINITE", Location::File, "finite numbers", found);
+        }
+    }
+    if let Some(found) = zero.summary(n) {
+        findings.error("PLY_ROTATION_ZERO", Location::File, "quaternions other than 0", found);
+    }
+    if let Some(found) = unnormalised.summary(n) {
+        findings.warning("PLY_ROTATION_NORM", Location::File, "unit quaternions (readers normalise them)", found);
+    }
+    // A handful of splats may be like that by chance.
+    if n >= 100 && linear_opacities == n {
+        let expected = "opacities as logits, from about -5 to 10";
+        findings.warning("PLY_OPACITY_LINEAR", Location::File, expected, "all of them from 0 to 1");
+    }
+    if n >= 100 && linear_scales == n {
+        let expected = "scales as natural logarithms, most below 0";
+        findings.warning("PLY_SCALE_LINEAR", Location::File, expected, "all of them 0 or more");
+    }
+    if saturated > 0 {
+        let expected = format!("logits between -{SATURATED} and {SATURATED}");
+        findings.warning("PLY_OPACITY_RANGE", Location::File, expected, format!("{saturated} of {n} beyond"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::{Finding, Severity};
+    use super::*;
+    use crate::format::test_scenes::random_splats;
+
+    const COLUMNS: usize = 17;
+
+    fn written(n: usize) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        crate::format::ply::write(&path, &random_splats(n, 0, 1)).unwrap();
+        std::fs::read(&path).unwrap()
+    }
+
+    fn findings(bytes: &[u8]) -> Vec<Finding> {
+        let mut findings = Findings::default();
+        check(bytes, &mut findings);
+        findings.0
+    }
+
+    /// Codes of 200 splats in which `change` is made to each row: x y z, normal, colour, opacity, scales, rotation.
+    fn codes(change: impl Fn(usize, &mut [f32])) -> Vec<(&'static str, Severity)> {
+        let mut file = written(200);
+        let body = file.len() - 200 * COLUMNS * 4;
+        for (i, row) in file[body..].chunks_exact_mut(4 * COLUMNS).enumerate() {
+            let mut values: Vec<f32> = row.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+            change(i, &mut values);
+            row.as_chunks_mut().0.iter_mut().zip(values).for_each(|(slot, v)| *slot = v.to_le_bytes());
+        }
+        findings(&file).into_iter().map(|f| (f.code, f.severity)).collect()
+    }
+
+    #[test]
+    fn what_we_write_is_faultless() {
+        assert!(findings(&written(200)).is_empty() && findings(&written(0)).is_empty());
+    }
+
+    #[test]
+    fn values() {
+        use Severity::{Error, Warning};
+        assert_eq!(
+            codes(|i, row| if i == 7 {
+                row[1] = f32::NAN;
+            }),
+            [("PLY_NOT_FINITE", Error)]
+        );
+        assert_eq!(codes(|_, row| row[11] = f32::INFINITY), [("PLY_NOT_FINITE", Error)]);
+        assert_eq!(
+            codes(|i, row| if i == 7 {
+                row[13..].fill(0.0);
+            }),
+            [("PLY_ROTATION_ZERO", Error)]
+        );
+        assert_eq!(codes(|_, row| row[13] *= 3.0), [("PLY_ROTATION_NORM", Warning)]);
+        assert_eq!(codes(|_, row| row[9] = 0.7), [("PLY_OPACITY_LINEAR", Warning)]);
+        assert_eq!(codes(|_, row| row[10..13].fill(0.02)), [("PLY_SCALE_LINEAR", Warning)]);
+        assert_eq!(
+            codes(|i, row| if i == 7 {
+                row[9] = f32::INFINITY;
+            }),
+            [("PLY_OPACITY_RANGE", Warning)]
+        );
+        let mut file = written(3);
+        let body = file.len() - 3 * COLUMNS * 4;
+        file[body + 4 * COLUMNS..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert_eq!(findings(&file)[0].found, "1 of 3, the first: NaN in row 1 of `x`");
+    }
+
+    #[test]
+    fn headers_and_lengths() {
+        let file = written(3);
+        let header_end = file.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let header = String::from_utf8(file[..header_end].to_vec()).unwrap();
+        let code = |header: &str, body: &[u8]| {
+            let found = findings(&[header.as_bytes(), body].concat());
+            assert_eq!(found.len(), 1, "{found:?}");
+            found[0].code
+        };
+        let body = &file[header_end..];
+        assert_eq!(code("ply\nformat ternary 1.0\n", b""), "PLY_HEADER");
+        assert_eq!(code("ply\nformat ascii 1.0\nend_header\n", b""), "PLY_ELEMENT");
+        assert_eq!(code(&header, &body[..body.len() - 1]), "PLY_LENGTH");
+        assert_eq!(code(&header, &[body, b"more"].concat()), "PLY_LENGTH");
+        assert_eq!(code(&header.replace("vertex 3", "vertex 4000000000"), body), "PLY_LENGTH");
+        assert_eq!(code(&header.replace("nx", "ny"), body), "PLY_PROPERTY_TWICE");
+        assert_eq!(code(&header.replace("rot_2", "rotation_2"), body), "PLY_PROPERTY_MISSING");
+        assert_eq!(code(&header.replace("nx", "f_rest_0"), body), "PLY_SH_COUNT");
+        let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n";
+        assert_eq!(code(points, b"1.0"), "PLY_CONTENT");
+        assert_eq!(code(&points.replace("float x", "float opacity"), b"1.0"), "PLY_PROPERTY_MISSING");
+        let all = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+        let ascii: String = all.iter().map(|n| format!("property float {n}\n")).collect();
+        let ascii =
+            format!("ply\nformat ascii 1.0\nelement vertex 1\n{ascii}property float rot_0\nproperty float rot_1\n");
+        let ascii = format!("{ascii}property float rot_2\nproperty float rot_3\nend_header\n");
+        assert!(findings(format!("{ascii}0 0 0 0 0 0 0 0 0 0 1 0 0 0\n\n").as_bytes()).is_empty());
+        assert_eq!(code(&ascii, b"0 0 0 0 0 0 nonsense 0 0 0 1 0 0 0"), "PLY_LENGTH");
+    }
+
+    #[test]
+    fn packed_splats() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        crate::format::ply::compressed::write(&path, &random_splats(300, 1, 1)).unwrap();
+        let mut file = std::fs::read(&path).unwrap();
+        assert_eq!(findings(&file), []);
+        let body = file.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        file[body..body + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert_eq!(findings(&file)[0].code, "PLY_PACKED");
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_do_not_panic(cut in 0usize..1000, at in 0usize..1000, byte: u8) {
+            let mut file = written(3);
+            file.truncate(cut.max(1));
+            let at = at % file.len();
+            file[at] = byte;
+            findings(&file);
+        }
+    }
+}
