@@ -14,7 +14,7 @@ use super::state::{GEOMETRY_FLOATS, SplatState};
 use crate::scene::sh;
 
 /// Version of the layout that is written, and the only one that is read.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";
@@ -34,6 +34,8 @@ pub struct Checkpoint {
     pub splats: SplatState,
     /// Other arrays by name, such as texels and their moments. Names must not begin with `splats/`.
     pub tensors: BTreeMap<String, Vec<f32>>,
+    /// Whole numbers by name, such as the corners of triangles. Names must be others than those of `tensors`.
+    pub indices: BTreeMap<String, Vec<u32>>,
 }
 
 /// Why a checkpoint was not written or read.
@@ -93,10 +95,11 @@ impl Checkpoint {
             .map_err(|e| fault("meta", "values that JSON can hold", e.to_string()).at(path))?;
         let s = &self.splats;
         let arrays = [&s.geometry, &s.sh, &s.geometry_m, &s.geometry_v, &s.sh_m, &s.sh_v];
-        let own = SPLATS.into_iter().zip(arrays.map(|a| Array::new(a)));
-        let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::new(values)));
+        let own = SPLATS.into_iter().zip(arrays.map(|a| Array::floats(a)));
+        let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::floats(values)));
+        let indices = self.indices.iter().map(|(name, values)| (name.as_str(), Array::indices(values)));
         let metadata = HashMap::from([(HEADER.to_owned(), header)]);
-        safetensors::serialize_to_file(own.chain(others), Some(metadata), path).map_err(|e| match e {
+        safetensors::serialize_to_file(own.chain(others).chain(indices), Some(metadata), path).map_err(|e| match e {
             safetensors::SafeTensorError::IoError(source) => CheckpointError::Io { path: path.into(), source },
             e => fault("checkpoint", "at most 100 MB of metadata", e.to_string()).at(path),
         })
@@ -128,14 +131,18 @@ impl Checkpoint {
         let header: Header =
             serde_json::from_value(header).map_err(|e| fault(HEADER, "version, sh_degree and meta", e.to_string()))?;
 
-        let mut tensors = BTreeMap::new();
+        let (mut tensors, mut indices) = (BTreeMap::new(), BTreeMap::new());
         for (name, view) in file.tensors() {
-            if view.dtype() != Dtype::F32 || view.shape().len() != 1 {
-                let found = format!("{:?} of {} axes", view.dtype(), view.shape().len());
-                return Err(fault(name, "f32 of one axis", found));
-            }
             let (words, _) = view.data().as_chunks::<4>();
-            tensors.insert(name, words.iter().map(|&w| f32::from_le_bytes(w)).collect::<Vec<f32>>());
+            match (view.dtype(), view.shape().len()) {
+                (Dtype::F32, 1) => {
+                    tensors.insert(name, words.iter().map(|&w| f32::from_le_bytes(w)).collect::<Vec<f32>>());
+                }
+                (Dtype::U32, 1) => {
+                    indices.insert(name, words.iter().map(|&w| u32::from_le_bytes(w)).collect());
+                }
+                (kind, axes) => return Err(fault(name, "f32 or u32 of one axis", format!("{kind:?} of {axes} axes"))),
+            }
         }
         let mut take = |name: &str| tensors.remove(name).ok_or_else(|| fault(name, "an array", "none"));
         let [geometry, sh, geometry_m, geometry_v, sh_m, sh_v] = SPLATS;
@@ -148,7 +155,7 @@ impl Checkpoint {
             sh_m: take(sh_m)?,
             sh_v: take(sh_v)?,
         };
-        let checkpoint = Self { meta: header.meta, splats, tensors };
+        let checkpoint = Self { meta: header.meta, splats, tensors, indices };
         checkpoint.validate()?;
         Ok(checkpoint)
     }
@@ -171,10 +178,13 @@ impl Checkpoint {
         if let Some((group, splat)) = s.first_non_finite() {
             return Err(fault(format!("{group} of splat {splat}"), "finite numbers", "another"));
         }
-        for (name, values) in &self.tensors {
-            if name.starts_with("splats/") || name == "__metadata__" {
+        for name in self.tensors.keys().chain(self.indices.keys()) {
+            let is_twice = self.tensors.contains_key(name) && self.indices.contains_key(name);
+            if name.starts_with("splats/") || name == "__metadata__" || is_twice {
                 return Err(fault(name, "an array of another name", "this one"));
             }
+        }
+        for (name, values) in &self.tensors {
             if let Some(i) = values.iter().position(|v| !v.is_finite()) {
                 return Err(fault(format!("{name}[{i}]"), "a finite number", values[i].to_string()));
             }
@@ -202,21 +212,26 @@ fn check_offsets(bytes: &[u8]) -> Result<(), Fault> {
     Ok(())
 }
 
-/// A one-dimensional tensor of f32.
+/// A one-dimensional tensor of 4-byte words.
 struct Array<'a> {
+    kind: Dtype,
     shape: [usize; 1],
-    values: &'a [f32],
+    words: &'a [u32],
 }
 
 impl<'a> Array<'a> {
-    fn new(values: &'a [f32]) -> Self {
-        Self { shape: [values.len()], values }
+    fn floats(values: &'a [f32]) -> Self {
+        Self { kind: Dtype::F32, shape: [values.len()], words: bytemuck::cast_slice(values) }
+    }
+
+    fn indices(values: &'a [u32]) -> Self {
+        Self { kind: Dtype::U32, shape: [values.len()], words: values }
     }
 }
 
 impl View for Array<'_> {
     fn dtype(&self) -> Dtype {
-        Dtype::F32
+        self.kind
     }
 
     fn shape(&self) -> &[usize] {
@@ -226,14 +241,14 @@ impl View for Array<'_> {
     fn data(&self) -> Cow<'_, [u8]> {
         // The file is little-endian.
         if cfg!(target_endian = "little") {
-            bytemuck::cast_slice(self.values).into()
+            bytemuck::cast_slice(self.words).into()
         } else {
-            self.values.iter().flat_map(|v| v.to_le_bytes()).collect()
+            self.words.iter().flat_map(|w| w.to_le_bytes()).collect()
         }
     }
 
     fn data_len(&self) -> usize {
-        size_of_val(self.values)
+        size_of_val(self.words)
     }
 }
 
@@ -254,6 +269,8 @@ mod tests {
             meta: json!({ "iteration": 1200, "seed": u64::MAX, "rng": format!("{:x}", u128::MAX), "options": "c0ffee" }),
             splats,
             tensors: BTreeMap::from([("mesh0/base".into(), vec![1.0, -2.5, f32::MAX]), ("mesh0/bands".into(), vec![])]),
+            // Not all of them are f32.
+            indices: BTreeMap::from([("mesh0/triangles".into(), vec![0, (1 << 24) + 1, u32::MAX])]),
         }
     }
 
@@ -316,6 +333,7 @@ mod tests {
         assert_eq!(broken(|c| c.splats.sh_v.truncate(80)), "splats/sh_v");
         assert_eq!(broken(|c| c.tensors.get_mut("mesh0/base").unwrap()[1] = f32::NAN), "mesh0/base[1]");
         assert_eq!(broken(|c| drop(c.tensors.insert("splats/sh".into(), vec![]))), "splats/sh");
+        assert_eq!(broken(|c| drop(c.indices.insert("mesh0/base".into(), vec![]))), "mesh0/base");
     }
 
     #[test]
@@ -328,9 +346,9 @@ mod tests {
             bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
             message(&bytes)
         };
-        assert!(edited(r#"version\":1"#, r#"version\":9"#).contains("version: expected 1, found 9"));
+        assert!(edited(r#"version\":2"#, r#"version\":9"#).contains("version: expected 2, found 9"));
         assert!(edited("splats/sh_m", "splats/sh_x").contains("splats/sh_m: expected an array, found none"));
-        assert!(edited("F32", "I32").contains("expected f32 of one axis, found I32"));
+        assert!(edited("F32", "I32").contains("expected f32 or u32 of one axis, found I32"));
         assert!(edited("centaur_checkpoint", "somebody_elses_foo").contains("metadata: expected an entry"));
         assert!(message(&bytes[..bytes.len() - 1]).contains("truncated"));
         assert!(message(b"PNG").contains("expected a safetensors file, found 3 bytes"));

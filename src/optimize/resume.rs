@@ -74,17 +74,16 @@ impl Saved {
 
     /// Writes the checkpoint to a temporary file and renames it.
     pub(super) fn write(self, path: &Path, run: &Identity) -> Result<(), TrainError> {
-        let mut tensors = BTreeMap::new();
+        let (mut tensors, mut indices) = (BTreeMap::new(), BTreeMap::new());
         let mut meshes = vec![];
         for (i, mesh) in self.meshes.iter().enumerate() {
             let atlas = mesh.atlas();
             let mut put = |name: &str, values: Vec<f32>| tensors.insert(format!("mesh{i}/{name}"), values);
             put("positions", bytemuck::cast_slice(mesh.positions()).to_vec());
             put("corner_uvs", bytemuck::cast_slice(mesh.corner_uvs()).to_vec());
-            // Indices below 2²⁴ are exact in f32; a mesh that trains on today's adapters is far smaller.
-            put("triangles", mesh.triangles().iter().flatten().map(|&v| v as f32).collect());
             put("base", atlas.base().texels().to_vec());
             put("bands", atlas.bands().map_or(vec![], |b| b.texels().to_vec()));
+            indices.insert(format!("mesh{i}/triangles"), mesh.triangles().as_flattened().to_vec());
             let size = |t: &Texture| json!([t.width(), t.height(), t.channels()]);
             meshes.push(json!({ "base": size(atlas.base()), "bands": atlas.bands().map(size) }));
         }
@@ -101,13 +100,13 @@ impl Saved {
             "meshes": meshes,
             "epoch_iterations": self.epoch.iterations,
         });
-        Ok(Checkpoint { meta, splats: self.splats, tensors }.write(path)?)
+        Ok(Checkpoint { meta, splats: self.splats, tensors, indices }.write(path)?)
     }
 
     /// Reads a checkpoint that was written on the same input with the same options, but for how often to report and
     /// save.
     pub(super) fn read(path: &Path, run: &Identity) -> Result<Self, TrainError> {
-        let Checkpoint { meta, splats, mut tensors } = Checkpoint::read(path)?;
+        let Checkpoint { meta, splats, mut tensors, mut indices } = Checkpoint::read(path)?;
         let refused = |why: String| TrainError::Resume(format!("{}: {why}", path.display()));
         let damaged = |what: &str| refused(format!("{what} is missing or damaged"));
         let field = |name: &str| meta.get(name).cloned().ok_or_else(|| damaged(name));
@@ -126,7 +125,8 @@ impl Saved {
         for (i, sizes) in described.iter().enumerate() {
             let positions = take(format!("mesh{i}/positions"))?;
             let uvs = take(format!("mesh{i}/corner_uvs"))?;
-            let triangles = take(format!("mesh{i}/triangles"))?;
+            let name = format!("mesh{i}/triangles");
+            let triangles = indices.remove(&name).ok_or_else(|| damaged(&name))?;
             let texture = |name: &str, texels: Vec<f32>| -> Result<Option<Texture>, TrainError> {
                 let Some(size) = sizes.get(name).filter(|s| !s.is_null()) else { return Ok(None) };
                 let [w, h, c]: [u32; 3] = serde_json::from_value(size.clone()).map_err(|_| damaged(name))?;
@@ -136,7 +136,7 @@ impl Saved {
             let bands = texture("bands", take(format!("mesh{i}/bands"))?)?;
             let mesh = Mesh::new(
                 positions.chunks_exact(3).map(Vec3::from_slice).collect(),
-                triangles.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect(),
+                triangles.as_chunks().0.to_vec(),
                 uvs.chunks_exact(6).map(|c| [0, 2, 4].map(|k| Vec2::new(c[k], c[k + 1]))).collect(),
                 Atlas::new(base, bands).map_err(invalid)?,
             );
