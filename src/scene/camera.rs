@@ -41,7 +41,7 @@ impl Camera {
     ///
     /// # Errors
     /// If a number is not finite, the image is empty, a focal length is not positive, or the matrix is not close
-    /// to a rotation (determinant within 1 % of 1).
+    /// to a rotation (lengths and cosines of its axes within 1 % of 1 and 0, no mirroring).
     pub fn new(intrinsics: Intrinsics, rotation: DMat3, translation: DVec3) -> Result<Self, SceneError> {
         let k = &intrinsics;
         if k.width == 0 || k.height == 0 {
@@ -56,9 +56,15 @@ impl Camera {
         if !(rotation.is_finite() && translation.is_finite()) {
             return Err(SceneError::new("pose", "finite numbers", format!("{rotation} {translation}")));
         }
-        let det = rotation.determinant();
-        if (det - 1.0).abs() > 0.01 {
-            return Err(SceneError::new("pose", "a rotation (determinant 1)", format!("determinant {det:.4}")));
+        let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
+        let lengths = [x, y, z].map(DVec3::length);
+        let cosines = [x.dot(y), y.dot(z), z.dot(x)];
+        if lengths.iter().any(|l| (l - 1.0).abs() > 0.01) || cosines.iter().any(|c| c.abs() > 0.01) {
+            let found = format!("axes of lengths {lengths:.3?} with products {cosines:.3?}");
+            return Err(SceneError::new("pose", "a rotation: axes of length 1 at right angles", found));
+        }
+        if rotation.determinant() < 0.0 {
+            return Err(SceneError::new("pose", "a rotation", "a rotation and a reflection"));
         }
         let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize());
         Ok(Self { intrinsics, rotation, translation })
@@ -112,5 +118,36 @@ impl Camera {
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         Self { intrinsics: self.intrinsics.resized(width.max(1), height.max(1)), ..*self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pose(rotation: DMat3) -> Result<Camera, SceneError> {
+        let intrinsics = Intrinsics { width: 4, height: 3, fx: 2.0, fy: 2.0, cx: 2.0, cy: 1.5 };
+        Camera::new(intrinsics, rotation, DVec3::ZERO)
+    }
+
+    #[test]
+    fn only_rotations_are_poses() {
+        let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7);
+        let found = pose(turn * DMat3::from_diagonal(DVec3::splat(1.003))).unwrap().rotation();
+        // What is off in a file moves the rotation by as much at most, and stays a rotation.
+        assert!(found.abs_diff_eq(turn, 0.01) && (found * found.transpose()).abs_diff_eq(DMat3::IDENTITY, 1e-12));
+        // Both have determinant 1.
+        let stretched = turn * DMat3::from_diagonal(DVec3::new(2.0, 0.5, 1.0));
+        let sheared = turn * DMat3::from_cols(DVec3::X, DVec3::new(0.4, 1.0, 0.0), DVec3::Z);
+        let mirrored = turn * DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0));
+        for (rotation, found) in [
+            (stretched, "axes of lengths [2.000, 0.500, 1.000] with products"),
+            (sheared, "with products [0.400, "),
+            (mirrored, "a rotation and a reflection"),
+            (DMat3::ZERO, "axes of lengths [0.000, 0.000, 0.000]"),
+        ] {
+            let error = pose(rotation).unwrap_err().to_string();
+            assert!(error.starts_with("pose: expected a rotation") && error.contains(found), "{error}");
+        }
     }
 }
