@@ -29,4 +29,6 @@ pub use renderer::{Picture, Renderer};
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
+mod texel_tests;
+#[cfg(test)]
 mod training_tests;

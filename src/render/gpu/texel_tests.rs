@@ -1,0 +1,164 @@
+//! Gradients of texels against finite differences of the oracle of `mesh_tests`, and what Adam makes of them.
+
+use glam::{DMat3, DVec4, Vec3};
+
+use super::{
+    device::{Frame, Gpu},
+    mesh::MeshStage,
+    mesh_tests::{Random, Rig, atlas, hits, mip_level, shade, soup, sphere, view},
+    status::status_buffer,
+    texels::TexelStep,
+};
+use crate::scene::{Atlas, Mesh, Texture};
+
+/// Gradients of every class of texel, with and without native atomics, against central differences of the oracle.
+/// The loss is Σ w·(r, g, b, alpha) with random weights over all fragments; it is linear in the texels except where a
+/// channel is clamped or through σ, so a small step keeps all thresholds where they are.
+#[test]
+fn texel_gradients_match_finite_differences() {
+    let mut random = Random(5);
+    let maps = [atlas(&mut random, 3, 32), atlas(&mut random, 1, 16)];
+    let mut meshes = vec![soup(&mut random, 160, 2)];
+    for (maps, x) in maps.into_iter().zip([-0.6, 0.7]) {
+        meshes.push(sphere(24, 12, Vec3::new(x, 0.1, 3.0), 1.0, maps));
+    }
+    let view = view(61, 45, DMat3::IDENTITY, 2, &meshes);
+    let weights: Vec<[f32; 4]> = (0..2 * view.pixels()).map(|_| [(); 4].map(|()| random.signed())).collect();
+    let hits = hits(&view, &meshes);
+    let levels = hits.iter().flatten().map(|h| mip_level(meshes[h.mesh].atlas().base(), h));
+    let coarse = levels.filter(|&l| l > 1.5).count();
+    assert!(coarse > 100, "only {coarse} fragments see the third mip level or beyond");
+    let loss = |meshes: &[Mesh]| {
+        let fragments = hits.iter().enumerate().flat_map(|(p, h)| h.iter().enumerate().map(move |(l, h)| (p, l, h)));
+        let weight = |p: usize, l: usize| DVec4::from_array(weights[l * view.pixels() + p].map(f64::from));
+        fragments.map(|(p, l, h)| weight(p, l).dot(shade(h, meshes, view.band_degree))).sum::<f64>()
+    };
+    for float_atomics in [true, false] {
+        let gpu = Gpu::open_restricted(None, float_atomics, true).unwrap();
+        let rig = Rig::new(gpu, &view, &meshes, true);
+        rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
+        let mut frame = Frame::new(&rig.gpu);
+        // Twice: gradients of an earlier frame must not remain.
+        rig.stage.record_backward(&mut frame);
+        rig.stage.record_backward(&mut frame);
+        frame.submit();
+        let gradients = rig.stage.read_gradients(&rig.gpu).unwrap();
+        let mut checked = [0, 0];
+        for (m, (base, bands)) in gradients.iter().enumerate() {
+            for (class, found) in [base, bands].into_iter().enumerate() {
+                let scale = found.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
+                let strong: Vec<usize> = (0..found.len()).filter(|&i| found[i].abs() > 0.1 * scale).collect();
+                for n in 0..30 {
+                    let pick = |len: usize, unit: f32| (unit * len as f32) as usize;
+                    let unit = random.unit();
+                    let i = if n % 2 == 0 { strong[pick(strong.len(), unit)] } else { pick(found.len(), unit) };
+                    let at = |step: f32| {
+                        let mut meshes = meshes.clone();
+                        let atlas = meshes[m].atlas();
+                        let change = |t: &Texture, class_of: usize| {
+                            let mut texels = t.texels().to_vec();
+                            if class_of == class {
+                                texels[i] += step;
+                            }
+                            Texture::new(t.width(), t.height(), t.channels(), texels).unwrap()
+                        };
+                        let bands = atlas.bands().map(|t| change(t, 1));
+                        let atlas = Atlas::new(change(atlas.base(), 0), bands).unwrap();
+                        meshes[m] = meshes[m].clone().with_atlas(atlas);
+                        loss(&meshes)
+                    };
+                    let texel = if class == 0 { meshes[m].atlas().base() } else { meshes[m].atlas().bands().unwrap() };
+                    // The step that f32 really takes.
+                    let h = 1.0 / 1024.0;
+                    let taken = f64::from(texel.texels()[i] + h) - f64::from(texel.texels()[i] - h);
+                    let wanted = (at(h) - at(-h)) / taken;
+                    let error = (f64::from(found[i]) - wanted).abs();
+                    assert!(
+                        error < 1e-3 * wanted.abs() + 1e-4 * f64::from(scale),
+                        "mesh {m} class {class} float {i}: {} instead of {wanted}",
+                        found[i]
+                    );
+                    checked[class] += usize::from(wanted.abs() > 0.01 * f64::from(scale));
+                }
+            }
+        }
+        eprintln!("native atomics {float_atomics}: {checked:?} base and band texels with a gradient agree");
+        assert!(checked[0] > 40 && checked[1] > 40, "too few texels are visible: {checked:?}");
+    }
+}
+
+/// One step of Adam from zero moments moves a float by its rate against the sign of its gradient; logits stay within
+/// ±6; mips follow; moments survive a round trip.
+#[test]
+fn adam_steps_and_moments_are_restored() {
+    let mut random = Random(6);
+    let maps = atlas(&mut random, 1, 16);
+    let base = maps.base();
+    let near_limit = base.texels().chunks(4).flat_map(|t| [t[0], t[1], t[2], 5.9995_f32.copysign(t[3])]).collect();
+    let base = Texture::new(base.width(), base.height(), 4, near_limit).unwrap();
+    let maps = Atlas::new(base, maps.bands().cloned()).unwrap();
+    let meshes = [sphere(24, 12, Vec3::new(0.0, 0.0, 2.0), 1.0, maps.clone())];
+    let mut view = view(40, 40, DMat3::IDENTITY, 1, &meshes);
+    let mut rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, true);
+    let weights: Vec<f32> = (0..4 * view.pixels()).map(|_| random.signed()).collect();
+    rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
+    let step = TexelStep { number: 1, base_rate: 1e-3, band_rate: 2e-3, visited_only: false, holds_opacity: false };
+    rig.stage.set_step(&rig.gpu, &step);
+    let mut frame = Frame::new(&rig.gpu);
+    rig.stage.record_backward(&mut frame);
+    rig.stage.record_adam(&mut frame);
+    frame.submit();
+    let gradients = rig.stage.read_gradients(&rig.gpu).unwrap().remove(0);
+    let after = rig.stage.read_atlases(&rig.gpu).unwrap().remove(0);
+    let mut moved = 0;
+    let pairs = [
+        (maps.base(), after.base(), &gradients.0, 1e-3),
+        (maps.bands().unwrap(), after.bands().unwrap(), &gradients.1, 2e-3),
+    ];
+    for (is_base, (before, after, gradient, rate)) in [true, false].into_iter().zip(pairs) {
+        for (i, (&g, (&a, &b))) in gradient.iter().zip(before.texels().iter().zip(after.texels())).enumerate() {
+            let mut wanted = if g == 0.0 { a } else { a - rate * g.signum() };
+            if is_base && i % 4 == 3 {
+                wanted = wanted.clamp(-6.0, 6.0);
+            }
+            moved += usize::from(g != 0.0);
+            assert!((b - wanted).abs() < 1e-5, "float {i}: {a} became {b} instead of {wanted} (gradient {g})");
+        }
+    }
+    assert!(moved > 500, "only {moved} floats have a gradient");
+    view.band_degree = 1;
+    rig.forward(&view);
+    rig.check(&view, &[meshes[0].clone().with_atlas(after.clone())], "after a step");
+
+    // Another camera: dense Adam moves what was visited before by its momentum, the visited-only variant does not.
+    let (first, second) = rig.stage.read_moments(&rig.gpu).unwrap();
+    assert!(first.iter().zip(&second).all(|(m, v)| (*m == 0.0) == (*v == 0.0)));
+    let status = status_buffer(&rig.gpu).unwrap();
+    for visited_only in [false, true] {
+        let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, Some(&status)).unwrap();
+        assert!(other.write_moments(&rig.gpu, &first, &second));
+        assert!(!other.write_moments(&rig.gpu, &first[1..], &second[1..]));
+        assert_eq!(other.read_moments(&rig.gpu).unwrap(), (first.clone(), second.clone()));
+        other.set_step(&rig.gpu, &TexelStep { number: 2, visited_only, ..step });
+        let mut frame = Frame::new(&rig.gpu);
+        other.record_adam(&mut frame);
+        frame.submit();
+        let changed = other.read_atlases(&rig.gpu).unwrap().remove(0) != after;
+        assert_eq!(changed, !visited_only, "gradients are zero, moments are not");
+    }
+
+    // While opacity is held, colours go on.
+    let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, Some(&status)).unwrap();
+    assert!(other.write_moments(&rig.gpu, &first, &second));
+    other.set_step(&rig.gpu, &TexelStep { number: 2, holds_opacity: true, ..step });
+    let mut frame = Frame::new(&rig.gpu);
+    other.record_adam(&mut frame);
+    frame.submit();
+    let held = other.read_atlases(&rig.gpu).unwrap().remove(0);
+    let (m, v) = other.read_moments(&rig.gpu).unwrap();
+    for (i, (a, b)) in after.base().texels().iter().zip(held.base().texels()).enumerate() {
+        let stays = i % 4 == 3 || first[i] == 0.0;
+        assert!((a == b) == stays && ((m[i], v[i]) == (first[i], second[i])) == stays, "float {i}: {a} became {b}");
+    }
+    assert_ne!(after.bands(), held.bands());
+}
