@@ -4,10 +4,13 @@ use std::ops::Range;
 
 use glam::{Quat, Vec3};
 
-use crate::scene::{SceneError, Splats, sh};
+use crate::{
+    render::gpu::splats::{GEOMETRY, pack_geometry},
+    scene::{SceneError, Splats, sh},
+};
 
 /// Floats of a splat in [`SplatState::geometry`].
-pub const GEOMETRY_FLOATS: usize = 12;
+pub const GEOMETRY_FLOATS: usize = GEOMETRY;
 /// Columns of the mean in a row of [`SplatState::geometry`].
 pub const MEAN: Range<usize> = 0..3;
 /// Column of the opacity logit.
@@ -43,11 +46,7 @@ impl SplatState {
     /// The parameters of these splats with moments of zero.
     #[must_use]
     pub fn from_splats(splats: &Splats) -> Self {
-        let mut geometry = Vec::with_capacity(splats.len() * GEOMETRY_FLOATS);
-        for i in 0..splats.len() {
-            let (m, q, s) = (splats.means()[i], splats.rotations()[i], splats.log_scales()[i]);
-            geometry.extend([m.x, m.y, m.z, splats.opacity_logits()[i], q.w, q.x, q.y, q.z, s.x, s.y, s.z, 0.0]);
-        }
+        let geometry = pack_geometry(splats);
         let sh = splats.sh().as_flattened().to_vec();
         let (zeros, sh_zeros) = (vec![0.0; geometry.len()], vec![0.0; sh.len()]);
         Self {

@@ -17,7 +17,7 @@ mod renderer;
 mod scan;
 mod shader;
 mod sort;
-mod splats;
+pub(crate) mod splats;
 pub(crate) mod status;
 pub(crate) mod texels;
 pub(crate) mod training;
