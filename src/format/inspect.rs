@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::gltf::{Asset, bytes_by_part, scene_of};
 use super::{FormatError, Kind, kind, read_scene_noted};
-use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats};
+use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -71,7 +71,7 @@ pub struct MeshSummary {
 /// The rule of blending.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompositionSummary {
-    /// `stable`, `surface_consistent` or `direct`.
+    /// `stable`, `surfaceConsistent` or `direct`.
     pub mode: &'static str,
     /// λ in scene units; `None` is infinite.
     pub lambda: Option<f32>,
@@ -152,11 +152,7 @@ fn mesh(mesh: &Mesh) -> MeshSummary {
 
 fn composition(c: &Composition) -> CompositionSummary {
     CompositionSummary {
-        mode: match c.mode {
-            OrderMode::Stable => "stable",
-            OrderMode::SurfaceConsistent => "surface_consistent",
-            OrderMode::Direct => "direct",
-        },
+        mode: c.mode.name(),
         lambda: c.lambda.is_finite().then_some(c.lambda),
         layers: c.layers,
         color_space: match c.color_space {

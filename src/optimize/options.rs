@@ -56,7 +56,6 @@ pub struct TrainOptions {
     /// Mesh layers per pixel, 1, 2 or 4: 2 (METHODS 4.2 has both of 1 and 2 as the paper's).
     pub layers: u32,
     /// Depth order of splats against layers: the paper's.
-    #[serde(with = "order_mode")]
     pub mode: OrderMode,
     /// λ as a fraction of the capture's extent: 0.01 (METHODS 4.8).
     pub lambda: f32,
@@ -104,26 +103,5 @@ impl Default for TrainOptions {
             checkpoint_every: 2_000,
             eval_every: 500,
         }
-    }
-}
-
-mod order_mode {
-    use serde::{Deserialize, Deserializer, Serializer, de::Error};
-
-    use crate::scene::OrderMode;
-
-    const NAMES: [(OrderMode, &str); 3] = [
-        (OrderMode::Stable, "stable"),
-        (OrderMode::SurfaceConsistent, "surface_consistent"),
-        (OrderMode::Direct, "direct"),
-    ];
-
-    pub(super) fn serialize<S: Serializer>(mode: &OrderMode, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_str(NAMES.iter().find(|n| n.0 == *mode).map_or("", |n| n.1))
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<OrderMode, D::Error> {
-        let name = String::deserialize(d)?;
-        NAMES.iter().find(|n| n.1 == name).map(|n| n.0).ok_or_else(|| D::Error::custom(format!("unknown mode {name}")))
     }
 }

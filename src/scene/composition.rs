@@ -1,7 +1,8 @@
 use super::SceneError;
 
 /// How the order of a splat and a mesh layer is decided (METHODS 4.4). `render::contract` has the formulas.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "camelCase")]
 pub enum OrderMode {
     /// The HERA paper's rule: one decision per splat and layer at the splat's own projection, overridden per
     /// pixel where the mesh is more than λ in front of the mean.
@@ -12,6 +13,20 @@ pub enum OrderMode {
     SurfaceConsistent,
     /// The mean is compared with every pixel's own mesh depth (the paper's ablation; order flickers).
     Direct,
+}
+
+impl OrderMode {
+    pub(crate) const ALL: [Self; 3] = [Self::Stable, Self::SurfaceConsistent, Self::Direct];
+
+    /// Its name in files and reports, which is also serde's.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Stable => "stable",
+            Self::SurfaceConsistent => "surfaceConsistent",
+            Self::Direct => "direct",
+        }
+    }
 }
 
 /// Space in which colours are stored and blended.
@@ -72,5 +87,17 @@ impl Composition {
             return Err(SceneError::new("background", "finite numbers", format!("{:?}", self.background)));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn modes_have_one_name_each() {
+        for mode in OrderMode::ALL {
+            assert_eq!(serde_json::to_value(mode).unwrap(), mode.name());
+        }
     }
 }

@@ -185,15 +185,10 @@ pub(crate) fn parse_color_space(token: &str, at: &str) -> Result<ColorSpace, Fau
 
 impl SceneContract {
     pub(crate) fn new(c: &Composition) -> Self {
-        let mode = match c.mode {
-            OrderMode::Stable => "stable",
-            OrderMode::SurfaceConsistent => "surfaceConsistent",
-            OrderMode::Direct => "direct",
-        };
         Self {
             color_space: color_space_token(c.color_space).to_owned(),
             sort_key: view_z(),
-            mode: mode.to_owned(),
+            mode: c.mode.name().to_owned(),
             lambda: c.lambda.is_finite().then_some(c.lambda),
             layers: c.layers,
             background: c.background,
@@ -203,14 +198,9 @@ impl SceneContract {
 
     /// `at` is the JSON pointer of this object.
     pub(crate) fn composition(&self, at: &str) -> Result<Composition, Fault> {
-        let mode = match self.mode.as_str() {
-            "stable" => OrderMode::Stable,
-            "surfaceConsistent" => OrderMode::SurfaceConsistent,
-            "direct" => OrderMode::Direct,
-            other => {
-                let expected = "stable, surfaceConsistent or direct";
-                return Err(Fault::pointer(format!("{at}/mode"), expected, format!("`{other}`")));
-            }
+        let Some(mode) = OrderMode::ALL.into_iter().find(|mode| mode.name() == self.mode) else {
+            let expected = "stable, surfaceConsistent or direct";
+            return Err(Fault::pointer(format!("{at}/mode"), expected, format!("`{}`", self.mode)));
         };
         if self.sort_key != "viewZ" {
             return Err(Fault::pointer(format!("{at}/sortKey"), "viewZ", format!("`{}`", self.sort_key)));
