@@ -4,6 +4,7 @@ use anyhow::{Context as _, Result, ensure};
 use centaur::format::{atomic_write, gltf, read_scene};
 use centaur::metrics::to_rgb8;
 use centaur::render::gpu::Renderer;
+use centaur::scene::color::{linear_to_srgb, srgb_to_linear};
 use centaur::scene::{Camera, ColorSpace};
 use clap::ValueEnum;
 use image::Rgb32FImage;
@@ -98,15 +99,6 @@ fn write_frame(path: &Path, image: Rgb32FImage, format: Format, space: ColorSpac
 fn mapped(mut image: Rgb32FImage, f: fn(f32) -> f32) -> Rgb32FImage {
     image.iter_mut().for_each(|v| *v = f(*v));
     image
-}
-
-/// IEC 61966-2-1; negative values, which only unclamped renders have, stay on the linear segment.
-fn srgb_to_linear(c: f32) -> f32 {
-    if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-}
-
-fn linear_to_srgb(c: f32) -> f32 {
-    if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
 }
 
 fn write_exr(path: &Path, image: &Rgb32FImage) -> Result<()> {

@@ -3,7 +3,6 @@
 
 mod activation;
 mod atomic;
-mod color;
 mod error;
 pub mod gltf;
 mod inspect;

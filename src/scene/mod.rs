@@ -5,6 +5,7 @@
 //! Colours are display-referred (sRGB-encoded) unless [`Composition::color_space`] says otherwise.
 
 mod camera;
+pub mod color;
 mod composition;
 mod mesh;
 pub mod sh;

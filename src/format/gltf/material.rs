@@ -6,9 +6,9 @@ use serde::Deserialize as _;
 use super::extension::{HYBRID, Radiance, TexelSource, parse_color_space};
 use super::image::Texels;
 use super::lift::Asset;
+use crate::format::activation;
 use crate::format::error::Fault;
-use crate::format::{activation, color};
-use crate::scene::{Atlas, ColorSpace, Texture, sh};
+use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// Reads the maps of `material`, to be blended in `space`.
 pub(super) fn atlas(

@@ -14,10 +14,9 @@ use super::extension::{
     SceneContract, ShField, Surface, TexelSource, UNLIT, color_space_token, sh_attributes,
 };
 use super::glb;
-use crate::format::color;
 use crate::format::error::{Fault, FormatError};
 use crate::format::{activation, atomic_write_with};
-use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, sh};
+use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, color, sh};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;

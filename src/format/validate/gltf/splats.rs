@@ -7,9 +7,8 @@ use super::document::{Component, Document};
 use super::scenes::check_unit;
 use super::schema::{self, escaped, shown};
 use super::{extension, index, primitives};
-use crate::format::color;
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, OPACITY, ROTATION, SCALE, sh_attributes};
-use crate::scene::sh;
+use crate::scene::{color, sh};
 
 /// Greatest difference of `COLOR_0` from what the splats show that rounding to 8 bits explains.
 const FALLBACK_TOLERANCE: f64 = 1.5 / 255.0;
