@@ -13,5 +13,7 @@ mod tests;
 
 pub use axes::Axes;
 pub use join::{gather, join, with_mesh_sh_degree, with_sh_degree};
-pub use select::{Crop, Volume, crop_mesh, in_crops, in_morton_order, most_important, not_below_opacity};
+pub use select::{Crop, Volume, crop_mesh, in_crops, most_important, not_below_opacity};
 pub use similarity::Similarity;
+
+pub use crate::scene::in_morton_order;

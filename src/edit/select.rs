@@ -109,41 +109,6 @@ fn importance(splats: &Splats, i: usize) -> f64 {
     log_opacity + s.element_sum() - s.min_element()
 }
 
-/// All indices in the order of a Morton curve through the cube around the means, 2²¹ cells a side: neighbours in space
-/// come to lie together, which compresses and renders better. Splats of one cell keep their order.
-#[must_use]
-pub fn in_morton_order(splats: &Splats) -> Vec<usize> {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for p in splats.means() {
-        low = low.min(p.as_dvec3());
-        high = high.max(p.as_dvec3());
-    }
-    let cells = f64::from(1 << 21) / (high - low).max_element().max(f64::MIN_POSITIVE);
-    let code = |p: Vec3| {
-        // A float-to-integer cast saturates.
-        let cell = ((p.as_dvec3() - low) * cells).to_array().map(|c| (c as u64).min((1 << 21) - 1));
-        cell.into_iter().enumerate().fold(0, |code, (axis, c)| code | spread(c) << axis)
-    };
-    let mut keys: Vec<(u64, usize)> = splats.means().par_iter().enumerate().map(|(i, &p)| (code(p), i)).collect();
-    keys.par_sort_unstable();
-    keys.into_iter().map(|(_, i)| i).collect()
-}
-
-/// Two zeros before each of 21 bits.
-fn spread(bits: u64) -> u64 {
-    let mut x = bits;
-    for (shift, mask) in [
-        (32, 0x001f_0000_0000_ffff),
-        (16, 0x001f_0000_ff00_00ff),
-        (8, 0x100f_00f0_0f00_f00f),
-        (4, 0x10c3_0c30_c30c_30c3),
-        (2, 0x1249_2492_4924_9249),
-    ] {
-        x = (x | x << shift) & mask;
-    }
-    x
-}
-
 fn indices(splats: &Splats, keeps: impl Fn(usize) -> bool + Sync) -> Vec<usize> {
     (0..splats.len()).into_par_iter().filter(|&i| keeps(i)).collect()
 }

@@ -9,7 +9,6 @@ mod inspect;
 pub mod ksplat;
 mod loss;
 pub mod mesh_import;
-mod morton;
 pub mod ply;
 mod record;
 pub mod sog;

@@ -8,12 +8,14 @@ mod camera;
 pub mod color;
 mod composition;
 mod mesh;
+mod morton;
 pub mod sh;
 mod splats;
 
 pub use camera::{Camera, Intrinsics};
 pub use composition::{ColorSpace, Composition, OrderMode};
 pub use mesh::{Atlas, Mesh, Texture};
+pub use morton::in_morton_order;
 pub use splats::{SplatArrays, Splats};
 
 /// Splats, meshes and the rule by which they are blended.

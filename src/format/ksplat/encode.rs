@@ -52,7 +52,8 @@ pub(super) fn encode(splats: &Splats, level: Level) -> (Vec<u8>, Loss) {
         file.extend(bytes);
         loss.max_error = loss.max_error.max(error);
     }
-    let section = (file.len() - HEADER - SECTION_HEADER) as u32;
+    // Beyond 4 GiB the field cannot say so; readers work the size out from the counts.
+    let section = u32::try_from(file.len() - HEADER - SECTION_HEADER).unwrap_or(u32::MAX);
     file[HEADER + 28..HEADER + 32].copy_from_slice(&section.to_le_bytes());
     (file, loss)
 }

@@ -19,7 +19,7 @@ mod encode;
 
 use std::path::Path;
 
-use super::error::read_file;
+use super::error::{Fault, read_file};
 use super::loss::WriteReport;
 use super::{FormatError, atomic_write};
 use crate::scene::Splats;
@@ -82,8 +82,12 @@ pub fn read(path: &Path) -> Result<Splats, FormatError> {
 /// Writes splats: in their own order at level 0, bucket by bucket at the others.
 ///
 /// # Errors
-/// If the file cannot be written.
+/// If there are more splats than the format can count, or the file cannot be written.
 pub fn write(path: &Path, splats: &Splats, level: Level) -> Result<WriteReport, FormatError> {
+    if u32::try_from(splats.len()).is_err() {
+        let fault = Fault::whole("at most 4294967295 splats", splats.len().to_string());
+        return Err(fault.in_file(path));
+    }
     let (file, loss) = encode::encode(splats, level);
     atomic_write(path, &file)?;
     Ok(WriteReport { bytes: file.len() as u64, loss })

@@ -22,8 +22,8 @@ use super::{degree_of_rest, rest_columns};
 use crate::format::error::Fault;
 use crate::format::loss::{Loss, SplatError, WriteReport};
 use crate::format::record::{Columns, Record, logit_of_byte, opacity_byte, quantize};
-use crate::format::{FormatError, atomic_write_with, morton};
-use crate::scene::{Splats, sh};
+use crate::format::{FormatError, atomic_write_with};
+use crate::scene::{Splats, in_morton_order, sh};
 
 /// Splats in a chunk.
 const CHUNK: usize = 256;
@@ -72,7 +72,7 @@ struct Bounds {
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     let bands = sh::coefficients(splats.sh_degree()) - 1;
     let chunks: Vec<EncodedChunk> =
-        morton::order(splats.means()).par_chunks(CHUNK).map(|indices| encode_chunk(splats, indices)).collect();
+        in_morton_order(splats).par_chunks(CHUNK).map(|indices| encode_chunk(splats, indices)).collect();
     let properties =
         |kind: &str, names: &[&str]| names.iter().map(|name| format!("property {kind} {name}\n")).collect::<String>();
     let mut header = format!("ply\nformat binary_little_endian 1.0\nelement chunk {}\n", chunks.len());
@@ -180,8 +180,8 @@ struct EncodedChunk {
     error: SplatError,
 }
 
-fn encode_chunk(splats: &Splats, indices: &[u32]) -> EncodedChunk {
-    let records: Vec<Record> = indices.iter().map(|&i| Record::of(splats, i as usize)).collect();
+fn encode_chunk(splats: &Splats, indices: &[usize]) -> EncodedChunk {
+    let records: Vec<Record> = indices.iter().map(|&i| Record::of(splats, i)).collect();
     let span = |value: fn(&Record) -> Vec3| {
         let values = || records.iter().map(value);
         [values().reduce(Vec3::min).unwrap_or_default(), values().reduce(Vec3::max).unwrap_or_default()]
@@ -313,9 +313,9 @@ mod tests {
         (std::fs::read(path).unwrap(), report)
     }
 
-    fn in_morton_order(splats: &Splats) -> Splats {
+    fn as_written(splats: &Splats) -> Splats {
         let mut columns = Columns::with_capacity(splats.len(), splats.sh_degree());
-        morton::order(splats.means()).iter().for_each(|&i| columns.push(&Record::of(splats, i as usize)));
+        in_morton_order(splats).iter().for_each(|&i| columns.push(&Record::of(splats, i)));
         columns.finish().unwrap()
     }
 
@@ -326,7 +326,7 @@ mod tests {
             let (bytes, report) = written(&splats);
             assert_eq!(bytes.len() as u64, report.bytes);
             let back = parse_splats(&bytes).unwrap();
-            assert_same_loss(&report.loss, &Loss::of_splats(&in_morton_order(&splats), &back));
+            assert_same_loss(&report.loss, &Loss::of_splats(&as_written(&splats), &back));
             let e = report.loss.max_error;
             assert_eq!(report.loss.sh_degree, None);
             // Chunks are smaller than the scene, whose extent is 6 and of whose log-scales it is 10; y has 10 bits.

@@ -9,9 +9,8 @@ use super::decode::{ENTRIES_PER_ROW, Field, Meta, Numbers, compress, rotation_te
 use super::palette::{Vectors, palette};
 use super::texels::{MAX_SIDE, Texels};
 use crate::format::error::Fault;
-use crate::format::morton;
 use crate::format::record::opacity_byte;
-use crate::scene::{Splats, sh};
+use crate::scene::{Splats, in_morton_order, sh};
 
 /// A SOG in memory.
 pub(super) struct Encoded {
@@ -19,7 +18,7 @@ pub(super) struct Encoded {
     /// In the order of [`Meta::files`].
     pub(super) images: Vec<Texels>,
     /// For each written splat, where it was.
-    pub(super) order: Vec<u32>,
+    pub(super) order: Vec<usize>,
 }
 
 pub(super) fn encode(splats: &Splats) -> Result<Encoded, Fault> {
@@ -27,11 +26,11 @@ pub(super) fn encode(splats: &Splats) -> Result<Encoded, Fault> {
     if n > MAX_SIDE * MAX_SIDE {
         return Err(Fault::whole(format!("at most {} splats", MAX_SIDE * MAX_SIDE), n.to_string()));
     }
-    let order = morton::order(splats.means());
+    let order = in_morton_order(splats);
     let size = image_size(n);
     let image = |texel: &(dyn Fn(usize) -> [u8; 4] + Sync)| {
         let mut image = Texels::opaque(size[0], size[1]);
-        image.rgba_mut()[..n].par_iter_mut().zip(&order).for_each(|(slot, &i)| *slot = texel(i as usize));
+        image.rgba_mut()[..n].par_iter_mut().zip(&order).for_each(|(slot, &i)| *slot = texel(i));
         image
     };
 

@@ -54,7 +54,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     let written = written.map_err(|fault| fault.in_file(path))?;
     let mut loss = Loss::default();
     for (i, &source) in encoded.order.iter().enumerate() {
-        loss.max_error.include(&Record::of(splats, source as usize), &Record::of(&written, i));
+        loss.max_error.include(&Record::of(splats, source), &Record::of(&written, i));
     }
     drop(written);
     Ok(WriteReport { bytes: files::write(path, &encoded)?, loss })
