@@ -1,6 +1,8 @@
 //! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
 
+mod convert;
 mod devices;
+mod edits;
 mod eval;
 mod inspect;
 mod output;
@@ -29,6 +31,7 @@ enum Command {
     Train(Box<train::Args>),
     Eval(eval::Args),
     Render(render::Args),
+    Convert(Box<convert::Args>),
     Inspect(inspect::Args),
     Validate(validate::Args),
     Devices(devices::Args),
@@ -40,6 +43,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Convert(args) => convert::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Validate(args) => validate::run(&args),
         Command::Devices(args) => devices::run(&args),

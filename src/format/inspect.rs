@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{Asset, bytes_by_part, scene_of};
-use super::{FormatError, Kind, kind, read_scene_noted};
+use super::{FormatError, Kind, ReadOptions, kind, read_file};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
@@ -106,8 +106,8 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             })
         }
         kind => {
-            let (scene, warnings) = read_scene_noted(path)?;
-            Ok(Summary { format: kind.name(), warnings, ..summary(path, bytes, &scene) })
+            let file = read_file(path, &ReadOptions::default())?;
+            Ok(Summary { format: kind.name(), warnings: file.notes, ..summary(path, bytes, &file.scene) })
         }
     }
 }

@@ -29,6 +29,8 @@ pub struct Loss {
     pub cameras: usize,
     /// True if the rule of blending (order, λ, background, colour space) is left out.
     pub composition: bool,
+    /// Names of what else was known of every splat, and is left out.
+    pub attributes: Vec<String>,
     /// SH degree of the scene and that of the file, where bands are left out.
     pub sh_degree: Option<[u32; 2]>,
     /// Largest differences between the splats and what the file says of them.
@@ -58,6 +60,17 @@ impl Loss {
     #[must_use]
     pub fn is_none(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// True if nothing is lost but what comes of rounding to f32: a scale or an opacity instead of its logarithm or
+    /// logit, a quaternion normalised once more.
+    #[must_use]
+    pub fn is_rounding(&self) -> bool {
+        let e = &self.max_error;
+        let unrounded = SplatError { rotation: 0.0, log_scale: 0.0, opacity: 0.0, ..*e };
+        // Half a unit in the last place of a logarithm of 87 is 4e-6, of an opacity 3e-8; of a quaternion 1e-5°.
+        let rounded = e.rotation <= 1e-4 && e.log_scale <= 1e-5 && e.opacity <= 1e-6;
+        rounded && Self { max_error: unrounded, ..self.clone() }.is_none()
     }
 
     /// That of splats which are written as `after`, splat by splat in the same order.
@@ -90,6 +103,9 @@ impl fmt::Display for Loss {
         }
         if self.composition {
             parts.push("the rule of blending".to_owned());
+        }
+        if !self.attributes.is_empty() {
+            parts.push(format!("the attributes {}", self.attributes.join(", ")));
         }
         if let Some([before, after]) = self.sh_degree {
             parts.push(format!("SH bands above degree {after} of {before}"));
@@ -208,12 +224,13 @@ mod tests {
             meshes: 2,
             cameras: 1,
             composition: true,
+            attributes: vec!["label".to_owned(), "time".to_owned()],
             sh_degree: Some([3, 0]),
             max_error: SplatError { mean: 0.00012, rotation: 0.5, ..SplatError::default() },
         };
         assert_eq!(
             loss.to_string(),
-            "2 mesh(es); 1 camera(s); the rule of blending; SH bands above degree 0 of 3; \
+            "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; SH bands above degree 0 of 3; \
              precision: mean ±1.20e-4, rotation ±5.00e-1°"
         );
         assert!(!loss.is_none());

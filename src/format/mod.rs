@@ -11,6 +11,7 @@ mod loss;
 pub mod mesh_import;
 pub mod ply;
 mod record;
+mod scene_file;
 pub mod sog;
 pub mod splat;
 pub mod spz;
@@ -24,9 +25,10 @@ pub use atomic::{atomic_write, atomic_write_with};
 pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
+pub use scene_file::{ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};
 
-use crate::scene::{Composition, HybridScene, Splats};
+use crate::scene::HybridScene;
 
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
 #[derive(Clone, Copy)]
@@ -61,49 +63,7 @@ impl Kind {
 /// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`], [`spz::read`],
 /// [`splat::read`] and [`ksplat::read`].
 pub fn read_scene(path: &Path) -> Result<HybridScene, FormatError> {
-    read_scene_noted(path).map(|(scene, _)| scene)
-}
-
-/// As [`read_scene`], with what the file says and Centaur cannot take over.
-///
-/// # Errors
-/// As [`read_scene`].
-pub fn read_scene_noted(path: &Path) -> Result<(HybridScene, Vec<String>), FormatError> {
-    let (splats, notes) = match kind(path)? {
-        Kind::Gltf => {
-            let content = gltf::read(path)?;
-            return Ok((content.scene, content.notes));
-        }
-        Kind::Ksplat => (ksplat::read(path)?, vec![]),
-        Kind::Ply => (ply::read(path)?, vec![]),
-        Kind::Sog => (sog::read(path)?, vec![]),
-        Kind::Splat => (splat::read(path)?, vec![]),
-        Kind::Spz => spz::read_noted(path)?,
-    };
-    Ok((HybridScene { splats, meshes: vec![], composition: Composition::default() }, notes))
-}
-
-/// Writes splats in the format that the file's name says, with its default options: `.ply`, `.compressed.ply`, `.sog`,
-/// `.spz`, `.splat` or `.ksplat`.
-///
-/// # Errors
-/// If the name ends in none of these, or the file cannot be written.
-pub fn write_splats(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
-    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
-    if name.ends_with(".compressed.ply") {
-        return ply::compressed::write(path, splats);
-    }
-    match name.rsplit('.').next() {
-        Some("ply") => Ok(WriteReport { bytes: ply::write(path, splats)?, loss: Loss::default() }),
-        Some("sog") => sog::write(path, splats),
-        Some("spz") => spz::write(path, splats, &spz::Options::default()),
-        Some("splat") => splat::write(path, splats),
-        Some("ksplat") => ksplat::write(path, splats, ksplat::Level::default()),
-        _ => {
-            let expected = "a name that ends in .ply, .compressed.ply, .sog, .spz, .splat or .ksplat";
-            Err(error::Fault::whole(expected, format!("`{name}`")).in_file(path))
-        }
-    }
+    Ok(read_file(path, &ReadOptions::default())?.scene)
 }
 
 fn kind(path: &Path) -> Result<Kind, FormatError> {

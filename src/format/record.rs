@@ -33,6 +33,17 @@ impl Record {
         }
     }
 
+    /// Whether [`Splats::new`] would take it.
+    fn is_valid(&self) -> bool {
+        let length = self.rotation.as_dquat().length();
+        self.mean.is_finite()
+            && length > 0.0
+            && length.is_finite()
+            && self.log_scale.is_finite()
+            && self.opacity_logit.is_finite()
+            && self.sh().as_flattened().iter().all(|c| c.is_finite())
+    }
+
     pub(super) fn sh(&self) -> &[[f32; 3]] {
         &self.sh[..sh::coefficients(self.sh_degree)]
     }
@@ -59,6 +70,15 @@ impl Columns {
             sh_degree,
             sh: Vec::with_capacity(count * sh::coefficients(sh_degree)),
         }
+    }
+
+    /// As [`Self::push`], unless [`Self::finish`] would refuse it; true if it was taken.
+    pub(super) fn push_valid(&mut self, record: &Record) -> bool {
+        let valid = record.is_valid();
+        if valid {
+            self.push(record);
+        }
+        valid
     }
 
     /// Coefficients that `record` does not have are 0.

@@ -49,14 +49,26 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
 }
 
 fn parse(bytes: &[u8]) -> Result<Splats, Fault> {
+    parse_with(bytes, false).map(|(splats, _)| splats)
+}
+
+/// The splats, and how many have been left out because they are invalid and `drop_invalid` is set.
+pub(super) fn parse_with(bytes: &[u8], drop_invalid: bool) -> Result<(Splats, usize), Fault> {
     let (rows, rest) = bytes.as_chunks::<BYTES>();
     if !rest.is_empty() {
         let found = format!("{} bytes", bytes.len());
         return Err(Fault::whole(format!("a .splat file of {BYTES} bytes per splat"), found));
     }
     let mut columns = Columns::with_capacity(rows.len(), 0);
-    rows.iter().for_each(|row| columns.push(&decode(row)));
-    columns.finish()
+    let mut dropped = 0;
+    for splat in rows.iter().map(decode) {
+        if !drop_invalid {
+            columns.push(&splat);
+        } else if !columns.push_valid(&splat) {
+            dropped += 1;
+        }
+    }
+    Ok((columns.finish()?, dropped))
 }
 
 fn encode(splat: &Record) -> [u8; BYTES] {

@@ -25,19 +25,8 @@ pub(super) use read::scene as scene_of;
 pub(super) use sizes::bytes_by_part;
 pub(super) use transform::placements;
 
-use super::FormatError;
+use super::{FormatError, SceneFile};
 use crate::scene::{Camera, HybridScene};
-
-/// What a glTF file says about a hybrid scene.
-#[derive(Clone, Debug)]
-pub struct GltfScene {
-    /// Splats, meshes and composition. In the frame of the capture for files that Centaur wrote, else in glTF's (y up).
-    pub scene: HybridScene,
-    /// Named cameras, in the same frame.
-    pub cameras: Vec<(String, Camera)>,
-    /// What could not be taken over exactly, one sentence each.
-    pub notes: Vec<String>,
-}
 
 /// Writes a binary glTF; returns the file's size in bytes. `extras` goes to `asset.extras.centaur` (metrics, settings).
 ///
@@ -60,7 +49,7 @@ pub fn write_glb(
 /// # Errors
 /// If the file cannot be read, is not valid glTF 2.0, requires an extension that is not understood here, or holds
 /// splats that cannot be represented (another kernel, a node that shears them, values that are not finite).
-pub fn read(path: &Path) -> Result<GltfScene, FormatError> {
+pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let asset = Asset::open(path)?;
     read::scene(&asset).map_err(|fault| fault.in_file(path))
 }

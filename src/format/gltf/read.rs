@@ -11,11 +11,11 @@ use super::extension::{
     parse_color_space, sh_attributes,
 };
 use super::lift::Asset;
-use super::transform::{Similarity, placements, similarity};
+use super::material;
+use super::transform::{Similarity, is_ours, placements, similarity};
 use super::triangles::{self, Triangles};
-use super::{GltfScene, material};
-use crate::format::activation;
 use crate::format::error::Fault;
+use crate::format::{SceneFile, activation};
 use crate::scene::{Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
 
 /// Image height given to cameras that do not state one.
@@ -25,7 +25,7 @@ const DEFAULT_HEIGHT: u32 = 1080;
 const MAX_SIDE: u32 = 1 << 16;
 const MAX_PIXELS: u64 = 1 << 28;
 
-pub(in crate::format) fn scene(asset: &Asset) -> Result<GltfScene, Fault> {
+pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
     let mut notes = vec![];
     let composition = composition(asset)?;
     let (mut parts, mut meshes, mut cameras) = (vec![], vec![], vec![]);
@@ -55,7 +55,7 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<GltfScene, Fault> {
         }
     }
     let scene = HybridScene { splats: join(parts)?, meshes, composition };
-    Ok(GltfScene { scene, cameras, notes })
+    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours(&asset.document), attributes: vec![], dropped: 0 })
 }
 
 /// The scene's contract; without one, defaults in the colour space of the first splat primitive.

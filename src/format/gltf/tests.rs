@@ -19,7 +19,7 @@ fn bytes_of(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<u8> {
     bytes
 }
 
-fn read_bytes(bytes: &[u8]) -> Result<GltfScene, String> {
+fn read_bytes(bytes: &[u8]) -> Result<SceneFile, String> {
     let asset = Asset::parse(bytes, PathBuf::new());
     asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
 }

@@ -40,6 +40,11 @@ pub(in crate::format) fn placements(document: &gltf::Document) -> Result<Vec<(gl
     Ok(placed)
 }
 
+/// Whether it has our root node: then its frame is that of the capture, else glTF's.
+pub(super) fn is_ours(document: &gltf::Document) -> bool {
+    document.nodes().any(|node| is_our_root(&node))
+}
+
 fn is_our_root(node: &gltf::Node<'_>) -> bool {
     let marked = node.extras().as_ref().is_some_and(|extras| {
         serde_json::from_str::<serde_json::Value>(extras.get()).is_ok_and(|v| v.get(EXTRAS).is_some())

@@ -1,5 +1,6 @@
 //! PLY: the INRIA layout of splats (METHODS 1), that of `PlayCanvas`, and coloured points.
 
+mod attribute;
 pub mod compressed;
 pub(crate) mod table;
 
@@ -8,9 +9,11 @@ use std::path::Path;
 
 use glam::{DVec3, Quat, Vec3};
 
+pub use self::attribute::Attribute;
 use self::table::{Element, Ply};
 use super::error::{Fault, FormatError, read_file};
-use super::{activation, atomic_write_with};
+use super::record::{Columns, Record};
+use super::{ReadOptions, activation, atomic_write_with};
 use crate::scene::{Splats, sh};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
@@ -20,12 +23,25 @@ use crate::scene::{Splats, sh};
 /// # Errors
 /// If the file cannot be written.
 pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
+    write_with(path, splats, &[])
+}
+
+/// As [`write`], followed by what else is known of every splat.
+///
+/// # Errors
+/// If the file cannot be written, or an attribute has not as many values as there are splats.
+pub fn write_with(path: &Path, splats: &Splats, attributes: &[Attribute]) -> Result<u64, FormatError> {
+    if let Some(a) = attributes.iter().find(|a| a.values.len() != splats.len()) {
+        let expected = format!("{} values of the attribute `{}`", splats.len(), a.name);
+        return Err(Fault::whole(expected, a.values.len().to_string()).in_file(path));
+    }
     let bands = sh::coefficients(splats.sh_degree()) - 1;
     let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(str::to_owned).into_iter();
     let names = names
         .chain((0..3 * bands).map(|i| format!("f_rest_{i}")))
         .chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].map(str::to_owned));
-    let properties: String = names.map(|name| format!("property float {name}\n")).collect();
+    let names = names.map(|name| ("float", name)).chain(attributes.iter().map(|a| (a.kind.name(), a.name.clone())));
+    let properties: String = names.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     atomic_write_with(path, |out| {
         write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}end_header\n", splats.len())?;
         let mut row = Vec::with_capacity(4 * (17 + 3 * bands));
@@ -37,6 +53,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
             let values = values.chain([splats.opacity_logits()[i]]).chain(splats.log_scales()[i].to_array());
             row.clear();
             values.chain([q.w, q.x, q.y, q.z]).for_each(|v: f32| row.extend_from_slice(&v.to_le_bytes()));
+            attributes.iter().for_each(|a| a.kind.encode(a.values[i], &mut row));
             out.write_all(&row)?;
         }
         Ok(())
@@ -57,6 +74,25 @@ pub fn read(path: &Path) -> Result<Splats, FormatError> {
     parse_splats(&bytes).map_err(|fault| fault.in_file(path))
 }
 
+/// Splats, and what else a PLY says about them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlySplats {
+    /// The splats.
+    pub splats: Splats,
+    /// Properties that are no parameters, as many values each as there are splats.
+    pub attributes: Vec<Attribute>,
+    /// How many rows were left out, see [`ReadOptions::drop_invalid`].
+    pub dropped: usize,
+}
+
+/// As [`read`], with all other scalar properties of the splats but normals.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_with(path: &Path, options: &ReadOptions) -> Result<PlySplats, FormatError> {
+    parse(&read_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
+}
+
 /// Reads points: `x y z` and, where present, `red green blue` (8-bit, or float in 0..1; grey otherwise). Their
 /// frame is the file's own.
 ///
@@ -68,9 +104,13 @@ pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
 }
 
 pub(super) fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
+    parse(bytes, false).map(|file| file.splats)
+}
+
+fn parse(bytes: &[u8], drop_invalid: bool) -> Result<PlySplats, Fault> {
     let ply = Ply::parse(bytes)?;
     if compressed::is_compressed(&ply) {
-        return compressed::parse(&ply);
+        return Ok(PlySplats { splats: compressed::parse(&ply)?, attributes: vec![], dropped: 0 });
     }
     let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
@@ -79,26 +119,36 @@ pub(super) fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
     let scales = vertex.scalars(["scale_0", "scale_1", "scale_2"])?;
     let [qw, qx, qy, qz] = vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let rest = rest_columns(vertex);
-    let sh_degree = degree_of_rest(rest.len())?;
-    let (k, bands) = (sh::coefficients(sh_degree), rest.len() / 3);
+    let (sh_degree, bands) = (degree_of_rest(rest.len())?, rest.len() / 3);
+    let (mut attributes, extra) = attribute::of_header(vertex);
 
-    type Columns = (Vec<Vec3>, Vec<Quat>, Vec<Vec3>, Vec<f32>, Vec<[f32; 3]>);
-    let reserve = |n| -> Columns {
-        let vec3 = Vec::with_capacity;
-        (vec3(n), Vec::with_capacity(n), vec3(n), Vec::with_capacity(n), Vec::with_capacity(n * k))
+    let reserve = |n| {
+        attributes.iter_mut().for_each(|a| a.values.reserve_exact(n));
+        (Columns::with_capacity(n, sh_degree), attributes, 0)
     };
-    let (means, rotations, log_scales, opacity_logits, sh) = ply.rows("vertex", reserve, |columns, row| {
-        let (means, rotations, log_scales, opacity_logits, sh) = columns;
+    let (columns, attributes, dropped) = ply.rows("vertex", reserve, |(columns, attributes, dropped), row| {
         let v = |column: usize| row.values[column] as f32;
-        means.push(Vec3::new(v(x), v(y), v(z)));
-        rotations.push(Quat::from_xyzw(v(qx), v(qy), v(qz), v(qw)));
-        log_scales.push(Vec3::from(scales.map(v).map(finite_log_scale)));
-        opacity_logits.push(finite_logit(v(opacity)));
-        sh.push(dc.map(v));
-        sh.extend((0..bands).map(|c| [v(rest[c]), v(rest[bands + c]), v(rest[2 * bands + c])]));
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = dc.map(v);
+        sh[1..].iter_mut().zip(0..bands).for_each(|(s, c)| *s = [0, 1, 2].map(|channel| v(rest[channel * bands + c])));
+        let splat = Record {
+            mean: Vec3::new(v(x), v(y), v(z)),
+            rotation: Quat::from_xyzw(v(qx), v(qy), v(qz), v(qw)),
+            log_scale: Vec3::from(scales.map(v).map(finite_log_scale)),
+            opacity_logit: finite_logit(v(opacity)),
+            sh_degree,
+            sh,
+        };
+        if !drop_invalid {
+            columns.push(&splat);
+        } else if !columns.push_valid(&splat) {
+            *dropped += 1;
+            return Ok(());
+        }
+        attributes.iter_mut().zip(&extra).for_each(|(a, &column)| a.values.push(row.values[column]));
         Ok(())
     })?;
-    Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+    Ok(PlySplats { splats: columns.finish()?, attributes, dropped })
 }
 
 /// Columns of `f_rest_0`, `f_rest_1`, …
@@ -261,6 +311,53 @@ mod tests {
             message(b"ply\nformat ascii 1.0\nelement vertex 18446744073709551615\nend_header\n")
                 .contains("property `x`")
         );
+    }
+
+    #[test]
+    fn attributes_come_back_under_their_names_and_types() {
+        let splats = random_splats(3, 1, 4);
+        let attribute =
+            |name: &str, kind, values: [f64; 3]| Attribute { name: name.to_owned(), kind, values: values.to_vec() };
+        let attributes = vec![
+            attribute("label", table::Scalar::U8, [0.0, 7.0, 255.0]),
+            attribute("time", table::Scalar::F64, [0.1, -2.5e300, f64::MIN_POSITIVE]),
+            attribute("shift", table::Scalar::I16, [-32768.0, 1.0, 32767.0]),
+            attribute("confidence", table::Scalar::F32, [0.25, f64::INFINITY, -1.0]),
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        write_with(&path, &splats, &attributes).unwrap();
+        let back = read_with(&path, &ReadOptions::default()).unwrap();
+        assert_eq!((&back.attributes, back.dropped), (&attributes, 0));
+        assert_eq!(back.splats, splats);
+        assert_eq!(read(&path).unwrap(), splats, "unknown to others, ignored");
+
+        assert_eq!(attributes[0].gather(&[2, 0]).values(), [255.0, 0.0]);
+        let joined = Attribute::join(&[&attributes[2], &attributes[2]]).unwrap();
+        assert_eq!((joined.name(), joined.values().len()), ("shift", 6));
+        assert!(Attribute::join(&[&attributes[1], &attributes[2]]).is_none());
+        assert!(write_with(&path, &random_splats(4, 0, 1), &attributes).is_err());
+    }
+
+    #[test]
+    fn invalid_rows_are_refused_or_dropped_with_their_attributes() {
+        let splats = random_splats(6, 0, 4);
+        let order =
+            Attribute { name: "order".to_owned(), kind: table::Scalar::I32, values: (0..6).map(f64::from).collect() };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        write_with(&path, &splats, &[order]).unwrap();
+        let mut file = std::fs::read(&path).unwrap();
+        let first_row = file.len() - 6 * 18 * 4;
+        // A mean, a colour, an opacity; and a quaternion of zeros.
+        for (row, column, value) in [(0, 1, f32::NAN), (2, 6, f32::INFINITY), (3, 9, f32::NAN)] {
+            file[first_row + 4 * (18 * row + column)..][..4].copy_from_slice(&value.to_le_bytes());
+        }
+        file[first_row + 4 * (18 * 5 + 13)..][..16].fill(0);
+        assert!(parse(&file, false).is_err());
+        let left = parse(&file, true).unwrap();
+        assert_eq!((left.dropped, left.attributes[0].values()), (4, &[1.0, 4.0][..]));
+        assert_eq!(left.splats.means(), [splats.means()[1], splats.means()[4]]);
     }
 
     proptest! {

@@ -37,8 +37,9 @@ enum Encoding {
     Big,
 }
 
-#[derive(Clone, Copy)]
-enum Scalar {
+/// Type of a property.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Scalar {
     I8,
     U8,
     I16,
@@ -62,6 +63,34 @@ impl Scalar {
             "double" | "float64" => Self::F64,
             _ => return None,
         })
+    }
+
+    /// As in the headers of PLY 1.0.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::I8 => "char",
+            Self::U8 => "uchar",
+            Self::I16 => "short",
+            Self::U16 => "ushort",
+            Self::I32 => "int",
+            Self::U32 => "uint",
+            Self::F32 => "float",
+            Self::F64 => "double",
+        }
+    }
+
+    /// Appends a value of this type, little endian.
+    pub(crate) fn encode(self, value: f64, out: &mut Vec<u8>) {
+        match self {
+            Self::I8 => out.extend((value as i8).to_le_bytes()),
+            Self::U8 => out.extend((value as u8).to_le_bytes()),
+            Self::I16 => out.extend((value as i16).to_le_bytes()),
+            Self::U16 => out.extend((value as u16).to_le_bytes()),
+            Self::I32 => out.extend((value as i32).to_le_bytes()),
+            Self::U32 => out.extend((value as u32).to_le_bytes()),
+            Self::F32 => out.extend((value as f32).to_le_bytes()),
+            Self::F64 => out.extend(value.to_le_bytes()),
+        }
     }
 
     fn bytes(self) -> usize {
@@ -93,6 +122,12 @@ impl Element {
     /// Column of the scalar property `name`.
     pub(crate) fn scalar(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && p.list_length.is_none())
+    }
+
+    /// Column, name and type of every scalar property.
+    pub(crate) fn scalar_properties(&self) -> impl Iterator<Item = (usize, &str, Scalar)> {
+        let scalars = self.properties.iter().enumerate().filter(|(_, p)| p.list_length.is_none());
+        scalars.map(|(column, p)| (column, p.name.as_str(), p.kind))
     }
 
     /// Column of the list property `name`.

@@ -1,0 +1,224 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use centaur::edit::{self, Axes, Similarity};
+use centaur::format::ply::Attribute;
+use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, spz};
+use glam::DVec3;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use super::edits::{EditArgs, Edited, Step};
+use super::output;
+use super::shared::MessageArgs;
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur convert garden.ply garden.glb
+  centaur convert garden.glb splats.ply --no-mesh --no-cameras --strict
+  centaur convert table.ply chair.glb room.glb
+  centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
+  centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
+
+/// Convert scenes between formats, and move, crop, thin or join them
+///
+/// The output's format is that of its extension. What it cannot hold is named; --strict refuses to lose it. What
+/// options remove is no loss. Differences that come of rounding to 32 bits are none either.
+///
+/// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
+/// taken; glTF is y-up and is turned on reading and writing. Spherical harmonics turn with whatever is turned.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    /// Scenes to read, told apart by content; several are joined into one, at the highest SH degree among them
+    #[arg(required = true, num_args = 1.., value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// File to write
+    #[arg(value_name = "OUTPUT", value_parser = |s: &str| output::with_extension(s, format::WRITABLE))]
+    output: PathBuf,
+    /// Refuse to write a file that cannot hold all of the scene
+    #[arg(long)]
+    strict: bool,
+    /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file
+    #[arg(long)]
+    drop_invalid: bool,
+    /// Version of .spz: 2 and 3 are for older readers
+    #[arg(long, value_name = "2..4", default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=4))]
+    spz_version: u8,
+    #[command(flatten)]
+    edits: EditArgs,
+    #[command(flatten)]
+    messages: MessageArgs,
+}
+
+/// One input, as it is reported.
+#[derive(Serialize)]
+struct Input {
+    file: PathBuf,
+    splats: usize,
+    meshes: usize,
+    /// Splats left out because they are invalid.
+    dropped: usize,
+    notes: Vec<String>,
+}
+
+/// What was done, for scripts.
+#[derive(Serialize)]
+struct Outcome<'a> {
+    output: &'a Path,
+    bytes: u64,
+    splats: usize,
+    sh_degree: u32,
+    meshes: usize,
+    cameras: usize,
+    inputs: &'a [Input],
+    steps: &'a [Step],
+    lossless: bool,
+    loss: &'a Loss,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    output::check_file(&args.output)?;
+    let bar = output::bar(&args.messages, args.inputs.len() as u64 + 2);
+    bar.set_style(
+        ProgressStyle::with_template("{bar:16} {pos}/{len}  {wide_msg}").expect("the template is a constant"),
+    );
+    let (scene, inputs) = read(args, &bar)?;
+    bar.set_message("editing");
+    let edited = args.edits.apply(scene)?;
+    ensure!(
+        !edited.scene.splats.is_empty() || !edited.scene.meshes.is_empty(),
+        "{}: expected something to write, found no splats and no meshes{}",
+        args.output.display(),
+        if edited.steps.is_empty() { "" } else { " after removing" },
+    );
+    bar.inc(1);
+    bar.set_message(format!("writing {}", args.output.display()));
+    let report = write(args, &edited)?;
+    bar.finish_and_clear();
+    let outcome = Outcome {
+        output: &args.output,
+        bytes: report.bytes,
+        splats: edited.scene.splats.len(),
+        sh_degree: edited.scene.splats.sh_degree(),
+        meshes: edited.scene.meshes.len() - report.loss.meshes,
+        cameras: edited.cameras.len() - report.loss.cameras,
+        inputs: &inputs,
+        steps: &edited.steps,
+        lossless: report.loss.is_rounding(),
+        loss: &report.loss,
+    };
+    if args.messages.json { output::print_json(&outcome) } else { output::print(&described(&outcome)) }
+}
+
+/// All inputs as one scene in the frame of captures, and what is to be said about them.
+fn read(args: &Args, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
+    let options = ReadOptions { drop_invalid: args.drop_invalid };
+    let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
+    for file in &args.inputs {
+        bar.set_message(format!("reading {}", file.display()));
+        let SceneFile { scene, cameras: own, notes, y_up, attributes: extra, dropped } =
+            format::read_file(file, &options)?;
+        let mut read = Edited { scene, cameras: own, attributes: extra, steps: vec![] };
+        if y_up {
+            let axes = |name: &str| name.parse::<Axes>().expect("a name that it knows");
+            let turn = Similarity::new(1.0, axes("y-up").to(axes("y-down")), DVec3::ZERO)?;
+            read = read.moved(&turn).with_context(|| file.display().to_string())?;
+        }
+        let (splats, meshes) = (read.scene.splats.len(), read.scene.meshes.len());
+        inputs.push(Input { file: file.clone(), splats, meshes, dropped, notes });
+        scenes.push(read.scene);
+        cameras.extend(read.cameras);
+        attributes.push(read.attributes);
+        bar.inc(1);
+    }
+    let attributes = joined(&attributes, &mut inputs);
+    let scene = if scenes.len() == 1 { scenes.remove(0) } else { edit::join(scenes).context("joining the inputs")? };
+    Ok((Edited { scene, cameras, attributes, steps: vec![] }, inputs))
+}
+
+/// The attributes that all inputs have, one after the other; of the others a note is made.
+fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> {
+    let named = |name: &str| -> Option<Attribute> {
+        let parts: Option<Vec<&Attribute>> =
+            of_inputs.iter().map(|attributes| attributes.iter().find(|a| a.name() == name)).collect();
+        Attribute::join(&parts?)
+    };
+    let mut all: Vec<Attribute> = vec![];
+    for (attributes, input) in of_inputs.iter().zip(inputs) {
+        for attribute in attributes {
+            if all.iter().any(|a| a.name() == attribute.name()) {
+                continue;
+            }
+            match named(attribute.name()) {
+                Some(attribute) => all.push(attribute),
+                None => input.notes.push(format!("attribute {}: left out, not in all inputs", attribute.name())),
+            }
+        }
+    }
+    all
+}
+
+/// Writes beside the output first: what is lost is known only then, and may be refused.
+fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
+    let output = &args.output;
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let named = || format!("{}: cannot write", output.display());
+    let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder).with_context(named)?;
+    let staged = staging.path().join(output.file_name().unwrap_or_default());
+    let version = match args.spz_version {
+        2 => spz::Version::V2,
+        3 => spz::Version::V3,
+        _ => spz::Version::V4,
+    };
+    let options = WriteOptions {
+        cameras: &edited.cameras,
+        attributes: &edited.attributes,
+        spz: spz::Options { version, ..spz::Options::default() },
+    };
+    let report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {
+        FormatError::Write { source, .. } => FormatError::Write { file: output.to_owned(), source },
+        FormatError::Content { location, expected, found, .. } => {
+            FormatError::Content { file: output.to_owned(), location, expected, found }
+        }
+        other => other,
+    })?;
+    let extension = output.extension().unwrap_or_default().to_string_lossy();
+    if edited.scene.splats.is_empty() && report.loss.meshes > 0 {
+        bail!("{}: expected splats for a .{extension}, found meshes alone", output.display());
+    }
+    if args.strict && !report.loss.is_rounding() {
+        bail!("{}: --strict: a .{extension} would lose {}", output.display(), report.loss);
+    }
+    std::fs::rename(&staged, output).with_context(named)?;
+    Ok(report)
+}
+
+fn described(o: &Outcome<'_>) -> String {
+    let mut lines = vec![];
+    for input in o.inputs {
+        if input.dropped > 0 {
+            lines.push(format!("{}: dropped {} invalid splats", input.file.display(), input.dropped));
+        }
+        lines.extend(input.notes.iter().map(|note| format!("note: {}: {note}", input.file.display())));
+    }
+    for step in o.steps {
+        let mut parts = vec![];
+        if step.removed_splats > 0 || step.removed_triangles == 0 {
+            parts.push(format!("{} splats", step.removed_splats));
+        }
+        if step.removed_triangles > 0 {
+            parts.push(format!("{} triangles", step.removed_triangles));
+        }
+        lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
+    }
+    lines.push(format!("lost: {}", o.loss));
+    let mut parts = vec![format!("{} splats of SH degree {}", o.splats, o.sh_degree)];
+    for (count, what) in [(o.meshes, "mesh(es)"), (o.cameras, "camera(s)")] {
+        if count > 0 {
+            parts.push(format!("{count} {what}"));
+        }
+    }
+    lines.push(format!("{}: {}, {} bytes", o.output.display(), parts.join(", "), o.bytes));
+    lines.join("\n")
+}

@@ -1,0 +1,192 @@
+//! One reader and one writer for all formats of scenes.
+
+use std::path::Path;
+
+use super::error::{self, Fault};
+use super::ply::Attribute;
+use super::record::Record;
+use super::{FormatError, Kind, Loss, WriteReport, activation, gltf, kind, ksplat, ply, sog, splat, spz};
+use crate::scene::{Camera, Composition, HybridScene, Splats};
+
+/// What a file says about a scene.
+#[derive(Clone, Debug)]
+pub struct SceneFile {
+    /// Splats, meshes and composition.
+    pub scene: HybridScene,
+    /// Named cameras, in the frame of the scene.
+    pub cameras: Vec<(String, Camera)>,
+    /// What could not be taken over exactly, one sentence each.
+    pub notes: Vec<String>,
+    /// True where the frame is glTF's, y up; false where it is the capture's: in files that Centaur wrote, and in formats
+    /// that state no frame.
+    pub y_up: bool,
+    /// What else is known of every splat.
+    pub attributes: Vec<Attribute>,
+    /// Splats that were left out, see [`ReadOptions::drop_invalid`].
+    pub dropped: usize,
+}
+
+impl SceneFile {
+    fn of_splats(splats: Splats) -> Self {
+        let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
+        Self { scene, cameras: vec![], notes: vec![], y_up: false, attributes: vec![], dropped: 0 }
+    }
+}
+
+/// How to read.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ReadOptions {
+    /// Leave out splats with numbers that are not finite or rotations of zero, as failed trainings write them, instead
+    /// of refusing the file. Of `.ply` and `.splat`; quantised formats cannot hold such splats, and glTF forbids them.
+    pub drop_invalid: bool,
+}
+
+/// What is written besides the scene.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct WriteOptions<'a> {
+    /// Named cameras, in the frame of the scene.
+    pub cameras: &'a [(String, Camera)],
+    /// What else is known of every splat.
+    pub attributes: &'a [Attribute],
+    /// Layout of SPZ.
+    pub spz: spz::Options,
+}
+
+/// Extensions of files that [`write_scene`] writes. A name that ends in `.compressed.ply` asks for compressed PLY.
+pub const WRITABLE: &[&str] = &["glb", "ply", "sog", "spz", "splat", "ksplat"];
+
+/// As [`super::read_scene`], with what the file says besides.
+///
+/// # Errors
+/// As [`super::read_scene`].
+pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
+    Ok(match kind(path)? {
+        Kind::Gltf => gltf::read(path)?,
+        Kind::Ksplat => SceneFile::of_splats(ksplat::read(path)?),
+        Kind::Ply => {
+            let ply::PlySplats { splats, attributes, dropped } = ply::read_with(path, options)?;
+            SceneFile { attributes, dropped, ..SceneFile::of_splats(splats) }
+        }
+        Kind::Sog => SceneFile::of_splats(sog::read(path)?),
+        Kind::Splat => {
+            let bytes = error::read_file(path)?;
+            let (splats, dropped) =
+                splat::parse_with(&bytes, options.drop_invalid).map_err(|fault| fault.in_file(path))?;
+            SceneFile { dropped, ..SceneFile::of_splats(splats) }
+        }
+        Kind::Spz => {
+            let (splats, notes) = spz::read_noted(path)?;
+            SceneFile { notes, ..SceneFile::of_splats(splats) }
+        }
+    })
+}
+
+/// Writes a scene in the format of the file's extension, one of [`WRITABLE`] in any case.
+///
+/// # Errors
+/// If the extension is none of these, the file cannot be written, or the format's limits are exceeded.
+pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+    let splats = &scene.splats;
+    let report = match extension {
+        "glb" => {
+            let bytes = gltf::write_glb(path, scene, options.cameras, None)?;
+            let loss = Loss { attributes: names(options.attributes), ..of_linear_values(splats) };
+            return Ok(WriteReport { bytes, loss });
+        }
+        "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
+        "ply" => {
+            let bytes = ply::write_with(path, splats, options.attributes)?;
+            return Ok(WriteReport { bytes, loss: beside_splats(scene, options, Loss::default()) });
+        }
+        "sog" => sog::write(path, splats)?,
+        "splat" => splat::write(path, splats)?,
+        "ksplat" => ksplat::write(path, splats, ksplat::Level::default())?,
+        "spz" => spz::write(path, splats, &options.spz)?,
+        _ => {
+            let wanted: Vec<String> = WRITABLE.iter().map(|e| format!(".{e}")).collect();
+            let fault = Fault::whole(format!("a name that ends in {}", wanted.join(", ")), format!("`.{extension}`"));
+            return Err(fault.in_file(path));
+        }
+    };
+    let loss = Loss { attributes: names(options.attributes), ..beside_splats(scene, options, report.loss) };
+    Ok(WriteReport { loss, ..report })
+}
+
+/// What comes of storing scales and opacities instead of their logarithms and logits.
+fn of_linear_values(splats: &Splats) -> Loss {
+    let mut loss = Loss::default();
+    for i in 0..splats.len() {
+        let before = Record::of(splats, i);
+        let mut after = before;
+        after.log_scale = before.log_scale.to_array().map(|s| activation::log_scale(activation::scale(s)).0).into();
+        after.opacity_logit = activation::logit(activation::opacity(before.opacity_logit)).0;
+        loss.max_error.include(&before, &after);
+    }
+    loss
+}
+
+/// Adds what formats of splats alone leave out. Without meshes only the background, the near plane and the colour space
+/// are left of the rule of blending; that these formats cannot state them matters where they are not the usual ones.
+fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, loss: Loss) -> Loss {
+    let usual = Composition::default();
+    let is = &scene.composition;
+    let plain = (is.background, is.near, is.color_space) == (usual.background, usual.near, usual.color_space);
+    let composition = !scene.meshes.is_empty() || !plain;
+    Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, ..loss }
+}
+
+fn names(attributes: &[Attribute]) -> Vec<String> {
+    attributes.iter().map(|a| a.name().to_owned()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::format::test_scenes::{camera, random_scene};
+
+    #[test]
+    fn what_is_written_is_read_and_what_is_not_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = random_scene(30, 2, 3, 4);
+        let cameras = [("front".to_owned(), camera())];
+        for extension in WRITABLE.iter().chain(&["compressed.ply"]) {
+            let path = folder.path().join(format!("scene.{}", extension.to_uppercase()));
+            let options = WriteOptions { cameras: &cameras, ..WriteOptions::default() };
+            let report = write_scene(&path, &scene, &options).unwrap();
+            assert_eq!(report.bytes, path.metadata().unwrap().len());
+            let back = read_file(&path, &ReadOptions::default()).unwrap();
+            assert!(!back.y_up && back.notes.is_empty(), "{:?}", back.notes);
+            assert_eq!(back.scene.splats.len(), 30);
+            assert_eq!(scene.meshes.len() - back.scene.meshes.len(), report.loss.meshes);
+            assert_eq!(cameras.len() - back.cameras.len(), report.loss.cameras);
+            assert_eq!(back.scene.composition != scene.composition, report.loss.composition);
+            if extension == &"glb" {
+                // The report is what a reader finds.
+                assert_eq!(Loss::of_splats(&scene.splats, &back.scene.splats).max_error, report.loss.max_error);
+            }
+        }
+    }
+
+    #[test]
+    fn rounding_is_no_loss_and_splats_alone_have_no_rule() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut scene = random_scene(30, 0, 2, 4);
+        scene.composition = Composition { lambda: 0.3, layers: 4, ..Composition::default() };
+        let write = |name: &str, scene: &HybridScene| {
+            write_scene(&folder.path().join(name), scene, &WriteOptions::default()).map(|r| r.loss)
+        };
+        let loss = write("a.glb", &scene).unwrap();
+        assert!(loss.is_rounding() && !loss.is_none(), "{loss}");
+        assert!(write("a.ply", &scene).unwrap().is_none());
+        scene.composition.background = [1.0; 3];
+        assert!(!write("a.ply", &scene).unwrap().is_rounding());
+        let error = write("a.txt", &scene).unwrap_err().to_string();
+        assert!(
+            error
+                .ends_with("a.txt: expected a name that ends in .glb, .ply, .sog, .spz, .splat, .ksplat, found `.txt`"),
+            "{error}"
+        );
+    }
+}

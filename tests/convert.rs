@@ -1,0 +1,338 @@
+//! `centaur convert` as a user meets it: what is kept, what is lost and said so, what is refused.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod common;
+
+use std::path::Path;
+
+use centaur::edit::{self, Similarity};
+use centaur::format::{self, WriteOptions, gltf, ply};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
+use common::stderr;
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
+
+/// `n` splats that all differ, along the diagonal from (0, 0, 0) to (n−1, n−1, n−1).
+fn splats(n: usize, degree: u32) -> Splats {
+    let x = |i: usize| i as f32 * 0.37 % 1.0;
+    Splats::new(
+        (0..n).map(|i| Vec3::splat(i as f32)).collect(),
+        (0..n).map(|i| Quat::from_euler(glam::EulerRot::XYZ, x(i), x(2 * i), x(3 * i))).collect(),
+        (0..n).map(|i| Vec3::new(x(i), x(5 * i), x(7 * i)) - 3.0).collect(),
+        (0..n).map(|i| 6.0 * x(i) - 3.0).collect(),
+        degree,
+        (0..n * sh::coefficients(degree)).map(|i| [x(i), x(11 * i), x(13 * i)]).collect(),
+    )
+    .unwrap()
+}
+
+/// 10 splats of degree 3, a triangle with bands of degree 2, a camera.
+fn write_hybrid(path: &Path) {
+    let texels = |channels: u32| (0..4 * 4 * channels).map(|i| (i as f32 * 0.7).sin()).collect();
+    let base = Texture::new(4, 4, 4, texels(4)).unwrap();
+    let bands = Texture::new(4, 4, 24, texels(24)).unwrap();
+    let atlas = Atlas::new(base, Some(bands)).unwrap();
+    let corners = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+    let mesh = Mesh::new(corners, vec![[0, 1, 2]], vec![[Vec2::ZERO, Vec2::X, Vec2::Y]], atlas).unwrap();
+    let scene = HybridScene { splats: splats(10, 3), meshes: vec![mesh], composition: Composition::default() };
+    let intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 61.0, cx: 31.0, cy: 25.0 };
+    let camera = Camera::new(intrinsics, DMat3::from_rotation_y(0.3), DVec3::new(0.1, 0.2, 5.0)).unwrap();
+    gltf::write_glb(path, &scene, &[("front".to_owned(), camera)], None).unwrap();
+}
+
+/// Runs `centaur convert` with `args` separated by blanks; what it prints.
+fn convert(folder: &Path, args: &str) -> String {
+    let output = common::centaur(folder).arg("convert").args(args.split(' ')).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{args}: {}", stderr(&output));
+    assert!(output.stderr.is_empty(), "{args}: {}", stderr(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn as_json(folder: &Path, args: &str) -> serde_json::Value {
+    serde_json::from_str(&convert(folder, &format!("{args} --json"))).unwrap()
+}
+
+fn failure(folder: &Path, args: &str) -> String {
+    common::failure(folder, common::centaur(folder).arg("convert").args(args.split(' ')))
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    let folder = tempfile::tempdir().unwrap();
+    for args in [
+        "a.ply",
+        "a.ply b.txt",
+        "a.ply b.ply --axes y-up",
+        "a.ply b.ply --axes up:down",
+        "a.ply b.ply --scale 0",
+        "a.ply b.ply --rotate 1,2",
+        "a.ply b.ply --translate 1,2,nan",
+        "a.ply b.ply --keep-box 0,0,0,1,-1,1",
+        "a.ply b.ply --remove-sphere 0,0,0,-1",
+        "a.ply b.ply --min-opacity 2",
+        "a.ply b.ply --decimate 101%",
+        "a.ply b.ply --sh-degree 4",
+        "a.ply b.spz --spz-version 1",
+    ] {
+        let output = common::centaur(folder.path()).arg("convert").args(args.split(' ')).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args}");
+        assert!(output.stdout.is_empty() && stderr(&output).contains("--help"), "{args}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn ply_to_glb_and_back_is_the_same_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let before = splats(20, 3);
+    ply::write(&path("a.ply"), &before).unwrap();
+    let said = convert(folder.path(), "a.ply b.glb --strict");
+    assert!(said.contains("b.glb: 20 splats of SH degree 3, "), "{said}");
+    assert!(convert(folder.path(), "b.glb c.ply --strict").starts_with("lost: nothing\n"));
+    let after = ply::read(&path("c.ply")).unwrap();
+    assert_eq!((after.means(), after.sh(), after.rotations()), (before.means(), before.sh(), before.rotations()));
+    let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(close(after.opacity_logits(), before.opacity_logits()));
+    assert!(after.log_scales().iter().zip(before.log_scales()).all(|(a, b)| (*a - *b).abs().max_element() < 1e-6));
+    // Without a format in between, every byte.
+    convert(folder.path(), "a.ply d.ply");
+    assert_eq!(std::fs::read(path("d.ply")).unwrap(), std::fs::read(path("a.ply")).unwrap());
+    assert_eq!(common::tree(folder.path()).len(), 4, "nothing else is left");
+}
+
+#[test]
+fn what_is_lost_is_named_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_hybrid(&folder.path().join("h.glb"));
+    let line = failure(folder.path(), "h.glb s.ply --strict");
+    assert_eq!(line, "error: s.ply: --strict: a .ply would lose 1 mesh(es); 1 camera(s); the rule of blending");
+    let outcome = as_json(folder.path(), "h.glb s.ply");
+    assert_eq!((outcome["lossless"].as_bool(), outcome["loss"]["meshes"].as_u64()), (Some(false), Some(1)));
+    assert_eq!((outcome["splats"].as_u64(), outcome["meshes"].as_u64()), (Some(10), Some(0)));
+
+    let outcome = as_json(folder.path(), "h.glb s.ply --no-mesh --no-cameras --strict");
+    assert_eq!(outcome["lossless"].as_bool(), Some(true), "what options remove is no loss: {outcome}");
+    let outcome = as_json(folder.path(), "h.glb again.glb --strict");
+    assert_eq!((outcome["meshes"].as_u64(), outcome["cameras"].as_u64()), (Some(1), Some(1)));
+    let [before, after] = ["h.glb", "again.glb"].map(|name| gltf::read(&folder.path().join(name)).unwrap());
+    assert_eq!(before.scene.meshes, after.scene.meshes);
+    let (camera, same) = (before.cameras[0].1, after.cameras[0].1);
+    assert!(camera.rotation().abs_diff_eq(same.rotation(), 1e-12) && camera.translation() == same.translation());
+}
+
+#[test]
+fn refusals_are_one_line_and_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    write_hybrid(&folder.path().join("h.glb"));
+    std::fs::write(folder.path().join("notes.txt"), "not a scene").unwrap();
+    for (args, expected) in [
+        ("none.ply b.glb", "error: none.ply: cannot read: No such file or directory"),
+        ("h.glb none/b.glb", "error: none/b.glb: cannot write: folder none: No such file or directory"),
+        (
+            "h.glb b.glb --keep-sphere 99,99,99,1",
+            "error: b.glb: expected something to write, found no splats and no meshes after removing",
+        ),
+        ("h.glb b.ply --min-opacity 1", "error: b.ply: expected splats for a .ply, found meshes alone"),
+        ("h.glb b.glb --scale 1e300", "error: moving the scene: near: expected a positive number, found inf"),
+    ] {
+        assert_eq!(failure(folder.path(), args), expected);
+    }
+    assert!(failure(folder.path(), "h.glb notes.txt b.glb").starts_with("error: notes.txt: expected a "));
+}
+
+#[test]
+fn moving_turns_splats_meshes_and_cameras_with_their_harmonics() {
+    let folder = tempfile::tempdir().unwrap();
+    write_hybrid(&folder.path().join("h.glb"));
+    convert(folder.path(), "h.glb moved.glb --axes y-down:unity --scale 2 --rotate 0,0,90 --translate -1,0,0.5");
+    let [before, after] = ["h.glb", "moved.glb"].map(|name| gltf::read(&folder.path().join(name)).unwrap());
+    // y-down to Unity mirrors y; then (x, y, z) becomes (−y, x, z).
+    let orthogonal = DMat3::from_cols(DVec3::Y, DVec3::X, DVec3::Z);
+    let by = Similarity::new(2.0, orthogonal, DVec3::new(-1.0, 0.0, 0.5)).unwrap();
+    let expected = by.scene(before.scene).unwrap();
+    let near = |a: &[[f32; 3]], b: &[[f32; 3]]| {
+        a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-5 * b.abs().max(1.0))
+    };
+    assert!(near(after.scene.splats.sh(), expected.splats.sh()));
+    let rows = |points: &[Vec3]| points.iter().map(Vec3::to_array).collect::<Vec<_>>();
+    assert!(near(&rows(after.scene.splats.means()), &rows(expected.splats.means())));
+    assert!(near(&rows(after.scene.meshes[0].positions()), &rows(expected.meshes[0].positions())));
+    let bands = |scene: &HybridScene| scene.meshes[0].atlas().bands().unwrap().texels().as_chunks().0.to_vec();
+    assert!(near(&bands(&after.scene), &bands(&expected)));
+    let (camera, moved) = (by.camera(&before.cameras[0].1).unwrap(), after.cameras[0].1);
+    assert!(camera.rotation().abs_diff_eq(moved.rotation(), 1e-6) && camera.center().abs_diff_eq(moved.center(), 1e-5));
+    assert_eq!(camera.intrinsics(), moved.intrinsics());
+}
+
+#[test]
+fn filters_apply_in_one_order_whatever_the_order_of_options() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(&folder.path().join("a.ply"), &splats(100, 2)).unwrap();
+    let options = [
+        "--translate=-10,-10,-10",
+        "--keep-box=-inf,-inf,0,50,inf,inf",
+        "--min-opacity=0.3",
+        "--decimate=50%",
+        "--sh-degree=1",
+        "--morton",
+    ];
+    let outcome = as_json(folder.path(), &format!("a.ply b.ply {}", options.join(" ")));
+    let steps: Vec<(&str, u64)> = (outcome["steps"].as_array().unwrap().iter())
+        .map(|s| (s["step"].as_str().unwrap(), s["removed_splats"].as_u64().unwrap()))
+        .collect();
+    // Splat i moves to i − 10; 51 of them lie from 0 to 50.
+    assert_eq!(steps[0], ("crop", 49));
+    assert_eq!((steps[1].0, steps[2].0), ("min-opacity", "decimate"));
+    let left = 51 - steps[1].1;
+    assert!(steps[1].1 > 0 && steps[2].1.abs_diff(left / 2) <= 1, "{steps:?}");
+    assert_eq!((outcome["splats"].as_u64().unwrap(), outcome["sh_degree"].as_u64()), (left - steps[2].1, Some(1)));
+
+    let reversed: Vec<&str> = options.iter().rev().copied().collect();
+    convert(folder.path(), &format!("{} a.ply c.ply", reversed.join(" ")));
+    let [b, c] = ["b.ply", "c.ply"].map(|name| std::fs::read(folder.path().join(name)).unwrap());
+    assert_eq!(b, c);
+    let kept = ply::read(&folder.path().join("b.ply")).unwrap();
+    assert!(kept.opacity_logits().iter().all(|&l| l >= (0.3_f32 / 0.7).ln()));
+    assert_eq!(edit::in_morton_order(&kept), (0..kept.len()).collect::<Vec<_>>());
+}
+
+#[test]
+fn several_inputs_become_one_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    write_hybrid(&folder.path().join("h.glb"));
+    ply::write(&folder.path().join("a.ply"), &splats(7, 1)).unwrap();
+    let outcome = as_json(folder.path(), "a.ply h.glb a.ply all.glb");
+    assert_eq!(outcome["inputs"].as_array().unwrap().len(), 3);
+    let all = format::read_scene(&folder.path().join("all.glb")).unwrap();
+    assert_eq!((all.splats.len(), all.splats.sh_degree(), all.meshes.len()), (24, 3, 1));
+    assert_eq!(all.splats.sh_of(20)[..4], *splats(7, 1).sh_of(3));
+    assert_eq!(all.splats.sh_of(20)[4..], [[0.0; 3]; 12]);
+
+    let linear = Composition { color_space: centaur::scene::ColorSpace::LinearDisplay, ..Composition::default() };
+    let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: linear };
+    format::write_scene(&folder.path().join("l.glb"), &scene, &WriteOptions::default()).unwrap();
+    let line = failure(folder.path(), "h.glb l.glb b.glb");
+    assert!(line.starts_with("error: joining the inputs: ") && line.contains("LinearDisplay"), "{line}");
+}
+
+/// A glTF of somebody else is y-up; our frame is y-down, and our writer turns it again for viewers.
+#[test]
+fn gltf_of_others_stays_upright() {
+    let folder = tempfile::tempdir().unwrap();
+    // (0, 1, 2), (1, 1, 2), (0, 3, 2) in little-endian f32.
+    let floats = [0.0_f32, 1.0, 2.0, 1.0, 1.0, 2.0, 0.0, 3.0, 2.0];
+    let bytes: Vec<u8> = floats.iter().flat_map(|f| f.to_le_bytes()).collect();
+    std::fs::write(folder.path().join("points.bin"), &bytes).unwrap();
+    let document = serde_json::json!({
+        "asset": { "version": "2.0" },
+        "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3,
+                        "min": [0.0, 1.0, 2.0], "max": [1.0, 3.0, 2.0] }],
+        "bufferViews": [{ "buffer": 0, "byteLength": bytes.len() }],
+        "buffers": [{ "uri": "points.bin", "byteLength": bytes.len() }],
+    });
+    std::fs::write(folder.path().join("theirs.gltf"), document.to_string()).unwrap();
+    let said = convert(folder.path(), "theirs.gltf ours.glb");
+    assert!(said.contains("note: theirs.gltf: "), "a mesh without UVs is worth a note: {said}");
+    let ours = gltf::read(&folder.path().join("ours.glb")).unwrap();
+    let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
+    assert_eq!(ours.scene.meshes[0].positions(), expected);
+    assert!(!ours.y_up);
+    // Once ours, it stays where it is.
+    convert(folder.path(), "ours.glb again.glb");
+    let again = gltf::read(&folder.path().join("again.glb")).unwrap();
+    assert_eq!(again.scene.meshes[0].positions(), expected);
+}
+
+#[test]
+fn every_format_is_written_and_read_and_lossy_ones_are_refused_by_strict() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(&folder.path().join("a.ply"), &splats(50, 3)).unwrap();
+    for (extension, degree) in [("glb", 3), ("compressed.ply", 3), ("sog", 3), ("splat", 0), ("ksplat", 2), ("spz", 3)]
+    {
+        let outcome = as_json(folder.path(), &format!("a.ply b.{extension}"));
+        let lossless = extension == "glb";
+        assert_eq!(outcome["lossless"].as_bool(), Some(lossless), "{outcome}");
+        let error = outcome["loss"]["max_error"]["color"].as_f64().unwrap();
+        assert!(error < 0.02, "{extension}: {error}");
+        let outcome = as_json(folder.path(), &format!("b.{extension} c.ply --strict"));
+        assert_eq!(
+            (outcome["splats"].as_u64(), outcome["sh_degree"].as_u64()),
+            (Some(50), Some(degree)),
+            "{extension}"
+        );
+        if !lossless {
+            let line = failure(folder.path(), &format!("a.ply d.{extension} --strict"));
+            let expected =
+                format!("error: d.{extension}: --strict: a .{} would lose ", extension.replace("compressed.", ""));
+            assert!(line.starts_with(&expected) && line.contains("precision: "), "{line}");
+        }
+    }
+    let sizes = ["2", "3", "4"].map(|version| {
+        let outcome = as_json(folder.path(), &format!("a.ply v.spz --spz-version {version}"));
+        outcome["bytes"].as_u64().unwrap()
+    });
+    assert!(sizes[0] != sizes[1] && sizes[1] != sizes[2], "{sizes:?}");
+}
+
+/// `splats` with a label of 8 bits per splat, its number; the splats of `broken` have no finite mean.
+fn write_labelled(path: &Path, n: usize, broken: &[usize]) {
+    ply::write(path, &splats(n, 0)).unwrap();
+    let plain = std::fs::read(path).unwrap();
+    let body = plain.len() - n * 68;
+    let header = String::from_utf8(plain[..body].to_vec()).unwrap();
+    let mut file = header.replace("end_header", "property uchar label\nend_header").into_bytes();
+    for (i, row) in plain[body..].as_chunks::<68>().0.iter().enumerate() {
+        let mut row = *row;
+        if broken.contains(&i) {
+            row[..4].copy_from_slice(&f32::NAN.to_le_bytes());
+        }
+        file.extend(row);
+        file.push(i as u8);
+    }
+    std::fs::write(path, file).unwrap();
+}
+
+#[test]
+fn attributes_follow_their_splats_as_far_as_ply_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_labelled(&folder.path().join("a.ply"), 9, &[]);
+    let labels = |name: &str| {
+        let file = ply::read_with(&folder.path().join(name), &format::ReadOptions::default()).unwrap();
+        assert!(file.attributes.iter().all(|a| a.name() == "label"));
+        file.attributes.first().map(|a| a.values().to_vec())
+    };
+    convert(folder.path(), "a.ply b.ply --strict");
+    assert_eq!(
+        std::fs::read(folder.path().join("b.ply")).unwrap(),
+        std::fs::read(folder.path().join("a.ply")).unwrap()
+    );
+    // Mirrored at the origin: the Morton curve runs backwards.
+    convert(
+        folder.path(),
+        "a.ply b.ply --axes RUB:LDF --remove-sphere 0,0,0,0 --remove-box -4,-4,-4,-3,-3,-3 --morton",
+    );
+    assert_eq!(labels("b.ply"), Some(vec![8.0, 7.0, 6.0, 5.0, 2.0, 1.0]));
+    convert(folder.path(), "a.ply a.ply b.ply");
+    assert_eq!(labels("b.ply").map(|l| l.len()), Some(18));
+
+    ply::write(&folder.path().join("plain.ply"), &splats(2, 0)).unwrap();
+    let said = convert(folder.path(), "a.ply plain.ply b.ply");
+    assert!(said.starts_with("note: a.ply: attribute label: left out, not in all inputs\n"), "{said}");
+    assert_eq!(labels("b.ply"), None);
+    let line = failure(folder.path(), "a.ply c.glb --strict");
+    assert!(line.starts_with("error: c.glb: --strict: a .glb would lose the attributes label"), "{line}");
+}
+
+#[test]
+fn invalid_splats_are_refused_or_dropped() {
+    let folder = tempfile::tempdir().unwrap();
+    write_labelled(&folder.path().join("a.ply"), 5, &[0, 3]);
+    assert_eq!(failure(folder.path(), "a.ply b.ply"), "error: a.ply: means[0]: expected finite numbers, found NaN");
+    let said = convert(folder.path(), "a.ply b.ply --drop-invalid");
+    assert!(said.starts_with("a.ply: dropped 2 invalid splats\n"), "{said}");
+    let left = ply::read_with(&folder.path().join("b.ply"), &format::ReadOptions::default()).unwrap();
+    assert_eq!(left.attributes[0].values(), [1.0, 2.0, 4.0]);
+    assert_eq!(as_json(folder.path(), "a.ply b.ply --drop-invalid")["inputs"][0]["dropped"].as_u64(), Some(2));
+}
