@@ -24,6 +24,7 @@
 @group(0) @binding(9) var<storage, read> layer_depth: array<f32>;
 @group(0) @binding(10) var<storage, read> layer_color: array<vec4f>;
 @group(0) @binding(11) var<storage, read_write> layer_gradient: array<vec4f>;   // ∂L/∂rgb, ∂L/∂alpha
+//#import shared/tile_bucket.wgsl
 //#end
 
 const MOMENTS: u32 = 10u;
@@ -35,6 +36,7 @@ var<workgroup> batch_conic: array<vec4f, BATCH>;
 var<workgroup> batch_color: array<vec4f, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
+var<workgroup> batch_bucket: array<u32, BATCH>;
 //#end
 //#if !SUBGROUPS
 const CHUNK: u32 = 4u;                                  // splats whose sums are reduced together
@@ -54,7 +56,12 @@ fn main(
 ) {
     let tile = group_index(group, groups);
     if tile >= view.tiles.x * view.tiles.y { return; }
-    if thread == 0u { atomicStore(&last_end, 0u); }
+    if thread == 0u {
+        atomicStore(&last_end, 0u);
+//#if LAYERS
+        clear_depths();
+//#end
+    }
     workgroupBarrier();
     let x = (tile % view.tiles.x) * TILE + thread % TILE;
     let y = (tile / view.tiles.x) * TILE + thread / TILE;
@@ -116,6 +123,15 @@ fn main(
 //#end
     }
 //#end
+//#for l in 0..LAYERS
+    var low$l = EMPTY_DEPTH;
+    var high$l = 0.0;
+//#for j in 0..PER_THREAD
+    low$l = min(low$l, depth$j_$l);
+    high$l = max(high$l, select(0.0, depth$j_$l, x < view.size.x && y$j < view.size.y));
+//#end
+    include_depths($lu, low$l, high$l);
+//#end
     workgroupBarrier();
     if thread == 0u { tile_range = vec2u(ranges[tile].x, atomicLoad(&last_end)); }
     let range = workgroupUniformLoad(&tile_range);
@@ -131,9 +147,22 @@ fn main(
 //#for l in 0..LAYERS
             batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
 //#end
+//#if LAYERS
+            batch_bucket[s] = tile_bucket(i);
+//#end
         }
         workgroupBarrier();
-        for (var s = 0u; s < n; s++) {
+        var s = 0u;
+//#if RUNS
+        while s < n {
+//#end
+//#for p in FIRST_PATH..PATHS
+        // A run of splats that are in bucket p throughout the tile or, at last, whose bucket is decided pixel by pixel.
+//#if RUNS
+        for (; s < n && batch_bucket[s] == $pu; s++) {
+//#else
+        for (; s < n; s++) {
+//#end
             let center = batch_center[s];
             let conic = batch_conic[s];
             let rgb = batch_color[s].xyz;
@@ -152,9 +181,9 @@ fn main(
                 let raw = center.w * exp(power);
                 let alpha = min(ALPHA_CAP, raw);
                 if power <= 0.0 && alpha >= ALPHA_CUT {
-                    var bucket = 0u;
+                    var bucket = $pu % BUCKETS;
 //#for l in 0..LAYERS
-                    if depth$j_$l < threshold$l { bucket = $lu + 1u; }
+                    if $pu == MIXED && depth$j_$l < threshold$l { bucket = $lu + 1u; }
 //#end
 //#for b in 0..BUCKETS
                     if bucket == $bu && start + s < end[$j][$b] {
@@ -202,6 +231,10 @@ fn main(
             }
 //#end
         }
+//#end
+//#if RUNS
+        }
+//#end
         workgroupBarrier();             // the batch has been used
     }
 }

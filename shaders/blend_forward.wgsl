@@ -20,6 +20,7 @@
 @group(0) @binding(7) var<storage, read> thresholds: array<f32>;
 @group(0) @binding(8) var<storage, read> layer_depth: array<f32>;
 @group(0) @binding(9) var<storage, read> layer_color: array<vec4f>;
+//#import shared/tile_bucket.wgsl
 //#end
 
 const STOP: f32 = 1e-4;                 // transmittance at which a bucket closes (3DGS)
@@ -30,6 +31,7 @@ var<workgroup> batch_conic: array<vec4f, BATCH>;
 var<workgroup> batch_color: array<vec4f, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
+var<workgroup> batch_bucket: array<u32, BATCH>;
 //#end
 var<workgroup> finished: atomic<u32>;                   // threads with no open bucket left
 var<workgroup> n_finished: u32;
@@ -46,6 +48,9 @@ fn main(
     if thread == 0u {
         tile_range = ranges[tile];
         atomicStore(&finished, 0u);
+//#if LAYERS
+        clear_depths();
+//#end
     }
     let range = workgroupUniformLoad(&tile_range);
     let x = (tile % view.tiles.x) * TILE + thread % TILE;
@@ -82,6 +87,15 @@ fn main(
     }
 //#end
 //#end
+//#for l in 0..LAYERS
+    var low$l = EMPTY_DEPTH;
+    var high$l = 0.0;
+//#for j in 0..PER_THREAD
+    low$l = min(low$l, depth$j_$l);
+    high$l = max(high$l, select(0.0, depth$j_$l, inside$j));
+//#end
+    include_depths($lu, low$l, high$l);
+//#end
     var any_open = true;
 
     for (var start = range.x; start < range.y; start += BATCH) {
@@ -114,10 +128,23 @@ fn main(
 //#for l in 0..LAYERS
             batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
 //#end
+//#if LAYERS
+            batch_bucket[s] = tile_bucket(i);
+//#end
         }
         workgroupBarrier();
         let n = select(0u, min(BATCH, range.y - start), any_open);
-        for (var s = 0u; s < n; s++) {
+        var s = 0u;
+//#if RUNS
+        while s < n {
+//#end
+//#for p in FIRST_PATH..PATHS
+        // A run of splats that are in bucket p throughout the tile or, at last, whose bucket is decided pixel by pixel.
+//#if RUNS
+        for (; s < n && batch_bucket[s] == $pu; s++) {
+//#else
+        for (; s < n; s++) {
+//#end
             let center = batch_center[s];
             let conic = batch_conic[s];
             let rgb = batch_color[s].xyz;
@@ -133,9 +160,9 @@ fn main(
                 let power = power_x + dy * (power_xy - 0.5 * conic.z * dy);
                 let alpha = min(ALPHA_CAP, center.w * exp(power));
                 if power <= 0.0 && alpha >= ALPHA_CUT {
-                    var bucket = 0u;
+                    var bucket = $pu % BUCKETS;
 //#for l in 0..LAYERS
-                    if depth$j_$l < threshold$l { bucket = $lu + 1u; }
+                    if $pu == MIXED && depth$j_$l < threshold$l { bucket = $lu + 1u; }
 //#end
 //#for b in 0..BUCKETS
                     if bucket == $bu && open[$j][$b] {
@@ -154,6 +181,10 @@ fn main(
             }
 //#end
         }
+//#end
+//#if RUNS
+        }
+//#end
     }
 
 //#for j in 0..PER_THREAD

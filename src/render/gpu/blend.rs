@@ -2,6 +2,7 @@
 
 use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    shader::Defines,
     splats::{ImageCapacity, SplatLists},
 };
 
@@ -42,6 +43,18 @@ fn shape(gpu: &Gpu, layers: u32) -> (u32, u32) {
     }
 }
 
+/// Adds the paths of the loop over splats: one per bucket, for splats that are in it throughout the tile, and one that
+/// decides at every pixel. Without `runs` a tile takes that last path alone.
+fn with_paths(defines: &Defines, layers: u32, runs: bool) -> Defines {
+    let deciding = layers + 1;
+    let (runs, first, end) = match (layers, runs) {
+        (0, _) => (0, 0, 1),
+        (_, true) => (1, 0, deciding + 1),
+        (_, false) => (0, deciding, deciding + 1),
+    };
+    defines.clone().with("RUNS", runs).with("FIRST_PATH", first).with("PATHS", end)
+}
+
 impl Blend {
     /// Buffers and kernels; with `gradient` (`[h·w]` vec4, ∂L/∂rgb) also for the backward pass over `n` splats.
     pub(crate) fn new(
@@ -61,8 +74,11 @@ impl Blend {
             .with("THREADS", threads)
             .with("PER_THREAD", per_thread)
             .with("SAVE", u32::from(training.is_some()));
+        let forward_defines = with_paths(&defines, n_layers, true);
+        // Without subgroups the backward pass has barriers where the paths would part.
+        let backward_defines = with_paths(&defines, n_layers, gpu.profile().subgroups);
         let pixels = gpu.storage("image", image.pixels * 4)?;
-        let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
+        let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &forward_defines);
         let Some((gradient, n)) = training else {
             let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, &pixels];
             if let Some(l) = layers {
@@ -81,7 +97,7 @@ impl Blend {
         }
         let bindings = kernel.bind(gpu, &buffers);
         let moments = gpu.storage("splat moments", n.max(1) * MOMENTS)?;
-        let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &defines);
+        let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &backward_defines);
         let mut buffers =
             vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, gradient, &buckets, &ends, &moments];
         if let Some(l) = layers {

@@ -50,6 +50,7 @@ embed![
     "shared/sh.wgsl",
     "shared/sh_gradient.wgsl",
     "shared/status.wgsl",
+    "shared/tile_bucket.wgsl",
     "shared/tile_rows.wgsl",
     "shared/view.wgsl",
     "shared/workgroup_scan.wgsl",
