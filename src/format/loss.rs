@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use glam::{Quat, Vec3};
+use glam::{DQuat, Quat, Vec3};
 use serde::Serialize;
 
 use super::activation;
@@ -42,7 +42,8 @@ pub struct Loss {
 pub struct SplatError {
     /// Along x, y or z, in scene units.
     pub mean: f32,
-    /// Angle between the orientations, in degrees. (For round splats it has no effect.)
+    /// Angle between the orientations, in degrees. Half a turn about an axis of the splat is none; for round splats no
+    /// angle has an effect.
     pub rotation: f32,
     /// Of the natural logarithm of a standard deviation: 0.01 is 1 % in size. Standard deviations below 10⁻⁸ count as
     /// 10⁻⁸.
@@ -163,12 +164,18 @@ impl SplatError {
 /// ln 10⁻⁸. A splat that thin is a disc to every renderer (they widen it by 0.3 px), and 0 is how some write it.
 const LEAST_LOG_SCALE: f32 = -18.420_68;
 
-/// Angle of the rotation between two orientations. By the chord, which is exact where the cosine has lost all digits.
+/// Angle of the rotation between two orientations of a splat, which half a turn about one of its axes does not change. By the
+/// chord, which is exact where the cosine has lost all digits.
 fn degrees_between(a: Quat, b: Quat) -> f32 {
     let (a, b) = (a.as_dquat().normalize(), b.as_dquat().normalize());
-    let chord = (a - b).length().min((a + b).length());
-    (4.0 * (chord / 2.0).min(1.0).asin()).to_degrees() as f32
+    let half_turns = [DQuat::IDENTITY, I, J, K].into_iter();
+    let chord = half_turns.map(|turn| a * turn).map(|a| (a - b).length().min((a + b).length())).fold(2.0, f64::min);
+    (4.0 * (chord / 2.0).asin()).to_degrees() as f32
 }
+
+const I: DQuat = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
+const J: DQuat = DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0);
+const K: DQuat = DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0);
 
 #[cfg(test)]
 mod tests {
@@ -207,6 +214,8 @@ mod tests {
         assert!(near(e.rotation, 0.4f32.to_degrees()), "{}", e.rotation);
         let e = changed(|i, s| s.rotations[i] = -s.rotations[i]);
         assert!(e.rotation < 1e-4, "the same orientation: {}", e.rotation);
+        let e = changed(|i, s| s.rotations[i] *= Quat::from_rotation_z(std::f32::consts::PI));
+        assert!(e.rotation < 1e-4, "the same splat: {}", e.rotation);
         let e = changed(|i, s| s.log_scales[i].z -= 0.5);
         assert!(near(e.log_scale, 0.5));
         let e = changed(|i, s| s.logits[i] = 40.0);
