@@ -22,7 +22,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf oracle-splat-transform
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -78,7 +78,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-gltf oracle-gsplat oracle-colmap ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-gltf oracle-gsplat oracle-colmap oracle-splat-transform ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
@@ -93,6 +93,12 @@ oracle-gltf:
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
 	node target/oracles/gltf_validate.mjs target/oracles/hybrid.glb $(wildcard out/demo/scene.glb)
+
+oracle-splat-transform:
+	@mkdir -p target/oracles
+	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
+	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) \
+		cargo test --release --test splat_transform_oracle -- --ignored
 
 $(ORACLES)/installed: tests/oracles/requirements.txt
 	$(PYTHON) -m venv $(ORACLES)
