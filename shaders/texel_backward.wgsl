@@ -1,9 +1,12 @@
-// One thread per pixel and layer: scatters the gradient of the fragment's colour and alpha to its texels.
+// Scatters the gradient of every fragment's colour and alpha to its texels. A thread walks RUN pixels down a column.
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
 // times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient
-// flows to uv, mip level or direction (METHODS 4.5). Per fragment 112 bytes read, and per texel (4 or 8) 4 atomic
-// additions to the base and 3·((d+1)²−1) to the bands: 24 at degree 2.
+// flows to uv, mip level or direction (METHODS 4.5).
+//
+// Neighbouring pixels share texels: a footprint moves by at most about a texel from one to the next. The thread sums in
+// registers while a texel stays in the footprint and adds it to memory when it leaves. Per fragment 112 bytes read; per
+// texel that leaves 4 atomic additions to the base and 3·((d+1)²−1) to the bands, 24 at degree 2.
 
 //#import shared/view.wgsl
 //#import shared/sh.wgsl
@@ -16,85 +19,111 @@
 //#import shared/atomic_add.wgsl with TARGET=band_gradient BINDING=8
 //#end
 
-fn scatter_base(pyramid: Pyramid, f: Fragment, g: vec4f) {
-    let level = mip_level(f, pyramid);
-    let finer = u32(level);
-    let share = level - f32(finer);
-    for (var i = 0u; i < 2u; i += 1u) {
-        if i == 1u && share == 0.0 { break; }
-        let t = taps(pyramid, finer + i, select(share, 1.0 - share, i == 0u), f.uv);
-        for (var k = 0u; k < 4u; k += 1u) {
-            let to = 4u * t.texel[k];
-            let weight = t.weight[k];
-            add_base_gradient(to, weight * g.x);
-            add_base_gradient(to + 1u, weight * g.y);
-            add_base_gradient(to + 2u, weight * g.z);
-            add_base_gradient(to + 3u, weight * g.w);
-        }
-    }
-}
+const NONE: u32 = 0xffffffffu;
 
-//#if BANDS
-fn add_rgb(to: u32, g: vec3f) {
-    add_band_gradient(to, g.x);
-    add_band_gradient(to + 1u, g.y);
-    add_band_gradient(to + 2u, g.z);
-}
-
-fn scatter_bands(map: Maps, f: Fragment, degree: u32, g: vec3f) {
-    let basis = sh_basis(f.direction);
-    let level = mip_level(f, map.bands);
-    let finer = u32(level);
-    let share = level - f32(finer);
-    let stride = 3u * ((map.degree + 1u) * (map.degree + 1u) - 1u);
-    for (var i = 0u; i < 2u; i += 1u) {
-        if i == 1u && share == 0.0 { break; }
-        let t = taps(map.bands, finer + i, select(share, 1.0 - share, i == 0u), f.uv);
-        for (var k = 0u; k < 4u; k += 1u) {
-            let texel = map.band_offset + stride * t.texel[k];
-            let wg = t.weight[k] * g;
-            //#for k in 1..4
-            add_rgb(texel + 3u * ($ku - 1u), basis[$k] * wg);
-            //#end
-            if degree >= 2u {
-                //#for k in 4..9
-                add_rgb(texel + 3u * ($ku - 1u), basis[$k] * wg);
-                //#end
-            }
-            if degree >= 3u {
-                //#for k in 9..16
-                add_rgb(texel + 3u * ($ku - 1u), basis[$k] * wg);
-                //#end
-            }
-        }
-    }
-}
-//#end
-
-@compute @workgroup_size(256)
+@compute @workgroup_size(64)
 fn backward(
     @builtin(workgroup_id) group: vec3u,
     @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
-    let area = view.size.x * view.size.y;
-    if i >= LAYERS * area { return; }
-    let triangle = layer_triangle[i];
-    if triangle == 0u { return; }
-    let color = layer_color[i];
-    let gradient = layer_gradient[i];
-    let g = select(vec3f(0.0), gradient.rgb, color.rgb > vec3f(0.0));
-    let g_logit = select(0.0, gradient.a * color.a * (1.0 - color.a), color.a < MAX_ALPHA);
-    if all(g == vec3f(0.0)) && g_logit == 0.0 { return; }
-    let pixel = i % area;
-    let f = fragment(vec2u(pixel % view.size.x, pixel / view.size.x), triangle - 1u);
-    let map = maps[f.mesh];
-    scatter_base(map.base, f, vec4f(SH_C0 * g, g_logit));
+    let i = group_index(group, n_groups) * 64u + thread;
+    let strips = (view.size.y + RUN - 1u) / RUN;
+    let strip = i / view.size.x;
+    let x = i - strip * view.size.x;
+    let layer = strip / strips;
+    let top = (strip - layer * strips) * RUN;
+    if layer >= LAYERS { return; }
+
+    // By level (finer, coarser) and place of the footprint: the texel held there, as an index of floats, and its sum.
+    //#for l in 0..2
+    //#for s in 0..4
+    var base_held$l_$s = NONE;
+    var base_sum$l_$s = vec4f(0.0);
     //#if BANDS
-    let degree = min(map.degree, view.band_degree);
-    if degree > 0u {
-        scatter_bands(map, f, degree, g);
-    }
+    var band_held$l_$s = NONE;
+    //#for k in 0..BANDS
+    var band_sum$l_$s_$k = vec3f(0.0);
     //#end
+    //#end
+    //#end
+    //#end
+    // One step more than there are pixels: it holds nothing, so that everything leaves.
+    for (var step = 0u; step <= RUN; step += 1u) {
+        let y = top + step;
+        let pixel = (layer * view.size.y + y) * view.size.x + x;
+        let last = step == RUN || y >= view.size.y;
+        var triangle = 0u;
+        var g = vec3f(0.0);
+        var g_logit = 0.0;
+        if !last { triangle = layer_triangle[pixel]; }
+        if triangle != 0u {
+            let color = layer_color[pixel];
+            let gradient = layer_gradient[pixel];
+            g = select(vec3f(0.0), gradient.rgb, color.rgb > vec3f(0.0));
+            g_logit = select(0.0, gradient.a * color.a * (1.0 - color.a), color.a < MAX_ALPHA);
+        }
+        if last || any(g != vec3f(0.0)) || g_logit != 0.0 {
+            let f = fragment(vec2u(x, y), max(triangle, 1u) - 1u);
+            let map = maps[f.mesh];
+            let base_level = mip_level(f, map.base);
+            let base_g = vec4f(SH_C0 * g, g_logit);
+            //#if BANDS
+            let band_level = mip_level(f, map.bands);
+            let stride = 3u * ((map.degree + 1u) * (map.degree + 1u) - 1u);
+            let degree = min(map.degree, view.band_degree);
+            let basis = sh_basis(f.direction);
+            //#for k in 0..BANDS
+            let band_g$k = select(vec3f(0.0), basis[$k + 1] * g, ($ku + 1u) < (degree + 1u) * (degree + 1u));
+            //#end
+            //#end
+            //#for l in 0..2
+            {
+                let finer = u32(base_level);
+                let share = base_level - f32(finer);
+                if $l == 0 || share != 0.0 || last {
+                    let at = taps(map.base, finer + $lu, select(share, 1.0 - share, $l == 0), f.uv);
+                    let t = by_parity(at, map.base, finer + $lu, f.uv);
+                    //#for s in 0..4
+                    let to$s = select(4u * t.texel[$s], NONE, last);
+                    if base_held$l_$s != to$s && base_held$l_$s != NONE {
+                        add_base_gradient(base_held$l_$s, base_sum$l_$s.x);
+                        add_base_gradient(base_held$l_$s + 1u, base_sum$l_$s.y);
+                        add_base_gradient(base_held$l_$s + 2u, base_sum$l_$s.z);
+                        add_base_gradient(base_held$l_$s + 3u, base_sum$l_$s.w);
+                    }
+                    base_sum$l_$s = select(vec4f(0.0), base_sum$l_$s, base_held$l_$s == to$s) + t.weight[$s] * base_g;
+                    base_held$l_$s = to$s;
+                    //#end
+                }
+            }
+            //#if BANDS
+            {
+                let finer = u32(band_level);
+                let share = band_level - f32(finer);
+                if $l == 0 || share != 0.0 || last {
+                    let at = taps(map.bands, finer + $lu, select(share, 1.0 - share, $l == 0), f.uv);
+                    let t = by_parity(at, map.bands, finer + $lu, f.uv);
+                    //#for s in 0..4
+                    let to$s = select(map.band_offset + stride * t.texel[$s], NONE, last);
+                    let stays$s = band_held$l_$s == to$s;
+                    if !stays$s && band_held$l_$s != NONE {
+                        //#for k in 0..BANDS
+                        add_band_gradient(band_held$l_$s + 3u * $ku, band_sum$l_$s_$k.x);
+                        add_band_gradient(band_held$l_$s + 3u * $ku + 1u, band_sum$l_$s_$k.y);
+                        add_band_gradient(band_held$l_$s + 3u * $ku + 2u, band_sum$l_$s_$k.z);
+                        //#end
+                    }
+                    //#for k in 0..BANDS
+                    band_sum$l_$s_$k = select(vec3f(0.0), band_sum$l_$s_$k, stays$s) + t.weight[$s] * band_g$k;
+                    //#end
+                    band_held$l_$s = to$s;
+                    //#end
+                }
+            }
+            //#end
+            //#end
+        }
+        if last { break; }
+    }
 }

@@ -99,3 +99,13 @@ fn taps(pyramid: Pyramid, level: u32, share: f32, uv: vec2f) -> Taps {
         share * vec4f((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y),
     );
 }
+
+// The same taps in the order of their texels' parity: column even or odd, then row. A texel has the same place in the
+// footprints of all points around it, so that a walk over neighbouring points can keep what it has there.
+fn by_parity(t: Taps, pyramid: Pyramid, level: u32, uv: vec2f) -> Taps {
+    let low = vec2i(floor(uv * vec2f(pyramid.size >> vec2u(level)) - 0.5));
+    let odd = (low & vec2i(1)) == vec2i(1);
+    let texel = select(t.texel, t.texel.yxwz, odd.x);
+    let weight = select(t.weight, t.weight.yxwz, odd.x);
+    return Taps(select(texel, texel.zwxy, odd.y), select(weight, weight.zwxy, odd.y));
+}

@@ -16,6 +16,9 @@ use crate::scene::{Atlas, Mesh};
 /// Threads per workgroup of the kernels over triangles and over pixels.
 const GROUP: usize = 256;
 
+/// Threads per workgroup of `texel_backward`.
+const RUN_GROUP: usize = 64;
+
 /// Side in pixels of the square bins that triangles are sorted into. Smaller than the splats' tiles: the triangles of
 /// a dense mesh are a few pixels large, and every triangle is tested at every pixel of its bins.
 pub(crate) const BIN: u32 = 8;
@@ -70,6 +73,8 @@ struct Kernels {
 struct Bound {
     bins: usize,
     fragments: usize,
+    /// Runs of pixels in all columns and layers.
+    runs: usize,
     setup: Bindings,
     count: Bindings,
     scan: Bindings,
@@ -77,6 +82,12 @@ struct Bound {
     raster: Bindings,
     shade: Bindings,
     backward: Option<Bindings>,
+}
+
+/// Pixels of a column whose gradients a thread scatters one after another, adding to a texel once for all of them. On a
+/// software adapter an atomic addition takes each lane in turn; hardware wants the threads.
+fn run_length(gpu: &Gpu) -> u32 {
+    if gpu.profile().is_cpu { 16 } else { 1 }
 }
 
 impl Geometry {
@@ -121,14 +132,15 @@ impl Screen {
 }
 
 impl Kernels {
-    fn new(gpu: &Gpu, layers: u32, bands: bool) -> Self {
+    fn new(gpu: &Gpu, layers: u32, bands: u32) -> Self {
         // On a software adapter a lane is a loop iteration and workgroup memory is plain memory: a thread that owns
         // many pixels saves loads. Hardware wants the lanes.
         let per_thread = if gpu.profile().is_cpu { 8 } else { 1 };
         let defines: Defines = gpu
             .defines()
             .with("LAYERS", layers)
-            .with("BANDS", u32::from(bands))
+            .with("BANDS", bands)
+            .with("RUN", run_length(gpu))
             .with("BIN", BIN)
             .with("PER_THREAD", per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -153,7 +165,7 @@ impl MeshStage {
     pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], layers: u32, status: Option<&Buffer>) -> Result<Self, GpuError> {
         let trainable = status.is_some();
         let texels = Texels::new(gpu, meshes, status)?;
-        let kernels = Kernels::new(gpu, layers, texels.has_bands());
+        let kernels = Kernels::new(gpu, layers, texels.band_coefficients());
         Ok(Self {
             layers,
             n_triangles: meshes.iter().map(|m| m.triangles().len()).sum(),
@@ -187,7 +199,9 @@ impl MeshStage {
             self.bound = Some(self.bind(gpu, view_uniform));
         }
         if let Some(bound) = &mut self.bound {
-            (bound.bins, bound.fragments) = (bins, self.layers as usize * pixels);
+            let runs = (k.width * k.height.div_ceil(run_length(gpu))) as usize;
+            let layers = self.layers as usize;
+            (bound.bins, bound.fragments, bound.runs) = (bins, layers * pixels, layers * runs);
         }
         Ok(grow)
     }
@@ -228,8 +242,8 @@ impl MeshStage {
         }
         self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", pairs)?;
         self.screen.capacity = pairs;
-        if let Some(Bound { bins, fragments, .. }) = self.bound {
-            self.bound = Some(Bound { bins, fragments, ..self.bind(gpu, view_uniform) });
+        if let Some(Bound { bins, fragments, runs, .. }) = self.bound {
+            self.bound = Some(Bound { bins, fragments, runs, ..self.bind(gpu, view_uniform) });
         }
         Ok(true)
     }
@@ -241,13 +255,14 @@ impl MeshStage {
         let shade = [t.base(), t.bands(), &s.layer_color];
         let backward = t.gradients().map(|(base, bands)| {
             let both = [&s.layer_color, &s.layer_gradient, base, bands];
-            let own = if t.has_bands() { &both[..] } else { &both[..3] };
+            let own = if t.band_coefficients() > 0 { &both[..] } else { &both[..3] };
             k.backward.bind(gpu, &[&fragment[..], own].concat())
         });
         let raster = [view, &g.corners, &s.bin_start, &s.bin_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
         Bound {
-            bins: s.bins,
-            fragments: self.layers as usize * s.pixels,
+            bins: 0,
+            fragments: 0,
+            runs: 0,
             setup: k.setup.bind(gpu, &[view, &g.positions, &g.triangles, &g.corners, &g.boxes]),
             count: k.count.bind(gpu, &bin),
             scan: k.scan.bind(gpu, &bin),
@@ -292,9 +307,9 @@ impl MeshStage {
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
-        let Some(Bound { backward: Some(bindings), fragments, .. }) = &self.bound else { return };
+        let Some(Bound { backward: Some(bindings), runs, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
-        frame.dispatch(&self.kernels.backward, bindings, groups(*fragments, GROUP));
+        frame.dispatch(&self.kernels.backward, bindings, groups(*runs, RUN_GROUP));
         self.texels.record_pull(frame);
     }
 

@@ -6,7 +6,7 @@
 //! and 13⅓ more to train.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
-use crate::scene::{Atlas, Mesh, SceneError, Texture};
+use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
 
 /// Base `[h·w·4]` and bands of one mesh's gradient.
 #[cfg(test)]
@@ -246,9 +246,9 @@ impl Texels {
         words
     }
 
-    /// Whether any mesh has bands above the zeroth.
-    pub(crate) fn has_bands(&self) -> bool {
-        self.bands.maps.iter().any(Option::is_some)
+    /// SH coefficients above the zeroth of the mesh that has most.
+    pub(crate) fn band_coefficients(&self) -> u32 {
+        self.degrees.iter().map(|&d| sh::coefficients(d) as u32 - 1).max().unwrap_or(0)
     }
 
     /// Zeroth coefficients and opacity logits, `[texels, 4]`.
