@@ -1,7 +1,9 @@
-// One thread per float of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7).
+// One thread per channel of 2×2 texels of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7),
+// and the mean of the four, which is the float of level 1; build_mips does the levels beyond. A map without mips has one
+// thread per float.
 //
-// The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. 20 bytes read, 12
-// written: bound by bandwidth.
+// The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. Per float of level 0
+// 21 bytes read, 13 written: bound by bandwidth. What no view has seen has neither gradient nor moments and stays as it is.
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
@@ -22,7 +24,7 @@ const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can
 @group(0) @binding(0) var<uniform> map: Map;
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> gradient: array<f32>;          // pyramid
-@group(0) @binding(3) var<storage, read_write> texels: array<f32>;      // pyramid; level 0 is written
+@group(0) @binding(3) var<storage, read_write> texels: array<f32>;      // pyramid; levels 0 and 1 are written
 @group(0) @binding(4) var<storage, read_write> moments: array<vec2f>;   // level 0 only: first, second
 @group(0) @binding(5) var<storage, read_write> status: Status;
 
@@ -33,25 +35,46 @@ fn adam(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let i = group_index(group, n_groups) * 256u + thread;
-    if i >= map.width * map.height * map.channels || status.is_short != 0u { return; }
-    let is_opacity = map.is_base != 0u && i % 4u == 3u;
-    if is_opacity && step.holds_opacity != 0u { return; }
-    var g = gradient[map.offset + i];
-    if map.levels > 1u {
-        g += 0.25 * gradient[parent_of(map, 0u, i)];
+    let level = min(map.levels - 1u, 1u);
+    let width = map.width >> level;
+    if i >= width * (map.height >> level) * map.channels || status.is_short != 0u { return; }
+    let texel = divide(i, map.channels);        // index, channel
+    let at = divide(texel.x, width);            // row, column
+    let is_opacity = map.is_base != 0u && texel.y == 3u;
+    var inherited = 0.0;
+    if level == 1u { inherited = 0.25 * gradient[level_offset(map, 1u) + i]; }
+    // Everything is read before anything is written: rows are a power of two apart, and CPUs wait for a store that
+    // shares the low bits of a load's address.
+    let stride = vec2u(map.channels, map.width * map.channels);
+    let first = dot(at.yx * (level + 1u), stride) + texel.y;
+    //#for k in 0..4
+    let i$k = first + level * dot(vec2u($ku & 1u, $ku >> 1u), stride);
+    let g$k = gradient[map.offset + i$k] + inherited;
+    let old$k = moments[map.moments + i$k];
+    let value$k = texels[map.offset + i$k];
+    //#end
+    let rate = select(step.band_rate, step.base_rate, map.is_base != 0u) / step.correction_1;
+    let held = is_opacity && step.holds_opacity != 0u;
+    var sum = 0.0;
+    var finite = true;
+    //#for k in 0..4
+    {
+        let m = vec2f(mix(g$k, old$k.x, BETA_1), mix(g$k * g$k, old$k.y, BETA_2));
+        var value = value$k - rate * m.x / (sqrt(m.y / step.correction_2) + EPSILON);
+        if is_opacity && is_finite(value) {
+            value = clamp(value, -MAX_LOGIT, MAX_LOGIT);
+        }
+        let stays = held || (g$k == 0.0 && (step.visited_only != 0u || all(old$k == vec2f(0.0))));
+        if !stays {
+            moments[map.moments + i$k] = m;
+            texels[map.offset + i$k] = value;
+            finite = finite && is_finite(value) && is_finite(m.y);
+        }
+        sum += select(value, value$k, stays);
     }
-    if step.visited_only != 0u && g == 0.0 { return; }
-    var m = moments[map.moments + i];
-    m = vec2f(mix(g, m.x, BETA_1), mix(g * g, m.y, BETA_2));
-    moments[map.moments + i] = m;
-    let rate = select(step.band_rate, step.base_rate, map.is_base != 0u);
-    var value = texels[map.offset + i];
-    value -= rate * (m.x / step.correction_1) / (sqrt(m.y / step.correction_2) + EPSILON);
-    if is_opacity && is_finite(value) {
-        value = clamp(value, -MAX_LOGIT, MAX_LOGIT);
-    }
-    texels[map.offset + i] = value;
-    if !(is_finite(value) && is_finite(m.y)) {
+    //#end
+    if level == 1u { texels[level_offset(map, 1u) + i] = 0.25 * sum; }
+    if !finite {
         atomicOr(&status.not_finite, select(NOT_FINITE_BANDS, NOT_FINITE_BASE, map.is_base != 0u));
     }
 }

@@ -86,7 +86,8 @@ struct Pool {
     texels: Buffer,
     /// One per mesh; None where a mesh has no bands.
     maps: Vec<Option<Map>>,
-    mips: Vec<(Bindings, usize)>,
+    /// Level, bindings and workgroups of `build_mips`: every map's levels but level 0, fine to coarse.
+    mips: Vec<(u32, Bindings, usize)>,
     training: Option<Training>,
 }
 
@@ -142,7 +143,7 @@ impl Pool {
             gpu.write(&texels, map.offset as u64 * 4, texture.texels());
             for level in 1..map.levels {
                 let bindings = kernels.mips.bind(gpu, &[&uniform(gpu, map, level)?, &texels]);
-                mips.push((bindings, groups(map.floats(level), GROUP)));
+                mips.push((level, bindings, groups(map.floats(level), GROUP)));
             }
         }
         let mut pool = Self { texels, maps, mips, training: None };
@@ -167,7 +168,9 @@ impl Pool {
             }
             let uniform = uniform(gpu, map, 0)?;
             let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status];
-            training.adam.push((kernels.adam.bind(gpu, &buffers), groups(map.floats(0), GROUP)));
+            // A thread moves the floats that one of level 1 is the mean of.
+            let threads = map.floats(1.min(map.levels - 1));
+            training.adam.push((kernels.adam.bind(gpu, &buffers), groups(threads, GROUP)));
         }
         Ok(())
     }
@@ -226,7 +229,7 @@ impl Texels {
             step,
         };
         let mut frame = Frame::new(gpu);
-        texels.record_mips(&mut frame);
+        texels.record_mips(&mut frame, 1);
         frame.submit();
         Ok(texels)
     }
@@ -270,9 +273,10 @@ impl Texels {
         [&self.base, &self.bands].into_iter().filter_map(|p| p.training.as_ref())
     }
 
-    /// Rebuilds the coarser levels from level 0.
-    fn record_mips(&self, frame: &mut Frame) {
-        for (bindings, groups) in self.base.mips.iter().chain(&self.bands.mips) {
+    /// Rebuilds the levels from `first` (at least 1) on, each from the one before.
+    fn record_mips(&self, frame: &mut Frame, first: u32) {
+        let mips = self.base.mips.iter().chain(&self.bands.mips);
+        for (_, bindings, groups) in mips.filter(|(level, ..)| *level >= first) {
             frame.dispatch(&self.kernels.mips, bindings, *groups);
         }
     }
@@ -296,12 +300,12 @@ impl Texels {
         gpu.write(&self.step, 0, &step.words());
     }
 
-    /// One step of Adam on level 0, then the mips, which therefore always match it.
+    /// One step of Adam on level 0, and level 1, then the other mips, which therefore always match it.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
         for (bindings, groups) in self.training().flat_map(|t| &t.adam) {
             frame.dispatch(&self.kernels.adam, bindings, *groups);
         }
-        self.record_mips(frame);
+        self.record_mips(frame, 2);
     }
 
     /// The maps as they are now, one atlas per mesh.
