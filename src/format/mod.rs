@@ -56,8 +56,8 @@ impl Kind {
 }
 
 /// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
-/// `.splat` or `.ksplat`. They are told by their content; the last two and the `meta.json` of a SOG that is a folder, which have
-/// no mark of their own, by the file's name.
+/// `.splat` or `.ksplat`. They are told by their content; the last two, which have no mark of their
+/// own, and the `meta.json` or `lod-meta.json` of a SOG that is a folder by the file's name.
 ///
 /// # Errors
 /// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`], [`spz::read`],
@@ -78,7 +78,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Gltf)
     } else if start.starts_with(b"ply") {
         Ok(Kind::Ply)
-    } else if sog::is_folder(path) || start.starts_with(b"PK\x03\x04") {
+    } else if sog::is_named(path) || start.starts_with(b"PK\x03\x04") {
         Ok(Kind::Sog)
     } else if start.starts_with(b"NGSP") || start.starts_with(&[0x1f, 0x8b, 8]) {
         // gzip of something else says so when it is opened.

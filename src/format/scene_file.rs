@@ -67,7 +67,10 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
             let ply::PlySplats { splats, attributes, dropped } = ply::read_with(path, options)?;
             SceneFile { attributes, dropped, ..SceneFile::of_splats(splats) }
         }
-        Kind::Sog => SceneFile::of_splats(sog::read(path)?),
+        Kind::Sog => {
+            let (splats, notes) = sog::read_noted(path)?;
+            SceneFile { notes, ..SceneFile::of_splats(splats) }
+        }
         Kind::Splat => {
             let bytes = error::read_file(path)?;
             let (splats, dropped) =

@@ -31,9 +31,9 @@ impl FileSet {
     /// `path` is a zip, or the `meta.json` of a folder.
     pub(super) fn open(path: &Path) -> Result<Self, FormatError> {
         if is_folder(path) {
-            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            // The images count once they are read.
-            return Ok(Self { place: Place::Folder(folder.to_owned()), bytes: folder_bytes(folder) });
+            let folder = folder_of(path).to_owned();
+            let bytes = folder_bytes(&folder);
+            return Ok(Self { place: Place::Folder(folder), bytes });
         }
         Self::bundle(read_file(path)?).map_err(|fault| fault.in_file(path))
     }
@@ -82,8 +82,12 @@ impl FileSet {
 }
 
 /// True if `path` names a folder's files rather than a bundle.
-pub(in crate::format) fn is_folder(path: &Path) -> bool {
+pub(super) fn is_folder(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name == META)
+}
+
+pub(super) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Length of the files next to `meta.json`; unreadable ones do not count.
@@ -92,18 +96,17 @@ fn folder_bytes(folder: &Path) -> u64 {
     entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
 }
 
-/// The path of a file in `folder` itself; neither names nor symbolic links may lead out of it.
-fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, String)> {
-    let refused = || ("the name of a file in the folder".to_owned(), format!("`{name}`"));
+/// The path of a file in `folder` or below it; neither names nor symbolic links may lead out.
+pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, String)> {
+    let refused = || ("a path inside the folder".to_owned(), format!("`{name}`"));
     let unreadable = |e: std::io::Error| ("a readable file".to_owned(), format!("`{name}` ({e})"));
-    let mut components = Path::new(name).components();
-    let plain = matches!((components.next(), components.next()), (Some(std::path::Component::Normal(_)), None));
-    if !plain || name.contains(['/', '\\', ':']) {
+    let plain = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+    if !plain || name.is_empty() || name.contains(['\\', ':']) {
         return Err(refused());
     }
     let folder = folder.canonicalize().map_err(unreadable)?;
     let path = folder.join(name).canonicalize().map_err(unreadable)?;
-    if path.parent() == Some(&folder) { Ok(path) } else { Err(refused()) }
+    if path.starts_with(&folder) { Ok(path) } else { Err(refused()) }
 }
 
 /// Writes all files; returns their length together.

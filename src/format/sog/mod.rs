@@ -10,6 +10,7 @@ mod codebook;
 mod decode;
 mod encode;
 mod files;
+mod levels;
 mod palette;
 #[cfg(test)]
 mod tests;
@@ -18,7 +19,6 @@ mod texels;
 use std::path::Path;
 
 use self::files::FileSet;
-pub(super) use self::files::is_folder;
 use super::error::{Fault, FormatError};
 use super::loss::{Loss, WriteReport};
 use super::record::Record;
@@ -27,20 +27,40 @@ use crate::scene::Splats;
 /// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
 /// to 3. Frame and colour space are the file's own: the format cannot state them.
 ///
+/// Of a scene in levels of detail (`lod-meta.json`) every part is read at the finest level that is there.
+///
 /// # Errors
 /// If a file cannot be read or is missing, names a path outside of the folder, holds lossy images or images of another
 /// size than the number of splats calls for, refers to more than its palettes hold, or declares more splats than files
 /// of its size can describe.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    let mut files = FileSet::open(path)?;
-    read_set(&mut files).map_err(|fault| fault.in_file(path))
+    read_noted(path).map(|(splats, _)| splats)
 }
 
-fn read_set(files: &mut FileSet) -> Result<Splats, Fault> {
-    let meta = files.meta()?;
-    let scheme = decode::Scheme::parse(&meta, files.bytes())?;
-    let images = scheme.fetch(files)?;
-    scheme.splats(&images)
+/// As [`read`], with a sentence on levels of detail that are missing.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_noted(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
+    if path.file_name().is_some_and(|name| name == levels::INDEX) {
+        return levels::read(path);
+    }
+    let splats = FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))?;
+    Ok((splats, vec![]))
+}
+
+/// True if the file's name alone says that it is SOG.
+pub(super) fn is_named(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name == files::META || name == levels::INDEX)
+}
+
+impl FileSet {
+    fn splats(&mut self) -> Result<Splats, Fault> {
+        let meta = self.meta()?;
+        let scheme = decode::Scheme::parse(&meta, self.bytes())?;
+        let images = scheme.fetch(self)?;
+        scheme.splats(&images)
+    }
 }
 
 /// Writes version 2, splats in Morton order: a bundle, or where `path` ends in `meta.json` the files of one into that

@@ -21,7 +21,7 @@ fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
 
 fn parse(zip: Vec<u8>) -> Result<Splats, String> {
     let set = FileSet::bundle(zip);
-    set.and_then(|mut set| read_set(&mut set)).map_err(|fault| fault.in_file(Path::new("s.sog")).to_string())
+    set.and_then(|mut set| set.splats()).map_err(|fault| fault.in_file(Path::new("s.sog")).to_string())
 }
 
 fn unzip(zip: &[u8]) -> Files {
@@ -130,7 +130,7 @@ fn names_do_not_lead_out_of_the_folder() {
         let quoted = serde_json::to_string(name).unwrap();
         std::fs::write(&path, meta.replace("\"quats.webp\"", &quoted)).unwrap();
         let message = read(&path).unwrap_err().to_string();
-        assert!(message.contains("/quats/files/0: expected the name of a file in the folder"), "{message}");
+        assert!(message.contains("/quats/files/0: expected a path inside the folder"), "{message}");
     }
 }
 

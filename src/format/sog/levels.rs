@@ -1,0 +1,177 @@
+//! Streamed SOG: `lod-meta.json`, a tree of space over folders of splats in several levels of detail. Described at
+//! <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/>.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::files::{FileSet, folder_of, inside};
+use crate::format::error::{Fault, FormatError, read_file};
+use crate::format::record::{Columns, Record};
+use crate::scene::Splats;
+
+pub(super) const INDEX: &str = "lod-meta.json";
+
+#[derive(Deserialize)]
+struct Index {
+    /// Splats that are drawn whatever the level.
+    environment: Option<String>,
+    /// Each a `meta.json`, relative to the index.
+    filenames: Vec<String>,
+    tree: Node,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    #[serde(default)]
+    children: Vec<Node>,
+    /// By level; 0 is the finest.
+    #[serde(default)]
+    lods: BTreeMap<u32, Part>,
+}
+
+/// Consecutive splats of a file.
+#[derive(Clone, Copy, Deserialize)]
+struct Part {
+    file: usize,
+    offset: usize,
+    count: usize,
+}
+
+/// The splats of every leaf of the tree at the finest level whose file is there, and a sentence on what is missing.
+pub(super) fn read(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
+    let text = read_file(path)?;
+    let index: Index = serde_json::from_slice(&text)
+        .map_err(|e| Fault::whole(format!("the `{INDEX}` of a streamed SOG"), e.to_string()).in_file(path))?;
+    let folder = folder_of(path);
+    let there: Vec<Option<_>> = index.filenames.iter().map(|name| inside(folder, name).ok()).collect();
+    let (mut parts, mut coarser) = (vec![], 0);
+    collect(&index.tree, &there, &mut parts, &mut coarser).map_err(|fault| fault.in_file(path))?;
+
+    let mut sources = vec![];
+    for (file, meta) in there.iter().enumerate() {
+        let mut own: Vec<Part> = parts.iter().filter(|part| part.file == file).copied().collect();
+        own.sort_by_key(|part| part.offset);
+        if let Some(meta) = meta.as_ref().filter(|_| !own.is_empty()) {
+            let splats = set_of(meta)?;
+            check_parts(&own, splats.len(), file).map_err(|fault| fault.in_file(path))?;
+            sources.push((splats, own));
+        }
+    }
+    if let Some(name) = &index.environment {
+        let fault = |(expected, found): (String, String)| Fault::pointer("/environment", expected, found).in_file(path);
+        let splats = set_of(&inside(folder, name).map_err(fault)?)?;
+        let all = Part { file: 0, offset: 0, count: splats.len() };
+        sources.push((splats, vec![all]));
+    }
+    let degree = sources.iter().map(|(splats, _)| splats.sh_degree()).max().unwrap_or(0);
+    let mut columns = Columns::with_capacity(0, degree);
+    for (splats, parts) in &sources {
+        let indices = parts.iter().flat_map(|part| part.offset..part.offset + part.count);
+        indices.for_each(|i| columns.push(&Record::of(splats, i)));
+    }
+    let notes = (coarser > 0).then(|| {
+        format!("the files of the finest level are missing for {coarser} part(s) of the scene; coarser ones are read")
+    });
+    Ok((columns.finish().map_err(|fault| fault.in_file(path))?, notes.into_iter().collect()))
+}
+
+/// The splats of one folder or bundle, never of another index: a circle of them would have no end.
+fn set_of(path: &Path) -> Result<Splats, FormatError> {
+    FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
+}
+
+/// The finest part of each leaf of which the file is there; counts the leaves for which that is not the finest of all.
+fn collect(node: &Node, there: &[Option<impl Sized>], parts: &mut Vec<Part>, coarser: &mut usize) -> Result<(), Fault> {
+    let is_there = |part: &Part| there.get(part.file).is_some_and(Option::is_some);
+    match node.lods.values().position(is_there) {
+        Some(position) => {
+            parts.extend(node.lods.values().nth(position));
+            *coarser += usize::from(position > 0);
+        }
+        None if node.lods.is_empty() => {}
+        None => return Err(Fault::whole("the file of at least one level of detail of every part", "none of a part")),
+    }
+    node.children.iter().try_for_each(|child| collect(child, there, parts, coarser))
+}
+
+/// Parts of one file, by offset, must lie in it and not overlap, so that no splat is there twice.
+fn check_parts(parts: &[Part], count: usize, file: usize) -> Result<(), Fault> {
+    let mut end = 0;
+    for part in parts {
+        let next = part.offset.checked_add(part.count).filter(|&next| part.offset >= end && next <= count);
+        end = next.ok_or_else(|| {
+            let expected = format!("separate parts of the {count} splats of file {file}");
+            Fault::pointer("/tree", expected, format!("{} from {}", part.count, part.offset))
+        })?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::format::test_scenes::random_splats;
+
+    /// Two leaves in levels 0 and 1, and an environment; returns the path of the index.
+    fn written(folder: &Path) -> std::path::PathBuf {
+        for (name, count, degree) in [("0_0", 9, 1), ("1_0", 4, 0), ("env", 2, 2)] {
+            std::fs::create_dir(folder.join(name)).unwrap();
+            super::super::write(&folder.join(name).join("meta.json"), &random_splats(count, degree, 5)).unwrap();
+        }
+        let path = folder.join(INDEX);
+        let leaf = |fine: [usize; 2], coarse: [usize; 2]| {
+            json!({ "lods": {
+                "0": { "file": 0, "offset": fine[0], "count": fine[1] },
+                "1": { "file": 1, "offset": coarse[0], "count": coarse[1] },
+            } })
+        };
+        let index = json!({
+            "lodLevels": 2, "environment": "env/meta.json", "filenames": ["0_0/meta.json", "1_0/meta.json"],
+            "tree": { "children": [leaf([0, 6], [0, 3]), leaf([6, 3], [3, 1])] },
+        });
+        std::fs::write(&path, index.to_string()).unwrap();
+        path
+    }
+
+    #[test]
+    fn the_finest_level_that_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        let (splats, notes) = read(&path).unwrap();
+        assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (9 + 2, 2, 0));
+        std::fs::remove_file(folder.path().join("0_0/meta.json")).unwrap();
+        let (splats, notes) = read(&path).unwrap();
+        assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (4 + 2, 2, 1));
+        assert!(notes[0].contains("for 2 part(s)"), "{notes:?}");
+        std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("expected the file of at least one level"));
+    }
+
+    #[test]
+    fn parts_and_paths_are_checked() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        let index: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let message = |pointer: &str, value: Value| {
+            let mut index = index.clone();
+            *index.pointer_mut(pointer).unwrap() = value;
+            std::fs::write(&path, index.to_string()).unwrap();
+            read(&path).unwrap_err().to_string()
+        };
+        let overlap = message("/tree/children/1/lods/0/offset", json!(5));
+        assert!(
+            overlap.ends_with("/tree: expected separate parts of the 9 splats of file 0, found 3 from 5"),
+            "{overlap}"
+        );
+        assert!(
+            message("/tree/children/1/lods/0/count", json!(u64::MAX)).contains("found 18446744073709551615 from 6")
+        );
+        assert!(message("/environment", json!("../out/meta.json")).contains("/environment: expected a path inside"));
+        assert!(message("/filenames", json!([])).contains("at least one level"));
+        assert!(message("/tree", json!(3)).contains("expected the `lod-meta.json` of a streamed SOG"));
+    }
+}
