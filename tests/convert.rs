@@ -235,6 +235,8 @@ fn gltf_of_others_stays_upright() {
     std::fs::write(folder.path().join("theirs.gltf"), document.to_string()).unwrap();
     let said = convert(folder.path(), "theirs.gltf ours.glb");
     assert!(said.contains("note: theirs.gltf: "), "a mesh without UVs is worth a note: {said}");
+    let line = failure(folder.path(), "theirs.gltf strict.glb --strict");
+    assert!(line.starts_with("error: theirs.gltf: --strict: "), "{line}");
     let ours = gltf::read(&folder.path().join("ours.glb")).unwrap();
     let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
     assert_eq!(ours.scene.meshes[0].positions(), expected);

@@ -36,7 +36,7 @@ pub(super) struct Args {
     /// File to write
     #[arg(value_name = "OUTPUT", value_parser = |s: &str| output::with_extension(s, format::WRITABLE))]
     output: PathBuf,
-    /// Refuse to write a file that cannot hold all of the scene
+    /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene
     #[arg(long)]
     strict: bool,
     /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file
@@ -84,6 +84,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         ProgressStyle::with_template("{bar:16} {pos}/{len}  {wide_msg}").expect("the template is a constant"),
     );
     let (scene, inputs) = read(args, &bar)?;
+    if args.strict
+        && let Some((input, note)) = inputs.iter().find_map(|i| Some((i, i.notes.first()?)))
+    {
+        bail!("{}: --strict: {note}", input.file.display());
+    }
     bar.set_message("editing");
     let edited = args.edits.apply(scene)?;
     ensure!(
@@ -105,7 +110,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         cameras: edited.cameras.len() - report.loss.cameras,
         inputs: &inputs,
         steps: &edited.steps,
-        lossless: report.loss.is_rounding(),
+        lossless: report.loss.is_rounding() && inputs.iter().all(|i| i.notes.is_empty()),
         loss: &report.loss,
     };
     if args.messages.json { output::print_json(&outcome) } else { output::print(&described(&outcome)) }
