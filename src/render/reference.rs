@@ -193,7 +193,7 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     fn new(scene: &HybridScene, camera: &'a Camera, parameters: &Parameters) -> Self {
-        let hits = mesh::trace(scene, camera);
+        let hits = mesh::trace(scene, camera, &parameters.positions);
         let maps = mesh::maps(scene, parameters);
         let layers: Vec<Vec<_>> =
             hits.iter().map(|hits| hits.iter().map(|hit| mesh::shade(hit, &maps[hit.mesh])).collect()).collect();

@@ -293,6 +293,15 @@ impl MeshStage {
         &self.screen.layer_gradient
     }
 
+    /// Index + 1 of the nearest triangle at each of the first `pixels` pixels of the view that was rendered last, 0 where
+    /// there is none.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_front_triangles(&self, gpu: &Gpu, pixels: usize) -> Result<Vec<u32>, GpuError> {
+        gpu.read(&self.screen.layer_triangle, pixels)
+    }
+
     /// Depths and colours of all layers for the view in the uniform.
     pub(crate) fn record_forward(&self, frame: &mut Frame) {
         let Some(bound) = &self.bound else { return };

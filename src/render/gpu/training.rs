@@ -149,6 +149,13 @@ impl<'g> Training<'g> {
         self.pipeline.median_depth(self.gpu, camera)
     }
 
+    /// Index + 1 of the nearest triangle at each pixel of the view that was rendered last, `[h·w]`; 0 where there is none,
+    /// empty without meshes. Waits.
+    pub(crate) fn front_triangles(&self, camera: &Camera) -> Result<Vec<u32>, GpuError> {
+        let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
+        self.pipeline.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_front_triangles(self.gpu, pixels))
+    }
+
     /// Loss of the last step. Waits for it.
     pub(crate) fn loss(&self) -> Result<LossValues, GpuError> {
         self.loss.read(self.gpu)

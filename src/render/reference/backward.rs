@@ -59,6 +59,7 @@ pub fn backward_with_statistics(
     let mut splats = vec![ProjectedGradient::ZERO; view.splats.len()];
     let maps = mesh::maps(scene, &parameters);
     let mut texels: Vec<_> = maps.iter().map(MapGradients::zeros_like).collect();
+    let mut positions = parameters.zeros_like().positions;
     let background = DVec3::from(scene.composition.background.map(f64::from));
 
     for pixel in 0..view.layers.len() {
@@ -83,12 +84,16 @@ pub fn backward_with_statistics(
                     let d_logit =
                         if c.alpha < contract::MESH_ALPHA_CAP { d_alpha * c.alpha * (1.0 - c.alpha) } else { 0.0 };
                     texels[hit.mesh].add(hit, d_color, d_logit);
+                    let corners = scene.meshes[hit.mesh].triangles()[hit.triangle];
+                    for (v, d) in corners.into_iter().zip(hit.corner_gradient(&maps[hit.mesh], d_color, d_logit)) {
+                        positions[hit.mesh][v as usize] += camera.rotation().transpose() * d;
+                    }
                 }
             }
         }
     }
 
-    let mut result = parameters.zeros_like();
+    let mut result = Parameters { positions, ..parameters.zeros_like() };
     let mut statistics = vec![ScreenStatistics { center: DVec2::ZERO, weight: 0.0 }; scene.splats.len()];
     for ((splat, _), gradient) in view.splats.iter().zip(&splats) {
         statistics[splat.index] = ScreenStatistics { center: gradient.center, weight: gradient.weight };

@@ -44,8 +44,10 @@ impl Margin {
 /// Renders, and tells of every pixel how close its decisions were.
 #[must_use]
 pub fn render_with_margins(scene: &HybridScene, camera: &Camera) -> (Image, Vec<Margin>) {
-    let view = View::new(scene, camera, &Parameters::of(scene));
-    let triangles: Vec<_> = mesh::camera_triangles(scene, camera).into_iter().flatten().collect();
+    let parameters = Parameters::of(scene);
+    let view = View::new(scene, camera, &parameters);
+    let triangles: Vec<_> =
+        mesh::camera_triangles(scene, camera, &parameters.positions).into_iter().flatten().collect();
     let pixels = 0..view.layers.len();
     let near = f64::from(scene.composition.near);
     let hits: Vec<_> =

@@ -11,7 +11,13 @@ use crate::scene::{Camera, HybridScene, Mesh, Texture, sh};
 /// Where a ray meets a mesh, and how the textures are filtered there. Independent of the texels' values.
 pub(super) struct Hit {
     pub(super) mesh: usize,
+    pub(super) triangle: usize,
     pub(super) depth: f64,
+    /// Camera-space vertices, their UVs, and the ray (z = 1) that meets them.
+    corners: [DVec3; 3],
+    uvs: [DVec2; 3],
+    ray: DVec3,
+    intersection: Intersection,
     /// SH basis at the direction camera→fragment in world space.
     pub(super) basis: [f64; 16],
     pub(super) base: Vec<Tap>,
@@ -25,6 +31,8 @@ pub(super) struct Tap {
     pub(super) level: usize,
     pub(super) texel: usize,
     pub(super) weight: f64,
+    /// ∂weight/∂uv at constant mip level.
+    pub(super) slope: DVec2,
 }
 
 /// A ray through a triangle.
@@ -56,6 +64,35 @@ pub(super) fn intersect(v: [DVec3; 3], r: DVec3) -> Option<Intersection> {
     Some(Intersection { depth: v[0].dot(n[0]) / sum, barycentric: a.map(|a| a / sum), inside, n, sum })
 }
 
+impl Hit {
+    /// Gradient with respect to the camera-space corners, from that of the colour before its clamp and of the opacity
+    /// logit (METHODS 4.2). The mip level is taken for constant.
+    pub(super) fn corner_gradient(&self, maps: &Maps, d_color: DVec3, d_logit: f64) -> [DVec3; 3] {
+        let mut d_uv = DVec2::ZERO;
+        for tap in &self.base {
+            let texel = &maps.base[tap.level][4 * tap.texel..][..4];
+            let along = self.basis[0] * d_color.dot(DVec3::from_slice(texel)) + d_logit * texel[3];
+            d_uv += along * tap.slope;
+        }
+        for tap in &self.bands {
+            let texel = &maps.bands[tap.level][self.band_channels * tap.texel..][..self.band_channels];
+            let terms = texel.chunks_exact(3).zip(&self.basis[1..]);
+            let along: f64 = terms.map(|(t, y)| y * d_color.dot(DVec3::from_slice(t))).sum();
+            d_uv += along * tap.slope;
+        }
+        let (b, v, r) = (self.intersection.barycentric, self.corners, self.ray);
+        let gamma = self.uvs.map(|uv| d_uv.dot(uv));
+        let mean: f64 = gamma.iter().zip(b).map(|(g, b)| g * b).sum();
+        let kappa = gamma.map(|g| (g - mean) / self.intersection.sum);
+        let mut gradient = [DVec3::ZERO; 3];
+        for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
+            gradient[j] += kappa[i] * v[k].cross(r);
+            gradient[k] += kappa[i] * r.cross(v[j]);
+        }
+        gradient
+    }
+}
+
 impl Intersection {
     /// ∂barycentric/∂(pixel x), ∂barycentric/∂(pixel y).
     fn screen_derivative(&self, camera: &Camera) -> [[f64; 3]; 2] {
@@ -69,16 +106,17 @@ impl Intersection {
 }
 
 /// Camera-space vertices of every triangle, per mesh.
-pub(super) fn camera_triangles(scene: &HybridScene, camera: &Camera) -> Vec<Vec<[DVec3; 3]>> {
-    let corner = |mesh: &Mesh, i: u32| camera.to_camera(mesh.positions()[i as usize].as_dvec3());
-    let triangles = |mesh: &Mesh| mesh.triangles().iter().map(|t| t.map(|i| corner(mesh, i))).collect();
-    scene.meshes.iter().map(triangles).collect()
+pub(super) fn camera_triangles(scene: &HybridScene, camera: &Camera, positions: &[Vec<DVec3>]) -> Vec<Vec<[DVec3; 3]>> {
+    let triangles = |(mesh, positions): (&Mesh, &Vec<DVec3>)| {
+        mesh.triangles().iter().map(|t| t.map(|i| camera.to_camera(positions[i as usize]))).collect()
+    };
+    scene.meshes.iter().zip(positions).map(triangles).collect()
 }
 
 /// The hits of every pixel (row-major) beyond `near`, nearest first, at most `layers`.
-pub(super) fn trace(scene: &HybridScene, camera: &Camera) -> Vec<Vec<Hit>> {
+pub(super) fn trace(scene: &HybridScene, camera: &Camera, positions: &[Vec<DVec3>]) -> Vec<Vec<Hit>> {
     let bvh = MeshBvh::new(scene.meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
-    let triangles = camera_triangles(scene, camera);
+    let triangles = camera_triangles(scene, camera, positions);
     let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
     (0..pixels).into_par_iter().map(|pixel| trace_pixel(scene, camera, &bvh, &triangles, pixel)).collect()
 }
@@ -115,11 +153,16 @@ fn trace_pixel(
         let (uv, duv) = (interpolate(&x.barycentric), x.screen_derivative(camera).map(|d| interpolate(&d)));
         Hit {
             mesh,
+            triangle,
             depth: x.depth,
+            corners: triangles[mesh][triangle],
+            uvs,
+            ray: r,
             basis,
             base: trilinear_taps(source.atlas().base(), uv, duv),
             bands: source.atlas().bands().map_or_else(Vec::new, |t| trilinear_taps(t, uv, duv)),
             band_channels: source.atlas().bands().map_or(0, |t| t.channels() as usize),
+            intersection: x,
         }
     };
     found.into_iter().map(hit).collect()
@@ -139,7 +182,7 @@ fn trilinear_taps(texture: &Texture, uv: DVec2, duv: [DVec2; 2]) -> Vec<Tap> {
     let blend = level - fine;
     let mut taps = bilinear_taps(texture, fine as usize, uv, 1.0 - blend);
     taps.extend(bilinear_taps(texture, coarse as usize, uv, blend));
-    taps.retain(|tap| tap.weight > 0.0);
+    taps.retain(|tap| tap.weight > 0.0 || tap.slope != DVec2::ZERO);
     taps
 }
 
@@ -150,17 +193,17 @@ fn bilinear_taps(texture: &Texture, level: usize, uv: DVec2, weight: f64) -> Vec
     let corner = position.floor();
     let f = position - corner;
     let clamp = |x: f64, n: u32| x.clamp(0.0, f64::from(n - 1)) as usize;
-    let tap = |dx: f64, dy: f64, w: f64| Tap {
-        level,
-        texel: clamp(corner.y + dy, height) * width as usize + clamp(corner.x + dx, width),
-        weight: weight * w,
+    let tap = |dx: f64, dy: f64| {
+        let along = DVec2::new(if dx > 0.0 { f.x } else { 1.0 - f.x }, if dy > 0.0 { f.y } else { 1.0 - f.y });
+        let rise = DVec2::new((2.0 * dx - 1.0) * f64::from(width), (2.0 * dy - 1.0) * f64::from(height));
+        Tap {
+            level,
+            texel: clamp(corner.y + dy, height) * width as usize + clamp(corner.x + dx, width),
+            weight: weight * along.x * along.y,
+            slope: weight * rise * DVec2::new(along.y, along.x),
+        }
     };
-    vec![
-        tap(0.0, 0.0, (1.0 - f.x) * (1.0 - f.y)),
-        tap(1.0, 0.0, f.x * (1.0 - f.y)),
-        tap(0.0, 1.0, (1.0 - f.x) * f.y),
-        tap(1.0, 1.0, f.x * f.y),
-    ]
+    vec![tap(0.0, 0.0), tap(1.0, 0.0), tap(0.0, 1.0), tap(1.0, 1.0)]
 }
 
 /// The mip levels of a texture with these level-0 texels: each the 2×2 means of the one before.

@@ -23,6 +23,8 @@ pub struct Parameters {
     pub base: Vec<Vec<f64>>,
     /// Per mesh: level 0 of the bands texture, `[height·width·channels]`; empty without bands.
     pub bands: Vec<Vec<f64>>,
+    /// Per mesh: world positions of its vertices, `[V]`.
+    pub positions: Vec<Vec<DVec3>>,
 }
 
 /// Names one number of [`Parameters`].
@@ -42,6 +44,8 @@ pub enum Parameter {
     Base(usize, usize),
     /// (mesh, texel·channels + channel)
     Band(usize, usize),
+    /// (mesh, vertex, axis)
+    Position(usize, usize, usize),
 }
 
 impl Parameters {
@@ -59,6 +63,7 @@ impl Parameters {
             sh: splats.sh().iter().map(|c| DVec3::from(c.map(f64::from))).collect(),
             base: scene.meshes.iter().map(|m| texels(m.atlas().base())).collect(),
             bands: scene.meshes.iter().map(bands).collect(),
+            positions: scene.meshes.iter().map(|m| m.positions().iter().map(|p| p.as_dvec3()).collect()).collect(),
         }
     }
 
@@ -74,6 +79,7 @@ impl Parameters {
             sh: vec![DVec3::ZERO; self.sh.len()],
             base: zeros(&self.base),
             bands: zeros(&self.bands),
+            positions: self.positions.iter().map(|p| vec![DVec3::ZERO; p.len()]).collect(),
         }
     }
 
@@ -90,6 +96,7 @@ impl Parameters {
             Parameter::Sh(i, k) => &mut self.sh[i][k],
             Parameter::Base(m, i) => &mut self.base[m][i],
             Parameter::Band(m, i) => &mut self.bands[m][i],
+            Parameter::Position(m, i, k) => &mut self.positions[m][i][k],
         }
     }
 }

@@ -290,7 +290,8 @@ fn no_layer_is_missed() {
     let mut filled = 0;
     for seed in 0..3 {
         let (scene, camera) = random_scene(30 + seed, 0, 3, 0, 4, OrderMode::Stable);
-        let triangles: Vec<_> = mesh::camera_triangles(&scene, &camera).into_iter().flatten().collect();
+        let positions = Parameters::of(&scene).positions;
+        let triangles: Vec<_> = mesh::camera_triangles(&scene, &camera, &positions).into_iter().flatten().collect();
         for (pixel, layers) in mesh_layers(&scene, &camera).into_iter().enumerate() {
             let r = camera.ray(pixel_center(&camera, pixel));
             let hits = triangles.iter().filter_map(|&v| mesh::intersect(v, r)).filter(|x| x.inside && x.depth > 0.2);
@@ -346,9 +347,43 @@ fn check_gradients(scene: &HybridScene, camera: &Camera) {
 fn gradients_are_finite_differences() {
     for (mode, layers) in MODES.into_iter().zip([1, 2, 4]) {
         let (scene, camera) = smooth_scene(11, layers, mode);
-        let levels = mesh::trace(&scene, &camera).into_iter().flatten().flat_map(|hit| hit.base).map(|tap| tap.level);
+        let hits = mesh::trace(&scene, &camera, &Parameters::of(&scene).positions);
+        let levels = hits.into_iter().flatten().flat_map(|hit| hit.base).map(|tap| tap.level);
         assert!(layers == 1 || levels.max() >= Some(2), "coarse mips are not tested");
         check_gradients(&scene, &camera);
+    }
+}
+
+/// Sides that are odd make textures of one mip level, whose choice has no derivative. A step of 1e-6 moves no edge across
+/// a pixel and no pixel across a texel.
+#[test]
+fn vertex_gradients_are_finite_differences() {
+    for (mode, layers) in MODES.into_iter().zip([1, 2, 4]) {
+        let (mut scene, camera) = smooth_scene(12, layers, mode);
+        let odd = |texture: &Texture| {
+            let (side, channels) = (texture.width() - 1, texture.channels());
+            let texels = texture.texels()[..(side * side * channels) as usize].to_vec();
+            Texture::new(side, side, channels, texels).unwrap()
+        };
+        scene.meshes = (scene.meshes.into_iter())
+            .map(|m| {
+                let atlas = Atlas::new(odd(m.atlas().base()), m.atlas().bands().map(odd)).unwrap();
+                m.with_atlas(atlas)
+            })
+            .collect();
+        let cotangent = random_cotangent(&camera, 18);
+        let mut gradient = backward(&scene, &camera, &cotangent);
+        let (mut worst, mut scale) = (0.0_f64, 0.0_f64);
+        for (m, mesh) in scene.meshes.iter().enumerate() {
+            for parameter in (0..mesh.positions().len()).flat_map(|v| (0..3).map(move |k| Parameter::Position(m, v, k))) {
+                let expected = finite_difference(&scene, &camera, &cotangent, parameter, 1e-6);
+                worst = worst.max((*gradient.at(parameter) - expected).abs());
+                scale = scale.max(expected.abs());
+            }
+        }
+        eprintln!("vertices: relative error {:.1e}", worst / scale);
+        // Central differences of 1e-6 in f64 hold some eight digits of the image.
+        assert!(worst < 1e-5 * scale && scale > 1e-3, "{worst:e} of {scale:e}");
     }
 }
 
