@@ -6,7 +6,9 @@ mod extract;
 mod fusion;
 mod neighbors;
 mod pack;
+mod smooth;
 mod surface;
+mod transfer;
 mod unwrap;
 
 use std::fmt::Display;
@@ -14,7 +16,12 @@ use std::fmt::Display;
 pub use bvh::{ClosestPoint, Hit, MeshBvh};
 pub use fusion::{DepthView, Fusion, FusionOptions};
 pub use neighbors::mean_squared_distance_to_3_neighbors;
-pub use surface::{Surface, SurfaceOptions, SurfaceStats, clean, simplify, surface_from_depths, surface_from_fusion};
+pub use smooth::{Rings, smooth, vertex_normals, without_rough};
+pub use surface::{
+    Surface, SurfaceOptions, SurfaceStats, clean, compact, components, simplify, surface_from_depths,
+    surface_from_fusion,
+};
+pub use transfer::transfer;
 pub use unwrap::{UnwrapStats, UnwrappedMesh, unwrap};
 
 /// Why a surface could not be made or unwrapped.

@@ -65,11 +65,11 @@ pub(super) fn straighten(chart: &mut Chart) {
 }
 
 /// A wider gutter is taken as long as it costs no more than this fraction of the scale that a narrower one allows.
-const GUTTER_WORTH: f64 = 0.75;
+const GUTTER_WORTH: f64 = 0.92;
 
 /// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are 4 texels on each side, hence
-/// 8 between charts (METHODS 4.3), but 2 or 1 where a mesh of many small charts would lose more than a quarter of its
-/// resolution to them. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
+/// 8 between charts (METHODS 4.3), but 2 or 1 where that would cost more than a twelfth of the resolution: maps are
+/// trained through their mips, and a texel is a float that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
 pub(super) fn pack(charts: &[Chart], area: f64, side: usize) -> Option<Packing> {
     // Scale at which the charts would fill the atlas.
     let full = side as f64 / area.sqrt();
@@ -101,11 +101,15 @@ fn largest_scale(
     gutter: usize,
 ) -> Option<Packing> {
     let attempt = |scale: f64| try_scale(charts, order, scale, side, gutter);
-    let (mut fails, mut scale) = (full, full * 0.9);
-    while scale > least.max(0.02 * full) {
+    let floor = least.max(0.02 * full);
+    let (mut fails, mut scale) = (full, (full * 0.9).max(floor));
+    loop {
         let Some(mut places) = attempt(scale) else {
+            if scale <= floor {
+                return None;
+            }
             fails = scale;
-            scale *= 0.85;
+            scale = (scale * 0.85).max(floor);
             continue;
         };
         for _ in 0..6 {
@@ -117,7 +121,6 @@ fn largest_scale(
         }
         return Some(Packing { scale, gutter, places });
     }
-    None
 }
 
 /// The outline of a chart in one orientation: per column the lowest and the highest covered row, with the gutter.

@@ -3,6 +3,7 @@ use meshopt::{SimplifyOptions, VertexDataAdapter};
 
 use super::GeometryError;
 use super::fusion::{DepthView, Fusion, FusionOptions};
+use super::smooth::{smooth, without_rough};
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
 /// outside. Unchecked: the functions of this module skip triangles with an index out of range.
@@ -23,6 +24,10 @@ pub struct SurfaceOptions {
     pub min_component_faces: usize,
     /// So many of the largest components are kept: 50 (2DGS).
     pub keep_components: usize,
+    /// Passes of [`smooth`]: 20.
+    pub smooth_passes: usize,
+    /// Least mean of unit normals around a triangle, see [`without_rough`]: 0.6, which a right-angled edge passes.
+    pub least_direction: f64,
     /// Triangles after simplification: 100 000, the lower end of METHODS 6.
     pub target_triangles: usize,
 }
@@ -31,9 +36,19 @@ impl SurfaceOptions {
     /// The defaults named at each field, on the given volume.
     #[must_use]
     pub fn new(fusion: FusionOptions) -> Self {
-        Self { fusion, min_component_faces: 50, keep_components: 50, target_triangles: 100_000 }
+        Self {
+            fusion,
+            min_component_faces: 50,
+            keep_components: 50,
+            smooth_passes: 20,
+            least_direction: 0.6,
+            target_triangles: 100_000,
+        }
     }
 }
+
+/// Edges around a triangle over which its roughness is judged.
+const ROUGH_RADIUS: usize = 4;
 
 /// What each step left.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,6 +61,8 @@ pub struct SurfaceStats {
     pub extracted: usize,
     /// Triangles after cleaning.
     pub cleaned: usize,
+    /// Triangles that are not rough.
+    pub even: usize,
     /// Triangles after simplification.
     pub simplified: usize,
 }
@@ -87,7 +104,16 @@ pub fn surface_from_fusion(
         let hint = "every component is smaller than min_component_faces";
         return Err(GeometryError::EmptySurface { step: "cleaning", hint });
     }
-    let simplified = simplify(&cleaned, options.target_triangles);
+    let mut smoothed = cleaned;
+    smooth(&mut smoothed, options.smooth_passes);
+    let even = without_rough(smoothed, ROUGH_RADIUS, options.least_direction);
+    let even = clean(even, options.min_component_faces, options.keep_components);
+    stats.even = even.triangles.len();
+    if stats.even == 0 {
+        let hint = "the surface has no direction anywhere: its depths disagree by more than they should";
+        return Err(GeometryError::EmptySurface { step: "dropping rough parts", hint });
+    }
+    let simplified = simplify(&even, options.target_triangles);
     stats.simplified = simplified.triangles.len();
     if stats.simplified == 0 {
         return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
@@ -101,6 +127,23 @@ pub fn surface_from_fusion(
 #[must_use]
 pub fn clean(surface: Surface, min_component_faces: usize, keep_components: usize) -> Surface {
     let mut surface = without_broken(surface);
+    let component = components(&surface);
+    let mut faces = vec![0usize; surface.positions.len()];
+    component.iter().for_each(|&c| faces[c as usize] += 1);
+    let mut components: Vec<usize> = (0..faces.len()).filter(|&v| faces[v] >= min_component_faces.max(1)).collect();
+    components.sort_by_key(|&v| (std::cmp::Reverse(faces[v]), v));
+    components.truncate(keep_components);
+    let mut kept = vec![false; faces.len()];
+    components.iter().for_each(|&v| kept[v] = true);
+    let mut of = component.iter();
+    surface.triangles.retain(|_| of.next().is_some_and(|&c| kept[c as usize]));
+    compact(surface)
+}
+
+/// `[F]` the connected component (triangles that share a vertex) of every triangle, named by its lowest vertex. Indices
+/// must be in range.
+#[must_use]
+pub fn components(surface: &Surface) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..surface.positions.len() as u32).collect();
     for t in &surface.triangles {
         for v in [t[1], t[2]] {
@@ -109,17 +152,7 @@ pub fn clean(surface: Surface, min_component_faces: usize, keep_components: usiz
             parent[a.max(b) as usize] = a.min(b);
         }
     }
-    let mut faces = vec![0usize; surface.positions.len()];
-    for t in &surface.triangles {
-        faces[root(&mut parent, t[0]) as usize] += 1;
-    }
-    let mut components: Vec<usize> = (0..faces.len()).filter(|&v| faces[v] >= min_component_faces.max(1)).collect();
-    components.sort_by_key(|&v| (std::cmp::Reverse(faces[v]), v));
-    components.truncate(keep_components);
-    let mut kept = vec![false; faces.len()];
-    components.iter().for_each(|&v| kept[v] = true);
-    surface.triangles.retain(|t| kept[root(&mut parent, t[0]) as usize]);
-    compact(surface)
+    surface.triangles.iter().map(|t| root(&mut parent, t[0])).collect()
 }
 
 /// At most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer). Topology is
@@ -175,7 +208,8 @@ fn without_broken(mut surface: Surface) -> Surface {
 }
 
 /// Drops vertices that no triangle uses. Every index must be in range.
-fn compact(surface: Surface) -> Surface {
+#[must_use]
+pub fn compact(surface: Surface) -> Surface {
     let mut used = vec![false; surface.positions.len()];
     surface.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
     let mut next = 0;
