@@ -4,6 +4,10 @@
 //
 // The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. Per float of level 0
 // 21 bytes read, 13 written: bound by bandwidth. What no view has seen has neither gradient nor moments and stays as it is.
+//
+// `visited_only`: floats without a gradient and their moments stay. Steps are counted for all texels together, which
+// says little about how often one was seen; instead of correcting the moments for it, a step is at most the rate. (By
+// dense Adam, a texel seen for the first time late in a run moves by Σ 0.9ᵏ · 0.1/√0.001 = 31 times the rate.)
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
@@ -15,7 +19,7 @@ struct Step {
     band_rate: f32,
     correction_1: f32,      // 1 − β₁ᵗ
     correction_2: f32,      // 1 − β₂ᵗ
-    visited_only: u32,      // leave floats without gradient and their moments alone
+    visited_only: u32,      // see below
     holds_opacity: u32,     // leave opacity logits and their moments alone
 }
 
@@ -53,22 +57,26 @@ fn adam(
     let old$k = moments[map.moments + i$k];
     let value$k = texels[map.offset + i$k];
     //#end
-    let rate = select(step.band_rate, step.base_rate, map.is_base != 0u) / step.correction_1;
+    let rate = select(step.band_rate, step.base_rate, map.is_base != 0u);
+    let sparse = step.visited_only != 0u;
+    let scale = select(vec2f(step.correction_1, step.correction_2), vec2f(1.0), sparse);
+    let longest = select(3e38, 1.0, sparse);
     let held = is_opacity && step.holds_opacity != 0u;
     var sum = 0.0;
     var finite = true;
     //#for k in 0..4
     {
         let m = vec2f(mix(g$k, old$k.x, BETA_1), mix(g$k * g$k, old$k.y, BETA_2));
-        var value = value$k - rate * m.x / (sqrt(m.y / step.correction_2) + EPSILON);
+        let ratio = m.x / scale.x / (sqrt(m.y / scale.y) + EPSILON);
+        var value = value$k - rate * clamp(ratio, -longest, longest);
         if is_opacity && is_finite(value) {
             value = clamp(value, -MAX_LOGIT, MAX_LOGIT);
         }
-        let stays = held || (g$k == 0.0 && (step.visited_only != 0u || all(old$k == vec2f(0.0))));
+        let stays = held || (g$k == 0.0 && (sparse || all(old$k == vec2f(0.0))));
         if !stays {
             moments[map.moments + i$k] = m;
             texels[map.offset + i$k] = value;
-            finite = finite && is_finite(value) && is_finite(m.y);
+            finite = finite && is_finite(value) && is_finite(m.x) && is_finite(m.y);
         }
         sum += select(value, value$k, stays);
     }

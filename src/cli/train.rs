@@ -87,6 +87,9 @@ pub(super) struct Args {
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
     #[arg(long, help_heading = OPTIMISATION)]
     visible_only: bool,
+    /// Update every texel of the maps in every iteration instead of those that its view sees (HERA)
+    #[arg(long, help_heading = OPTIMISATION)]
+    dense_texels: bool,
     /// Most floats in splats, maps and vertices together; limits the splats, for comparisons at equal size
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     max_floats: Option<usize>,
@@ -195,6 +198,7 @@ impl Args {
             max_splats: self.max_splats,
             max_floats: self.max_floats,
             visible_only: self.visible_only,
+            dense_texels: self.dense_texels,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,
             seed: self.seed,

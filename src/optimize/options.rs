@@ -49,6 +49,9 @@ pub struct TrainOptions {
     pub max_floats: Option<usize>,
     /// Only splats seen by an iteration's view are updated: off (3DGS updates all).
     pub visible_only: bool,
+    /// Every texel is updated in every iteration, as the paper's Adam does: off. A texel that one view in many sees would
+    /// be moved by up to 31 times the rate by what remains of its moments.
+    pub dense_texels: bool,
     /// Seed of everything random: 0.
     pub seed: u64,
     /// Background: black (METHODS 4.7, static scenes).
@@ -92,6 +95,7 @@ impl Default for TrainOptions {
             max_splats: 1_000_000,
             max_floats: None,
             visible_only: false,
+            dense_texels: false,
             seed: 0,
             background: Background::Black,
             layers: 2,

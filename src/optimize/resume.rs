@@ -13,7 +13,7 @@ use super::{
     static_scene::{arrays, splat_state},
 };
 use crate::{
-    render::gpu::training::Training,
+    render::gpu::{training::Training, vertices::VertexState},
     scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
 };
 
@@ -26,6 +26,7 @@ pub(super) struct Saved {
     splats: SplatState,
     statistics: Vec<f32>,
     texel_moments: (Vec<f32>, Vec<f32>),
+    pub(super) vertices: VertexState,
     epoch: EpochWeight,
     /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
     lists: [usize; 2],
@@ -47,11 +48,11 @@ impl Saved {
         iteration: u32,
         epoch: &EpochWeight,
     ) -> Result<Self, TrainError> {
-        let atlases = training.read_atlases()?;
         Ok(Self {
             phase,
             iteration,
-            meshes: scene.meshes.iter().cloned().zip(atlases).map(|(m, a)| m.with_atlas(a)).collect(),
+            meshes: training.read_meshes(&scene.meshes)?,
+            vertices: training.read_vertex_state()?,
             splats: splat_state(training)?,
             statistics: training.read_statistics()?,
             texel_moments: training.read_texel_moments()?,
@@ -87,6 +88,8 @@ impl Saved {
             let size = |t: &Texture| json!([t.width(), t.height(), t.channels()]);
             meshes.push(json!({ "base": size(atlas.base()), "bands": atlas.bands().map(size) }));
         }
+        tensors.insert("vertices/normals".to_owned(), self.vertices.normals);
+        tensors.insert("vertices/moments".to_owned(), self.vertices.moments);
         tensors.insert("texels/m".to_owned(), self.texel_moments.0);
         tensors.insert("texels/v".to_owned(), self.texel_moments.1);
         tensors.insert("statistics".to_owned(), self.statistics);
@@ -145,6 +148,15 @@ impl Saved {
         let statistics = take("statistics".to_owned())?;
         let weight = take("epoch_weight".to_owned())?;
         let texel_moments = (take("texels/m".to_owned())?, take("texels/v".to_owned())?);
+        let vertices = VertexState {
+            normals: take("vertices/normals".to_owned())?,
+            moments: take("vertices/moments".to_owned())?,
+        };
+        let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
+        let moves = !vertices.normals.is_empty();
+        if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
+            return Err(damaged("vertices"));
+        }
         if statistics.len() != 4 * splats.len() {
             return Err(damaged("statistics"));
         }
@@ -158,6 +170,7 @@ impl Saved {
             splats,
             statistics,
             texel_moments,
+            vertices,
             lists: serde_json::from_value(field("lists")?).map_err(|_| damaged("lists"))?,
             epoch: EpochWeight {
                 weight,

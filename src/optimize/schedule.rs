@@ -164,6 +164,14 @@ pub fn joint_texel_rate(warmup: u32, t: u32, iterations: u32) -> f32 {
     (f64::from(texel_rate(warmup)) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
 
+/// Pixels that vertices of a fused surface move at iteration `t` of a warm-up: nothing in its first eighth, while the maps
+/// are still grey, then 0.1 falling to 0.01, its logarithm linear in t.
+#[must_use]
+pub fn vertex_rate(t: u32, iterations: u32) -> Option<f32> {
+    let at = f64::from(t) / f64::from(iterations.max(1));
+    (at >= 0.125).then(|| (0.1 * 0.1_f64.powf(at)) as f32)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,6 +5,7 @@
 //! the views and decisions of an uninterrupted one.
 
 mod handover;
+mod selection;
 
 use std::{
     path::PathBuf,
@@ -37,6 +38,7 @@ use crate::{
         loss::TruthAlpha,
         texels::TexelStep,
         training::{SplatArrays, Step, Training},
+        vertices::{VertexState, VertexStep},
     },
     scene::{Camera, Composition, HybridScene, Mesh, Splats, sh},
 };
@@ -169,6 +171,8 @@ struct Plan {
     clock: u32,
     schedule: Schedule,
     has_mesh: bool,
+    /// Size of a pixel on the mesh, world units; 0 if the vertices stay where they are.
+    pixel: f32,
 }
 
 impl<'a> Run<'a> {
@@ -270,6 +274,14 @@ impl<'a> Run<'a> {
         }
         if outcome == Outcome::Finished {
             if self.hands_over && !joint {
+                scene.meshes = training.read_meshes(&scene.meshes)?;
+                if let Some(mesh) = scene.meshes.first() {
+                    let selected = self.select_faces(&mut training, mesh)?;
+                    let state = splat_state(&training)?;
+                    scene.meshes = selected.into_iter().collect();
+                    training = self.training(&scene)?;
+                    training.write_splats(&arrays(state))?;
+                }
                 self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
             }
             outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
@@ -343,8 +355,14 @@ impl<'a> Run<'a> {
         let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
         let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
         let from = saved.as_ref().map_or(0, |s| s.iteration);
-        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh: !scene.meshes.is_empty() };
+        let moves = phase == Phase::Warmup && self.hands_over;
+        let pixel = if moves { pixel_size(&self.train_cameras, &scene.meshes) } else { 0.0 };
+        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh: !scene.meshes.is_empty(), pixel };
         let mut epoch = EpochWeight::default();
+        if moves {
+            let state = saved.as_ref().map_or_else(|| VertexState::new(&scene.meshes), |s| s.vertices.clone());
+            training.free_vertices(&scene.meshes, &state)?;
+        }
         if let Some(saved) = saved {
             epoch = saved.restore(training)?;
         }
@@ -427,10 +445,14 @@ impl<'a> Run<'a> {
                 number: if is_joint { o.warmup + t + 1 } else { t + 1 },
                 base_rate,
                 band_rate: base_rate / BAND_RATE_DIVISOR,
-                visited_only: false,
+                visited_only: !o.dense_texels,
                 holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age),
             }
         });
+        let vertices = (plan.pixel > 0.0 && plan.phase == Phase::Warmup)
+            .then(|| schedule::vertex_rate(t, plan.iterations))
+            .flatten()
+            .map(|pixels| VertexStep { number: t + 1, rate: pixels * plan.pixel });
         let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
         training.step(&Step {
             camera: &view.camera,
@@ -440,14 +462,26 @@ impl<'a> Run<'a> {
             band_degree,
             splats,
             texels,
+            vertices,
         })?;
         Ok(())
     }
 
+    /// Training views that judge a fused surface (`true`) or that its maps are warmed up on (`false`): every fourth judges,
+    /// so that maps are not taken for good where they merely repeat the views that they were made from.
+    fn views(&self, judges: bool) -> Vec<usize> {
+        if !self.hands_over || self.train.len() < 8 {
+            return self.train.clone();
+        }
+        let (judging, warming): (Vec<_>, Vec<_>) = self.train.iter().enumerate().partition(|(i, _)| i % 4 == 2);
+        let chosen = if judges { judging } else { warming };
+        chosen.into_iter().map(|(_, &view)| view).collect()
+    }
+
     /// View of iteration `t`: every epoch is a permutation of the training views.
     fn view_at(&self, phase: Phase, t: u32) -> usize {
-        let n = self.train.len() as u32;
-        let mut order = self.train.clone();
+        let mut order = if phase == Phase::Warmup { self.views(false) } else { self.train.clone() };
+        let n = order.len() as u32;
         order.shuffle(&mut random(self.options.seed ^ 0x5eed, phase, t / n));
         order[(t % n) as usize]
     }
@@ -536,8 +570,7 @@ impl<'a> Run<'a> {
         let (phase, iteration) = self.reached;
         check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
-        let atlases = training.read_atlases()?;
-        let meshes = scene.meshes.iter().cloned().zip(atlases).map(|(m, a)| m.with_atlas(a)).collect();
+        let meshes = training.read_meshes(&scene.meshes)?;
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
         Ok(Trained {
             scene,
@@ -547,6 +580,18 @@ impl<'a> Run<'a> {
             skipped_iterations: self.skipped_iterations,
         })
     }
+}
+
+/// World size of a pixel on the meshes: the median over vertices and cameras that have them in front.
+fn pixel_size(cameras: &[Camera], meshes: &[Mesh]) -> f32 {
+    let positions = || meshes.iter().flat_map(Mesh::positions);
+    let stride = positions().count().div_ceil(1000).max(1);
+    let mut sizes: Vec<f64> = (positions().step_by(stride))
+        .flat_map(|p| cameras.iter().map(move |c| c.to_camera(p.as_dvec3()).z / c.intrinsics().fx))
+        .filter(|size| *size > 0.0)
+        .collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).map_or(0.0, |&s| s as f32)
 }
 
 /// Whether something that happens after every `every` iterations (0: never) happens now.

@@ -4,12 +4,21 @@ use glam::{Vec2, Vec3};
 
 use super::{TrainError, TrainOptions};
 use crate::{
-    geometry::{self, DepthView, Fusion, FusionOptions, Surface, SurfaceOptions},
-    scene::{Atlas, Camera, Mesh, Texture, sh},
+    capture::{self, Capture},
+    geometry::{self, DepthView, Fusion, FusionOptions, Surface, SurfaceOptions, SurfaceStats},
+    render::gpu::{Gpu, loss::TruthAlpha, training::Training},
+    scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
 };
 
 /// Most voxels along the depth range (2DGS has 1024).
 const MAX_RESOLUTION: u32 = 1024;
+/// Pixels to a voxel at the focus. The depth of splats is noise below the size of a splat: smaller voxels hold crumbs,
+/// each a chart of its own, and what they would resolve is found by moving the vertices.
+const VOXEL_PIXELS: f64 = 3.0;
+/// Truncation in voxels: noise of depths beyond it tears the surface.
+const TRUNCATION: f64 = 4.0;
+/// Triangles of the least connected piece of the iso-surface: some 10×10 voxels.
+const LEAST_FACES: usize = 150;
 
 /// Where the mesh comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,29 +37,61 @@ pub enum MeshSource {
     },
 }
 
-/// Fuses median depths of the training views into a mesh with empty maps.
+/// A surface of trained splats: their median depths from all cameras of a capture, fused. Of the photographs only alpha
+/// and masks are looked at: pixels that they leave out have no depth.
+///
+/// # Errors
+/// If a photograph cannot be read, the adapter fails or no surface is found.
+pub fn from_splats(
+    gpu: &Gpu,
+    splats: &Splats,
+    capture: &Capture,
+    triangles: usize,
+) -> Result<(Surface, SurfaceStats), TrainError> {
+    let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition: Composition::default() };
+    let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
+    let mut training = Training::new(gpu, &scene, &cameras, 0.0, TruthAlpha::Ignore)?;
+    let points: Vec<Vec3> = if capture.points.len() < 100 {
+        splats.means().to_vec()
+    } else {
+        capture.points.iter().map(|p| p.position.as_vec3()).collect()
+    };
+    from_depths(&cameras, &points, triangles, |i| {
+        let mut depth = training.median_depth(&cameras[i])?;
+        let photo = capture::decode(&capture.views[i])?;
+        if photo.masked || photo.has_alpha {
+            for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
+                if pixel[3] < 128 {
+                    *d = 0.0;
+                }
+            }
+        }
+        Ok(depth)
+    })
+}
+
+/// Fuses median depths of the training views.
 ///
 /// `depths` yields every training camera with its depth map `[h·w]`, 0 where there is none.
 pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
-    options: &TrainOptions,
-    texture_size: u32,
+    triangles: usize,
     mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
-) -> Result<Mesh, TrainError> {
-    // A voxel as large as a pixel at the focus: coarser ones blur the maps, finer ones hold noise. The depth range is
-    // twice the distance of the focus, which a pixel there divides by the focal length.
+) -> Result<(Surface, SurfaceStats), TrainError> {
+    // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
     let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
-    let resolution = ((2.0 * focal) as u32).clamp(128, MAX_RESOLUTION);
-    let volume = FusionOptions::suggest(cameras, points, resolution)?;
+    let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(64, MAX_RESOLUTION);
+    let suggested = FusionOptions::suggest(cameras, points, resolution)?;
+    let volume = FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested };
     let mut fusion = Fusion::new(volume)?;
-    let bounds = SurfaceOptions { target_triangles: options.triangles, ..SurfaceOptions::new(volume) };
+    let bounds =
+        SurfaceOptions { target_triangles: triangles, min_component_faces: LEAST_FACES, ..SurfaceOptions::new(volume) };
     for (i, camera) in cameras.iter().enumerate() {
         let depth = depth_of(i)?;
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
     }
-    let (surface, _) = geometry::surface_from_fusion(&fusion, &bounds)?;
-    textured(surface, None, options, texture_size)
+    Ok(geometry::surface_from_fusion(&fusion, &bounds)?)
 }
 
 /// A mesh with empty maps: opacity one half, grey (METHODS 4.1).

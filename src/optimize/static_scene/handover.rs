@@ -4,7 +4,7 @@ use super::{Run, arrays, splat_state, squared_error};
 use crate::{
     optimize::{TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
-    scene::{HybridScene, Mesh},
+    scene::{Camera, HybridScene, Mesh},
 };
 
 impl<'a> Run<'a> {
@@ -16,7 +16,8 @@ impl<'a> Run<'a> {
             self.capture.points.iter().map(|p| p.position.as_vec3()).collect()
         };
         let masked = self.truth_alpha != TruthAlpha::Ignore;
-        surface::from_depths(&self.train_cameras, &points, self.options, self.texture_size(), |i| {
+        let triangles = self.options.triangles;
+        let (surface, _) = surface::from_depths(&self.train_cameras, &points, triangles, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
             if masked {
                 let photo = self.cache.get(&self.capture.views[self.train[i]])?;
@@ -27,19 +28,23 @@ impl<'a> Run<'a> {
                 }
             }
             Ok(depth)
-        })
+        })?;
+        surface::textured(surface, None, self.options, self.texture_size())
     }
 
-    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (METHODS 6: only
-    /// smooth regions are worth a mesh): a splat goes if the mesh alone has no larger squared error than the splats
-    /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
-    pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
-        let mut state = splat_state(training)?;
-        let scene = HybridScene { splats: state.to_splats()?, meshes: vec![], composition: self.composition() };
+    /// Renders mesh and splats each alone from `views` and hands on, per view, the two trainings, the camera and at every
+    /// pixel the squared errors of mesh and splats (and a zero, for `Training::gather`).
+    pub(super) fn compare(
+        &self,
+        training: &mut Training<'a>,
+        views: &[usize],
+        mut use_view: impl FnMut(&mut Training<'a>, &mut Training<'a>, &Camera, &[[f32; 3]]) -> Result<(), TrainError>,
+    ) -> Result<(), TrainError> {
+        let splats = splat_state(training)?.to_splats()?;
+        let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
         let background = scene.composition.background;
         let mut splats_only = self.training(&scene)?;
-        let mut advantage = vec![0.0_f64; state.len()];
-        for &i in &self.train {
+        for &i in views {
             let view = &self.capture.views[i];
             let photo = self.cache.get(view)?;
             let mesh = training.render(&view.camera, background, false)?.rgb;
@@ -49,10 +54,23 @@ impl<'a> Run<'a> {
                     [squared_error(&photo, p, mesh, background), squared_error(&photo, p, splats, background), 0.0]
                 })
                 .collect();
-            for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(splats_only.gather(&view.camera, &errors)?) {
+            use_view(training, &mut splats_only, &view.camera, &errors)?;
+        }
+        Ok(())
+    }
+
+    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (METHODS 6: only
+    /// smooth regions are worth a mesh): a splat goes if the mesh alone has no larger squared error than the splats
+    /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
+    pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
+        let mut state = splat_state(training)?;
+        let mut advantage = vec![0.0_f64; state.len()];
+        self.compare(training, &self.train, |_, splats_only, camera, errors| {
+            for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(splats_only.gather(camera, errors)?) {
                 *sum += f64::from(mesh) - f64::from(splats);
             }
-        }
+            Ok(())
+        })?;
         let mut ranked = advantage.clone();
         ranked.sort_by(|a, b| b.total_cmp(a));
         let least = ranked.get(max_splats).copied().unwrap_or(0.0).max(0.0);

@@ -104,6 +104,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     let mut training = Training::new(gpu, scene, &[*camera], 0.2, TruthAlpha::Ignore)?;
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
     let step = Step {
+        vertices: None,
         camera,
         truth: &truth,
         background: scene.composition.background,

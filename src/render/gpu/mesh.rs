@@ -10,6 +10,7 @@ use super::shader::Defines;
 #[cfg(test)]
 use super::texels::AtlasGradient;
 use super::texels::{TexelStep, Texels};
+use super::vertices::{VertexState, VertexStep, Vertices};
 use super::view::View;
 use crate::scene::{Atlas, Mesh};
 
@@ -29,6 +30,7 @@ pub(crate) struct MeshStage {
     n_triangles: usize,
     geometry: Geometry,
     texels: Texels,
+    vertices: Option<Vertices>,
     kernels: Kernels,
     screen: Screen,
     bound: Option<Bound>,
@@ -82,6 +84,7 @@ struct Bound {
     raster: Bindings,
     shade: Bindings,
     backward: Option<Bindings>,
+    vertices: Option<[Bindings; 2]>,
 }
 
 /// Pixels of a column whose gradients a thread scatters one after another, adding to a texel once for all of them. On a
@@ -171,6 +174,7 @@ impl MeshStage {
             n_triangles: meshes.iter().map(|m| m.triangles().len()).sum(),
             geometry: Geometry::new(gpu, meshes, &texels.table())?,
             texels,
+            vertices: None,
             kernels,
             screen: Screen::new(gpu, layers, 0, 0, 0, trainable)?,
             bound: None,
@@ -270,6 +274,52 @@ impl MeshStage {
             raster: k.raster.bind(gpu, &raster),
             shade: k.shade.bind(gpu, &[&fragment[..], &shade].concat()),
             backward,
+            vertices: self.vertices.as_ref().map(|v| {
+                let bands = (t.band_coefficients() > 0).then(|| t.bands());
+                v.bind(gpu, &fragment, (t.base(), bands), &s.layer_gradient)
+            }),
+        }
+    }
+
+    /// From now on `record_backward` differentiates by the vertices too. `status` is that of the step.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn free_vertices(
+        &mut self,
+        gpu: &Gpu,
+        meshes: &[Mesh],
+        view_uniform: &Buffer,
+        status: &Buffer,
+        state: &VertexState,
+    ) -> Result<(), GpuError> {
+        let defines = gpu.defines().with("LAYERS", self.layers).with("BANDS", self.texels.band_coefficients());
+        self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, status, state)?);
+        if let Some(Bound { bins, fragments, .. }) = self.bound {
+            self.bound = Some(Bound { bins, fragments, ..self.bind(gpu, view_uniform) });
+        }
+        Ok(())
+    }
+
+    /// The vertices, if they are free to move.
+    pub(crate) fn vertices(&self) -> Option<&Vertices> {
+        self.vertices.as_ref()
+    }
+
+    /// Positions of all vertices, mesh by mesh. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_positions(&self, gpu: &Gpu, count: usize) -> Result<Vec<glam::Vec3>, GpuError> {
+        let floats: Vec<f32> = gpu.read(&self.geometry.positions, 3 * count)?;
+        Ok(floats.chunks_exact(3).map(glam::Vec3::from_slice).collect())
+    }
+
+    /// Moves free vertices by a step.
+    pub(crate) fn record_vertex_step(&self, gpu: &Gpu, frame: &mut Frame, step: &VertexStep) {
+        if let Some(vertices) = &self.vertices {
+            vertices.set_step(gpu, step);
+            vertices.record_step(frame);
         }
     }
 
@@ -316,10 +366,13 @@ impl MeshStage {
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
-        let Some(Bound { backward: Some(bindings), runs, .. }) = &self.bound else { return };
+        let Some(Bound { backward: Some(bindings), runs, fragments, vertices, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
         frame.dispatch(&self.kernels.backward, bindings, groups(*runs, RUN_GROUP));
         self.texels.record_pull(frame);
+        if let (Some(bindings), Some(free)) = (vertices, &self.vertices) {
+            free.record_backward(frame, bindings, *fragments);
+        }
     }
 
     /// Parameters of the next Adam step; takes effect before the next submission.

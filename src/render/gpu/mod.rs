@@ -21,6 +21,7 @@ pub(crate) mod splats;
 pub(crate) mod status;
 pub(crate) mod texels;
 pub(crate) mod training;
+pub(crate) mod vertices;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
@@ -32,3 +33,5 @@ mod tests;
 mod texel_tests;
 #[cfg(test)]
 mod training_tests;
+#[cfg(test)]
+mod vertex_tests;

@@ -31,6 +31,7 @@ embed![
     "emit_pairs.wgsl",
     "gather_counts.wgsl",
     "loss.wgsl",
+    "move_vertices.wgsl",
     "order_splats.wgsl",
     "project_splats.wgsl",
     "pull_mips.wgsl",
@@ -57,6 +58,8 @@ embed![
     "splat_backward.wgsl",
     "texel_backward.wgsl",
     "tile_ranges.wgsl",
+    "uv_backward.wgsl",
+    "vertex_backward.wgsl",
 ];
 
 /// Names and values that specialise a shader.

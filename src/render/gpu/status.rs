@@ -47,7 +47,13 @@ impl Status {
     /// If the driver failed.
     pub(crate) fn read(gpu: &Gpu, buffer: &Buffer) -> Result<Self, GpuError> {
         let words: Vec<u32> = gpu.read(buffer, WORDS)?;
-        let groups = ["splat geometry", "SH coefficients", "a map of colour and opacity", "a map of view dependence"];
+        let groups = [
+            "splat geometry",
+            "SH coefficients",
+            "a map of colour and opacity",
+            "a map of view dependence",
+            "vertices of the mesh",
+        ];
         let not_finite = groups.into_iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
         Ok(Self {
             skipped: words[1],

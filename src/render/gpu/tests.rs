@@ -6,6 +6,7 @@ use rand_pcg::Pcg32;
 use super::{
     device::{Frame, Gpu},
     pipeline::Pipeline,
+    vertices::VertexState,
 };
 use crate::{
     render::{
@@ -197,6 +198,38 @@ fn gradients_equal_the_reference() {
             for (name, error) in errors {
                 assert!(error < 1e-3, "scene {seed}, {name}: relative error {error:e}");
             }
+        }
+    }
+}
+
+/// Along the normals of free vertices, also through mips and view dependence, whose changes neither side counts.
+#[test]
+fn vertex_gradients_equal_the_reference() {
+    for (atomics, subgroups) in [(true, true), (false, false)] {
+        let gpu = Gpu::open_restricted(None, atomics, subgroups).unwrap();
+        for seed in 0..4 {
+            let (scene, camera) = testing::smooth_scene(seed, [1, 2, 4, 1][seed as usize], MODES[seed as usize % 3]);
+            let cotangent = random_cotangent(&camera, seed);
+            let expected = reference::backward(&scene, &camera, &cotangent).positions;
+            let mut pipeline = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
+            let state = VertexState::new(&scene.meshes);
+            let status = &pipeline.backward.as_ref().unwrap().status;
+            let mesh = pipeline.mesh.as_mut().unwrap();
+            mesh.free_vertices(&gpu, &scene.meshes, &pipeline.view, status, &state).unwrap();
+            let view = pipeline.prepare(&gpu, &camera).unwrap();
+            let words: Vec<f32> =
+                cotangent.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
+            gpu.write(&pipeline.backward.as_ref().unwrap().image_gradient, 0, &words);
+            let mut frame = Frame::new(&gpu);
+            pipeline.record_forward(&gpu, &mut frame, &view);
+            pipeline.record_backward(&mut frame, &view);
+            frame.submit();
+            let found = pipeline.mesh.as_ref().unwrap().vertices().unwrap().read_gradient(&gpu).unwrap();
+            let normals = state.normals.chunks_exact(3).map(|n| glam::Vec3::from_slice(n).as_dvec3());
+            let expected = expected.iter().flatten().zip(normals).map(|(g, n)| g.dot(n));
+            let error = relative(found.into_iter().map(f64::from), expected);
+            eprintln!("atomics {atomics}, subgroups {subgroups}, scene {seed}: {error:.1e}");
+            assert!(error < 1e-3, "scene {seed}: relative error {error:e}");
         }
     }
 }

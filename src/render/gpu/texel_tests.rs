@@ -87,6 +87,33 @@ fn texel_gradients_match_finite_differences() {
     }
 }
 
+/// A texel seen for the first time late in a run: by the sparse rule it moves by the rate, by the dense one by more,
+/// because its moments are not as old as the steps counted.
+#[test]
+fn a_late_texel_moves_by_the_rate() {
+    let mut random = Random(7);
+    let meshes = [sphere(24, 12, Vec3::new(0.0, 0.0, 2.0), 1.0, atlas(&mut random, 0, 16))];
+    let view = view(40, 40, DMat3::IDENTITY, 1, &meshes);
+    for (visited_only, expected) in [(true, 1.0), (false, 0.1 / (0.001_f32 / (1.0 - 0.999_f32.powi(500))).sqrt())] {
+        let rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, true);
+        let weights: Vec<f32> = (0..4 * view.pixels()).map(|_| random.signed()).collect();
+        rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
+        let step = TexelStep { number: 500, base_rate: 1e-3, band_rate: 1e-3, visited_only, holds_opacity: false };
+        rig.stage.set_step(&rig.gpu, &step);
+        let mut frame = Frame::new(&rig.gpu);
+        rig.stage.record_backward(&mut frame);
+        rig.stage.record_adam(&mut frame);
+        frame.submit();
+        let gradient = rig.stage.read_gradients(&rig.gpu).unwrap().remove(0).0;
+        let after = rig.stage.read_atlases(&rig.gpu).unwrap().remove(0);
+        let pairs = meshes[0].atlas().base().texels().iter().zip(after.base().texels());
+        for (i, ((a, b), g)) in pairs.zip(&gradient).enumerate().filter(|(_, (_, g))| **g != 0.0) {
+            let moved = (a - b) * g.signum() / 1e-3;
+            assert!((moved - expected).abs() < 2e-3 * expected, "float {i}: moved {moved} rates, not {expected}");
+        }
+    }
+}
+
 /// One step of Adam from zero moments moves a float by its rate against the sign of its gradient; logits stay within
 /// ±6; mips follow; moments survive a round trip.
 #[test]

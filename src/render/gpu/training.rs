@@ -10,8 +10,9 @@ use super::{
     splats::{GEOMETRY, SplatBuffers},
     status::{ListCheck, Status},
     texels::TexelStep,
+    vertices::{VertexState, VertexStep},
 };
-use crate::scene::{Atlas, Camera, HybridScene, sh};
+use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 
 /// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
 pub(crate) const HEADROOM: f64 = 0.5;
@@ -35,6 +36,8 @@ pub(crate) struct Step<'a> {
     pub(crate) splats: Option<AdamStep>,
     /// Rates of the maps; without, they are rendered but not changed.
     pub(crate) texels: Option<TexelStep>,
+    /// How free vertices move; without, they do not.
+    pub(crate) vertices: Option<VertexStep>,
 }
 
 /// Buffers and kernels of a training run.
@@ -101,8 +104,39 @@ impl<'g> Training<'g> {
             mesh.set_step(self.gpu, rates);
             mesh.record_adam(&mut frame);
         }
+        if let (Some(step), Some(mesh)) = (&step.vertices, &self.pipeline.mesh) {
+            mesh.record_vertex_step(self.gpu, &mut frame, step);
+        }
         frame.submit();
         Ok(())
+    }
+
+    /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.
+    pub(crate) fn free_vertices(&mut self, meshes: &[Mesh], state: &VertexState) -> Result<(), GpuError> {
+        let Pipeline { mesh, backward, view, .. } = &mut self.pipeline;
+        match (mesh, backward) {
+            (Some(mesh), Some(backward)) => mesh.free_vertices(self.gpu, meshes, view, &backward.status, state),
+            _ => Ok(()),
+        }
+    }
+
+    /// The meshes as they are now: moved vertices, trained maps. `meshes` are those of the scene. Waits.
+    pub(crate) fn read_meshes(&self, meshes: &[Mesh]) -> Result<Vec<Mesh>, GpuError> {
+        let Some(stage) = &self.pipeline.mesh else { return Ok(vec![]) };
+        let count = meshes.iter().map(|m| m.positions().len()).sum();
+        let mut positions = stage.read_positions(self.gpu, count)?.into_iter();
+        let invalid = |e| GpuError::Failed { adapter: self.gpu.adapter().to_owned(), reason: format!("mesh {e}") };
+        let moved = |(mesh, atlas): (&Mesh, Atlas)| {
+            let positions = positions.by_ref().take(mesh.positions().len()).collect();
+            Mesh::new(positions, mesh.triangles().to_vec(), mesh.corner_uvs().to_vec(), atlas).map_err(invalid)
+        };
+        meshes.iter().zip(stage.read_atlases(self.gpu)?).map(moved).collect()
+    }
+
+    /// Normals and moments of free vertices; empty if none are. Waits.
+    pub(crate) fn read_vertex_state(&self) -> Result<VertexState, GpuError> {
+        let vertices = self.pipeline.mesh.as_ref().and_then(|m| m.vertices());
+        vertices.map_or(Ok(VertexState::default()), |v| v.read_state(self.gpu))
     }
 
     /// Renders a view with what is trained so far. Waits.

@@ -66,6 +66,7 @@ fn step(training: &mut Training, camera: &Camera) {
             band_degree: 0,
             splats: Some(splats),
             texels: Some(texels),
+            vertices: None,
         })
         .unwrap();
 }

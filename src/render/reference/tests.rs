@@ -375,7 +375,8 @@ fn vertex_gradients_are_finite_differences() {
         let mut gradient = backward(&scene, &camera, &cotangent);
         let (mut worst, mut scale) = (0.0_f64, 0.0_f64);
         for (m, mesh) in scene.meshes.iter().enumerate() {
-            for parameter in (0..mesh.positions().len()).flat_map(|v| (0..3).map(move |k| Parameter::Position(m, v, k))) {
+            for parameter in (0..mesh.positions().len()).flat_map(|v| (0..3).map(move |k| Parameter::Position(m, v, k)))
+            {
                 let expected = finite_difference(&scene, &camera, &cotangent, parameter, 1e-6);
                 worst = worst.max((*gradient.at(parameter) - expected).abs());
                 scale = scale.max(expected.abs());

@@ -1,0 +1,97 @@
+// One thread per vertex: Adam on its displacement along its normal, with steps that are smooth over the surface.
+//
+// `start` turns the gradient into Adam's step and clears it; `diffuse`, run an even number of times, is a Jacobi
+// iteration for (1 + SMOOTHNESS·Laplacian)·x = step, which keeps noise of single vertices out of the surface; `displace`
+// takes the step.
+
+//#import shared/view.wgsl
+//#import shared/adam.wgsl
+//#import shared/status.wgsl
+
+const SMOOTHNESS: f32 = 8.0;
+
+struct Step {
+    rate: f32,              // world units per step
+    correction_1: f32,      // 1 − β₁ᵗ
+    correction_2: f32,      // 1 − β₂ᵗ
+    n_vertices: u32,
+}
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read_write> gradient: array<f32>;    // [V], along the normal
+@group(0) @binding(2) var<storage, read_write> moments: array<vec2f>;   // [V]
+@group(0) @binding(3) var<storage, read_write> steps: array<vec4f>;     // [V]: Adam's; two iterates; unused
+@group(0) @binding(4) var<storage, read> first: array<u32>;             // [V + 1]
+@group(0) @binding(5) var<storage, read> neighbors: array<u32>;         // of vertex v from first[v] on
+@group(0) @binding(6) var<storage, read> normals: array<vec4f>;         // [V]
+@group(0) @binding(7) var<storage, read_write> positions: array<f32>;   // [V, 3], world
+@group(0) @binding(8) var<storage, read_write> status: Status;
+
+@compute @workgroup_size(256)
+fn start(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let v = group_index(group, n_groups) * 256u + thread;
+    if v >= step.n_vertices { return; }
+    let g = gradient[v];
+    gradient[v] = 0.0;
+    if status.is_short != 0u {
+        steps[v] = vec4f(0.0);
+        return;
+    }
+    if !is_finite(g) {
+        atomicOr(&status.not_finite, NOT_FINITE_VERTICES);
+    }
+    let m = vec2f(mix(g, moments[v].x, BETA_1), mix(g * g, moments[v].y, BETA_2));
+    moments[v] = m;
+    let s = (m.x / step.correction_1) / (sqrt(m.y / step.correction_2) + EPSILON);
+    steps[v] = vec4f(s, s, s, 0.0);
+}
+
+fn diffused(v: u32, odd: bool) -> f32 {
+    let degree = first[v + 1u] - first[v];
+    var sum = 0.0;
+    for (var i = first[v]; i < first[v + 1u]; i += 1u) {
+        sum += select(steps[neighbors[i]].y, steps[neighbors[i]].z, odd);
+    }
+    let share = SMOOTHNESS / f32(max(degree, 1u));
+    return (steps[v].x + share * sum) / (1.0 + share * f32(degree));
+}
+
+@compute @workgroup_size(256)
+fn diffuse_even(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let v = group_index(group, n_groups) * 256u + thread;
+    if v >= step.n_vertices { return; }
+    steps[v].z = diffused(v, false);
+}
+
+@compute @workgroup_size(256)
+fn diffuse_odd(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let v = group_index(group, n_groups) * 256u + thread;
+    if v >= step.n_vertices { return; }
+    steps[v].y = diffused(v, true);
+}
+
+@compute @workgroup_size(256)
+fn displace(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let v = group_index(group, n_groups) * 256u + thread;
+    if v >= step.n_vertices { return; }
+    let shift = -step.rate * steps[v].y * normals[v].xyz;
+    positions[3u * v] += shift.x;
+    positions[3u * v + 1u] += shift.y;
+    positions[3u * v + 2u] += shift.z;
+}

@@ -1,0 +1,128 @@
+//! Which triangles of a fused surface are worth their texels (METHODS 6: only smooth regions are worth a mesh).
+
+use glam::Vec2;
+
+use super::Run;
+use crate::{
+    geometry::{self, Surface},
+    optimize::TrainError,
+    render::gpu::training::Training,
+    scene::{Atlas, Mesh},
+};
+
+/// A triangle stays if around it the squared error of the maps alone is no larger than this times that of the splats
+/// alone. Maps need no view dependence to be perfect: splats are added to them.
+const WORST_RATIO: f64 = 1.6;
+/// A triangle that fewer judging views see is not judged and goes.
+const LEAST_VIEWS: u32 = 2;
+/// Pixels of the smallest connected piece: below some 16×16 a chart's gutter costs more than the chart holds.
+const LEAST_PIXELS: f64 = 256.0;
+/// Share of an atlas that charts cover, for choosing its size.
+const COVERAGE: f64 = 0.6;
+/// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
+const GUTTER: u32 = 4;
+
+/// What the judging views say of a triangle.
+#[derive(Clone, Copy, Default)]
+struct Score {
+    /// Sums of squared errors of maps and splats.
+    errors: [f64; 2],
+    pixels: f64,
+    views: u32,
+}
+
+impl<'a> Run<'a> {
+    /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
+    /// the rest anew at about a texel per pixel. `None` if nothing is left.
+    pub(super) fn select_faces(&self, training: &mut Training<'a>, mesh: &Mesh) -> Result<Option<Mesh>, TrainError> {
+        let scores = self.score(training, mesh)?;
+        let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)))
+            .map(|(s, [maps, splats])| s.views >= LEAST_VIEWS && maps <= WORST_RATIO * splats)
+            .collect();
+        drop_small(mesh, &scores, &mut keep);
+        if !keep.contains(&true) {
+            return Ok(None);
+        }
+        let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
+        let Some(atlas) = training.read_atlases()?.into_iter().next() else { return Ok(None) };
+        let largest = mesh.atlas().base().width();
+        // A multiple of 64 has all mip levels, also at the quarter size of the bands.
+        let size = ((pixels / COVERAGE).sqrt() / 64.0).ceil() as u32 * 64;
+        let laid_out =
+            lay_out(&part(mesh, &keep), &kept(mesh.corner_uvs(), &keep), &atlas, size.clamp(64, largest.max(64)))?;
+        Ok(Some(laid_out))
+    }
+
+    fn score(&self, training: &mut Training<'a>, mesh: &Mesh) -> Result<Vec<Score>, TrainError> {
+        let mut scores = vec![Score::default(); mesh.triangles().len()];
+        let mut last_view = vec![0; scores.len()];
+        let mut view = 0;
+        self.compare(training, &self.views(true), |training, _, camera, errors| {
+            view += 1;
+            for (front, error) in training.front_triangles(camera)?.into_iter().zip(errors) {
+                let Some(face) = (front as usize).checked_sub(1) else { continue };
+                let score = &mut scores[face];
+                score.errors = [0, 1].map(|k| score.errors[k] + f64::from(error[k]));
+                score.pixels += 1.0;
+                score.views += u32::from(std::mem::replace(&mut last_view[face], view) != view);
+            }
+            Ok(())
+        })?;
+        Ok(scores)
+    }
+}
+
+impl Score {
+    fn pixels_per_view(&self) -> f64 {
+        self.pixels / f64::from(self.views.max(1))
+    }
+}
+
+/// Errors averaged over two rings of triangles: those of single ones are noise.
+fn smoothed(mesh: &Mesh, scores: &[Score]) -> Vec<[f64; 2]> {
+    let mut errors: Vec<[f64; 2]> = scores.iter().map(|s| s.errors).collect();
+    for _ in 0..2 {
+        let mut vertices = vec![([0.0; 2], 0.0); mesh.positions().len()];
+        for (t, e) in mesh.triangles().iter().zip(&errors) {
+            for &v in t {
+                let (sum, count) = &mut vertices[v as usize];
+                *sum = [sum[0] + e[0], sum[1] + e[1]];
+                *count += 1.0;
+            }
+        }
+        let mean = |t: &[u32; 3], k: usize| t.iter().map(|&v| vertices[v as usize].0[k] / vertices[v as usize].1).sum();
+        errors = mesh.triangles().iter().map(|t| [mean(t, 0), mean(t, 1)]).collect();
+    }
+    errors
+}
+
+/// Drops connected pieces that are small in the views.
+fn drop_small(mesh: &Mesh, scores: &[Score], keep: &mut [bool]) {
+    let faces: Vec<usize> = (0..keep.len()).filter(|&f| keep[f]).collect();
+    let component = geometry::components(&part(mesh, keep));
+    let mut pixels = vec![0.0; mesh.positions().len()];
+    for (&face, &c) in faces.iter().zip(&component) {
+        pixels[c as usize] += scores[face].pixels_per_view();
+    }
+    for (&face, &c) in faces.iter().zip(&component) {
+        keep[face] = pixels[c as usize] >= LEAST_PIXELS;
+    }
+}
+
+fn kept<T: Copy>(all: &[T], keep: &[bool]) -> Vec<T> {
+    all.iter().zip(keep).filter(|t| *t.1).map(|t| *t.0).collect()
+}
+
+/// The kept triangles, on all vertices.
+fn part(mesh: &Mesh, keep: &[bool]) -> Surface {
+    Surface { positions: mesh.positions().to_vec(), triangles: kept(mesh.triangles(), keep) }
+}
+
+/// New charts in an atlas of `size` texels a side with the content that `atlas` has at `uvs`.
+fn lay_out(surface: &Surface, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
+    let unwrapped = geometry::unwrap(&geometry::compact(surface.clone()), size)?;
+    let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
+    let base = redrawn(atlas.base(), size, GUTTER)?;
+    let bands = atlas.bands().map(|bands| redrawn(bands, size / 4, GUTTER / 2)).transpose()?;
+    Ok(Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, Atlas::new(base, bands)?)?)
+}

@@ -1,0 +1,163 @@
+//! Vertices of the meshes that move along their normals while a scene is optimised (METHODS 4.2).
+//!
+//! A fused surface is off by a pixel or so, and maps on it blur by as much. Backward: `uv_backward` (in place of the
+//! layers' gradient) → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 76 bytes per
+//! vertex and some 24 for its neighbours, 48 per triangle.
+
+use glam::Vec3;
+
+use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::shader::Defines;
+use crate::geometry::{self, Rings};
+use crate::scene::Mesh;
+
+const GROUP: usize = 256;
+/// Pairs of Jacobi iterations: with a smoothness of 8 the remaining error of the slowest local mode is (8/9)¹⁶ ≈ 0.15.
+const DIFFUSIONS: usize = 8;
+
+/// What a step needs besides the gradients.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct VertexStep {
+    /// Number of this step, from 1.
+    pub(crate) number: u32,
+    /// World units that a vertex moves at most, or so.
+    pub(crate) rate: f32,
+}
+
+/// What of the vertices a checkpoint holds besides their positions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct VertexState {
+    /// Directions in which they move, `[V·3]`.
+    pub(crate) normals: Vec<f32>,
+    /// Adam's first and second moments, `[V·2]`.
+    pub(crate) moments: Vec<f32>,
+}
+
+impl VertexState {
+    /// Moments of zero; normals of the meshes as they are.
+    pub(crate) fn new(meshes: &[Mesh]) -> Self {
+        let normals: Vec<Vec3> =
+            meshes.iter().flat_map(|m| geometry::vertex_normals(m.positions(), m.triangles())).collect();
+        Self { moments: vec![0.0; 2 * normals.len()], normals: bytemuck::cast_slice(&normals).to_vec() }
+    }
+}
+
+/// Buffers and kernels.
+pub(crate) struct Vertices {
+    count: usize,
+    gradient: Buffer,
+    moments: Buffer,
+    normals: Buffer,
+    corner_normals: Buffer,
+    step: Buffer,
+    /// By uv, by vertex.
+    backward: [Kernel; 2],
+    /// Start, even, odd, move.
+    moving: [(Kernel, Bindings); 4],
+}
+
+impl Vertices {
+    /// For the vertices of `meshes`, whose `positions` `[V, 3]` are moved; `defines` are those of the mesh stage.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        defines: &Defines,
+        meshes: &[Mesh],
+        positions: &Buffer,
+        status: &Buffer,
+        state: &VertexState,
+    ) -> Result<Self, GpuError> {
+        let count = state.normals.len() / 3;
+        let (mut triangles, mut first_vertex) = (vec![], 0);
+        for mesh in meshes {
+            triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| first_vertex + v)));
+            first_vertex += mesh.positions().len() as u32;
+        }
+        let normal = |v: u32| {
+            let n = &state.normals[3 * v as usize..][..3];
+            [n[0], n[1], n[2], f32::from_bits(v)]
+        };
+        let corner_normals: Vec<[f32; 4]> = triangles.iter().flatten().map(|&v| normal(v)).collect();
+        let padded: Vec<[f32; 4]> = (0..count as u32).map(normal).collect();
+        let rings = Rings::new(count, &triangles);
+        let gradient = gpu.storage("vertex gradients", count)?;
+        let moments = gpu.storage_with("vertex moments", &state.moments)?;
+        let normals = gpu.storage_with("vertex normals", &padded)?;
+        let steps = gpu.storage("vertex steps", 4 * count)?;
+        let first = gpu.storage_with("rings of vertices", &rings.first)?;
+        let neighbors = gpu.storage_with("neighbours of vertices", &rings.of)?;
+        let step = gpu.uniform("vertex step", 4)?;
+        let buffers = [&step, &gradient, &moments, &steps, &first, &neighbors, &normals, positions, status];
+        let moving = ["start", "diffuse_even", "diffuse_odd", "displace"].map(|entry| {
+            let kernel = Kernel::new(gpu, "move_vertices.wgsl", entry, &gpu.defines());
+            let bindings = kernel.bind(gpu, &buffers);
+            (kernel, bindings)
+        });
+        let backward =
+            ["uv_backward.wgsl", "vertex_backward.wgsl"].map(|file| Kernel::new(gpu, file, "backward", defines));
+        let corner_normals = gpu.storage_with("corner normals", &corner_normals)?;
+        Ok(Self { count, gradient, moments, normals, corner_normals, step, backward, moving })
+    }
+
+    /// Binds the backward kernels: `fragment` are the buffers of `shaders/shared/mesh_fragment.wgsl`, `texels` those of the base and, where
+    /// there are any, of the bands.
+    pub(crate) fn bind(
+        &self,
+        gpu: &Gpu,
+        fragment: &[&Buffer; 5],
+        (base, bands): (&Buffer, Option<&Buffer>),
+        layer_gradient: &Buffer,
+    ) -> [Bindings; 2] {
+        let mut by_uv = fragment.to_vec();
+        by_uv.extend([base, layer_gradient]);
+        by_uv.extend(bands);
+        // The maps' pyramids are of no interest to vertices, but share the common layout.
+        let mut by_vertex = fragment.to_vec();
+        by_vertex.extend([layer_gradient, &self.corner_normals, &self.gradient]);
+        [self.backward[0].bind(gpu, &by_uv), self.backward[1].bind(gpu, &by_vertex)]
+    }
+
+    /// Gradients of all vertices; the layers' gradient is used up.
+    pub(crate) fn record_backward(&self, frame: &mut Frame, bindings: &[Bindings; 2], fragments: usize) {
+        for (kernel, bindings) in self.backward.iter().zip(bindings) {
+            frame.dispatch(kernel, bindings, groups(fragments, GROUP));
+        }
+    }
+
+    /// Parameters of the next step; takes effect before the next submission.
+    pub(crate) fn set_step(&self, gpu: &Gpu, step: &VertexStep) {
+        let correction = |beta: f64| (1.0 - beta.powf(f64::from(step.number.max(1)))) as f32;
+        let words = [step.rate.to_bits(), correction(0.9).to_bits(), correction(0.999).to_bits(), self.count as u32];
+        gpu.write(&self.step, 0, &words);
+    }
+
+    /// Moves all vertices by a step and clears their gradients.
+    pub(crate) fn record_step(&self, frame: &mut Frame) {
+        let [start, even, odd, done] = &self.moving;
+        let diffusions = (0..DIFFUSIONS).flat_map(|_| [even, odd]);
+        for (kernel, bindings) in [start].into_iter().chain(diffusions).chain([done]) {
+            frame.dispatch(kernel, bindings, groups(self.count, GROUP));
+        }
+    }
+
+    /// Gradients along the normals, `[V]`. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    #[cfg(test)]
+    pub(crate) fn read_gradient(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
+        gpu.read(&self.gradient, self.count)
+    }
+
+    /// What a checkpoint needs. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read_state(&self, gpu: &Gpu) -> Result<VertexState, GpuError> {
+        let padded: Vec<[f32; 4]> = gpu.read(&self.normals, self.count)?;
+        let normals = padded.iter().flat_map(|n| [n[0], n[1], n[2]]).collect();
+        Ok(VertexState { normals, moments: gpu.read(&self.moments, 2 * self.count)? })
+    }
+}
