@@ -5,6 +5,7 @@ mod devices;
 mod edits;
 mod eval;
 mod inspect;
+mod mesh;
 mod output;
 mod progress;
 mod render;
@@ -34,6 +35,7 @@ enum Command {
     Convert(Box<convert::Args>),
     Inspect(inspect::Args),
     Validate(validate::Args),
+    Mesh(mesh::Args),
     Devices(devices::Args),
 }
 
@@ -46,6 +48,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Convert(args) => convert::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Validate(args) => validate::run(&args),
+        Command::Mesh(args) => mesh::run(&args),
         Command::Devices(args) => devices::run(&args),
     };
     match result {

@@ -1,0 +1,86 @@
+use std::path::PathBuf;
+
+use anyhow::Result;
+use centaur::format::{gltf, read_scene};
+use centaur::geometry;
+use centaur::optimize::{TrainOptions, surface_from_splats};
+use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
+
+use super::output;
+use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur mesh splats.glb captures/garden --downscale 4 -o surface.glb
+  centaur train captures/garden --mesh surface.glb -o garden.glb --downscale 4";
+
+/// Make a surface from trained splats
+///
+/// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
+/// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
+/// takes the result; without a mesh of yours it does the same by itself.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    /// Trained splats: .glb, .gltf or .ply; meshes in it are ignored
+    #[arg(value_name = "SPLATS")]
+    splats: PathBuf,
+    /// Folder with photographs and poses, or a transforms*.json
+    capture: PathBuf,
+    /// Surface to write
+    #[arg(short, long, value_name = "SURFACE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
+    output: PathBuf,
+    /// Most triangles after simplification
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles)]
+    triangles: usize,
+    /// Side of the atlas in texels for which charts and gutters are laid out
+    #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    texture_size: u32,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+    #[command(flatten)]
+    loading: CaptureArgs,
+    #[command(flatten)]
+    messages: MessageArgs,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    output::check_file(&args.output)?;
+    let capture = args.loading.open(&args.capture)?;
+    let scene = read_scene(&args.splats)?;
+    let gpu = args.adapter.open()?;
+    let (surface, steps) = surface_from_splats(&gpu, &scene.splats, &capture, args.triangles)?;
+    let unwrapped = geometry::unwrap(&surface, args.texture_size)?;
+    let charts = unwrapped.stats;
+    let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
+    let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
+    let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition: Composition::default() };
+    gltf::write_glb(&args.output, &scene, &[], None)?;
+    if args.messages.json {
+        return output::print_json(&serde_json::json!({
+            "surface": args.output,
+            "views": steps.views,
+            "triangles": { "extracted": steps.extracted, "cleaned": steps.cleaned, "even": steps.even,
+                           "simplified": steps.simplified },
+            "atlas": { "charts": charts.charts, "gutter": charts.gutter, "texels_per_unit": charts.texels_per_unit,
+                       "coverage": charts.coverage, "mean_density": charts.mean_density,
+                       "min_density": charts.min_density },
+        }));
+    }
+    output::print(&format!(
+        "{} views fused; triangles: {} extracted, {} in pieces worth keeping, {} not rough, {} after simplification\n\
+         {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst\n\
+         wrote {}",
+        steps.views,
+        steps.extracted,
+        steps.cleaned,
+        steps.even,
+        steps.simplified,
+        charts.charts,
+        100.0 * charts.coverage,
+        charts.gutter,
+        100.0 * charts.mean_density,
+        100.0 * charts.min_density,
+        args.output.display()
+    ))
+}
