@@ -35,7 +35,7 @@ impl<'a> Run<'a> {
     /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
     /// the rest anew at about a texel per pixel. `None` if nothing is left.
     pub(super) fn select_faces(&self, training: &mut Training<'a>, mesh: &Mesh) -> Result<Option<Mesh>, TrainError> {
-        let scores = self.score(training, mesh)?;
+        let (scores, seen) = self.score(training, mesh)?;
         let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)))
             .map(|(s, [maps, splats])| s.views >= LEAST_VIEWS && maps <= WORST_RATIO * splats)
             .collect();
@@ -45,20 +45,29 @@ impl<'a> Run<'a> {
         }
         let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
         let Some(atlas) = training.read_atlases()?.into_iter().next() else { return Ok(None) };
-        let largest = mesh.atlas().base().width();
-        // A multiple of 64 has all mip levels, also at the quarter size of the bands.
-        let size = ((pixels / COVERAGE).sqrt() / 64.0).ceil() as u32 * 64;
-        let laid_out =
-            lay_out(&part(mesh, &keep), &kept(mesh.corner_uvs(), &keep), &atlas, size.clamp(64, largest.max(64)))?;
+        let per_texel = 4.0 + atlas.bands().map_or(0.0, |b| f64::from(b.channels()) / 16.0);
+        // With a budget, maps get no larger part of it than they cover of the pictures: where splats are spread thinly,
+        // so are texels.
+        let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
+        let share = (covered / seen.max(1.0)).min(1.0);
+        let affordable = self.options.max_floats.map_or(f64::INFINITY, |floats| floats as f64 * share / per_texel);
+        let texels = (pixels / COVERAGE).min(affordable);
+        // Multiples of 32 have mips as far as gutters separate charts.
+        let size = (texels.sqrt() / 32.0).round() as u32 * 32;
+        let size = size.clamp(64, mesh.atlas().base().width().max(64));
+        let laid_out = lay_out(&part(mesh, &keep), &kept(mesh.corner_uvs(), &keep), &atlas, size)?;
         Ok(Some(laid_out))
     }
 
-    fn score(&self, training: &mut Training<'a>, mesh: &Mesh) -> Result<Vec<Score>, TrainError> {
+    /// Scores of all triangles, and the number of pixels judged.
+    fn score(&self, training: &mut Training<'a>, mesh: &Mesh) -> Result<(Vec<Score>, f64), TrainError> {
         let mut scores = vec![Score::default(); mesh.triangles().len()];
         let mut last_view = vec![0; scores.len()];
-        let mut view = 0;
+        let (mut view, mut seen) = (0, 0.0);
         self.compare(training, &self.views(true), |training, _, camera, errors| {
             view += 1;
+            // What a mask leaves out has no error.
+            seen += errors.iter().filter(|e| e[0] + e[1] > 0.0).count() as f64;
             for (front, error) in training.front_triangles(camera)?.into_iter().zip(errors) {
                 let Some(face) = (front as usize).checked_sub(1) else { continue };
                 let score = &mut scores[face];
@@ -68,7 +77,7 @@ impl<'a> Run<'a> {
             }
             Ok(())
         })?;
-        Ok(scores)
+        Ok((scores, seen))
     }
 }
 
