@@ -22,7 +22,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf oracle-splat-transform
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -114,6 +114,9 @@ target/oracles/test_garden.npz:
 $(CENTAUR_GSPLAT_FIXTURE): tests/oracles/gsplat_oracle.py $(ORACLES)/installed $(GARDEN)
 	@mkdir -p $(@D)
 	$(ORACLES)/bin/python $< $(GARDEN) $@
+
+captures: system ## hybrid against splats alone at equal floats, two seeds, on the demo and the captures in CENTAUR_DATA
+	scripts/captures.sh
 
 bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
 	cargo bench --bench stages -- $(BENCH_FLAGS)

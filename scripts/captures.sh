@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Hybrid against splats alone at the same allowance of floats, on the demo capture and on the captures in $CENTAUR_DATA:
+# the table in the README. `captures.sh [SEED…]`, by default 0 and 1; about 2 minutes a run on 2 cores without a GPU.
+# Reports, pictures and JSON go to out/captures.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+data=${CENTAUR_DATA:-}
+out=out/captures
+mkdir -p "$out"
+cargo build --release --quiet
+centaur() { cargo run --release --quiet -- "$@"; }
+
+compare() { # name, capture, floats, iterations, flags of the capture
+    local name=$1 capture=$2 floats=$3 iterations=$4 kind
+    shift 4
+    if [ ! -d "$capture" ]; then
+        echo "$name: left out, $capture is not there"
+        return
+    fi
+    for seed in $seeds; do
+        for kind in hybrid splats; do
+            local flags=(--no-mesh)
+            [ $kind = splats ] || flags=(--surface-iterations 600 --warmup 200 --layers 1 --triangles 6000 --texture-size 512)
+            centaur train "$capture" -o "$out/$name-$kind-$seed.glb" --report "$out/$name-$kind-$seed" --json --quiet \
+                --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$out/$name-$kind-$seed.json"
+            python3 - "$out/$name-$kind-$seed.json" "$name" "$kind" "$seed" <<'PYTHON'
+import json, sys
+run = json.load(open(sys.argv[1]))
+e = run["evaluation"]
+print(f"{sys.argv[2]:12} {sys.argv[3]:7} seed {sys.argv[4]}  {e['psnr']:.2f} dB  SSIM {e['ssim_inria']:.4f}  {e['splats']} splats  "
+      f"{e['triangles']} triangles  {e['total_floats']} floats  {e['file_bytes']} bytes  {run['seconds_per_iteration']:.3f} s/iteration")
+PYTHON
+        done
+    done
+}
+
+seeds=${*:-0 1}
+compare demo demo 2000000 1000
+compare banana16 "$data/capture_banana16" 2000000 1000 --max-side 376
+compare skull66 "$data/capture_skull66" 2000000 1000 --max-side 356
+compare maryrose69 "$data/capture_maryrose69" 1500000 800 --max-side 432 --masks
