@@ -1,6 +1,6 @@
 //! `.splat`: 32 bytes per splat without a header, as antimatter15's viewer reads them.
 //!
-//! | bytes | what | largest error of [`write`] |
+//! | bytes | what | largest error of [`write()`] |
 //! |---|---|---|
 //! | 0..12 | mean x, y, z, f32 | 0 |
 //! | 12..24 | standard deviations (linear), f32 | rounding of f32 |

@@ -11,7 +11,7 @@
 //! | colour, opacity | 1/510; colours outside of 0..1 are clipped | as 0 | as 0 |
 //! | SH bands | f32, exact | f16: 1/2048 of the coefficient | 255 steps from the least to the greatest: 1/510 of their range |
 //!
-//! The figures are the largest errors of [`write`]. The file cannot state its frame: as for PLY it is the scene's own, by custom
+//! The figures are the largest errors of [`write()`]. The file cannot state its frame: as for PLY it is the scene's own, by custom
 //! y down.
 
 mod decode;

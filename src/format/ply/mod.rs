@@ -26,7 +26,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
     write_with(path, splats, &[])
 }
 
-/// As [`write`], followed by what else is known of every splat.
+/// As [`write()`], followed by what else is known of every splat.
 ///
 /// # Errors
 /// If the file cannot be written, or an attribute has not as many values as there are splats.

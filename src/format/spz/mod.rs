@@ -1,6 +1,6 @@
 //! SPZ (Niantic Labs, github.com/nianticlabs/spz): attribute by attribute in 8 to 32 bits, then compressed.
 //!
-//! | attribute | stored as | largest error of [`write`] |
+//! | attribute | stored as | largest error of [`write()`] |
 //! |---|---|---|
 //! | mean | 24-bit fixed point with `fractionalBits` f, chosen by the scene's size | 2^−(f+1) |
 //! | opacity | 255 steps | 1/510 |

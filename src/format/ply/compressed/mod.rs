@@ -1,7 +1,7 @@
 //! The compressed PLY of `PlayCanvas` (`SuperSplat`, splat-transform): chunks of 256 splats with their bounds, then 16 bytes
 //! per splat, then a byte per SH coefficient above 0.
 //!
-//! | word | bits from the top | what | largest error of [`write`] |
+//! | word | bits from the top | what | largest error of [`write()`] |
 //! |---|---|---|---|
 //! | position | 11, 10, 11 | mean x, y, z between the chunk's bounds | 1/4094 (x, z) or 1/2046 (y) of its extent |
 //! | rotation | 2, 10, 10, 10 | index in (w, x, y, z) of the largest component, which is positive; the others ×√½ + ½ | 0.28° |
