@@ -108,7 +108,8 @@ pub(super) struct Args {
     /// Most triangles of a surface made from the capture (ours)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, help_heading = MESH)]
     triangles: usize,
-    /// Side of the map of colour and opacity in texels; that of view dependence has a quarter [default: the power of
+    /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
+    /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
     /// two from the longer image side on, 128 to 2048]
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: Option<u32>,

@@ -4,7 +4,7 @@ use glam::Vec2;
 
 use super::Run;
 use crate::{
-    geometry::{self, Surface},
+    geometry::{self, GeometryError, Surface},
     optimize::TrainError,
     render::gpu::training::Training,
     scene::{Atlas, Mesh},
@@ -53,10 +53,17 @@ impl<'a> Run<'a> {
         let affordable = self.options.max_floats.map_or(f64::INFINITY, |floats| floats as f64 * share / per_texel);
         let texels = (pixels / COVERAGE).min(affordable);
         // Multiples of 32 have mips as far as gutters separate charts.
-        let size = (texels.sqrt() / 32.0).round() as u32 * 32;
-        let size = size.clamp(64, mesh.atlas().base().width().max(64));
-        let laid_out = lay_out(&part(mesh, &keep), &kept(mesh.corner_uvs(), &keep), &atlas, size)?;
-        Ok(Some(laid_out))
+        let largest = mesh.atlas().base().width();
+        let mut size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
+        loop {
+            match lay_out(&part(mesh, &keep), &kept(mesh.corner_uvs(), &keep), &atlas, size) {
+                // Many small charts may need more room than their area says; at the old size they had it.
+                Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
+                    size = size.saturating_mul(2).min(largest);
+                }
+                laid_out => return laid_out.map(Some),
+            }
+        }
     }
 
     /// Scores of all triangles, and the number of pixels judged.
@@ -99,7 +106,8 @@ fn smoothed(mesh: &Mesh, scores: &[Score]) -> Vec<[f64; 2]> {
                 *count += 1.0;
             }
         }
-        let mean = |t: &[u32; 3], k: usize| t.iter().map(|&v| vertices[v as usize].0[k] / vertices[v as usize].1).sum();
+        let mean_at = |v: u32, k: usize| vertices[v as usize].0[k] / vertices[v as usize].1;
+        let mean = |t: &[u32; 3], k: usize| t.iter().map(|&v| mean_at(v, k)).sum::<f64>() / 3.0;
         errors = mesh.triangles().iter().map(|t| [mean(t, 0), mean(t, 1)]).collect();
     }
     errors
@@ -134,4 +142,81 @@ fn lay_out(surface: &Surface, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Re
     let base = redrawn(atlas.base(), size, GUTTER)?;
     let bands = atlas.bands().map(|bands| redrawn(bands, size / 4, GUTTER / 2)).transpose()?;
     Ok(Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, Atlas::new(base, bands)?)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::scene::Texture;
+
+    /// Two separate strips of `n` squares each, the second half as wide, every triangle with its own texels.
+    fn strips(n: u32) -> Mesh {
+        let (mut positions, mut triangles, mut uvs) = (vec![], vec![], vec![]);
+        for (strip, width) in [(0, 1.0), (1, 0.5)] {
+            let first = positions.len() as u32;
+            for i in 0..=n {
+                let x = i as f32;
+                positions
+                    .extend([Vec3::new(x, 3.0 * strip as f32, 0.0), Vec3::new(x, 3.0 * strip as f32 + width, 0.0)]);
+            }
+            let place = |p: Vec3| Vec2::new(p.x / n as f32, p.y / 4.0);
+            for i in 0..n {
+                let a = first + 2 * i;
+                for t in [[a, a + 2, a + 3], [a, a + 3, a + 1]] {
+                    uvs.push(t.map(|v| place(positions[v as usize])));
+                    triangles.push(t);
+                }
+            }
+        }
+        let texels = (0..64 * 64).flat_map(|i| [(i % 64) as f32 / 64.0, (i / 64) as f32 / 64.0, 0.0, 1.0]).collect();
+        let atlas = Atlas::new(Texture::new(64, 64, 4, texels).unwrap(), None).unwrap();
+        Mesh::new(positions, triangles, uvs, atlas).unwrap()
+    }
+
+    #[test]
+    fn one_noisy_triangle_is_judged_with_those_around_it() {
+        let mesh = strips(10);
+        let mut scores = vec![Score { errors: [1.0, 1.0], pixels: 10.0, views: 2 }; 40];
+        scores[9].errors[0] = 4.0;
+        let errors = smoothed(&mesh, &scores);
+        assert!(errors[9][0] < 2.0 && errors[9][0] > errors[30][0], "{errors:?}");
+        assert!(errors.iter().all(|e| (e[1] - 1.0).abs() < 1e-12));
+        // What is not connected does not count.
+        assert!(errors[20..].iter().all(|e| (e[0] - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn small_pieces_go_whole_and_large_ones_stay() {
+        let mesh = strips(10);
+        let pixels = |f: usize| if f < 20 { 30.0 } else { 20.0 };
+        // Seen twice: 15 pixels a view and triangle on the first strip, 300 in all; 200 on the second.
+        let scores: Vec<Score> = (0..40).map(|f| Score { errors: [0.0; 2], pixels: pixels(f), views: 2 }).collect();
+        let mut keep = vec![true; 40];
+        drop_small(&mesh, &scores, &mut keep);
+        assert!(keep[..20].iter().all(|k| *k) && !keep[20..].contains(&true), "{keep:?}");
+        // Cut in two, neither half of the first is large enough.
+        let mut keep: Vec<bool> = (0..40).map(|f| f != 10 && f != 11).collect();
+        drop_small(&mesh, &scores, &mut keep);
+        assert!(!keep.contains(&true), "{keep:?}");
+    }
+
+    #[test]
+    fn content_follows_what_is_kept() {
+        let mesh = strips(10);
+        let keep: Vec<bool> = (0..40).map(|f| f < 20).collect();
+        let laid_out = lay_out(&part(&mesh, &keep), &kept(mesh.corner_uvs(), &keep), mesh.atlas(), 128).unwrap();
+        assert_eq!((laid_out.triangles().len(), laid_out.positions().len()), (20, 22));
+        let base = laid_out.atlas().base();
+        for (t, uvs) in laid_out.triangles().iter().zip(laid_out.corner_uvs()) {
+            let center = |p: [Vec3; 3]| (p[0] + p[1] + p[2]) / 3.0;
+            let position = center(t.map(|v| laid_out.positions()[v as usize]));
+            let texel = (uvs[0] + uvs[1] + uvs[2]) / 3.0 * 128.0;
+            let found = &base.texels()[4 * (texel.y as usize * 128 + texel.x as usize)..][..2];
+            // Within a texel of either atlas.
+            let expected = [position.x / 10.0, position.y / 4.0];
+            assert!(found.iter().zip(expected).all(|(f, e)| (f - e).abs() < 0.03), "{found:?} {expected:?}");
+        }
+    }
 }
