@@ -1,7 +1,7 @@
 // One thread per vertex: Adam on its displacement along its normal, with steps that are smooth over the surface.
 //
-// `start` turns the gradient into Adam's step and clears it; `diffuse`, run an even number of times, is a Jacobi
-// iteration for (1 + SMOOTHNESS·Laplacian)·x = step, which keeps noise of single vertices out of the surface; `displace`
+// `start` turns the gradient into Adam's step and clears it; `diffuse`, run in turn with ODD = 0 and 1, is a
+// Jacobi iteration for (1 + SMOOTHNESS·Laplacian)·x = step, which keeps noise of single vertices out of the surface; `displace`
 // takes the step.
 
 //#import shared/view.wgsl
@@ -50,36 +50,21 @@ fn start(
     steps[v] = vec4f(s, s, s, 0.0);
 }
 
-fn diffused(v: u32, odd: bool) -> f32 {
+@compute @workgroup_size(256)
+fn diffuse(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) n_groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let v = group_index(group, n_groups) * 256u + thread;
+    if v >= step.n_vertices { return; }
     let degree = first[v + 1u] - first[v];
     var sum = 0.0;
     for (var i = first[v]; i < first[v + 1u]; i += 1u) {
-        sum += select(steps[neighbors[i]].y, steps[neighbors[i]].z, odd);
+        sum += steps[neighbors[i]][1u + ODD];
     }
     let share = SMOOTHNESS / f32(max(degree, 1u));
-    return (steps[v].x + share * sum) / (1.0 + share * f32(degree));
-}
-
-@compute @workgroup_size(256)
-fn diffuse_even(
-    @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    let v = group_index(group, n_groups) * 256u + thread;
-    if v >= step.n_vertices { return; }
-    steps[v].z = diffused(v, false);
-}
-
-@compute @workgroup_size(256)
-fn diffuse_odd(
-    @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
-    @builtin(local_invocation_index) thread: u32,
-) {
-    let v = group_index(group, n_groups) * 256u + thread;
-    if v >= step.n_vertices { return; }
-    steps[v].y = diffused(v, true);
+    steps[v][2u - ODD] = (steps[v].x + share * sum) / (1.0 + share * f32(degree));
 }
 
 @compute @workgroup_size(256)

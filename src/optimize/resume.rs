@@ -88,6 +88,7 @@ impl Saved {
             let size = |t: &Texture| json!([t.width(), t.height(), t.channels()]);
             meshes.push(json!({ "base": size(atlas.base()), "bands": atlas.bands().map(size) }));
         }
+        tensors.insert("vertices/pixel".to_owned(), vec![self.vertices.pixel]);
         tensors.insert("vertices/normals".to_owned(), self.vertices.normals);
         tensors.insert("vertices/moments".to_owned(), self.vertices.moments);
         tensors.insert("texels/m".to_owned(), self.texel_moments.0);
@@ -148,12 +149,15 @@ impl Saved {
         let statistics = take("statistics".to_owned())?;
         let weight = take("epoch_weight".to_owned())?;
         let texel_moments = (take("texels/m".to_owned())?, take("texels/v".to_owned())?);
+        let pixel = take("vertices/pixel".to_owned())?;
         let vertices = VertexState {
+            pixel: pixel.first().copied().ok_or_else(|| damaged("vertices/pixel"))?,
             normals: take("vertices/normals".to_owned())?,
             moments: take("vertices/moments".to_owned())?,
         };
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
-        let moves = !vertices.normals.is_empty();
+        let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
+        let moves = phase == Phase::Warmup && run.input["mesh"] == "splats";
         if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
             return Err(damaged("vertices"));
         }
@@ -164,7 +168,7 @@ impl Saved {
             return Err(damaged("epoch_weight"));
         }
         Ok(Self {
-            phase: serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?,
+            phase,
             iteration: serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?,
             meshes,
             splats,

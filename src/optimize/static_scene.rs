@@ -171,8 +171,7 @@ struct Plan {
     clock: u32,
     schedule: Schedule,
     has_mesh: bool,
-    /// Size of a pixel on the mesh, world units; 0 if the vertices stay where they are.
-    pixel: f32,
+    moves_vertices: bool,
 }
 
 impl<'a> Run<'a> {
@@ -275,7 +274,8 @@ impl<'a> Run<'a> {
         if outcome == Outcome::Finished {
             if self.hands_over && !joint {
                 scene.meshes = training.read_meshes(&scene.meshes)?;
-                if let Some(mesh) = scene.meshes.first() {
+                // Maps that have not learnt anything cannot be judged.
+                if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
                     let selected = self.select_faces(&mut training, mesh)?;
                     let state = splat_state(&training)?;
                     scene.meshes = selected.into_iter().collect();
@@ -355,12 +355,15 @@ impl<'a> Run<'a> {
         let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
         let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
         let from = saved.as_ref().map_or(0, |s| s.iteration);
-        let moves = phase == Phase::Warmup && self.hands_over;
-        let pixel = if moves { pixel_size(&self.train_cameras, &scene.meshes) } else { 0.0 };
-        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh: !scene.meshes.is_empty(), pixel };
+        let moves_vertices = phase == Phase::Warmup && self.hands_over;
+        let has_mesh = !scene.meshes.is_empty();
+        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh, moves_vertices };
         let mut epoch = EpochWeight::default();
-        if moves {
-            let state = saved.as_ref().map_or_else(|| VertexState::new(&scene.meshes), |s| s.vertices.clone());
+        if moves_vertices {
+            let state = match &saved {
+                Some(saved) => saved.vertices.clone(),
+                None => VertexState::new(&scene.meshes, pixel_size(&self.train_cameras, &scene.meshes)),
+            };
             training.free_vertices(&scene.meshes, &state)?;
         }
         if let Some(saved) = saved {
@@ -442,17 +445,16 @@ impl<'a> Run<'a> {
                 _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
             };
             TexelStep {
-                number: if is_joint { o.warmup + t + 1 } else { t + 1 },
+                // Maps that were laid out anew have no moments from the warm-up.
+                number: if is_joint && !self.hands_over { o.warmup + t + 1 } else { t + 1 },
                 base_rate,
                 band_rate: base_rate / BAND_RATE_DIVISOR,
                 visited_only: !o.dense_texels,
                 holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age),
             }
         });
-        let vertices = (plan.pixel > 0.0 && plan.phase == Phase::Warmup)
-            .then(|| schedule::vertex_rate(t, plan.iterations))
-            .flatten()
-            .map(|pixels| VertexStep { number: t + 1, rate: pixels * plan.pixel });
+        let rate = if plan.moves_vertices { schedule::vertex_rate(t, plan.iterations) } else { None };
+        let vertices = rate.map(|rate| VertexStep { number: t + 1, rate });
         let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
         training.step(&Step {
             camera: &view.camera,

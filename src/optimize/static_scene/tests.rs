@@ -130,8 +130,15 @@ fn the_file_shows_what_the_trainer_showed() {
 fn after_an_opacity_reset_the_mesh_learns_colours_only() {
     with_run(&options(), |run, training, scene| {
         let schedule = Schedule { opacity_reset_interval: Some(5), densify_until: 1000, ..Schedule::new(1000) };
-        let plan =
-            Plan { phase: Phase::Joint, from: 0, iterations: 1000, clock: 0, schedule, has_mesh: true, pixel: 0.0 };
+        let plan = Plan {
+            phase: Phase::Joint,
+            from: 0,
+            iterations: 1000,
+            clock: 0,
+            schedule,
+            has_mesh: true,
+            moves_vertices: false,
+        };
         let before = scene.meshes[0].atlas().base().texels();
         let mut changed = |t| {
             run.step(training, &plan, t).unwrap();

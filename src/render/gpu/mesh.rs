@@ -295,8 +295,8 @@ impl MeshStage {
     ) -> Result<(), GpuError> {
         let defines = gpu.defines().with("LAYERS", self.layers).with("BANDS", self.texels.band_coefficients());
         self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, status, state)?);
-        if let Some(Bound { bins, fragments, .. }) = self.bound {
-            self.bound = Some(Bound { bins, fragments, ..self.bind(gpu, view_uniform) });
+        if let Some(Bound { bins, fragments, runs, .. }) = self.bound {
+            self.bound = Some(Bound { bins, fragments, runs, ..self.bind(gpu, view_uniform) });
         }
         Ok(())
     }

@@ -212,7 +212,7 @@ fn vertex_gradients_equal_the_reference() {
             let cotangent = random_cotangent(&camera, seed);
             let expected = reference::backward(&scene, &camera, &cotangent).positions;
             let mut pipeline = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
-            let state = VertexState::new(&scene.meshes);
+            let state = VertexState::new(&scene.meshes, 1.0);
             let status = &pipeline.backward.as_ref().unwrap().status;
             let mesh = pipeline.mesh.as_mut().unwrap();
             mesh.free_vertices(&gpu, &scene.meshes, &pipeline.view, status, &state).unwrap();

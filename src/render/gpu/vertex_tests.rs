@@ -69,11 +69,10 @@ fn a_bent_sheet_flattens_to_its_photographs() {
     // One and a half pixels.
     let scene = sheet(|x, y| 0.035 * (2.0 * x).cos() * (1.5 * y + 0.5).cos());
     let mut training = Training::new(&gpu, &scene, &cameras, 0.2, TruthAlpha::Ignore).unwrap();
-    training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes)).unwrap();
-    let pixel = 2.2 / SIDE as f32;
+    training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 2.2 / SIDE as f32)).unwrap();
     for t in 0..150_u32 {
         let view = t as usize % cameras.len();
-        let rate = 0.1 * 0.1_f32.powf(t as f32 / 150.0) * pixel;
+        let rate = 0.1 * 0.1_f32.powf(t as f32 / 150.0);
         training
             .step(&Step {
                 camera: &cameras[view],

@@ -20,13 +20,16 @@ const DIFFUSIONS: usize = 8;
 pub(crate) struct VertexStep {
     /// Number of this step, from 1.
     pub(crate) number: u32,
-    /// World units that a vertex moves at most, or so.
+    /// Pixels that a vertex moves at most, or so.
     pub(crate) rate: f32,
 }
 
-/// What of the vertices a checkpoint holds besides their positions.
+/// What of the vertices a checkpoint holds besides their positions. Everything of it was settled when they were freed: a
+/// run that goes on must not measure surfaces that have moved since.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct VertexState {
+    /// Size of a pixel on the meshes, world units: a step is given in pixels.
+    pub(crate) pixel: f32,
     /// Directions in which they move, `[V·3]`.
     pub(crate) normals: Vec<f32>,
     /// Adam's first and second moments, `[V·2]`.
@@ -35,16 +38,17 @@ pub(crate) struct VertexState {
 
 impl VertexState {
     /// Moments of zero; normals of the meshes as they are.
-    pub(crate) fn new(meshes: &[Mesh]) -> Self {
+    pub(crate) fn new(meshes: &[Mesh], pixel: f32) -> Self {
         let normals: Vec<Vec3> =
             meshes.iter().flat_map(|m| geometry::vertex_normals(m.positions(), m.triangles())).collect();
-        Self { moments: vec![0.0; 2 * normals.len()], normals: bytemuck::cast_slice(&normals).to_vec() }
+        Self { pixel, moments: vec![0.0; 2 * normals.len()], normals: bytemuck::cast_slice(&normals).to_vec() }
     }
 }
 
 /// Buffers and kernels.
 pub(crate) struct Vertices {
     count: usize,
+    pixel: f32,
     gradient: Buffer,
     moments: Buffer,
     normals: Buffer,
@@ -90,15 +94,15 @@ impl Vertices {
         let neighbors = gpu.storage_with("neighbours of vertices", &rings.of)?;
         let step = gpu.uniform("vertex step", 4)?;
         let buffers = [&step, &gradient, &moments, &steps, &first, &neighbors, &normals, positions, status];
-        let moving = ["start", "diffuse_even", "diffuse_odd", "displace"].map(|entry| {
-            let kernel = Kernel::new(gpu, "move_vertices.wgsl", entry, &gpu.defines());
+        let moving = [("start", 0), ("diffuse", 0), ("diffuse", 1), ("displace", 0)].map(|(entry, odd)| {
+            let kernel = Kernel::new(gpu, "move_vertices.wgsl", entry, &gpu.defines().with("ODD", odd));
             let bindings = kernel.bind(gpu, &buffers);
             (kernel, bindings)
         });
         let backward =
             ["uv_backward.wgsl", "vertex_backward.wgsl"].map(|file| Kernel::new(gpu, file, "backward", defines));
         let corner_normals = gpu.storage_with("corner normals", &corner_normals)?;
-        Ok(Self { count, gradient, moments, normals, corner_normals, step, backward, moving })
+        Ok(Self { count, pixel: state.pixel, gradient, moments, normals, corner_normals, step, backward, moving })
     }
 
     /// Binds the backward kernels: `fragment` are the buffers of `shaders/shared/mesh_fragment.wgsl`, `texels` those of the base and, where
@@ -129,7 +133,12 @@ impl Vertices {
     /// Parameters of the next step; takes effect before the next submission.
     pub(crate) fn set_step(&self, gpu: &Gpu, step: &VertexStep) {
         let correction = |beta: f64| (1.0 - beta.powf(f64::from(step.number.max(1)))) as f32;
-        let words = [step.rate.to_bits(), correction(0.9).to_bits(), correction(0.999).to_bits(), self.count as u32];
+        let words = [
+            (step.rate * self.pixel).to_bits(),
+            correction(0.9).to_bits(),
+            correction(0.999).to_bits(),
+            self.count as u32,
+        ];
         gpu.write(&self.step, 0, &words);
     }
 
@@ -158,6 +167,6 @@ impl Vertices {
     pub(crate) fn read_state(&self, gpu: &Gpu) -> Result<VertexState, GpuError> {
         let padded: Vec<[f32; 4]> = gpu.read(&self.normals, self.count)?;
         let normals = padded.iter().flat_map(|n| [n[0], n[1], n[2]]).collect();
-        Ok(VertexState { normals, moments: gpu.read(&self.moments, 2 * self.count)? })
+        Ok(VertexState { pixel: self.pixel, normals, moments: gpu.read(&self.moments, 2 * self.count)? })
     }
 }
