@@ -52,6 +52,7 @@ fn main(
     @builtin(local_invocation_index) thread: u32,
 //#if SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
+    @builtin(subgroup_size) lanes: u32,
 //#end
 ) {
     let tile = group_index(group, groups);
@@ -152,14 +153,21 @@ fn main(
 //#end
         }
         workgroupBarrier();
+//#if RUNS
+        mark_paths(thread, n);
+        workgroupBarrier();
+//#end
         var s = 0u;
 //#if RUNS
         while s < n {
+            let path = block_path[s / BLOCK];
+            let run = run_end(s, n);
 //#end
 //#for p in FIRST_PATH..PATHS
-        // A run of splats that are in bucket p throughout the tile or, at last, whose bucket is decided pixel by pixel.
+        // Path p: bucket p for all pixels or, at last, decided for each.
 //#if RUNS
-        for (; s < n && batch_bucket[s] == $pu; s++) {
+        let end_of_$p = select(s, run, path == $pu);
+        for (; s < end_of_$p; s++) {
 //#else
         for (; s < n; s++) {
 //#end
@@ -208,11 +216,15 @@ fn main(
 //#for c in 0..10
             let total$c = subgroupAdd(sums[$c]);
 //#end
-            if lane == 0u && total9 != 0.0 {
-                let at = batch_splat[s] * MOMENTS;
-//#for c in 0..10
-                add_moments(at + $cu, total$c);
+            // One sum a lane, so that the adds are one instruction and not ten of one lane each.
+            if total9 != 0.0 {
+                for (var c = lane; c < MOMENTS; c += lanes) {
+                    var total = total0;
+//#for c in 1..10
+                    if c == $cu { total = total$c; }
 //#end
+                    add_moments(batch_splat[s] * MOMENTS + c, total);
+                }
             }
 //#else
             let slot = s % CHUNK;

@@ -32,6 +32,7 @@ var<workgroup> batch_color: array<vec4f, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 var<workgroup> batch_bucket: array<u32, BATCH>;
+var<workgroup> until: array<atomic<u32>, BUCKETS>;      // pair after the last that may be in a bucket
 //#end
 var<workgroup> finished: atomic<u32>;                   // threads with no open bucket left
 var<workgroup> n_finished: u32;
@@ -50,6 +51,9 @@ fn main(
         atomicStore(&finished, 0u);
 //#if LAYERS
         clear_depths();
+//#for b in 0..BUCKETS
+        atomicStore(&until[$b], 0u);
+//#end
 //#end
     }
     let range = workgroupUniformLoad(&tile_range);
@@ -96,18 +100,41 @@ fn main(
 //#end
     include_depths($lu, low$l, high$l);
 //#end
+//#if LAYERS
+    // Without this, the pixels of a bucket that has got all its splats would keep the tile going to the list's end.
+    workgroupBarrier();
+    var last = array<u32, BUCKETS>();
+    for (var i = range.x + thread; i < range.y; i += THREADS) {
+        let span = bucket_span(pair_splats[i]);
+//#for b in 0..BUCKETS
+        if span.x <= $bu && $bu <= span.y { last[$b] = i + 1u; }
+//#end
+    }
+//#for b in 0..BUCKETS
+    atomicMax(&until[$b], last[$b]);
+//#end
+    workgroupBarrier();
+//#end
     var any_open = true;
 
     for (var start = range.x; start < range.y; start += BATCH) {
-        // Close buckets that are hidden by what is known to lie before them; stop when the tile has none open.
+        // Close buckets that are complete, or hidden by what is known to lie before them; stop when the tile has none open.
         if any_open {
             any_open = false;
+//#if LAYERS
+//#for b in 0..BUCKETS
+            let more$b = start < atomicLoad(&until[$b]);
+//#end
+//#end
 //#for j in 0..PER_THREAD
             {
                 var before = 1.0;
 //#for b in 0..BUCKETS
                 front[$j][$b] = before;
                 open[$j][$b] = open[$j][$b] && before * t[$j][$b] >= STOP;
+//#if LAYERS
+                open[$j][$b] = open[$j][$b] && more$b;
+//#end
                 any_open = any_open || open[$j][$b];
 //#if $b<LAYERS
                 before *= t[$j][$b] * (1.0 - layer$j_$b.w);
@@ -133,15 +160,22 @@ fn main(
 //#end
         }
         workgroupBarrier();
+//#if RUNS
+        mark_paths(thread, min(BATCH, range.y - start));
+        workgroupBarrier();
+//#end
         let n = select(0u, min(BATCH, range.y - start), any_open);
         var s = 0u;
 //#if RUNS
         while s < n {
+            let path = block_path[s / BLOCK];
+            let run = run_end(s, n);
 //#end
 //#for p in FIRST_PATH..PATHS
-        // A run of splats that are in bucket p throughout the tile or, at last, whose bucket is decided pixel by pixel.
+        // Path p: bucket p for all pixels or, at last, decided for each.
 //#if RUNS
-        for (; s < n && batch_bucket[s] == $pu; s++) {
+        let end_of_$p = select(s, run, path == $pu);
+        for (; s < end_of_$p; s++) {
 //#else
         for (; s < n; s++) {
 //#end

@@ -19,12 +19,45 @@ fn include_depths(l: u32, low: f32, high: f32) {
     atomicMax(&farthest[l], bitcast<u32>(high));
 }
 
-// After a barrier. A splat is behind a layer where the layer's depth is below the threshold.
-fn tile_bucket(splat: u32) -> u32 {
+// First and last bucket that a splat may be in at a pixel of the tile; after a barrier. A splat is behind a layer where
+// the layer's depth is below the threshold.
+fn bucket_span(splat: u32) -> vec2u {
+    var last = 0u;
 //#for l in LAYERS..0
     let threshold$l = thresholds[splat * LAYERS + $lu];
-    if bitcast<f32>(atomicLoad(&farthest[$l])) < threshold$l { return $lu + 1u; }
-    if bitcast<f32>(atomicLoad(&nearest[$l])) < threshold$l { return MIXED; }
+    if last == 0u && bitcast<f32>(atomicLoad(&nearest[$l])) < threshold$l { last = $lu + 1u; }
+    if bitcast<f32>(atomicLoad(&farthest[$l])) < threshold$l { return vec2u($lu + 1u, last); }
 //#end
-    return 0u;
+    return vec2u(0u, last);
 }
+
+fn tile_bucket(splat: u32) -> u32 {
+    let span = bucket_span(splat);
+    return select(MIXED, span.x, span.x == span.y);
+}
+
+//#if RUNS
+// Splats are taken in runs that share a path through the blend: the bucket they are in throughout the tile, or MIXED. A
+// run is made of blocks, for changing over costs as much as several splats.
+const BLOCK: u32 = 8u;
+
+var<workgroup> block_path: array<u32, BATCH / BLOCK>;
+
+fn mark_paths(thread: u32, n: u32) {
+    for (var block = thread; BLOCK * block < n; block += THREADS) {
+        var path = batch_bucket[BLOCK * block];
+        for (var s = BLOCK * block + 1u; s < min(n, BLOCK * (block + 1u)); s++) {
+            if batch_bucket[s] != path { path = MIXED; }
+        }
+        block_path[block] = path;
+    }
+}
+
+// The splat after the run that begins with s.
+fn run_end(s: u32, n: u32) -> u32 {
+    var block = s / BLOCK;
+    let path = block_path[block];
+    while BLOCK * block < n && block_path[block] == path { block++; }
+    return min(n, BLOCK * block);
+}
+//#end
