@@ -64,7 +64,7 @@ test-python: ## unit tests of datasets-scripts
 
 # A coarse run of everything a user does: is a scene trained, written, read, scored, rendered?
 END_TO_END := target/end-to-end
-test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect a small demo
+test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect, mesh of a small demo
 	$(CENTAUR) devices
 	@rm -rf $(END_TO_END) && mkdir -p $(END_TO_END)
 	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --ply $(END_TO_END)/splats.ply --report $(END_TO_END)/report --max-side 112 --iterations 120 \
@@ -73,6 +73,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 	$(CENTAUR) eval $(END_TO_END)/scene.glb demo --max-side 112 --quiet --json > $(END_TO_END)/scores.json
 	$(PYTHON) -c "import json; p = json.load(open('$(END_TO_END)/scores.json'))['psnr']; print('held-out PSNR', p); assert p > 17"
 	$(CENTAUR) render $(END_TO_END)/scene.glb -o $(END_TO_END)/frames --quiet
+	$(CENTAUR) mesh $(END_TO_END)/splats.ply demo -o $(END_TO_END)/surface.glb --max-side 112 --triangles 2000 --texture-size 128 --quiet
 	test -s $(END_TO_END)/report/report.html && ls $(END_TO_END)/frames | head -3
 
 left-out:

@@ -32,6 +32,7 @@ fn wrong_usage_is_exit_code_2() {
         &["train", "capture", "-o", "scene.glb", "--report", "out", "--no-eval"],
         &["eval", "scene.glb"],
         &["render", "scene.glb", "-o", "out", "--format", "tiff"],
+        &["mesh", "splats.ply", "capture", "-o", "surface.obj"],
     ] {
         let output = centaur(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
@@ -43,7 +44,7 @@ fn wrong_usage_is_exit_code_2() {
 #[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
-    let commands = ["train", "eval", "render", "convert", "inspect", "validate", "devices"].map(of_command);
+    let commands = ["train", "eval", "render", "convert", "inspect", "validate", "mesh", "devices"].map(of_command);
     for args in [vec!["--help"], vec!["--version"]].into_iter().chain(commands) {
         let output = centaur(&args);
         assert_eq!(output.status.code(), Some(0), "{args:?}");
@@ -70,6 +71,7 @@ fn inputs_that_are_not_there_or_not_scenes() {
         ),
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),
+        (&["mesh", "none.ply", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),
         (&["train", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),
         (&["train", ".", "-o", "a.glb", "--mesh", "none.obj"], "error: none.obj: expected a mesh file, found none"),
         (&["train", ".", "-o", "a.glb", "--resume"], "error: a.glb.checkpoint: expected a checkpoint, found none"),
@@ -96,6 +98,7 @@ fn outputs_that_cannot_be_written_are_found_before_any_work() {
         (&["train", "c", "-o", "a.glb", "--report", "file"], "error: file: cannot write: file is not a folder"),
         (&["eval", "s.glb", "c", "-o", "file"], "error: file: cannot write: file is not a folder"),
         (&["render", "s.glb", "-o", "no/out"], "error: no/out: cannot write: folder no: No such file or directory"),
+        (&["mesh", "s.ply", "c", "-o", "no/a.glb"], "error: no/a.glb: cannot write: folder no: No such file or directory"),
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }

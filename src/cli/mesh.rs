@@ -22,7 +22,7 @@ Examples:
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Trained splats: .glb, .gltf or .ply; meshes in it are ignored
+    /// Trained splats, in any format that `centaur convert` reads; meshes are ignored
     #[arg(value_name = "SPLATS")]
     splats: PathBuf,
     /// Folder with photographs and poses, or a transforms*.json

@@ -23,7 +23,7 @@ Examples:
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Scene to render: .glb or .gltf, or .ply for splats alone
+    /// Scene to render: .glb or .gltf, or splats alone in any format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
     /// `embedded` (cameras in the scene's file), or a capture: its folder or a transforms*.json
