@@ -98,7 +98,10 @@ fn outputs_that_cannot_be_written_are_found_before_any_work() {
         (&["train", "c", "-o", "a.glb", "--report", "file"], "error: file: cannot write: file is not a folder"),
         (&["eval", "s.glb", "c", "-o", "file"], "error: file: cannot write: file is not a folder"),
         (&["render", "s.glb", "-o", "no/out"], "error: no/out: cannot write: folder no: No such file or directory"),
-        (&["mesh", "s.ply", "c", "-o", "no/a.glb"], "error: no/a.glb: cannot write: folder no: No such file or directory"),
+        (
+            &["mesh", "s.ply", "c", "-o", "no/a.glb"],
+            "error: no/a.glb: cannot write: folder no: No such file or directory",
+        ),
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }

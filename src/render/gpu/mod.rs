@@ -1,4 +1,4 @@
-//! The compute pipeline on wgpu. `device` is the only file that talks to wgpu; every stage is one WGSL file of the
+//! The compute pipeline on wgpu. `device` is the only module that talks to wgpu; every stage is one WGSL file of the
 //! same name in `shaders/`.
 
 pub(crate) mod adam;

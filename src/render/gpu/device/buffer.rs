@@ -1,0 +1,165 @@
+//! Buffers: allocated within limits, counted, written and read back.
+
+use std::sync::{
+    Arc, Mutex, PoisonError,
+    atomic::{AtomicU64, Ordering},
+};
+
+use super::{Gpu, GpuError};
+use crate::render::gpu::memory::host_memory;
+
+/// Bytes that are allocated.
+#[derive(Default)]
+pub(super) struct Memory {
+    pub(super) now: AtomicU64,
+    pub(super) peak: AtomicU64,
+}
+
+/// A storage, uniform or copy buffer; freed and uncounted when it and all bindings to it are dropped.
+pub(crate) struct Buffer {
+    pub(super) raw: wgpu::Buffer,
+    pub(super) allocation: Arc<Allocation>,
+}
+
+/// Bytes that are counted as long as anything holds them.
+pub(super) struct Allocation {
+    bytes: u64,
+    memory: Arc<Memory>,
+}
+
+impl Drop for Allocation {
+    fn drop(&mut self) {
+        self.memory.now.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+/// Bytes of the buffers by which free memory is found.
+const PROBE: u64 = 256 << 20;
+
+impl Gpu {
+    /// Error if a shader cannot bind a buffer of so many bytes.
+    ///
+    /// # Errors
+    /// [`GpuError::TooLarge`], for `what`.
+    pub(crate) fn ensure_bindable(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let limit = self.max_binding_bytes();
+        if bytes <= limit {
+            return Ok(());
+        }
+        let (what, adapter) = (what.to_owned(), self.adapter.clone());
+        Err(GpuError::TooLarge { what, needed: bytes >> 20, limit: limit >> 20, adapter })
+    }
+
+    /// Error if the adapter cannot hold `bytes` more. Memory that is the host's is taken from nobody by this; other
+    /// memory is allocated and given back, as drivers do not otherwise say what is free.
+    ///
+    /// # Errors
+    /// [`GpuError::NotEnoughMemory`], for `what`.
+    pub(crate) fn ensure_free(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let of_host = if self.is_unified { host_memory() } else { None };
+        let mut free = of_host.unwrap_or(u64::MAX);
+        if free >= bytes && !self.profile.is_cpu {
+            free = self.allocatable(bytes);
+        }
+        if free >= bytes {
+            return Ok(());
+        }
+        let (what, adapter) = (what.to_owned(), self.adapter.clone());
+        Err(GpuError::NotEnoughMemory { what, needed: bytes >> 20, free: free >> 20, adapter })
+    }
+
+    /// How many of `bytes` the driver hands out now.
+    fn allocatable(&self, bytes: u64) -> u64 {
+        let largest = PROBE.min(self.limits.max_buffer_size);
+        let (mut found, mut probes) = (0, vec![]);
+        while found < bytes {
+            let size = largest.min(bytes - found).next_multiple_of(4);
+            let Ok(probe) = self.create("memory probe", size, wgpu::BufferUsages::STORAGE) else { break };
+            probes.push(probe);
+            found += size;
+        }
+        probes.iter().for_each(wgpu::Buffer::destroy);
+        drop(probes);
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        found
+    }
+
+    /// A buffer, or the error that there is no memory for it.
+    fn create(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
+        let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        let buffer = self.device.create_buffer(&descriptor);
+        match pollster::block_on(scope.pop()) {
+            None => Ok(buffer),
+            Some(_) => Err(self.out_of_memory(format!("{label} ({} MiB)", size >> 20))),
+        }
+    }
+
+    pub(super) fn allocate(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<Buffer, GpuError> {
+        self.ensure_bindable(label, bytes)?;
+        let bytes = bytes.max(16).next_multiple_of(4);
+        let raw = self.create(label, bytes, usage)?;
+        let now = self.memory.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        self.memory.peak.fetch_max(now, Ordering::Relaxed);
+        Ok(Buffer { raw, allocation: Arc::new(Allocation { bytes, memory: Arc::clone(&self.memory) }) })
+    }
+
+    /// A zeroed storage buffer of `words` 4-byte words.
+    pub(crate) fn storage(&self, label: &str, words: usize) -> Result<Buffer, GpuError> {
+        use wgpu::BufferUsages as U;
+        // A checkpoint may ask for any number of words.
+        self.allocate(label, (words as u64).saturating_mul(4), U::STORAGE | U::COPY_SRC | U::COPY_DST | U::INDIRECT)
+    }
+
+    /// A storage buffer with these contents.
+    pub(crate) fn storage_with<T: bytemuck::Pod>(&self, label: &str, values: &[T]) -> Result<Buffer, GpuError> {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        let buffer = self.storage(label, bytes.len().div_ceil(4))?;
+        self.write(&buffer, 0, bytes);
+        Ok(buffer)
+    }
+
+    /// A uniform buffer of `words` 4-byte words.
+    pub(crate) fn uniform(&self, label: &str, words: usize) -> Result<Buffer, GpuError> {
+        self.allocate(label, words as u64 * 4, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST)
+    }
+
+    /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4.
+    pub(crate) fn write<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, values: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        if !bytes.is_empty() {
+            self.queue.write_buffer(&buffer.raw, offset, bytes);
+        }
+    }
+
+    /// Waits for everything submitted and copies `count` elements from the start of `buffer`.
+    ///
+    /// # Errors
+    /// If the driver failed on this or anything before.
+    pub(crate) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, count: usize) -> Result<Vec<T>, GpuError> {
+        let bytes = (count * size_of::<T>()) as u64;
+        if bytes == 0 {
+            return Ok(vec![]);
+        }
+        let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
+        let staging = self.create("read-back", bytes.next_multiple_of(4), usage)?;
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, bytes.next_multiple_of(4));
+        self.queue.submit([encoder.finish()]);
+        let failed = |reason: String| GpuError::Failed { adapter: self.adapter.clone(), reason };
+        let outcome = Arc::new(Mutex::new(None));
+        let slot = Arc::clone(&outcome);
+        staging.slice(..).map_async(wgpu::MapMode::Read, move |r| {
+            *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(r);
+        });
+        self.wait()?;
+        self.check()?;
+        match outcome.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(Ok(())) => {}
+            Some(Err(e)) => return Err(failed(e.to_string())),
+            None => return Err(failed("read-back did not finish".to_owned())),
+        }
+        let view = staging.slice(..).get_mapped_range().map_err(|e| failed(e.to_string()))?;
+        Ok(bytemuck::pod_collect_to_vec(&view[..bytes as usize]))
+    }
+}

@@ -1,0 +1,97 @@
+//! What can go wrong on an adapter.
+
+/// A failure of the adapter or the driver.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    /// No adapter at all.
+    #[error(
+        "no GPU adapter found: install a Vulkan, Metal or DX12 driver; without a GPU, Mesa's software adapter works \
+         (Debian/Ubuntu: apt install mesa-vulkan-drivers)"
+    )]
+    NoAdapter,
+    /// No adapter with the requested name.
+    #[error("no adapter matches {wanted:?}; available: {available}")]
+    NoSuchAdapter {
+        /// What was asked for.
+        wanted: String,
+        /// Names of all adapters.
+        available: String,
+    },
+    /// The adapter refused a device.
+    #[error("{adapter}: cannot open a device: {reason}")]
+    Device {
+        /// Adapter name.
+        adapter: String,
+        /// The driver's words.
+        reason: String,
+    },
+    /// A buffer exceeds what the adapter can bind.
+    #[error("{what} needs a buffer of {needed} MiB, but {adapter} binds at most {limit} MiB: {LESS}")]
+    TooLarge {
+        /// What the buffer holds.
+        what: String,
+        /// MiB asked for.
+        needed: u64,
+        /// MiB the adapter binds.
+        limit: u64,
+        /// Adapter name.
+        adapter: String,
+    },
+    /// What is about to be allocated exceeds what is free.
+    #[error("{what} needs {needed} MiB of memory, but {adapter} has {free} MiB free: {LESS}")]
+    NotEnoughMemory {
+        /// What the memory is for.
+        what: String,
+        /// MiB asked for.
+        needed: u64,
+        /// MiB that are free.
+        free: u64,
+        /// Adapter name.
+        adapter: String,
+    },
+    /// The driver has no memory left.
+    #[error("{adapter} is out of memory: no room for {what} beside the {held} MiB in use: {LESS}")]
+    OutOfMemory {
+        /// What there was no room for.
+        what: String,
+        /// MiB allocated before, without what the driver needs itself.
+        held: u64,
+        /// Adapter name.
+        adapter: String,
+    },
+    /// The driver reported an error while running.
+    #[error("{adapter}: {reason}")]
+    Failed {
+        /// Adapter name.
+        adapter: String,
+        /// The driver's words.
+        reason: String,
+    },
+}
+
+/// How to get by with less memory.
+pub(super) const LESS: &str = "fewer splats, smaller maps or smaller images need less";
+
+impl GpuError {
+    /// Whether a smaller scene or smaller images would help.
+    #[must_use]
+    pub fn is_lack_of_memory(&self) -> bool {
+        matches!(self, Self::TooLarge { .. } | Self::NotEnoughMemory { .. } | Self::OutOfMemory { .. })
+    }
+}
+
+/// An error outside a call that returns one.
+#[derive(Clone)]
+pub(super) enum Failure {
+    OutOfMemory,
+    Other(String),
+}
+
+impl From<wgpu::Error> for Failure {
+    fn from(error: wgpu::Error) -> Self {
+        match error {
+            wgpu::Error::OutOfMemory { .. } => Self::OutOfMemory,
+            other => Self::Other(other.to_string()),
+        }
+    }
+}

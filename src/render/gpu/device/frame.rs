@@ -1,0 +1,133 @@
+//! Recording of commands, and what they took.
+
+use super::{Bindings, Buffer, Gpu, GpuError, Kernel};
+
+/// Commands that are submitted together.
+pub(crate) struct Frame<'a> {
+    gpu: &'a Gpu,
+    encoder: wgpu::CommandEncoder,
+    pass: Option<wgpu::ComputePass<'static>>,
+    timer: Option<&'a mut Timer>,
+}
+
+impl<'a> Frame<'a> {
+    /// Starts recording.
+    pub(crate) fn new(gpu: &'a Gpu) -> Self {
+        let encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        Self { gpu, encoder, pass: None, timer: None }
+    }
+
+    /// Starts recording with a timestamp around every dispatch.
+    pub(crate) fn timed(gpu: &'a Gpu, timer: &'a mut Timer) -> Self {
+        timer.labels.clear();
+        Self { timer: Some(timer), ..Self::new(gpu) }
+    }
+
+    fn pass(&mut self, kernel: &Kernel) -> &mut wgpu::ComputePass<'static> {
+        if let Some(timer) = &mut self.timer
+            && timer.labels.len() < Timer::CAPACITY
+        {
+            self.pass = None;
+            let i = 2 * timer.labels.len() as u32;
+            timer.labels.push(kernel.label.clone());
+            let pass = self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some(&kernel.label),
+                timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                    query_set: &timer.queries,
+                    beginning_of_pass_write_index: Some(i),
+                    end_of_pass_write_index: Some(i + 1),
+                }),
+            });
+            return self.pass.insert(pass.forget_lifetime());
+        }
+        let encoder = &mut self.encoder;
+        self.pass.get_or_insert_with(|| {
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime()
+        })
+    }
+
+    /// Runs `groups` workgroups, folded into two dimensions where one is too short (see `group_index` in WGSL).
+    pub(crate) fn dispatch(&mut self, kernel: &Kernel, bindings: &Bindings, groups: usize) {
+        if groups == 0 {
+            return;
+        }
+        let widest = self.gpu.widest_dispatch() as usize;
+        let y = groups.div_ceil(widest);
+        let x = groups.div_ceil(y);
+        let pass = self.pass(kernel);
+        pass.set_pipeline(&kernel.pipeline);
+        pass.set_bind_group(0, &bindings.group, &[]);
+        pass.dispatch_workgroups(x as u32, y as u32, 1);
+    }
+
+    /// Runs as many workgroups as the three words at byte `offset` of `counts` say.
+    pub(crate) fn dispatch_indirect(&mut self, kernel: &Kernel, bindings: &Bindings, counts: &Buffer, offset: u64) {
+        let pass = self.pass(kernel);
+        pass.set_pipeline(&kernel.pipeline);
+        pass.set_bind_group(0, &bindings.group, &[]);
+        pass.dispatch_workgroups_indirect(&counts.raw, offset);
+    }
+
+    /// Fills a buffer with zeros.
+    pub(crate) fn clear(&mut self, buffer: &Buffer) {
+        self.pass = None;
+        self.encoder.clear_buffer(&buffer.raw, 0, None);
+    }
+
+    /// Hands the commands to the adapter; does not wait.
+    pub(crate) fn submit(mut self) {
+        self.pass = None;
+        if let Some(timer) = &mut self.timer {
+            let count = 2 * timer.labels.len() as u32;
+            self.encoder.resolve_query_set(&timer.queries, 0..count, &timer.resolved.raw, 0);
+        }
+        self.gpu.queue.submit([self.encoder.finish()]);
+    }
+}
+
+/// Times every dispatch of a frame.
+pub(crate) struct Timer {
+    queries: wgpu::QuerySet,
+    resolved: Buffer,
+    labels: Vec<String>,
+}
+
+impl Timer {
+    const CAPACITY: usize = 512;
+
+    /// None where the adapter has no timestamps.
+    pub(crate) fn new(gpu: &Gpu) -> Option<Self> {
+        if !gpu.profile.timestamps {
+            return None;
+        }
+        let count = 2 * Self::CAPACITY as u32;
+        let queries = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: Some("timer"),
+            ty: wgpu::QueryType::Timestamp,
+            count,
+        });
+        let usage = wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC;
+        let resolved = gpu.allocate("timer", u64::from(count) * 8, usage).ok()?;
+        Some(Self { queries, resolved, labels: vec![] })
+    }
+
+    /// Kernel name and seconds of every dispatch of the last timed frame, in order. Waits for it.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn seconds(&self, gpu: &Gpu) -> Result<Vec<(String, f64)>, GpuError> {
+        let ticks: Vec<u64> = gpu.read(&self.resolved, 2 * self.labels.len())?;
+        let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
+        Ok(self
+            .labels
+            .iter()
+            .zip(ticks.chunks_exact(2))
+            .map(|(label, t)| (label.clone(), t[1].saturating_sub(t[0]) as f64 * period))
+            .collect())
+    }
+}
+
+/// Workgroups of `size` threads that cover `items`.
+pub(crate) fn groups(items: usize, size: usize) -> usize {
+    items.div_ceil(size)
+}

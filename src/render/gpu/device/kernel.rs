@@ -1,0 +1,96 @@
+//! Compiled entry points of `shaders/` and what they are bound to.
+
+use std::sync::{Arc, PoisonError};
+
+use super::{Buffer, Gpu, buffer::Allocation};
+use crate::render::gpu::shader::{self, Access, Defines};
+
+/// A compiled compute entry point. Cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Kernel {
+    pub(super) label: String,
+    pub(super) pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+    slots: Vec<u32>,
+}
+
+/// The buffers of one kernel.
+pub(crate) struct Bindings {
+    pub(super) group: wgpu::BindGroup,
+    /// A bind group keeps its buffers alive.
+    _allocations: Vec<Arc<Allocation>>,
+}
+
+impl Kernel {
+    /// Entry point `entry` of `shaders/<file>`, specialised by `defines`; compiled once per adapter.
+    pub(crate) fn new(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
+        let mut kernels = gpu.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (format!("{file}:{entry}"), defines.clone());
+        kernels.entry(key).or_insert_with(|| Self::compile(gpu, file, entry, defines)).clone()
+    }
+
+    fn compile(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
+        let wgsl = shader::preprocess(file, defines);
+        let bindings = shader::bindings(&wgsl);
+        let entries: Vec<_> = bindings
+            .iter()
+            .map(|&(binding, access)| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: match access {
+                        Access::Uniform => wgpu::BufferBindingType::Uniform,
+                        Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
+                        Access::ReadWrite => wgpu::BufferBindingType::Storage { read_only: false },
+                    },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            })
+            .collect();
+        let label = format!("{}:{entry}", file.trim_end_matches(".wgsl"));
+        let device = &gpu.device;
+        let layout = device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(&label), entries: &entries });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(&label),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(&label),
+            source: wgpu::ShaderSource::Wgsl(wgsl.into()),
+        });
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(&label),
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some(entry),
+            // Workgroup arrays are always written before they are read.
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            cache: None,
+        });
+        Self { label, pipeline, layout, slots: bindings.iter().map(|b| b.0).collect() }
+    }
+
+    /// Binds `buffers` in the order of the shader's binding numbers.
+    pub(crate) fn bind(&self, gpu: &Gpu, buffers: &[&Buffer]) -> Bindings {
+        assert_eq!(self.slots.len(), buffers.len(), "{} has {} bindings", self.label, self.slots.len());
+        let entries: Vec<_> = self
+            .slots
+            .iter()
+            .zip(buffers)
+            .map(|(&binding, b)| wgpu::BindGroupEntry { binding, resource: b.raw.as_entire_binding() })
+            .collect();
+        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(&self.label),
+            layout: &self.layout,
+            entries: &entries,
+        });
+        Bindings { group, _allocations: buffers.iter().map(|b| Arc::clone(&b.allocation)).collect() }
+    }
+}

@@ -1,0 +1,220 @@
+//! The only place that talks to wgpu directly: adapter, device, buffers, kernels, command recording, read-back.
+
+mod adapters;
+mod buffer;
+mod error;
+mod frame;
+mod kernel;
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, PoisonError, atomic::Ordering},
+};
+
+use adapters::adapters;
+pub use adapters::{AdapterSummary, Profile, list_adapters};
+pub(crate) use buffer::Buffer;
+use buffer::Memory;
+use error::Failure;
+pub use error::GpuError;
+pub(crate) use frame::{Frame, Timer, groups};
+pub(crate) use kernel::{Bindings, Kernel};
+
+use super::shader::Defines;
+
+/// An opened adapter.
+pub struct Gpu {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    adapter: String,
+    profile: Profile,
+    limits: wgpu::Limits,
+    /// Its memory is the host's.
+    is_unified: bool,
+    memory: Arc<Memory>,
+    failure: Arc<Mutex<Option<Failure>>>,
+    kernels: Mutex<HashMap<(String, Defines), Kernel>>,
+}
+
+impl Gpu {
+    /// Opens the best adapter, or the first whose name contains `wanted` (case-insensitive).
+    ///
+    /// # Errors
+    /// If there is no (such) adapter or its driver refuses a device.
+    pub fn open(wanted: Option<&str>) -> Result<Self, GpuError> {
+        Self::open_restricted(wanted, true, true)
+    }
+
+    /// As [`Gpu::open`], pretending that native f32 atomics or subgroups are missing where told so: the fallbacks
+    /// run everywhere, so that they can be tested everywhere.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn open_restricted(wanted: Option<&str>, float_atomics: bool, subgroups: bool) -> Result<Self, GpuError> {
+        let all = adapters();
+        if all.is_empty() {
+            return Err(GpuError::NoAdapter);
+        }
+        let name_of = |a: &wgpu::Adapter| a.get_info().name;
+        let adapter = match wanted {
+            None => &all[0],
+            Some(w) => all.iter().find(|a| name_of(a).to_lowercase().contains(&w.to_lowercase())).ok_or_else(|| {
+                GpuError::NoSuchAdapter {
+                    wanted: w.to_owned(),
+                    available: all.iter().map(name_of).collect::<Vec<_>>().join(", "),
+                }
+            })?,
+        };
+        let info = adapter.get_info();
+        let mut wanted_features = wgpu::Features::TIMESTAMP_QUERY;
+        wanted_features.set(wgpu::Features::SHADER_FLOAT32_ATOMIC, float_atomics);
+        wanted_features.set(wgpu::Features::SUBGROUP, subgroups);
+        let features = adapter.features() & wanted_features;
+        let limits = adapter.limits();
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("centaur"),
+            required_features: features,
+            required_limits: limits.clone(),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        }))
+        .map_err(|e| GpuError::Device { adapter: info.name.clone(), reason: e.to_string() })?;
+        let failure = Arc::new(Mutex::new(None));
+        let report = |slot: &Mutex<Option<Failure>>, failure: Failure| {
+            slot.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(failure);
+        };
+        let slot = Arc::clone(&failure);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| report(&slot, error.into())));
+        let slot = Arc::clone(&failure);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                report(&slot, Failure::Other(format!("the device was lost: {message}")));
+            }
+        });
+        Ok(Self {
+            device,
+            queue,
+            adapter: info.name,
+            profile: Profile {
+                float_atomics: features.contains(wgpu::Features::SHADER_FLOAT32_ATOMIC),
+                subgroups: features.contains(wgpu::Features::SUBGROUP),
+                timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+                is_cpu: info.device_type == wgpu::DeviceType::Cpu,
+            },
+            limits,
+            is_unified: matches!(info.device_type, wgpu::DeviceType::Cpu | wgpu::DeviceType::IntegratedGpu),
+            memory: Arc::default(),
+            failure,
+            kernels: Mutex::default(),
+        })
+    }
+
+    /// The adapter's name.
+    #[must_use]
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// What shaders may use.
+    #[must_use]
+    pub fn profile(&self) -> Profile {
+        self.profile
+    }
+
+    /// Most bytes that were allocated at once since the device was opened.
+    #[must_use]
+    pub fn peak_bytes(&self) -> u64 {
+        self.memory.peak.load(Ordering::Relaxed)
+    }
+
+    /// Most bytes that one binding can hold.
+    #[must_use]
+    pub fn max_binding_bytes(&self) -> u64 {
+        self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
+    }
+
+    /// Most workgroups in a row of a dispatch.
+    pub(crate) fn widest_dispatch(&self) -> u32 {
+        self.limits.max_compute_workgroups_per_dimension
+    }
+
+    /// The same adapter, but dispatches are folded into rows of at most so many workgroups.
+    #[cfg(test)]
+    pub(crate) fn narrowed(mut self, widest: u32) -> Self {
+        self.limits.max_compute_workgroups_per_dimension = widest;
+        self
+    }
+
+    /// The first error the driver reported outside a call that returns one.
+    ///
+    /// # Errors
+    /// That error.
+    pub fn check(&self) -> Result<(), GpuError> {
+        match self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone() {
+            None => Ok(()),
+            Some(Failure::OutOfMemory) => Err(self.out_of_memory("a copy to or from the host".to_owned())),
+            Some(Failure::Other(reason)) => Err(GpuError::Failed { adapter: self.adapter.clone(), reason }),
+        }
+    }
+
+    fn out_of_memory(&self, what: String) -> GpuError {
+        let held = self.memory.now.load(Ordering::Relaxed) >> 20;
+        GpuError::OutOfMemory { what, held, adapter: self.adapter.clone() }
+    }
+
+    /// Waits until everything submitted has run.
+    ///
+    /// # Errors
+    /// If the device was lost.
+    pub(crate) fn wait(&self) -> Result<(), GpuError> {
+        // wgpu panics when it is asked to wait for a device that is lost.
+        self.check()?;
+        self.device
+            .poll(wgpu::PollType::wait_indefinitely())
+            .map(|_| ())
+            .map_err(|e| GpuError::Failed { adapter: self.adapter.clone(), reason: e.to_string() })
+    }
+
+    /// The defines that every kernel gets from the adapter.
+    pub(crate) fn defines(&self) -> Defines {
+        Defines::default()
+            .with("FLOAT_ATOMICS", u32::from(self.profile.float_atomics))
+            .with("SUBGROUPS", u32::from(self.profile.subgroups))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{error::LESS, *};
+    use crate::render::gpu::memory::host_memory;
+
+    #[test]
+    fn too_little_memory_is_an_error_that_says_how_much_there_is() {
+        let gpu = Gpu::open(None).unwrap();
+        gpu.ensure_free("a little", 1 << 20).unwrap();
+        gpu.check().unwrap();
+        if !gpu.is_unified || host_memory().is_none() {
+            return; // All of a GPU's memory is not to be taken by a test.
+        }
+        let error = gpu.ensure_free("training", 1 << 60).unwrap_err();
+        assert!(error.is_lack_of_memory());
+        let text = error.to_string();
+        assert!(text.starts_with("training needs 1099511627776 MiB of memory, but ") && text.contains(LESS), "{text}");
+    }
+
+    #[test]
+    fn running_out_of_memory_is_an_error_that_names_the_adapter() {
+        let gpu = Gpu::open(None).unwrap();
+        let held = gpu.storage("something", 3 << 18).unwrap();
+        // As wgpu reports it when it stages a copy.
+        let error = wgpu::Error::OutOfMemory { source: "no memory".into() };
+        *gpu.failure.lock().unwrap() = Some(error.into());
+        let expected = format!(
+            "{} is out of memory: no room for a copy to or from the host beside the 3 MiB in use: {LESS}",
+            gpu.adapter()
+        );
+        for error in [gpu.check().unwrap_err(), gpu.read::<u32>(&held, 1).unwrap_err(), gpu.wait().unwrap_err()] {
+            assert_eq!(error.to_string(), expected);
+        }
+    }
+}
