@@ -14,6 +14,7 @@ BENCH_FLAGS ?=
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
 ORACLES := .venv-oracles
+ORACLES_USD := .venv-oracles-usd
 GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
 GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
 GARDEN := $(or $(wildcard $(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz),target/oracles/test_garden.npz)
@@ -22,7 +23,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -79,7 +80,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-gltf oracle-gsplat oracle-colmap oracle-splat-transform ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-gltf oracle-gsplat oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
@@ -100,6 +101,14 @@ oracle-splat-transform:
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) \
 		cargo test --release --test splat_transform_oracle -- --ignored
+
+oracle-usd: $(ORACLES_USD)/installed
+	CENTAUR_USD_PYTHON=$(abspath $(ORACLES_USD)/bin/python) cargo test --release --test usd_oracle -- --ignored
+
+$(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
+	$(PYTHON) -m venv $(ORACLES_USD)
+	$(ORACLES_USD)/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
 
 $(ORACLES)/installed: tests/oracles/requirements.txt
 	$(PYTHON) -m venv $(ORACLES)

@@ -1,16 +1,17 @@
-//! Builds a small hybrid scene by hand and writes it: `cargo run --release --example write_hybrid -- scene.glb`.
+//! Builds a small hybrid scene by hand and writes it: `cargo run --release --example write_hybrid -- scene.glb`
+//! (or `.usda`, `.usdz`).
 //!
 //! A half-transparent square, its colour depending on the direction of view, in a ball of splats.
 
 use std::error::Error;
 use std::path::Path;
 
-use centaur::format::gltf;
+use centaur::format::{self, WriteOptions};
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let path = std::env::args().nth(1).ok_or("usage: write_hybrid FILE.glb")?;
+    let path = std::env::args().nth(1).ok_or("usage: write_hybrid FILE.glb|usda|usdz")?;
 
     let (size, band_size) = (64u32, 16u32);
     let base = (0..size * size).flat_map(|i| {
@@ -51,6 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let intrinsics = Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0 };
     let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0))?;
     let scene = HybridScene { splats, meshes: vec![mesh], composition: Composition::default() };
-    gltf::write_glb(Path::new(&path), &scene, &[("front".to_owned(), camera)], None)?;
+    let cameras = [("front".to_owned(), camera)];
+    format::write_scene(Path::new(&path), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() })?;
     Ok(())
 }

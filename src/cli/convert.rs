@@ -17,6 +17,7 @@ Examples:
   centaur convert garden.ply garden.glb
   centaur convert garden.glb splats.ply --no-mesh --no-cameras --strict
   centaur convert table.ply chair.glb room.glb
+  centaur convert garden.glb garden.usdz
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
 
@@ -26,7 +27,7 @@ Examples:
 /// options remove is no loss. Differences that come of rounding to 32 bits are none either.
 ///
 /// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
-/// taken; glTF is y-up and is turned on reading and writing. Spherical harmonics turn with whatever is turned.
+/// taken; glTF and USD are y-up and are turned on reading and writing. Spherical harmonics turn with whatever is turned.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -194,6 +195,14 @@ fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
     }
     if args.strict && !report.loss.is_rounding() {
         bail!("{}: --strict: a .{extension} would lose {}", output.display(), report.loss);
+    }
+    // Pictures of a .usda come first: a file that names them must not be there before they are.
+    for entry in staging.path().read_dir().with_context(named)? {
+        let file = entry.with_context(named)?.path();
+        if file != staged {
+            let beside = folder.join(file.file_name().unwrap_or_default());
+            std::fs::rename(&file, &beside).with_context(|| format!("{}: cannot write", beside.display()))?;
+        }
     }
     std::fs::rename(&staged, output).with_context(named)?;
     Ok(report)

@@ -46,7 +46,14 @@ pub enum Location {
     File,
     /// Offset in bytes from the start of the file.
     Byte(u64),
-    /// JSON pointer (RFC 6901) into the glTF document.
+    /// Place in a text, both counted from 1; the column in characters.
+    Line {
+        /// Line.
+        line: u64,
+        /// Column.
+        column: u64,
+    },
+    /// JSON pointer (RFC 6901) into the glTF document, or path of a prim or property of a USD layer.
     Pointer(String),
     /// A field of the scene that was being made: `means[17]`.
     Field(String),
@@ -57,6 +64,7 @@ impl fmt::Display for Location {
         match self {
             Self::File => Ok(()),
             Self::Byte(offset) => write!(f, "byte {offset}: "),
+            Self::Line { line, column } => write!(f, "line {line}, column {column}: "),
             Self::Pointer(pointer) => write!(f, "{pointer}: "),
             Self::Field(field) => write!(f, "{field}: "),
         }
@@ -78,6 +86,10 @@ impl Fault {
 
     pub(crate) fn byte(offset: usize, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self { location: Location::Byte(offset as u64), expected: expected.into(), found: found.into() }
+    }
+
+    pub(crate) fn at(location: Location, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { location, expected: expected.into(), found: found.into() }
     }
 
     pub(crate) fn pointer(at: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {

@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{Asset, bytes_by_part, scene_of};
-use super::{FormatError, Kind, ReadOptions, kind, read_file};
+use super::{FormatError, Kind, ReadOptions, kind, read_file, usd};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
@@ -16,7 +16,7 @@ use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 pub struct Summary {
     /// Path as given.
     pub file: String,
-    /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat` or `ksplat`.
+    /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat`, `ksplat` or `USD`.
     pub format: &'static str,
     /// Length of the file; of a SOG that is a folder, of its `meta.json`.
     pub bytes: u64,
@@ -103,6 +103,17 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 extensions_used: asset.extensions_used,
                 extensions_required: asset.extensions_required,
                 ..summary(path, bytes, &content.scene)
+            })
+        }
+        Kind::Usd => {
+            let file = usd::read(path)?;
+            Ok(Summary {
+                format: Kind::Usd.name(),
+                cameras: file.cameras.len(),
+                composition: Some(composition(&file.scene.composition)),
+                bytes_by_part: BTreeMap::from([("layer and maps", bytes)]),
+                warnings: file.notes,
+                ..summary(path, bytes, &file.scene)
             })
         }
         kind => {

@@ -17,6 +17,7 @@ pub mod splat;
 pub mod spz;
 #[cfg(test)]
 mod test_scenes;
+pub mod usd;
 mod validate;
 
 use std::path::Path;
@@ -39,6 +40,7 @@ enum Kind {
     Sog,
     Splat,
     Spz,
+    Usd,
 }
 
 impl Kind {
@@ -51,17 +53,18 @@ impl Kind {
             Self::Sog => "SOG",
             Self::Splat => "splat",
             Self::Spz => "SPZ",
+            Self::Usd => "USD",
         }
     }
 }
 
-/// Reads a hybrid scene from a `.glb` or `.gltf` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
+/// Reads a hybrid scene from a `.glb`, `.gltf`, `.usda` or `.usdz` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
 /// `.splat` or `.ksplat`. They are told by their content; the last two, which have no mark of their
 /// own, and the `meta.json` or `lod-meta.json` of a SOG that is a folder by the file's name.
 ///
 /// # Errors
-/// If the file cannot be read or is none of these; see [`gltf::read`], [`ply::read`], [`sog::read`], [`spz::read`],
-/// [`splat::read`] and [`ksplat::read`].
+/// If the file cannot be read or is none of these; see [`gltf::read`], [`usd::read`], [`ply::read`], [`sog::read`],
+/// [`spz::read`], [`splat::read`] and [`ksplat::read`].
 pub fn read_scene(path: &Path) -> Result<HybridScene, FormatError> {
     Ok(read_file(path, &ReadOptions::default())?.scene)
 }
@@ -78,6 +81,8 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Gltf)
     } else if start.starts_with(b"ply") {
         Ok(Kind::Ply)
+    } else if usd::is_usd(&start) {
+        Ok(Kind::Usd)
     } else if sog::is_named(path) || start.starts_with(b"PK\x03\x04") {
         Ok(Kind::Sog)
     } else if start.starts_with(b"NGSP") || start.starts_with(&[0x1f, 0x8b, 8]) {
@@ -90,7 +95,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     } else if first == Some(&b'{') {
         Ok(Kind::Gltf)
     } else {
-        let expected = "a .glb, .gltf, .ply, .sog, .spz, .splat or .ksplat file";
+        let expected = "a .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat or .ksplat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
         Err(error::Fault::whole(expected, found).in_file(path))
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::error::{self, Fault};
 use super::ply::Attribute;
 use super::record::Record;
-use super::{FormatError, Kind, Loss, WriteReport, activation, gltf, kind, ksplat, ply, sog, splat, spz};
+use super::{FormatError, Kind, Loss, WriteReport, activation, gltf, kind, ksplat, ply, sog, splat, spz, usd};
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
 /// What a file says about a scene.
@@ -53,7 +53,7 @@ pub struct WriteOptions<'a> {
 }
 
 /// Extensions of files that [`write_scene`] writes. A name that ends in `.compressed.ply` asks for compressed PLY.
-pub const WRITABLE: &[&str] = &["glb", "ply", "sog", "spz", "splat", "ksplat"];
+pub const WRITABLE: &[&str] = &["glb", "usda", "usdz", "ply", "sog", "spz", "splat", "ksplat"];
 
 /// As [`super::read_scene`], with what the file says besides.
 ///
@@ -81,6 +81,7 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
             let (splats, notes) = spz::read_noted(path)?;
             SceneFile { notes, ..SceneFile::of_splats(splats) }
         }
+        Kind::Usd => usd::read(path)?,
     })
 }
 
@@ -93,8 +94,12 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
     let splats = &scene.splats;
     let report = match extension {
-        "glb" => {
-            let bytes = gltf::write_glb(path, scene, options.cameras, None)?;
+        "glb" | "usda" | "usdz" => {
+            let bytes = if extension == "glb" {
+                gltf::write_glb(path, scene, options.cameras, None)?
+            } else {
+                usd::write(path, scene, options.cameras)?
+            };
             let loss = Loss { attributes: names(options.attributes), ..of_linear_values(splats) };
             return Ok(WriteReport { bytes, loss });
         }
@@ -158,14 +163,16 @@ mod tests {
             let path = folder.path().join(format!("scene.{}", extension.to_uppercase()));
             let options = WriteOptions { cameras: &cameras, ..WriteOptions::default() };
             let report = write_scene(&path, &scene, &options).unwrap();
-            assert_eq!(report.bytes, path.metadata().unwrap().len());
+            // A .usda is written with its pictures.
+            let length = path.metadata().unwrap().len();
+            assert!(report.bytes == length || *extension == "usda" && report.bytes > length);
             let back = read_file(&path, &ReadOptions::default()).unwrap();
             assert!(!back.y_up && back.notes.is_empty(), "{:?}", back.notes);
             assert_eq!(back.scene.splats.len(), 30);
             assert_eq!(scene.meshes.len() - back.scene.meshes.len(), report.loss.meshes);
             assert_eq!(cameras.len() - back.cameras.len(), report.loss.cameras);
             assert_eq!(back.scene.composition != scene.composition, report.loss.composition);
-            if extension == &"glb" {
+            if ["glb", "usda", "usdz"].contains(extension) {
                 // The report is what a reader finds.
                 assert_eq!(Loss::of_splats(&scene.splats, &back.scene.splats).max_error, report.loss.max_error);
             }
@@ -188,7 +195,7 @@ mod tests {
         let error = write("a.txt", &scene).unwrap_err().to_string();
         assert!(
             error
-                .ends_with("a.txt: expected a name that ends in .glb, .ply, .sog, .spz, .splat, .ksplat, found `.txt`"),
+                .ends_with("a.txt: expected a name that ends in .glb, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, found `.txt`"),
             "{error}"
         );
     }

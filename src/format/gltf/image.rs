@@ -8,10 +8,10 @@ use super::lift::{Asset, resolve};
 use crate::format::error::Fault;
 
 /// Texels as stored, 0..1, no transfer function undone; rows from the top.
-pub(super) struct Texels {
-    pub(super) width: u32,
-    pub(super) height: u32,
-    pub(super) rgba: Vec<[f32; 4]>,
+pub(in crate::format) struct Texels {
+    pub(in crate::format) width: u32,
+    pub(in crate::format) height: u32,
+    pub(in crate::format) rgba: Vec<[f32; 4]>,
 }
 
 /// Largest side accepted, that of `scene::Texture`.
@@ -37,26 +37,31 @@ impl Asset {
                 .map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?,
             (None, None) => return Err(Fault::pointer(at, "a bufferView or a uri", "neither")),
         };
-        let undecodable = |e: &dyn std::fmt::Display| Fault::pointer(&at, "a PNG or JPEG image", e.to_string());
-        let encoded_bytes = encoded.len() as u64;
-        let mut reader =
-            image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
-        let mut limits = image::Limits::default();
-        limits.max_image_width = Some(MAX_SIDE);
-        limits.max_image_height = Some(MAX_SIDE);
-        // RGBA of 16 bits at the largest size, for the decoder itself.
-        limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * 8);
-        reader.limits(limits);
-        let decoder = reader.into_decoder().map_err(|e| undecodable(&e))?;
-        if decoder.total_bytes() / MAX_RATIO > encoded_bytes {
-            let (width, height) = decoder.dimensions();
-            let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_RATIO);
-            return Err(Fault::pointer(&at, expected, format!("{encoded_bytes} bytes")));
-        }
-        let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
-        let rgba = pixels.pixels().map(|p| p.0).collect();
-        Ok(Texels { width: pixels.width(), height: pixels.height(), rgba })
+        decode(encoded).map_err(|(expected, found)| Fault::pointer(at, expected, found))
     }
+}
+
+/// Decodes a PNG (8 or 16 bit) or JPEG. On failure: what was expected, and what was found.
+pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, String)> {
+    let undecodable = |e: &dyn std::fmt::Display| ("a PNG or JPEG image".to_owned(), e.to_string());
+    let encoded_bytes = encoded.len() as u64;
+    let mut reader =
+        image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    // RGBA of 16 bits at the largest size, for the decoder itself.
+    limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * 8);
+    reader.limits(limits);
+    let decoder = reader.into_decoder().map_err(|e| undecodable(&e))?;
+    if decoder.total_bytes() / MAX_RATIO > encoded_bytes {
+        let (width, height) = decoder.dimensions();
+        let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_RATIO);
+        return Err((expected, format!("{encoded_bytes} bytes")));
+    }
+    let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
+    let rgba = pixels.pixels().map(|p| p.0).collect();
+    Ok(Texels { width: pixels.width(), height: pixels.height(), rgba })
 }
 
 #[cfg(test)]

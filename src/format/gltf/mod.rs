@@ -20,10 +20,11 @@ mod write;
 
 use std::path::Path;
 
+pub(super) use image::{Texels, decode};
 pub(super) use lift::{Asset, UNDERSTOOD, resolve};
 pub(super) use read::scene as scene_of;
 pub(super) use sizes::bytes_by_part;
-pub(super) use transform::placements;
+pub(super) use transform::{Similarity, placements, similarity};
 
 use super::{FormatError, SceneFile};
 use crate::scene::{Camera, HybridScene};

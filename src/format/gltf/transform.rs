@@ -64,15 +64,15 @@ fn local(node: &gltf::Node<'_>) -> DMat4 {
 }
 
 /// `scale · rotation` and a translation: what a splat can follow.
-pub(super) struct Similarity {
-    pub(super) scale: f64,
-    pub(super) rotation: DQuat,
-    pub(super) translation: DVec3,
+pub(in crate::format) struct Similarity {
+    pub(in crate::format) scale: f64,
+    pub(in crate::format) rotation: DQuat,
+    pub(in crate::format) translation: DVec3,
 }
 
 /// Takes a transform apart; `None` if it shears, mirrors or scales unevenly by more than 1e-4, about the noise of f32
 /// matrices multiplied along a node path.
-pub(super) fn similarity(transform: DMat4) -> Option<Similarity> {
+pub(in crate::format) fn similarity(transform: DMat4) -> Option<Similarity> {
     let linear = DMat3::from_mat4(transform);
     let scale = linear.determinant().cbrt();
     let unit = linear * scale.recip();

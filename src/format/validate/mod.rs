@@ -61,7 +61,7 @@ pub struct Validation {
 ///   of `KHR_gaussian_splatting` and of `EXT_gaussian_splatting_hybrid`.
 /// * `.ply` of splats: header, rows against the length of the file, values.
 /// * `.spz`: container, streams against the number of splats, values at the ends of their ranges.
-/// * other files of splats: what the reader refuses.
+/// * `.usda`, `.usdz` and other files of splats: what the reader refuses.
 ///
 /// # Errors
 /// If the file cannot be read or is none of these. What is wrong *in* it is no error, but a finding.
@@ -72,7 +72,7 @@ pub fn validate(path: &Path) -> Result<Validation, FormatError> {
         Kind::Gltf => gltf::check(&read_file(path)?, path.parent().unwrap_or(Path::new("")), &mut findings),
         Kind::Ply => ply::check(&read_file(path)?, &mut findings),
         Kind::Spz => spz::check(&read_file(path)?, &mut findings),
-        Kind::Ksplat | Kind::Sog | Kind::Splat => match read_scene(path) {
+        Kind::Ksplat | Kind::Sog | Kind::Splat | Kind::Usd => match read_scene(path) {
             Ok(_) => {}
             Err(FormatError::Content { location, expected, found, .. }) => {
                 findings.add(Severity::Error, "CONTENT", location, expected, found);

@@ -1,0 +1,340 @@
+//! A USD layer as plain data: what a `.usda` says, before it means anything.
+
+/// A layer: everything in one file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Layer {
+    pub(super) metadata: Vec<Field>,
+    pub(super) prims: Vec<Prim>,
+}
+
+/// An entry of metadata: `upAxis = "Y"`, `prepend apiSchemas = ["MaterialBindingAPI"]`.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Field {
+    pub(super) edit: Option<ListEdit>,
+    pub(super) name: String,
+    pub(super) value: Value,
+}
+
+/// How a list changes that of weaker layers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ListEdit {
+    Prepend,
+    Append,
+    Add,
+    Delete,
+    Reorder,
+}
+
+impl ListEdit {
+    pub(super) const ALL: [Self; 5] = [Self::Prepend, Self::Append, Self::Add, Self::Delete, Self::Reorder];
+
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Prepend => "prepend",
+            Self::Append => "append",
+            Self::Add => "add",
+            Self::Delete => "delete",
+            Self::Reorder => "reorder",
+        }
+    }
+}
+
+/// What a prim's opinion is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Specifier {
+    #[default]
+    Def,
+    Over,
+    Class,
+}
+
+impl Specifier {
+    pub(super) const ALL: [Self; 3] = [Self::Def, Self::Over, Self::Class];
+
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Def => "def",
+            Self::Over => "over",
+            Self::Class => "class",
+        }
+    }
+}
+
+/// A prim, its properties and the prims below it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Prim {
+    pub(super) specifier: Specifier,
+    /// `Mesh`; empty where none is stated.
+    pub(super) type_name: String,
+    pub(super) name: String,
+    pub(super) metadata: Vec<Field>,
+    pub(super) properties: Vec<Property>,
+    pub(super) children: Vec<Prim>,
+    pub(super) variants: Vec<Variant>,
+}
+
+/// What a prim holds besides while `set` is at `name`. Has neither specifier, type nor name of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Variant {
+    pub(super) set: String,
+    pub(super) name: String,
+    pub(super) content: Prim,
+}
+
+/// An attribute or a relationship.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Property {
+    pub(super) name: String,
+    pub(super) custom: bool,
+    pub(super) uniform: bool,
+    pub(super) kind: PropertyKind,
+    pub(super) metadata: Vec<Field>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum PropertyKind {
+    Attribute {
+        /// With `[]` if it is an array: `point3f[]`.
+        type_name: String,
+        value: Option<Value>,
+        /// Values by time code, in the file's order.
+        samples: Vec<(f64, Value)>,
+        connections: Option<(Option<ListEdit>, Vec<String>)>,
+    },
+    Relationship {
+        targets: Option<(Option<ListEdit>, Vec<String>)>,
+    },
+}
+
+/// A value. Those of attributes with a numeric type are flat: `[(1, 2, 3)]` of `point3f[]` is `Floats([1, 2, 3])`.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    /// `None`: takes away the value of weaker layers.
+    Blocked,
+    /// Of half and single precision.
+    Floats(Vec<f32>),
+    /// Of double precision.
+    Doubles(Vec<f64>),
+    /// Of booleans and integers of any size.
+    Integers(Vec<i64>),
+    /// A number where no type is stated, in metadata.
+    Number(f64),
+    /// Strings and tokens.
+    Text(String),
+    /// `@path@`.
+    Asset(String),
+    /// `@path@</prim>`: a reference or payload.
+    Reference(String, String),
+    /// `</prim.property>`.
+    Path(String),
+    List(Vec<Value>),
+    Tuple(Vec<Value>),
+    Dictionary(Vec<Entry>),
+}
+
+/// `double3 key = (1, 2, 3)` in a dictionary. The type is empty where the dictionary is a map of paths.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Entry {
+    pub(super) type_name: String,
+    pub(super) key: String,
+    pub(super) value: Value,
+}
+
+/// What numbers a type is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Scalar {
+    Float,
+    Double,
+    Integer,
+}
+
+/// Shape of one element of a numeric type: `point3f` is 1×3, `matrix4d` 4×4.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Numeric {
+    pub(super) scalar: Scalar,
+    pub(super) rows: usize,
+    pub(super) columns: usize,
+}
+
+impl Numeric {
+    /// Of a type name, with or without `[]`; `None` for strings, assets, dictionaries and what is unknown.
+    pub(super) fn of(type_name: &str) -> Option<Self> {
+        let name = type_name.strip_suffix("[]").unwrap_or(type_name);
+        let vector = |scalar, columns| Some(Self { scalar, rows: 1, columns });
+        match name {
+            "bool" | "uchar" | "int" | "uint" | "int64" | "uint64" => return vector(Scalar::Integer, 1),
+            "half" | "float" => return vector(Scalar::Float, 1),
+            "double" | "timecode" => return vector(Scalar::Double, 1),
+            "int2" => return vector(Scalar::Integer, 2),
+            "int3" => return vector(Scalar::Integer, 3),
+            "int4" => return vector(Scalar::Integer, 4),
+            _ => {}
+        }
+        // `half3` and `float3` end in their size, `point3f` in size and precision.
+        for (prefix, scalar) in [("half", Scalar::Float), ("float", Scalar::Float), ("double", Scalar::Double)] {
+            if let Some(size) = name.strip_prefix(prefix) {
+                return vector(scalar, size_of(size).filter(|n| (2..=4).contains(n))?);
+            }
+        }
+        let (role, precision) = name.split_at_checked(name.len().checked_sub(1)?)?;
+        let scalar = match precision {
+            "h" | "f" => Scalar::Float,
+            "d" => Scalar::Double,
+            _ => return None,
+        };
+        match role {
+            "quat" => vector(scalar, 4),
+            "point3" | "normal3" | "vector3" | "color3" | "texCoord3" => vector(scalar, 3),
+            "color4" => vector(scalar, 4),
+            "texCoord2" => vector(scalar, 2),
+            "frame4" if scalar == Scalar::Double => Some(Self { scalar, rows: 4, columns: 4 }),
+            _ if scalar == Scalar::Double => {
+                let size = size_of(role.strip_prefix("matrix")?).filter(|n| (2..=4).contains(n))?;
+                Some(Self { scalar, rows: size, columns: size })
+            }
+            _ => None,
+        }
+    }
+
+    /// Numbers per element.
+    pub(super) fn width(self) -> usize {
+        self.rows * self.columns
+    }
+}
+
+fn size_of(digit: &str) -> Option<usize> {
+    let &[digit] = digit.as_bytes() else { return None };
+    digit.is_ascii_digit().then(|| usize::from(digit - b'0'))
+}
+
+impl Layer {
+    pub(super) fn field(&self, name: &str) -> Option<&Value> {
+        field(&self.metadata, name)
+    }
+}
+
+pub(super) fn field<'a>(metadata: &'a [Field], name: &str) -> Option<&'a Value> {
+    metadata.iter().find(|f| f.name == name).map(|f| &f.value)
+}
+
+impl Prim {
+    pub(super) fn new(type_name: &str, name: &str) -> Self {
+        Self { type_name: type_name.to_owned(), name: name.to_owned(), ..Self::default() }
+    }
+
+    /// Adds an attribute that the prim's schema knows.
+    pub(super) fn set(&mut self, type_name: &str, name: &str, value: Value) -> &mut Property {
+        self.add(type_name, name, Some(value), None)
+    }
+
+    /// As [`Self::set`], of one that does not vary over time.
+    pub(super) fn set_uniform(&mut self, type_name: &str, name: &str, value: Value) {
+        self.set(type_name, name, value).uniform = true;
+    }
+
+    /// Adds an attribute that no schema knows.
+    pub(super) fn set_custom(&mut self, type_name: &str, name: &str, value: Value) {
+        self.set(type_name, name, value).custom = true;
+    }
+
+    /// Adds an attribute without a value: an output of a shader.
+    pub(super) fn declare(&mut self, type_name: &str, name: &str) {
+        self.add(type_name, name, None, None);
+    }
+
+    /// Adds an attribute that takes its value from another.
+    pub(super) fn connect(&mut self, type_name: &str, name: &str, source: String) {
+        self.add(type_name, name, None, Some((None, vec![source])));
+    }
+
+    fn add(
+        &mut self,
+        type_name: &str,
+        name: &str,
+        value: Option<Value>,
+        connections: Option<(Option<ListEdit>, Vec<String>)>,
+    ) -> &mut Property {
+        let kind = PropertyKind::Attribute { type_name: type_name.to_owned(), value, samples: vec![], connections };
+        self.properties.push(Property { name: name.to_owned(), custom: false, uniform: false, kind, metadata: vec![] });
+        self.properties.last_mut().expect("one was pushed")
+    }
+
+    /// Adds a relationship to one target.
+    pub(super) fn relate(&mut self, name: &str, target: String) {
+        let kind = PropertyKind::Relationship { targets: Some((None, vec![target])) };
+        self.properties.push(Property { name: name.to_owned(), custom: false, uniform: false, kind, metadata: vec![] });
+    }
+
+    /// Applies a schema besides that of the type.
+    pub(super) fn apply(&mut self, schema: &str) {
+        let value = Value::List(vec![Value::Text(schema.to_owned())]);
+        self.metadata.push(Field { edit: Some(ListEdit::Prepend), name: "apiSchemas".to_owned(), value });
+    }
+
+    pub(super) fn property(&self, name: &str) -> Option<&Property> {
+        self.properties.iter().find(|p| p.name == name)
+    }
+
+    /// The value of an attribute; of an animated one without a default, the first sample. `None` if there is none, or it
+    /// is blocked.
+    pub(super) fn value(&self, name: &str) -> Option<&Value> {
+        let PropertyKind::Attribute { value, samples, .. } = &self.property(name)?.kind else { return None };
+        let first = || samples.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, value)| value);
+        value.as_ref().or_else(first).filter(|v| **v != Value::Blocked)
+    }
+
+    /// Where an attribute takes its value from.
+    pub(super) fn connection(&self, name: &str) -> Option<&str> {
+        let PropertyKind::Attribute { connections, .. } = &self.property(name)?.kind else { return None };
+        connections.as_ref()?.1.first().map(String::as_str)
+    }
+
+    /// First target of a relationship.
+    pub(super) fn target(&self, name: &str) -> Option<&str> {
+        let PropertyKind::Relationship { targets } = &self.property(name)?.kind else { return None };
+        targets.as_ref()?.1.first().map(String::as_str)
+    }
+}
+
+impl Property {
+    pub(super) fn with(&mut self, name: &str, value: Value) -> &mut Self {
+        self.metadata.push(Field { edit: None, name: name.to_owned(), value });
+        self
+    }
+}
+
+impl Value {
+    pub(super) fn text(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+
+    /// Its string, token, asset or path.
+    pub(super) fn as_text(&self) -> Option<&str> {
+        match self {
+            Self::Text(text) | Self::Asset(text) | Self::Path(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// Its first number.
+    pub(super) fn as_number(&self) -> Option<f64> {
+        match self {
+            Self::Number(n) => Some(*n),
+            Self::Floats(all) => all.first().map(|&v| f64::from(v)),
+            Self::Doubles(all) => all.first().copied(),
+            Self::Integers(all) => all.first().map(|&v| v as f64),
+            _ => None,
+        }
+    }
+
+    /// All its numbers.
+    pub(super) fn as_numbers(&self) -> Option<Vec<f64>> {
+        match self {
+            Self::Number(n) => Some(vec![*n]),
+            Self::Floats(all) => Some(all.iter().map(|&v| f64::from(v)).collect()),
+            Self::Doubles(all) => Some(all.clone()),
+            Self::Integers(all) => Some(all.iter().map(|&v| v as f64).collect()),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! Pictures beside a layer: what other programs show (PNG of 8 bits), and the maps themselves (EXR of 32-bit floats).
+
+use std::io::Cursor;
+
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, ReadChannels as _, ReadLayers as _,
+    WritableImage as _,
+};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+
+use crate::format::activation;
+use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
+
+/// On failure: what was expected, and what was found.
+pub(super) type Mismatch = (String, String);
+
+/// RGB of coefficient 0, encoded in sRGB, as PNG.
+pub(super) fn color_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
+    let base = atlas.base();
+    let shown = |t: &[f32]| {
+        let rgb = sh::rgb_from_dc([t[0], t[1], t[2]]);
+        let rgb = if space == ColorSpace::LinearDisplay { rgb.map(color::linear_to_srgb) } else { rgb };
+        rgb.map(to_byte)
+    };
+    let pixels: Vec<u8> = base.texels().chunks_exact(4).flat_map(shown).collect();
+    png(base, &pixels, ExtendedColorType::Rgb8)
+}
+
+/// Opacity, linear, as a grey PNG.
+pub(super) fn opacity_png(atlas: &Atlas) -> Vec<u8> {
+    let base = atlas.base();
+    let opacity = |t: &[f32]| to_byte(activation::opacity(t[3]));
+    let pixels: Vec<u8> = base.texels().chunks_exact(4).map(opacity).collect();
+    png(base, &pixels, ExtendedColorType::L8)
+}
+
+fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+fn png(size: &Texture, pixels: &[u8], kind: ExtendedColorType) -> Vec<u8> {
+    let mut png = vec![];
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(pixels, size.width(), size.height(), kind)
+        .expect("encoding into memory, with a buffer of the declared size, cannot fail");
+    png
+}
+
+/// Names of the channels of a map: of the base the zeroth coefficient and the logit of opacity, of the bands the rest.
+fn channel_names(channels: u32) -> Vec<String> {
+    let of = |k: u32| ["R", "G", "B"].map(|c| format!("sh{k:02}.{c}"));
+    match channels {
+        4 => of(0).into_iter().chain(["opacity.logit".to_owned()]).collect(),
+        channels => (1..=channels / 3).flat_map(of).collect(),
+    }
+}
+
+/// A map as EXR, lossless.
+pub(super) fn exr(map: &Texture) -> Result<Vec<u8>, String> {
+    let channels = map.channels() as usize;
+    let plane = |c: usize| map.texels().iter().skip(c).step_by(channels).copied().collect();
+    let named = |(c, name): (usize, &String)| AnyChannel::new(name.as_str(), FlatSamples::F32(plane(c)));
+    let planes = channel_names(map.channels()).iter().enumerate().map(named).collect();
+    let size = (map.width() as usize, map.height() as usize);
+    let layer = Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(planes));
+    let mut file = Cursor::new(vec![]);
+    Image::from_layer(layer).write().to_buffered(&mut file).map_err(|e| e.to_string())?;
+    Ok(file.into_inner())
+}
+
+/// Bytes of texels that a byte of a file can stand for at most: deflate reaches 1032.
+const MAX_RATIO: u64 = 4096;
+
+/// A map of `exr`. That of bands has 9, 24 or 45 channels, as many as are named in order.
+pub(super) fn from_exr(file: &[u8], is_base: bool) -> Result<Texture, Mismatch> {
+    let unreadable = |e: exr::error::Error| ("an EXR image".to_owned(), e.to_string());
+    // Before anything is decoded, the header must not claim more than the file can hold.
+    let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(file), true).map_err(unreadable)?;
+    let header = meta.headers.first().ok_or_else(|| ("an EXR image".to_owned(), "none in the file".to_owned()))?;
+    let (width, height) = (header.layer_size.x(), header.layer_size.y());
+    let samples = width as u64 * height as u64 * header.channels.list.len() as u64;
+    if meta.headers.len() > 1 || width.max(height) > 16384 || samples / MAX_RATIO > file.len() as u64 {
+        let found = format!("{} of {width}×{height} in {} bytes", meta.headers.len(), file.len());
+        return Err(("one EXR image that its file can hold".to_owned(), found));
+    }
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .from_buffered(Cursor::new(file))
+        .map_err(unreadable)?;
+    let planes = &image.layer_data.channel_data.list;
+    let names = if is_base { channel_names(4) } else { channel_names(planes.len() as u32) };
+    let mut texels = vec![0.0; width * height * names.len()];
+    for (c, name) in names.iter().enumerate() {
+        let plane = planes.iter().find(|p| p.name.eq(name.as_str()));
+        let plane = plane.ok_or_else(|| (format!("a channel `{name}`"), "none of this name".to_owned()))?;
+        let slots = texels.iter_mut().skip(c).step_by(names.len());
+        slots.zip(plane.sample_data.values_as_f32()).for_each(|(slot, value)| *slot = value);
+    }
+    let channels = names.len() as u32;
+    Texture::new(width as u32, height as u32, channels, texels).map_err(|e| (e.expected, e.found))
+}

@@ -1,0 +1,195 @@
+//! Materials to maps: exact ones from our own files, else what `UsdPreviewSurface` shows.
+
+use super::document::Value;
+use super::maps::{self, Mismatch};
+use super::names;
+use super::package::Place;
+use super::stage::{Source, Stage};
+use super::surfaces::Placed;
+use crate::format::activation;
+use crate::format::error::Fault;
+use crate::format::gltf::{Texels, decode};
+use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
+
+/// What maps are read with.
+pub(super) struct Materials<'a> {
+    /// Where the files are.
+    pub(super) place: &'a mut Place,
+    /// The space that maps are blended in.
+    pub(super) space: ColorSpace,
+}
+
+/// A value all over a surface: RGB, or one number three times.
+struct Picture {
+    width: u32,
+    height: u32,
+    texels: Vec<[f32; 3]>,
+    /// Primvar of its coordinates; `None` if it is the same everywhere.
+    primvar: Option<String>,
+}
+
+/// Name of the primvar that textures use by default.
+const ST: &str = "st";
+
+impl Picture {
+    fn constant(value: [f32; 3]) -> Self {
+        Self { width: 1, height: 1, texels: vec![value], primvar: None }
+    }
+
+    /// The texel in the place of texel (x, y) of a picture of another size.
+    fn at(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> [f32; 3] {
+        let scaled = |i: u32, from: u32, to: u32| (u64::from(i) * u64::from(to) / u64::from(from)) as usize;
+        self.texels[scaled(y, height, self.height) * self.width as usize + scaled(x, width, self.width)]
+    }
+}
+
+impl Materials<'_> {
+    /// The maps of a mesh, and the name of the primvar with their coordinates.
+    pub(super) fn atlas(
+        &mut self,
+        stage: &Stage<'_>,
+        mesh: &Placed,
+        notes: &mut Vec<String>,
+    ) -> Result<(Atlas, String), Fault> {
+        let at = stage.path(mesh.prim);
+        match self.exact(stage, mesh.prim) {
+            None => {}
+            Some(Ok(atlas)) => return Ok((atlas, ST.to_owned())),
+            Some(Err((expected, found))) => {
+                notes.push(format!("{at}: maps are those of the material: expected {expected}, found {found}"));
+            }
+        }
+        let Some(shader) = mesh.material.and_then(|material| preview_surface(stage, material)) else {
+            notes.push(format!("{at}: without a UsdPreviewSurface it gets one colour"));
+            let rgb = stage.rows::<3>(mesh.prim, "primvars:displayColor")?.and_then(|c| c.first().copied());
+            let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| shown(rgb, self.space)));
+            return Ok((joined(&color, &Picture::constant([1.0; 3]))?, ST.to_owned()));
+        };
+        let path = stage.path(shader);
+        let is_lit = |name: &str| match stage.input(shader, name) {
+            None => false,
+            Some(Source::Output { .. }) => true,
+            Some(Source::Value(value)) => value.as_numbers().unwrap_or_default().iter().any(|&v| v > 0.0),
+        };
+        let (input, what) = if is_lit("inputs:emissiveColor") {
+            ("inputs:emissiveColor", "emissive")
+        } else {
+            ("inputs:diffuseColor", "diffuse")
+        };
+        notes.push(format!("{path}: shown by its {what} colour alone, unlit"));
+        let color = self.picture(stage, shader, input, [0.18; 3], true)?;
+        let mut opacity = self.picture(stage, shader, "inputs:opacity", [1.0; 3], false)?;
+        let threshold = stage.number(shader, "inputs:opacityThreshold").unwrap_or(0.0) as f32;
+        if threshold > 0.0 {
+            opacity.texels.iter_mut().for_each(|t| *t = t.map(|a| f32::from(a >= threshold)));
+        }
+        let primvar = color.primvar.as_ref().or(opacity.primvar.as_ref()).map_or(ST, String::as_str).to_owned();
+        Ok((joined(&color, &opacity)?, primvar))
+    }
+
+    /// The maps with all their bits, if the mesh names them.
+    fn exact(&mut self, stage: &Stage<'_>, mesh: usize) -> Option<Result<Atlas, Mismatch>> {
+        let base = stage.text(mesh, names::BASE_MAP)?;
+        let bands = stage.text(mesh, names::BANDS_MAP);
+        let mut read = |path: &str, is_base| maps::from_exr(&self.place.read(path)?, is_base);
+        let mut atlas = || {
+            let base = read(base, true)?;
+            let bands = bands.map(|path| read(path, false)).transpose()?;
+            Atlas::new(base, bands).map_err(|e| (e.expected, e.found))
+        };
+        Some(atlas())
+    }
+
+    /// An input of a shader as it is shown: a colour in the space of blending, or a number.
+    fn picture(
+        &mut self,
+        stage: &Stage<'_>,
+        shader: usize,
+        input: &'static str,
+        default: [f32; 3],
+        is_color: bool,
+    ) -> Result<Picture, Fault> {
+        let space = self.space;
+        let shown = |rgb: [f32; 3]| if is_color { shown(rgb, space) } else { rgb };
+        let (texture, output) = match stage.input(shader, input) {
+            Some(Source::Output { prim, name }) => (prim, name),
+            Some(Source::Value(value)) => {
+                let value = match value.as_numbers().as_deref() {
+                    Some(&[v]) => [v as f32; 3],
+                    Some(&[r, g, b]) => [r, g, b].map(|v| v as f32),
+                    _ => default,
+                };
+                return Ok(Picture::constant(shown(value)));
+            }
+            None => return Ok(Picture::constant(shown(default))),
+        };
+        let at = stage.path(texture);
+        if stage.text(texture, "info:id") != Some("UsdUVTexture") {
+            return Err(Fault::pointer(at, "a UsdUVTexture", "another shader"));
+        }
+        let file = match stage.input(texture, "inputs:file") {
+            Some(Source::Value(Value::Asset(file))) => file,
+            _ => return Err(Fault::pointer(format!("{at}.inputs:file"), "the path of a picture", "none")),
+        };
+        let texels = self.place.read(file).and_then(decode);
+        let Texels { width, height, rgba } =
+            texels.map_err(|(expected, found)| Fault::pointer(format!("{at}.inputs:file"), expected, found))?;
+        let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
+            "r" => [0; 3],
+            "g" => [1; 3],
+            "b" => [2; 3],
+            "a" => [3; 3],
+            _ => [0, 1, 2],
+        };
+        // `auto` is sRGB for pictures of 8 bits in colour, which is what colours come in; alpha is linear always.
+        let stated = stage.text(texture, "inputs:sourceColorSpace").unwrap_or("auto");
+        let is_srgb = stated == "sRGB" || stated == "auto" && is_color;
+        let [scale, bias] = [("inputs:scale", 1.0), ("inputs:bias", 0.0)]
+            .map(|(name, default)| stage.numbers::<4>(texture, name).unwrap_or([default; 4]).map(|v| v as f32));
+        let is_plain = (scale, bias) == ([1.0; 4], [0.0; 4]);
+        let encoded = is_color && is_srgb && is_plain && space == ColorSpace::SrgbDisplay;
+        let value = |texel: &[f32; 4]| {
+            let stored = channels.map(|c| texel[c]);
+            if encoded {
+                return stored;
+            }
+            let linear = channels.map(|c| {
+                let v = if is_srgb && c < 3 { color::srgb_to_linear(texel[c]) } else { texel[c] };
+                v * scale[c] + bias[c]
+            });
+            shown(linear)
+        };
+        let primvar = match stage.input(texture, "inputs:st") {
+            Some(Source::Output { prim, .. }) => stage.input(prim, "inputs:varname"),
+            _ => None,
+        };
+        let primvar = match primvar {
+            Some(Source::Value(name)) => name.as_text().unwrap_or(ST),
+            _ => ST,
+        };
+        Ok(Picture { width, height, texels: rgba.iter().map(value).collect(), primvar: Some(primvar.to_owned()) })
+    }
+}
+
+/// Linear light in a space of blending.
+fn shown(rgb: [f32; 3], space: ColorSpace) -> [f32; 3] {
+    if space == ColorSpace::SrgbDisplay { rgb.map(color::linear_to_srgb) } else { rgb }
+}
+
+/// The shader at the surface output of a material.
+fn preview_surface(stage: &Stage<'_>, material: usize) -> Option<usize> {
+    let Some(Source::Output { prim, .. }) = stage.input(material, "outputs:surface") else { return None };
+    (stage.text(prim, "info:id") == Some("UsdPreviewSurface")).then_some(prim)
+}
+
+/// Maps of degree 0, as large as the larger of both.
+fn joined(color: &Picture, opacity: &Picture) -> Result<Atlas, Fault> {
+    let size @ [width, height] = [color.width.max(opacity.width), color.height.max(opacity.height)];
+    let texel = |i: u64| {
+        let (x, y) = ((i % u64::from(width)) as u32, (i / u64::from(width)) as u32);
+        let [r, g, b] = sh::dc_from_rgb(color.at(x, y, size));
+        [r, g, b, activation::logit(opacity.at(x, y, size)[0]).0]
+    };
+    let texels = (0..u64::from(width) * u64::from(height)).flat_map(texel).collect();
+    Ok(Atlas::new(Texture::new(width, height, 4, texels)?, None)?)
+}

@@ -1,0 +1,92 @@
+//! OpenUSD: `.usda`, a layer as text, and `.usdz`, a package of a layer and its pictures.
+//!
+//! * Splats are a `ParticleField3DGaussianSplat` (OpenUSD ≥ 26.3): linear scales and opacities, SH in the order of
+//!   `scene::sh::basis`, sorted by depth.
+//! * Meshes are `UsdGeomMesh` with UVs per corner and a `UsdPreviewSurface` whose emission and opacity show the maps without
+//!   view dependence in 8 bits. The maps themselves lie beside them as EXR of 32-bit floats (`centaur:baseMap`,
+//!   `centaur:bandsMap`).
+//! * Cameras are `UsdGeomCamera`; a principal point off the centre is an aperture offset.
+//! * The rule of blending stands in attributes `centaur:*` of the default prim.
+//!
+//! Files are y up, a capture's world being turned by half a turn about x, SH and maps included.
+//!
+//! ```text
+//! .usda / .usdz ── package ── lex, parse ──→ document::Layer ── stage, to_scene (splats, surfaces, views) ──→ scene
+//!               └─ package ── print ←────── document::Layer ←── from_scene, maps ──────────────────────────┘
+//! ```
+
+mod document;
+mod frame;
+mod from_scene;
+mod lex;
+mod maps;
+mod materials;
+mod names;
+mod package;
+mod parse;
+mod print;
+mod splats;
+mod stage;
+mod surfaces;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod text_tests;
+mod to_scene;
+mod views;
+mod xform;
+
+use std::path::Path;
+
+use super::error::{Fault, read_file};
+use super::{FormatError, SceneFile, atomic_write, atomic_write_with};
+use crate::scene::{Camera, HybridScene};
+
+/// Reads a `.usda` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to y up and
+/// metres. One layer is read; what would have to be composed of several is named in the notes.
+///
+/// # Errors
+/// If the file cannot be read, is malformed, is the binary form of USD (`.usdc`), or holds splats that cannot be
+/// represented (a transform that shears them, values that are not finite).
+pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
+    let read = |file| -> Result<SceneFile, Fault> {
+        let (text, mut place) = package::open(file, path)?;
+        let layer = parse::parse(&text)?;
+        drop(text);
+        to_scene::scene(&layer, &mut place)
+    };
+    read(read_file(path)?).map_err(|fault| fault.in_file(path))
+}
+
+/// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
+/// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes.
+///
+/// Scales and opacities are stored linear in f32, as the schema demands: log-scales come back to 1e-6, opacities to 1e-7.
+/// Everything else that is optimised comes back bit for bit.
+///
+/// # Errors
+/// If a file cannot be written, or a `.usdz` would hold a file of more than 4 GiB.
+pub fn write(path: &Path, scene: &HybridScene, cameras: &[(String, Camera)]) -> Result<u64, FormatError> {
+    let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let plain = |c: char| if c.is_alphanumeric() || c == '-' { c } else { '_' };
+    let prefix = if is_package { String::new() } else { format!("{}_", stem.chars().map(plain).collect::<String>()) };
+    let failed = |reason| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };
+    let export = from_scene::export(scene, cameras, &prefix).map_err(failed)?;
+    if is_package {
+        return atomic_write_with(path, |out| {
+            package::write(out, |layer| print::print(&export.layer, layer), &export.files)
+        });
+    }
+    let mut bytes = 0;
+    for (name, content) in &export.files {
+        atomic_write(&path.with_file_name(name), content)?;
+        bytes += content.len() as u64;
+    }
+    Ok(bytes + atomic_write_with(path, |out| print::print(&export.layer, out))?)
+}
+
+/// True if a file that begins with `start` is a layer, as text or not, or a package of one.
+pub(super) fn is_usd(start: &[u8]) -> bool {
+    start.starts_with(b"#usda") || start.starts_with(package::CRATE) || package::is_package(start)
+}

@@ -1,0 +1,145 @@
+//! Where the files of a layer are: beside it, or in the same `.usdz`.
+
+use std::io::{Cursor, Read as _, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipArchive, ZipWriter};
+
+use super::maps::Mismatch;
+use crate::format::error::Fault;
+use crate::format::gltf::resolve;
+
+/// `.usdc`, which programs read faster and people cannot.
+pub(super) const CRATE: &[u8] = b"PXR-USDC";
+
+/// Data of a member begin at a multiple of this (the specification of USDZ), so that they can be mapped.
+const ALIGNMENT: u16 = 64;
+
+/// Largest member: USDZ has no Zip64.
+const MAX_MEMBER: u64 = u32::MAX as u64;
+
+/// What an asset path is relative to.
+pub(super) enum Place {
+    Folder(PathBuf),
+    Package { archive: Box<ZipArchive<Cursor<Vec<u8>>>>, folder: String },
+}
+
+impl Place {
+    /// Content of the file at an asset path.
+    pub(super) fn read(&mut self, path: &str) -> Result<Vec<u8>, Mismatch> {
+        match self {
+            // Percent signs are no escapes here.
+            Self::Folder(folder) => resolve(&path.replace('%', "%25"), folder),
+            Self::Package { archive, folder } => {
+                let outside = || ("a file of the package".to_owned(), format!("`{path}`"));
+                let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
+                for part in path.split('/').filter(|part| !part.is_empty() && *part != ".") {
+                    if part == ".." {
+                        parts.pop().ok_or_else(outside)?;
+                    } else {
+                        parts.push(part);
+                    }
+                }
+                member(archive, &parts.join("/"))
+            }
+        }
+    }
+}
+
+fn member(archive: &mut ZipArchive<Cursor<Vec<u8>>>, name: &str) -> Result<Vec<u8>, Mismatch> {
+    let unreadable = |reason: String| ("a readable file".to_owned(), format!("`{name}` ({reason})"));
+    let index = archive.index_for_name(name).ok_or_else(|| unreadable("not in the package".to_owned()))?;
+    stored(archive, index)
+}
+
+/// Members are not compressed, so that the package bounds what is read.
+fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, index: usize) -> Result<Vec<u8>, Mismatch> {
+    let unreadable = |e: zip::result::ZipError| ("a readable file".to_owned(), e.to_string());
+    let mut member = archive.by_index(index).map_err(unreadable)?;
+    if member.compression() != CompressionMethod::Stored {
+        let found = format!("`{}` ({})", member.name().map_err(unreadable)?, member.compression());
+        return Err(("files that are not compressed, as USDZ demands".to_owned(), found));
+    }
+    let mut content = vec![];
+    member.read_to_end(&mut content).map_err(|e| ("a readable file".to_owned(), e.to_string()))?;
+    Ok(content)
+}
+
+/// The text of the layer at `path`, whose content is `file`, and where its files are.
+pub(super) fn open(file: Vec<u8>, path: &Path) -> Result<(Vec<u8>, Place), Fault> {
+    if !file.starts_with(b"PK\x03\x04") {
+        is_text(&file, "the layer")?;
+        return Ok((file, Place::Folder(path.parent().unwrap_or(Path::new("")).to_owned())));
+    }
+    let mut archive = ZipArchive::new(Cursor::new(file)).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+    // The first by place in the file, which need not be the first of the directory.
+    let mut first: Option<(u64, usize, String)> = None;
+    for i in 0..archive.len() {
+        let member = archive.by_index_raw(i).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+        if first.as_ref().is_none_or(|(start, ..)| member.header_start() < *start) {
+            let name = member.name().map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+            first = Some((member.header_start(), i, name.into_owned()));
+        }
+    }
+    let (_, index, name) = first.ok_or_else(|| Fault::whole("a package with a layer", "an empty one"))?;
+    let layer = stored(&mut archive, index).map_err(|(expected, found)| Fault::whole(expected, found))?;
+    is_text(&layer, &name)?;
+    let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned();
+    Ok((layer, Place::Package { archive: Box::new(archive), folder }))
+}
+
+/// True if a file that begins with `start` is a zip whose first member is a layer.
+pub(super) fn is_package(start: &[u8]) -> bool {
+    // The length of the name is at byte 26 of the member's header, the name at byte 30.
+    let Some(length) = start.get(26..28).filter(|_| start.starts_with(b"PK\x03\x04")) else { return false };
+    let length = usize::from(u16::from_le_bytes([length[0], length[1]]));
+    let name = start.get(30..30 + length).unwrap_or_default();
+    [&b".usda"[..], b".usdc", b".usd"].iter().any(|extension| name.ends_with(extension))
+}
+
+fn is_text(layer: &[u8], name: &str) -> Result<(), Fault> {
+    if !layer.starts_with(CRATE) {
+        return Ok(());
+    }
+    let expected = format!("text in {name} (`usdcat -o scene.usda` of OpenUSD writes it)");
+    Err(Fault::whole(expected, "the binary form of USD, a crate file"))
+}
+
+/// Writes a package: the layer first, then the files, all aligned and none compressed.
+pub(super) fn write<W: Write + Seek>(
+    out: W,
+    layer: impl FnOnce(&mut Limited<'_, ZipWriter<W>>) -> std::io::Result<()>,
+    files: &[(String, Vec<u8>)],
+) -> std::io::Result<()> {
+    let mut zip = ZipWriter::new(out);
+    // Without a date the package depends on its content alone.
+    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(ALIGNMENT);
+    zip.start_file("scene.usda", options)?;
+    layer(&mut Limited { out: &mut zip, left: MAX_MEMBER })?;
+    for (name, content) in files {
+        zip.start_file(name.as_str(), options)?;
+        zip.write_all(content)?;
+    }
+    zip.finish()?;
+    Ok(())
+}
+
+/// Takes so many bytes and no more.
+pub(super) struct Limited<'a, W> {
+    out: &'a mut W,
+    left: u64,
+}
+
+impl<W: Write> Write for Limited<'_, W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.out.write(bytes)?;
+        let left = self.left.checked_sub(written as u64);
+        self.left = left.ok_or_else(|| std::io::Error::other("a .usdz cannot hold more than 4 GiB; a .usda can"))?;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.out.flush()
+    }
+}

@@ -1,0 +1,407 @@
+//! The grammar of a `.usda`.
+
+use super::document::{
+    Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Specifier, Value, Variant,
+};
+use super::lex::Cursor;
+use crate::format::error::Fault;
+
+/// How deep prims, lists and dictionaries may lie in each other: far above what anyone writes, far below what the stack
+/// of a thread holds.
+const MAX_DEPTH: usize = 200;
+
+/// Reads the text of a layer, in time and memory proportional to its length.
+pub(super) fn parse(bytes: &[u8]) -> Result<Layer, Fault> {
+    let text = std::str::from_utf8(bytes)
+        .map_err(|e| Fault::byte(e.valid_up_to(), "UTF-8", format!("byte {:#04x}", bytes[e.valid_up_to()])))?;
+    let mut cursor = Cursor::new(text);
+    if !text.starts_with("#usda 1.") {
+        return Err(cursor.fault("`#usda 1.0`"));
+    }
+    // The line is a comment to the cursor.
+    let metadata = cursor.metadata(0)?;
+    let mut prims = vec![];
+    loop {
+        cursor.skip_separators()?;
+        match cursor.peek_word()? {
+            Some("reorder") => cursor.reorder(0)?,
+            Some(_) => prims.push(cursor.prim(0)?),
+            None if cursor.peek()?.is_none() => return Ok(Layer { metadata, prims }),
+            None => return Err(cursor.fault("def, over or class")),
+        }
+    }
+}
+
+impl Cursor<'_> {
+    fn deeper(&self, depth: usize) -> Result<usize, Fault> {
+        if depth < MAX_DEPTH {
+            Ok(depth + 1)
+        } else {
+            Err(self.fault(format!("at most {MAX_DEPTH} levels of nesting")))
+        }
+    }
+
+    /// `reorder nameChildren = ["b", "a"]`: says nothing about content.
+    fn reorder(&mut self, depth: usize) -> Result<(), Fault> {
+        self.word("reorder")?;
+        if self.word("what to reorder")? == "rel" {
+            self.word("the name of a relationship")?;
+        }
+        self.expect(b'=')?;
+        self.value(depth).map(drop)
+    }
+
+    /// What stands in parentheses after a layer's first line, a prim's name or an attribute's value.
+    fn metadata(&mut self, depth: usize) -> Result<Vec<Field>, Fault> {
+        let mut fields = vec![];
+        if !self.eat(b'(')? {
+            return Ok(fields);
+        }
+        loop {
+            self.skip_separators()?;
+            if self.eat(b')')? {
+                return Ok(fields);
+            }
+            if self.at_string()? {
+                let value = Value::Text(self.string()?);
+                fields.push(Field { edit: None, name: "comment".to_owned(), value });
+                continue;
+            }
+            let edit = self.list_edit()?;
+            let name = self.word("a name of metadata or `)`")?.to_owned();
+            self.expect(b'=')?;
+            let value = self.arc(depth)?;
+            fields.push(Field { edit, name, value });
+        }
+    }
+
+    /// A word that says how a list is edited, if one follows that is not itself a name.
+    fn list_edit(&mut self) -> Result<Option<ListEdit>, Fault> {
+        let word = self.peek_word()?;
+        let edit = ListEdit::ALL.into_iter().find(|edit| Some(edit.word()) == word);
+        if edit.is_some() {
+            self.word("a word")?;
+        }
+        Ok(edit)
+    }
+
+    fn prim(&mut self, depth: usize) -> Result<Prim, Fault> {
+        let word = self.peek_word()?;
+        let specifier = Specifier::ALL.into_iter().find(|s| Some(s.word()) == word);
+        let specifier = specifier.ok_or_else(|| self.fault("def, over or class"))?;
+        self.word("a word")?;
+        let type_name = if self.at_string()? { "" } else { self.word("a type or a name in quotes")? }.to_owned();
+        let name = self.string()?;
+        if name.is_empty() || name.contains('/') {
+            return Err(self.fault_at(self.offset(), "a name of a prim", format!("`{name}`")));
+        }
+        let metadata = self.metadata(depth)?;
+        let mut prim = Prim { specifier, type_name, name, metadata, ..Prim::default() };
+        self.body(&mut prim, depth)?;
+        Ok(prim)
+    }
+
+    /// What stands in braces: properties, prims and variants.
+    fn body(&mut self, prim: &mut Prim, depth: usize) -> Result<(), Fault> {
+        let depth = self.deeper(depth)?;
+        self.expect(b'{')?;
+        loop {
+            self.skip_separators()?;
+            if self.eat(b'}')? {
+                return Ok(());
+            }
+            match self.peek_word()? {
+                Some("def" | "over" | "class") => prim.children.push(self.prim(depth)?),
+                Some("variantSet") => self.variant_set(prim, depth)?,
+                Some("reorder") => self.reorder(depth)?,
+                Some(_) => self.property(&mut prim.properties, depth)?,
+                None => return Err(self.fault("a property, a prim or `}`")),
+            }
+        }
+    }
+
+    fn variant_set(&mut self, prim: &mut Prim, depth: usize) -> Result<(), Fault> {
+        let depth = self.deeper(depth)?;
+        self.word("variantSet")?;
+        let set = self.string()?;
+        self.expect(b'=')?;
+        self.expect(b'{')?;
+        loop {
+            self.skip_separators()?;
+            if self.eat(b'}')? {
+                return Ok(());
+            }
+            let name = self.string()?;
+            let mut content = Prim { metadata: self.metadata(depth)?, ..Prim::default() };
+            self.body(&mut content, depth)?;
+            prim.variants.push(Variant { set: set.clone(), name, content });
+        }
+    }
+
+    /// One statement about an attribute or a relationship. Statements about the same one that follow each other become
+    /// one property.
+    fn property(&mut self, properties: &mut Vec<Property>, depth: usize) -> Result<(), Fault> {
+        let (mut custom, mut uniform, mut edit) = (false, false, None);
+        let first = loop {
+            edit = edit.or(self.list_edit()?);
+            match self.word("a type or `rel`")? {
+                "custom" => custom = true,
+                "uniform" => uniform = true,
+                "varying" | "config" => {}
+                word => break word,
+            }
+        };
+        if first == "rel" {
+            let name = self.word("the name of a relationship")?.to_owned();
+            let targets = if self.eat(b'=')? { Some((edit, self.paths()?)) } else { None };
+            let metadata = self.metadata(depth)?;
+            let kind = PropertyKind::Relationship { targets };
+            properties.push(Property { name, custom, uniform, kind, metadata });
+            return Ok(());
+        }
+        let mut type_name = first.to_owned();
+        if self.eat(b'[')? {
+            self.expect(b']')?;
+            type_name.push_str("[]");
+        }
+        let name = self.word("the name of an attribute")?.to_owned();
+        let suffix = if self.eat_adjacent(b'.') { Some(self.word("connect, timeSamples or spline")?) } else { None };
+        let is_same = |p: &Property| p.name == name && matches!(p.kind, PropertyKind::Attribute { .. });
+        if !properties.last().is_some_and(is_same) {
+            let kind = PropertyKind::Attribute {
+                type_name: type_name.clone(),
+                value: None,
+                samples: vec![],
+                connections: None,
+            };
+            properties.push(Property { name, custom, uniform, kind, metadata: vec![] });
+        }
+        let assigned = self.eat(b'=')?;
+        let found = if assigned { self.assignment(suffix, &type_name, edit, depth)? } else { Assignment::None };
+        let metadata = self.metadata(depth)?;
+        let Some(property) = properties.last_mut() else { return Ok(()) };
+        property.metadata.extend(metadata);
+        property.custom |= custom;
+        property.uniform |= uniform;
+        if let PropertyKind::Attribute { value, samples, connections, .. } = &mut property.kind {
+            match found {
+                Assignment::None => {}
+                Assignment::Value(v) => *value = Some(v),
+                Assignment::Samples(s) => *samples = s,
+                Assignment::Connections(paths) => *connections = Some((edit, paths)),
+            }
+        }
+        Ok(())
+    }
+
+    fn assignment(
+        &mut self,
+        suffix: Option<&str>,
+        type_name: &str,
+        edit: Option<ListEdit>,
+        depth: usize,
+    ) -> Result<Assignment, Fault> {
+        match suffix {
+            None | Some("default") if edit.is_none() => self.typed(type_name, depth).map(Assignment::Value),
+            Some("connect") => self.paths().map(Assignment::Connections),
+            Some("timeSamples") => self.samples(type_name, depth).map(Assignment::Samples),
+            _ => Err(self.fault("a value, .connect or .timeSamples")),
+        }
+    }
+
+    /// `None`, a path or a list of paths.
+    fn paths(&mut self) -> Result<Vec<String>, Fault> {
+        if self.peek_word()? == Some("None") {
+            self.word("None")?;
+            return Ok(vec![]);
+        }
+        if !self.eat(b'[')? {
+            return Ok(vec![self.path()?]);
+        }
+        let mut paths = vec![];
+        while !self.eat(b']')? {
+            paths.push(self.path()?);
+            self.comma(b']')?;
+        }
+        Ok(paths)
+    }
+
+    /// After an element: a comma, or what closes the list.
+    fn comma(&mut self, close: u8) -> Result<(), Fault> {
+        if self.eat(b',')? || self.peek()? == Some(close) {
+            return Ok(());
+        }
+        Err(self.fault(format!("`,` or `{}`", char::from(close))))
+    }
+
+    fn samples(&mut self, type_name: &str, depth: usize) -> Result<Vec<(f64, Value)>, Fault> {
+        self.expect(b'{')?;
+        let mut samples = vec![];
+        while !self.eat(b'}')? {
+            let time = self.number()?;
+            self.expect(b':')?;
+            samples.push((time, self.typed(type_name, depth)?));
+            self.comma(b'}')?;
+        }
+        Ok(samples)
+    }
+
+    /// A value of a stated type.
+    fn typed(&mut self, type_name: &str, depth: usize) -> Result<Value, Fault> {
+        if self.peek_word()? == Some("None") {
+            self.word("None")?;
+            return Ok(Value::Blocked);
+        }
+        let Some(numeric) = Numeric::of(type_name) else { return self.value(depth) };
+        let is_array = type_name.ends_with("[]");
+        Ok(match numeric.scalar {
+            Scalar::Float => Value::Floats(self.elements(numeric, is_array, Self::number)?),
+            Scalar::Double => Value::Doubles(self.elements(numeric, is_array, Self::number)?),
+            Scalar::Integer => Value::Integers(self.elements(numeric, is_array, Self::integer)?),
+        })
+    }
+
+    /// One element, or as many as there are in brackets, as a flat list.
+    fn elements<T>(
+        &mut self,
+        numeric: Numeric,
+        is_array: bool,
+        one: fn(&mut Self) -> Result<T, Fault>,
+    ) -> Result<Vec<T>, Fault> {
+        let mut all = vec![];
+        if !is_array {
+            self.element(numeric, one, &mut all)?;
+            return Ok(all);
+        }
+        self.expect(b'[')?;
+        while !self.eat(b']')? {
+            self.element(numeric, one, &mut all)?;
+            self.comma(b']')?;
+        }
+        all.shrink_to_fit();
+        Ok(all)
+    }
+
+    fn element<T>(
+        &mut self,
+        numeric: Numeric,
+        one: fn(&mut Self) -> Result<T, Fault>,
+        all: &mut Vec<T>,
+    ) -> Result<(), Fault> {
+        if numeric.rows > 1 {
+            let row = Numeric { rows: 1, ..numeric };
+            return self.group(numeric.rows, |c| c.element(row, one, all));
+        }
+        if numeric.columns > 1 {
+            return self.group(numeric.columns, |c| {
+                all.push(one(c)?);
+                Ok(())
+            });
+        }
+        all.push(one(self)?);
+        Ok(())
+    }
+
+    /// `count` things in parentheses.
+    fn group(&mut self, count: usize, mut one: impl FnMut(&mut Self) -> Result<(), Fault>) -> Result<(), Fault> {
+        self.expect(b'(')?;
+        for i in 0..count {
+            if i > 0 {
+                self.expect(b',')?;
+            }
+            one(self)?;
+        }
+        self.eat(b',')?;
+        self.expect(b')')
+    }
+
+    /// A value whose type is not stated.
+    fn value(&mut self, depth: usize) -> Result<Value, Fault> {
+        let depth = self.deeper(depth)?;
+        let next = self.peek()?;
+        Ok(match next {
+            Some(b'"' | b'\'') => Value::Text(self.string()?),
+            Some(b'@') => Value::Asset(self.asset()?),
+            Some(b'<') => Value::Path(self.path()?),
+            Some(b'[') => Value::List(self.list(b'[', b']', depth)?),
+            Some(b'(') => Value::Tuple(self.list(b'(', b')', depth)?),
+            Some(b'{') => Value::Dictionary(self.dictionary(depth)?),
+            Some(b'0'..=b'9' | b'+' | b'-' | b'.') => Value::Number(self.number()?),
+            _ => match self.word("a value")? {
+                "None" => Value::Blocked,
+                "inf" => Value::Number(f64::INFINITY),
+                "nan" => Value::Number(f64::NAN),
+                "true" => Value::Number(1.0),
+                "false" => Value::Number(0.0),
+                word => Value::text(word),
+            },
+        })
+    }
+
+    /// A value of metadata: assets and paths may be references, with a prim and an offset in time after them.
+    fn arc(&mut self, depth: usize) -> Result<Value, Fault> {
+        if self.peek()? == Some(b'[') {
+            let depth = self.deeper(depth)?;
+            self.expect(b'[')?;
+            let mut values = vec![];
+            while !self.eat(b']')? {
+                values.push(self.arc(depth)?);
+                self.comma(b']')?;
+            }
+            return Ok(Value::List(values));
+        }
+        let value = self.value(depth)?;
+        let value = match value {
+            Value::Asset(asset) if self.peek()? == Some(b'<') => Value::Reference(asset, self.path()?),
+            Value::Asset(_) | Value::Path(_) => value,
+            other => return Ok(other),
+        };
+        // `(offset = 10; scale = 2)`: of time only.
+        self.metadata(depth).map(|_| value)
+    }
+
+    fn list(&mut self, open: u8, close: u8, depth: usize) -> Result<Vec<Value>, Fault> {
+        self.expect(open)?;
+        let mut values = vec![];
+        while !self.eat(close)? {
+            values.push(self.value(depth)?);
+            self.comma(close)?;
+        }
+        Ok(values)
+    }
+
+    fn dictionary(&mut self, depth: usize) -> Result<Vec<Entry>, Fault> {
+        self.expect(b'{')?;
+        let mut entries = vec![];
+        loop {
+            self.skip_separators()?;
+            if self.eat(b'}')? {
+                return Ok(entries);
+            }
+            if self.peek()? == Some(b'<') {
+                // `relocates`, a map of paths.
+                let key = self.path()?;
+                self.expect(b':')?;
+                entries.push(Entry { type_name: String::new(), key, value: self.value(depth)? });
+                self.comma(b'}')?;
+                continue;
+            }
+            let mut type_name = self.word("a type or `}`")?.to_owned();
+            if self.eat(b'[')? {
+                self.expect(b']')?;
+                type_name.push_str("[]");
+            }
+            let key = if self.at_string()? { self.string()? } else { self.word("a key")?.to_owned() };
+            self.expect(b'=')?;
+            let value = self.typed(&type_name, depth)?;
+            entries.push(Entry { type_name, key, value });
+        }
+    }
+}
+
+enum Assignment {
+    None,
+    Value(Value),
+    Samples(Vec<(f64, Value)>),
+    Connections(Vec<String>),
+}

@@ -1,0 +1,131 @@
+//! `ParticleField3DGaussianSplat` to splats, and where a transform puts them.
+
+use glam::{DMat3, DMat4, Quat, Vec3};
+
+use super::names;
+use super::stage::Stage;
+use crate::format::activation;
+use crate::format::error::Fault;
+use crate::format::gltf::{Similarity, similarity};
+use crate::scene::{ColorSpace, SplatArrays, Splats, sh};
+
+/// Colour space that a prim states by `ColorSpaceAPI`; on failure, the name that is not known.
+pub(super) fn color_space<'a>(stage: &Stage<'a>, prim: usize) -> Result<Option<ColorSpace>, &'a str> {
+    match stage.text(prim, "colorSpace:name") {
+        None => Ok(None),
+        Some(names::SRGB) => Ok(Some(ColorSpace::SrgbDisplay)),
+        Some(names::LINEAR) => Ok(Some(ColorSpace::LinearDisplay)),
+        Some(other) => Err(other),
+    }
+}
+
+/// In the frame of the prim. Arrays that are too short count as missing, as the schema says; what is missing gets the
+/// schema's idea of nothing said.
+pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<SplatArrays, Fault> {
+    let at = stage.path(prim);
+    let means = either::<3>(stage, prim, "positions")?.unwrap_or_default();
+    let n = means.len();
+    let mut fitted = |name: &str, found: usize, expected: usize| {
+        if found != expected {
+            let what = if found > expected { "cut" } else { "not used" };
+            notes.push(format!("{at}.{name}: {found} values for {expected}, {what}"));
+        }
+        found >= expected
+    };
+    let mut rotations = either::<4>(stage, prim, "orientations")?.unwrap_or_default();
+    if !fitted("orientations", rotations.len(), n) {
+        rotations = vec![[1.0, 0.0, 0.0, 0.0]; n];
+    }
+    let mut scales = either::<3>(stage, prim, "scales")?.unwrap_or_default();
+    if !fitted("scales", scales.len(), n) {
+        scales = vec![[1.0; 3]; n];
+    }
+    let mut opacities = either::<1>(stage, prim, "opacities")?.unwrap_or_default();
+    if !fitted("opacities", opacities.len(), n) {
+        opacities = vec![[1.0]; n];
+    }
+    let stated = stage.number(prim, "radiance:sphericalHarmonicsDegree").unwrap_or(3.0);
+    if !(0.0..=16.0).contains(&stated) {
+        let at = format!("{at}.radiance:sphericalHarmonicsDegree");
+        return Err(Fault::pointer(at, "a degree of 0 to 3", stated.to_string()));
+    }
+    let (mut degree, stated_k) = ((stated as u32).min(sh::MAX_DEGREE), sh::coefficients(stated as u32));
+    let mut harmonics = either::<3>(stage, prim, "radiance:sphericalHarmonicsCoefficients")?.unwrap_or_default();
+    if !fitted("radiance:sphericalHarmonicsCoefficients", harmonics.len(), n * stated_k) {
+        (degree, harmonics) = (0, vec![[0.0; 3]; n]);
+    } else if stated_k > sh::coefficients(degree) {
+        notes.push(format!("{at}: SH bands above degree {degree} are left out"));
+        harmonics = harmonics.chunks_exact(stated_k).flat_map(|c| c[..sh::coefficients(degree)].to_vec()).collect();
+    }
+    harmonics.truncate(n * sh::coefficients(degree));
+
+    let mut clamped = 0usize;
+    let mut clamp = |(value, was_clamped): (f32, bool)| {
+        clamped += usize::from(was_clamped);
+        value
+    };
+    let opacity_logits = opacities.iter().take(n).map(|&[o]| clamp(activation::logit(o))).collect();
+    let log_scales = scales.iter().take(n).map(|s| Vec3::from(s.map(|v| clamp(activation::log_scale(v))))).collect();
+    if clamped > 0 {
+        notes.push(format!(
+            "{at}: {clamped} opacities of 0 or 1 or scales of 0 are clamped, so that their logit or logarithm is finite"
+        ));
+    }
+    Ok(SplatArrays {
+        means: means.into_iter().map(Vec3::from).collect(),
+        rotations: rotations.into_iter().take(n).map(|[w, x, y, z]| Quat::from_xyzw(x, y, z, w)).collect(),
+        log_scales,
+        opacity_logits,
+        sh_degree: degree,
+        sh: harmonics,
+    })
+}
+
+/// An attribute in single precision, else in half.
+fn either<const N: usize>(stage: &Stage<'_>, prim: usize, name: &str) -> Result<Option<Vec<[f32; N]>>, Fault> {
+    match stage.rows(prim, name)? {
+        Some(rows) => Ok(Some(rows)),
+        None => stage.rows(prim, &format!("{name}h")),
+    }
+}
+
+/// Moves splats to where their prim lies.
+pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Result<(), Fault> {
+    if transform == DMat4::IDENTITY {
+        return Ok(());
+    }
+    let Some(Similarity { scale, rotation, .. }) = similarity(transform) else {
+        let expected = "a rotation, a translation and an even, positive scale above splats";
+        return Err(Fault::pointer(at, expected, "another transform"));
+    };
+    for mean in &mut splats.means {
+        *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
+    }
+    splats.rotations.iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
+    splats.log_scales.iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
+    if splats.sh_degree > 0 {
+        let harmonics = sh::Rotation::new(DMat3::from_quat(rotation));
+        splats.sh.chunks_exact_mut(sh::coefficients(splats.sh_degree)).for_each(|c| harmonics.apply(&mut c[1..]));
+    }
+    Ok(())
+}
+
+/// All as one, at the highest degree among them.
+pub(super) fn join(parts: Vec<SplatArrays>) -> Result<Splats, Fault> {
+    let degree = parts.iter().map(|p| p.sh_degree).max().unwrap_or(0);
+    let k = sh::coefficients(degree);
+    let mut all = SplatArrays { sh_degree: degree, ..SplatArrays::default() };
+    for mut part in parts {
+        all.means.append(&mut part.means);
+        all.rotations.append(&mut part.rotations);
+        all.log_scales.append(&mut part.log_scales);
+        all.opacity_logits.append(&mut part.opacity_logits);
+        if part.sh_degree == degree {
+            all.sh.append(&mut part.sh);
+        } else {
+            let own = part.sh.chunks_exact(sh::coefficients(part.sh_degree));
+            all.sh.extend(own.flat_map(|c| c.iter().copied().chain(std::iter::repeat([0.0; 3])).take(k)));
+        }
+    }
+    Ok(all.check()?)
+}

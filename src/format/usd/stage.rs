@@ -1,0 +1,124 @@
+//! The prims of a layer by path, and typed access to their attributes.
+
+use std::collections::HashMap;
+
+use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
+use crate::format::error::Fault;
+
+/// Prims in document order, parents before children, by index.
+pub(super) struct Stage<'a> {
+    pub(super) prims: Vec<&'a Prim>,
+    pub(super) parents: Vec<Option<usize>>,
+    children: HashMap<(Option<usize>, &'a str), usize>,
+}
+
+/// Connections that are followed before the value is held to be nowhere.
+const MAX_HOPS: usize = 16;
+
+/// Where an input of a shader gets its value.
+pub(super) enum Source<'a> {
+    Value(&'a Value),
+    /// The output `name` of the shader `prim`.
+    Output {
+        prim: usize,
+        name: &'a str,
+    },
+}
+
+impl<'a> Stage<'a> {
+    pub(super) fn new(layer: &'a Layer) -> Self {
+        let mut stage = Self { prims: vec![], parents: vec![], children: HashMap::new() };
+        let mut stack: Vec<(Option<usize>, &Prim)> = layer.prims.iter().rev().map(|p| (None, p)).collect();
+        while let Some((parent, prim)) = stack.pop() {
+            let id = stage.prims.len();
+            stage.children.entry((parent, prim.name.as_str())).or_insert(id);
+            stage.prims.push(prim);
+            stage.parents.push(parent);
+            stack.extend(prim.children.iter().rev().map(|child| (Some(id), child)));
+        }
+        stage
+    }
+
+    pub(super) fn path(&self, prim: usize) -> String {
+        let mut names = vec![];
+        let mut next = Some(prim);
+        while let Some(id) = next {
+            names.push(self.prims[id].name.as_str());
+            next = self.parents[id];
+        }
+        names.iter().rev().fold(String::new(), |path, name| format!("{path}/{name}"))
+    }
+
+    /// The prim at `path`, which may be relative to `from` and may end in a property, and that property's name.
+    pub(super) fn find<'p>(&self, from: usize, path: &'p str) -> Option<(usize, &'p str)> {
+        let last = path.rfind('/').map_or(0, |i| i + 1);
+        let (prims, property) = match path[last..].find('.').filter(|_| &path[last..] != "..") {
+            Some(dot) => (&path[..last + dot], &path[last + dot + 1..]),
+            None => (path, ""),
+        };
+        let (mut at, rest) = match prims.strip_prefix('/') {
+            Some(rest) => (None, rest),
+            None => (Some(from), prims),
+        };
+        for part in rest.split('/').filter(|part| !part.is_empty()) {
+            at = if part == ".." { self.parents[at?] } else { Some(*self.children.get(&(at, part))?) };
+        }
+        Some((at?, property))
+    }
+
+    /// The value of an input, or the shader output behind its connections.
+    pub(super) fn input(&self, prim: usize, name: &'a str) -> Option<Source<'a>> {
+        let (mut prim, mut name) = (prim, name);
+        for _ in 0..MAX_HOPS {
+            let Some(connection) = self.prims[prim].connection(name) else {
+                return self.prims[prim].value(name).map(Source::Value);
+            };
+            (prim, name) = self.find(prim, connection)?;
+            if self.prims[prim].type_name == "Shader" && name.starts_with("outputs:") {
+                return Some(Source::Output { prim, name });
+            }
+        }
+        None
+    }
+
+    fn fault(&self, prim: usize, name: &str, expected: impl Into<String>, found: impl Into<String>) -> Fault {
+        Fault::pointer(format!("{}.{name}", self.path(prim)), expected, found)
+    }
+
+    /// Elements of `N` numbers; `None` if the attribute is not there.
+    pub(super) fn rows<const N: usize>(&self, prim: usize, name: &str) -> Result<Option<Vec<[f32; N]>>, Fault> {
+        let Some(value) = self.prims[prim].value(name) else { return Ok(None) };
+        let Some(PropertyKind::Attribute { type_name, .. }) = self.prims[prim].property(name).map(|p| &p.kind) else {
+            return Ok(None);
+        };
+        let is_wide = Numeric::of(type_name).is_some_and(|n| n.width() == N && n.scalar != Scalar::Integer);
+        let rows = |values: &[f32]| values.as_chunks::<N>().0.to_vec();
+        match value {
+            Value::Floats(all) if is_wide => Ok(Some(rows(all))),
+            Value::Doubles(all) if is_wide => Ok(Some(rows(&all.iter().map(|&v| v as f32).collect::<Vec<_>>()))),
+            _ => Err(self.fault(prim, name, format!("floats, {N} an element"), format!("`{type_name}`"))),
+        }
+    }
+
+    /// Indices or counts; `None` if the attribute is not there.
+    pub(super) fn indices(&self, prim: usize, name: &str) -> Result<Option<Vec<u32>>, Fault> {
+        let Some(value) = self.prims[prim].value(name) else { return Ok(None) };
+        let Value::Integers(all) = value else { return Err(self.fault(prim, name, "integers", "other values")) };
+        let index =
+            |&v: &i64| u32::try_from(v).map_err(|_| self.fault(prim, name, "indices of 32 bits", v.to_string()));
+        all.iter().map(index).collect::<Result<_, _>>().map(Some)
+    }
+
+    pub(super) fn text(&self, prim: usize, name: &str) -> Option<&'a str> {
+        self.prims[prim].value(name)?.as_text()
+    }
+
+    /// `N` numbers of a single value.
+    pub(super) fn numbers<const N: usize>(&self, prim: usize, name: &str) -> Option<[f64; N]> {
+        self.prims[prim].value(name)?.as_numbers()?.try_into().ok()
+    }
+
+    pub(super) fn number(&self, prim: usize, name: &str) -> Option<f64> {
+        self.numbers::<1>(prim, name).map(|[n]| n)
+    }
+}

@@ -1,0 +1,370 @@
+use glam::{DVec3, Vec2, Vec3};
+use proptest::prelude::*;
+
+use super::*;
+use crate::format::test_scenes::{camera, random_scene};
+use crate::scene::{ColorSpace, Splats, sh};
+
+fn assert_close(a: &Splats, b: &Splats) {
+    assert_eq!((a.means(), a.sh_degree(), a.sh()), (b.means(), b.sh_degree(), b.sh()));
+    assert_eq!(a.rotations(), b.rotations());
+    for i in 0..a.len() {
+        // f32 has 24 bits: e^s and back moves s by 6e-8, plus its own rounding.
+        assert!((a.log_scales()[i] - b.log_scales()[i]).abs().max_element() < 1e-6);
+        let opacity = |s: &Splats| 1.0 / (1.0 + (-f64::from(s.opacity_logits()[i])).exp());
+        assert!((opacity(a) - opacity(b)).abs() <= 1e-6 * opacity(a), "{} {}", opacity(a), opacity(b));
+    }
+}
+
+fn folder_with(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usda");
+    std::fs::write(&path, format!("#usda 1.0\n{text}")).unwrap();
+    (folder, path)
+}
+
+fn read_text(text: &str) -> SceneFile {
+    let (_folder, path) = folder_with(text);
+    read(&path).unwrap()
+}
+
+fn refusal(text: &str) -> String {
+    let (folder, path) = folder_with(text);
+    read(&path).unwrap_err().to_string().replace(&folder.path().display().to_string(), "")
+}
+
+#[test]
+fn round_trip() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 0..8 {
+        let scene = random_scene(20, 1 + seed as u32 % 3, seed as u32 % 4, seed);
+        let cameras =
+            [("IMG_01.jpg", camera()), ("b", camera().resized(320, 200)), ("splats", camera()), ("7é", camera())];
+        let cameras = cameras.map(|(name, camera)| (name.to_owned(), camera));
+        let path = folder.path().join(format!("scène @ {seed}.{}", ["usda", "USDZ"][seed as usize % 2]));
+        write(&path, &scene, &cameras).unwrap();
+        let back = read(&path).unwrap();
+        assert_eq!(back.notes, Vec::<String>::new());
+        assert_eq!(back.scene.meshes, scene.meshes, "geometry, UVs and maps bit for bit");
+        assert_eq!(back.scene.composition, scene.composition);
+        assert_close(&scene.splats, &back.scene.splats);
+        assert!(!back.y_up && back.cameras.len() == cameras.len());
+        for ((name, camera), (name_back, camera_back)) in cameras.iter().zip(&back.cameras) {
+            assert_eq!((name, camera.intrinsics()), (name_back, camera_back.intrinsics()));
+            // `Camera::new` makes the rotation orthonormal once more.
+            assert!(camera.rotation().abs_diff_eq(camera_back.rotation(), 1e-14));
+            assert_eq!(camera.translation(), camera_back.translation());
+        }
+    }
+}
+
+#[test]
+fn parts_may_be_absent_and_names_strange() {
+    let folder = tempfile::tempdir().unwrap();
+    for (splats, meshes) in [(0, 0), (0, 1), (3, 0)] {
+        let scene = random_scene(splats, meshes, 0, 2);
+        for name in ["a:b@c %20.usda", "a.usdz", "-.usda"] {
+            let path = folder.path().join(name);
+            write(&path, &scene, &[]).unwrap();
+            let back = read(&path).unwrap();
+            assert_eq!((back.scene.splats.len(), back.scene.meshes.len()), (splats, meshes as usize));
+            assert!(back.notes.is_empty(), "{:?}", back.notes);
+        }
+    }
+    assert!(write(&folder.path().join("none/a.usda"), &random_scene(1, 1, 0, 2), &[]).is_err());
+}
+
+#[test]
+fn a_package_is_aligned_stored_and_begins_with_its_layer() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usdz");
+    let written = write(&path, &random_scene(10, 2, 2, 3), &[]).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    assert_eq!(written, bytes.len() as u64);
+    let mut archive = zip::ZipArchive::new(std::io::Cursor::new(bytes)).unwrap();
+    assert!(archive.len() >= 7);
+    for i in 0..archive.len() {
+        let member = archive.by_index(i).unwrap();
+        assert_eq!(member.data_start().unwrap() % 64, 0, "{:?}", member.name());
+        assert_eq!(member.compression(), zip::CompressionMethod::Stored);
+        assert_eq!(i == 0, member.name().unwrap() == "scene.usda");
+    }
+}
+
+#[test]
+fn without_its_own_maps_a_mesh_shows_its_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in [2, 3] {
+        let path = folder.path().join("a.usda");
+        let scene = random_scene(0, 1, 1, seed);
+        write(&path, &scene, &[]).unwrap();
+        std::fs::remove_file(folder.path().join("a_mesh_0_base.exr")).unwrap();
+        let back = read(&path).unwrap();
+        assert_eq!(back.notes.len(), 2, "{:?}", back.notes);
+        let (before, after) = (scene.meshes[0].atlas().base(), back.scene.meshes[0].atlas().base());
+        assert_eq!(back.scene.meshes[0].atlas().sh_degree(), 0);
+        for (a, b) in before.texels().chunks_exact(4).zip(after.texels().chunks_exact(4)) {
+            let rgb = |t: &[f32]| sh::rgb_from_dc([t[0], t[1], t[2]]).map(|c| c.clamp(0.0, 1.0));
+            // Half a step of 8 bits, in linear light where that is how it is blended: the curve's slope is 2.3 at most.
+            let step = if scene.composition.color_space == ColorSpace::SrgbDisplay { 0.5 } else { 1.15 } / 255.0;
+            let same = |a: f32, b: f32, step: f32| (a - b).abs() <= step + 1e-6;
+            assert!((0..3).all(|c| same(rgb(a)[c], rgb(b)[c], step)), "{a:?} {b:?}");
+            let opacity = |t: &[f32]| 1.0 / (1.0 + (-t[3]).exp());
+            assert!(same(opacity(a), opacity(b), 0.5 / 255.0));
+        }
+    }
+}
+
+/// One splat of degree 1, red towards +x, in centimetres, z up, below three prims that move it.
+const FOREIGN: &str = r#"(
+    upAxis = "Z"
+    metersPerUnit = 0.01
+)
+def Xform "World" {
+    double3 xformOp:translate = (100, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Xform "Turn" {
+        float xformOp:rotateZ = 90
+        double xformOp:scale = 7
+        uniform token[] xformOpOrder = ["xformOp:rotateZ"]
+        def ParticleField3DGaussianSplat "S" {
+            quath xformOp:orient = (1, 0, 0, 0)
+            float3 xformOp:scale = (2, 2, 2)
+            uniform token[] xformOpOrder = ["xformOp:orient", "xformOp:scale"]
+            point3h[] positionsh = [(10, 20, 30), (0, 0, 0)]
+            quatf[] orientations = [(1, 0, 0, 0), (1, 0, 0, 0), (1, 0, 0, 0)]
+            float3[] scales = [(1, 2, 3), (1, 1, 1)]
+            float[] opacities = [0.25]
+            uniform int radiance:sphericalHarmonicsDegree = 1
+            float3[] radiance:sphericalHarmonicsCoefficients = [
+                (0, 0, 0), (0, 0, 0), (0, 0, 0), (-1, 0, 0), (0, 0, 0), (0, 0, 0), (0, 0, 0), (0, 0, 0)]
+        }
+    }
+}
+def Camera "C" {
+    float focalLength = 24
+    float horizontalAperture = 36
+    float verticalAperture = 18
+    float horizontalApertureOffset = 3.6
+    float verticalApertureOffset = -1.8
+    double3 xformOp:translate = (0, 0, 200)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def PointInstancer "P" {}
+def Mesh "hidden" { token visibility = "invisible" }
+"#;
+
+#[test]
+fn units_axes_and_nested_transforms_are_applied() {
+    let file = read_text(FOREIGN);
+    assert!(file.y_up);
+    let splats = &file.scene.splats;
+    // Scaled (20, 40, 60), turned about z (−40, 20, 60), moved (60, 20, 60), in metres, y up.
+    assert!(splats.means()[0].abs_diff_eq(Vec3::new(0.6, 0.6, -0.2), 1e-6), "{}", splats.means()[0]);
+    let scales = splats.log_scales()[0].exp();
+    assert!(scales.abs_diff_eq(Vec3::new(0.02, 0.04, 0.06), 1e-7), "{scales}");
+    // The local x axis points along y of the file, which is −z here; the local z axis along z, which is y.
+    let axes = [Vec3::X, Vec3::Z].map(|axis| splats.rotations()[0] * axis);
+    assert!(axes[0].abs_diff_eq(-Vec3::Z, 1e-6) && axes[1].abs_diff_eq(Vec3::Y, 1e-6), "{axes:?}");
+    let red = |d: DVec3| -> f64 {
+        let basis = sh::basis(d.to_array());
+        splats.sh_of(0).iter().zip(basis).map(|(c, y)| f64::from(c[0]) * y).sum()
+    };
+    assert!(red(-DVec3::Z) > 0.48 && red(DVec3::X).abs() < 1e-6 && red(DVec3::Y).abs() < 1e-6);
+    // Too few opacities are none.
+    assert!(splats.opacity_logits()[0] > 16.0);
+
+    let (name, camera) = &file.cameras[0];
+    let k = camera.intrinsics();
+    assert_eq!((name.as_str(), k.width, k.height), ("C", 2160, 1080));
+    let close = |a: f64, b: f64| (a - b).abs() < 1e-3;
+    assert!(
+        close(k.fx, 1440.0) && close(k.fy, 1440.0) && close(k.cx, 0.4 * 2160.0) && close(k.cy, 0.4 * 1080.0),
+        "{k:?}"
+    );
+    // It stands two metres up and looks down; its right is x.
+    assert!(camera.center().abs_diff_eq(2.0 * DVec3::Y, 1e-9));
+    assert!(camera.to_camera(DVec3::ZERO).abs_diff_eq(2.0 * DVec3::Z, 1e-9));
+    assert!((camera.rotation() * DVec3::X).abs_diff_eq(DVec3::X, 1e-9));
+
+    assert_eq!(
+        file.notes,
+        [
+            "/World/Turn/S.orientations: 3 values for 2, cut",
+            "/World/Turn/S.opacities: 1 values for 2, not used",
+            "/World/Turn/S: 2 opacities of 0 or 1 or scales of 0 are clamped, so that their logit or logarithm is finite",
+            "/C: a camera without an image size is taken to have 2160×1080 pixels",
+            "1 prim made invisible left out, with what is below",
+            "1 prim of type PointInstancer left out",
+        ]
+    );
+}
+
+#[test]
+fn meshes_and_materials_of_others() {
+    let (folder, path) = folder_with(
+        r#"( metersPerUnit = 1
+)
+def "W" (
+    prepend references = @other.usda@
+) {
+    rel material:binding = </W/M>
+    def Mesh "quad" {
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [3, 2, 1, 0]
+        point3f[] points.timeSamples = { 1: [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 2: [] }
+        texCoord2f[] primvars:map = [(0, 0), (1, 0.25)] ( interpolation = "vertex" )
+        int[] primvars:map:indices = [0, 1, 1, 0]
+        uniform token subdivisionScheme = "none"
+    }
+    def Material "M" {
+        color3f inputs:tint = (0.2, 0.4, 0.6)
+        token outputs:surface.connect = <S.outputs:surface>
+        def Shader "S" {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = <../../M.inputs:tint>
+            float inputs:opacity.connect = </W/M/T.outputs:a>
+        }
+        def Shader "T" {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @./t.png@
+            float4 inputs:scale = (1, 1, 1, 0.5)
+            float2 inputs:st.connect = <../R.outputs:result>
+        }
+        def Shader "R" {
+            uniform token info:id = "UsdPrimvarReader_float2"
+            string inputs:varname = "map"
+        }
+    }
+}
+"#,
+    );
+    let png = image::RgbaImage::from_fn(2, 1, |x, _| image::Rgba([0, 0, 0, [0, 255][x as usize]]));
+    png.save(folder.path().join("t.png")).unwrap();
+    let file = read(&path).unwrap();
+    let mesh = &file.scene.meshes[0];
+    assert_eq!(mesh.triangles(), [[3, 2, 1], [3, 1, 0]]);
+    let uv = |u, v| Vec2::new(u, v);
+    assert_eq!(mesh.corner_uvs()[0], [uv(0.0, 1.0), uv(1.0, 0.75), uv(1.0, 0.75)]);
+    let base = mesh.atlas().base();
+    let opacity = |i: usize| 1.0 / (1.0 + (-base.texels()[4 * i + 3]).exp());
+    assert!(base.width() == 2 && opacity(0) < 1e-6 && (opacity(1) - 0.5).abs() < 1e-6);
+    let rgb = sh::rgb_from_dc([base.texels()[0], base.texels()[1], base.texels()[2]]);
+    let expected = [0.2, 0.4, 0.6].map(crate::scene::color::linear_to_srgb);
+    assert!((0..3).all(|c| (rgb[c] - expected[c]).abs() < 1e-6), "{rgb:?}");
+    assert_eq!(
+        file.notes,
+        [
+            "/W/M/S: shown by its diffuse colour alone, unlit",
+            "1 prim that move or change, taken at their first time",
+            "1 prim with references, which are not followed",
+        ]
+    );
+}
+
+#[test]
+fn what_cannot_be_taken_over_is_refused_in_one_line() {
+    let splats = |body: &str| format!("def ParticleField3DGaussianSplat \"S\" {{ {body} }}");
+    let one = "point3f[] positions = [(0,0,0)] float3[] scales = [(1,1,1)] float[] opacities = [0.5] ";
+    for (text, message) in [
+        (splats("float3 positions = (1, 2, 3) half[] x = []"), None),
+        (splats("int[] positions = [1]"), Some("/a.usda: /S.positions: expected floats, 3 an element, found `int[]`")),
+        (
+            splats("uniform int radiance:sphericalHarmonicsDegree = -1"),
+            Some("/a.usda: /S.radiance:sphericalHarmonicsDegree: expected a degree of 0 to 3, found -1"),
+        ),
+        (
+            splats(&format!("{one} quatf[] orientations = [(0,0,0,0)]")),
+            Some("/a.usda: rotations[0]: expected a non-zero quaternion, found [0, 0, 0, 0]"),
+        ),
+        (
+            splats(&format!(
+                "{one} float3 xformOp:scale = (1, 1, 2) uniform token[] xformOpOrder = [\"xformOp:scale\"]"
+            )),
+            Some(
+                "/a.usda: /S: expected a rotation, a translation and an even, positive scale above splats, found another transform",
+            ),
+        ),
+        (
+            splats("uniform token[] xformOpOrder = [\"xformOp:scale\"]"),
+            Some("/a.usda: /S.xformOp:scale: expected finite numbers of an xformOp, found 0 numbers"),
+        ),
+        (
+            "def Mesh \"M\" { int[] faceVertexCounts = [3] int[] faceVertexIndices = [0, 1, 2] }".to_owned(),
+            Some("/a.usda: /M.faceVertexIndices: expected indices below 0, found 0"),
+        ),
+        (
+            "def Mesh \"M\" { int[] faceVertexCounts = [4294967295, -1] }".to_owned(),
+            Some("/a.usda: /M.faceVertexCounts: expected indices of 32 bits, found -1"),
+        ),
+        ("( upAxis = \"X\" )".to_owned(), Some("/a.usda: /upAxis: expected Y or Z, found `X`")),
+        (
+            "( metersPerUnit = 0 )".to_owned(),
+            Some("/a.usda: /metersPerUnit: expected a positive number, found another value"),
+        ),
+        (
+            "def \"S\" { token centaur:mode = \"odd\" }".to_owned(),
+            Some("/a.usda: /S.centaur:mode: expected stable, surfaceConsistent or direct, found `odd`"),
+        ),
+    ] {
+        match message {
+            Some(message) => assert_eq!(refusal(&text), message),
+            None => assert_eq!(read_text(&text).scene.splats.len(), 1),
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usd");
+    std::fs::write(&path, b"PXR-USDC\0\x08").unwrap();
+    let error = crate::format::read_scene(&path).unwrap_err().to_string();
+    assert!(error.ends_with("found the binary form of USD, a crate file"), "{error}");
+}
+
+#[test]
+fn paths_do_not_lead_out_of_folder_or_package() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("in");
+    std::fs::create_dir(&inner).unwrap();
+    let scene = random_scene(0, 1, 0, 2);
+    write(&inner.join("a.usda"), &scene, &[]).unwrap();
+    std::fs::rename(inner.join("a_mesh_0_base.exr"), folder.path().join("a_mesh_0_base.exr")).unwrap();
+    let text = std::fs::read_to_string(inner.join("a.usda")).unwrap();
+    for path in ["../a_mesh_0_base.exr", "/etc/passwd", "%2e%2e/a_mesh_0_base.exr"] {
+        std::fs::write(inner.join("a.usda"), text.replace("./a_mesh_0_base.exr", path)).unwrap();
+        assert!(read(&inner.join("a.usda")).unwrap().notes[0].contains("maps are those of the material"), "{path}");
+    }
+    let package = inner.join("a.usdz");
+    let file = std::fs::File::create(&package).unwrap();
+    let text = text.replace("./a_mesh_0_base.exr", "../a_mesh_0_base.exr").replace("./a_mesh", "../a_mesh");
+    let layer = |out: &mut package::Limited<'_, _>| std::io::Write::write_all(out, text.as_bytes());
+    package::write(file, layer, &[]).unwrap();
+    let error = read(&package).unwrap_err().to_string();
+    assert!(error.contains("expected a file of the package, found `../a_mesh_0_color.png`"), "{error}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn damaged_files_do_not_panic(which in 0usize..2, at: usize, byte: u8, cut: usize, seed in 0u64..3) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(["a.usda", "a.usdz"][which]);
+        write(&path, &random_scene(2, 1, 1, seed), &[("c".to_owned(), camera())]).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let at = at % bytes.len();
+        bytes[at] = byte;
+        std::fs::write(&path, &bytes).unwrap();
+        let _ = read(&path);
+        bytes.truncate(cut % bytes.len());
+        std::fs::write(&path, &bytes).unwrap();
+        let _ = read(&path);
+    }
+
+    #[test]
+    fn damaged_maps_do_not_panic(at: usize, byte: u8, cut: usize) {
+        let mut bytes = maps::exr(random_scene(0, 1, 0, 1).meshes[0].atlas().base()).unwrap();
+        let at = at % bytes.len();
+        bytes[at] = byte;
+        let _ = maps::from_exr(&bytes, true);
+        bytes.truncate(cut % bytes.len());
+        let _ = maps::from_exr(&bytes, true);
+    }
+}

@@ -1,0 +1,222 @@
+//! A layer as a hybrid scene.
+
+use std::collections::BTreeMap;
+
+use glam::{DMat4, DVec3};
+
+use super::document::{Layer, Prim, PropertyKind, Specifier, Value, field};
+use super::materials::Materials;
+use super::package::Place;
+use super::stage::Stage;
+use super::surfaces::{self, Placed};
+use super::{frame, names, splats, views, xform};
+use crate::format::SceneFile;
+use crate::format::error::Fault;
+use crate::format::gltf::extension::parse_color_space;
+use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode};
+
+/// Type of splats.
+const SPLATS: &str = "ParticleField3DGaussianSplat";
+
+/// Prims that group, or that belong to others.
+const SILENT: [&str; 10] =
+    ["", "Xform", "Scope", "Material", "Shader", "NodeGraph", "GeomSubset", "SkelRoot", "RenderSettings", "Backdrop"];
+
+/// Metadata that compose a prim of others.
+const ARCS: [&str; 4] = ["references", "payload", "inherits", "specializes"];
+
+/// Reads a layer whose files are in `place`.
+pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault> {
+    let stage = Stage::new(layer);
+    let mut notes = vec![];
+    let to_world = units(layer, &mut notes)?;
+    let root = contract_prim(&stage);
+    let composition = composition(&stage, root, &mut notes)?;
+    let is_ours = root.is_some_and(|root| stage.text(root, names::FRAME) == Some(names::CAPTURE));
+    let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
+    let mut materials = Materials { place, space: composition.color_space };
+    let mut left_out = Counts::default();
+    left_out.layer(layer);
+    let (mut parts, mut meshes, mut cameras) = (vec![], vec![], vec![]);
+    for placed in place_all(&stage, to_world, &mut left_out)? {
+        let prim = stage.prims[placed.prim];
+        let at = || stage.path(placed.prim);
+        match prim.type_name.as_str() {
+            SPLATS => {
+                let mut part = splats::read(&stage, placed.prim, &mut notes)?;
+                splats::place(&mut part, placed.transform, &at())?;
+                parts.push(part);
+            }
+            "Mesh" => meshes.extend(surfaces::read(&stage, &placed, &mut materials, &mut notes)?),
+            "Camera" => match views::read(&stage, placed.prim, placed.transform, to_scene) {
+                Ok((camera, note)) => {
+                    notes.extend(note.map(|note| format!("{}: {note}", at())));
+                    cameras.push((display_name(prim), camera));
+                }
+                Err(reason) => notes.push(format!("{}: camera left out: {reason}", at())),
+            },
+            other if SILENT.contains(&other) => {}
+            other => left_out.add(&format!("of type {other} left out")),
+        }
+    }
+    notes.extend(left_out.lines());
+    let mut scene = HybridScene { splats: splats::join(parts)?, meshes, composition };
+    if is_ours {
+        scene = frame::back(scene)?;
+    }
+    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0 })
+}
+
+fn display_name(prim: &Prim) -> String {
+    field(&prim.metadata, "displayName").and_then(Value::as_text).unwrap_or(&prim.name).to_owned()
+}
+
+/// From the layer's units and axes to metres and y up.
+fn units(layer: &Layer, notes: &mut Vec<String>) -> Result<DMat4, Fault> {
+    let scale = match layer.field("metersPerUnit").map(Value::as_number) {
+        None => {
+            notes.push("metersPerUnit is not stated: lengths are taken as they are".to_owned());
+            1.0
+        }
+        Some(Some(scale)) if scale > 0.0 && scale.is_finite() => scale,
+        Some(_) => return Err(Fault::pointer("/metersPerUnit", "a positive number", "another value")),
+    };
+    let turn = match layer.field("upAxis").map(|axis| axis.as_text().unwrap_or_default()) {
+        None | Some("Y") => DMat4::IDENTITY,
+        Some("Z") => DMat4::from_cols_array(&[1., 0., 0., 0., 0., 0., -1., 0., 0., 1., 0., 0., 0., 0., 0., 1.]),
+        Some(other) => return Err(Fault::pointer("/upAxis", "Y or Z", format!("`{other}`"))),
+    };
+    Ok(if scale == 1.0 { turn } else { DMat4::from_scale(DVec3::splat(scale)) * turn })
+}
+
+/// The prim that states the rule of blending.
+fn contract_prim(stage: &Stage<'_>) -> Option<usize> {
+    (0..stage.prims.len()).find(|&i| stage.parents[i].is_none() && stage.prims[i].property(names::MODE).is_some())
+}
+
+fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) -> Result<Composition, Fault> {
+    let Some(root) = root else {
+        let of_splats = (0..stage.prims.len()).filter(|&i| stage.prims[i].type_name == SPLATS);
+        let mut stated: Option<ColorSpace> = None;
+        for prim in of_splats {
+            match splats::color_space(stage, prim) {
+                Ok(None) => {}
+                Ok(Some(space)) if *stated.get_or_insert(space) == space => {}
+                Ok(Some(_)) => {
+                    notes.push(format!("{}: blended in the colour space of the first splats", stage.path(prim)));
+                }
+                Err(other) => notes.push(format!("{}: colour space `{other}` is taken as sRGB", stage.path(prim))),
+            }
+        }
+        return Ok(Composition { color_space: stated.unwrap_or_default(), ..Composition::default() });
+    };
+    let at = |name: &str| format!("{}.{name}", stage.path(root));
+    let mode = stage.text(root, names::MODE).unwrap_or_default();
+    let Some(mode) = OrderMode::ALL.into_iter().find(|m| m.name() == mode) else {
+        let expected = "stable, surfaceConsistent or direct";
+        return Err(Fault::pointer(at(names::MODE), expected, format!("`{mode}`")));
+    };
+    let usual = Composition::default();
+    let color_space = match stage.text(root, names::COLOR_SPACE) {
+        Some(token) => parse_color_space(token, &stage.path(root))?,
+        None => usual.color_space,
+    };
+    let composition = Composition {
+        mode,
+        lambda: stage.number(root, names::LAMBDA).map_or(usual.lambda, |v| v as f32),
+        layers: stage.number(root, names::LAYERS).map_or(usual.layers, |v| v as u32),
+        color_space,
+        background: stage.numbers::<3>(root, names::BACKGROUND).map_or(usual.background, |c| c.map(|v| v as f32)),
+        near: stage.number(root, names::NEAR).map_or(usual.near, |v| v as f32),
+    };
+    composition.validate()?;
+    Ok(composition)
+}
+
+/// All prims that are drawn, with their transforms to the world and the materials that they inherit.
+fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Counts) -> Result<Vec<Placed>, Fault> {
+    let mut states: Vec<Option<(DMat4, Option<usize>)>> = Vec::with_capacity(stage.prims.len());
+    let mut drawn = vec![];
+    for (i, prim) in stage.prims.iter().enumerate() {
+        let parent = match stage.parents[i] {
+            None => Some((to_world, None)),
+            Some(parent) => states[parent],
+        };
+        let Some((above, inherited)) = parent.filter(|_| is_drawn(prim, left_out)) else {
+            states.push(None);
+            continue;
+        };
+        left_out.prim(prim);
+        let (local, resets) = xform::local(stage, i)?;
+        let above = if resets { to_world } else { above };
+        let transform = if local == DMat4::IDENTITY { above } else { above * local };
+        if !transform.is_finite() {
+            return Err(Fault::pointer(stage.path(i), "a finite transform", "numbers that are not"));
+        }
+        let bound = prim.target("material:binding").and_then(|path| stage.find(i, path)).map(|(id, _)| id);
+        let material = bound.or(inherited);
+        states.push(Some((transform, material)));
+        drawn.push(Placed { prim: i, transform, material });
+    }
+    Ok(drawn)
+}
+
+fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
+    let is_inactive = field(&prim.metadata, "active").and_then(Value::as_number) == Some(0.0);
+    // Without a prim that they are over, or that inherits them, these are nothing.
+    if prim.specifier != Specifier::Def || is_inactive {
+        return false;
+    }
+    if prim.value("visibility").and_then(Value::as_text) == Some("invisible") {
+        left_out.add("made invisible left out, with what is below");
+        return false;
+    }
+    if matches!(prim.value("purpose").and_then(Value::as_text), Some("proxy" | "guide")) {
+        left_out.add("of purpose proxy or guide left out, with what is below");
+        return false;
+    }
+    true
+}
+
+/// What is not taken over, by kind.
+#[derive(Default)]
+struct Counts(BTreeMap<String, usize>);
+
+impl Counts {
+    fn add(&mut self, what: &str) {
+        match self.0.get_mut(what) {
+            Some(count) => *count += 1,
+            None => drop(self.0.insert(what.to_owned(), 1)),
+        }
+    }
+
+    fn layer(&mut self, layer: &Layer) {
+        if layer.field("subLayers").is_some() {
+            self.0.insert("sublayers not read".to_owned(), 0);
+        }
+    }
+
+    fn prim(&mut self, prim: &Prim) {
+        for arc in ARCS {
+            if field(&prim.metadata, arc).is_some() {
+                self.add(&format!("with {arc}, which are not followed"));
+            }
+        }
+        if !prim.variants.is_empty() {
+            self.add("with variants, none of which is chosen");
+        }
+        let is_animated =
+            |kind: &PropertyKind| matches!(kind, PropertyKind::Attribute { samples, .. } if samples.len() > 1);
+        if prim.properties.iter().any(|p| is_animated(&p.kind)) {
+            self.add("that move or change, taken at their first time");
+        }
+    }
+
+    fn lines(self) -> impl Iterator<Item = String> {
+        self.0.into_iter().map(|(what, count)| match count {
+            0 => what,
+            1 => format!("1 prim {what}"),
+            _ => format!("{count} prims {what}"),
+        })
+    }
+}
