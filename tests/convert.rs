@@ -251,10 +251,18 @@ fn gltf_of_others_stays_upright() {
 fn every_format_is_written_and_read_and_lossy_ones_are_refused_by_strict() {
     let folder = tempfile::tempdir().unwrap();
     ply::write(&folder.path().join("a.ply"), &splats(50, 3)).unwrap();
-    for (extension, degree) in [("glb", 3), ("compressed.ply", 3), ("sog", 3), ("splat", 0), ("ksplat", 2), ("spz", 3)]
-    {
+    for (extension, degree) in [
+        ("glb", 3),
+        ("usda", 3),
+        ("usdz", 3),
+        ("compressed.ply", 3),
+        ("sog", 3),
+        ("splat", 0),
+        ("ksplat", 2),
+        ("spz", 3),
+    ] {
         let outcome = as_json(folder.path(), &format!("a.ply b.{extension}"));
-        let lossless = extension == "glb";
+        let lossless = ["glb", "usda", "usdz"].contains(&extension);
         assert_eq!(outcome["lossless"].as_bool(), Some(lossless), "{outcome}");
         let error = outcome["loss"]["max_error"]["color"].as_f64().unwrap();
         assert!(error < 0.02, "{extension}: {error}");
@@ -276,6 +284,35 @@ fn every_format_is_written_and_read_and_lossy_ones_are_refused_by_strict() {
         outcome["bytes"].as_u64().unwrap()
     });
     assert!(sizes[0] != sizes[1] && sizes[1] != sizes[2], "{sizes:?}");
+}
+
+#[test]
+fn hybrids_go_through_usd_and_back() {
+    let folder = tempfile::tempdir().unwrap();
+    write_hybrid(&folder.path().join("h.glb"));
+    let before = gltf::read(&folder.path().join("h.glb")).unwrap();
+    for name in ["b.usda", "b.usdz"] {
+        assert!(
+            convert(folder.path(), &format!("h.glb {name} --strict")).contains("10 splats of SH degree 3, 1 mesh(es)")
+        );
+        convert(folder.path(), &format!("{name} back.glb --strict"));
+        let after = gltf::read(&folder.path().join("back.glb")).unwrap();
+        assert_eq!((&after.scene.meshes, after.scene.composition), (&before.scene.meshes, before.scene.composition));
+        assert_eq!(
+            (after.scene.splats.means(), after.scene.splats.sh()),
+            (before.scene.splats.means(), before.scene.splats.sh())
+        );
+        assert_eq!(after.cameras.len(), 1);
+    }
+    // The pictures of the .usda lie beside it, and nothing else is left.
+    let mut names: Vec<_> = folder.path().read_dir().unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    let pictures = ["b_mesh_0_bands.exr", "b_mesh_0_base.exr", "b_mesh_0_color.png", "b_mesh_0_opacity.png"];
+    let expected = [&["b.usda", "b.usdz"], &pictures[..], &["back.glb", "h.glb"]].concat();
+    assert_eq!(names, expected);
+    let summary = common::centaur(folder.path()).args(["inspect", "b.usda"]).output().unwrap();
+    let summary = String::from_utf8(summary.stdout).unwrap();
+    assert!(summary.contains("b.usda: USD, ") && summary.contains("├ cameras: 1"), "{summary}");
 }
 
 /// `splats` with a label of 8 bits per splat, its number; the splats of `broken` have no finite mean.

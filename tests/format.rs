@@ -135,7 +135,9 @@ fn what_cannot_be_read_says_so() {
     assert!(draft.contains("synthetic_5splats.gltf: /"), "{draft}");
     let picture = message("oracle_splat_transform/golden-render/tiny.webp");
     assert!(
-        picture.ends_with("expected a .glb, .gltf, .ply, .sog, .spz, .splat or .ksplat file, found other content"),
+        picture.ends_with(
+            "expected a .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found other content"
+        ),
         "{picture}"
     );
     let mesh = message("oracle_metalsplatter/PLYIO/TestData/beetle.binary.ply");
