@@ -15,6 +15,7 @@ BENCH_FLAGS ?=
 CENTAUR := cargo run --release --quiet --
 ORACLES := .venv-oracles
 ORACLES_USD := .venv-oracles-usd
+ORACLES_COMPOSITION := .venv-oracles-composition
 GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
 GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
 GARDEN := $(or $(wildcard $(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz),target/oracles/test_garden.npz)
@@ -23,7 +24,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -65,11 +66,11 @@ test-python: ## unit tests of datasets-scripts
 
 # A coarse run of everything a user does: is a scene trained, written, read, scored, rendered?
 END_TO_END := target/end-to-end
+COARSE := --max-side 112 --iterations 120 --surface-iterations 80 --warmup 30 --triangles 2000 --texture-size 128 --quiet
 test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect, mesh of a small demo
 	$(CENTAUR) devices
 	@rm -rf $(END_TO_END) && mkdir -p $(END_TO_END)
-	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --ply $(END_TO_END)/splats.ply --report $(END_TO_END)/report --max-side 112 --iterations 120 \
-		--surface-iterations 80 --warmup 30 --triangles 2000 --texture-size 128 --quiet
+	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --ply $(END_TO_END)/splats.ply --report $(END_TO_END)/report $(COARSE)
 	$(CENTAUR) inspect $(END_TO_END)/scene.glb && $(CENTAUR) inspect $(END_TO_END)/splats.ply
 	$(CENTAUR) eval $(END_TO_END)/scene.glb demo --max-side 112 --quiet --json > $(END_TO_END)/scores.json
 	$(PYTHON) -c "import json; p = json.load(open('$(END_TO_END)/scores.json'))['psnr']; print('held-out PSNR', p); assert p > 17"
@@ -80,7 +81,14 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-gltf oracle-gsplat oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+
+# A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
+oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
+	@mkdir -p target/oracles
+	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
+	$(CENTAUR) train demo -o target/oracles/trained.glb $(COARSE)
+	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb target/oracles/trained.glb
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
@@ -113,6 +121,11 @@ $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 $(ORACLES)/installed: tests/oracles/requirements.txt
 	$(PYTHON) -m venv $(ORACLES)
 	$(ORACLES)/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+$(ORACLES_COMPOSITION)/installed: tests/oracles/requirements-composition.txt
+	$(PYTHON) -m venv $(ORACLES_COMPOSITION)
+	$(ORACLES_COMPOSITION)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
 target/oracles/test_garden.npz:

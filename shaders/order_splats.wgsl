@@ -83,7 +83,8 @@ fn main(
 //#for l in 0..LAYERS
     let d$l = surface_depth(a.xy, $lu);
     if d$l > 0.0 {
-        if z > d$l * (1.0 + TIE) { front = d$l; } else if behind == 0.0 { behind = d$l; }
+        // Interpolation across edges can leave the samples unsorted.
+        if z > d$l * (1.0 + TIE) { front = max(front, d$l); } else { behind = select(min(behind, d$l), d$l, behind == 0.0); }
     }
 //#end
     var t = z;

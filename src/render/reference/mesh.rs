@@ -141,9 +141,10 @@ fn trace_pixel(
             found.push((x, mesh, triangle));
         }
     }
-    found.sort_by(|(a, ..), (b, ..)| a.depth.total_cmp(&b.depth));
-    // A layer is strictly behind the one before it.
-    found.dedup_by(|(next, ..), (previous, ..)| next.depth <= previous.depth);
+    // Of fragments at one depth the first in order of triangles is in front.
+    found.sort_by(|(a, mesh, triangle), (b, other_mesh, other)| {
+        a.depth.total_cmp(&b.depth).then((mesh, triangle).cmp(&(other_mesh, other)))
+    });
     found.truncate(scene.composition.layers as usize);
     let basis = sh::basis(towards.normalize().to_array());
     let hit = |(x, mesh, triangle): (Intersection, usize, usize)| {

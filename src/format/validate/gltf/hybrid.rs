@@ -5,10 +5,11 @@ use std::collections::HashMap;
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
+use super::binding::is_unsigned;
 use super::document::{Component, Document, Elements};
-use super::scenes::{check_times, check_unit};
+use super::scenes::check_times;
 use super::splats::check_token;
-use super::{extension, fields, index, objects, primitives, schema};
+use super::{binding, extension, fields, index, objects, primitives, schema};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS};
 
 const COLOR_SPACES: [&str; 2] = ["srgb_rec709_display", "lin_rec709_display"];
@@ -41,14 +42,26 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
             && let Some((at, bound)) = extension(khr, HYBRID, &at_khr)
         {
             schema::check(bound, &format!("{KHR_SPLATS}.{HYBRID}.schema.json"), &at, findings);
-            if let Some(binding) = bound.get("binding") {
-                check_binding(document, primitive, binding, &format!("{at}/binding"), findings);
+            if let Some(own) = bound.get("binding") {
+                binding::check(document, primitive, own, &format!("{at}/binding"), findings);
             }
         }
     }
+    check_mixed(root, findings);
     if let Some((at, own)) = extension(root, HYBRID, "") {
         schema::check(own, &format!("glTF.{HYBRID}.schema.json"), &at, findings);
         fields::check(document, own, &at, findings);
+    }
+}
+
+/// Splats and other primitives in one mesh: some viewers refuse the whole file.
+fn check_mixed(root: &Value, findings: &mut Findings) {
+    let is_used = objects(root, "scenes", "").any(|(at, scene)| extension(scene, HYBRID, &at).is_some());
+    for (at, mesh) in objects(root, "meshes", "").filter(|_| is_used) {
+        let parts = || objects(mesh, "primitives", &at).map(|(at, p)| extension(p, KHR_SPLATS, &at).is_some());
+        if parts().any(|is_splats| is_splats) && !parts().all(|is_splats| is_splats) {
+            findings.error("HYBRID_MIXED_MESH", at, "splats and triangles in different meshes", "both");
+        }
     }
 }
 
@@ -94,6 +107,26 @@ fn check_material(
     }
     for (at, source) in objects(harmonics, "coefficients", &at) {
         check_texels(document, (i, source), 3, &at, findings);
+    }
+    check_sizes(radiance.get("opacity"), harmonics, &at, findings);
+}
+
+/// One size for coefficient 0 and the opacity, one for all other coefficients. Sizes of images are not looked at.
+fn check_sizes(opacity: Option<&Value>, harmonics: &Value, at: &str, findings: &mut Findings) {
+    let size = |source: &Value| Some((index(source, "width")?, index(source, "height")?));
+    let mut sizes = objects(harmonics, "coefficients", at).map(|(at, source)| (at, size(source)));
+    let Some((at_first, first)) = sizes.next() else { return };
+    let mut demand = |at: String, found: Option<(usize, usize)>, expected: Option<(usize, usize)>, like: &str| {
+        if let (Some((w, h)), Some((width, height))) = (found, expected)
+            && (w, h) != (width, height)
+        {
+            let expected = format!("{width}×{height}, as in {like}");
+            findings.error("HYBRID_MAP_SIZE", at, expected, format!("{w}×{h}"));
+        }
+    };
+    demand(at_first, first, opacity.and_then(size), "the opacity");
+    if let Some((like, bands)) = sizes.next() {
+        sizes.for_each(|(at, found)| demand(at, found, bands, &like));
     }
 }
 
@@ -142,7 +175,7 @@ fn check_texels(
     }
 }
 
-fn position_of<'a>(document: &'a Document<'_>, primitive: &Value) -> Option<Elements<'a>> {
+pub(super) fn position_of<'a>(document: &'a Document<'_>, primitive: &Value) -> Option<Elements<'a>> {
     document.elements(index(primitive.get("attributes")?, "POSITION")?)
 }
 
@@ -174,11 +207,6 @@ fn check_surface(
     }
 }
 
-fn is_unsigned(elements: &Elements<'_>) -> bool {
-    let kinds = [Component::UnsignedByte, Component::UnsignedShort, Component::UnsignedInt];
-    elements.components == 1 && !elements.normalized && kinds.contains(&elements.kind)
-}
-
 fn check_surface_vertices(source: &Elements<'_>, positions: &Elements<'_>, at: &str, findings: &mut Findings) {
     if !is_unsigned(source) || source.count != positions.count {
         let expected = format!("{} SCALAR elements of an unsigned integer type", positions.count);
@@ -199,51 +227,5 @@ fn check_surface_vertices(source: &Elements<'_>, positions: &Elements<'_>, at: &
     if let Some(gap) = gap {
         let expected = format!("numbers from 0 to {} without gaps", places.len() - 1);
         findings.error("HYBRID_SURFACE_GAP", at, expected, format!("none that is {gap}"));
-    }
-}
-
-fn check_binding(document: &Document<'_>, primitive: &Value, binding: &Value, at: &str, findings: &mut Findings) {
-    let splats = position_of(document, primitive).map_or(0, |p| p.count);
-    let elements = |key: &str| index(binding, key).and_then(|i| document.elements(i));
-    for (key, components) in [("triangles", 1), ("translations", 3), ("rotations", 4), ("scales", 3)] {
-        if let Some(e) = elements(key).filter(|e| e.count != splats || e.components != components) {
-            let expected = format!("{splats} elements of {components} component(s), one per splat");
-            findings.error(
-                "HYBRID_BINDING_COUNT",
-                format!("{at}/{key}"),
-                expected,
-                format!("{} of {}", e.count, e.components),
-            );
-        }
-    }
-    check_unit::<4>(elements("rotations"), &format!("{at}/rotations"), "HYBRID_BINDING_ROTATION", findings);
-    let declared = index(binding, "triangleCount");
-    if let (Some(triangles), Some(declared)) = (elements("triangles"), declared) {
-        let mut offenders = Offenders::default();
-        for i in 0..triangles.count {
-            let v = triangles.raw(i, 0);
-            if v >= declared as f64 || !is_unsigned(&triangles) {
-                offenders.note(|| format!("{v} of splat {i}"));
-            }
-        }
-        if let Some(found) = offenders.summary(triangles.count) {
-            let expected = format!("unsigned integers below triangleCount = {declared}");
-            findings.error("HYBRID_BINDING_TRIANGLE", format!("{at}/triangles"), expected, found);
-        }
-    }
-    let Some(node) = index(binding, "node").and_then(|i| document.object("nodes", i)) else { return };
-    let mesh = index(node, "mesh").and_then(|i| document.object("meshes", i));
-    let number = index(binding, "primitive").unwrap_or(0);
-    let Some(bound) = mesh.and_then(|mesh| mesh.get("primitives")?.get(number)) else {
-        let expected = format!("a node whose mesh has a primitive {number}");
-        return findings.error("HYBRID_BINDING_MESH", format!("{at}/node"), expected, "another");
-    };
-    let indices = index(bound, "indices").and_then(|i| document.elements(i)).map(|e| e.count);
-    let corners = indices.or_else(|| position_of(document, bound).map(|p| p.count));
-    if let (Some(corners), Some(declared)) = (corners, declared)
-        && corners / 3 != declared
-    {
-        let expected = format!("{}, the triangles of the mesh", corners / 3);
-        findings.error("HYBRID_BINDING_MESH", format!("{at}/triangleCount"), expected, declared);
     }
 }

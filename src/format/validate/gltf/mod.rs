@@ -1,6 +1,7 @@
 //! glTF 2.0 and the splat extensions.
 
 mod accessors;
+mod binding;
 mod container;
 mod document;
 mod extensions;

@@ -1,0 +1,112 @@
+//! Faults of the core.
+
+use serde_json::json;
+
+use super::{Planted, SPLATS, SURFACE, U16, declare, primitive};
+
+pub(super) const PLANTED: &[Planted] = &[
+    // The schema.
+    ("SCHEMA_REQUIRED", "/accessors/0", |f| drop(f.json["accessors"][0].as_object_mut().unwrap().remove("count"))),
+    ("SCHEMA_REQUIRED", "", |f| drop(f.json.as_object_mut().unwrap().remove("asset"))),
+    ("SCHEMA_TYPE", "/nodes/0/name", |f| f.json["nodes"][0]["name"] = json!(3)),
+    ("SCHEMA_TYPE", "/buffers/0/byteLength", |f| f.json["buffers"][0]["byteLength"] = json!("many")),
+    ("SCHEMA_VALUE", "/asset/version", |f| f.json["asset"]["version"] = json!("1.0")),
+    ("SCHEMA_VALUE", "/accessors/1/componentType", |f| f.json["accessors"][1]["componentType"] = json!(5124)),
+    ("SCHEMA_VALUE", "/materials/0/alphaMode", |f| f.json["materials"][0]["alphaMode"] = json!("GLASS")),
+    ("SCHEMA_LENGTH", "/scenes/0/nodes", |f| f.json["scenes"][0]["nodes"] = json!([])),
+    ("SCHEMA_LENGTH", "/nodes/0/rotation", |f| f.json["nodes"][0]["rotation"] = json!([0, 0, 1])),
+    ("SCHEMA_RANGE", "/cameras/0/perspective/znear", |f| f.json["cameras"][0]["perspective"]["znear"] = json!(0)),
+    ("SCHEMA_UNIQUE", "/skins/0/joints", |f| f.json["skins"][0]["joints"] = json!([0, 0])),
+    ("SCHEMA_CHOICE", "/images/0", |f| f.json["images"][0]["uri"] = json!("a.png")),
+    // References.
+    ("INDEX_RANGE", "/scene", |f| f.json["scene"] = json!(9)),
+    ("INDEX_RANGE", "/primitives/0/material", |f| primitive(f, SURFACE)["material"] = json!(5)),
+    ("INDEX_RANGE", "/attributes/POSITION", |f| primitive(f, SPLATS)["attributes"]["POSITION"] = json!(9999)),
+    ("INDEX_RANGE", "/textures/0/source", |f| f.json["textures"][0]["source"] = json!(1)),
+    ("INDEX_RANGE", "/channels/0/sampler", |f| f.json["animations"][0]["channels"][0]["sampler"] = json!(1)),
+    // Extensions.
+    ("EXTENSION_UNDECLARED", "/materials/0/extensions/KHR_materials_unlit", |f| {
+        f.json["extensionsUsed"].as_array_mut().unwrap().retain(|e| e != "KHR_materials_unlit");
+    }),
+    ("EXTENSION_UNDECLARED", "/extensionsRequired/0", |f| f.json["extensionsRequired"] = json!(["KHR_none"])),
+    ("EXTENSION_UNUSED", "/extensionsUsed/3", |f| declare(f, "KHR_none")),
+    ("EXTENSION_UNSUPPORTED", "/extensionsRequired/0", |f| {
+        declare(f, "KHR_draco_mesh_compression");
+        f.json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
+        f.json["nodes"][0]["extensions"] = json!({ "KHR_draco_mesh_compression": {} });
+    }),
+    // Buffers, views, accessors.
+    ("BUFFER_LENGTH", "/buffers/0/byteLength", |f| f.json["buffers"][0]["byteLength"] = json!(1 << 30)),
+    ("BUFFER_LENGTH", "/buffers/0/byteLength", |f| f.bin.extend([0; 8])),
+    ("BUFFER_URI", "/buffers/0/uri", |f| f.json["buffers"][0]["uri"] = json!("../../etc/passwd")),
+    ("BUFFER_URI", "/buffers/1", |f| _ = f.push("buffers", json!({ "byteLength": 4 }))),
+    ("VIEW_RANGE", "/bufferViews/0", |f| f.json["bufferViews"][0]["byteLength"] = json!(1 << 30)),
+    ("ACCESSOR_RANGE", "/accessors/0", |f| f.json["accessors"][0]["count"] = json!(1_000_000_000)),
+    ("ACCESSOR_RANGE", "/accessors/0", |f| f.json["bufferViews"][0]["byteStride"] = json!(8)),
+    ("ACCESSOR_ALIGNMENT", "/accessors/0", |f| f.json["bufferViews"][0]["byteOffset"] = json!(2)),
+    ("ACCESSOR_NORMALIZED", "/accessors/0/normalized", |f| f.json["accessors"][0]["normalized"] = json!(true)),
+    ("ACCESSOR_BOUNDS", "/accessors/0/min", |f| f.json["accessors"][0]["min"] = json!([0.5])),
+    ("ACCESSOR_BOUNDS", "/accessors/0/max", |f| f.json["accessors"][0]["max"][1] = json!(77)),
+    ("ACCESSOR_NOT_FINITE", "/accessors/0", |f| f.set_float(0, 1, 3, f32::NAN)),
+    ("SPARSE_INDICES", "/sparse/indices", |f| {
+        let places =
+            f.json["accessors"].as_array().unwrap().iter().position(|a| a["componentType"] == U16 && a["count"] == 2);
+        f.element(places.unwrap(), 1, 2).copy_from_slice(&[6, 0]);
+    }),
+    // Nodes and primitives.
+    ("NODE_ROTATION", "/nodes/0/rotation", |f| f.json["nodes"][0]["rotation"] = json!([0, 0, 0, 2])),
+    ("NODE_TRANSFORM", "/nodes/0", |f| {
+        f.json["nodes"][0]["matrix"] = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+        f.json["nodes"][0]["scale"] = json!([1, 1, 1]);
+    }),
+    ("NODE_PARENT", "/children", |f| _ = f.push("nodes", json!({ "children": [0] }))),
+    ("NODE_CYCLE", "/nodes/0", |f| f.json["nodes"][0]["children"] = json!([0])),
+    ("NODE_CYCLE", "/nodes/", |f| {
+        let root = f.json["scenes"][0]["nodes"][0].clone();
+        f.json["nodes"][0]["children"] = json!([root]);
+    }),
+    ("SCENE_ROOT", "/scenes/0/nodes/1", |f| f.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(json!(0))),
+    ("PRIMITIVE_POSITION", "/attributes", |f| {
+        drop(primitive(f, SURFACE)["attributes"].as_object_mut().unwrap().remove("POSITION"));
+    }),
+    ("PRIMITIVE_BOUNDS", "/accessors/0", |f| drop(f.json["accessors"][0].as_object_mut().unwrap().remove("min"))),
+    ("PRIMITIVE_COUNT", "/attributes/TEXCOORD_0", |f| {
+        let short = f.floats("VEC2", &[0.0; 4]);
+        primitive(f, SURFACE)["attributes"]["TEXCOORD_0"] = json!(short);
+    }),
+    ("PRIMITIVE_ATTRIBUTE", "/attributes/TEXCOORD_0", |f| {
+        let position = primitive(f, SURFACE)["attributes"]["POSITION"].clone();
+        primitive(f, SURFACE)["attributes"]["TEXCOORD_0"] = position;
+    }),
+    ("INDICES_TYPE", "/indices", |f| {
+        let position = primitive(f, SURFACE)["attributes"]["POSITION"].clone();
+        primitive(f, SURFACE)["indices"] = position;
+    }),
+    ("INDICES_RANGE", "/indices", |f| {
+        let indices = primitive(f, SURFACE)["indices"].as_u64().unwrap() as usize;
+        f.element(indices, 2, 4).copy_from_slice(&999u32.to_le_bytes());
+    }),
+    ("PRIMITIVE_INCOMPLETE", "/primitives/0", |f| {
+        let indices = primitive(f, SURFACE)["indices"].as_u64().unwrap() as usize;
+        f.json["accessors"][indices]["count"] = json!(4);
+    }),
+    ("NORMAL_NORM", "/attributes/NORMAL", |f| {
+        let position = primitive(f, SURFACE)["attributes"]["POSITION"].clone();
+        primitive(f, SURFACE)["attributes"]["NORMAL"] = position;
+    }),
+    ("IMAGE_TYPE", "/images/0/mimeType", |f| f.json["images"][0]["mimeType"] = json!("image/jpeg")),
+    ("IMAGE_CONTENT", "/images/0", |f| f.json["images"][0]["bufferView"] = json!(0)),
+    ("IMAGE_URI", "/images/0/uri", |f| f.json["images"][0] = json!({ "uri": "none.png" })),
+    ("SKIN_MATRICES", "/inverseBindMatrices", |f| f.json["skins"][0]["joints"] = json!([0, 1])),
+    ("ANIMATION_OUTPUT", "/channels/0", |f| {
+        f.json["animations"][0]["samplers"][0]["interpolation"] = json!("CUBICSPLINE");
+    }),
+    ("TIMES_ORDER", "/samplers/0/input", |f| {
+        let input = f.json["animations"][0]["samplers"][0]["input"].as_u64().unwrap() as usize;
+        f.set_float(input, 1, 1, 3.0);
+    }),
+    ("TIMES_TYPE", "/samplers/0/input", |f| {
+        let output = f.json["animations"][0]["samplers"][0]["output"].clone();
+        f.json["animations"][0]["samplers"][0]["input"] = output;
+    }),
+];

@@ -1,0 +1,188 @@
+//! Faults of `EXT_gaussian_splatting_hybrid`.
+
+use serde_json::{Value, json};
+
+use super::{File, HYBRID, KHR, Planted, SPLATS, SURFACE, U16, U32, binding, primitive};
+
+fn contract(file: &mut File) -> &mut Value {
+    &mut file.json["scenes"][0]["extensions"][HYBRID]
+}
+
+fn hybrid_material(file: &mut File) -> &mut Value {
+    &mut file.json["materials"][0]["extensions"][HYBRID]
+}
+
+fn field(file: &mut File) -> &mut Value {
+    &mut file.json["extensions"][HYBRID]["deformationFields"][0]
+}
+
+/// As many texels in one column.
+fn flatten(source: &mut Value) {
+    let texels = source["width"].as_u64().unwrap() * source["height"].as_u64().unwrap();
+    source["width"] = json!(1);
+    source["height"] = json!(texels);
+}
+
+pub(super) const PLANTED: &[Planted] = &[
+    // The schema.
+    ("SCHEMA_RANGE", "EXT_gaussian_splatting_hybrid/lambda", |f| {
+        f.json["scenes"][0]["extensions"][HYBRID]["lambda"] = json!(-1);
+    }),
+    ("SCHEMA_CHOICE", "/opacity", |f| hybrid_material(f)["opacity"]["texture"] = json!({ "index": 0 })),
+    ("SCHEMA_RANGE", "/sphericalHarmonics/degree", |f| hybrid_material(f)["sphericalHarmonics"]["degree"] = json!(7)),
+    ("SCHEMA_REQUIRED", "/binding", |f| drop(binding(f).as_object_mut().unwrap().remove("scales"))),
+    ("SCHEMA_REQUIRED", "EXT_gaussian_splatting_hybrid", |f| {
+        drop(primitive(f, SURFACE)["extensions"][HYBRID].as_object_mut().unwrap().remove("times"));
+    }),
+    // References.
+    ("INDEX_RANGE", "/deformation", |f| {
+        primitive(f, SPLATS)["extensions"][KHR]["extensions"][HYBRID]["deformation"] = json!(1);
+    }),
+    ("INDEX_RANGE", "/coefficients/3/accessor", |f| {
+        hybrid_material(f)["sphericalHarmonics"]["coefficients"][3]["accessor"] = json!(1234);
+    }),
+    ("INDEX_RANGE", "/binding/triangles", |f| binding(f)["triangles"] = json!(1234)),
+    ("SCHEMA_TYPE", "EXT_gaussian_splatting_hybrid/lambda", |f| contract(f)["lambda"] = json!("none")),
+    ("SCHEMA_VALUE", "EXT_gaussian_splatting_hybrid/layers", |f| contract(f)["layers"] = json!(3)),
+    ("SCHEMA_RANGE", "EXT_gaussian_splatting_hybrid/near", |f| contract(f)["near"] = json!(0)),
+    ("SCHEMA_LENGTH", "EXT_gaussian_splatting_hybrid/background", |f| contract(f)["background"] = json!([0, 0])),
+    ("SCHEMA_REQUIRED", "/scenes/0/extensions/EXT_gaussian_splatting_hybrid", |f| {
+        drop(contract(f).as_object_mut().unwrap().remove("colorSpace"));
+    }),
+    ("SCHEMA_REQUIRED", "/materials/0/extensions/EXT_gaussian_splatting_hybrid", |f| {
+        drop(hybrid_material(f).as_object_mut().unwrap().remove("colorSpace"));
+    }),
+    ("SCHEMA_RANGE", "/opacity/channel", |f| hybrid_material(f)["opacity"]["channel"] = json!(4)),
+    ("SCHEMA_LENGTH", "/opacity/scale", |f| hybrid_material(f)["opacity"]["scale"] = json!([])),
+    ("SCHEMA_RANGE", "/opacity/width", |f| hybrid_material(f)["opacity"]["width"] = json!(0)),
+    ("SCHEMA_CHOICE", "/coefficients/1", |f| {
+        drop(hybrid_material(f)["sphericalHarmonics"]["coefficients"][1].as_object_mut().unwrap().remove("accessor"));
+    }),
+    ("SCHEMA_RANGE", "/binding/triangleCount", |f| binding(f)["triangleCount"] = json!(0)),
+    ("SCHEMA_TYPE", "/binding/geometryDigest", |f| binding(f)["geometryDigest"] = json!(7)),
+    ("SCHEMA_LENGTH", "/planes", |f| drop(field(f)["levels"][0]["planes"].as_array_mut().unwrap().pop())),
+    ("SCHEMA_LENGTH", "/levels", |f| field(f)["levels"] = json!([])),
+    ("SCHEMA_RANGE", "/resolution/2", |f| field(f)["levels"][0]["resolution"][2] = json!(0)),
+    ("SCHEMA_LENGTH", "/coordinateScale", |f| field(f)["coordinateScale"] = json!([1, 1, 1])),
+    ("SCHEMA_REQUIRED", "/deformationFields/0", |f| drop(field(f).as_object_mut().unwrap().remove("heads"))),
+    ("SCHEMA_REQUIRED", "/trunk/0", |f| drop(field(f)["trunk"][0].as_object_mut().unwrap().remove("bias"))),
+    ("INDEX_RANGE", "/binding/node", |f| binding(f)["node"] = json!(99)),
+    ("INDEX_RANGE", "/planes/5", |f| field(f)["levels"][0]["planes"][5] = json!(9999)),
+    ("INDEX_RANGE", "/opacity/sampler", |f| hybrid_material(f)["opacity"]["sampler"] = json!(4)),
+    ("INDEX_RANGE", "/surfaceVertices", |f| {
+        primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"] = json!(9999);
+    }),
+    // The hybrid.
+    ("HYBRID_REQUIRED", "/extensionsRequired/0", |f| f.json["extensionsRequired"] = json!([HYBRID])),
+    ("HYBRID_TOKEN", "/mode", |f| f.json["scenes"][0]["extensions"][HYBRID]["mode"] = json!("any")),
+    ("HYBRID_COLOR_SPACE", "/colorSpace", |f| hybrid_material(f)["colorSpace"] = json!("lin_rec709_display")),
+    ("HYBRID_ALPHA_MODE", "/materials/0", |f| f.json["materials"][0]["alphaMode"] = json!("OPAQUE")),
+    ("HYBRID_SH_COUNT", "/coefficients", |f| hybrid_material(f)["sphericalHarmonics"]["degree"] = json!(2)),
+    ("HYBRID_TEXEL_COUNT", "/opacity/accessor", |f| hybrid_material(f)["opacity"]["width"] = json!(3)),
+    ("HYBRID_TEXEL_TYPE", "/opacity/accessor", |f| {
+        let other = hybrid_material(f)["sphericalHarmonics"]["coefficients"][0]["accessor"].clone();
+        hybrid_material(f)["opacity"]["accessor"] = other;
+    }),
+    ("HYBRID_TEXEL_RANGE", "/opacity/offset", |f| hybrid_material(f)["opacity"]["offset"] = json!([0, 0, 0])),
+    ("HYBRID_TEXCOORD", "/opacity", |f| hybrid_material(f)["opacity"]["texCoord"] = json!(1)),
+    ("HYBRID_MODE", "/mode", |f| primitive(f, SURFACE)["mode"] = json!(5)),
+    ("HYBRID_SURFACE_TYPE", "/surfaceVertices", |f| {
+        let position = primitive(f, SURFACE)["attributes"]["POSITION"].clone();
+        primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"] = position;
+    }),
+    ("HYBRID_SURFACE_POSITION", "/surfaceVertices", |f| {
+        let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
+        f.element(source, 1, 4).copy_from_slice(&2u32.to_le_bytes());
+    }),
+    ("HYBRID_SURFACE_GAP", "/surfaceVertices", |f| {
+        let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
+        f.element(source, 5, 4).copy_from_slice(&99u32.to_le_bytes());
+    }),
+    ("HYBRID_TRANSLATIONS", "/translations", |f| {
+        let longer = f.floats("SCALAR", &[0.0, 1.0, 2.0]);
+        primitive(f, SURFACE)["extensions"][HYBRID]["times"] = json!(longer);
+    }),
+    ("HYBRID_BINDING_COUNT", "/binding/scales", |f| {
+        let short = f.floats("VEC3", &[0.1; 3]);
+        binding(f)["scales"] = json!(short);
+    }),
+    ("HYBRID_BINDING_ROTATION", "/binding/rotations", |f| {
+        let rotations = binding(f)["rotations"].as_u64().unwrap() as usize;
+        f.set_float(rotations, 0, 4, 3.0);
+    }),
+    ("HYBRID_BINDING_TRIANGLE", "/binding/triangles", |f| {
+        let triangles = binding(f)["triangles"].as_u64().unwrap() as usize;
+        f.element(triangles, 0, 4).copy_from_slice(&4u32.to_le_bytes());
+    }),
+    ("HYBRID_BINDING_MESH", "/binding/triangleCount", |f| binding(f)["triangleCount"] = json!(5)),
+    ("HYBRID_BINDING_MESH", "/binding/node", |f| binding(f)["primitive"] = json!(5)),
+    ("HYBRID_PLANE_SIZE", "/planes/4", |f| field(f)["levels"][0]["resolution"][3] = json!(6)),
+    ("HYBRID_LAYER_CHAIN", "/trunk/0/inputs", |f| field(f)["features"] = json!(3)),
+    ("HYBRID_LAYER_CHAIN", "/heads/logScale", |f| {
+        field(f)["heads"]["logScale"] = field(f)["heads"]["rotation"].clone();
+    }),
+    ("HYBRID_LAYER_SIZE", "/trunk/0/bias", |f| {
+        let weights = field(f)["trunk"][0]["weights"].clone();
+        field(f)["trunk"][0]["bias"] = weights;
+    }),
+    ("HYBRID_TOKEN", "/sortKey", |f| contract(f)["sortKey"] = json!("cameraDistance")),
+    ("HYBRID_TOKEN", "/colorSpace", |f| contract(f)["colorSpace"] = json!("rec2020")),
+    ("HYBRID_TOKEN", "/activation", |f| hybrid_material(f)["opacity"]["activation"] = json!("tanh")),
+    ("HYBRID_TOKEN", "/sphericalHarmonics/frame", |f| {
+        hybrid_material(f)["sphericalHarmonics"]["frame"] = json!("world");
+    }),
+    ("HYBRID_TOKEN", "/interpolation", |f| {
+        primitive(f, SURFACE)["extensions"][HYBRID]["interpolation"] = json!("CUBICSPLINE");
+    }),
+    ("HYBRID_TOKEN", "/binding/frame", |f| binding(f)["frame"] = json!("centroid")),
+    ("HYBRID_TOKEN", "/binding/sphericalHarmonicsFrame", |f| binding(f)["sphericalHarmonicsFrame"] = json!("world")),
+    ("HYBRID_TOKEN", "/deformationFields/0/type", |f| field(f)["type"] = json!("grid")),
+    ("HYBRID_TOKEN", "/trunk/0/activation", |f| field(f)["trunk"][0]["activation"] = json!("tanh")),
+    ("HYBRID_COLOR_SPACE", "/extensions/KHR_gaussian_splatting/colorSpace", |f| {
+        primitive(f, SPLATS)["extensions"][KHR]["colorSpace"] = json!("lin_rec709_display");
+    }),
+    ("HYBRID_MIXED_MESH", "/meshes/0", |f| {
+        let splats = primitive(f, SPLATS).clone();
+        f.json["meshes"][SURFACE]["primitives"].as_array_mut().unwrap().push(splats);
+    }),
+    ("HYBRID_MAP_SIZE", "/coefficients/0", |f| flatten(&mut hybrid_material(f)["opacity"])),
+    ("HYBRID_MAP_SIZE", "/coefficients/3", |f| {
+        flatten(&mut hybrid_material(f)["sphericalHarmonics"]["coefficients"][3]);
+    }),
+    ("HYBRID_TEXEL_TYPE", "/coefficients/2/accessor", |f| {
+        let accessor =
+            hybrid_material(f)["sphericalHarmonics"]["coefficients"][2]["accessor"].as_u64().unwrap() as usize;
+        f.json["accessors"][accessor]["componentType"] = json!(U32);
+    }),
+    ("HYBRID_TEXEL_RANGE", "/coefficients/1/scale", |f| {
+        hybrid_material(f)["sphericalHarmonics"]["coefficients"][1]["scale"] = json!([1, 1]);
+    }),
+    ("TIMES_ORDER", "/times", |f| {
+        let times = primitive(f, SURFACE)["extensions"][HYBRID]["times"].as_u64().unwrap() as usize;
+        f.set_float(times, 1, 1, 0.0);
+    }),
+    ("HYBRID_BINDING_TYPE", "/binding/scales", |f| {
+        let coarse = f.accessor("VEC3", U16, &[1.0; 18]);
+        binding(f)["scales"] = json!(coarse);
+    }),
+    ("HYBRID_BINDING_MESH", "/binding/node", |f| primitive(f, SURFACE)["mode"] = json!(5)),
+    // Another order of triangles, another order of corners, a vertex moved, a digest of something else.
+    ("HYBRID_BINDING_DIGEST", "/binding/geometryDigest", |f| {
+        let indices = primitive(f, SURFACE)["indices"].as_u64().unwrap() as usize;
+        let (first, second) = f.element(indices, 0, 4 * 6).split_at_mut(12);
+        first.swap_with_slice(&mut second[..12]);
+    }),
+    ("HYBRID_BINDING_DIGEST", "/binding/geometryDigest", |f| {
+        let indices = primitive(f, SURFACE)["indices"].as_u64().unwrap() as usize;
+        f.element(indices, 0, 12).rotate_left(4);
+    }),
+    ("HYBRID_BINDING_DIGEST", "/binding/geometryDigest", |f| f.set_float(f.attribute(SURFACE, "POSITION"), 0, 3, 1e-3)),
+    ("HYBRID_BINDING_DIGEST", "/binding/geometryDigest", |f| binding(f)["geometryDigest"] = json!("0123456789abcdef")),
+    ("HYBRID_LAYER_CHAIN", "/heads/sphericalHarmonics", |f| {
+        field(f)["heads"]["sphericalHarmonics"] = field(f)["heads"]["rotation"].clone();
+    }),
+    ("HYBRID_LAYER_SIZE", "/translation/0/weights", |f| {
+        let bias = field(f)["trunk"][0]["bias"].clone();
+        field(f)["heads"]["translation"][0]["weights"] = bias;
+    }),
+];

@@ -1,0 +1,112 @@
+#!/usr/bin/env python3
+"""Compares `centaur render` with composition.py, a second implementation of EXT_gaussian_splatting_hybrid.
+
+    python check_composition.py CENTAUR SCENE.glb…      # CENTAUR: path of the program, or a command: "cargo run --"
+
+Each scene of Centaur's, and a harder one made of it, is rendered from its first camera in all modes with 1, 2 and 4
+layers, by that script and by the program CENTAUR, to which it is given as a copy with the scene object changed. Exit 1
+if an image is not within the limits that the extension's README sets for a claim of *composition*.
+"""
+import itertools
+import json
+import os
+import pathlib
+import shlex
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+import OpenEXR
+
+from composition import EXT, KHR, Asset, View, contract_of, project_splats, render
+
+MODES = ["stable", "surfaceConsistent", "direct"]
+
+
+def crowded(path):
+    """A harder scene from the file at `path`: its meshes several times over, through each other, more transparent; its
+    splats larger, more transparent, moved and turned by their node; 112 pixels wide and with a background."""
+    asset = Asset(path)
+    json_ = asset.json
+    data = bytearray(asset.bin)
+    for primitive in (p for m in json_["meshes"] for p in m["primitives"] if KHR in p.get("extensions", {})):
+        for name, width, factor in [("SCALE", 3, 4), ("OPACITY", 1, 0.4)]:
+            accessor = json_["accessors"][primitive["attributes"][f"{KHR}:{name}"]]
+            start = json_["bufferViews"][accessor["bufferView"]]["byteOffset"]
+            values = np.ndarray(width * accessor["count"], "<f4", data, start)
+            values *= factor
+    asset.bin = bytes(data)
+    root = json_["nodes"][json_["scenes"][0]["nodes"][0]]
+    for index in list(root["children"]):
+        node = json_["nodes"][index]
+        if "camera" in node:
+            own = json_["cameras"][node["camera"]]["extras"]["centaur"]
+            factor = 112 / own["width"]
+            own.update(width=112, height=round(factor * own["height"]), **{k: factor * own[k] for k in ["fx", "fy", "cx", "cy"]})
+        elif KHR in json_["meshes"][node["mesh"]]["primitives"][0].get("extensions", {}):
+            node.update(rotation=[0.1, 0.2, -0.1, 0.94 ** 0.5], translation=[0.1, -0.2, 0.05], scale=[1.1] * 3)
+        else:
+            for turn in ([0, 0.5, 0, 0.75 ** 0.5], [0.3, 0.1, 0, 0.9 ** 0.5], [0, 0, 0.8, 0.6]):
+                json_["nodes"].append({"mesh": node["mesh"], "rotation": turn, "scale": [0.9] * 3, "translation": [0.1, 0.05, 0.1]})
+                root["children"].append(len(json_["nodes"]) - 1)
+    for material in json_["materials"]:
+        material["extensions"][EXT]["opacity"].update(offset=[-1], scale=[0.5])
+    json_["scenes"][0]["extensions"][EXT]["background"] = [0.1, 0.2, 0.3]
+    return asset
+
+
+def centaur_render(program, asset):
+    """The program's image of the first camera, in the scene's colour space."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = pathlib.Path(folder, "scene.glb")
+        for node in [n for n, _ in asset.nodes() if "camera" in n][1:]:
+            del node["camera"]
+        asset.write(copy)
+        command = [*program, "render", copy, "-o", folder, "--format", "exr", "--json", "--quiet"]
+        pictures = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)["pictures"]
+        with OpenEXR.File(pictures[0]) as file:
+            image = file.channels()["RGB"].pixels.astype(np.float64)
+    if contract_of(asset)["colorSpace"] == "lin_rec709_display":
+        return image
+    return np.where(image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 0) ** (1 / 2.4) - 0.055)
+
+
+def compare(name, asset, program):
+    """Whether all modes, numbers of layers and a finite and the infinite λ are within the limits; and the images."""
+    ok, images = True, {}
+    depths = project_splats(asset, View(asset), 0.0)[0]
+    for mode, (layers, share) in itertools.product(MODES, [(1, 0.1), (2, 0.1), (4, 0.1), (2, None)]):
+        contract = contract_of(asset)
+        contract.update(mode=mode, layers=layers)
+        contract.pop("lambda", None)
+        if share:
+            contract["lambda"] = float(np.float32(share * np.ptp(depths)))
+        image = images[mode, layers, share] = render(asset)
+        difference = abs(image - centaur_render(program, asset))
+        far = int((difference > 1e-2).sum())
+        within = difference.mean() < 1e-3 and far < difference.size / 500
+        ok &= within
+        print(f"{name:18} {mode:18} L {layers} λ {contract.get('lambda', np.inf):<6.2g} mean {difference.mean():.1e}  "
+              f"max {difference.max():.1e}  above 0.01: {far} of {difference.size}{'' if within else '  FAILED'}", flush=True)
+    return ok, images
+
+
+def main():
+    program, paths = shlex.split(sys.argv[1]), sys.argv[2:]
+    ok, apart = True, {}
+    for path in paths:
+        name = os.path.basename(path)
+        ok &= compare(name, Asset(path), program)[0]
+        within, images = compare(f"{name} crowded", crowded(path), program)
+        ok &= within
+        for a, b in itertools.combinations(images, 2):
+            if sum(x != y for x, y in zip(a, b)) == 1:
+                apart[a, b] = max(apart.get((a, b), 0), abs(images[a] - images[b]).mean())
+    # Images that were all alike would agree whatever the rule.
+    print(f"images of two modes or numbers of layers differ by {min(apart.values()):.1e} at least")
+    sys.exit(not (ok and min(apart.values()) > 1e-4))
+
+
+if __name__ == "__main__":
+    main()
