@@ -141,6 +141,11 @@ fn openusd_finds_what_was_written() {
         format::write_scene(&file, &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
         script("check", &file, &expected);
     }
+    // What OpenUSD makes of it in binary says the same.
+    let [ours, binary] =
+        ["hybrid.usda", "hybrid.usdc"].map(|name| format::read_scene(&folder.path().join(name)).unwrap());
+    assert!(ours == binary);
+    assert_eq!((&ours.meshes, ours.composition), (&scene.meshes, scene.composition));
 }
 
 #[test]

@@ -58,7 +58,7 @@ impl Kind {
     }
 }
 
-/// Reads a hybrid scene from a `.glb`, `.gltf`, `.usda` or `.usdz` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
+/// Reads a hybrid scene from a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
 /// `.splat` or `.ksplat`. They are told by their content; the last two, which have no mark of their
 /// own, and the `meta.json` or `lod-meta.json` of a SOG that is a folder by the file's name.
 ///

@@ -199,6 +199,7 @@ else:
     check_file(file, values)
     if file.endswith(".usda"):
         broken_is_found(file)
+        Sdf.Layer.FindOrOpen(file).Export(str(pathlib.Path(file).with_suffix(".usdc")))
 for fault in faults:
     print(f"{file}: {fault}", file=sys.stderr)
 sys.exit(1 if faults else 0)

@@ -1,4 +1,5 @@
-//! OpenUSD: `.usda`, a layer as text, and `.usdz`, a package of a layer and its pictures.
+//! OpenUSD: `.usda`, a layer as text, `.usdz`, a package of a layer and its pictures, and `.usdc`, a layer in binary, which
+//! is read only.
 //!
 //! * Splats are a `ParticleField3DGaussianSplat` (OpenUSD ≥ 26.3): linear scales and opacities, SH in the order of
 //!   `scene::sh::basis`, sorted by depth.
@@ -11,10 +12,12 @@
 //! Files are y up, a capture's world being turned by half a turn about x, SH and maps included.
 //!
 //! ```text
-//! .usda / .usdz ── package ── lex, parse ──→ document::Layer ── stage, to_scene (splats, surfaces, views) ──→ scene
-//!               └─ package ── print ←────── document::Layer ←── from_scene, maps ──────────────────────────┘
+//! file ──→ package ──→ lex, parse ──→ document ──→ stage, xform, to_scene (splats, surfaces, materials, views) ──→ scene
+//!                └───→ binary ──────────┘
+//! file ←── package ←── print ←─────── document ←── from_scene, maps ←────────────────────────────────────────── scene
 //! ```
 
+mod binary;
 mod document;
 mod frame;
 mod from_scene;
@@ -42,17 +45,16 @@ use super::error::{Fault, read_file};
 use super::{FormatError, SceneFile, atomic_write, atomic_write_with};
 use crate::scene::{Camera, HybridScene};
 
-/// Reads a `.usda` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to y up and
-/// metres. One layer is read; what would have to be composed of several is named in the notes.
+/// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to
+/// y up and metres. One layer is read; what would have to be composed of several is named in the notes.
 ///
 /// # Errors
-/// If the file cannot be read, is malformed, is the binary form of USD (`.usdc`), or holds splats that cannot be
-/// represented (a transform that shears them, values that are not finite).
+/// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that shears them,
+/// values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let read = |file| -> Result<SceneFile, Fault> {
-        let (text, mut place) = package::open(file, path)?;
-        let layer = parse::parse(&text)?;
-        drop(text);
+        let (layer, mut place) = package::open(file, path)?;
+        let layer = if layer.starts_with(binary::MAGIC) { binary::parse(&layer)? } else { parse::parse(&layer)? };
         to_scene::scene(&layer, &mut place)
     };
     read(read_file(path)?).map_err(|fault| fault.in_file(path))
@@ -88,5 +90,5 @@ pub fn write(path: &Path, scene: &HybridScene, cameras: &[(String, Camera)]) -> 
 
 /// True if a file that begins with `start` is a layer, as text or not, or a package of one.
 pub(super) fn is_usd(start: &[u8]) -> bool {
-    start.starts_with(b"#usda") || start.starts_with(package::CRATE) || package::is_package(start)
+    start.starts_with(b"#usda") || start.starts_with(binary::MAGIC) || package::is_package(start)
 }

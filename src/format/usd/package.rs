@@ -10,9 +10,6 @@ use super::maps::Mismatch;
 use crate::format::error::Fault;
 use crate::format::gltf::resolve;
 
-/// `.usdc`, which programs read faster and people cannot.
-pub(super) const CRATE: &[u8] = b"PXR-USDC";
-
 /// Data of a member begin at a multiple of this (the specification of USDZ), so that they can be mapped.
 const ALIGNMENT: u16 = 64;
 
@@ -66,10 +63,9 @@ fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, index: usize) -> Result<Vec
     Ok(content)
 }
 
-/// The text of the layer at `path`, whose content is `file`, and where its files are.
+/// The layer at `path`, whose content is `file`, and where its files are.
 pub(super) fn open(file: Vec<u8>, path: &Path) -> Result<(Vec<u8>, Place), Fault> {
     if !file.starts_with(b"PK\x03\x04") {
-        is_text(&file, "the layer")?;
         return Ok((file, Place::Folder(path.parent().unwrap_or(Path::new("")).to_owned())));
     }
     let mut archive = ZipArchive::new(Cursor::new(file)).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
@@ -84,7 +80,6 @@ pub(super) fn open(file: Vec<u8>, path: &Path) -> Result<(Vec<u8>, Place), Fault
     }
     let (_, index, name) = first.ok_or_else(|| Fault::whole("a package with a layer", "an empty one"))?;
     let layer = stored(&mut archive, index).map_err(|(expected, found)| Fault::whole(expected, found))?;
-    is_text(&layer, &name)?;
     let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned();
     Ok((layer, Place::Package { archive: Box::new(archive), folder }))
 }
@@ -96,14 +91,6 @@ pub(super) fn is_package(start: &[u8]) -> bool {
     let length = usize::from(u16::from_le_bytes([length[0], length[1]]));
     let name = start.get(30..30 + length).unwrap_or_default();
     [&b".usda"[..], b".usdc", b".usd"].iter().any(|extension| name.ends_with(extension))
-}
-
-fn is_text(layer: &[u8], name: &str) -> Result<(), Fault> {
-    if !layer.starts_with(CRATE) {
-        return Ok(());
-    }
-    let expected = format!("text in {name} (`usdcat -o scene.usda` of OpenUSD writes it)");
-    Err(Fault::whole(expected, "the binary form of USD, a crate file"))
 }
 
 /// Writes a package: the layer first, then the files, all aligned and none compressed.

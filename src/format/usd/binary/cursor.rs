@@ -1,0 +1,103 @@
+//! Reading along the bytes of a crate file.
+
+use super::compression::integers_32;
+use crate::format::error::Fault;
+
+/// A place in the file.
+#[derive(Clone)]
+pub(super) struct Cursor<'a> {
+    file: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    pub(super) fn new(file: &'a [u8], at: u64) -> Result<Self, Fault> {
+        match usize::try_from(at).ok().filter(|&at| at <= file.len()) {
+            Some(at) => Ok(Self { file, at }),
+            None => Err(Fault::whole(format!("offsets within {} bytes", file.len()), at.to_string())),
+        }
+    }
+
+    pub(super) fn fault(&self, expected: impl Into<String>, found: impl Into<String>) -> Fault {
+        Fault::byte(self.at, expected, found)
+    }
+
+    pub(super) fn take(&mut self, length: usize) -> Result<&'a [u8], Fault> {
+        let rest = &self.file[self.at..];
+        let Some(bytes) = rest.get(..length) else {
+            return Err(self.fault(format!("{length} bytes"), format!("{} to the end of the file", rest.len())));
+        };
+        self.at += length;
+        Ok(bytes)
+    }
+
+    pub(super) fn chunk<const N: usize>(&mut self) -> Result<&'a [u8; N], Fault> {
+        let bytes = self.take(N)?;
+        Ok(bytes.first_chunk().expect("as many bytes as were asked for"))
+    }
+
+    pub(super) fn u64(&mut self) -> Result<u64, Fault> {
+        Ok(u64::from_le_bytes(*self.chunk()?))
+    }
+
+    /// A count of things that take `least` bytes or more each.
+    pub(super) fn count(&mut self, least: usize) -> Result<usize, Fault> {
+        let count = self.u64()?;
+        let most = (self.file.len() - self.at) / least;
+        usize::try_from(count)
+            .ok()
+            .filter(|&c| c <= most)
+            .ok_or_else(|| self.fault(format!("a count of {most} or less"), count.to_string()))
+    }
+
+    /// The length of an array, which older versions write in fewer bytes.
+    pub(super) fn array_count(&mut self, version: [u8; 2]) -> Result<usize, Fault> {
+        if version < [0, 5] {
+            self.chunk::<4>()?;
+        }
+        let count = if version < [0, 7] { u64::from(u32::from_le_bytes(*self.chunk()?)) } else { self.u64()? };
+        usize::try_from(count).map_err(|_| self.fault("the length of an array", count.to_string()))
+    }
+
+    pub(super) fn indices(&mut self, count: usize) -> Result<Vec<u32>, Fault> {
+        let bytes = self.take(count.saturating_mul(4))?;
+        Ok(bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect())
+    }
+
+    /// A compressed piece that stands for `count` integers.
+    pub(super) fn piece(&mut self, count: usize) -> Result<&'a [u8], Fault> {
+        let size = self.count(1)?;
+        // A byte stands for 255 at most, each of these for four integers.
+        if count / 1020 > size {
+            return Err(self.fault(format!("at most {} integers", size * 1020), count.to_string()));
+        }
+        self.take(size)
+    }
+
+    pub(super) fn integers(&mut self, count: usize) -> Result<Vec<i32>, Fault> {
+        let piece = self.piece(count)?;
+        integers_32(piece, count).ok_or_else(|| self.fault(format!("{count} compressed integers"), "something else"))
+    }
+
+    /// Goes to where the offset says that lies here, which counts from its own place.
+    pub(super) fn follow(&mut self) -> Result<(), Fault> {
+        let start = self.at as u64;
+        let offset = self.u64()?;
+        *self = Self::new(self.file, start.wrapping_add(offset))?;
+        Ok(())
+    }
+
+    /// The items of an edit of a list that end up in it.
+    pub(super) fn list_op(&mut self) -> Result<Vec<u32>, Fault> {
+        let [flags] = *self.chunk()?;
+        let mut items = vec![];
+        // Explicit, added, prepended, appended; then deleted and ordered, which are not read.
+        for flag in [1, 2, 5, 6] {
+            if flags >> flag & 1 == 1 {
+                let count = self.count(4)?;
+                items.extend(self.indices(count)?);
+            }
+        }
+        Ok(items)
+    }
+}

@@ -1,0 +1,182 @@
+//! The binary form of a layer (`.usdc`, "crate"), versions 0.4 and later, read into the same document as text.
+//!
+//! A table of contents names six sections: tokens, strings that are tokens, fields (a name and a value), sets of fields,
+//! paths as a tree, and specs, each a path with a set of fields. Values lie anywhere in the file.
+
+mod compression;
+mod cursor;
+#[cfg(test)]
+mod tests;
+mod tree;
+mod values;
+
+use compression::decompress;
+use cursor::Cursor;
+use values::Rep;
+
+use super::document::Layer;
+use crate::format::error::Fault;
+
+/// What a file begins with.
+pub(in crate::format::usd) const MAGIC: &[u8] = b"PXR-USDC";
+
+/// Values that a file of so many bytes may hold, all its arrays together. Compressed, an array of equal numbers takes a
+/// thousandth of this, but nobody's whole file is made of those.
+fn most_values(bytes: usize) -> usize {
+    (1 << 16) + bytes.saturating_mul(32)
+}
+
+/// Ends a set of fields.
+const END: u32 = u32::MAX;
+
+/// An opened file.
+struct Crate<'a> {
+    file: &'a [u8],
+    version: [u8; 2],
+    tokens: Vec<String>,
+    /// Indices of tokens.
+    strings: Vec<u32>,
+    /// Name and value.
+    fields: Vec<(u32, Rep)>,
+    /// Indices of fields, sets ended by [`END`].
+    sets: Vec<u32>,
+    paths: Vec<PathNode>,
+    /// Values that may still be made.
+    budget: usize,
+}
+
+/// A path by its last element.
+#[derive(Clone, Copy, Default)]
+struct PathNode {
+    /// Index of a path; that of the root is its own.
+    parent: usize,
+    token: u32,
+    is_property: bool,
+    depth: usize,
+}
+
+/// Reads the bytes of a layer.
+pub(super) fn parse(file: &[u8]) -> Result<Layer, Fault> {
+    let mut header = Cursor::new(file, MAGIC.len() as u64)?;
+    let [major, minor, ..] = *header.chunk::<8>()?;
+    let version = [major, minor];
+    if !([0, 4]..[1, 0]).contains(&version) {
+        return Err(Fault::byte(MAGIC.len(), "a crate file of version 0.4 to 0.x", format!("{major}.{minor}")));
+    }
+    let contents = header.u64()?;
+    let mut sections = Sections { file, contents };
+    let mut of = Crate {
+        file,
+        version,
+        tokens: sections.tokens()?,
+        strings: vec![],
+        fields: vec![],
+        sets: vec![],
+        paths: vec![],
+        budget: most_values(file.len()),
+    };
+    let mut strings = sections.open("STRINGS")?;
+    let count = strings.count(4)?;
+    of.strings = strings.indices(count)?;
+    of.fields = sections.fields()?;
+    let mut sets = sections.open("FIELDSETS")?;
+    let count = counted(&mut sets, file)?;
+    of.sets = sets.integers(count)?.into_iter().map(|i| i as u32).collect();
+    of.paths = of.read_paths(sections.open("PATHS")?)?;
+    let mut specs = sections.open("SPECS")?;
+    let count = counted(&mut specs, file)?;
+    let [paths, sets, kinds] = [specs.integers(count)?, specs.integers(count)?, specs.integers(count)?];
+    of.layer(&paths, &sets, &kinds)
+}
+
+/// A count of things that may be compressed.
+fn counted(cursor: &mut Cursor<'_>, file: &[u8]) -> Result<usize, Fault> {
+    let (count, most) = (cursor.u64()?, most_values(file.len()));
+    let fitting = usize::try_from(count).ok().filter(|&c| c <= most);
+    fitting.ok_or_else(|| cursor.fault(format!("a count of {most} or less"), count.to_string()))
+}
+
+struct Sections<'a> {
+    file: &'a [u8],
+    contents: u64,
+}
+
+impl<'a> Sections<'a> {
+    fn open(&mut self, name: &str) -> Result<Cursor<'a>, Fault> {
+        let mut contents = Cursor::new(self.file, self.contents)?;
+        for _ in 0..contents.count(32)? {
+            let label = contents.chunk::<16>()?;
+            let start = contents.u64()?;
+            contents.u64()?;
+            if label.starts_with(name.as_bytes()) && label[name.len()] == 0 {
+                return Cursor::new(self.file, start);
+            }
+        }
+        Err(contents.fault(format!("a section {name}"), "none of this name"))
+    }
+
+    fn tokens(&mut self) -> Result<Vec<String>, Fault> {
+        let mut cursor = self.open("TOKENS")?;
+        let count = counted(&mut cursor, self.file)?;
+        let length = cursor.u64()?;
+        let size = cursor.count(1)?;
+        let malformed = || Fault::whole("a section TOKENS of zero-ended UTF-8", "something else");
+        let length = usize::try_from(length).map_err(|_| malformed())?;
+        let text = decompress(cursor.take(size)?, length).ok_or_else(malformed)?;
+        let text = String::from_utf8(text).map_err(|_| malformed())?;
+        let tokens: Vec<String> = text.split_terminator('\0').take(count + 1).map(str::to_owned).collect();
+        if tokens.len() != count {
+            return Err(Fault::whole(format!("{count} tokens"), tokens.len().to_string()));
+        }
+        Ok(tokens)
+    }
+
+    fn fields(&mut self) -> Result<Vec<(u32, Rep)>, Fault> {
+        let mut cursor = self.open("FIELDS")?;
+        let count = counted(&mut cursor, self.file)?;
+        let names = cursor.integers(count)?;
+        let size = cursor.count(1)?;
+        let reps = decompress(cursor.take(size)?, count.saturating_mul(8)).unwrap_or_default();
+        let reps = reps.as_chunks::<8>().0;
+        if reps.len() != count {
+            return Err(cursor.fault(format!("{count} compressed values"), reps.len().to_string()));
+        }
+        Ok(names.into_iter().zip(reps).map(|(name, rep)| (name as u32, Rep(u64::from_le_bytes(*rep)))).collect())
+    }
+}
+
+impl<'a> Crate<'a> {
+    fn at(&self, offset: u64) -> Result<Cursor<'a>, Fault> {
+        Cursor::new(self.file, offset)
+    }
+
+    /// Takes note of values that are made. Many fields can name one long array.
+    fn spend(&mut self, values: usize) -> Result<(), Fault> {
+        let left = self.budget.checked_sub(values);
+        self.budget =
+            left.ok_or_else(|| Fault::whole(format!("at most {} values", most_values(self.file.len())), "more"))?;
+        Ok(())
+    }
+
+    fn token(&self, index: u32) -> Result<String, Fault> {
+        let outside = || Fault::whole(format!("tokens below {}", self.tokens.len()), index.to_string());
+        self.tokens.get(index as usize).cloned().ok_or_else(outside)
+    }
+
+    fn string(&self, index: u32) -> Result<String, Fault> {
+        let outside = || Fault::whole(format!("strings below {}", self.strings.len()), index.to_string());
+        self.token(*self.strings.get(index as usize).ok_or_else(outside)?)
+    }
+
+    /// `/prim.property`.
+    fn path(&self, index: u32) -> Result<String, Fault> {
+        let outside = || Fault::whole(format!("paths below {}", self.paths.len()), index.to_string());
+        let mut node = self.paths.get(index as usize).ok_or_else(outside)?;
+        let mut parts = vec![];
+        while node.depth > 0 {
+            parts.push((if node.is_property { '.' } else { '/' }, self.token(node.token)?));
+            node = self.paths.get(node.parent).ok_or_else(outside)?;
+        }
+        Ok(parts.into_iter().rev().fold(String::new(), |path, (sign, name)| format!("{path}{sign}{name}")))
+    }
+}

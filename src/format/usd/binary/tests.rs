@@ -1,0 +1,89 @@
+//! tests/data/usd: a layer in text and, made of it by `Sdf.Layer.Export` of usd-core 26.3, in binary.
+
+use std::path::Path;
+
+use proptest::prelude::*;
+
+use super::parse;
+use crate::format::usd::document::{Layer, Prim, PropertyKind, Value};
+
+const TEXT: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/usd/types.usda"));
+const BINARY: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/usd/types.usdc"));
+
+fn text() -> Layer {
+    crate::format::usd::parse::parse(TEXT).map_err(|fault| fault.in_file(Path::new("f"))).unwrap()
+}
+
+fn binary() -> Layer {
+    parse(BINARY).map_err(|fault| fault.in_file(Path::new("f"))).unwrap()
+}
+
+/// Half floats that text writes in decimals are rounded where they are stored.
+fn stored(type_name: &str, value: &Value) -> Value {
+    match value {
+        Value::Floats(all) if type_name.contains("half") || type_name.trim_end_matches("[]").ends_with('h') => {
+            Value::Floats(all.iter().map(|&v| half::f16::from_f32(v).to_f32()).collect())
+        }
+        value => value.clone(),
+    }
+}
+
+fn assert_same(text: &Prim, binary: &Prim) {
+    let id = |p: &Prim| (p.specifier, p.type_name.clone(), p.name.clone(), p.children.len(), p.properties.len());
+    assert_eq!(id(text), id(binary));
+    assert_eq!(text.variants.is_empty(), binary.variants.is_empty());
+    for property in &text.properties {
+        let name = &property.name;
+        let other = binary.property(name).unwrap_or_else(|| panic!("{name} is missing"));
+        assert_eq!(text.target(name), binary.target(name), "{name}");
+        assert_eq!(text.connection(name), binary.connection(name), "{name}");
+        if let (PropertyKind::Attribute { type_name, .. }, PropertyKind::Attribute { type_name: theirs, .. }) =
+            (&property.kind, &other.kind)
+        {
+            assert_eq!(type_name, theirs);
+            assert_eq!(text.value(name).map(|v| stored(type_name, v)), binary.value(name).cloned(), "{name}");
+        }
+    }
+    text.children.iter().zip(&binary.children).for_each(|(a, b)| assert_same(a, b));
+}
+
+#[test]
+fn binary_says_what_the_text_says() {
+    let (text, binary) = (text(), binary());
+    assert_same(&text.prims[0], &binary.prims[0]);
+    assert_eq!((text.prims.len(), binary.prims.len()), (1, 1));
+    for name in ["upAxis", "defaultPrim"] {
+        assert_eq!(text.field(name), binary.field(name));
+    }
+    let unit = |layer: &Layer| layer.field("metersPerUnit").and_then(Value::as_number);
+    assert_eq!(unit(&text), unit(&binary));
+    let types = binary.prims[0].children.iter().find(|p| p.name == "Types").unwrap();
+    assert!(types.properties.len() > 40);
+}
+
+#[test]
+fn what_is_no_layer_is_refused() {
+    let refusal = |bytes: &[u8]| parse(bytes).unwrap_err().in_file(Path::new("f")).to_string();
+    assert_eq!(refusal(b"PXR-USDC"), "f: byte 8: expected 8 bytes, found 0 to the end of the file");
+    let mut old = BINARY.to_vec();
+    old[9] = 3;
+    assert_eq!(refusal(&old), "f: byte 8: expected a crate file of version 0.4 to 0.x, found 0.3");
+    let mut astray = BINARY.to_vec();
+    astray[16..24].fill(0xff);
+    let message = format!("f: expected offsets within {} bytes, found 18446744073709551615", BINARY.len());
+    assert_eq!(refusal(&astray), message);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+    #[test]
+    fn damaged_files_do_not_panic(damage in prop::collection::vec((0..BINARY.len(), any::<u8>()), 1..6), cut in 0..BINARY.len()) {
+        let mut bytes = BINARY.to_vec();
+        for (at, byte) in damage {
+            bytes[at] = byte;
+        }
+        let _ = parse(&bytes);
+        bytes.truncate(cut);
+        let _ = parse(&bytes);
+    }
+}

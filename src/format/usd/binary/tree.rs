@@ -1,0 +1,213 @@
+//! Paths and specs to prims.
+
+use super::cursor::Cursor;
+use super::{Crate, END, PathNode, counted};
+use crate::format::error::Fault;
+use crate::format::usd::document::{Field, Layer, Prim, Property, PropertyKind, Specifier, Value, Variant};
+
+/// How deep prims may lie in each other, as in text.
+const MAX_DEPTH: usize = 200;
+
+/// Kinds of specs.
+const ATTRIBUTE: i32 = 1;
+const PRIM: i32 = 6;
+const ROOT: i32 = 7;
+const RELATIONSHIP: i32 = 8;
+const VARIANT: i32 = 10;
+
+/// What a spec says.
+enum Spec {
+    Prim(Prim),
+    Property(Property),
+    Variant,
+}
+
+/// A value, or the samples of an animated one.
+enum Content {
+    Value(Value),
+    Samples(Vec<(f64, Value)>),
+}
+
+impl Crate<'_> {
+    /// The tree of paths: for each in depth-first order its place in the list, its last element, and whether what follows
+    /// is a child, a sibling, or a child with a sibling further on.
+    pub(super) fn read_paths(&self, mut section: Cursor<'_>) -> Result<Vec<PathNode>, Fault> {
+        let (total, count) = (counted(&mut section, self.file)?, counted(&mut section, self.file)?);
+        let [places, elements, jumps] = [section.integers(count)?, section.integers(count)?, section.integers(count)?];
+        let malformed = || Fault::whole("a tree of paths", "entries that are none");
+        let mut nodes: Vec<PathNode> = vec![PathNode::default(); total.min(count.saturating_add(1))];
+        let mut seen = vec![false; count];
+        // Entries that are still to be read, with the places of their parents.
+        let mut stack: Vec<(usize, Option<usize>)> = if count > 0 { vec![(0, None)] } else { vec![] };
+        while let Some((entry, parent)) = stack.pop() {
+            let (Some(seen), Some(&jump)) = (seen.get_mut(entry), jumps.get(entry)) else { return Err(malformed()) };
+            let place = places[entry] as u32 as usize;
+            let depth = match parent {
+                None => 0,
+                Some(parent) => nodes.get(parent).ok_or_else(malformed)?.depth + 1,
+            };
+            if std::mem::replace(seen, true) || depth > MAX_DEPTH {
+                return Err(malformed());
+            }
+            let element = elements[entry];
+            *nodes.get_mut(place).ok_or_else(malformed)? = PathNode {
+                parent: parent.unwrap_or(place),
+                token: element.unsigned_abs(),
+                is_property: element < 0,
+                depth,
+            };
+            if jump >= 0 {
+                let sibling = entry + if jump > 0 { jump as usize } else { 1 };
+                stack.push((sibling, parent));
+            }
+            if jump > 0 || jump == -1 {
+                stack.push((entry + 1, Some(place)));
+            }
+        }
+        Ok(nodes)
+    }
+
+    /// The document of specs: of each its path, its set of fields and its kind.
+    pub(super) fn layer(&mut self, paths: &[i32], sets: &[i32], kinds: &[i32]) -> Result<Layer, Fault> {
+        let mut layer = Layer::default();
+        let mut specs: Vec<Option<Spec>> = vec![];
+        specs.resize_with(self.paths.len(), || None);
+        // Names of children in order, by path.
+        let mut orders: Vec<Vec<String>> = vec![vec![]; self.paths.len()];
+        for ((&path, &set), &kind) in paths.iter().zip(sets).zip(kinds) {
+            let path = path as u32 as usize;
+            let Some(&node) = self.paths.get(path) else {
+                return Err(Fault::whole(format!("paths below {}", self.paths.len()), path.to_string()));
+            };
+            if !matches!(kind, ATTRIBUTE | PRIM | ROOT | RELATIONSHIP | VARIANT) {
+                continue;
+            }
+            let fields = self.field_set(set as u32)?;
+            if let Some((_, Content::Value(Value::List(names)))) =
+                fields.iter().find(|(name, _)| name == "primChildren")
+            {
+                orders[path] = names.iter().filter_map(Value::as_text).map(str::to_owned).collect();
+            }
+            specs[path] = Some(match kind {
+                ROOT => {
+                    layer.metadata = metadata(fields);
+                    continue;
+                }
+                VARIANT => Spec::Variant,
+                PRIM => Spec::Prim(prim(self.token(node.token)?, fields)),
+                kind => Spec::Property(property(self.token(node.token)?, kind == ATTRIBUTE, fields)),
+            });
+        }
+        self.assemble(layer, specs, &orders)
+    }
+
+    /// Puts everything below its parent: the deepest first.
+    fn assemble(&self, mut layer: Layer, mut specs: Vec<Option<Spec>>, orders: &[Vec<String>]) -> Result<Layer, Fault> {
+        let mut by_depth: Vec<usize> = (0..specs.len()).filter(|&i| specs[i].is_some()).collect();
+        by_depth.sort_by_key(|&i| std::cmp::Reverse(self.paths[i].depth));
+        for i in by_depth {
+            let Some(mut spec) = specs[i].take() else { continue };
+            if let Spec::Prim(prim) = &mut spec {
+                arrange(&mut prim.children, &orders[i]);
+            }
+            let parent = self.paths[i].parent;
+            match (spec, specs.get_mut(parent).and_then(Option::as_mut)) {
+                (Spec::Prim(prim), _) if self.paths[i].depth == 1 => layer.prims.push(prim),
+                (Spec::Prim(prim), Some(Spec::Prim(above))) => above.children.push(prim),
+                (Spec::Property(property), Some(Spec::Prim(above))) => above.properties.push(property),
+                (Spec::Variant, Some(Spec::Prim(above))) => {
+                    let name = self.token(self.paths[i].token)?;
+                    above.variants.push(Variant { set: String::new(), name, content: Prim::default() });
+                }
+                // Of variants, which are not chosen.
+                _ => {}
+            }
+        }
+        let root = self.paths.iter().position(|node| node.depth == 0);
+        arrange(&mut layer.prims, root.map_or(&[][..], |root| &orders[root]));
+        Ok(layer)
+    }
+
+    /// Names and values of a set of fields.
+    fn field_set(&mut self, start: u32) -> Result<Vec<(String, Content)>, Fault> {
+        let mut fields = vec![];
+        let mut at = start as usize;
+        loop {
+            let outside = || Fault::whole("a set of fields that ends", "one that does not");
+            let index = *self.sets.get(at).ok_or_else(outside)?;
+            if index == END {
+                return Ok(fields);
+            }
+            let &(name, rep) = self.fields.get(index as usize).ok_or_else(outside)?;
+            self.spend(1)?;
+            let name = self.token(name)?;
+            let samples = if name == "timeSamples" { self.samples(rep)? } else { vec![] };
+            if !samples.is_empty() {
+                fields.push((name, Content::Samples(samples)));
+            } else if let Some(value) = self.value(rep)? {
+                fields.push((name, Content::Value(value)));
+            }
+            at += 1;
+        }
+    }
+}
+
+/// In the order of `names`; others stay behind them as they are.
+fn arrange(prims: &mut [Prim], names: &[String]) {
+    let place: std::collections::HashMap<&str, usize> =
+        names.iter().enumerate().map(|(i, n)| (n.as_str(), i)).collect();
+    prims.sort_by_key(|prim| place.get(prim.name.as_str()).copied().unwrap_or(usize::MAX));
+}
+
+fn metadata(fields: Vec<(String, Content)>) -> Vec<Field> {
+    let field = |(name, content)| match content {
+        Content::Value(value) => Some(Field { edit: None, name, value }),
+        Content::Samples(_) => None,
+    };
+    fields.into_iter().filter_map(field).collect()
+}
+
+fn prim(name: String, fields: Vec<(String, Content)>) -> Prim {
+    let mut prim = Prim { name, ..Prim::default() };
+    for field in metadata(fields) {
+        match (field.name.as_str(), &field.value) {
+            ("specifier", Value::Number(n)) => {
+                prim.specifier = Specifier::ALL.get(*n as usize).copied().unwrap_or(Specifier::Over);
+            }
+            ("typeName", Value::Text(name)) => prim.type_name.clone_from(name),
+            ("primChildren" | "properties", _) => {}
+            _ => prim.metadata.push(field),
+        }
+    }
+    prim
+}
+
+fn property(name: String, is_attribute: bool, fields: Vec<(String, Content)>) -> Property {
+    let (mut type_name, mut default, mut times, mut targets) = (String::new(), None, vec![], None);
+    let mut property = Property {
+        name,
+        custom: false,
+        uniform: false,
+        kind: PropertyKind::Relationship { targets: None },
+        metadata: vec![],
+    };
+    let texts = |values: &[Value]| values.iter().filter_map(Value::as_text).map(str::to_owned).collect();
+    for (name, content) in fields {
+        match (name.as_str(), content) {
+            ("timeSamples", Content::Samples(samples)) => times = samples,
+            (_, Content::Samples(_)) | ("variability" | "custom", _) => {}
+            ("typeName", Content::Value(Value::Text(name))) => type_name = name,
+            ("default", Content::Value(value)) => default = Some(value),
+            ("connectionPaths" | "targetPaths", Content::Value(Value::List(paths))) => {
+                targets = Some((None, texts(&paths)));
+            }
+            (_, Content::Value(value)) => property.metadata.push(Field { edit: None, name, value }),
+        }
+    }
+    property.kind = if is_attribute {
+        PropertyKind::Attribute { type_name, value: default, samples: times, connections: targets }
+    } else {
+        PropertyKind::Relationship { targets }
+    };
+    property
+}
