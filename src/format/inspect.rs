@@ -107,11 +107,12 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
         }
         Kind::Usd => {
             let file = usd::read(path)?;
+            let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
             Ok(Summary {
                 format: Kind::Usd.name(),
                 cameras: file.cameras.len(),
                 composition: Some(composition(&file.scene.composition)),
-                bytes_by_part: BTreeMap::from([("layer and maps", bytes)]),
+                bytes_by_part: BTreeMap::from([(if is_package { "package" } else { "layer" }, bytes)]),
                 warnings: file.notes,
                 ..summary(path, bytes, &file.scene)
             })

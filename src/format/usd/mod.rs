@@ -53,8 +53,9 @@ use crate::scene::{Camera, HybridScene};
 /// values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let read = |file| -> Result<SceneFile, Fault> {
-        let (layer, mut place) = package::open(file, path)?;
-        let layer = if layer.starts_with(binary::MAGIC) { binary::parse(&layer)? } else { parse::parse(&layer)? };
+        let (bytes, mut place) = package::open(file, path)?;
+        let layer = if bytes.starts_with(binary::MAGIC) { binary::parse(&bytes)? } else { parse::parse(&bytes)? };
+        drop(bytes);
         to_scene::scene(&layer, &mut place)
     };
     read(read_file(path)?).map_err(|fault| fault.in_file(path))

@@ -1,5 +1,7 @@
 //! `UsdGeomMesh` to meshes.
 
+use std::collections::HashMap;
+
 use glam::{DMat3, DMat4, Vec2, Vec3};
 
 use super::document::{Prim, Value, field};
@@ -24,53 +26,117 @@ struct Polygons {
     corners: Vec<u32>,
 }
 
-/// `None` if it has no triangle.
+/// One mesh per material of its faces; what has no triangle is left out.
 pub(super) fn read(
     stage: &Stage<'_>,
     placed: &Placed,
     materials: &mut Materials<'_>,
     notes: &mut Vec<String>,
-) -> Result<Option<Mesh>, Fault> {
+) -> Result<Vec<Mesh>, Fault> {
     let (prim, at) = (placed.prim, stage.path(placed.prim));
-    let polygons = polygons(stage, prim)?;
+    let mut polygons = polygons(stage, prim)?;
     if stage.text(prim, "subdivisionScheme").unwrap_or("catmullClark") != "none" {
         notes.push(format!("{at}: a subdivision surface is taken as its control mesh"));
     }
-    if stage.prims[prim].children.iter().any(|child| child.type_name == "GeomSubset") {
-        notes.push(format!("{at}: materials of parts of a mesh are left out, that of the whole is used"));
-    }
-    let (mut atlas, primvar) = materials.atlas(stage, placed, notes)?;
-    let uvs = corner_uvs(stage, prim, &primvar, &polygons)?;
-    if uvs.is_none() {
-        notes.push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
-    }
-    let (mut triangles, mut corner_uvs) = (vec![], vec![]);
-    let mut first = 0;
-    for &count in &polygons.counts {
-        let count = count as usize;
-        for i in 1..count.saturating_sub(1) {
-            let corners = [first, first + i, first + i + 1];
-            triangles.push(corners.map(|c| polygons.corners[c]));
-            corner_uvs.push(corners.map(|c| uvs.as_ref().map_or(Vec2::splat(0.5), |uvs| uvs[c])));
-        }
-        first += count;
-    }
-    if triangles.is_empty() {
+    if polygons.counts.iter().all(|&count| count < 3) {
         notes.push(format!("{at}: a mesh without triangles is left out"));
-        return Ok(None);
+        return Ok(vec![]);
     }
-    let mut positions = polygons.points;
     if placed.transform != DMat4::IDENTITY {
-        positions.iter_mut().for_each(|p| *p = placed.transform.transform_point3(p.as_dvec3()).as_vec3());
-        if atlas.sh_degree() > 0 {
+        let place = |p: &mut Vec3| *p = placed.transform.transform_point3(p.as_dvec3()).as_vec3();
+        polygons.points.iter_mut().for_each(place);
+    }
+    let parts = parts(stage, placed, &polygons)?;
+    let mut meshes = vec![];
+    for Part { material, faces } in &parts {
+        let (mut atlas, primvar) = materials.atlas(stage, &Placed { material: *material, ..*placed }, notes)?;
+        if atlas.sh_degree() > 0 && placed.transform != DMat4::IDENTITY {
             let Some(Similarity { rotation, .. }) = similarity(placed.transform) else {
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
             atlas = turned(&atlas, &sh::Rotation::new(DMat3::from_quat(rotation)))?;
         }
+        let uvs = CornerUvs::of(stage, prim, &primvar)?;
+        if uvs.is_none() {
+            notes
+                .push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
+        }
+        let (mut triangles, mut corner_uvs) = (vec![], vec![]);
+        for &Face { index, first, count } in faces {
+            for i in 1..count.saturating_sub(1) {
+                let corners = [first, first + i, first + i + 1];
+                triangles.push(corners.map(|c| polygons.corners[c]));
+                let mut of_triangle = [Vec2::splat(0.5); 3];
+                if let Some(uvs) = &uvs {
+                    for (uv, c) in of_triangle.iter_mut().zip(corners) {
+                        *uv = uvs.at(c, polygons.corners[c], index)?;
+                    }
+                }
+                corner_uvs.push(of_triangle);
+            }
+        }
+        // A mesh of one material keeps its vertices, also those of no face.
+        let positions = if parts.len() == 1 { polygons.points.clone() } else { used(&polygons.points, &mut triangles) };
+        if !triangles.is_empty() {
+            meshes.push(Mesh::new(positions, triangles, corner_uvs, atlas)?);
+        }
     }
-    Ok(Some(Mesh::new(positions, triangles, corner_uvs, atlas)?))
+    Ok(meshes)
+}
+
+/// A polygon: its place among the faces, its first corner, how many it has.
+struct Face {
+    index: usize,
+    first: usize,
+    count: usize,
+}
+
+/// The faces of one material.
+struct Part {
+    material: Option<usize>,
+    faces: Vec<Face>,
+}
+
+/// Faces by material: that of the whole, and those of its `GeomSubset`s.
+fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<Part>, Fault> {
+    let mut of_face = vec![placed.material; polygons.counts.len()];
+    for child in stage.prims[placed.prim].children.iter().filter(|child| child.type_name == "GeomSubset") {
+        let Some((subset, _)) = stage.find(placed.prim, &child.name) else { continue };
+        let bound = child.target("material:binding").and_then(|path| stage.find(subset, path));
+        let Some((material, _)) = bound else { continue };
+        for face in stage.indices(subset, "indices")?.unwrap_or_default() {
+            if let Some(slot) = of_face.get_mut(face as usize) {
+                *slot = Some(material);
+            }
+        }
+    }
+    let mut parts: Vec<Part> = vec![];
+    let mut places: HashMap<Option<usize>, usize> = HashMap::new();
+    let mut first = 0;
+    for (index, (material, &count)) in of_face.into_iter().zip(&polygons.counts).enumerate() {
+        let count = count as usize;
+        let place = *places.entry(material).or_insert_with(|| {
+            parts.push(Part { material, faces: vec![] });
+            parts.len() - 1
+        });
+        parts[place].faces.push(Face { index, first, count });
+        first += count;
+    }
+    Ok(parts)
+}
+
+/// The points that triangles use, to which their indices are changed.
+fn used(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
+    let mut positions = vec![];
+    let mut places: HashMap<u32, u32> = HashMap::new();
+    for vertex in triangles.as_flattened_mut() {
+        *vertex = *places.entry(*vertex).or_insert_with(|| {
+            positions.push(points[*vertex as usize]);
+            (positions.len() - 1) as u32
+        });
+    }
+    positions
 }
 
 fn turned(atlas: &Atlas, harmonics: &sh::Rotation) -> Result<Atlas, Fault> {
@@ -98,44 +164,49 @@ fn polygons(stage: &Stage<'_>, prim: usize) -> Result<Polygons, Fault> {
     Ok(Polygons { points, counts, corners })
 }
 
-/// UVs, v downwards, of all corners; `None` if the mesh has none.
-fn corner_uvs(stage: &Stage<'_>, prim: usize, primvar: &str, polygons: &Polygons) -> Result<Option<Vec<Vec2>>, Fault> {
-    let name = format!("primvars:{primvar}");
-    let Some(values) = stage.rows::<2>(prim, &name)? else { return Ok(None) };
-    let interpolation = interpolation(stage.prims[prim], &name);
-    let indices = stage.indices(prim, &format!("{name}:indices"))?;
-    let outside = |index: usize| {
-        let at = format!("{}.{name}", stage.path(prim));
-        Fault::pointer(at, format!("a value for element {index} of interpolation {interpolation}"), "none")
-    };
-    let mut uvs = Vec::with_capacity(polygons.corners.len());
-    let faces = polygons.counts.iter().enumerate().flat_map(|(f, &n)| std::iter::repeat_n(f, n as usize));
-    for ((corner, &vertex), face) in polygons.corners.iter().enumerate().zip(faces) {
-        let index = match interpolation {
+/// UVs of corners.
+struct CornerUvs<'a> {
+    /// Path of the primvar.
+    at: String,
+    values: Vec<[f32; 2]>,
+    interpolation: &'a str,
+    indices: Option<Vec<u32>>,
+    /// v of every corner with all its bits, in our own files.
+    exact: Option<Vec<[f32; 1]>>,
+}
+
+impl<'a> CornerUvs<'a> {
+    /// `None` if the mesh has none.
+    fn of(stage: &Stage<'a>, prim: usize, primvar: &str) -> Result<Option<Self>, Fault> {
+        let name = format!("primvars:{primvar}");
+        let Some(values) = stage.rows::<2>(prim, &name)? else { return Ok(None) };
+        let interpolation = interpolation(stage.prims[prim], &name);
+        let indices = stage.indices(prim, &format!("{name}:indices"))?;
+        let is_plain = interpolation == "faceVarying" && indices.is_none();
+        let exact = stage.rows::<1>(prim, names::EXACT_V)?.filter(|exact| is_plain && exact.len() == values.len());
+        Ok(Some(Self { at: format!("{}.{name}", stage.path(prim)), values, interpolation, indices, exact }))
+    }
+
+    /// v downwards.
+    fn at(&self, corner: usize, vertex: u32, face: usize) -> Result<Vec2, Fault> {
+        let index = match self.interpolation {
             "faceVarying" => corner,
             "vertex" | "varying" => vertex as usize,
             "uniform" => face,
             _ => 0,
         };
-        let position = match &indices {
-            Some(indices) => *indices.get(index).ok_or_else(|| outside(index))? as usize,
-            None => index,
+        let place = match &self.indices {
+            Some(indices) => indices.get(index).map(|&i| i as usize),
+            None => Some(index),
         };
-        let [u, v] = *values.get(position).ok_or_else(|| outside(index))?;
-        uvs.push(Vec2::new(u, 1.0 - v));
+        let Some(&[u, stored]) = place.and_then(|place| self.values.get(place)) else {
+            let expected = format!("a value for element {index} of interpolation {}", self.interpolation);
+            return Err(Fault::pointer(&self.at, expected, "none"));
+        };
+        // Unless somebody has moved the coordinates since they were written.
+        let exact = self.exact.as_ref().map(|exact| exact[corner][0]).filter(|v| 1.0 - v == stored);
+        Ok(Vec2::new(u, exact.unwrap_or(1.0 - stored)))
     }
-    // Of our own files, unless somebody has moved the coordinates since.
-    if let Some(exact) = stage.rows::<1>(prim, names::EXACT_V)?.filter(|exact| exact.len() == uvs.len())
-        && interpolation == "faceVarying"
-        && indices.is_none()
-    {
-        for ((uv, [v]), [_, stored]) in uvs.iter_mut().zip(exact).zip(&values) {
-            if 1.0 - v == *stored {
-                uv.y = v;
-            }
-        }
-    }
-    Ok(Some(uvs))
 }
 
 fn interpolation<'a>(prim: &'a Prim, name: &str) -> &'a str {

@@ -263,6 +263,36 @@ def "W" (
 }
 
 #[test]
+fn parts_of_a_mesh_have_materials_of_their_own() {
+    let file = read_text(
+        r#"( metersPerUnit = 1 )
+def Material "Red" {
+    token outputs:surface.connect = </Red/S.outputs:surface>
+    def Shader "S" { uniform token info:id = "UsdPreviewSurface" color3f inputs:emissiveColor = (1, 0, 0) }
+}
+def Mesh "M" {
+    int[] faceVertexCounts = [3, 4, 3]
+    int[] faceVertexIndices = [0, 1, 2, 0, 2, 3, 4, 5, 4, 3]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0), (4, 0, 0), (5, 0, 0)]
+    texCoord2f[] primvars:st = [(0, 0), (0.1, 0), (0.2, 0)] ( interpolation = "uniform" )
+    uniform token subdivisionScheme = "none"
+    color3f[] primvars:displayColor = [(0, 0, 1)]
+    def GeomSubset "A" { int[] indices = [1, 7] rel material:binding = </Red> }
+    def GeomSubset "B" { int[] indices = [0] }
+}
+"#,
+    );
+    let [blue, red] = &file.scene.meshes[..] else { panic!("{}", file.scene.meshes.len()) };
+    assert_eq!(blue.triangles(), [[0, 1, 2], [3, 4, 5]]);
+    assert_eq!(blue.positions().iter().map(|p| p.x).collect::<Vec<_>>(), [0., 1., 2., 5., 4., 3.]);
+    assert_eq!(red.triangles(), [[0, 1, 2], [0, 2, 3]]);
+    assert_eq!(red.positions().iter().map(|p| p.x).collect::<Vec<_>>(), [0., 2., 3., 4.]);
+    assert_eq!((blue.corner_uvs()[1], red.corner_uvs()[1]), ([Vec2::new(0.2, 1.0); 3], [Vec2::new(0.1, 1.0); 3]));
+    let color = |mesh: &crate::scene::Mesh| sh::rgb_from_dc(mesh.atlas().base().texels()[..3].try_into().unwrap());
+    assert_eq!([color(blue), color(red)].map(|rgb| rgb.map(f32::round)), [[0., 0., 1.], [1., 0., 0.]]);
+}
+
+#[test]
 fn what_cannot_be_taken_over_is_refused_in_one_line() {
     let splats = |body: &str| format!("def ParticleField3DGaussianSplat \"S\" {{ {body} }}");
     let one = "point3f[] positions = [(0,0,0)] float3[] scales = [(1,1,1)] float[] opacities = [0.5] ";
