@@ -99,10 +99,15 @@ oracle-colmap: $(ORACLES)/installed
 # Node finds packages beside the script that asks for them, so both go to target/. The demo's scene is checked if it is there.
 oracle-gltf:
 	@mkdir -p target/oracles
-	cp tests/oracles/gltf_validate.mjs target/oracles
-	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0
+	cp tests/oracles/gltf_validate.mjs tests/oracles/gltf_babylon.mjs target/oracles
+	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0 \
+		@babylonjs/core@9.28.0 @babylonjs/loaders@9.28.0
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
-	node target/oracles/gltf_validate.mjs target/oracles/hybrid.glb $(wildcard out/demo/scene.glb)
+	$(CENTAUR) convert target/oracles/hybrid.glb target/oracles/moved.glb --scale 2 --rotate 10,20,30 --quiet
+	$(CENTAUR) convert target/oracles/hybrid.glb target/oracles/thinned.glb --decimate 50% --quiet
+	$(CENTAUR) convert tests/data/meshopt/ext_quantized.glb target/oracles/torus.glb --scale 2 --quiet
+	node target/oracles/gltf_validate.mjs $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb torus.glb) $(wildcard out/demo/scene.glb)
+	node target/oracles/gltf_babylon.mjs $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb) $(wildcard out/demo/scene.glb)
 
 oracle-splat-transform:
 	@mkdir -p target/oracles

@@ -233,9 +233,13 @@ fn gltf_of_others_stays_upright() {
         "buffers": [{ "uri": "points.bin", "byteLength": bytes.len() }],
     });
     std::fs::write(folder.path().join("theirs.gltf"), document.to_string()).unwrap();
-    let said = convert(folder.path(), "theirs.gltf ours.glb");
-    assert!(said.contains("note: theirs.gltf: "), "a mesh without UVs is worth a note: {said}");
-    let line = failure(folder.path(), "theirs.gltf strict.glb --strict");
+    // Unchanged it stays theirs; joined, it is written anew, in our frame.
+    convert(folder.path(), "theirs.gltf same.glb --strict");
+    let same = gltf::read(&folder.path().join("same.glb")).unwrap();
+    assert!(same.y_up && same.scene.meshes[0].positions()[1] == Vec3::new(1.0, 1.0, 2.0));
+    let said = convert(folder.path(), "theirs.gltf theirs.gltf ours.glb");
+    assert!(said.contains("note: theirs.gltf: "), "a material that is reduced is worth a note: {said}");
+    let line = failure(folder.path(), "theirs.gltf theirs.gltf strict.glb --strict");
     assert!(line.starts_with("error: theirs.gltf: --strict: "), "{line}");
     let ours = gltf::read(&folder.path().join("ours.glb")).unwrap();
     let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);

@@ -26,6 +26,9 @@ Examples:
 /// The output's format is that of its extension. What it cannot hold is named; --strict refuses to lose it. What
 /// options remove is no loss. Differences that come of rounding to 32 bits are none either.
 ///
+/// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
+/// unknown extensions, as long as its scene is whole: moving it and --no-cameras leave it so, other edits and joining do not.
+///
 /// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
 /// taken; glTF and USD are y-up and are turned on reading and writing. Spherical harmonics turn with whatever is turned.
 #[derive(clap::Args)]
@@ -84,12 +87,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     bar.set_style(
         ProgressStyle::with_template("{bar:16} {pos}/{len}  {wide_msg}").expect("the template is a constant"),
     );
-    let (scene, inputs) = read(args, &bar)?;
-    if args.strict
-        && let Some((input, note)) = inputs.iter().find_map(|i| Some((i, i.notes.first()?)))
-    {
-        bail!("{}: --strict: {note}", input.file.display());
-    }
+    let (scene, mut inputs) = read(args, &bar)?;
     bar.set_message("editing");
     let edited = args.edits.apply(scene)?;
     ensure!(
@@ -98,6 +96,15 @@ pub(super) fn run(args: &Args) -> Result<()> {
         args.output.display(),
         if edited.steps.is_empty() { "" } else { " after removing" },
     );
+    if edited.source.as_ref().is_some_and(|s| is_gltf(&args.output) && s.stands(&edited.scene, &edited.cameras)) {
+        // A document that is written again is taken over exactly, whatever a scene can hold of it.
+        inputs.iter_mut().for_each(|input| input.notes.clear());
+    }
+    if args.strict
+        && let Some((input, note)) = inputs.iter().find_map(|i| Some((i, i.notes.first()?)))
+    {
+        bail!("{}: --strict: {note}", input.file.display());
+    }
     bar.inc(1);
     bar.set_message(format!("writing {}", args.output.display()));
     let report = write(args, &edited)?;
@@ -117,15 +124,24 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json { output::print_json(&outcome) } else { output::print(&described(&outcome)) }
 }
 
+fn is_gltf(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
+}
+
 /// All inputs as one scene in the frame of captures, and what is to be said about them.
 fn read(args: &Args, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
-    let options = ReadOptions { drop_invalid: args.drop_invalid };
+    let one = args.inputs.len() == 1;
+    let options = ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(&args.output) };
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
+    let mut document = None;
     for file in &args.inputs {
         bar.set_message(format!("reading {}", file.display()));
-        let SceneFile { scene, cameras: own, notes, y_up, attributes: extra, dropped } =
+        let SceneFile { scene, cameras: own, mut notes, y_up, attributes: extra, dropped, source } =
             format::read_file(file, &options)?;
-        let mut read = Edited { scene, cameras: own, attributes: extra, steps: vec![] };
+        if let Some(source) = source.as_ref().filter(|_| !one) {
+            notes.extend(source.remainder().iter().map(|part| format!("left out on joining: {part}")));
+        }
+        let mut read = Edited { scene, cameras: own, attributes: extra, source, steps: vec![] };
         if y_up {
             let axes = |name: &str| name.parse::<Axes>().expect("a name that it knows");
             let turn = Similarity::new(1.0, axes("y-up").to(axes("y-down")), DVec3::ZERO)?;
@@ -136,11 +152,12 @@ fn read(args: &Args, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
         scenes.push(read.scene);
         cameras.extend(read.cameras);
         attributes.push(read.attributes);
+        document = read.source.filter(|_| one);
         bar.inc(1);
     }
     let attributes = joined(&attributes, &mut inputs);
     let scene = if scenes.len() == 1 { scenes.remove(0) } else { edit::join(scenes).context("joining the inputs")? };
-    Ok((Edited { scene, cameras, attributes, steps: vec![] }, inputs))
+    Ok((Edited { scene, cameras, attributes, source: document, steps: vec![] }, inputs))
 }
 
 /// The attributes that all inputs have, one after the other; of the others a note is made.
@@ -180,6 +197,7 @@ fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
     let options = WriteOptions {
         cameras: &edited.cameras,
         attributes: &edited.attributes,
+        source: edited.source.as_ref(),
         spz: spz::Options { version, ..spz::Options::default() },
     };
     let report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {

@@ -2,6 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use centaur::edit::{self, Axes, Crop, Similarity, Volume};
+use centaur::format::gltf::Source;
 use centaur::format::ply::Attribute;
 use centaur::scene::{Camera, HybridScene};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
@@ -85,6 +86,8 @@ pub(super) struct Edited {
     pub(super) cameras: Vec<(String, Camera)>,
     /// What else is known of every splat.
     pub(super) attributes: Vec<Attribute>,
+    /// The glTF document that it comes from.
+    pub(super) source: Option<Source>,
     pub(super) steps: Vec<Step>,
 }
 
@@ -141,13 +144,20 @@ impl EditArgs {
 impl Edited {
     /// The scene and its cameras, moved together.
     pub(super) fn moved(self, by: &Similarity) -> Result<Self> {
+        if *by == Similarity::IDENTITY {
+            return Ok(self);
+        }
         let scene = by.scene(self.scene).context("moving the scene")?;
         let camera = |(name, camera): (String, Camera)| {
             let moved = by.camera(&camera).with_context(|| format!("moving camera {name}"))?;
             Ok((name, moved))
         };
-        let cameras = self.cameras.into_iter().map(camera).collect::<Result<_>>()?;
-        Ok(Self { scene, cameras, ..self })
+        let cameras = self.cameras.into_iter().map(camera).collect::<Result<Vec<_>>>()?;
+        let source = self.source.map(|mut source| {
+            source.follow(by.matrix(), &scene, &cameras);
+            source
+        });
+        Ok(Self { scene, cameras, source, ..self })
     }
 
     /// The splats of these indices, with what else is known of them.

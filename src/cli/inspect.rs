@@ -10,7 +10,7 @@ Examples:
   centaur inspect garden.glb
   centaur inspect point_cloud.ply --json";
 
-/// Say what is in a scene file: splats, meshes, maps, cameras, rule of blending, bytes
+/// Say what is in a scene file: splats, meshes, maps, cameras, rule of blending, bytes; of a glTF the tree of nodes
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {

@@ -1,4 +1,4 @@
-use glam::{DMat3, DQuat, DVec3, Vec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::scene::{Atlas, Camera, HybridScene, Intrinsics, Mesh, SceneError, Splats, Texture, sh};
@@ -48,6 +48,12 @@ impl Similarity {
     #[must_use]
     pub fn point(&self, p: DVec3) -> DVec3 {
         self.scale * (self.orthogonal * p) + self.translation
+    }
+
+    /// The same as a matrix for column vectors.
+    #[must_use]
+    pub fn matrix(&self) -> DMat4 {
+        DMat4::from_translation(self.translation) * DMat4::from_mat3(self.scale * self.orthogonal)
     }
 
     /// Moved splats: means, scales, rotations and spherical harmonics.

@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::Vec3;
 use serde::Serialize;
 
-use super::gltf::{Asset, bytes_by_part, scene_of};
+use super::gltf::{self, Asset, bytes_by_part, scene_of};
 use super::{FormatError, Kind, ReadOptions, kind, read_file, usd};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 
@@ -32,6 +32,8 @@ pub struct Summary {
     pub cameras: usize,
     /// How it is blended; `None` where the format cannot say.
     pub composition: Option<CompositionSummary>,
+    /// The tree of a glTF.
+    pub document: Option<gltf::Document>,
     /// `extensionsUsed`.
     pub extensions_used: Vec<String>,
     /// `extensionsRequired`.
@@ -94,15 +96,27 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
     match kind(path)? {
         Kind::Gltf => {
             let asset = Asset::open(path)?;
-            let content = scene_of(&asset).map_err(|fault| fault.in_file(path))?;
+            let document = gltf::describe(&asset).map_err(|fault| fault.in_file(path))?;
+            // What cannot be rendered can still be looked at.
+            let (scene, cameras, warnings) = match scene_of(&asset) {
+                Ok(file) => (file.scene, file.cameras.len(), file.notes),
+                Err(fault) => {
+                    let (location, expected, found) = fault.into_parts();
+                    let none =
+                        HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
+                    let warning = format!("cannot be read as a scene: {location}expected {expected}, found {found}");
+                    (none, document.counts.get("cameras").copied().unwrap_or(0), vec![warning])
+                }
+            };
             Ok(Summary {
-                cameras: content.cameras.len(),
-                composition: Some(composition(&content.scene.composition)),
+                cameras,
+                composition: Some(composition(&scene.composition)),
                 bytes_by_part: bytes_by_part(&asset, bytes),
-                warnings: content.notes,
+                document: Some(document),
+                warnings,
                 extensions_used: asset.extensions_used,
                 extensions_required: asset.extensions_required,
-                ..summary(path, bytes, &content.scene)
+                ..summary(path, bytes, &scene)
             })
         }
         Kind::Usd => {
@@ -135,6 +149,7 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
         meshes: scene.meshes.iter().map(mesh).collect(),
         cameras: 0,
         composition: None,
+        document: None,
         extensions_used: vec![],
         extensions_required: vec![],
         warnings: vec![],
@@ -176,11 +191,53 @@ fn composition(c: &Composition) -> CompositionSummary {
     }
 }
 
+/// Nodes printed at most; `--json` has all.
+const MAX_NODES: usize = 100;
+
+fn tree(f: &mut fmt::Formatter<'_>, document: &gltf::Document) -> fmt::Result {
+    let counts: Vec<String> = document.counts.iter().map(|(kind, n)| format!("{n} {kind}")).collect();
+    write!(f, "\n├ document: {}", counts.join(", "))?;
+    if let Some(generator) = &document.generator {
+        write!(f, ", by {generator}")?;
+    }
+    for node in document.nodes.iter().take(MAX_NODES) {
+        write!(f, "\n│ {}• {}", "  ".repeat(node.depth.min(20)), node.name.as_deref().unwrap_or("(no name)"))?;
+        for (what, index) in [("camera", node.camera), ("skin", node.skin), ("mesh", node.mesh)] {
+            if let Some(index) = index {
+                write!(f, ", {what} {index}")?;
+            }
+        }
+        for p in &node.primitives {
+            match (p.triangles, p.sh_degree) {
+                (Some(triangles), _) => write!(f, ", {triangles} triangles of {} vertices", p.vertices)?,
+                (_, Some(degree)) => {
+                    write!(f, ", {} splats of degree {degree}{}", p.vertices, if p.is_spz { " (SPZ)" } else { "" })?;
+                }
+                _ => write!(f, ", {} {}", p.vertices, p.kind)?,
+            }
+            if p.morph_targets > 0 {
+                write!(f, ", {} morph targets", p.morph_targets)?;
+            }
+        }
+        if let Some(bounds) = node.bounds {
+            write!(f, ", {}", span(bounds.map(|corner| corner.map(|c| c as f32))))?;
+        }
+    }
+    if let Some(more) = document.nodes.len().checked_sub(MAX_NODES).filter(|&n| n > 0) {
+        write!(f, "\n│ … and {more} more nodes")?;
+    }
+    if !document.remainder.is_empty() {
+        write!(f, "\n├ beside the scene: {}", document.remainder.join(", "))?;
+    }
+    Ok(())
+}
+
+fn span([low, high]: [[f32; 3]; 2]) -> String {
+    format!("[{:.3} {:.3} {:.3}] to [{:.3} {:.3} {:.3}]", low[0], low[1], low[2], high[0], high[1], high[2])
+}
+
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let span = |[low, high]: [[f32; 3]; 2]| {
-            format!("[{:.3} {:.3} {:.3}] to [{:.3} {:.3} {:.3}]", low[0], low[1], low[2], high[0], high[1], high[2])
-        };
         write!(f, "{}: {}, {} bytes, {} floats", self.file, self.format, self.bytes, self.total_floats)?;
         if let Some(s) = &self.splats {
             write!(f, "\n├ splats: {}, SH degree {}, {}", s.count, s.sh_degree, span(s.bounds))?;
@@ -200,6 +257,9 @@ impl fmt::Display for Summary {
         }
         if self.cameras > 0 {
             write!(f, "\n├ cameras: {}", self.cameras)?;
+        }
+        if let Some(document) = &self.document {
+            tree(f, document)?;
         }
         if !self.extensions_used.is_empty() {
             write!(f, "\n├ extensions: {}", self.extensions_used.join(", "))?;

@@ -31,6 +31,8 @@ pub struct Loss {
     pub composition: bool,
     /// Names of what else was known of every splat, and is left out.
     pub attributes: Vec<String>,
+    /// What else the document had that the scene was read from: animations, extensions, extras.
+    pub document: Vec<String>,
     /// SH degree of the scene and that of the file, where bands are left out.
     pub sh_degree: Option<[u32; 2]>,
     /// Largest differences between the splats and what the file says of them.
@@ -108,6 +110,7 @@ impl fmt::Display for Loss {
         if !self.attributes.is_empty() {
             parts.push(format!("the attributes {}", self.attributes.join(", ")));
         }
+        parts.extend(self.document.iter().cloned());
         if let Some([before, after]) = self.sh_degree {
             parts.push(format!("SH bands above degree {after} of {before}"));
         }
@@ -234,12 +237,13 @@ mod tests {
             cameras: 1,
             composition: true,
             attributes: vec!["label".to_owned(), "time".to_owned()],
+            document: vec!["2 animations".to_owned()],
             sh_degree: Some([3, 0]),
             max_error: SplatError { mean: 0.00012, rotation: 0.5, ..SplatError::default() },
         };
         assert_eq!(
             loss.to_string(),
-            "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; SH bands above degree 0 of 3; \
+            "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; 2 animations; SH bands above degree 0 of 3; \
              precision: mean ±1.20e-4, rotation ±5.00e-1°"
         );
         assert!(!loss.is_none());

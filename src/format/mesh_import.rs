@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 
 use super::error::{Fault, FormatError, read_file};
-use super::gltf::{Asset, placements, triangles};
+use super::gltf::{Asset, Pose, placements, triangles};
 use super::ply::table::Ply;
 
 /// A mesh without maps.
@@ -123,11 +123,12 @@ impl Soup {
 }
 
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
+    asset.check_required()?;
     let mut soup = Soup::default();
+    let pose = Pose::rest(&asset.document)?;
     for (node, transform) in placements(&asset.document)? {
-        let Some(mesh) = node.mesh() else { continue };
-        for primitive in mesh.primitives() {
-            let Some(t) = triangles::read(asset, mesh.index(), &primitive, transform)? else { continue };
+        for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
+            let Some(t) = triangles::read(asset, &pose, (&node, transform), &primitive, 0)? else { continue };
             let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| t.map(|v| uvs[v as usize])).collect());
             soup.add(t.positions, &t.triangles, uvs, primitive.material().index())?;
         }

@@ -24,12 +24,14 @@ pub struct SceneFile {
     pub attributes: Vec<Attribute>,
     /// Splats that were left out, see [`ReadOptions::drop_invalid`].
     pub dropped: usize,
+    /// The document of a glTF, which says more than a scene holds.
+    pub source: Option<gltf::Source>,
 }
 
 impl SceneFile {
     fn of_splats(splats: Splats) -> Self {
         let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
-        Self { scene, cameras: vec![], notes: vec![], y_up: false, attributes: vec![], dropped: 0 }
+        Self { scene, cameras: vec![], notes: vec![], y_up: false, attributes: vec![], dropped: 0, source: None }
     }
 }
 
@@ -39,6 +41,9 @@ pub struct ReadOptions {
     /// Leave out splats with numbers that are not finite or rotations of zero, as failed trainings write them, instead
     /// of refusing the file. Of `.ply` and `.splat`; quantised formats cannot hold such splats, and glTF forbids them.
     pub drop_invalid: bool,
+    /// Keep the bytes of a glTF in [`SceneFile::source`], so that [`write_scene`] can write its document again. Doubles the
+    /// memory.
+    pub keep_document: bool,
 }
 
 /// What is written besides the scene.
@@ -48,12 +53,14 @@ pub struct WriteOptions<'a> {
     pub cameras: &'a [(String, Camera)],
     /// What else is known of every splat.
     pub attributes: &'a [Attribute],
+    /// The document that the scene was read from: written again where it still holds, see [`gltf::Source::stands`].
+    pub source: Option<&'a gltf::Source>,
     /// Layout of SPZ.
     pub spz: spz::Options,
 }
 
 /// Extensions of files that [`write_scene`] writes. A name that ends in `.compressed.ply` asks for compressed PLY.
-pub const WRITABLE: &[&str] = &["glb", "usda", "usdz", "ply", "sog", "spz", "splat", "ksplat"];
+pub const WRITABLE: &[&str] = &["glb", "gltf", "usda", "usdz", "ply", "sog", "spz", "splat", "ksplat"];
 
 /// As [`super::read_scene`], with what the file says besides.
 ///
@@ -61,7 +68,7 @@ pub const WRITABLE: &[&str] = &["glb", "usda", "usdz", "ply", "sog", "spz", "spl
 /// As [`super::read_scene`].
 pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
     Ok(match kind(path)? {
-        Kind::Gltf => gltf::read(path)?,
+        Kind::Gltf => gltf::read_with(path, options.keep_document)?,
         Kind::Ksplat => SceneFile::of_splats(ksplat::read(path)?),
         Kind::Ply => {
             let ply::PlySplats { splats, attributes, dropped } = ply::read_with(path, options)?;
@@ -94,13 +101,20 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
     let splats = &scene.splats;
     let report = match extension {
-        "glb" | "usda" | "usdz" => {
-            let bytes = if extension == "glb" {
-                gltf::write_glb(path, scene, options.cameras, None)?
-            } else {
-                usd::write(path, scene, options.cameras)?
+        "glb" | "gltf" => {
+            let (bytes, loss) = match options.source {
+                Some(source) => {
+                    let (bytes, stands) = gltf::write_over(path, scene, options.cameras, source)?;
+                    (bytes, if stands { Loss::default() } else { dropping(source, of_linear_values(splats)) })
+                }
+                None => (gltf::write_glb(path, scene, options.cameras, None)?, of_linear_values(splats)),
             };
+            return Ok(WriteReport { bytes, loss: Loss { attributes: names(options.attributes), ..loss } });
+        }
+        "usda" | "usdz" => {
+            let bytes = usd::write(path, scene, options.cameras)?;
             let loss = Loss { attributes: names(options.attributes), ..of_linear_values(splats) };
+            let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
             return Ok(WriteReport { bytes, loss });
         }
         "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
@@ -142,7 +156,13 @@ fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, loss: Loss) ->
     let is = &scene.composition;
     let plain = (is.background, is.near, is.color_space) == (usual.background, usual.near, usual.color_space);
     let composition = !scene.meshes.is_empty() || !plain;
-    Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, ..loss }
+    let loss = Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, ..loss };
+    options.source.map_or(loss.clone(), |source| dropping(source, loss))
+}
+
+/// What was in the document and is not in the scene goes with the document.
+fn dropping(source: &gltf::Source, loss: Loss) -> Loss {
+    Loss { document: source.remainder().to_vec(), ..loss }
 }
 
 fn names(attributes: &[Attribute]) -> Vec<String> {
@@ -172,7 +192,7 @@ mod tests {
             assert_eq!(scene.meshes.len() - back.scene.meshes.len(), report.loss.meshes);
             assert_eq!(cameras.len() - back.cameras.len(), report.loss.cameras);
             assert_eq!(back.scene.composition != scene.composition, report.loss.composition);
-            if ["glb", "usda", "usdz"].contains(extension) {
+            if ["glb", "gltf", "usda", "usdz"].contains(extension) {
                 // The report is what a reader finds.
                 assert_eq!(Loss::of_splats(&scene.splats, &back.scene.splats).max_error, report.loss.max_error);
             }
@@ -195,7 +215,7 @@ mod tests {
         let error = write("a.txt", &scene).unwrap_err().to_string();
         assert!(
             error
-                .ends_with("a.txt: expected a name that ends in .glb, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, found `.txt`"),
+                .ends_with("a.txt: expected a name that ends in .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, found `.txt`"),
             "{error}"
         );
     }

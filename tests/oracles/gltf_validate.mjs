@@ -26,6 +26,8 @@ for (const file of process.argv.slice(2)) {
   const { GLTFLoader } = await import('three/examples/jsm/loaders/GLTFLoader.js');
   globalThis.self = globalThis;
   const loader = new GLTFLoader();
+  const { MeshoptDecoder } = await import('three/examples/jsm/libs/meshopt_decoder.module.js');
+  loader.setMeshoptDecoder(MeshoptDecoder);
   loader.register((parser) => ({ name: 'NO_IMAGES', loadTexture: async () => { parser; return new three.Texture(); } }));
   const gltf = await loader.parseAsync(bytes.buffer, '');
   const kinds = {};

@@ -1,5 +1,6 @@
 //! Reads accessors with every bound checked; the `gltf` crate's own iterators panic on ranges that do not fit.
 
+use glam::DMat4;
 use gltf::accessor::sparse::IndexType;
 use gltf::accessor::{DataType, Dimensions};
 
@@ -39,7 +40,7 @@ impl Asset {
         let accessor = self.accessor(accessor, N)?;
         let at = format!("/accessors/{}", accessor.index());
         let (count, kind, normalized) = (accessor.count(), accessor.data_type(), accessor.normalized());
-        let mut values = match accessor.view() {
+        let mut values = match accessor.view().filter(|view| self.has_view(view)) {
             Some(view) => {
                 let base = self.elements(&view, accessor.offset(), count, N, (kind, normalized), &at)?;
                 (0..count).map(|i| base.float(i)).collect()
@@ -47,7 +48,7 @@ impl Asset {
             None => {
                 // All zero but for the sparse elements. Such an accessor goes with others that are stored in full, so
                 // a count above the number of bytes in the file is a lie.
-                let bytes: usize = self.buffers.iter().map(Vec::len).sum();
+                let bytes: usize = self.buffers.iter().chain(self.plain_views.values()).map(Vec::len).sum();
                 if accessor.sparse().is_none() || count > bytes {
                     return Err(Fault::pointer(at, "an accessor with a bufferView", "one without"));
                 }
@@ -77,6 +78,20 @@ impl Asset {
         Ok(values)
     }
 
+    /// Elements of a MAT4 accessor of floats.
+    pub(super) fn matrices(&self, accessor: usize) -> Result<Vec<DMat4>, Fault> {
+        let at = format!("/accessors/{accessor}");
+        let found = self.document.accessors().nth(accessor);
+        let usable = found.filter(|a| (a.dimensions(), a.data_type()) == (Dimensions::Mat4, DataType::F32));
+        let stored = usable.filter(|a| a.sparse().is_none()).and_then(|a| Some((a.clone(), a.view()?)));
+        let Some((accessor, view)) = stored.filter(|(_, view)| self.has_view(view)) else {
+            return Err(Fault::pointer(at, "MAT4 of floats, stored in full", "another accessor"));
+        };
+        let layout = (DataType::F32, false);
+        let elements = self.elements(&view, accessor.offset(), accessor.count(), 16, layout, &at)?;
+        Ok((0..elements.count).map(|i| DMat4::from_cols_array(&elements.float::<16>(i).map(f64::from))).collect())
+    }
+
     /// Elements of a SCALAR unsigned integer accessor.
     pub(in crate::format) fn indices(&self, accessor: usize) -> Result<Vec<u32>, Fault> {
         let accessor = self.accessor(accessor, 1)?;
@@ -85,7 +100,8 @@ impl Asset {
         if !matches!(kind, DataType::U8 | DataType::U16 | DataType::U32) {
             return Err(Fault::pointer(format!("{at}/componentType"), "an unsigned integer type", format!("{kind:?}")));
         }
-        let (Some(view), None) = (accessor.view(), accessor.sparse()) else {
+        let view = accessor.view().filter(|view| self.has_view(view));
+        let (Some(view), None) = (view, accessor.sparse()) else {
             return Err(Fault::pointer(at, "indices stored in full", "a sparse or empty accessor"));
         };
         let elements = self.elements(&view, accessor.offset(), accessor.count(), 1, (kind, false), &at)?;
@@ -133,8 +149,11 @@ impl Asset {
         Ok(Elements { bytes, count, stride, kind, normalized })
     }
 
-    /// The bytes of a buffer view.
+    /// The bytes of a buffer view, decompressed.
     pub(super) fn view_bytes(&self, view: &gltf::buffer::View<'_>) -> Result<&[u8], Fault> {
+        if let Some(plain) = self.plain_views.get(&view.index()) {
+            return Ok(plain);
+        }
         let buffer = self.buffers.get(view.buffer().index()).map_or(&[][..], Vec::as_slice);
         let end = view.offset().checked_add(view.length());
         end.and_then(|end| buffer.get(view.offset()..end)).ok_or_else(|| {

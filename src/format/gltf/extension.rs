@@ -12,10 +12,19 @@ pub(crate) const KHR_SPLATS: &str = "KHR_gaussian_splatting";
 pub(crate) const HYBRID: &str = "EXT_gaussian_splatting_hybrid";
 /// Core fallback of the mesh material.
 pub(crate) const UNLIT: &str = "KHR_materials_unlit";
+/// Splats compressed by SPZ, within the object of [`KHR_SPLATS`]. A draft of Khronos.
+pub(crate) const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
+/// Scaled, turned and shifted texture coordinates.
+pub(crate) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
+/// Images in `WebP`.
+pub(crate) const WEBP: &str = "EXT_texture_webp";
 
 /// Name of the node under which the whole scene hangs, and the key of our own `extras`.
 pub(crate) const ROOT_NODE: &str = "centaur_world";
 pub(crate) const EXTRAS: &str = "centaur";
+
+/// Name of nodes that are put above the scene of a document to move it.
+pub(crate) const MOVED_NODE: &str = "moved";
 
 pub(crate) const ROTATION: &str = "KHR_gaussian_splatting:ROTATION";
 pub(crate) const SCALE: &str = "KHR_gaussian_splatting:SCALE";
@@ -30,10 +39,34 @@ pub(crate) fn sh_attributes(degree: u32) -> impl Iterator<Item = String> {
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct Khr {
-    pub(crate) kernel: String,
-    pub(crate) color_space: String,
-    #[serde(default, skip_serializing)]
+    /// Required, as is the colour space; early drafts had neither.
+    pub(crate) kernel: Option<String>,
+    pub(crate) color_space: Option<String>,
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub(crate) extensions: serde_json::Map<String, serde_json::Value>,
+}
+
+/// `KHR_gaussian_splatting.extensions.KHR_gaussian_splatting_compression_spz_2`.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct Spz {
+    pub(crate) buffer_view: usize,
+}
+
+/// `textureInfo.extensions.KHR_texture_transform`.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(crate) struct TextureTransform {
+    pub(crate) offset: [f32; 2],
+    pub(crate) rotation: f32,
+    pub(crate) scale: [f32; 2],
+    pub(crate) tex_coord: Option<u32>,
+}
+
+impl Default for TextureTransform {
+    fn default() -> Self {
+        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2], tex_coord: None }
+    }
 }
 
 /// `scene.extensions.EXT_gaussian_splatting_hybrid`.
@@ -126,6 +159,13 @@ pub(crate) struct TexelSource {
     pub(crate) offset: Option<Vec<f32>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) scale: Option<Vec<f32>>,
+}
+
+impl TexelSource {
+    /// n of the `TEXCOORD_n` over which it lies.
+    pub(crate) fn set(&self) -> u32 {
+        self.texture.as_ref().map_or(self.tex_coord, |t| t.tex_coord)
+    }
 }
 
 #[derive(Serialize, Deserialize)]

@@ -12,6 +12,8 @@ pub(super) struct Chunks<'a> {
     /// Offset of `json` in the file.
     pub(super) json_offset: usize,
     pub(super) bin: Option<&'a [u8]>,
+    /// Offset of `bin` in the file.
+    pub(super) bin_offset: usize,
 }
 
 pub(super) fn split(bytes: &[u8]) -> Result<Chunks<'_>, Fault> {
@@ -48,22 +50,21 @@ pub(super) fn split(bytes: &[u8]) -> Result<Chunks<'_>, Fault> {
     while offset + 8 <= length {
         let (kind, data) = chunk(offset)?;
         if kind == BIN {
-            return Ok(Chunks { json, json_offset: 20, bin: Some(data) });
+            return Ok(Chunks { json, json_offset: 20, bin: Some(data), bin_offset: offset + 8 });
         }
         offset += 8 + data.len();
     }
-    Ok(Chunks { json, json_offset: 20, bin: None })
+    Ok(Chunks { json, json_offset: 20, bin: None, bin_offset: 0 })
 }
 
-/// The container's bytes around `json` and `bin`, as slices to be written in order; `None` if it would pass 4 GiB, the
-/// most that the container can address.
-pub(super) fn join<'a>(json: &'a mut Vec<u8>, bin: &'a mut Vec<u8>) -> Option<[Vec<u8>; 2]> {
-    json.resize(json.len().next_multiple_of(4), b' ');
-    bin.resize(bin.len().next_multiple_of(4), 0);
-    let bin_chunk = if bin.is_empty() { 0 } else { 8 + bin.len() };
-    let length = u32::try_from(20 + json.len() + bin_chunk).ok()?;
+/// The container's bytes before a JSON chunk and a binary chunk of these lengths, both to be padded to multiples of 4;
+/// `None` if it would pass 4 GiB, the most that the container can address.
+pub(super) fn headers(json: usize, bin: usize) -> Option<[Vec<u8>; 2]> {
+    let (json, bin) = (json.checked_next_multiple_of(4)?, bin.checked_next_multiple_of(4)?);
+    let bin_chunk = if bin == 0 { 0 } else { 8 + bin };
+    let length = u32::try_from(json.checked_add(bin_chunk)?.checked_add(20)?).ok()?;
     let words = |words: &[u32]| words.iter().flat_map(|w| w.to_le_bytes()).collect();
-    let header: Vec<u8> = words(&[u32::from_le_bytes(*MAGIC), 2, length, u32::try_from(json.len()).ok()?, JSON]);
-    let bin_header = if bin.is_empty() { vec![] } else { words(&[u32::try_from(bin.len()).ok()?, BIN]) };
+    let header: Vec<u8> = words(&[u32::from_le_bytes(*MAGIC), 2, length, u32::try_from(json).ok()?, JSON]);
+    let bin_header = if bin == 0 { vec![] } else { words(&[u32::try_from(bin).ok()?, BIN]) };
     Some([header, bin_header])
 }

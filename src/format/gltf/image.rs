@@ -1,10 +1,13 @@
 //! Decodes textures of a glTF file.
 
+use std::hash::{DefaultHasher, Hasher as _};
 use std::io::Cursor;
 
 use image::ImageDecoder as _;
 
-use super::lift::{Asset, resolve};
+use super::extension::WEBP;
+use super::lift::Asset;
+use super::uri::resolve;
 use crate::format::error::Fault;
 
 /// Texels as stored, 0..1, no transfer function undone; rows from the top.
@@ -12,6 +15,8 @@ pub(in crate::format) struct Texels {
     pub(in crate::format) width: u32,
     pub(in crate::format) height: u32,
     pub(in crate::format) rgba: Vec<[f32; 4]>,
+    /// Hash and length of the file.
+    pub(super) encoded: (u64, u64),
 }
 
 /// Largest side accepted, that of `scene::Texture`.
@@ -22,10 +27,12 @@ const MAX_SIDE: u32 = 16384;
 const MAX_RATIO: u64 = 4096;
 
 impl Asset {
-    /// Decodes the image of texture `index`: PNG (8 or 16 bit) or JPEG.
+    /// Decodes the image of texture `index`: PNG (8 or 16 bit), JPEG or WebP.
     pub(super) fn texels(&self, index: usize) -> Result<Texels, Fault> {
         let json = self.document.as_json();
-        let source = json.textures.get(index).map(|t| t.source.value());
+        let texture = self.document.textures().nth(index);
+        let webp = texture.as_ref().and_then(|t| t.extension_value(WEBP)?.get("source")?.as_u64());
+        let source = webp.map(|s| s as usize).or(json.textures.get(index).map(|t| t.source.value()));
         let Some((source, image)) = source.and_then(|s| Some((s, json.images.get(s)?))) else {
             return Err(Fault::pointer(format!("/textures/{index}"), "a texture with an image", "none"));
         };
@@ -41,10 +48,16 @@ impl Asset {
     }
 }
 
-/// Decodes a PNG (8 or 16 bit) or JPEG. On failure: what was expected, and what was found.
+/// Decodes a PNG (8 or 16 bit), JPEG or `WebP`. On failure: what was expected, and what was found.
 pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, String)> {
-    let undecodable = |e: &dyn std::fmt::Display| ("a PNG or JPEG image".to_owned(), e.to_string());
+    let undecodable = |e: &dyn std::fmt::Display| ("a PNG, JPEG or WebP image".to_owned(), e.to_string());
     let encoded_bytes = encoded.len() as u64;
+    let mut hasher = DefaultHasher::new();
+    hasher.write(&encoded);
+    let identity = (hasher.finish(), encoded_bytes);
+    if encoded.starts_with(b"RIFF") {
+        return webp_texels(&encoded, identity).map_err(|e| undecodable(&*e));
+    }
     let mut reader =
         image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
     let mut limits = image::Limits::default();
@@ -61,7 +74,26 @@ pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, Str
     }
     let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
     let rgba = pixels.pixels().map(|p| p.0).collect();
-    Ok(Texels { width: pixels.width(), height: pixels.height(), rgba })
+    Ok(Texels { width: pixels.width(), height: pixels.height(), rgba, encoded: identity })
+}
+
+fn webp_texels(encoded: &[u8], identity: (u64, u64)) -> Result<Texels, Box<dyn std::error::Error>> {
+    // WebP codes an image of one colour in next to no bits: up to this size any ratio is believed.
+    const SMALL: usize = 1 << 24;
+    let mut decoder = image_webp::WebPDecoder::new(Cursor::new(encoded))?;
+    let (width, height) = decoder.dimensions();
+    let channels = if decoder.has_alpha() { 4 } else { 3 };
+    let size = decoder.output_buffer_size().unwrap_or(usize::MAX);
+    if size > SMALL && size as u64 / MAX_RATIO > encoded.len() as u64 {
+        return Err(format!("{width}×{height} pixels in {} bytes", encoded.len()).into());
+    }
+    let mut bytes = vec![0; size];
+    decoder.read_image(&mut bytes)?;
+    let rgba = bytes.chunks_exact(channels).map(|p| {
+        let unit = |c: usize| p.get(c).map_or(1.0, |b| f32::from(*b) / 255.0);
+        [0, 1, 2, 3].map(unit)
+    });
+    Ok(Texels { width, height, rgba: rgba.collect(), encoded: identity })
 }
 
 #[cfg(test)]
@@ -81,7 +113,7 @@ mod tests {
         std::fs::write(folder.path().join("a.jpg"), jpeg).unwrap();
         let json =
             br#"{ "asset": { "version": "2.0" }, "images": [{ "uri": "a.jpg" }], "textures": [{ "source": 0 }] }"#;
-        let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
+        let asset = Asset::parse(json.to_vec(), folder.path().to_owned()).map_err(|_| ()).unwrap();
         let message = asset.texels(0).err().unwrap().in_file(Path::new("f")).to_string();
         assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 196608 bytes"), "{message}");
     }

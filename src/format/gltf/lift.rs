@@ -1,16 +1,18 @@
 //! Opens a glTF file: takes out of the JSON what the `gltf` crate cannot hold, gives the rest (the core: nodes, meshes,
-//! materials, accessors, cameras) to it, and loads the buffers.
+//! materials, accessors, cameras) to it, loads the buffers and decompresses buffer views.
 //!
 //! The crate collapses all attributes with a `:` in the name into one key and refuses extensions that it does not know
-//! in `extensionsRequired`; both are lifted out here, and nowhere else.
+//! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, whose data
+//! an extension has: they get a buffer view beyond those of the file.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use super::extension::{HYBRID, KHR_SPLATS, UNLIT};
-use super::glb;
+use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
+use super::uri::resolve;
+use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, read_file};
 
 /// Attributes that the core does not define, by (mesh, primitive): name → accessor.
@@ -20,6 +22,8 @@ type Attributes = HashMap<(usize, usize), BTreeMap<String, usize>>;
 pub(in crate::format) struct Asset {
     /// The core.
     pub(in crate::format) document: gltf::Document,
+    /// The JSON as it is in the file, but for the `uri`s of buffers, whose content is in `buffers`.
+    pub(in crate::format) root: Value,
     /// `KHR_gaussian_splatting:SCALE` and its like.
     pub(in crate::format) attributes: Attributes,
     /// `extensionsUsed` and `extensionsRequired` of the file.
@@ -27,59 +31,110 @@ pub(in crate::format) struct Asset {
     pub(in crate::format) extensions_required: Vec<String>,
     /// Length of the JSON text.
     pub(in crate::format) json_bytes: usize,
-    /// One per glTF buffer, at least as long as declared.
+    /// One per glTF buffer, at least as long as declared; empty where all views of it are stored compressed.
     pub(super) buffers: Vec<Vec<u8>>,
+    /// Buffer views that are stored compressed, decompressed.
+    pub(super) plain_views: HashMap<usize, Vec<u8>>,
     /// Folder of the file: images and buffers may lie in it.
     pub(super) folder: PathBuf,
 }
 
-/// Extensions without which a file cannot be understood, and which are understood here: the three of our own files, and
-/// quantised attributes, which are read like any others.
-pub(in crate::format) const UNDERSTOOD: [&str; 4] = [KHR_SPLATS, HYBRID, UNLIT, "KHR_mesh_quantization"];
+/// Extensions without which a file cannot be understood, and which are understood here.
+pub(in crate::format) const UNDERSTOOD: [&str; 9] = [
+    KHR_SPLATS,
+    HYBRID,
+    SPZ,
+    UNLIT,
+    TEXTURE_TRANSFORM,
+    WEBP,
+    meshopt::NAMES[0],
+    meshopt::NAMES[1],
+    // Quantised attributes are read like any others.
+    "KHR_mesh_quantization",
+];
 
 impl Asset {
     /// Opens a `.glb` or `.gltf` file with all its buffers.
     pub(in crate::format) fn open(path: &Path) -> Result<Self, FormatError> {
         let bytes = read_file(path)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        Self::parse(&bytes, folder).map_err(|fault| fault.in_file(path))
+        Self::parse(bytes, folder).map_err(|fault| fault.in_file(path))
     }
 
-    pub(super) fn parse(bytes: &[u8], folder: PathBuf) -> Result<Self, Fault> {
-        let (json, json_offset, bin) = if bytes.starts_with(glb::MAGIC) {
-            let chunks = glb::split(bytes)?;
-            (chunks.json, chunks.json_offset, chunks.bin)
+    pub(super) fn parse(mut bytes: Vec<u8>, folder: PathBuf) -> Result<Self, Fault> {
+        let mut bin = None;
+        let (mut root, json_bytes) = if bytes.starts_with(glb::MAGIC) {
+            let chunks = glb::split(&bytes)?;
+            bin = chunks.bin.map(|data| chunks.bin_offset..chunks.bin_offset + data.len());
+            (parse_json(chunks.json, chunks.json_offset)?, chunks.json.len())
         } else {
-            (bytes, 0, None)
+            (parse_json(&bytes, 0)?, bytes.len())
         };
-        let mut root: Value = serde_json::from_slice(json).map_err(|e| {
-            let line_start: usize =
-                json.split_inclusive(|&b| b == b'\n').take(e.line().max(1) - 1).map(<[u8]>::len).sum();
-            Fault::byte(json_offset + line_start + e.column(), "glTF JSON", e.to_string())
-        })?;
         let extensions_used = strings(&root, "extensionsUsed");
         let extensions_required = strings(&root, "extensionsRequired");
-        if let Some(unknown) = extensions_required.iter().find(|e| !UNDERSTOOD.contains(&e.as_str())) {
-            let expected = format!("no other than {}", UNDERSTOOD.join(", "));
-            return Err(Fault::pointer("/extensionsRequired", expected, format!("`{unknown}`")));
-        }
-        if let Some(object) = root.as_object_mut() {
-            object.remove("extensionsRequired");
-        }
-        let attributes = lift_attributes(&mut root)?;
-        let core: gltf::json::Root =
-            serde_json::from_value(root).map_err(|e| Fault::whole("glTF 2.0 JSON", e.to_string()))?;
-        let document = gltf::Document::from_json(core).map_err(|e| match e {
-            gltf::Error::Validation(faults) if !faults.is_empty() => {
-                let (path, error) = &faults[0];
-                Fault::pointer(rfc6901(path.as_str()), "valid glTF 2.0", error.to_string().to_lowercase())
-            }
-            other => Fault::whole("valid glTF 2.0", other.to_string()),
-        })?;
-        let buffers = load_buffers(&document, bin, &folder)?;
-        let json_bytes = json.len();
-        Ok(Self { document, attributes, extensions_used, extensions_required, json_bytes, buffers, folder })
+        // The binary chunk keeps its place in memory.
+        let bin = bin.map(|range| {
+            bytes.truncate(range.end);
+            bytes.drain(..range.start);
+            bytes
+        });
+        let buffers = load_buffers(&mut root, bin, &folder)?;
+        let (document, attributes) = core(&root)?;
+        let plain_views =
+            meshopt::decompress(&root, |i| buffers.get(i).map(Vec::as_slice)).collect::<Result<HashMap<_, _>, _>>()?;
+        Ok(Self {
+            document,
+            root,
+            attributes,
+            extensions_used,
+            extensions_required,
+            json_bytes,
+            buffers,
+            plain_views,
+            folder,
+        })
     }
+
+    /// Whether a buffer view is one of the file.
+    pub(super) fn has_view(&self, view: &gltf::buffer::View<'_>) -> bool {
+        self.root.get("bufferViews").and_then(Value::as_array).is_some_and(|views| view.index() < views.len())
+    }
+
+    /// Refuses files that require extensions without which they cannot be understood.
+    pub(in crate::format) fn check_required(&self) -> Result<(), Fault> {
+        let Some(unknown) = self.extensions_required.iter().find(|e| !UNDERSTOOD.contains(&e.as_str())) else {
+            return Ok(());
+        };
+        let expected = format!("no other than {}", UNDERSTOOD.join(", "));
+        Err(Fault::pointer("/extensionsRequired", expected, format!("`{unknown}`")))
+    }
+}
+
+fn parse_json(json: &[u8], offset: usize) -> Result<Value, Fault> {
+    serde_json::from_slice(json).map_err(|e| {
+        let line_start: usize = json.split_inclusive(|&b| b == b'\n').take(e.line().max(1) - 1).map(<[u8]>::len).sum();
+        Fault::byte(offset + line_start + e.column(), "glTF JSON", e.to_string())
+    })
+}
+
+/// What the crate understands, validated by it, and the attributes that it does not.
+fn core(root: &Value) -> Result<(gltf::Document, Attributes), Fault> {
+    let mut core = root.clone();
+    if let Some(object) = core.as_object_mut() {
+        object.remove("extensionsRequired");
+    }
+    let attributes = lift_attributes(&mut core)?;
+    fill_accessors(&mut core);
+    let core: gltf::json::Root =
+        serde_json::from_value(core).map_err(|e| Fault::whole("glTF 2.0 JSON", e.to_string()))?;
+    let document = gltf::Document::from_json(core).map_err(|e| match e {
+        gltf::Error::Validation(faults) if !faults.is_empty() => {
+            let (path, error) = &faults[0];
+            Fault::pointer(rfc6901(path.as_str()), "valid glTF 2.0", error.to_string().to_lowercase())
+        }
+        other => Fault::whole("valid glTF 2.0", other.to_string()),
+    })?;
+    Ok((document, attributes))
 }
 
 fn strings(root: &Value, key: &str) -> Vec<String> {
@@ -128,125 +183,70 @@ fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
     Ok(lifted)
 }
 
+/// Gives accessors without data a view that [`Asset::has_view`] does not count.
+fn fill_accessors(core: &mut Value) {
+    let view = core.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);
+    let mut filled = false;
+    for accessor in core.get_mut("accessors").and_then(Value::as_array_mut).into_iter().flatten() {
+        if let Some(accessor) =
+            accessor.as_object_mut().filter(|a| !a.contains_key("bufferView") && !a.contains_key("sparse"))
+        {
+            accessor.insert("bufferView".to_owned(), json!(view));
+            filled = true;
+        }
+    }
+    if filled {
+        let mut append = |key: &str, value: Value| {
+            if let Some(list) =
+                core.as_object_mut().and_then(|core| core.entry(key).or_insert_with(|| json!([])).as_array_mut())
+            {
+                list.push(value);
+            }
+        };
+        append("bufferViews", json!({ "buffer": 0, "byteLength": 1 }));
+        append("buffers", json!({ "byteLength": 1 }));
+    }
+}
+
 fn is_core(name: &str) -> bool {
     name == "POSITION" || name.starts_with("TEXCOORD_")
 }
 
-fn load_buffers(document: &gltf::Document, bin: Option<&[u8]>, folder: &Path) -> Result<Vec<Vec<u8>>, Fault> {
-    let mut buffers = vec![];
-    for (i, buffer) in document.as_json().buffers.iter().enumerate() {
+/// The content of every buffer; takes their URIs out of the JSON.
+fn load_buffers(root: &mut Value, bin: Option<Vec<u8>>, folder: &Path) -> Result<Vec<Vec<u8>>, Fault> {
+    // The plain form of a view that is stored compressed is not needed, and often not there.
+    let is_needed = |root: &Value, buffer: usize| {
+        let mut views = root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
+        let stored_in = |v: &Value| v.get("buffer").and_then(Value::as_u64);
+        views.any(|v| stored_in(meshopt::of_view(v).map_or(v, |(_, compressed)| compressed)) == Some(buffer as u64))
+    };
+    let has_compressed =
+        root.get("bufferViews").and_then(Value::as_array).into_iter().flatten().any(|v| meshopt::of_view(v).is_some());
+    let count = root.get("buffers").and_then(Value::as_array).map_or(0, Vec::len);
+    let (mut buffers, mut bin) = (vec![], bin);
+    for i in 0..count {
         let at = format!("/buffers/{i}");
-        let data = match (&buffer.uri, bin) {
-            (None, Some(bin)) if i == 0 => bin.to_vec(),
-            (None, _) => return Err(Fault::pointer(at, "a uri or a GLB binary chunk", "neither")),
+        let length = root["buffers"][i].get("byteLength").and_then(Value::as_u64);
+        let length = length.ok_or_else(|| Fault::pointer(format!("{at}/byteLength"), "a number of bytes", "none"))?;
+        let uri = root["buffers"][i].get("uri").and_then(Value::as_str);
+        let data = match (uri, bin.take().filter(|_| i == 0)) {
+            (None, Some(bin)) => bin,
+            (_, None) if has_compressed && !is_needed(root, i) => {
+                buffers.push(vec![]);
+                continue;
+            }
+            (None, None) => return Err(Fault::pointer(at, "a uri or a GLB binary chunk", "neither")),
             (Some(uri), _) => resolve(uri, folder)
                 .map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?,
         };
-        if (data.len() as u64) < buffer.byte_length.0 {
-            let expected = format!("{} bytes", buffer.byte_length.0);
+        if (data.len() as u64) < length {
+            let expected = format!("{length} bytes");
             return Err(Fault::pointer(format!("{at}/byteLength"), expected, format!("{} bytes", data.len())));
+        }
+        if let Some(buffer) = root["buffers"][i].as_object_mut() {
+            buffer.remove("uri");
         }
         buffers.push(data);
     }
     Ok(buffers)
-}
-
-/// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
-pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
-    if let Some(data) = uri.strip_prefix("data:") {
-        let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
-        return encoded
-            .and_then(decode_base64)
-            .ok_or_else(|| ("base64 after `;base64,`".to_owned(), "a data URI without it".to_owned()));
-    }
-    let shown = || format!("`{uri}`");
-    let inside = || "a path inside the folder of the file".to_owned();
-    let name = percent_decode(uri).ok_or_else(|| ("a percent-encoded path".to_owned(), shown()))?;
-    let escapes = name.contains([':', '\\'])
-        || Path::new(&name)
-            .components()
-            .any(|c| !matches!(c, std::path::Component::Normal(_) | std::path::Component::CurDir));
-    if escapes {
-        return Err((inside(), shown()));
-    }
-    let real = |path: &Path| path.canonicalize().map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")));
-    let base = real(if folder.as_os_str().is_empty() { Path::new(".") } else { folder })?;
-    let file = real(&base.join(&name))?;
-    // A symbolic link could still lead out.
-    if !file.starts_with(&base) {
-        return Err((inside(), shown()));
-    }
-    std::fs::read(&file).map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")))
-}
-
-fn percent_decode(uri: &str) -> Option<String> {
-    let mut bytes = vec![];
-    let mut rest = uri.as_bytes();
-    while let Some((&first, tail)) = rest.split_first() {
-        rest = tail;
-        if first == b'%' {
-            let digits = tail.first_chunk::<2>().filter(|d| d.iter().all(u8::is_ascii_hexdigit))?;
-            bytes.push(u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?);
-            rest = &tail[2..];
-        } else {
-            bytes.push(first);
-        }
-    }
-    String::from_utf8(bytes).ok()
-}
-
-fn decode_base64(text: &str) -> Option<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
-    let (mut bits, mut pending) = (0u32, 0);
-    for c in text.trim_end_matches('=').bytes() {
-        let value = match c {
-            b'A'..=b'Z' => c - b'A',
-            b'a'..=b'z' => c - b'a' + 26,
-            b'0'..=b'9' => c - b'0' + 52,
-            b'+' | b'-' => 62,
-            b'/' | b'_' => 63,
-            _ => return None,
-        };
-        bits = (bits << 6 | u32::from(value)) & 0xFF_FFFF;
-        pending += 6;
-        if pending >= 8 {
-            pending -= 8;
-            bytes.push((bits >> pending) as u8);
-        }
-    }
-    Some(bytes)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn uris_stay_inside_the_folder() {
-        let folder = tempfile::tempdir().unwrap();
-        let inner = folder.path().join("in");
-        std::fs::create_dir(&inner).unwrap();
-        std::fs::write(folder.path().join("secret.bin"), b"secret").unwrap();
-        std::fs::write(inner.join("a b.bin"), b"ok").unwrap();
-        assert_eq!(resolve("a%20b.bin", &inner).unwrap(), b"ok");
-        assert_eq!(resolve("./a b.bin", &inner).unwrap(), b"ok");
-        for uri in ["../secret.bin", "%2e%2e/secret.bin", "/etc/passwd", "file:///etc/passwd", "..\\secret.bin", "%zz"]
-        {
-            assert!(resolve(uri, &inner).is_err(), "{uri}");
-        }
-        #[cfg(unix)]
-        {
-            std::os::unix::fs::symlink(folder.path().join("secret.bin"), inner.join("link.bin")).unwrap();
-            let (expected, _) = resolve("link.bin", &inner).unwrap_err();
-            assert_eq!(expected, "a path inside the folder of the file");
-        }
-    }
-
-    #[test]
-    fn base64_with_any_padding() {
-        for (text, bytes) in [("TWFu", "Man"), ("TWE=", "Ma"), ("TQ==", "M"), ("TQ", "M"), ("", "")] {
-            assert_eq!(decode_base64(text).unwrap(), bytes.as_bytes());
-        }
-        assert!(decode_base64("T*==").is_none());
-    }
 }

@@ -3,32 +3,75 @@
 use gltf::material::AlphaMode;
 use serde::Deserialize as _;
 
-use super::extension::{HYBRID, Radiance, TexelSource, parse_color_space};
+use super::extension::{HYBRID, Radiance, ShField, TexelSource, UNLIT, parse_color_space};
 use super::image::Texels;
 use super::lift::Asset;
+use super::uv::UvMap;
 use crate::format::activation;
 use crate::format::error::Fault;
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
+/// A material as maps.
+pub(super) struct Maps {
+    pub(super) atlas: Atlas,
+    pub(super) uv: UvMap,
+    /// Hash and length of the image, if it is one.
+    pub(super) image: Option<(u64, u64)>,
+    /// How colours of vertices come in; `None` if the maps say everything.
+    pub(super) base: Option<BaseColour>,
+}
+
+/// How the core makes colour and opacity.
+#[derive(Clone, Copy)]
+pub(super) struct BaseColour {
+    factor: [f32; 4],
+    /// `None` is opaque; 0 is blended; else the cut-off of a mask.
+    cutoff: Option<f32>,
+    space: ColorSpace,
+    pub(super) is_textured: bool,
+}
+
+impl BaseColour {
+    /// The texel of a map for `rgba`, linear light, before the material's factor.
+    pub(super) fn texel(&self, rgba: [f32; 4]) -> [f32; 4] {
+        let linear = [0, 1, 2].map(|c| rgba[c] * self.factor[c]);
+        let shown = if self.space == ColorSpace::SrgbDisplay { linear.map(color::linear_to_srgb) } else { linear };
+        let alpha = rgba[3] * self.factor[3];
+        let alpha = match self.cutoff {
+            None => 1.0,
+            Some(0.0) => alpha,
+            Some(cutoff) => f32::from(alpha >= cutoff),
+        };
+        let [r, g, b] = sh::dc_from_rgb(shown);
+        [r, g, b, activation::logit(alpha).0]
+    }
+}
+
 /// Reads the maps of `material`, to be blended in `space`.
-pub(super) fn atlas(
+pub(super) fn maps(
     asset: &Asset,
     material: &gltf::Material<'_>,
     space: ColorSpace,
     notes: &mut Vec<String>,
-) -> Result<Atlas, Fault> {
-    let at = format!("/materials/{}", material.index().unwrap_or_default());
-    let Some(value) = material.extension_value(HYBRID) else { return base_colour(asset, material, space, &at, notes) };
-    let at = format!("{at}/extensions/{HYBRID}");
-    let radiance = Radiance::deserialize(value)
-        .map_err(|e| Fault::pointer(&at, format!("a material of {HYBRID}"), e.to_string()))?;
-    if parse_color_space(&radiance.color_space, &at)? != space {
-        let at = format!("{at}/colorSpace");
-        return Err(Fault::pointer(at, "the colour space of the scene", format!("`{}`", radiance.color_space)));
+) -> Result<Maps, Fault> {
+    let at = material.index().map_or("the default material".to_owned(), |i| format!("/materials/{i}"));
+    if let Some(value) = material.extension_value(HYBRID) {
+        let at = format!("{at}/extensions/{HYBRID}");
+        let radiance = Radiance::deserialize(value)
+            .map_err(|e| Fault::pointer(&at, format!("a material of {HYBRID}"), e.to_string()))?;
+        if parse_color_space(&radiance.color_space, &at)? != space {
+            let at = format!("{at}/colorSpace");
+            return Err(Fault::pointer(at, "the colour space of the scene", format!("`{}`", radiance.color_space)));
+        }
+        if let Some(harmonics) = &radiance.spherical_harmonics {
+            return exact(asset, &radiance, harmonics, &at);
+        }
     }
-    let Some(harmonics) = radiance.spherical_harmonics else {
-        return base_colour(asset, material, space, &at, notes);
-    };
+    base_colour(asset, material, space, &at, notes)
+}
+
+/// The maps of the extension.
+fn exact(asset: &Asset, radiance: &Radiance, harmonics: &ShField, at: &str) -> Result<Maps, Fault> {
     let at_sh = format!("{at}/sphericalHarmonics");
     let (degree, found) = (harmonics.degree, harmonics.coefficients.len());
     if degree > sh::MAX_DEGREE || found != sh::coefficients(degree) {
@@ -38,16 +81,17 @@ pub(super) fn atlas(
     if harmonics.frame != "node" {
         return Err(Fault::pointer(format!("{at_sh}/frame"), "node", format!("`{}`", harmonics.frame)));
     }
+    let set = harmonics.coefficients[0].set();
     let mut planes = vec![];
     for (i, source) in harmonics.coefficients.iter().enumerate() {
-        planes.push(plane::<3>(asset, source, &format!("{at_sh}/coefficients/{i}"))?);
+        planes.push(plane::<3>(asset, source, set, &format!("{at_sh}/coefficients/{i}"))?);
     }
     let dc = &planes[0];
     let mut logits =
         Plane { width: dc.width, height: dc.height, values: vec![[activation::logit(1.0).0]; dc.values.len()] };
     if let Some(field) = &radiance.opacity {
         let at = format!("{at}/opacity");
-        logits = plane::<1>(asset, &field.source, &at)?;
+        logits = plane::<1>(asset, &field.source, set, &at)?;
         match field.activation.as_str() {
             "logistic" => {}
             "none" => logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0),
@@ -72,7 +116,7 @@ pub(super) fn atlas(
             Some(Texture::new(width, height, 3 * (planes.len() - 1) as u32, texels.collect())?)
         }
     };
-    Ok(Atlas::new(base, bands)?)
+    Ok(Maps { atlas: Atlas::new(base, bands)?, uv: UvMap::plain(set), image: None, base: None })
 }
 
 struct Plane<const N: usize> {
@@ -81,10 +125,11 @@ struct Plane<const N: usize> {
     values: Vec<[f32; N]>,
 }
 
-/// Values of a texel source with `N` (1 or 3) components: `offset + scale·texel`.
-fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Result<Plane<N>, Fault> {
-    if source.tex_coord != 0 || source.texture.as_ref().is_some_and(|t| t.tex_coord != 0) {
-        return Err(Fault::pointer(at, "texCoord 0", "another"));
+/// Values of a texel source with `N` (1 or 3) components, over texture coordinates `set`: `offset + scale·texel`.
+fn plane<const N: usize>(asset: &Asset, source: &TexelSource, set: u32, at: &str) -> Result<Plane<N>, Fault> {
+    if source.set() != set {
+        let expected = format!("texCoord {set}, as of coefficient 0");
+        return Err(Fault::pointer(at, expected, source.set().to_string()));
     }
     let mut plane = match (source.accessor, &source.texture, source.width, source.height) {
         (Some(accessor), None, Some(width), Some(height)) => {
@@ -96,7 +141,7 @@ fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Resul
             Plane { width, height, values }
         }
         (None, Some(texture), ..) => {
-            let Texels { width, height, rgba } = asset.texels(texture.index)?;
+            let Texels { width, height, rgba, .. } = asset.texels(texture.index)?;
             let first = if N == 1 { source.channel as usize } else { 0 };
             if first > 3 {
                 return Err(Fault::pointer(format!("{at}/channel"), "0 to 3", first.to_string()));
@@ -128,27 +173,38 @@ fn base_colour(
     space: ColorSpace,
     at: &str,
     notes: &mut Vec<String>,
-) -> Result<Atlas, Fault> {
-    notes.push(format!("{at}: shown by its base colour alone, unlit"));
+) -> Result<Maps, Fault> {
+    // Unlit is what maps are; light and shine they cannot follow.
+    if material.extension_value(UNLIT).is_none() {
+        notes.push(format!("{at}: shown by its base colour alone, unlit"));
+    }
     let pbr = material.pbr_metallic_roughness();
-    let factor = pbr.base_color_factor();
-    let texels = match pbr.base_color_texture() {
-        Some(texture) if texture.tex_coord() == 0 => asset.texels(texture.texture().index())?,
-        Some(_) => return Err(Fault::pointer(at, "a base colour texture with texCoord 0", "another")),
-        None => Texels { width: 1, height: 1, rgba: vec![[1.0; 4]] },
+    let texture = pbr.base_color_texture();
+    let base = BaseColour {
+        factor: pbr.base_color_factor(),
+        cutoff: match material.alpha_mode() {
+            AlphaMode::Opaque => None,
+            AlphaMode::Blend => Some(0.0),
+            // A cut-off of 0 keeps everything.
+            AlphaMode::Mask => Some(material.alpha_cutoff().unwrap_or(0.5)).filter(|&c| c > 0.0),
+        },
+        space,
+        is_textured: texture.is_some(),
     };
-    let cutoff = material.alpha_cutoff().unwrap_or(0.5);
+    let uv = match &texture {
+        Some(info) => UvMap::of(info, &format!("{at}/pbrMetallicRoughness/baseColorTexture"))?,
+        None => UvMap::plain(0),
+    };
+    let is_textured = texture.is_some();
+    let texels = match texture {
+        Some(info) => asset.texels(info.texture().index())?,
+        None => Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], encoded: (0, 0) },
+    };
     let values = texels.rgba.iter().flat_map(|t| {
-        let linear = [0, 1, 2].map(|c| color::srgb_to_linear(t[c]) * factor[c]);
-        let shown = if space == ColorSpace::SrgbDisplay { linear.map(color::linear_to_srgb) } else { linear };
-        let alpha = t[3] * factor[3];
-        let alpha = match material.alpha_mode() {
-            AlphaMode::Opaque => 1.0,
-            AlphaMode::Mask => f32::from(alpha >= cutoff),
-            AlphaMode::Blend => alpha,
-        };
-        let [r, g, b] = sh::dc_from_rgb(shown);
-        [r, g, b, activation::logit(alpha).0]
+        let [r, g, b, a] = *t;
+        let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
+        base.texel([r, g, b, a])
     });
-    Ok(Atlas::new(Texture::new(texels.width, texels.height, 4, values.collect())?, None)?)
+    let atlas = Atlas::new(Texture::new(texels.width, texels.height, 4, values.collect())?, None)?;
+    Ok(Maps { atlas, uv, image: is_textured.then_some(texels.encoded), base: Some(base) })
 }

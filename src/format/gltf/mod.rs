@@ -5,31 +5,56 @@
 //! shows the splats; Centaur reads back exactly what it wrote.
 
 mod accessor;
+mod camera;
+mod container;
+#[cfg(test)]
+mod core_tests;
 pub(super) mod extension;
 mod glb;
 mod image;
 mod lift;
 mod material;
+mod meshes;
+pub(super) mod meshopt;
+mod pose;
 mod read;
+mod remainder;
 mod sizes;
+mod source;
+#[cfg(test)]
+mod source_tests;
+#[cfg(test)]
+mod splat_tests;
+mod splats;
 #[cfg(test)]
 mod tests;
 mod transform;
+mod tree;
 pub(super) mod triangles;
+mod uri;
+mod uv;
+mod vertex_color;
 mod write;
 
 use std::path::Path;
 
 pub(super) use image::{Texels, decode};
-pub(super) use lift::{Asset, UNDERSTOOD, resolve};
+pub(super) use lift::{Asset, UNDERSTOOD};
+pub(super) use pose::Pose;
 pub(super) use read::scene as scene_of;
 pub(super) use sizes::bytes_by_part;
+pub use source::Source;
 pub(super) use transform::{Similarity, placements, similarity};
+pub(super) use tree::document as describe;
+pub use tree::{Document, Node, Primitive};
+pub(super) use uri::resolve;
 
+use self::container::Bin;
 use super::{FormatError, SceneFile};
 use crate::scene::{Camera, HybridScene};
 
-/// Writes a binary glTF; returns the file's size in bytes. `extras` goes to `asset.extras.centaur` (metrics, settings).
+/// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
+/// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings).
 ///
 /// Scales and opacities are stored linear in f32, as `KHR_gaussian_splatting` demands: log-scales come back to 1e-6,
 /// opacities to 1e-7 (logits stay finite). Everything else that is optimised comes back bit for bit.
@@ -42,15 +67,59 @@ pub fn write_glb(
     cameras: &[(String, Camera)],
     extras: Option<serde_json::Value>,
 ) -> Result<u64, FormatError> {
-    write::write(path, scene, cameras, extras)
+    let (document, bin) = write::layout(scene, cameras, extras);
+    let mut whole = Bin::default();
+    whole.push(bin);
+    container::write(path, document, &whole)
+}
+
+/// As [`write_glb`], on the ground of the document that the scene was read from: all of it is written where it stands
+/// ([`Source::stands`]), else what of it concerns the file as a whole. Also returns which of both.
+///
+/// # Errors
+/// As [`write_glb`].
+pub(super) fn write_over(
+    path: &Path,
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+    source: &Source,
+) -> Result<(u64, bool), FormatError> {
+    if source.stands(scene, cameras) {
+        let (document, bin) = source.document(scene, cameras);
+        return Ok((container::write(path, document, &bin)?, true));
+    }
+    let (mut document, bin) = write::layout(scene, cameras, None);
+    source.carry_over(&mut document);
+    let mut whole = Bin::default();
+    whole.push(bin);
+    Ok((container::write(path, document, &whole)?, false))
 }
 
 /// Reads a `.glb` or `.gltf` file: hybrids, plain `KHR_gaussian_splatting` files, plain textured meshes.
+///
+/// | of glTF | becomes |
+/// |---|---|
+/// | node transforms | part of positions, splats and cameras; harmonics turn along |
+/// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights |
+/// | materials | the hybrid extension's maps, else the base colour, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps |
+/// | `COLOR_0` of a mesh without a texture | a map |
+/// | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |
+/// | cameras | pinholes; orthographic ones are left out, with a note |
 ///
 /// # Errors
 /// If the file cannot be read, is not valid glTF 2.0, requires an extension that is not understood here, or holds
 /// splats that cannot be represented (another kernel, a node that shears them, values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
+    read_with(path, false)
+}
+
+/// As [`read`]; keeps the document for [`super::write_scene`] on demand, which doubles the memory.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn read_with(path: &Path, keep: bool) -> Result<SceneFile, FormatError> {
     let asset = Asset::open(path)?;
-    read::scene(&asset).map_err(|fault| fault.in_file(path))
+    let file = read::scene(&asset).map_err(|fault| fault.in_file(path))?;
+    let source = Source::new(asset, &file.scene, &file.cameras, keep);
+    Ok(SceneFile { source: Some(source), ..file })
 }

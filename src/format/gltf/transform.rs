@@ -10,17 +10,17 @@ use crate::format::error::Fault;
 
 /// Rotation of the root node of our own files: half a turn about x takes COLMAP's y-down world to glTF's y-up. It is
 /// its own inverse, and exact in floating point.
-const FLIP: DMat4 = DMat4::from_cols_array(&[1., 0., 0., 0., 0., -1., 0., 0., 0., 0., -1., 0., 0., 0., 0., 1.]);
+pub(super) const FLIP: DMat4 =
+    DMat4::from_cols_array(&[1., 0., 0., 0., 0., -1., 0., 0., 0., 0., -1., 0., 0., 0., 0., 1.]);
 
-/// Every node that the default scene (else the first) reaches, in document order, with its global transform. Below the
-/// root node of a file of ours the transform is in the frame of the capture, elsewhere in glTF's.
+/// Every node that the default scene (else the first) reaches, in document order, with its global transform. In a file
+/// of ours the transform is in the frame of the capture, elsewhere in glTF's.
 pub(in crate::format) fn placements(document: &gltf::Document) -> Result<Vec<(gltf::Node<'_>, DMat4)>, Fault> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else { return Ok(vec![]) };
     let nodes: Vec<gltf::Node<'_>> = document.nodes().collect();
     let mut stack: Vec<(usize, DMat4)> = vec![];
-    for node in scene.nodes() {
-        stack.push((node.index(), if is_our_root(&node) { FLIP } else { DMat4::IDENTITY }));
-    }
+    let frame = if is_ours(document) { FLIP } else { DMat4::IDENTITY };
+    stack.extend(scene.nodes().map(|node| (node.index(), frame)));
     stack.reverse();
     let mut seen = HashSet::new();
     let mut placed = vec![];

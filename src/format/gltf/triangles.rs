@@ -1,35 +1,35 @@
-//! Triangle primitives: geometry as glTF stores it, in the frame of `placements`.
+//! Triangle primitives: geometry as glTF stores it, in the frame and the pose of the scene.
 
 use glam::{DMat4, Vec2, Vec3};
 use gltf::mesh::Mode;
 
 use super::lift::Asset;
+use super::pose::Pose;
 use crate::format::error::Fault;
 
 /// Geometry of one primitive at one node.
 pub(in crate::format) struct Triangles {
     pub(in crate::format) positions: Vec<Vec3>,
     pub(in crate::format) triangles: Vec<[u32; 3]>,
-    /// `TEXCOORD_0` of each vertex.
+    /// A set of texture coordinates, one a vertex.
     pub(in crate::format) uvs: Option<Vec<Vec2>>,
 }
 
-/// Reads `primitive`; `None` if it has no triangles.
+/// Reads `primitive` of the mesh of `node`, whose global transform is `transform`, with texture coordinates
+/// `TEXCOORD_<uv_set>`; `None` if it has no triangles.
 pub(in crate::format) fn read(
     asset: &Asset,
-    mesh: usize,
+    pose: &Pose,
+    (node, transform): (&gltf::Node<'_>, DMat4),
     primitive: &gltf::Primitive<'_>,
-    transform: DMat4,
+    uv_set: u32,
 ) -> Result<Option<Triangles>, Fault> {
+    let mesh = node.mesh().map_or(0, |m| m.index());
     let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
     let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
     let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
-    let mut positions: Vec<Vec3> = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
-    if transform != DMat4::IDENTITY {
-        for p in &mut positions {
-            *p = transform.transform_point3(p.as_dvec3()).as_vec3();
-        }
-    }
+    let stored = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
+    let positions = pose.positions(asset, node, primitive, stored)?;
     let count = u32::try_from(positions.len())
         .map_err(|_| Fault::pointer(&at, "fewer than 2³² vertices", positions.len().to_string()))?;
     let indices = match primitive.indices() {
@@ -49,16 +49,16 @@ pub(in crate::format) fn read(
         Mode::TriangleFan => indices.windows(2).skip(1).map(|w| [indices[0], w[0], w[1]]).collect(),
         _ => indices.as_chunks().0.to_vec(),
     };
-    if transform.determinant() < 0.0 {
+    if node.skin().is_none() && transform.determinant() < 0.0 {
         triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
-    let uvs = match primitive.get(&gltf::Semantic::TexCoords(0)) {
+    let uvs = match primitive.get(&gltf::Semantic::TexCoords(uv_set)) {
         Some(accessor) => Some(asset.floats::<2>(accessor.index())?.into_iter().map(Vec2::from).collect::<Vec<_>>()),
         None => None,
     };
     if let Some(found) = uvs.as_ref().map(Vec::len).filter(|&n| n != positions.len()) {
         return Err(Fault::pointer(
-            format!("{at}/attributes/TEXCOORD_0"),
+            format!("{at}/attributes/TEXCOORD_{uv_set}"),
             format!("{count} elements"),
             found.to_string(),
         ));

@@ -1,8 +1,6 @@
 //! Lays a hybrid scene out as JSON and one binary chunk.
 
 use std::collections::HashMap;
-use std::io::Write as _;
-use std::path::Path;
 
 use glam::{DMat3, DQuat, Vec2, Vec3};
 use image::ImageEncoder as _;
@@ -13,9 +11,7 @@ use super::extension::{
     EXTRAS, ExactCamera, HYBRID, KHR_SPLATS, Khr, OPACITY, OpacityField, ROOT_NODE, ROTATION, Radiance, SCALE,
     SceneContract, ShField, Surface, TexelSource, UNLIT, color_space_token, sh_attributes,
 };
-use super::glb;
-use crate::format::error::{Fault, FormatError};
-use crate::format::{activation, atomic_write_with};
+use crate::format::activation;
 use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, color, sh};
 
 const FLOAT: u32 = 5126;
@@ -24,12 +20,8 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-pub(super) fn write(
-    path: &Path,
-    scene: &HybridScene,
-    cameras: &[(String, Camera)],
-    extras: Option<Value>,
-) -> Result<u64, FormatError> {
+/// The document and its binary chunk.
+pub(super) fn layout(scene: &HybridScene, cameras: &[(String, Camera)], extras: Option<Value>) -> (Value, Vec<u8>) {
     let mut out = Layout::default();
     let space = scene.composition.color_space;
     let mut children = vec![];
@@ -57,13 +49,7 @@ pub(super) fn write(
     let contract = json!({ HYBRID: SceneContract::new(&scene.composition) });
     let scenes = json!([{ "nodes": [root], "extensions": contract }]);
 
-    let (document, mut bin) = out.finish(&scenes, extras, scene);
-    let mut text = document.to_string().into_bytes();
-    let headers = glb::join(&mut text, &mut bin);
-    let [header, bin_header] = headers.ok_or_else(|| {
-        Fault::whole("a scene that fits into a GLB of 4 GiB", format!("{} bytes", bin.len())).in_file(path)
-    })?;
-    atomic_write_with(path, |file| [&header, &text, &bin_header, &bin].iter().try_for_each(|part| file.write_all(part)))
+    out.finish(&scenes, extras, scene)
 }
 
 /// The document under construction: its arrays, and the binary chunk that they point into.
@@ -152,8 +138,8 @@ impl Layout {
         add("COLOR_0", color);
 
         let khr = Khr {
-            kernel: "ellipse".to_owned(),
-            color_space: color_space_token(space).to_owned(),
+            kernel: Some("ellipse".to_owned()),
+            color_space: Some(color_space_token(space).to_owned()),
             extensions: serde_json::Map::new(),
         };
         self.meshes.push(json!({

@@ -132,7 +132,7 @@ impl Materials<'_> {
             _ => return Err(Fault::pointer(format!("{at}.inputs:file"), "the path of a picture", "none")),
         };
         let texels = self.place.read(file).and_then(decode);
-        let Texels { width, height, rgba } =
+        let Texels { width, height, rgba, .. } =
             texels.map_err(|(expected, found)| Fault::pointer(format!("{at}.inputs:file"), expected, found))?;
         let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
             "r" => [0; 3],

@@ -64,7 +64,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     if is_ours {
         scene = frame::back(scene)?;
     }
-    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0 })
+    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None })
 }
 
 fn display_name(prim: &Prim) -> String {

@@ -1,18 +1,22 @@
 //! Buffers, and accessors as numbers.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use serde_json::Value;
 
 use super::super::Findings;
 use super::index;
-use crate::format::gltf::resolve;
+use crate::format::error::{Fault, Location};
+use crate::format::gltf::{meshopt::decompress, resolve};
 
 /// A document with its buffers.
 pub(super) struct Document<'a> {
     pub(super) root: &'a Value,
     /// `None` where the content could not be had.
     buffers: Vec<Option<Vec<u8>>>,
+    /// Buffer views that are stored compressed, decompressed.
+    plain_views: HashMap<usize, Vec<u8>>,
     pub(super) folder: &'a Path,
 }
 
@@ -196,7 +200,20 @@ impl<'a> Document<'a> {
         if buffers.is_empty() && bin.is_some_and(|bin| !bin.is_empty()) {
             findings.warning("BUFFER_UNUSED", "/buffers", "a buffer for the binary chunk", "none");
         }
-        Self { root, buffers, folder }
+        let mut plain_views = HashMap::new();
+        let content = |i: usize| -> Option<&[u8]> { buffers.get(i)?.as_deref() };
+        for view in decompress(root, content) {
+            match view.map_err(Fault::into_parts) {
+                Ok((view, bytes)) => drop(plain_views.insert(view, bytes)),
+                Err((Location::Pointer(at), expected, found)) => {
+                    findings.error("VIEW_COMPRESSED", at, expected, found);
+                }
+                Err((location, expected, found)) => {
+                    findings.error("VIEW_COMPRESSED", format!("/bufferViews: {location}"), expected, found);
+                }
+            }
+        }
+        Self { root, buffers, plain_views, folder }
     }
 
     /// True if `name` stands in `extensionsUsed`.
@@ -217,6 +234,9 @@ impl<'a> Document<'a> {
 
     /// Content of a buffer view.
     pub(super) fn view(&self, i: usize) -> Option<&[u8]> {
+        if let Some(plain) = self.plain_views.get(&i) {
+            return Some(plain);
+        }
         let view = self.object("bufferViews", i)?;
         let start = index(view, "byteOffset").unwrap_or(0);
         let end = start.checked_add(index(view, "byteLength")?)?;
@@ -238,7 +258,7 @@ impl<'a> Document<'a> {
             None => None,
         };
         // Without any bytes behind it, a count could be any number.
-        let stored = self.buffers.iter().flatten().map(Vec::len).sum::<usize>();
+        let stored = self.buffers.iter().flatten().chain(self.plain_views.values()).map(Vec::len).sum::<usize>();
         if base.is_none() && (sparse.is_none() || count > stored) {
             return None;
         }

@@ -142,7 +142,8 @@ fn check_indices(
     findings: &mut Findings,
 ) {
     let mode = index(primitive, "mode").unwrap_or(4);
-    let mut corners = vertices;
+    // What cannot be read is not counted.
+    let mut corners = if primitive.get("indices").is_none() { vertices } else { None };
     if let Some(accessor) = index(primitive, "indices")
         && let Some(elements) = document.elements(accessor)
     {

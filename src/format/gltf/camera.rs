@@ -1,0 +1,53 @@
+//! glTF cameras as pinhole cameras.
+
+use glam::{DMat3, DMat4, DVec3};
+use serde_json::Value;
+
+use super::extension::{EXTRAS, ExactCamera};
+use super::lift::Asset;
+use super::transform::{Similarity, similarity};
+use crate::scene::{Camera, Intrinsics};
+
+/// Image height given to cameras that do not state one.
+const DEFAULT_HEIGHT: u32 = 1080;
+
+/// Sides and pixels that the image of a camera may have, as many as the largest photographs: buffers are made for it.
+const MAX_SIDE: u32 = 1 << 16;
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// A camera and what had to be assumed about it; on failure, the reason.
+pub(super) fn read(asset: &Asset, index: usize, transform: DMat4) -> Result<(Camera, Option<String>), String> {
+    let camera = asset.document.as_json().cameras.get(index).ok_or("no such camera")?;
+    let Similarity { rotation, translation, .. } =
+        similarity(transform).ok_or("its node shears, mirrors or stretches")?;
+    let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();
+    let pose = (to_camera, -(to_camera * translation));
+
+    let extras = camera.extras.as_ref().and_then(|e| serde_json::from_str::<Value>(e.get()).ok());
+    let exact = extras.and_then(|e| serde_json::from_value::<ExactCamera>(e.get(EXTRAS)?.clone()).ok());
+    if let Some(c) = exact {
+        if c.width.max(c.height) > MAX_SIDE || u64::from(c.width) * u64::from(c.height) > MAX_PIXELS {
+            return Err(format!("its image of {}×{} pixels is too large", c.width, c.height));
+        }
+        let k = Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy };
+        let own = (DMat3::from_cols_array(&c.rotation).transpose(), DVec3::from(c.translation));
+        // glTF nodes are read in f32; a larger difference means that somebody has moved the camera.
+        let tolerance = 1e-5 * (1.0 + own.1.length());
+        let unmoved = own.0.abs_diff_eq(pose.0, 1e-5) && own.1.abs_diff_eq(pose.1, tolerance);
+        let (rotation, translation) = if unmoved { own } else { pose };
+        return Camera::new(k, rotation, translation).map(|c| (c, None)).map_err(|e| e.to_string());
+    }
+    let perspective = camera.perspective.as_ref().ok_or("it is orthographic, and cameras here are pinholes")?;
+    let yfov = f64::from(perspective.yfov);
+    if !(yfov > 0.0 && yfov < std::f64::consts::PI) {
+        return Err(format!("its yfov of {yfov} is not between 0 and π"));
+    }
+    let aspect = perspective.aspect_ratio.map(f64::from).filter(|a| a.is_finite() && *a > 0.0);
+    let height = f64::from(DEFAULT_HEIGHT);
+    let width = (aspect.unwrap_or(16.0 / 9.0) * height).round().clamp(1.0, 16384.0);
+    let f = 0.5 * height / (0.5 * yfov).tan();
+    let (cx, cy) = (0.5 * width, 0.5 * height);
+    let k = Intrinsics { width: width as u32, height: DEFAULT_HEIGHT, fx: f, fy: f, cx, cy };
+    let note = format!("a camera without an image size is taken to have {}×{} pixels", k.width, k.height);
+    Camera::new(k, pose.0, pose.1).map(|c| (c, Some(note))).map_err(|e| e.to_string())
+}

@@ -1,0 +1,336 @@
+//! Core glTF of others, by hand: one small document per feature.
+
+use std::path::{Path, PathBuf};
+
+use glam::{Vec2, Vec3};
+use serde_json::{Value, json};
+
+use super::*;
+use crate::format::activation;
+use crate::scene::{Mesh, sh};
+
+/// A document whose accessors are made of the given arrays, one buffer view each.
+#[derive(Default)]
+pub(super) struct Builder {
+    pub(super) bytes: Vec<u8>,
+    pub(super) views: Vec<Value>,
+    pub(super) accessors: Vec<Value>,
+}
+
+impl Builder {
+    pub(super) fn view(&mut self, bytes: &[u8]) -> usize {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.views.push(json!({ "buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len() }));
+        self.bytes.extend_from_slice(bytes);
+        self.views.len() - 1
+    }
+
+    pub(super) fn accessor(&mut self, component: u32, kind: &str, count: usize, bytes: &[u8]) -> usize {
+        let view = self.view(bytes);
+        self.accessors.push(json!({ "bufferView": view, "componentType": component, "type": kind, "count": count }));
+        self.accessors.len() - 1
+    }
+
+    pub(super) fn floats<const N: usize>(&mut self, values: &[[f32; N]]) -> usize {
+        let kind = match N {
+            1 => "SCALAR",
+            2 => "VEC2",
+            3 => "VEC3",
+            4 => "VEC4",
+            _ => "MAT4",
+        };
+        let bytes: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let index = self.accessor(5126, kind, values.len(), &bytes);
+        self.bounded(index)
+    }
+
+    /// POSITION must have bounds; that they are true is for validators.
+    fn bounded(&mut self, accessor: usize) -> usize {
+        self.accessors[accessor]["min"] = json!([0, 0, 0]);
+        self.accessors[accessor]["max"] = json!([1, 1, 1]);
+        accessor
+    }
+
+    pub(super) fn normalized(&mut self, component: u32, kind: &str, count: usize, bytes: &[u8]) -> usize {
+        let index = self.accessor(component, kind, count, bytes);
+        self.accessors[index]["normalized"] = json!(true);
+        index
+    }
+
+    /// The file, with `rest` in place of what it has by default: one node with mesh 0.
+    pub(super) fn file(&self, rest: &Value) -> Vec<u8> {
+        let mut text = String::from("data:application/octet-stream;base64,");
+        uri::encode_base64(&self.bytes, &mut text);
+        let mut document = json!({
+            "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+            "bufferViews": self.views, "accessors": self.accessors,
+            "buffers": [{ "byteLength": self.bytes.len(), "uri": text }],
+        });
+        rest.as_object().unwrap().iter().for_each(|(key, value)| document[key] = value.clone());
+        document.to_string().into_bytes()
+    }
+
+    #[expect(clippy::needless_pass_by_value, reason = "documents are written where they are read")]
+    pub(super) fn read(&self, rest: Value) -> Result<SceneFile, String> {
+        let asset = Asset::parse(self.file(&rest), PathBuf::new());
+        asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
+    }
+}
+
+const CORNERS: [[f32; 3]; 3] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+const UVS: [[f32; 2]; 3] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
+
+pub(super) fn triangle() -> (Builder, Value) {
+    let mut b = Builder::default();
+    let (position, uv) = (b.floats(&CORNERS), b.floats(&UVS));
+    (b, json!({ "POSITION": position, "TEXCOORD_0": uv }))
+}
+
+/// Colour and opacity that a texel shows.
+fn shown(mesh: &Mesh, texel: usize) -> [f32; 4] {
+    let t = &mesh.atlas().base().texels()[4 * texel..];
+    let [r, g, b] = sh::rgb_from_dc([t[0], t[1], t[2]]);
+    [r, g, b, activation::opacity(t[3])]
+}
+
+#[track_caller]
+pub(super) fn near(found: &[f32], expected: &[f32], tolerance: f32) {
+    assert_eq!(found.len(), expected.len());
+    assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance), "{found:?}, expected {expected:?}");
+}
+
+#[test]
+fn positions_in_every_component_type() {
+    let cases: [(u32, bool, Vec<u8>, f32); 8] = [
+        (5120, false, vec![0, 0, 0, 127, 0x80, 0], 127.0),
+        (5120, true, vec![0, 0, 0, 127, 0x81, 0], 1.0),
+        (5121, false, vec![0, 0, 0, 200, 0, 0], 200.0),
+        (5121, true, vec![0, 0, 0, 255, 0, 0], 1.0),
+        (5122, false, [0i16, 0, 0, 300, -300, 0].iter().flat_map(|v| v.to_le_bytes()).collect(), 300.0),
+        (5122, true, [0i16, 0, 0, 32767, -32768, 0].iter().flat_map(|v| v.to_le_bytes()).collect(), 1.0),
+        (5123, false, [0u16, 0, 0, 40000, 0, 0].iter().flat_map(|v| v.to_le_bytes()).collect(), 40000.0),
+        (5123, true, [0u16, 0, 0, 65535, 0, 0].iter().flat_map(|v| v.to_le_bytes()).collect(), 1.0),
+    ];
+    for (component, normalized, bytes, x) in cases {
+        let mut b = Builder::default();
+        // Of three vertices the last is another first; elements of 3 or 6 bytes lie 4 or 8 apart.
+        let size = bytes.len() / 2;
+        let row = |r: &[u8]| {
+            let mut r = r.to_vec();
+            r.resize(size.next_multiple_of(4), 0);
+            r
+        };
+        let padded = [row(&bytes[..size]), row(&bytes[size..]), row(&bytes[..size])].concat();
+        let position = b.accessor(component, "VEC3", 3, &padded);
+        b.accessors[position]["normalized"] = json!(normalized);
+        b.bounded(position);
+        b.views[0]["byteStride"] = json!(size.next_multiple_of(4));
+        let rest = json!({
+            "meshes": [{ "primitives": [{ "attributes": { "POSITION": position } }] }],
+            "extensionsUsed": ["KHR_mesh_quantization"], "extensionsRequired": ["KHR_mesh_quantization"],
+        });
+        let mesh = b.read(rest).unwrap().scene.meshes.remove(0);
+        assert_eq!(mesh.positions()[1].x, x, "{component} {normalized}");
+        assert!(mesh.positions()[1].y <= 0.0 && mesh.positions()[1].y >= -300.0);
+        if component == 5122 && normalized {
+            assert_eq!(mesh.positions()[1].y, -1.0, "both lowest values are −1");
+        }
+    }
+}
+
+#[test]
+fn sparse_elements_with_and_without_a_base() {
+    for based in [true, false] {
+        let (mut b, attributes) = triangle();
+        let (indices, values) = (b.view(&[1, 2]), b.view(bytemuck::cast_slice(&[[7.0f32, 8.0, 9.0], [4.0, 5.0, 6.0]])));
+        let position = attributes["POSITION"].as_u64().unwrap() as usize;
+        b.accessors[position]["sparse"] = json!({
+            "count": 2, "indices": { "bufferView": indices, "componentType": 5121 }, "values": { "bufferView": values },
+        });
+        if !based {
+            b.accessors[position].as_object_mut().unwrap().remove("bufferView");
+        }
+        let rest = |b: &Builder| b.read(json!({ "meshes": [{ "primitives": [{ "attributes": attributes }] }] }));
+        let mesh = rest(&b).unwrap().scene.meshes.remove(0);
+        assert_eq!(mesh.positions(), [Vec3::ZERO, Vec3::new(7.0, 8.0, 9.0), Vec3::new(4.0, 5.0, 6.0)]);
+        // Counts beyond the data are named, not reserved.
+        b.accessors[position]["sparse"]["count"] = json!(4_000_000_000u32);
+        assert!(rest(&b).unwrap_err().contains("/sparse/count: expected 4000000000 elements"), "{:?}", rest(&b).err());
+        b.accessors[position]["sparse"]["count"] = json!(2);
+        b.accessors[position]["count"] = json!(4_000_000_000u32);
+        let message = rest(&b).unwrap_err();
+        assert!(message.starts_with("f: /accessors/0") && message.contains("expected"), "{message}");
+        b.accessors[position]["count"] = json!(2);
+        assert!(rest(&b).unwrap_err().contains("/accessors/0/sparse: expected indices below 2, found 2"));
+    }
+}
+
+#[test]
+fn texture_coordinates_are_transformed() {
+    // The lower left quarter of the picture, turned (the example of the extension's text).
+    let transform =
+        json!({ "offset": [0, 1], "rotation": std::f64::consts::FRAC_PI_2, "scale": [0.5, 0.5], "texCoord": 1 });
+    let (mut b, mut attributes) = triangle();
+    attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"].clone();
+    attributes.as_object_mut().unwrap().remove("TEXCOORD_0");
+    let mut png = std::io::Cursor::new(vec![]);
+    ::image::RgbaImage::from_fn(2, 2, |x, y| ::image::Rgba([(255 * x) as u8, (255 * y) as u8, 0, 128]))
+        .write_to(&mut png, ::image::ImageFormat::Png)
+        .unwrap();
+    let view = b.view(png.get_ref());
+    let document = |texture: Value, material: Value| {
+        let mut material = material;
+        material["pbrMetallicRoughness"]["baseColorTexture"] = texture;
+        json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }], "materials": [material],
+            "textures": [{ "source": 0 }], "images": [{ "bufferView": view, "mimeType": "image/png" }],
+            "extensionsUsed": ["KHR_texture_transform"], "extensionsRequired": ["KHR_texture_transform"],
+        })
+    };
+    let texture = json!({ "index": 0, "extensions": { "KHR_texture_transform": transform } });
+    let mesh = b.read(document(texture.clone(), json!({}))).unwrap().scene.meshes.remove(0);
+    let [a, bb, c] = mesh.corner_uvs()[0];
+    // (u, v) → (v/2, 1 − u/2).
+    near(&[a.x, a.y, bb.x, bb.y, c.x, c.y], &[0.0, 1.0, 0.0, 0.5, 0.5, 1.0], 1e-6);
+
+    // Alpha modes and factors, at texel (1, 0): red, alpha 128.
+    let read = |material: Value| shown(&b.read(document(texture.clone(), material)).unwrap().scene.meshes[0], 1);
+    near(&read(json!({})), &[1.0, 0.0, 0.0, 1.0], 1e-6);
+    let half = 128.0 / 255.0;
+    near(&read(json!({ "alphaMode": "BLEND" })), &[1.0, 0.0, 0.0, half], 1e-6);
+    near(&read(json!({ "alphaMode": "MASK" })), &[1.0, 0.0, 0.0, 1.0], 1e-6);
+    near(&read(json!({ "alphaMode": "MASK", "alphaCutoff": 0.6 })), &[1.0, 0.0, 0.0, 0.0], 1e-6);
+    let factor = json!({ "alphaMode": "BLEND", "pbrMetallicRoughness": { "baseColorFactor": [0.5, 1, 1, 0.5] } });
+    // Half the light is 0.735 in sRGB.
+    near(&read(factor), &[0.735_357, 0.0, 0.0, 0.5 * half], 1e-5);
+}
+
+#[test]
+fn unlit_materials_are_taken_over_without_a_note() {
+    let (b, attributes) = triangle();
+    let document = |extensions: Value| {
+        json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [{ "extensions": extensions, "pbrMetallicRoughness": { "baseColorFactor": [0.2, 0.4, 0.6, 1] } }],
+            "extensionsUsed": ["KHR_materials_unlit"],
+        })
+    };
+    assert!(b.read(document(json!({ "KHR_materials_unlit": {} }))).unwrap().notes.is_empty());
+    assert_eq!(b.read(document(json!({}))).unwrap().notes, ["/materials/0: shown by its base colour alone, unlit"]);
+}
+
+#[test]
+fn colours_of_vertices_become_a_map() {
+    let (mut b, mut attributes) = triangle();
+    let colours = [255u8, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 51];
+    attributes["COLOR_0"] = json!(b.normalized(5121, "VEC4", 3, &colours));
+    let material = json!({ "alphaMode": "BLEND", "extensions": { "KHR_materials_unlit": {} } });
+    let read = |b: &Builder| {
+        b.read(json!({ "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }], "materials": [material] }))
+    };
+    let file = read(&b).unwrap();
+    assert!(file.notes.is_empty(), "{:?}", file.notes);
+    let mesh = &file.scene.meshes[0];
+    let width = mesh.atlas().base().width() as f32;
+    for (uv, colour) in
+        mesh.corner_uvs()[0].iter().zip([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.2]])
+    {
+        let texel = (*uv * Vec2::new(width, mesh.atlas().base().height() as f32)).floor();
+        near(&shown(mesh, (texel.y * width + texel.x) as usize), &colour, 1e-6);
+    }
+    // One colour needs no map.
+    b.bytes.truncate(b.bytes.len() - 12);
+    b.bytes.extend([255, 255, 255, 51].repeat(3));
+    let file = read(&b).unwrap();
+    let mesh = &file.scene.meshes[0];
+    assert_eq!(mesh.atlas().floats(), 4);
+    near(&shown(mesh, 0), &[1.0, 1.0, 1.0, 0.2], 1e-6);
+}
+
+#[test]
+fn skins_and_morph_targets_come_in_their_rest_pose() {
+    let (mut b, mut attributes) = triangle();
+    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]));
+    let weights = [[1.0f32, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
+    attributes["WEIGHTS_0"] = json!(b.floats(&weights));
+    let delta = b.floats(&[[0.0f32, 0.0, 1.0]; 3]);
+    // Joint 0 was bound one unit along x; joint 1 at the origin.
+    let mut bind = glam::Mat4::IDENTITY;
+    bind.w_axis.x = -1.0;
+    let inverse = b.floats(&[bind.to_cols_array(), glam::Mat4::IDENTITY.to_cols_array()]);
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes, "targets": [{ "POSITION": delta }] }], "weights": [0.25] }],
+        "skins": [{ "joints": [1, 2], "inverseBindMatrices": inverse }],
+        // The node of a skinned mesh has no say.
+        "nodes": [
+            { "mesh": 0, "skin": 0, "translation": [100, 100, 100], "children": [1, 2] },
+            { "translation": [-100, -100, -100] }, { "translation": [-100, -98, -100] },
+        ],
+    });
+    let mesh = b.read(document.clone()).unwrap().scene.meshes.remove(0);
+    // z by the target. x, y: vertex 0 of joint 0 at 0; vertex 1 of joint 1; vertex 2 halfway between both.
+    let expected = [Vec3::new(-1.0, 0.0, 0.25), Vec3::new(1.0, 2.0, 0.25), Vec3::new(-0.5, 2.0, 0.25)];
+    assert_eq!(mesh.positions(), expected);
+    let mut outside = document.clone();
+    outside["skins"][0]["joints"] = json!([1]);
+    assert!(b.read(outside).unwrap_err().contains("JOINTS_0: expected joints below 1, found 1 at vertex 1"));
+    let mut apart = document;
+    apart["nodes"][0]["children"] = json!([1]);
+    assert!(
+        b.read(apart)
+            .unwrap_err()
+            .contains("/skins/0/joints: expected joints in the scene of their mesh, found node 2")
+    );
+}
+
+#[test]
+fn meshes_of_one_material_become_one() {
+    let (b, attributes) = triangle();
+    let primitive = |material: usize| json!({ "attributes": attributes, "material": material });
+    let file = b
+        .read(json!({
+            "meshes": [{ "primitives": [primitive(0), primitive(1)] }],
+            "materials": [{}, {}],
+            "nodes": [{ "mesh": 0, "children": [1] }, { "mesh": 0, "scale": [-2, 2, 2] }],
+        }))
+        .unwrap();
+    let counts: Vec<usize> = file.scene.meshes.iter().map(|m| m.triangles().len()).collect();
+    assert_eq!(counts, [2, 2]);
+    let mesh = &file.scene.meshes[0];
+    assert_eq!(mesh.triangles(), [[0, 1, 2], [3, 5, 4]], "a mirrored front stays a front");
+    assert_eq!(mesh.positions()[4], Vec3::new(-2.0, 0.0, 0.0));
+}
+
+#[test]
+fn repeated_use_of_a_mesh_is_bounded() {
+    let mut b = Builder::default();
+    let position = b.floats(&vec![[0.5f32; 3]; 3000]);
+    let nodes: Vec<Value> = (0..20_000).map(|_| json!({ "mesh": 0 })).collect();
+    let message = b
+        .read(json!({
+            "meshes": [{ "primitives": [{ "attributes": { "POSITION": position } }] }],
+            "nodes": nodes, "scenes": [{ "nodes": (0..20_000).collect::<Vec<_>>() }],
+        }))
+        .unwrap_err();
+    assert!(message.contains("by repeated use of meshes"), "{message}");
+}
+
+#[test]
+fn cameras_with_and_without_perspective() {
+    let (b, attributes) = triangle();
+    let file = b
+        .read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+            "nodes": [{ "mesh": 0, "children": [1, 2] }, { "camera": 0, "name": "wide" }, { "camera": 1 }],
+            "cameras": [
+                { "type": "perspective", "perspective": { "yfov": 1.0, "aspectRatio": 2.0, "znear": 0.1 } },
+                { "type": "orthographic", "orthographic": { "xmag": 1, "ymag": 1, "zfar": 10, "znear": 0.1 } },
+            ],
+        }))
+        .unwrap();
+    let [(name, camera)] = &file.cameras[..] else { panic!("{:?}", file.cameras) };
+    let k = camera.intrinsics();
+    assert_eq!((name.as_str(), k.width, k.height), ("wide", 2160, 1080));
+    assert!((2.0 * (540.0 / k.fy).atan() - 1.0).abs() < 1e-6);
+    assert!(file.notes.iter().any(|n| n.contains("camera left out: it is orthographic")), "{:?}", file.notes);
+}

@@ -1,0 +1,234 @@
+//! Triangle primitives as meshes of a scene. Primitives of one material become one mesh: they share its maps.
+
+use std::collections::HashMap;
+
+use glam::{DMat3, DMat4, Vec2, Vec3};
+use serde::Deserialize as _;
+
+use super::extension::{HYBRID, Surface};
+use super::lift::Asset;
+use super::material::{self, BaseColour, Maps};
+use super::pose::Pose;
+use super::transform::{Similarity, similarity};
+use super::triangles::{self, Triangles};
+use super::vertex_color;
+use crate::format::error::Fault;
+use crate::scene::{Atlas, ColorSpace, Mesh, Texture, sh};
+
+/// Bytes of maps that a byte of images and buffers may become, above what any file may: four floats for each of the
+/// pixels, of which a PNG holds up to a thousand in a byte.
+const MAX_RATIO: u64 = 16384;
+const ALWAYS: u64 = 1 << 30;
+
+/// Meshes under construction.
+pub(super) struct Meshes<'a> {
+    asset: &'a Asset,
+    pose: Pose,
+    space: ColorSpace,
+    maps: HashMap<Option<usize>, Maps>,
+    /// Bytes of all maps, and bytes of the different images that they come from.
+    map_bytes: u64,
+    images: HashMap<u64, u64>,
+    groups: Vec<Group>,
+    /// The group of a material, for primitives that may share it.
+    shared: HashMap<Option<usize>, usize>,
+}
+
+#[derive(Default)]
+struct Group {
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    corner_uvs: Vec<[Vec2; 3]>,
+    material: Option<usize>,
+    /// In place of the material's.
+    atlas: Option<Atlas>,
+}
+
+impl<'a> Meshes<'a> {
+    pub(super) fn new(asset: &'a Asset, space: ColorSpace) -> Result<Self, Fault> {
+        let pose = Pose::rest(&asset.document)?;
+        Ok(Self {
+            asset,
+            pose,
+            space,
+            maps: HashMap::new(),
+            map_bytes: 0,
+            images: HashMap::new(),
+            groups: vec![],
+            shared: HashMap::new(),
+        })
+    }
+
+    /// Takes in one primitive; false if it has no triangles by its mode. Returns what it takes in memory, in bytes.
+    pub(super) fn add(
+        &mut self,
+        (node, transform): (&gltf::Node<'_>, DMat4),
+        primitive: &gltf::Primitive<'_>,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<u64>, Fault> {
+        let at = format!("/nodes/{}", node.index());
+        let material = primitive.material();
+        if !self.maps.contains_key(&material.index()) {
+            let maps = material::maps(self.asset, &material, self.space, notes)?;
+            self.count(&maps, &at)?;
+            self.maps.insert(material.index(), maps);
+        }
+        let maps = &self.maps[&material.index()];
+        let read = triangles::read(self.asset, &self.pose, (node, transform), primitive, maps.uv.set)?;
+        let Some(Triangles { mut positions, mut triangles, uvs }) = read else { return Ok(None) };
+        if triangles.is_empty() {
+            notes.push(format!("{at}: a mesh without triangles is left out"));
+            return Ok(Some(0));
+        }
+        let mut group = Group { material: material.index(), ..Group::default() };
+        group.corner_uvs = match &uvs {
+            Some(uvs) => triangles.iter().map(|t| maps.uv.corners(t.map(|v| uvs[v as usize]))).collect(),
+            None => vec![[Vec2::splat(0.5); 3]; triangles.len()],
+        };
+        if let Some(base) = &maps.base {
+            let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
+            let colors = vertex_color::read(self.asset, id, positions.len())?;
+            if let Some(colors) = colors.filter(|colors| colors.iter().any(|c| *c != [1.0; 4])) {
+                group.atlas = colored(base, &maps.atlas, &colors, &triangles, &mut group.corner_uvs)?;
+                if group.atlas.is_none() {
+                    notes.push(format!("{at}: colours of vertices beside a texture are left out"));
+                }
+            }
+        }
+        let says_nothing = maps.atlas.floats() == 4 || group.atlas.is_some();
+        if uvs.is_none() && !says_nothing {
+            notes
+                .push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
+        }
+        if maps.atlas.sh_degree() > 0 && transform != DMat4::IDENTITY && node.skin().is_none() {
+            let Some(Similarity { rotation, .. }) = similarity(transform) else {
+                let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
+                return Err(Fault::pointer(at, expected, "another transform"));
+            };
+            group.atlas = Some(turned(&maps.atlas, &sh::Rotation::new(DMat3::from_quat(rotation)))?);
+        }
+        if let Some(source) = surface_vertices(self.asset, primitive, &positions)? {
+            // The surface's own vertices come back in their own order.
+            let count = source.iter().max().map_or(0, |&v| v as usize + 1);
+            let mut own = vec![Vec3::ZERO; count];
+            source.iter().zip(&positions).for_each(|(&v, &p)| own[v as usize] = p);
+            triangles.iter_mut().for_each(|t| *t = t.map(|v| source[v as usize]));
+            positions = own;
+        }
+        let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
+        (group.positions, group.triangles) = (positions, triangles);
+        let bytes = bytes + group.atlas.as_ref().map_or(0, |a| a.floats() as u64 * 4);
+        self.join(group)?;
+        Ok(Some(bytes))
+    }
+
+    /// Refuses maps that are many because many materials share an image.
+    fn count(&mut self, maps: &Maps, at: &str) -> Result<(), Fault> {
+        let stored: usize = self.asset.buffers.iter().map(Vec::len).sum();
+        self.images.extend(maps.image);
+        self.map_bytes = self.map_bytes.saturating_add(4 * maps.atlas.floats() as u64);
+        let images: u64 = self.images.values().sum();
+        let most = ALWAYS.saturating_add(MAX_RATIO.saturating_mul(stored as u64 + images));
+        if self.map_bytes > most {
+            let expected = format!("maps of at most {most} bytes from images of this size");
+            return Err(Fault::pointer(at, expected, format!("{} bytes", self.map_bytes)));
+        }
+        Ok(())
+    }
+
+    fn join(&mut self, group: Group) -> Result<(), Fault> {
+        if group.atlas.is_some() {
+            self.groups.push(group);
+            return Ok(());
+        }
+        let index = *self.shared.entry(group.material).or_insert(self.groups.len());
+        let Some(all) = self.groups.get_mut(index) else {
+            self.groups.push(group);
+            return Ok(());
+        };
+        let first =
+            u32::try_from(all.positions.len()).ok().filter(|&n| n.checked_add(group.positions.len() as u32).is_some());
+        let first = first.ok_or_else(|| Fault::whole("fewer than 2³² vertices of a material", "more"))?;
+        all.positions.extend(group.positions);
+        all.triangles.extend(group.triangles.iter().map(|t| t.map(|v| v + first)));
+        all.corner_uvs.extend(group.corner_uvs);
+        Ok(())
+    }
+
+    pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Vec<Mesh>, Fault> {
+        let mut meshes = vec![];
+        for mut group in self.groups {
+            let maps = &self.maps[&group.material];
+            let atlas = match group.atlas {
+                Some(atlas) => atlas,
+                None if maps.base.is_some() => {
+                    let base = maps.uv.unrolled(maps.atlas.base(), &mut group.corner_uvs).unwrap_or_else(|| {
+                        let material = group.material.unwrap_or_default();
+                        notes.push(format!("/materials/{material}: a texture repeated too often is shown once"));
+                        maps.atlas.base().clone()
+                    });
+                    Atlas::new(base, None)?
+                }
+                None => maps.atlas.clone(),
+            };
+            meshes.push(Mesh::new(group.positions, group.triangles, group.corner_uvs, atlas)?);
+        }
+        Ok(meshes)
+    }
+}
+
+/// Maps with the colours of vertices; `None` beside a texture, unless they all are the same.
+fn colored(
+    base: &BaseColour,
+    plain: &Atlas,
+    colors: &[[f32; 4]],
+    triangles: &[[u32; 3]],
+    corner_uvs: &mut Vec<[Vec2; 3]>,
+) -> Result<Option<Atlas>, Fault> {
+    if base.is_textured {
+        return Ok(None);
+    }
+    let one = colors.iter().all(|c| *c == colors[0]);
+    if one {
+        let texture = Texture::new(plain.base().width(), plain.base().height(), 4, base.texel(colors[0]).to_vec())?;
+        return Ok(Some(Atlas::new(texture, None)?));
+    }
+    let texels: Vec<[f32; 4]> = colors.iter().map(|c| base.texel(*c)).collect();
+    let (texture, uvs) = vertex_color::atlas(&texels, triangles)?;
+    *corner_uvs = uvs;
+    Ok(Some(Atlas::new(texture, None)?))
+}
+
+/// The accessor of seam copies, if there is one and its claims hold: one entry per vertex, indices without gaps.
+fn surface_vertices(
+    asset: &Asset,
+    primitive: &gltf::Primitive<'_>,
+    positions: &[Vec3],
+) -> Result<Option<Vec<u32>>, Fault> {
+    let Some(value) = primitive.extension_value(HYBRID) else { return Ok(None) };
+    let surface = Surface::deserialize(value)
+        .map_err(|e| Fault::whole(format!("a mesh primitive of {HYBRID}"), e.to_string()))?;
+    let Some(accessor) = surface.surface_vertices else { return Ok(None) };
+    let source = asset.indices(accessor)?;
+    let at = format!("/accessors/{accessor}");
+    if source.len() != positions.len() {
+        return Err(Fault::pointer(at, format!("{} surface vertices", positions.len()), source.len().to_string()));
+    }
+    let mut first: Vec<Option<Vec3>> = vec![None; positions.len()];
+    for (&v, &position) in source.iter().zip(positions) {
+        let Some(slot) = first.get_mut(v as usize) else {
+            return Err(Fault::pointer(at, format!("surface vertices below {}", positions.len()), v.to_string()));
+        };
+        if *slot.get_or_insert(position) != position {
+            return Err(Fault::pointer(at, "copies of a surface vertex in one place", format!("vertex {v} in two")));
+        }
+    }
+    Ok(Some(source))
+}
+
+fn turned(atlas: &Atlas, harmonics: &sh::Rotation) -> Result<Atlas, Fault> {
+    let Some(bands) = atlas.bands() else { return Ok(atlas.clone()) };
+    let mut texels = bands.texels().to_vec();
+    texels.chunks_exact_mut(bands.channels() as usize).for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
+    Ok(Atlas::new(atlas.base().clone(), Some(Texture::new(bands.width(), bands.height(), bands.channels(), texels)?))?)
+}

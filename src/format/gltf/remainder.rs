@@ -1,0 +1,86 @@
+//! What of a document a scene does not hold, in words.
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+
+use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
+use super::meshopt;
+
+/// Everything that a scene written anew would lack. `is_ours`: whether its tree of nodes is the one we write.
+pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<String> {
+    let mut found = vec![];
+    let mut count = |n: usize, what: &str| {
+        if n > 0 {
+            found.push(format!("{n} {what}{}", if n == 1 { "" } else { "s" }));
+        }
+    };
+    let list = |key: &str| root.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    count(list("animations").len(), "animation");
+    count(list("skins").len(), "skin");
+    count(list("scenes").len().saturating_sub(1), "further scene");
+    let primitives = || list("meshes").iter().flat_map(|m| items(m.get("primitives")));
+    count(primitives().map(|p| items(p.get("targets")).len()).max().unwrap_or(0), "morph target");
+    let is_orthographic = |c: &&Value| c.get("type").and_then(Value::as_str) == Some("orthographic");
+    count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera");
+    let nodes = list("nodes");
+    // Nodes that were put above a scene to move it become part of its coordinates.
+    let has_children =
+        |n: &&Value| !items(n.get("children")).is_empty() && n.get("name").and_then(Value::as_str) != Some(MOVED_NODE);
+    if nodes.iter().filter(has_children).count() > usize::from(is_ours) {
+        found.push(format!("the tree of {} nodes", nodes.len()));
+    }
+    if primitives().any(|p| khr_extension(p, HYBRID)) {
+        found.push("bindings of splats".to_owned());
+    }
+    if root.get("extensions").is_some_and(|e| e.get(HYBRID).is_some()) {
+        found.push("deformation fields".to_owned());
+    }
+    let attributes: BTreeSet<&str> = primitives()
+        .flat_map(|p| p.get("attributes").and_then(Value::as_object))
+        .flat_map(|a| a.keys())
+        .map(String::as_str)
+        .collect();
+    let others: Vec<&str> = attributes.into_iter().filter(|name| !is_held(name)).collect();
+    if !others.is_empty() {
+        found.push(format!("the attributes {}", others.join(", ")));
+    }
+    for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
+        found.push(format!("the extension {name}"));
+    }
+    let of_parts = ["nodes", "meshes", "materials", "cameras", "accessors", "textures", "images"];
+    if of_parts.iter().any(|key| list(key).iter().any(has_extras)) || primitives().any(has_extras) {
+        found.push("extras".to_owned());
+    }
+    found
+}
+
+fn items(value: Option<&Value>) -> &[Value] {
+    value.and_then(Value::as_array).map_or(&[], Vec::as_slice)
+}
+
+fn khr_extension(primitive: &Value, name: &str) -> bool {
+    let khr = primitive.get("extensions").and_then(|e| e.get(KHR_SPLATS)?.get("extensions"));
+    khr.is_some_and(|nested| nested.get(name).is_some())
+}
+
+/// Vertex attributes that a scene holds by value. Joints and weights are counted with the skins.
+fn is_held(name: &str) -> bool {
+    let prefixes = ["TEXCOORD_", "COLOR_", "JOINTS_", "WEIGHTS_", "KHR_gaussian_splatting:"];
+    name == "POSITION" || prefixes.iter().any(|prefix| name.starts_with(prefix))
+}
+
+/// Extensions that are written anew, or that say in another way what a scene holds by value.
+fn is_taken_over(name: &str) -> bool {
+    let known = [KHR_SPLATS, HYBRID, UNLIT, SPZ, TEXTURE_TRANSFORM, WEBP, "KHR_mesh_quantization"];
+    known.contains(&name) || meshopt::NAMES.contains(&name)
+}
+
+/// Whether it has extras besides our own, which are written anew.
+fn has_extras(object: &Value) -> bool {
+    match object.get("extras") {
+        None => false,
+        Some(Value::Object(extras)) => extras.keys().any(|key| key != EXTRAS),
+        Some(_) => true,
+    }
+}

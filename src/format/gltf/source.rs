@@ -1,0 +1,345 @@
+//! The document behind a scene. A scene holds what is rendered; animations, skins, morph targets, lights, materials in
+//! full, names, extras and extensions that nobody here knows stay in the document, which is kept beside the scene and
+//! written again.
+//!
+//! One rule: **the document is written as it was, as long as the scene still is what it says.** Moving the scene puts a
+//! node above it; leaving out all cameras takes them out of it. Every other change (cropping, thinning, cutting
+//! harmonics, joining) makes the document untrue: the scene is then written anew, and [`Source::remainder`] says what is
+//! not in it. Whether the scene is still the same is measured, not believed: by fingerprints of its arrays.
+
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+
+use glam::{DMat4, Vec2};
+use rayon::prelude::*;
+use serde_json::{Map, Value, json};
+
+use super::container::Bin;
+use super::extension::{HYBRID, MOVED_NODE, SceneContract};
+use super::lift::Asset;
+use super::remainder::remainder;
+use super::transform::{FLIP, is_ours, similarity};
+use super::{meshopt, uri};
+use crate::scene::{Camera, Composition, HybridScene};
+
+/// The glTF document that a scene was read from.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// Without the `uri`s of buffers and of the images below.
+    root: Value,
+    content: Option<Content>,
+    remainder: Vec<String>,
+    /// From coordinates of the scene as read to those it has now.
+    moved: DMat4,
+    /// Whether the scene as read is in the frame of the capture.
+    is_ours: bool,
+    composition: Composition,
+    splats_and_meshes: u64,
+    cameras: u64,
+}
+
+/// The bytes that a document refers to.
+#[derive(Clone, Debug)]
+struct Content {
+    buffers: Vec<Vec<u8>>,
+    /// Images outside buffers, by index.
+    images: HashMap<usize, Vec<u8>>,
+}
+
+impl Source {
+    /// Takes the document of a scene that has just been read; with its bytes if it is to be written again.
+    pub(super) fn new(asset: Asset, scene: &HybridScene, cameras: &[(String, Camera)], keep: bool) -> Self {
+        let is_ours = is_ours(&asset.document);
+        let remainder = remainder(&asset.root, is_ours);
+        let Asset { root, buffers, folder, .. } = asset;
+        let content = keep.then(|| {
+            let listed = root.get("images").and_then(Value::as_array).into_iter().flatten().enumerate();
+            // What cannot be found stays a reference.
+            let images =
+                listed.filter_map(|(i, image)| Some((i, uri::resolve(image.get("uri")?.as_str()?, &folder).ok()?)));
+            Content { images: images.collect(), buffers }
+        });
+        Self {
+            root,
+            content,
+            remainder,
+            moved: DMat4::IDENTITY,
+            is_ours,
+            composition: scene.composition,
+            splats_and_meshes: if keep { fingerprint(scene) } else { 0 },
+            cameras: fingerprint_of_cameras(cameras),
+        }
+    }
+
+    /// What of the document a scene does not hold, a few words each: `2 animations`, `the extension KHR_lights_punctual`.
+    /// It is lost where the document does not stand.
+    #[must_use]
+    pub fn remainder(&self) -> &[String] {
+        &self.remainder
+    }
+
+    /// Follows a scene that was read from this document and has been moved by `by`, column vectors, to become `scene` with
+    /// `cameras`.
+    pub fn follow(&mut self, by: DMat4, scene: &HybridScene, cameras: &[(String, Camera)]) {
+        self.moved = by * self.moved;
+        if self.content.is_some() {
+            self.splats_and_meshes = fingerprint(scene);
+        }
+        self.cameras = fingerprint_of_cameras(cameras);
+        if self.contract().is_none() {
+            // λ and near are defaults, and grow with the scene.
+            self.composition = scene.composition;
+        }
+    }
+
+    /// Whether the document still says what is in the scene: bit for bit what was read, but for being moved (not
+    /// mirrored), for its rule of blending, and for cameras if none are left.
+    #[must_use]
+    pub fn stands(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> bool {
+        self.content.is_some()
+            && similarity(self.moved).is_some()
+            && (cameras.is_empty() || self.cameras == fingerprint_of_cameras(cameras))
+            && self.composition.color_space == scene.composition.color_space
+            && self.splats_and_meshes == fingerprint(scene)
+    }
+
+    /// Index of the scene that is read.
+    fn scene(&self) -> usize {
+        self.root.get("scene").and_then(Value::as_u64).map_or(0, |i| i as usize)
+    }
+
+    fn contract(&self) -> Option<&Value> {
+        self.root.get("scenes")?.get(self.scene())?.get("extensions")?.get(HYBRID)
+    }
+
+    /// The document with the scene's position, rule and cameras, and its one buffer.
+    pub(super) fn document(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> (Value, Bin<'_>) {
+        let mut root = self.root.clone();
+        let bin = self.content.as_ref().map(|content| content.merge(&mut root)).unwrap_or_default();
+        self.place(&mut root);
+        if cameras.is_empty() && self.cameras != fingerprint_of_cameras(cameras) {
+            remove_cameras(&mut root);
+        }
+        if scene.composition != self.composition {
+            self.set_contract(&mut root, &scene.composition);
+        }
+        (root, bin)
+    }
+
+    /// Puts a node above the scene where it has been moved.
+    fn place(&self, root: &mut Value) {
+        // Files are y-up. What is ours was turned on reading, what is not will be turned by writing.
+        let above = if self.is_ours { FLIP * self.moved * FLIP } else { FLIP * self.moved };
+        let Some(s) = similarity(above).filter(|_| !above.abs_diff_eq(DMat4::IDENTITY, 1e-12)) else { return };
+        let Some(roots) = root.get("scenes").and_then(|s| s.get(self.scene())?.get("nodes")).cloned() else { return };
+        let node = json!({
+            "name": MOVED_NODE,
+            "rotation": s.rotation.to_array(),
+            "scale": [s.scale, s.scale, s.scale],
+            "translation": s.translation.to_array(),
+            "children": roots,
+        });
+        let top = push(root, "nodes", node);
+        root["scenes"][self.scene()]["nodes"] = json!([top]);
+    }
+
+    fn set_contract(&self, root: &mut Value, composition: &Composition) {
+        let Some(scene) = root.get_mut("scenes").and_then(|s| s.get_mut(self.scene())) else { return };
+        let new = json!(SceneContract::new(composition));
+        let object = object_at(object_at(scene, "extensions"), HYBRID);
+        // Absent is infinite.
+        object.as_object_mut().map(|o| o.remove("lambda"));
+        merge(object, &new);
+        if !root.get("extensionsUsed").and_then(Value::as_array).is_some_and(|used| used.iter().any(|n| n == HYBRID)) {
+            push(root, "extensionsUsed", json!(HYBRID));
+        }
+    }
+
+    /// What concerns the file as a whole goes on even where the scene is written anew: copyright and extras of the asset,
+    /// extras of the document, name and extras of the scene.
+    pub(super) fn carry_over(&self, document: &mut Value) {
+        let of = |path: &str| self.root.pointer(path).cloned();
+        let scene = format!("/scenes/{}", self.scene());
+        for (from, object, key) in [
+            ("/asset/copyright".to_owned(), "/asset", "copyright"),
+            ("/asset/extras".to_owned(), "/asset", "extras"),
+            ("/extras".to_owned(), "", "extras"),
+            (format!("{scene}/name"), "/scenes/0", "name"),
+            (format!("{scene}/extras"), "/scenes/0", "extras"),
+        ] {
+            if let (Some(value), Some(Value::Object(object))) = (of(&from), document.pointer_mut(object)) {
+                object.insert(key.to_owned(), value);
+            }
+        }
+    }
+}
+
+impl Content {
+    /// All buffers as one, images outside included. Buffers that are never stored, placeholders of compressed views, follow.
+    fn merge(&self, root: &mut Value) -> Bin<'_> {
+        let mut bin = Bin::default();
+        let old = root.get("buffers").and_then(Value::as_array).cloned().unwrap_or_default();
+        let lengths = old.iter().map(|b| b.get("byteLength").and_then(Value::as_u64).unwrap_or(0) as usize);
+        // Old index → new index and where it begins.
+        let (mut places, mut placeholders) = (vec![], vec![]);
+        let has_bin = self.buffers.iter().any(|b| !b.is_empty()) || !self.images.is_empty();
+        for ((buffer, content), length) in old.iter().zip(&self.buffers).zip(lengths) {
+            if content.is_empty() {
+                places.push((usize::from(has_bin) + placeholders.len(), 0));
+                placeholders.push(buffer.clone());
+            } else {
+                places.push((0, bin.push(&content[..length.min(content.len())])));
+            }
+        }
+        for view in root.get_mut("bufferViews").and_then(Value::as_array_mut).into_iter().flatten() {
+            move_view(view, &places);
+            for name in meshopt::NAMES {
+                if let Some(compressed) = view.get_mut("extensions").and_then(|e| e.get_mut(name)) {
+                    move_view(compressed, &places);
+                }
+            }
+        }
+        let mut images: Vec<_> = self.images.iter().collect();
+        images.sort_unstable_by_key(|(i, _)| **i);
+        for (&i, content) in images {
+            let view = json!({ "buffer": 0, "byteOffset": bin.push(content.as_slice()), "byteLength": content.len() });
+            let index = push(root, "bufferViews", view);
+            let image = &mut root["images"][i];
+            let uri = image.as_object_mut().and_then(|o| o.remove("uri"));
+            image["bufferView"] = json!(index);
+            image["mimeType"] = json!(media_type(content));
+            if let Some(Value::String(uri)) = uri.filter(|_| image.get("name").is_none())
+                && !uri.starts_with("data:")
+            {
+                image["name"] = json!(uri);
+            }
+        }
+        let first =
+            old.iter().zip(&self.buffers).find(|(_, content)| !content.is_empty()).map(|(buffer, _)| buffer.clone());
+        let mut buffers = vec![];
+        if has_bin {
+            let mut whole = first.unwrap_or_else(|| json!({}));
+            whole["byteLength"] = json!(bin.len());
+            buffers.push(whole);
+        }
+        // A plain form of compressed views that lies in a file of its own is not taken along: then they are required.
+        let mut left = false;
+        for placeholder in &mut placeholders {
+            left |= placeholder.as_object_mut().and_then(|buffer| buffer.remove("uri")).is_some();
+        }
+        if left {
+            meshopt::NAMES.iter().for_each(|name| require(root, name));
+        }
+        buffers.append(&mut placeholders);
+        if !buffers.is_empty() {
+            root["buffers"] = Value::Array(buffers);
+        }
+        bin
+    }
+}
+
+/// Adds a used extension to those that are required.
+fn require(root: &mut Value, name: &str) {
+    let lists = |root: &Value, key: &str| {
+        root.get(key).and_then(Value::as_array).is_some_and(|list| list.iter().any(|n| n == name))
+    };
+    if lists(root, "extensionsUsed") && !lists(root, "extensionsRequired") {
+        push(root, "extensionsRequired", json!(name));
+    }
+}
+
+/// Appends to an array of the document, made if there is none; returns the index.
+fn push(root: &mut Value, key: &str, value: Value) -> usize {
+    if !root.get(key).is_some_and(Value::is_array) {
+        root[key] = json!([]);
+    }
+    let Some(list) = root[key].as_array_mut() else { return 0 };
+    list.push(value);
+    list.len() - 1
+}
+
+/// Points a buffer view, or the compressed form of one, to the merged buffer.
+fn move_view(view: &mut Value, places: &[(usize, usize)]) {
+    let place = view.get("buffer").and_then(Value::as_u64).and_then(|b| places.get(b as usize));
+    let Some(&(buffer, start)) = place else { return };
+    let offset = view.get("byteOffset").and_then(Value::as_u64).unwrap_or(0);
+    view["buffer"] = json!(buffer);
+    if start > 0 {
+        view["byteOffset"] = json!(start as u64 + offset);
+    }
+}
+
+fn media_type(content: &[u8]) -> &'static str {
+    match content {
+        [0xFF, 0xD8, 0xFF, ..] => "image/jpeg",
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "image/webp",
+        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "image/ktx2",
+        _ => "image/png",
+    }
+}
+
+fn remove_cameras(root: &mut Value) {
+    for node in root.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
+        node.as_object_mut().map(|node| node.remove("camera"));
+    }
+    root.as_object_mut().map(|root| root.remove("cameras"));
+}
+
+/// The object under `key`, made if there is none.
+fn object_at<'a>(parent: &'a mut Value, key: &str) -> &'a mut Value {
+    if !parent.get(key).is_some_and(Value::is_object) {
+        parent[key] = Value::Object(Map::new());
+    }
+    &mut parent[key]
+}
+
+/// Sets the members of `new` in `object`.
+fn merge(object: &mut Value, new: &Value) {
+    if let (Some(object), Some(new)) = (object.as_object_mut(), new.as_object()) {
+        object.extend(new.clone());
+    }
+}
+
+/// A hash of all arrays of a scene.
+fn fingerprint(scene: &HybridScene) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    let mut add = |bytes: &[u8]| {
+        // Megabytes each: on all cores.
+        let parts: Vec<u64> = bytes
+            .par_chunks(1 << 20)
+            .map(|chunk| {
+                let mut hasher = DefaultHasher::new();
+                hasher.write(chunk);
+                hasher.finish()
+            })
+            .collect();
+        (bytes.len(), parts).hash(&mut hasher);
+    };
+    let s = &scene.splats;
+    add(bytemuck::cast_slice(s.means()));
+    add(bytemuck::cast_slice(s.rotations()));
+    add(bytemuck::cast_slice(s.log_scales()));
+    add(bytemuck::cast_slice(s.opacity_logits()));
+    add(bytemuck::cast_slice(s.sh()));
+    for mesh in &scene.meshes {
+        add(bytemuck::cast_slice(mesh.positions()));
+        add(bytemuck::cast_slice(mesh.triangles()));
+        add(bytemuck::cast_slice::<Vec2, u8>(mesh.corner_uvs().as_flattened()));
+        for texture in [Some(mesh.atlas().base()), mesh.atlas().bands()].into_iter().flatten() {
+            add(bytemuck::cast_slice(&[texture.width(), texture.height()]));
+            add(bytemuck::cast_slice(texture.texels()));
+        }
+    }
+    hasher.finish()
+}
+
+fn fingerprint_of_cameras(cameras: &[(String, Camera)]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    for (name, camera) in cameras {
+        let k = camera.intrinsics();
+        (name, k.width, k.height, [k.fx, k.fy, k.cx, k.cy].map(f64::to_bits)).hash(&mut hasher);
+        camera.rotation().to_cols_array().map(f64::to_bits).hash(&mut hasher);
+        camera.translation().to_array().map(f64::to_bits).hash(&mut hasher);
+    }
+    hasher.finish()
+}

@@ -1,0 +1,245 @@
+//! Documents that are written again: what stands, what moves, what is named as lost.
+
+use std::path::PathBuf;
+
+use glam::{DMat4, DQuat, DVec3};
+use serde_json::{Value, json};
+
+use super::core_tests::{Builder, triangle};
+use super::*;
+use crate::format::test_scenes::{camera, random_scene};
+use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
+
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false, keep_document: true };
+
+/// A triangle with everything that a scene cannot hold.
+fn rich() -> (Builder, Value) {
+    let (mut b, mut attributes) = triangle();
+    attributes["NORMAL"] = json!(b.floats(&[[0.0f32, 0.0, 1.0]; 3]));
+    attributes["_TEMPERATURE"] = json!(b.floats(&[[1.5f32], [2.5], [3.5]]));
+    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
+    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0]; 3]));
+    let delta = b.floats(&[[0.0f32, 0.0, 0.5]; 3]);
+    let (times, turns) = (b.floats(&[[0.0f32], [1.0]]), b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]));
+    let extra = |name: &str| json!({ "of": name });
+    let unknown = |name: &str| json!({ "EXT_unknown": { "of": name } });
+    let document = json!({
+        "asset": { "version": "2.0", "generator": "hand", "copyright": "us", "extras": extra("asset"), "extensions": unknown("asset") },
+        "extensionsUsed": ["EXT_unknown"], "extensions": unknown("root"), "extras": extra("root"),
+        "scenes": [{ "nodes": [0, 2], "name": "main", "extras": extra("scene"), "extensions": unknown("scene") }],
+        "nodes": [
+            { "mesh": 0, "skin": 0, "name": "flag", "children": [1], "extras": extra("node"), "extensions": unknown("node") },
+            { "name": "joint", "translation": [0, 1, 0] },
+            { "name": "eye", "camera": 0, "translation": [0, 0, 3] },
+        ],
+        "meshes": [{
+            "extras": extra("mesh"), "extensions": unknown("mesh"),
+            "primitives": [{
+                "attributes": attributes, "material": 0, "targets": [{ "POSITION": delta }],
+                "extras": extra("primitive"), "extensions": unknown("primitive"),
+            }],
+        }],
+        "materials": [{ "name": "cloth", "extras": extra("material"), "extensions": unknown("material"), "emissiveFactor": [1, 0, 0] }],
+        "skins": [{ "joints": [1] }],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 1, "znear": 0.1 } }],
+        "animations": [{
+            "samplers": [{ "input": times, "output": turns }],
+            "channels": [{ "sampler": 0, "target": { "node": 1, "path": "rotation" } }],
+        }],
+    });
+    (b, document)
+}
+
+/// From glTF's frame to the capture's, as `convert` does it.
+fn turned() -> DMat4 {
+    DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0))
+}
+
+/// JSON and binary chunk of a file in either container.
+fn opened(path: &Path) -> (Value, Vec<Vec<u8>>) {
+    let asset = Asset::open(path).unwrap();
+    (asset.root, asset.buffers)
+}
+
+#[test]
+fn nothing_is_lost_where_nothing_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, document) = rich();
+    std::fs::write(at("in.gltf"), b.file(&document)).unwrap();
+    let (original, bytes) = opened(&at("in.gltf"));
+    let file = read_file(&at("in.gltf"), &KEEP).unwrap();
+    for name in ["out.glb", "out.gltf"] {
+        let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+        let mut source = file.source.clone().unwrap();
+        source.follow(turned(), &file.scene, &file.cameras);
+        let options = WriteOptions { source: Some(&source), ..options };
+        let report = write_scene(&at(name), &file.scene, &options).unwrap();
+        assert!(report.loss.is_none(), "{}", report.loss);
+        let (written, written_bytes) = opened(&at(name));
+        assert_eq!(written, original, "all of the JSON");
+        assert_eq!(written_bytes, bytes, "all accessors, bit for bit");
+    }
+}
+
+#[test]
+fn hybrids_come_back_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let cameras = [("front".to_owned(), camera())];
+    write_glb(&at("a.glb"), &random_scene(30, 2, 3, 4), &cameras, Some(json!({ "psnr": 30.5 }))).unwrap();
+    let file = read_file(&at("a.glb"), &KEEP).unwrap();
+    assert!(file.source.as_ref().unwrap().remainder().is_empty(), "{:?}", file.source.unwrap().remainder());
+    let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+    let report = write_scene(&at("b.glb"), &file.scene, &options).unwrap();
+    assert!(report.loss.is_none());
+    let [a, b] = ["a.glb", "b.glb"].map(|name| std::fs::read(at(name)).unwrap());
+    assert!(a == b, "the same file");
+}
+
+#[test]
+fn what_moves_hangs_below_a_node() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let turn = DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.5, 0.6);
+    let by = DMat4::from_scale_rotation_translation(DVec3::splat(2.0), turn, DVec3::new(1.0, 2.0, 3.0));
+    let (b, document) = rich();
+    std::fs::write(at("theirs.gltf"), b.file(&document)).unwrap();
+    write_glb(&at("ours.glb"), &random_scene(4, 1, 1, 4), &[("c".to_owned(), camera())], None).unwrap();
+    for name in ["theirs.gltf", "ours.glb"] {
+        let file = read_file(&at(name), &KEEP).unwrap();
+        // The fingerprint is of what the caller says the moved scene is.
+        let mut source = file.source.clone().unwrap();
+        source.follow(by, &file.scene, &file.cameras);
+        let options = WriteOptions { cameras: &file.cameras, source: Some(&source), ..WriteOptions::default() };
+        let report = write_scene(&at("moved.glb"), &file.scene, &options).unwrap();
+        assert!(report.loss.is_none(), "{}", report.loss);
+        let moved = read_file(&at("moved.glb"), &KEEP).unwrap();
+        // A scene is written in the capture's frame; ours is read in it again, theirs in glTF's.
+        let frame = if file.y_up { turned() } else { DMat4::IDENTITY };
+        assert_eq!(moved.y_up, file.y_up);
+        for (before, after) in file.scene.meshes.iter().zip(&moved.scene.meshes) {
+            for (p, q) in before.positions().iter().zip(after.positions()) {
+                let expected = (frame * by).transform_point3(p.as_dvec3());
+                assert!(q.as_dvec3().abs_diff_eq(expected, 1e-4), "{name}: {q} {expected}");
+            }
+        }
+        for (before, after) in file.scene.splats.means().iter().zip(moved.scene.splats.means()) {
+            let expected = (frame * by).transform_point3(before.as_dvec3());
+            assert!(after.as_dvec3().abs_diff_eq(expected, 1e-4), "{name}: {after} {expected}");
+        }
+        let (json, _) = opened(&at("moved.glb"));
+        let (original, _) = opened(&at(name));
+        assert_eq!(json["animations"], original["animations"]);
+        assert_eq!(json["meshes"], original["meshes"]);
+        // Mirrored it cannot stand.
+        let mut source = file.source.unwrap();
+        source.follow(DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0)), &file.scene, &file.cameras);
+        assert!(!source.stands(&file.scene, &file.cameras));
+    }
+}
+
+#[test]
+fn a_changed_scene_is_written_anew_and_what_is_dropped_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, document) = rich();
+    std::fs::write(at("in.gltf"), b.file(&document)).unwrap();
+    let file = read_file(&at("in.gltf"), &KEEP).unwrap();
+    let source = file.source.unwrap();
+    let mut scene = file.scene;
+    scene.meshes.push(scene.meshes[0].clone());
+    assert!(!source.stands(&scene, &file.cameras));
+    let options = WriteOptions { cameras: &file.cameras, source: Some(&source), ..WriteOptions::default() };
+    let dropped = [
+        "1 animation",
+        "1 skin",
+        "1 morph target",
+        "the tree of 3 nodes",
+        "the attributes NORMAL, _TEMPERATURE",
+        "the extension EXT_unknown",
+        "extras",
+    ];
+    for name in ["out.glb", "out.ply"] {
+        let report = write_scene(&at(name), &scene, &options).unwrap();
+        assert_eq!(report.loss.document, dropped);
+        assert!(
+            !report.loss.is_rounding() && report.loss.to_string().contains("1 animation; 1 skin"),
+            "{}",
+            report.loss
+        );
+    }
+    let (json, _) = opened(&at("out.glb"));
+    assert_eq!(json["asset"]["copyright"], "us");
+    assert_eq!(json["asset"]["extras"]["of"], "asset");
+    assert_eq!((&json["extras"]["of"], &json["scenes"][0]["name"]), (&json!("root"), &json!("main")));
+    assert_eq!(read_file(&at("out.glb"), &KEEP).unwrap().scene.meshes.len(), 2);
+}
+
+#[test]
+fn cameras_and_the_rule_change_within_the_document() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, document) = rich();
+    std::fs::write(at("in.gltf"), b.file(&document)).unwrap();
+    let file = read_file(&at("in.gltf"), &KEEP).unwrap();
+    let mut scene = file.scene;
+    scene.composition.lambda = 0.25;
+    assert_eq!(file.cameras.len(), 1);
+    let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
+    assert!(write_scene(&at("out.glb"), &scene, &options).unwrap().loss.is_none());
+    let (json, _) = opened(&at("out.glb"));
+    assert!(json.get("cameras").is_none() && json["nodes"][2].get("camera").is_none());
+    assert_eq!(json["scenes"][0]["extensions"][extension::HYBRID]["lambda"], 0.25);
+    assert_eq!(json["scenes"][0]["extensions"]["EXT_unknown"]["of"], "scene");
+    let again = read_file(&at("out.glb"), &KEEP).unwrap();
+    assert_eq!((again.scene.composition, again.cameras.len()), (scene.composition, 0));
+    assert_eq!(json["animations"], document["animations"]);
+}
+
+#[test]
+fn files_beside_the_document_are_taken_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, attributes) = triangle();
+    ::image::RgbImage::from_pixel(2, 1, ::image::Rgb([9, 8, 7])).save(at("a b.png")).unwrap();
+    let picture = std::fs::read(at("a b.png")).unwrap();
+    std::fs::write(at("first.bin"), &b.bytes[..36]).unwrap();
+    std::fs::write(at("second.bin"), &b.bytes[36..]).unwrap();
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+        "materials": [{ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } }, "normalTexture": { "index": 1 } }],
+        "textures": [{ "source": 0 }, { "source": 1 }], "images": [{ "uri": "a%20b.png" }, { "uri": "missing.png" }],
+        "buffers": [{ "uri": "first.bin", "byteLength": 36 }, { "uri": "second.bin", "byteLength": b.bytes.len() - 36 }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }, { "buffer": 1, "byteLength": 24 }],
+    });
+    std::fs::write(at("in.gltf"), b.file(&document)).unwrap();
+    let file = read_file(&at("in.gltf"), &KEEP).unwrap();
+    let elsewhere = tempfile::tempdir().unwrap();
+    let out = elsewhere.path().join("out.glb");
+    let mut source = file.source.unwrap();
+    source.follow(turned(), &file.scene, &[]);
+    let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
+    assert!(write_scene(&out, &file.scene, &options).unwrap().loss.is_none());
+    let (json, buffers) = opened(&out);
+    assert_eq!(buffers.len(), 1);
+    assert_eq!(json["images"][1]["uri"], "missing.png", "what is not there stays a reference");
+    let image = &json["images"][0];
+    assert_eq!(
+        (&image["mimeType"], &image["name"], image.get("uri")),
+        (&json!("image/png"), &json!("a%20b.png"), None)
+    );
+    let view = &json["bufferViews"][image["bufferView"].as_u64().unwrap() as usize];
+    let start = view["byteOffset"].as_u64().unwrap() as usize;
+    assert_eq!(buffers[0][start..start + picture.len()], picture);
+    assert_eq!(read(&out).unwrap().scene.meshes, file.scene.meshes);
+}
+
+#[test]
+fn without_its_bytes_a_document_does_not_stand() {
+    let (b, document) = rich();
+    let asset = Asset::parse(b.file(&document), PathBuf::new()).map_err(|_| ()).unwrap();
+    let file = read::scene(&asset).map_err(|_| ()).unwrap();
+    let source = Source::new(asset, &file.scene, &file.cameras, false);
+    assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
+}

@@ -1,0 +1,119 @@
+//! Splat primitives of others, by hand.
+
+use glam::{Quat, Vec3};
+use serde_json::{Value, json};
+
+use super::core_tests::{Builder, near};
+use crate::format::activation;
+use crate::scene::sh;
+
+/// A primitive of two splats, and its attributes by name.
+fn splats(quantized: bool) -> (Builder, serde_json::Map<String, Value>) {
+    let mut b = Builder::default();
+    let mut attributes = serde_json::Map::new();
+    let mut add = |name: &str, index: usize| attributes.insert(name.to_owned(), json!(index));
+    add("POSITION", b.floats(&[[0.0f32, 0.0, 0.0], [1.0, 2.0, 3.0]]));
+    let khr = |name: &str| format!("KHR_gaussian_splatting:{name}");
+    if quantized {
+        add(&khr("ROTATION"), b.normalized(5120, "VEC4", 2, &[0, 0, 0, 127, 90, 0, 0, 90]));
+        add(&khr("SCALE"), b.accessor(5121, "VEC3", 2, &[1, 2, 3, 0, 4, 5, 6, 0]));
+        b.views[2]["byteStride"] = json!(4);
+        add(&khr("OPACITY"), b.normalized(5123, "SCALAR", 2, &[0xFF, 0x3F, 0xFF, 0xBF]));
+    } else {
+        add(&khr("ROTATION"), b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.6, 0.0, 0.0, 0.8]]));
+        add(&khr("SCALE"), b.floats(&[[1.0f32, 2.0, 3.0], [4.0, 5.0, 6.0]]));
+        add(&khr("OPACITY"), b.floats(&[[0.25f32], [0.75]]));
+    }
+    add(&khr("SH_DEGREE_0_COEF_0"), b.floats(&[[0.1f32, 0.2, 0.3], [0.4, 0.5, 0.6]]));
+    (b, attributes)
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "documents are written where they are read")]
+fn splat_document(attributes: &serde_json::Map<String, Value>, khr: Value) -> Value {
+    json!({
+        "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { "KHR_gaussian_splatting": khr } }] }],
+        "extensionsUsed": ["KHR_gaussian_splatting"],
+    })
+}
+
+fn khr() -> Value {
+    json!({ "kernel": "ellipse", "colorSpace": "srgb_rec709_display" })
+}
+
+#[test]
+fn quantised_splats() {
+    for quantized in [false, true] {
+        let (b, attributes) = splats(quantized);
+        let found = b.read(splat_document(&attributes, khr())).unwrap().scene.splats;
+        let scales: Vec<f32> = found.log_scales().iter().flat_map(|s| s.to_array().map(f32::exp)).collect();
+        near(&scales, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 1e-5);
+        let opacities: Vec<f32> = found.opacity_logits().iter().map(|l| activation::opacity(*l)).collect();
+        near(&opacities, &[0.25, 0.75], 1.0 / 65535.0);
+        let turned = if quantized {
+            Quat::from_xyzw(1.0, 0.0, 0.0, 1.0).normalize()
+        } else {
+            Quat::from_xyzw(0.6, 0.0, 0.0, 0.8)
+        };
+        near(&found.rotations()[1].to_array(), &turned.to_array(), 1e-6);
+        assert_eq!(found.rotations()[0], Quat::IDENTITY);
+    }
+}
+
+#[test]
+fn splats_of_early_drafts() {
+    // As Cesium's sample: `_SCALE`, `_ROTATION`, a colour in place of coefficient 0 and opacity, no kernel.
+    let (mut b, full) = splats(false);
+    let colour = b.normalized(5121, "VEC4", 2, &[255, 51, 0, 51, 0, 0, 0, 255]);
+    let attribute = |name: &str| full[&format!("KHR_gaussian_splatting:{name}")].clone();
+    let old = json!({ "POSITION": full["POSITION"], "_SCALE": attribute("SCALE"), "_ROTATION": attribute("ROTATION"), "COLOR_0": colour });
+    let file = b.read(splat_document(old.as_object().unwrap(), json!({}))).unwrap();
+    assert!(file.notes[0].contains("of a draft of the extension"), "{:?}", file.notes);
+    near(&sh::rgb_from_dc(file.scene.splats.sh_of(0)[0]), &[1.0, 0.2, 0.0], 1e-6);
+    assert!((activation::opacity(file.scene.splats.opacity_logits()[0]) - 0.2).abs() < 1e-6);
+    // With a kernel the names are no longer taken.
+    let message = b.read(splat_document(old.as_object().unwrap(), khr())).unwrap_err();
+    assert!(message.contains("expected the attribute `KHR_gaussian_splatting:ROTATION`"), "{message}");
+}
+
+#[test]
+fn splats_within_spz() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    let scene = crate::format::test_scenes::random_splats(5, 1, 3);
+    for version in [crate::format::spz::Version::V2, crate::format::spz::Version::V3, crate::format::spz::Version::V4] {
+        let options = crate::format::spz::Options { version, ..Default::default() };
+        crate::format::spz::write(&path, &scene, &options).unwrap();
+        let plain = crate::format::spz::read(&path).unwrap();
+        let mut b = Builder::default();
+        let view = b.view(&std::fs::read(&path).unwrap());
+        // Accessors describe what comes out, and have no data.
+        b.accessors =
+            vec![json!({ "componentType": 5126, "type": "VEC3", "count": 5, "min": [0, 0, 0], "max": [1, 1, 1] })];
+        let attributes = json!({ "POSITION": 0 });
+        let mut khr = khr();
+        khr["extensions"] = json!({ "KHR_gaussian_splatting_compression_spz_2": { "bufferView": view } });
+        let document = |khr: &Value| {
+            let mut document = splat_document(attributes.as_object().unwrap(), khr.clone());
+            document["extensionsRequired"] = json!(["KHR_gaussian_splatting_compression_spz_2"]);
+            document
+        };
+        let found = b.read(document(&khr)).unwrap().scene.splats;
+        // Captures are right, down, front; glTF's splats left, up, front.
+        for (a, b) in plain.means().iter().zip(found.means()) {
+            assert_eq!(*b, *a * Vec3::new(-1.0, -1.0, 1.0));
+        }
+        near(found.log_scales()[0].as_ref(), plain.log_scales()[0].as_ref(), 0.0);
+        // Harmonics of band 1 turn as −y, z, −x do.
+        for k in 0..3 {
+            let [y, z, x] = [1, 2, 3].map(|c| plain.sh_of(2)[c][k]);
+            near(&[1, 2, 3].map(|c| found.sh_of(2)[c][k]), &[-y, z, -x], 1e-6);
+        }
+        let mut wrong = b;
+        wrong.accessors[0]["count"] = json!(6);
+        assert!(wrong.read(document(&khr)).unwrap_err().contains("expected 6 splats, as in POSITION, found 5"));
+        khr["extensions"]["KHR_gaussian_splatting_compression_spz_2"]["bufferView"] = json!(9);
+        assert!(
+            wrong.read(document(&khr)).unwrap_err().contains("/bufferView: expected a bufferView below 1, found 9")
+        );
+    }
+}

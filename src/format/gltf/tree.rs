@@ -1,0 +1,166 @@
+//! The tree of a document, for people: nodes, what hangs on them and where it is.
+
+use std::collections::{BTreeMap, HashMap};
+
+use glam::{DMat4, DVec3};
+use serde::Serialize;
+use serde_json::Value;
+
+use super::extension::{KHR_SPLATS, SPZ};
+use super::lift::Asset;
+use super::remainder::remainder;
+use super::transform::{is_ours, placements};
+use crate::format::error::Fault;
+
+/// What a glTF document is made of.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Document {
+    /// `asset.generator`.
+    pub generator: Option<String>,
+    /// Nodes of the scene, every one after its parent.
+    pub nodes: Vec<Node>,
+    /// How many there are of every kind: `meshes`, `materials`, `animations` …
+    pub counts: BTreeMap<&'static str, usize>,
+    /// What a scene cannot hold of it, see [`super::Source::remainder`].
+    pub remainder: Vec<String>,
+}
+
+/// A node of the scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Node {
+    /// Index in the document.
+    pub index: usize,
+    /// Number of nodes above it.
+    pub depth: usize,
+    /// Its name.
+    pub name: Option<String>,
+    /// Index of its camera.
+    pub camera: Option<usize>,
+    /// Index of its skin.
+    pub skin: Option<usize>,
+    /// Index of its mesh.
+    pub mesh: Option<usize>,
+    /// Primitives of its mesh.
+    pub primitives: Vec<Primitive>,
+    /// Lowest and highest corner of its mesh by the declared bounds, in the scene's frame; without skin and morph targets.
+    pub bounds: Option<[[f64; 3]; 2]>,
+}
+
+/// A primitive of a mesh.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Primitive {
+    /// `splats`, `triangles`, `points` or `lines`.
+    pub kind: &'static str,
+    /// Vertices, or splats.
+    pub vertices: usize,
+    /// Triangles, if it is made of them.
+    pub triangles: Option<usize>,
+    /// SH degree of splats.
+    pub sh_degree: Option<u32>,
+    /// Colour space of splats.
+    pub color_space: Option<String>,
+    /// True for splats that are compressed by SPZ.
+    pub is_spz: bool,
+    /// Index of its material.
+    pub material: Option<usize>,
+    /// Number of morph targets.
+    pub morph_targets: usize,
+}
+
+/// Describes a document. Fails where the tree is none.
+pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
+    let mut nodes: Vec<Node> = vec![];
+    let mut depths: HashMap<usize, usize> = HashMap::new();
+    for (node, transform) in placements(&asset.document)? {
+        let depth = depths.get(&node.index()).copied().unwrap_or(0);
+        depths.extend(node.children().map(|child| (child.index(), depth + 1)));
+        let primitives = || node.mesh().into_iter().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
+        let corners = primitives().filter_map(|(_, p)| declared_bounds(&p)).flat_map(|b| moved(b, transform));
+        let bounds = corners
+            .fold(None, |all: Option<[DVec3; 2]>, p| Some(all.map_or([p, p], |[low, high]| [low.min(p), high.max(p)])));
+        nodes.push(Node {
+            index: node.index(),
+            depth,
+            name: node.name().map(str::to_owned),
+            camera: node.camera().map(|c| c.index()),
+            skin: node.skin().map(|s| s.index()),
+            mesh: node.mesh().map(|m| m.index()),
+            primitives: primitives().map(|(mesh, p)| describe(asset, mesh, &p)).collect(),
+            bounds: bounds.filter(|[low, high]| low.is_finite() && high.is_finite()).map(|b| b.map(|p| p.to_array())),
+        });
+    }
+    let kinds = [
+        "scenes",
+        "nodes",
+        "meshes",
+        "materials",
+        "textures",
+        "images",
+        "samplers",
+        "cameras",
+        "skins",
+        "animations",
+        "accessors",
+        "bufferViews",
+        "buffers",
+    ];
+    let length = |kind: &str| asset.root.get(kind).and_then(Value::as_array).map_or(0, Vec::len);
+    let counts = kinds.into_iter().map(|kind| (kind, length(kind))).filter(|(_, n)| *n > 0).collect();
+    let generator = asset.root.pointer("/asset/generator").and_then(Value::as_str).map(str::to_owned);
+    Ok(Document { generator, nodes, counts, remainder: remainder(&asset.root, is_ours(&asset.document)) })
+}
+
+fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Primitive {
+    use gltf::mesh::Mode;
+    let vertices = primitive.get(&gltf::Semantic::Positions).map_or(0, |a| a.count());
+    let corners = primitive.indices().map_or(vertices, |a| a.count());
+    let khr = primitive.extension_value(KHR_SPLATS);
+    let (kind, triangles) = match primitive.mode() {
+        _ if khr.is_some() => ("splats", None),
+        Mode::Triangles => ("triangles", Some(corners / 3)),
+        Mode::TriangleStrip | Mode::TriangleFan => ("triangles", Some(corners.saturating_sub(2))),
+        Mode::Points => ("points", None),
+        Mode::Lines | Mode::LineLoop | Mode::LineStrip => ("lines", None),
+    };
+    let attributes = asset.attributes.get(&(mesh, primitive.index()));
+    let has_degree = |l: u32| {
+        let name = format!("{KHR_SPLATS}:SH_DEGREE_{l}_COEF_0");
+        attributes.is_some_and(|a| a.contains_key(&name))
+    };
+    Primitive {
+        kind,
+        vertices,
+        triangles,
+        sh_degree: khr.map(|_| (1..=3).take_while(|&l| has_degree(l)).last().unwrap_or(0)),
+        color_space: khr.and_then(|k| k.get("colorSpace")?.as_str()).map(str::to_owned),
+        is_spz: khr.is_some_and(|k| k.get("extensions").is_some_and(|e| e.get(SPZ).is_some())),
+        material: primitive.material().index(),
+        morph_targets: primitive.morph_targets().len(),
+    }
+}
+
+/// `min` and `max` of POSITION as positions.
+fn declared_bounds(primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
+    use gltf::accessor::DataType;
+    let accessor = primitive.get(&gltf::Semantic::Positions)?;
+    let scale = match (accessor.normalized(), accessor.data_type()) {
+        (true, DataType::I8) => 127.0,
+        (true, DataType::U8) => 255.0,
+        (true, DataType::I16) => 32767.0,
+        (true, DataType::U16) => 65535.0,
+        _ => 1.0,
+    };
+    let corner = |value: Option<Value>| -> Option<DVec3> {
+        let numbers: Vec<f64> = value?.as_array()?.iter().filter_map(Value::as_f64).collect();
+        Some(DVec3::from(<[f64; 3]>::try_from(numbers).ok()?) / scale)
+    };
+    Some([corner(accessor.min())?, corner(accessor.max())?])
+}
+
+/// The eight corners of a box, moved.
+fn moved([low, high]: [DVec3; 2], transform: DMat4) -> impl Iterator<Item = DVec3> {
+    (0..8).map(move |i| {
+        let pick = |axis: usize| if i >> axis & 1 == 0 { low[axis] } else { high[axis] };
+        transform.transform_point3(DVec3::new(pick(0), pick(1), pick(2)))
+    })
+}

@@ -1,0 +1,123 @@
+//! What a `uri` of glTF stands for: bytes in the document itself, or a file that must lie beside it.
+
+use std::path::Path;
+
+/// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
+pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
+    if let Some(data) = uri.strip_prefix("data:") {
+        let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
+        return encoded
+            .and_then(decode_base64)
+            .ok_or_else(|| ("base64 after `;base64,`".to_owned(), "a data URI without it".to_owned()));
+    }
+    let shown = || format!("`{uri}`");
+    let inside = || "a path inside the folder of the file".to_owned();
+    let name = percent_decode(uri).ok_or_else(|| ("a percent-encoded path".to_owned(), shown()))?;
+    let escapes = name.contains([':', '\\'])
+        || Path::new(&name)
+            .components()
+            .any(|c| !matches!(c, std::path::Component::Normal(_) | std::path::Component::CurDir));
+    if escapes {
+        return Err((inside(), shown()));
+    }
+    let real = |path: &Path| path.canonicalize().map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")));
+    let base = real(if folder.as_os_str().is_empty() { Path::new(".") } else { folder })?;
+    let file = real(&base.join(&name))?;
+    // A symbolic link could still lead out.
+    if !file.starts_with(&base) {
+        return Err((inside(), shown()));
+    }
+    // A pipe would never end.
+    if !file.is_file() {
+        return Err(("a file".to_owned(), format!("`{name}`, which is none")));
+    }
+    std::fs::read(&file).map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")))
+}
+
+fn percent_decode(uri: &str) -> Option<String> {
+    let mut bytes = vec![];
+    let mut rest = uri.as_bytes();
+    while let Some((&first, tail)) = rest.split_first() {
+        rest = tail;
+        if first == b'%' {
+            let digits = tail.first_chunk::<2>().filter(|d| d.iter().all(u8::is_ascii_hexdigit))?;
+            bytes.push(u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?);
+            rest = &tail[2..];
+        } else {
+            bytes.push(first);
+        }
+    }
+    String::from_utf8(bytes).ok()
+}
+
+fn decode_base64(text: &str) -> Option<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
+    let (mut bits, mut pending) = (0u32, 0);
+    for c in text.trim_end_matches('=').bytes() {
+        let value = match c {
+            b'A'..=b'Z' => c - b'A',
+            b'a'..=b'z' => c - b'a' + 26,
+            b'0'..=b'9' => c - b'0' + 52,
+            b'+' | b'-' => 62,
+            b'/' | b'_' => 63,
+            _ => return None,
+        };
+        bits = (bits << 6 | u32::from(value)) & 0xFF_FFFF;
+        pending += 6;
+        if pending >= 8 {
+            pending -= 8;
+            bytes.push((bits >> pending) as u8);
+        }
+    }
+    Some(bytes)
+}
+
+/// Appends `bytes` in base64, padded (RFC 4648).
+pub(super) fn encode_base64(bytes: &[u8], out: &mut String) {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    out.reserve(bytes.len().div_ceil(3) * 4);
+    for group in bytes.chunks(3) {
+        let word = group.iter().fold(0u32, |word, &b| word << 8 | u32::from(b)) << (8 * (3 - group.len()));
+        for i in 0..4 {
+            let digit = DIGITS[(word >> (18 - 6 * i) & 63) as usize];
+            out.push(if i <= group.len() { char::from(digit) } else { '=' });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uris_stay_inside_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("in");
+        std::fs::create_dir(&inner).unwrap();
+        std::fs::write(folder.path().join("secret.bin"), b"secret").unwrap();
+        std::fs::write(inner.join("a b.bin"), b"ok").unwrap();
+        assert_eq!(resolve("a%20b.bin", &inner).unwrap(), b"ok");
+        assert_eq!(resolve("./a b.bin", &inner).unwrap(), b"ok");
+        for uri in ["../secret.bin", "%2e%2e/secret.bin", "/etc/passwd", "file:///etc/passwd", "..\\secret.bin", "%zz"]
+        {
+            assert!(resolve(uri, &inner).is_err(), "{uri}");
+        }
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(folder.path().join("secret.bin"), inner.join("link.bin")).unwrap();
+            let (expected, _) = resolve("link.bin", &inner).unwrap_err();
+            assert_eq!(expected, "a path inside the folder of the file");
+        }
+    }
+
+    #[test]
+    fn base64_with_any_padding() {
+        for (text, bytes) in [("TWFu", "Man"), ("TWE=", "Ma"), ("TQ==", "M"), ("TQ", "M"), ("", "")] {
+            assert_eq!(decode_base64(text).unwrap(), bytes.as_bytes());
+            let mut encoded = String::new();
+            encode_base64(bytes.as_bytes(), &mut encoded);
+            assert!(encoded == text || text == "TQ", "{encoded}");
+        }
+        assert!(decode_base64("T*==").is_none());
+    }
+}
