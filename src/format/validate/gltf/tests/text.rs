@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::super::binding::geometry_digest;
+use super::super::schema;
+use super::{Findings, HYBRID, KHR};
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("schema/EXT_gaussian_splatting_hybrid")
@@ -104,4 +106,25 @@ fn links_lead_somewhere() {
 fn digest_is_the_one_in_the_text() {
     let digest = geometry_digest(&[[0.0; 3], [1.0, 0.0, 0.0], [0.25, 0.5, -0.0]]);
     assert!(readme().contains(&format!("the triangle above gives `{digest}`")), "{digest}");
+}
+
+#[test]
+fn examples_satisfy_the_schemas() {
+    let text = readme();
+    let examples: Vec<Value> = text
+        .split("```json")
+        .skip(1)
+        .map(|rest| serde_json::from_str(&format!("{{{}}}", rest.split_once("```").unwrap().0)).unwrap())
+        .collect();
+    let places = [
+        (format!("scene.{HYBRID}.schema.json"), format!("/scenes/0/extensions/{HYBRID}")),
+        (format!("material.{HYBRID}.schema.json"), format!("/extensions/{HYBRID}")),
+        (format!("{KHR}.{HYBRID}.schema.json"), format!("/extensions/{KHR}/extensions/{HYBRID}")),
+    ];
+    assert_eq!(examples.len(), places.len());
+    for (example, (schema, place)) in examples.iter().zip(places) {
+        let mut findings = Findings::default();
+        schema::check(example.pointer(&place).unwrap(), &schema, &place, &mut findings);
+        assert!(findings.0.is_empty(), "{:?}", findings.0);
+    }
 }
