@@ -1,11 +1,4 @@
-//! The document behind a scene. A scene holds what is rendered; animations, skins, morph targets, lights, materials in
-//! full, names, extras and extensions that nobody here knows stay in the document, which is kept beside the scene and
-//! written again.
-//!
-//! One rule: **the document is written as it was, as long as the scene still is what it says.** Moving the scene puts a
-//! node above it; leaving out all cameras takes them out of it. Every other change (cropping, thinning, cutting
-//! harmonics, joining) makes the document untrue: the scene is then written anew, and [`Source::remainder`] says what is
-//! not in it. Whether the scene is still the same is measured, not believed: by fingerprints of its arrays.
+//! The document behind a scene, kept to be written again.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
@@ -22,7 +15,20 @@ use super::transform::{FLIP, is_ours, similarity};
 use super::{meshopt, uri};
 use crate::scene::{Camera, Composition, HybridScene};
 
-/// The glTF document that a scene was read from.
+/// The glTF document that a scene was read from. A scene holds what is rendered; animations, skins, morph targets, lights,
+/// materials in full, names, extras and extensions that nobody here knows are in the document alone.
+///
+/// One rule: **it is written as it was, as long as the scene still is what it says.** Accessors then come back bit for bit.
+///
+/// | what happens to the scene | what happens to the document |
+/// |---|---|
+/// | nothing | it is written as it is, in one buffer |
+/// | moved, turned, scaled ([`Source::follow`]) | a node above it moves it |
+/// | another rule of blending | the rule is set in it |
+/// | all cameras left out | they are taken out of it |
+/// | cropped, thinned, fewer harmonics, joined, mirrored, other cameras | it is dropped: the scene is written anew, and [`Source::remainder`] says what is not in it. Copyright and the extras of asset, document and scene go on |
+///
+/// Whether the scene is still the same is measured, not believed: by fingerprints of its arrays.
 #[derive(Clone, Debug)]
 pub struct Source {
     /// Without the `uri`s of buffers and of the images below.

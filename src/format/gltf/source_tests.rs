@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 
 use glam::{DMat4, DQuat, DVec3};
+use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::core_tests::{Builder, triangle};
+use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
@@ -242,4 +244,42 @@ fn without_its_bytes_a_document_does_not_stand() {
     let file = read::scene(&asset).map_err(|_| ()).unwrap();
     let source = Source::new(asset, &file.scene, &file.cameras, false);
     assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
+}
+
+/// Reads, describes and writes what may be damaged.
+fn exercise(bytes: Vec<u8>, folder: &Path) {
+    let Ok(asset) = Asset::parse(bytes, PathBuf::new()) else { return };
+    let _ = (bytes_by_part(&asset, 0), describe(&asset));
+    let Ok(file) = read::scene(&asset) else { return };
+    let source = Source::new(asset, &file.scene, &file.cameras, true);
+    let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
+    for name in ["a.glb", "a.gltf"] {
+        let _ = write_scene(&folder.join(name), &file.scene, &options);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+    #[test]
+    fn damaged_documents_do_not_panic(at: prop::sample::Index, value in fuzzed_values()) {
+        let folder = tempfile::tempdir().unwrap();
+        let (b, rest) = rich();
+        let mut document: Value = serde_json::from_slice(&b.file(&rest)).unwrap();
+        let mut found = vec![];
+        leaves(&document, "", &mut found);
+        let pointer: &String = at.get(&found);
+        *document.pointer_mut(pointer).unwrap() = value;
+        exercise(document.to_string().into_bytes(), folder.path());
+    }
+
+    #[test]
+    fn damaged_compressed_files_do_not_panic(at: prop::sample::Index, byte: u8, which in 0usize..3) {
+        let folder = tempfile::tempdir().unwrap();
+        let name = ["ext_quantized", "khr_float", "transform_high"][which];
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/meshopt/{name}.glb"));
+        let mut bytes = std::fs::read(file).unwrap();
+        let at = at.index(bytes.len());
+        bytes[at] = byte;
+        exercise(bytes, folder.path());
+    }
 }

@@ -117,3 +117,34 @@ fn splats_within_spz() {
         );
     }
 }
+
+#[test]
+fn primitives_of_several_meshes_and_degrees_become_one() {
+    let (mut b, first) = splats(false);
+    let mut second = first.clone();
+    for m in 0..3 {
+        let harmonics = b.floats(&[[m as f32, 0.0, 0.0], [0.0, m as f32, 0.5]]);
+        second.insert(format!("KHR_gaussian_splatting:SH_DEGREE_1_COEF_{m}"), json!(harmonics));
+    }
+    let primitive = |attributes: &serde_json::Map<String, Value>| json!({ "mode": 0, "attributes": attributes, "extensions": { "KHR_gaussian_splatting": khr() } });
+    let document = |second: &serde_json::Map<String, Value>| {
+        json!({
+            "meshes": [{ "primitives": [primitive(&first), primitive(second)] }, { "primitives": [primitive(second)] }],
+            "nodes": [{ "mesh": 0, "children": [1] }, { "mesh": 1, "translation": [10, 0, 0], "scale": [2, 2, 2] }],
+            "extensionsUsed": ["KHR_gaussian_splatting"],
+        })
+    };
+    let found = b.read(document(&second)).unwrap().scene.splats;
+    assert_eq!((found.len(), found.sh_degree()), (6, 1));
+    assert_eq!(found.sh_of(0)[1..], [[0.0; 3]; 3], "a lower degree is filled up");
+    assert_eq!(found.sh_of(3)[1..], [[0.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 2.0, 0.5]]);
+    assert_eq!(found.means()[5], Vec3::new(12.0, 4.0, 6.0));
+    near(&[found.log_scales()[4].x.exp()], &[2.0], 1e-6);
+    // A degree must be complete.
+    second.remove("KHR_gaussian_splatting:SH_DEGREE_1_COEF_2");
+    let message = b.read(document(&second)).unwrap_err();
+    assert_eq!(
+        message,
+        "f: /meshes/0/primitives/1/attributes: expected complete SH degrees from 0 to at most 3, found 3 SH attributes"
+    );
+}

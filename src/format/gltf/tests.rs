@@ -336,7 +336,7 @@ fn import_undoes_the_frame_and_the_seams() {
 }
 
 /// All places in a document that hold something else than an object or array.
-fn leaves(value: &Value, pointer: &str, found: &mut Vec<String>) {
+pub(super) fn leaves(value: &Value, pointer: &str, found: &mut Vec<String>) {
     match value {
         Value::Object(map) => map.iter().for_each(|(k, v)| leaves(v, &format!("{pointer}/{k}"), found)),
         Value::Array(array) => array.iter().enumerate().for_each(|(i, v)| leaves(v, &format!("{pointer}/{i}"), found)),
@@ -344,7 +344,7 @@ fn leaves(value: &Value, pointer: &str, found: &mut Vec<String>) {
     }
 }
 
-fn fuzzed_values() -> impl Strategy<Value = Value> {
+pub(super) fn fuzzed_values() -> impl Strategy<Value = Value> {
     prop_oneof![
         any::<u8>().prop_map(|n| json!(n)),
         any::<u64>().prop_map(|n| json!(n)),
