@@ -24,7 +24,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -122,6 +122,22 @@ $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 	$(PYTHON) -m venv $(ORACLES_USD)
 	$(ORACLES_USD)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
+
+SPLATS ?= 1000000
+convert-times: system ## time and memory of conversions, beside splat-transform's (npm; SPLATS=1000000)
+	@mkdir -p target/oracles
+	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
+	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) scripts/convert-times.sh $(SPLATS)
+
+# Needs nightly Rust and cargo-fuzz. A finding is left in fuzz/artifacts/.
+FUZZ_TARGETS ?= $(patsubst fuzz/fuzz_targets/%.rs,%,$(wildcard fuzz/fuzz_targets/*.rs))
+FUZZ_SECONDS ?= 60
+fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (cargo install cargo-fuzz)
+	cargo run --release --quiet --example write_samples -- fuzz/corpus
+	@for target in $(FUZZ_TARGETS); do \
+		cargo +nightly fuzz run $$target -- -max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=2048 -malloc_limit_mb=512 \
+			-max_len=65536 -print_final_stats=1 || exit 1; \
+	done
 
 $(ORACLES)/installed: tests/oracles/requirements.txt
 	$(PYTHON) -m venv $(ORACLES)

@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result};
 use centaur::edit::{self, Axes, Crop, Similarity, Volume};
 use centaur::format::gltf::Source;
 use centaur::format::ply::Attribute;
-use centaur::scene::{Camera, HybridScene};
+use centaur::scene::{Camera, HybridScene, Splats};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use serde::Serialize;
 
@@ -162,7 +162,8 @@ impl Edited {
 
     /// The splats of these indices, with what else is known of them.
     fn gather(&mut self, indices: &[usize]) {
-        self.scene.splats = edit::gather(&self.scene.splats, indices);
+        let splats = std::mem::replace(&mut self.scene.splats, Splats::empty(0));
+        self.scene.splats = edit::gather(splats, indices);
         self.attributes.iter_mut().for_each(|a| *a = a.gather(indices));
     }
 

@@ -1,24 +1,69 @@
 use crate::scene::{Atlas, HybridScene, Mesh, SceneError, SplatArrays, Splats, Texture, sh};
 
-/// The splats of these indices, in their order. An index may come more than once.
+/// The splats of these indices, in their order. An index may come more than once. A selection in ascending order, or
+/// another order of all, takes no memory besides.
 ///
 /// # Panics
 /// If an index is out of range.
 #[must_use]
-pub fn gather(splats: &Splats, indices: &[usize]) -> Splats {
-    let k = sh::coefficients(splats.sh_degree());
-    let mut sh = Vec::with_capacity(indices.len() * k);
-    indices.iter().for_each(|&i| sh.extend_from_slice(splats.sh_of(i)));
-    SplatArrays {
-        means: indices.iter().map(|&i| splats.means()[i]).collect(),
-        rotations: indices.iter().map(|&i| splats.rotations()[i]).collect(),
-        log_scales: indices.iter().map(|&i| splats.log_scales()[i]).collect(),
-        opacity_logits: indices.iter().map(|&i| splats.opacity_logits()[i]).collect(),
-        sh_degree: splats.sh_degree(),
-        sh,
+pub fn gather(splats: Splats, indices: &[usize]) -> Splats {
+    let order = Order::of(indices, splats.len());
+    let mut s = splats.into_arrays();
+    order.apply(&mut s.means, 1);
+    order.apply(&mut s.rotations, 1);
+    order.apply(&mut s.log_scales, 1);
+    order.apply(&mut s.opacity_logits, 1);
+    order.apply(&mut s.sh, sh::coefficients(s.sh_degree));
+    s.check().expect("copies of valid splats are valid")
+}
+
+/// Indices, and what they allow to do in place.
+enum Order<'a> {
+    Ascending(&'a [usize]),
+    Permutation(&'a [usize]),
+    Any(&'a [usize]),
+}
+
+impl<'a> Order<'a> {
+    fn of(indices: &'a [usize], count: usize) -> Self {
+        if indices.is_sorted_by(|a, b| a < b) {
+            return Self::Ascending(indices);
+        }
+        let mut seen = vec![false; count];
+        let once = indices.iter().all(|&i| !std::mem::replace(&mut seen[i], true));
+        if once && indices.len() == count { Self::Permutation(indices) } else { Self::Any(indices) }
     }
-    .check()
-    .expect("copies of valid splats are valid")
+
+    /// Leaves the rows of these indices, of `width` elements each.
+    fn apply<T: Copy>(&self, rows: &mut Vec<T>, width: usize) {
+        let row = |i: usize| i * width..(i + 1) * width;
+        match *self {
+            Self::Ascending(indices) => {
+                indices.iter().enumerate().for_each(|(to, &from)| rows.copy_within(row(from), to * width));
+                rows.truncate(indices.len() * width);
+                rows.shrink_to_fit();
+            }
+            Self::Permutation(indices) => {
+                let mut placed = vec![false; indices.len()];
+                for start in 0..indices.len() {
+                    if placed[start] {
+                        continue;
+                    }
+                    // Round the cycle: each row makes room for the one that is to come there.
+                    let first = rows[row(start)].to_vec();
+                    let mut to = start;
+                    while indices[to] != start {
+                        rows.copy_within(row(indices[to]), to * width);
+                        placed[to] = true;
+                        to = indices[to];
+                    }
+                    rows[row(to)].copy_from_slice(&first);
+                    placed[to] = true;
+                }
+            }
+            Self::Any(indices) => *rows = indices.iter().flat_map(|&i| &rows[row(i)]).copied().collect(),
+        }
+    }
 }
 
 /// Splats of another SH degree, at most 3: higher bands are dropped, or added as zeros.
@@ -29,9 +74,17 @@ pub fn with_sh_degree(splats: Splats, degree: u32) -> Splats {
         return splats;
     }
     let mut s = splats.into_arrays();
-    let rows = s.sh.chunks_exact(sh::coefficients(s.sh_degree));
-    let padded = rows.flat_map(|c| c.iter().copied().chain(std::iter::repeat([0.0; 3])).take(sh::coefficients(degree)));
-    s.sh = padded.collect();
+    let [before, after] = [s.sh_degree, degree].map(sh::coefficients);
+    if after < before {
+        (0..s.means.len()).for_each(|i| s.sh.copy_within(i * before..i * before + after, i * after));
+        s.sh.truncate(s.means.len() * after);
+        s.sh.shrink_to_fit();
+    } else {
+        let mut wider = vec![[0.0; 3]; s.means.len() * after];
+        let rows = wider.chunks_exact_mut(after).zip(s.sh.chunks_exact(before));
+        rows.for_each(|(to, from)| to[..before].copy_from_slice(from));
+        s.sh = wider;
+    }
     s.sh_degree = degree;
     s.check().expect("a lower degree is a part, and zeros are valid")
 }

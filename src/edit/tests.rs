@@ -165,11 +165,28 @@ fn crops_keep_what_lies_inside_or_outside_borders_included() {
     assert_eq!(in_crops(&splats, &[Crop::Inside(unit), Crop::Outside(ball)]), [1]);
     assert_eq!(in_crops(&splats, &[Crop::Inside(half_space)]), [3]);
 
-    let kept = gather(&splats, &[3, 1]);
+    let kept = gather(splats.clone(), &[3, 1]);
     assert_eq!(kept.means(), [means[3], means[1]]);
     assert_eq!(kept.sh_of(1), splats.sh_of(1));
     assert_eq!((kept.rotations()[0], kept.log_scales()[0]), (splats.rotations()[3], splats.log_scales()[3]));
-    assert_eq!(gather(&splats, &[]), Splats::empty(1));
+    assert_eq!(gather(splats.clone(), &[]), Splats::empty(1));
+}
+
+#[test]
+fn any_choice_of_splats_keeps_what_belongs_together() {
+    let (scene, _) = random_scene(3, 5, 0, 2, 1, OrderMode::Stable);
+    let splats = scene.splats;
+    // Ascending, all in another order (two cycles and a fixed point), and with repeats.
+    for indices in [&[0, 2, 4][..], &[0, 1, 2, 3, 4], &[3, 2, 1, 0, 4], &[1, 2, 0, 4, 3], &[4, 4, 0], &[2, 0, 1]] {
+        let taken = gather(splats.clone(), indices);
+        assert_eq!(taken.len(), indices.len());
+        for (to, &from) in indices.iter().enumerate() {
+            assert_eq!((taken.means()[to], taken.rotations()[to]), (splats.means()[from], splats.rotations()[from]));
+            assert_eq!(taken.log_scales()[to], splats.log_scales()[from]);
+            assert_eq!(taken.opacity_logits()[to], splats.opacity_logits()[from]);
+            assert_eq!(taken.sh_of(to), splats.sh_of(from), "{indices:?}");
+        }
+    }
 }
 
 #[test]
@@ -198,7 +215,7 @@ fn transparent_splats_go_and_important_ones_stay() {
     {
         assert_eq!(most_important(&splats, count), kept, "{count}");
     }
-    let equal = gather(&splats, &[1; 6]);
+    let equal = gather(splats.clone(), &[1; 6]);
     assert_eq!(most_important(&equal, 3), [0, 1, 2], "of equals the first");
 }
 

@@ -1,4 +1,5 @@
 use std::fmt;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -96,9 +97,19 @@ impl Fault {
         Self { location: Location::Pointer(at.into()), expected: expected.into(), found: found.into() }
     }
 
+    /// The system or the end of the file kept a reader from what should be at `offset`.
+    pub(crate) fn unreadable(offset: u64, error: &std::io::Error) -> Self {
+        Self { location: Location::Byte(offset), expected: "readable content".to_owned(), found: error.to_string() }
+    }
+
     /// The same at a place that the finder did not know.
     pub(crate) fn at_byte(self, offset: usize) -> Self {
         Self { location: Location::Byte(offset as u64), ..self }
+    }
+
+    /// As [`Self::at_byte`], unless the finder did know.
+    pub(crate) fn or_at_byte(self, offset: usize) -> Self {
+        if self.location == Location::File { self.at_byte(offset) } else { self }
     }
 
     /// Where, what was expected and what was found.
@@ -116,6 +127,20 @@ impl From<SceneError> for Fault {
     fn from(e: SceneError) -> Self {
         Self { location: Location::Field(e.field), expected: e.expected, found: e.found }
     }
+}
+
+/// Text of a file as it may stand in a message: short, in one line.
+pub(crate) fn shown(text: &[u8]) -> String {
+    const MOST: usize = 60;
+    let text = String::from_utf8_lossy(&text[..text.len().min(4 * MOST)]);
+    let cut = if text.chars().count() > MOST { "…" } else { "" };
+    format!("`{}{cut}`", text.chars().take(MOST).flat_map(char::escape_debug).collect::<String>())
+}
+
+/// The file, to be read piece by piece.
+pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatError> {
+    let file = std::fs::File::open(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })?;
+    Ok(BufReader::with_capacity(1 << 18, file))
 }
 
 /// The whole file in memory. Its length bounds every count that the file declares.

@@ -7,7 +7,7 @@ use glam::{Vec2, Vec3};
 
 use super::error::{Fault, FormatError, read_file};
 use super::gltf::{Asset, Pose, placements, triangles};
-use super::ply::table::Ply;
+use super::ply::table;
 
 /// A mesh without maps.
 #[derive(Clone, Debug, PartialEq)]
@@ -161,12 +161,13 @@ fn from_obj(bytes: &[u8]) -> Result<Soup, Fault> {
 }
 
 fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
-    let ply = Ply::parse(bytes)?;
-    let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let (header, mut body) = table::open(std::io::Cursor::new(bytes))?;
+    let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
     let names = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]];
     let uv_columns = names.into_iter().find_map(|n| vertex.scalars(n).ok());
-    let (positions, vertex_uvs) = ply.rows(
+    let (positions, vertex_uvs) = body.rows(
+        &header,
         "vertex",
         |n| (Vec::with_capacity(n), vec![]),
         |(positions, uvs), row| {
@@ -177,11 +178,12 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
         },
     )?;
 
-    let face = ply.element("face").ok_or_else(|| Fault::whole("a PLY with the element `face`", "points alone"))?;
+    let face = header.element("face").ok_or_else(|| Fault::whole("a PLY with the element `face`", "points alone"))?;
     let corners = face.list("vertex_indices").or_else(|| face.list("vertex_index"));
     let corners = corners.ok_or_else(|| Fault::whole("the face property `vertex_indices`", "a header without it"))?;
     let face_uvs = face.list("texcoord");
-    let (triangles, uvs) = ply.rows(
+    let (triangles, uvs) = body.rows(
+        &header,
         "face",
         |n| (Vec::with_capacity(n), vec![]),
         |(triangles, uvs), row| {

@@ -3,6 +3,7 @@
 
 mod activation;
 mod atomic;
+mod blocks;
 mod error;
 pub mod gltf;
 mod inspect;

@@ -1,6 +1,7 @@
 //! One splat at a time: what the codecs of splats have in common.
 
 use glam::{Quat, Vec3};
+use rayon::prelude::*;
 
 use super::activation;
 use super::error::Fault;
@@ -89,6 +90,41 @@ impl Columns {
         self.opacity_logits.push(record.opacity_logit);
         let own = record.sh().iter().copied().chain(std::iter::repeat([0.0; 3]));
         self.sh.extend(own.take(sh::coefficients(self.sh_degree)));
+    }
+
+    /// Appends `count` splats, made side by side from their numbers.
+    pub(super) fn extend(&mut self, count: usize, record: impl Fn(usize) -> Record + Sync) {
+        // Room is made for some at a time, which are then still in the cache when they are filled.
+        const ROOM: usize = 1 << 14;
+        for start in (0..count).step_by(ROOM) {
+            self.extend_at_once(ROOM.min(count - start), |i| record(start + i));
+        }
+    }
+
+    fn extend_at_once(&mut self, count: usize, record: impl Fn(usize) -> Record + Sync) {
+        // Large against the cost of a task.
+        const PART: usize = 1 << 10;
+        let (first, k) = (self.means.len(), sh::coefficients(self.sh_degree));
+        self.means.resize(first + count, Vec3::ZERO);
+        self.rotations.resize(first + count, Quat::IDENTITY);
+        self.log_scales.resize(first + count, Vec3::ZERO);
+        self.opacity_logits.resize(first + count, 0.0);
+        self.sh.resize((first + count) * k, [0.0; 3]);
+        let parts = (
+            self.means[first..].par_chunks_mut(PART),
+            self.rotations[first..].par_chunks_mut(PART),
+            self.log_scales[first..].par_chunks_mut(PART),
+            self.opacity_logits[first..].par_chunks_mut(PART),
+            self.sh[first * k..].par_chunks_mut(PART * k),
+        );
+        parts.into_par_iter().enumerate().for_each(|(part, (means, rotations, log_scales, logits, sh))| {
+            for (i, own) in sh.chunks_exact_mut(k).enumerate() {
+                let splat = record(part * PART + i);
+                (means[i], rotations[i], log_scales[i]) = (splat.mean, splat.rotation, splat.log_scale);
+                logits[i] = splat.opacity_logit;
+                own.iter_mut().zip(splat.sh()).for_each(|(to, from)| *to = *from);
+            }
+        });
     }
 
     pub(super) fn finish(self) -> Result<Splats, Fault> {

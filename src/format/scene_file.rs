@@ -2,10 +2,14 @@
 
 use std::path::Path;
 
-use super::error::{self, Fault};
+use rayon::prelude::*;
+
+use super::error::Fault;
 use super::ply::Attribute;
 use super::record::Record;
-use super::{FormatError, Kind, Loss, WriteReport, activation, gltf, kind, ksplat, ply, sog, splat, spz, usd};
+use super::{
+    FormatError, Kind, Loss, SplatError, WriteReport, activation, gltf, kind, ksplat, ply, sog, splat, spz, usd,
+};
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
 /// What a file says about a scene.
@@ -79,9 +83,7 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
             SceneFile { notes, ..SceneFile::of_splats(splats) }
         }
         Kind::Splat => {
-            let bytes = error::read_file(path)?;
-            let (splats, dropped) =
-                splat::parse_with(&bytes, options.drop_invalid).map_err(|fault| fault.in_file(path))?;
+            let (splats, dropped) = splat::read_with(path, options.drop_invalid)?;
             SceneFile { dropped, ..SceneFile::of_splats(splats) }
         }
         Kind::Spz => {
@@ -138,15 +140,17 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
 
 /// What comes of storing scales and opacities instead of their logarithms and logits.
 fn of_linear_values(splats: &Splats) -> Loss {
-    let mut loss = Loss::default();
-    for i in 0..splats.len() {
+    let error = |i: usize| {
         let before = Record::of(splats, i);
         let mut after = before;
         after.log_scale = before.log_scale.to_array().map(|s| activation::log_scale(activation::scale(s)).0).into();
         after.opacity_logit = activation::logit(activation::opacity(before.opacity_logit)).0;
-        loss.max_error.include(&before, &after);
-    }
-    loss
+        let mut error = SplatError::default();
+        error.include(&before, &after);
+        error
+    };
+    let max_error = (0..splats.len()).into_par_iter().map(error).reduce(SplatError::default, SplatError::max);
+    Loss { max_error, ..Loss::default() }
 }
 
 /// Adds what formats of splats alone leave out. Without meshes only the background, the near plane and the colour space

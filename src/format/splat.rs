@@ -10,25 +10,28 @@
 //!
 //! There are no further SH bands. The file cannot state its frame: as for PLY it is the scene's own, by custom y down.
 
-use std::io::Write as _;
+use std::io::{Read, Seek, SeekFrom, Write as _};
 use std::path::Path;
 
 use glam::{Quat, Vec3};
 
-use super::error::{Fault, read_file};
-use super::loss::{Loss, WriteReport};
+use super::blocks::{in_waves, read_in_blocks};
+use super::error::{Fault, open_file};
+use super::loss::{Loss, SplatError, WriteReport};
 use super::record::{Columns, Record, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
 use super::{FormatError, activation, atomic_write_with};
 use crate::scene::Splats;
 
 const BYTES: usize = 32;
+/// Splats that are encoded as one task.
+const ROWS: usize = 1 << 14;
 
 /// Reads splats. Opacities of 0 and 1 and scales of 0 become the nearest finite parameters.
 ///
 /// # Errors
 /// If the file cannot be read, its length is not a multiple of 32, or it holds values that [`Splats::new`] refuses.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
+    Ok(read_with(path, false)?.0)
 }
 
 /// Writes splats in their own order.
@@ -38,36 +41,49 @@ pub fn read(path: &Path) -> Result<Splats, FormatError> {
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     let mut loss = Loss::of_sh_degree(splats.sh_degree(), 0);
     let bytes = atomic_write_with(path, |out| {
-        (0..splats.len()).try_for_each(|i| {
-            let splat = Record::of(splats, i);
-            let row = encode(&splat);
-            loss.max_error.include(&splat, &decode(&row));
-            out.write_all(&row)
+        let encode_rows = |block: usize| {
+            let (mut bytes, mut error) = (Vec::with_capacity(ROWS * BYTES), SplatError::default());
+            for i in block * ROWS..splats.len().min((block + 1) * ROWS) {
+                let splat = Record::of(splats, i);
+                let row = encode(&splat);
+                error.include(&splat, &decode(&row));
+                bytes.extend(row);
+            }
+            (bytes, error)
+        };
+        in_waves(splats.len().div_ceil(ROWS), encode_rows, |(bytes, error)| {
+            loss.max_error = loss.max_error.max(error);
+            out.write_all(&bytes)
         })
     })?;
     Ok(WriteReport { bytes, loss })
 }
 
-fn parse(bytes: &[u8]) -> Result<Splats, Fault> {
-    parse_with(bytes, false).map(|(splats, _)| splats)
+/// The splats, and how many have been left out because they are invalid and `drop_invalid` is set.
+pub(super) fn read_with(path: &Path, drop_invalid: bool) -> Result<(Splats, usize), FormatError> {
+    parse(open_file(path)?, drop_invalid).map_err(|fault| fault.in_file(path))
 }
 
-/// The splats, and how many have been left out because they are invalid and `drop_invalid` is set.
-pub(super) fn parse_with(bytes: &[u8], drop_invalid: bool) -> Result<(Splats, usize), Fault> {
-    let (rows, rest) = bytes.as_chunks::<BYTES>();
-    if !rest.is_empty() {
-        let found = format!("{} bytes", bytes.len());
-        return Err(Fault::whole(format!("a .splat file of {BYTES} bytes per splat"), found));
+fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splats, usize), Fault> {
+    let length = file.seek(SeekFrom::End(0)).and_then(|length| file.rewind().map(|()| length));
+    let length = length.map_err(|e| Fault::unreadable(0, &e))? as usize;
+    let count = length / BYTES;
+    if !length.is_multiple_of(BYTES) {
+        let found = format!("{} bytes after splat {count}", length % BYTES);
+        return Err(Fault::byte(count * BYTES, format!("{BYTES} bytes per splat"), found));
     }
-    let mut columns = Columns::with_capacity(rows.len(), 0);
+    let mut columns = Columns::with_capacity(count, 0);
     let mut dropped = 0;
-    for splat in rows.iter().map(decode) {
-        if !drop_invalid {
-            columns.push(&splat);
-        } else if !columns.push_valid(&splat) {
-            dropped += 1;
+    read_in_blocks(&mut file, 0, (count, BYTES), |_, rows| {
+        // Rows have the length that they are asked for.
+        let splat = |row: &[u8]| decode(row.first_chunk().unwrap_or(&[0; BYTES]));
+        if drop_invalid {
+            dropped += rows.filter(|row| !columns.push_valid(&splat(row))).count();
+        } else {
+            let rows: Vec<&[u8]> = rows.collect();
+            columns.extend(rows.len(), |i| splat(rows[i]));
         }
-    }
+    })?;
     Ok((columns.finish()?, dropped))
 }
 
@@ -104,10 +120,16 @@ fn decode(row: &[u8; BYTES]) -> Record {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use proptest::prelude::*;
 
     use super::*;
     use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_splats};
+
+    fn parse(bytes: &[u8]) -> Result<Splats, Fault> {
+        super::parse(Cursor::new(bytes), false).map(|(splats, _)| splats)
+    }
 
     fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
         let folder = tempfile::tempdir().unwrap();
@@ -160,7 +182,10 @@ mod tests {
         bytes[32..36].copy_from_slice(&f32::NAN.to_le_bytes());
         let message = |bytes: &[u8]| parse(bytes).unwrap_err().in_file(Path::new("a.splat")).to_string();
         assert_eq!(message(&bytes), "a.splat: means[1]: expected finite numbers, found NaN");
-        assert_eq!(message(&bytes[..63]), "a.splat: expected a .splat file of 32 bytes per splat, found 63 bytes");
+        assert_eq!(
+            message(&bytes[..63]),
+            "a.splat: byte 32: expected 32 bytes per splat, found 31 bytes after splat 1"
+        );
         bytes[28..32].fill(128);
         bytes[32..36].fill(0);
         assert!(message(&bytes).contains("rotations[0]: expected a non-zero quaternion"), "{}", message(&bytes));

@@ -1,4 +1,5 @@
 use glam::{Quat, Vec3};
+use rayon::prelude::*;
 
 use super::{SceneError, check_finite, check_len, sh};
 
@@ -49,16 +50,20 @@ impl Splats {
         check_finite("log_scales", bytemuck::cast_slice(&log_scales), 3)?;
         check_finite("opacity_logits", &opacity_logits, 1)?;
         check_finite("sh", bytemuck::cast_slice(&sh), 3 * sh::coefficients(sh_degree))?;
-        for (i, q) in rotations.iter_mut().enumerate() {
+        let not_a_rotation = rotations.par_iter_mut().enumerate().find_map_first(|(i, q)| {
             // In f64, so that any finite non-zero f32 quaternion survives.
             let length = q.as_dquat().length();
             if !(length > 0.0 && length.is_finite()) {
-                return Err(SceneError::new(format!("rotations[{i}]"), "a non-zero quaternion", q.to_string()));
+                return Some((i, *q));
             }
             // One that is as long as f32 can tell keeps its bits, however often it comes by here.
             if (length - 1.0).abs() > UNIT_TOLERANCE {
                 *q = (q.as_dquat() / length).as_quat();
             }
+            None
+        });
+        if let Some((i, q)) = not_a_rotation {
+            return Err(SceneError::new(format!("rotations[{i}]"), "a non-zero quaternion", q.to_string()));
         }
         Ok(Self { means, rotations, log_scales, opacity_logits, sh_degree, sh })
     }

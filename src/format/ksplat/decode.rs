@@ -1,8 +1,12 @@
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
+
 use glam::{DVec3, Quat, Vec3};
 use half::f16;
 
 use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SECTION_HEADER};
 use crate::format::activation;
+use crate::format::blocks::read_in_blocks;
 use crate::format::error::Fault;
 use crate::format::record::{Columns, Record, dc_of_bytes, logit_of_byte};
 use crate::scene::{Splats, sh};
@@ -26,34 +30,37 @@ struct Section {
     bucket_stride: usize,
     full_buckets: usize,
     /// Lengths of the buckets that are not full, centres, splats: ranges of bytes of the file.
-    lengths: std::ops::Range<usize>,
-    centers: std::ops::Range<usize>,
-    splats: std::ops::Range<usize>,
+    lengths: Range<usize>,
+    centers: Range<usize>,
+    splats: Range<usize>,
 }
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Splats, Fault> {
-    let Some(header) = bytes.get(..HEADER) else {
-        return Err(Fault::whole(format!("a .ksplat header of {HEADER} bytes"), format!("{} bytes", bytes.len())));
-    };
+pub(super) fn decode(mut file: impl Read + Seek + Send) -> Result<Splats, Fault> {
+    let length = file.seek(SeekFrom::End(0)).map_err(|e| Fault::unreadable(0, &e))? as usize;
+    if length < HEADER {
+        return Err(Fault::whole(format!("a .ksplat header of {HEADER} bytes"), format!("{length} bytes")));
+    }
+    let header = read_at(&mut file, 0..HEADER)?;
     if header[..2] != [0, 1] {
         return Err(Fault::byte(0, ".ksplat version 0.1", format!("{}.{}", header[0], header[1])));
     }
-    let sections = u32_at(header, 4) as usize;
-    let declared = u32_at(header, 16);
-    let code = u16_at(header, 20);
+    let sections = u32_at(&header, 4) as usize;
+    let declared = u32_at(&header, 16);
+    let code = u16_at(&header, 20);
     let level =
         Level::from_code(code).ok_or_else(|| Fault::byte(20, "compression level 0, 1 or 2", code.to_string()))?;
     let or = |value: f32, default| if value == 0.0 { default } else { value };
-    let sh_range = [or(f32_at(header, 36), -DEFAULT_SH_RANGE), or(f32_at(header, 40), DEFAULT_SH_RANGE)];
-    let most = (bytes.len() - HEADER) / SECTION_HEADER;
+    let sh_range = [or(f32_at(&header, 36), -DEFAULT_SH_RANGE), or(f32_at(&header, 40), DEFAULT_SH_RANGE)];
+    let most = (length - HEADER) / SECTION_HEADER;
     if sections > most {
-        return Err(Fault::byte(4, format!("at most {most} sections in {} bytes", bytes.len()), sections.to_string()));
+        return Err(Fault::byte(4, format!("at most {most} sections in {length} bytes"), sections.to_string()));
     }
     let mut offset = HEADER + sections * SECTION_HEADER;
     let mut parsed = Vec::with_capacity(sections);
     for i in 0..sections {
-        let section = Section::parse(bytes, HEADER + i * SECTION_HEADER, &mut offset, level, sh_range)?;
-        parsed.push(section);
+        let at = HEADER + i * SECTION_HEADER;
+        let header = read_at(&mut file, at..at + SECTION_HEADER)?;
+        parsed.push(Section::parse(&header, at, (&mut offset, length), level, sh_range)?);
     }
     // Each splat has bytes of its own in the file.
     let count: usize = parsed.iter().map(|s| s.count).sum();
@@ -62,14 +69,19 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Splats, Fault> {
     }
     let sh_degree = parsed.iter().map(|s| s.layout.sh_degree).max().unwrap_or(0);
     let mut columns = Columns::with_capacity(count, sh_degree);
-    parsed.iter().try_for_each(|section| section.decode(bytes, &mut columns))?;
+    parsed.iter().try_for_each(|section| section.decode(&mut file, &mut columns))?;
     columns.finish()
 }
 
 impl Section {
-    /// Parses the header at `at`, and moves `offset` from the section's content to behind it.
-    fn parse(bytes: &[u8], at: usize, offset: &mut usize, level: Level, sh_range: [f32; 2]) -> Result<Self, Fault> {
-        let header = &bytes[at..at + SECTION_HEADER];
+    /// Parses the header that stands at `at` of the file, and moves `offset` from the section's content to behind it.
+    fn parse(
+        header: &[u8],
+        at: usize,
+        (offset, file_length): (&mut usize, usize),
+        level: Level,
+        sh_range: [f32; 2],
+    ) -> Result<Self, Fault> {
         let [count, room, bucket_size, buckets] = [0, 4, 8, 12].map(|k| u32_at(header, k) as usize);
         let (block, stride) = (f32_at(header, 16), usize::from(u16_at(header, 20)));
         let mean_range = Some(u32_at(header, 24)).filter(|&range| range > 0).unwrap_or(MEAN_RANGE);
@@ -85,7 +97,7 @@ impl Section {
             return Err(Fault::byte(at + 20, format!("at least {CENTER} bytes per bucket"), stride.to_string()));
         }
         let mut take = |length: Option<usize>| {
-            let end = length.and_then(|l| offset.checked_add(l)).filter(|&end| end <= bytes.len())?;
+            let end = length.and_then(|l| offset.checked_add(l)).filter(|&end| end <= file_length)?;
             Some(std::mem::replace(offset, end)..end)
         };
         let ranges = (|| {
@@ -94,7 +106,7 @@ impl Section {
             Some((lengths, centers, take(room.checked_mul(level.splat_bytes(sh_degree)))?))
         })();
         let Some((lengths, centers, splats)) = ranges else {
-            let expected = format!("a section that ends within the file's {} bytes", bytes.len());
+            let expected = format!("a section that ends within the file's {file_length} bytes");
             return Err(Fault::byte(at, expected, format!("{room} splats, {buckets} buckets")));
         };
         let mean_step = f64::from(block) / 2.0 / f64::from(mean_range);
@@ -102,28 +114,39 @@ impl Section {
         Ok(Self { count, layout, bucket_size, bucket_stride: stride, full_buckets, lengths, centers, splats })
     }
 
-    fn decode(&self, bytes: &[u8], columns: &mut Columns) -> Result<(), Fault> {
-        let rows = bytes[self.splats.clone()].chunks_exact(self.layout.level.splat_bytes(self.layout.sh_degree));
-        let rows = rows.take(self.count);
-        if self.layout.level == Level::Float {
-            rows.for_each(|row| columns.push(&decode_splat(&self.layout, Vec3::ZERO, row)));
-            return Ok(());
-        }
-        let partial = bytes[self.lengths.clone()].as_chunks::<4>().0;
+    fn decode(&self, file: &mut (impl Read + Seek + Send), columns: &mut Columns) -> Result<(), Fault> {
+        let lengths = read_at(file, self.lengths.clone())?;
+        let centers = read_at(file, self.centers.clone())?;
         let lengths = std::iter::repeat_n(self.bucket_size, self.full_buckets)
-            .chain(partial.iter().map(|&length| u32::from_le_bytes(length) as usize));
-        let mut centers = lengths
-            .zip(bytes[self.centers.clone()].chunks_exact(self.bucket_stride.max(1)))
-            .flat_map(|(length, center)| std::iter::repeat_n(Vec3::from([0, 4, 8].map(|k| f32_at(center, k))), length));
-        for (i, row) in rows.enumerate() {
-            let Some(center) = centers.next() else {
+            .chain(lengths.as_chunks::<4>().0.iter().map(|&length| u32::from_le_bytes(length) as usize));
+        let buckets = lengths.zip(centers.chunks_exact(self.bucket_stride.max(1)));
+        // One behind the last splat of each bucket, and its centre.
+        let (mut end, mut ends) = (0usize, vec![]);
+        if self.layout.level != Level::Float {
+            for (length, center) in buckets {
+                end = end.saturating_add(length);
+                ends.push((end, Vec3::from([0, 4, 8].map(|k| f32_at(center, k)))));
+            }
+            if end < self.count {
                 let expected = format!("buckets for {} splats", self.count);
-                return Err(Fault::byte(self.lengths.start, expected, format!("for {i}")));
-            };
-            columns.push(&decode_splat(&self.layout, center, row));
+                return Err(Fault::byte(self.lengths.start, expected, format!("for {end}")));
+            }
         }
-        Ok(())
+        let center_of = |i: usize| ends.get(ends.partition_point(|&(end, _)| end <= i)).map_or(Vec3::ZERO, |b| b.1);
+        let (start, stride) = (self.splats.start as u64, self.layout.level.splat_bytes(self.layout.sh_degree));
+        file.seek(SeekFrom::Start(start)).map_err(|e| Fault::unreadable(start, &e))?;
+        read_in_blocks(file, start, (self.count, stride), |first, rows| {
+            let rows: Vec<&[u8]> = rows.collect();
+            columns.extend(rows.len(), |i| decode_splat(&self.layout, center_of(first + i), rows[i]));
+        })
     }
+}
+
+fn read_at(file: &mut (impl Read + Seek), range: Range<usize>) -> Result<Vec<u8>, Fault> {
+    let mut bytes = vec![0; range.len()];
+    let read = file.seek(SeekFrom::Start(range.start as u64)).and_then(|_| file.read_exact(&mut bytes));
+    read.map_err(|e| Fault::unreadable(range.start as u64, &e))?;
+    Ok(bytes)
 }
 
 /// `row` has [`Level::splat_bytes`].

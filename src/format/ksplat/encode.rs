@@ -1,18 +1,20 @@
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 
 use glam::{DVec3, Vec3};
 use half::f16;
-use rayon::prelude::*;
 
 use super::decode::{Layout, decode_splat, sh_place};
 use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SECTION_HEADER};
 use crate::format::activation;
+use crate::format::blocks::in_waves;
 use crate::format::loss::{Loss, SplatError};
 use crate::format::record::{Record, color_bytes, opacity_byte, quantize};
 use crate::scene::{Splats, sh};
 
 /// Splats in a full bucket, as by the format's own writer.
 const BUCKET: usize = 256;
+const BUCKETS_PER_TASK: usize = 32;
 /// Side of a block in scene units, as by the format's own writer; less in small scenes, so that they have as many blocks.
 const GREATEST_BLOCK: f64 = 5.0;
 /// A block is at most this part of the scene's greatest extent…
@@ -26,7 +28,7 @@ struct Bucket {
     splats: Vec<u32>,
 }
 
-pub(super) fn encode(splats: &Splats, level: Level) -> (Vec<u8>, Loss) {
+pub(super) fn encode(splats: &Splats, level: Level, out: &mut (impl Write + Send)) -> io::Result<Loss> {
     let sh_degree = splats.sh_degree().min(MAX_DEGREE);
     let (block, buckets) = match level {
         Level::Float => (0.0, in_order(splats.len())),
@@ -39,23 +41,28 @@ pub(super) fn encode(splats: &Splats, level: Level) -> (Vec<u8>, Loss) {
         mean_step: f64::from(block) / 2.0 / f64::from(MEAN_RANGE),
         mean_range: MEAN_RANGE,
     };
-    let encoded: Vec<(Vec<u8>, SplatError)> = buckets.par_iter().map(|b| encode_bucket(splats, &layout, b)).collect();
-
     let full = buckets.iter().take_while(|b| b.splats.len() == BUCKET).count();
-    let mut file = headers(&layout, splats, block, (buckets.len(), full));
+    let mut start = headers(&layout, splats, block, (buckets.len(), full));
     if level != Level::Float {
-        buckets[full..].iter().for_each(|b| file.extend((b.splats.len() as u32).to_le_bytes()));
-        buckets.iter().for_each(|b| b.center.to_array().iter().for_each(|v| file.extend(v.to_le_bytes())));
+        buckets[full..].iter().for_each(|b| start.extend((b.splats.len() as u32).to_le_bytes()));
+        buckets.iter().for_each(|b| b.center.to_array().iter().for_each(|v| start.extend(v.to_le_bytes())));
     }
-    let mut loss = Loss::of_sh_degree(splats.sh_degree(), sh_degree);
-    for (bytes, error) in encoded {
-        file.extend(bytes);
-        loss.max_error = loss.max_error.max(error);
-    }
+    let section = start.len() - HEADER - SECTION_HEADER + splats.len() * level.splat_bytes(sh_degree);
     // Beyond 4 GiB the field cannot say so; readers work the size out from the counts.
-    let section = u32::try_from(file.len() - HEADER - SECTION_HEADER).unwrap_or(u32::MAX);
-    file[HEADER + 28..HEADER + 32].copy_from_slice(&section.to_le_bytes());
-    (file, loss)
+    let section = u32::try_from(section).unwrap_or(u32::MAX);
+    start[HEADER + 28..HEADER + 32].copy_from_slice(&section.to_le_bytes());
+    out.write_all(&start)?;
+    let mut loss = Loss::of_sh_degree(splats.sh_degree(), sh_degree);
+    let groups: Vec<&[Bucket]> = buckets.chunks(BUCKETS_PER_TASK).collect();
+    in_waves(
+        groups.len(),
+        |i| encode_buckets(splats, &layout, groups[i]),
+        |(bytes, error)| {
+            loss.max_error = loss.max_error.max(error);
+            out.write_all(&bytes)
+        },
+    )?;
+    Ok(loss)
 }
 
 /// The file's header and that of its one section, whose size is still to be filled in.
@@ -126,14 +133,15 @@ fn sh_range(splats: &Splats, sh_degree: u32) -> [f32; 2] {
     values.fold([-1e-6, 1e-6], |[low, high]: [f32; 2], &v| [low.min(v), high.max(v)])
 }
 
-fn encode_bucket(splats: &Splats, layout: &Layout, bucket: &Bucket) -> (Vec<u8>, SplatError) {
-    let stride = layout.level.splat_bytes(layout.sh_degree);
-    let (mut bytes, mut error) = (Vec::with_capacity(bucket.splats.len() * stride), SplatError::default());
-    for &i in &bucket.splats {
-        let splat = Record::of(splats, i as usize);
-        let start = bytes.len();
-        encode_splat(layout, bucket.center, &splat, &mut bytes);
-        error.include(&splat, &decode_splat(layout, bucket.center, &bytes[start..]));
+fn encode_buckets(splats: &Splats, layout: &Layout, buckets: &[Bucket]) -> (Vec<u8>, SplatError) {
+    let (mut bytes, mut error) = (vec![], SplatError::default());
+    for bucket in buckets {
+        for &i in &bucket.splats {
+            let splat = Record::of(splats, i as usize);
+            let start = bytes.len();
+            encode_splat(layout, bucket.center, &splat, &mut bytes);
+            error.include(&splat, &decode_splat(layout, bucket.center, &bytes[start..]));
+        }
     }
     (bytes, error)
 }

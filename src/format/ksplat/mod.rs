@@ -19,9 +19,9 @@ mod encode;
 
 use std::path::Path;
 
-use super::error::{Fault, read_file};
-use super::loss::WriteReport;
-use super::{FormatError, atomic_write};
+use super::error::{Fault, open_file};
+use super::loss::{Loss, WriteReport};
+use super::{FormatError, atomic_write_with};
 use crate::scene::Splats;
 
 /// Bytes of the file's header.
@@ -76,7 +76,7 @@ impl Level {
 /// If the file cannot be read, is not such a file, is truncated, declares what contradicts itself, or holds values that
 /// [`Splats::new`] refuses.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    decode::decode(&read_file(path)?).map_err(|fault| fault.in_file(path))
+    decode::decode(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
 /// Writes splats: in their own order at level 0, bucket by bucket at the others.
@@ -88,9 +88,12 @@ pub fn write(path: &Path, splats: &Splats, level: Level) -> Result<WriteReport, 
         let fault = Fault::whole("at most 4294967295 splats", splats.len().to_string());
         return Err(fault.in_file(path));
     }
-    let (file, loss) = encode::encode(splats, level);
-    atomic_write(path, &file)?;
-    Ok(WriteReport { bytes: file.len() as u64, loss })
+    let mut loss = Loss::default();
+    let bytes = atomic_write_with(path, |out| {
+        loss = encode::encode(splats, level, out)?;
+        Ok(())
+    })?;
+    Ok(WriteReport { bytes, loss })
 }
 
 #[cfg(test)]

@@ -1,13 +1,20 @@
 use proptest::prelude::*;
 
-use super::decode::decode;
-use super::encode::encode;
 use super::*;
-use crate::format::loss::Loss;
 use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_splats};
 use crate::scene::sh;
 
 const LEVELS: [Level; 3] = [Level::Float, Level::Half, Level::HalfAndByte];
+
+fn encode(splats: &Splats, level: Level) -> (Vec<u8>, Loss) {
+    let mut file = vec![];
+    let loss = encode::encode(splats, level, &mut file).unwrap();
+    (file, loss)
+}
+
+fn decode(bytes: &[u8]) -> Result<Splats, Fault> {
+    decode::decode(std::io::Cursor::new(bytes))
+}
 
 fn message(bytes: &[u8]) -> String {
     decode(bytes).unwrap_err().in_file(Path::new("a.ksplat")).to_string()

@@ -1,6 +1,6 @@
 //! What a PLY says about splats besides their parameters.
 
-use super::table::{Element, Scalar};
+use super::table::{Column, Element, Scalar};
 
 /// A property of every splat that is none of the parameters of the INRIA layout, under the name and type of its file:
 /// a label, a confidence, a time. PLY alone can hold it.
@@ -48,7 +48,7 @@ impl Attribute {
 }
 
 /// The properties of `vertex` that are no parameters, without values, and their columns.
-pub(super) fn of_header(vertex: &Element) -> (Vec<Attribute>, Vec<usize>) {
+pub(super) fn of_header(vertex: &Element) -> (Vec<Attribute>, Vec<Column>) {
     let known = ["x", "y", "z", "nx", "ny", "nz", "opacity"];
     let numbered = ["f_dc_", "f_rest_", "scale_", "rot_"];
     let is_extra = |name: &str| !known.contains(&name) && !numbered.iter().any(|prefix| name.starts_with(prefix));

@@ -4,14 +4,16 @@ mod attribute;
 pub mod compressed;
 pub(crate) mod table;
 
-use std::io::Write as _;
+use std::io::{BufRead, Seek, Write as _};
+use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Quat, Vec3};
 
 pub use self::attribute::Attribute;
-use self::table::{Element, Ply};
-use super::error::{Fault, FormatError, read_file};
+use self::table::{Column, Element};
+use super::blocks::in_waves;
+use super::error::{Fault, FormatError, open_file};
 use super::record::{Columns, Record};
 use super::{ReadOptions, activation, atomic_write_with};
 use crate::scene::{Splats, sh};
@@ -44,20 +46,35 @@ pub fn write_with(path: &Path, splats: &Splats, attributes: &[Attribute]) -> Res
     let properties: String = names.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     atomic_write_with(path, |out| {
         write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}end_header\n", splats.len())?;
-        let mut row = Vec::with_capacity(4 * (17 + 3 * bands));
-        for i in 0..splats.len() {
-            let (dc, rest) = (splats.sh_of(i)[0], &splats.sh_of(i)[1..]);
-            let q = splats.rotations()[i];
-            let values = splats.means()[i].to_array().into_iter().chain([0.0; 3]).chain(dc);
-            let values = values.chain((0..3).flat_map(|channel| rest.iter().map(move |c| c[channel])));
-            let values = values.chain([splats.opacity_logits()[i]]).chain(splats.log_scales()[i].to_array());
-            row.clear();
-            values.chain([q.w, q.x, q.y, q.z]).for_each(|v: f32| row.extend_from_slice(&v.to_le_bytes()));
-            attributes.iter().for_each(|a| a.kind.encode(a.values[i], &mut row));
-            out.write_all(&row)?;
-        }
-        Ok(())
+        let block = |i: usize| i * ROWS..splats.len().min((i + 1) * ROWS);
+        in_waves(
+            splats.len().div_ceil(ROWS),
+            |i| encode_rows(splats, attributes, block(i)),
+            |rows| out.write_all(&rows),
+        )
     })
+}
+
+/// Rows that are encoded as one task: about 1 MB.
+const ROWS: usize = 1 << 12;
+
+fn encode_rows(splats: &Splats, attributes: &[Attribute], rows: Range<usize>) -> Vec<u8> {
+    let extra: usize = attributes.iter().map(|a| a.kind.bytes()).sum();
+    let mut bytes = Vec::with_capacity(rows.len() * (4 * (14 + 3 * sh::coefficients(splats.sh_degree())) + extra));
+    for i in rows {
+        let mut put = |values: &[f32]| values.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        let (dc, rest) = (splats.sh_of(i)[0], &splats.sh_of(i)[1..]);
+        put(&splats.means()[i].to_array());
+        put(&[0.0; 3]);
+        put(&dc);
+        (0..3).for_each(|channel| rest.iter().for_each(|c| put(&[c[channel]])));
+        put(&[splats.opacity_logits()[i]]);
+        put(&splats.log_scales()[i].to_array());
+        let q = splats.rotations()[i];
+        put(&[q.w, q.x, q.y, q.z]);
+        attributes.iter().for_each(|a| a.kind.encode(a.values[i], &mut bytes));
+    }
+    bytes
 }
 
 /// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 3 by
@@ -70,8 +87,7 @@ pub fn write_with(path: &Path, splats: &Splats, attributes: &[Attribute]) -> Res
 /// # Errors
 /// If the file cannot be read, is not such a PLY, is truncated, or holds values that [`Splats::new`] refuses.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    let bytes = read_file(path)?;
-    parse_splats(&bytes).map_err(|fault| fault.in_file(path))
+    parse_splats(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
 /// Splats, and what else a PLY says about them.
@@ -90,7 +106,7 @@ pub struct PlySplats {
 /// # Errors
 /// As [`read`].
 pub fn read_with(path: &Path, options: &ReadOptions) -> Result<PlySplats, FormatError> {
-    parse(&read_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
+    parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 
 /// Reads points: `x y z` and, where present, `red green blue` (8-bit, or float in 0..1; grey otherwise). Their
@@ -99,61 +115,72 @@ pub fn read_with(path: &Path, options: &ReadOptions) -> Result<PlySplats, Format
 /// # Errors
 /// If the file cannot be read, is not a PLY with a `vertex` element, is truncated, or a position is not finite.
 pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
-    let bytes = read_file(path)?;
-    parse_points(&bytes).map_err(|fault| fault.in_file(path))
+    parse_points(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
-pub(super) fn parse_splats(bytes: &[u8]) -> Result<Splats, Fault> {
-    parse(bytes, false).map(|file| file.splats)
+pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, Fault> {
+    parse(file, false).map(|file| file.splats)
 }
 
-fn parse(bytes: &[u8], drop_invalid: bool) -> Result<PlySplats, Fault> {
-    let ply = Ply::parse(bytes)?;
-    if compressed::is_compressed(&ply) {
-        return Ok(PlySplats { splats: compressed::parse(&ply)?, attributes: vec![], dropped: 0 });
+fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySplats, Fault> {
+    let (header, mut body) = table::open(file)?;
+    if compressed::is_compressed(&header) {
+        return Ok(PlySplats { splats: compressed::parse(&header, &mut body)?, attributes: vec![], dropped: 0 });
     }
-    let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
-    let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
-    let dc = vertex.scalars(["f_dc_0", "f_dc_1", "f_dc_2"])?;
-    let [opacity] = vertex.scalars(["opacity"])?;
-    let scales = vertex.scalars(["scale_0", "scale_1", "scale_2"])?;
-    let [qw, qx, qy, qz] = vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"])?;
+    let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let means = vertex.columns(["x", "y", "z"])?;
+    let dc = vertex.columns(["f_dc_0", "f_dc_1", "f_dc_2"])?;
+    let [opacity] = vertex.columns(["opacity"])?;
+    let scales = vertex.columns(["scale_0", "scale_1", "scale_2"])?;
+    let wxyz = vertex.columns(["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let rest = rest_columns(vertex);
-    let (sh_degree, bands) = (degree_of_rest(rest.len())?, rest.len() / 3);
+    let (sh_degree, bands) = (degree_of_rest(rest.len()).map_err(|fault| fault.at_byte(vertex.at))?, rest.len() / 3);
     let (mut attributes, extra) = attribute::of_header(vertex);
 
-    let reserve = |n| {
-        attributes.iter_mut().for_each(|a| a.values.reserve_exact(n));
-        (Columns::with_capacity(n, sh_degree), attributes, 0)
-    };
-    let (columns, attributes, dropped) = ply.rows("vertex", reserve, |(columns, attributes, dropped), row| {
-        let v = |column: usize| row.values[column] as f32;
+    let decode = |row: &[u8]| {
+        let v = |column: Column| column.f32(row);
         let mut sh = [[0.0; 3]; 16];
         sh[0] = dc.map(v);
         sh[1..].iter_mut().zip(0..bands).for_each(|(s, c)| *s = [0, 1, 2].map(|channel| v(rest[channel * bands + c])));
-        let splat = Record {
-            mean: Vec3::new(v(x), v(y), v(z)),
-            rotation: Quat::from_xyzw(v(qx), v(qy), v(qz), v(qw)),
+        let [w, x, y, z] = wxyz.map(v);
+        Record {
+            mean: Vec3::from(means.map(v)),
+            rotation: Quat::from_xyzw(x, y, z, w),
             log_scale: Vec3::from(scales.map(v).map(finite_log_scale)),
             opacity_logit: finite_logit(v(opacity)),
             sh_degree,
             sh,
-        };
-        if !drop_invalid {
-            columns.push(&splat);
-        } else if !columns.push_valid(&splat) {
-            *dropped += 1;
-            return Ok(());
         }
-        attributes.iter_mut().zip(&extra).for_each(|(a, &column)| a.values.push(row.values[column]));
-        Ok(())
-    })?;
+    };
+    let reserve = |n| {
+        attributes.iter_mut().for_each(|a| a.values.reserve_exact(n));
+        (Columns::with_capacity(n, sh_degree), attributes, 0)
+    };
+    let (columns, attributes, dropped) =
+        body.blocks(&header, "vertex", reserve, |(columns, attributes, dropped), rows| {
+            let mut also = |row: &[u8]| attributes.iter_mut().zip(&extra).for_each(|(a, c)| a.values.push(c.f64(row)));
+            if !drop_invalid {
+                let bytes: Vec<&[u8]> = rows.collect();
+                columns.extend(bytes.len(), |i| decode(bytes[i]));
+                bytes.into_iter().for_each(also);
+                return Ok(());
+            }
+            for row in rows {
+                if columns.push_valid(&decode(row)) {
+                    also(row);
+                } else {
+                    *dropped += 1;
+                }
+            }
+            Ok(())
+        })?;
     Ok(PlySplats { splats: columns.finish()?, attributes, dropped })
 }
 
 /// Columns of `f_rest_0`, `f_rest_1`, …
-fn rest_columns(element: &Element) -> Vec<usize> {
-    (0..).map_while(|i| element.scalar(&format!("f_rest_{i}"))).collect()
+fn rest_columns(element: &Element) -> Vec<Column> {
+    // Beyond twice the most that is accepted it does not matter how many there are.
+    (0..90).map_while(|i| element.column(&format!("f_rest_{i}"))).collect()
 }
 
 /// SH degree that has `rest` coefficients above the first, in three channels.
@@ -171,13 +198,13 @@ fn finite_log_scale(log_scale: f32) -> f32 {
     if log_scale == f32::NEG_INFINITY { activation::log_scale(0.0).0 } else { log_scale }
 }
 
-fn parse_points(bytes: &[u8]) -> Result<Vec<(DVec3, [u8; 3])>, Fault> {
-    let ply = Ply::parse(bytes)?;
-    let vertex = ply.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+fn parse_points(file: impl BufRead + Seek) -> Result<Vec<(DVec3, [u8; 3])>, Fault> {
+    let (header, mut body) = table::open(file)?;
+    let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
     let colours = vertex.scalars(["red", "green", "blue"]).ok();
     let scale = if vertex.is_float("red") { 255.0 } else { 1.0 };
-    ply.rows("vertex", Vec::with_capacity, |points, row| {
+    body.rows(&header, "vertex", Vec::with_capacity, |points, row| {
         let position = DVec3::new(row.values[x], row.values[y], row.values[z]);
         if !position.is_finite() {
             return Err(Fault::whole(format!("finite numbers in vertex {}", points.len()), position.to_string()));
@@ -191,6 +218,8 @@ fn parse_points(bytes: &[u8]) -> Result<Vec<(DVec3, [u8; 3])>, Fault> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use proptest::prelude::*;
 
     use super::*;
@@ -209,7 +238,7 @@ mod tests {
     fn round_trip_is_exact() {
         for degree in 0..=3 {
             let splats = random_splats(17, degree, u64::from(degree));
-            let back = parse_splats(&written(&splats)).unwrap();
+            let back = parse_splats(Cursor::new(written(&splats))).unwrap();
             assert_eq!(back.means(), splats.means());
             assert_eq!(back.log_scales(), splats.log_scales());
             assert_eq!(back.opacity_logits(), splats.opacity_logits());
@@ -219,7 +248,7 @@ mod tests {
                 assert!((*a - *b).length() < 2.5e-7, "{a} {b}");
             }
         }
-        assert_eq!(parse_splats(&written(&Splats::empty(2))).unwrap(), Splats::empty(2));
+        assert_eq!(parse_splats(Cursor::new(written(&Splats::empty(2)))).unwrap(), Splats::empty(2));
     }
 
     #[test]
@@ -259,7 +288,7 @@ mod tests {
         values.iter().for_each(|v| big.extend(v.to_be_bytes()));
         [2.0f32, 0.0, 0.0, 0.0].iter().for_each(|v| big.extend(v.to_be_bytes()));
         for file in [ascii.into_bytes(), big] {
-            let splats = parse_splats(&file).unwrap();
+            let splats = parse_splats(Cursor::new(file)).unwrap();
             assert_eq!(splats.means(), [Vec3::new(1.0, 2.0, 3.0)]);
             assert_eq!(splats.sh(), [[0.1, 0.2, 0.3]]);
             assert_eq!(splats.opacity_logits(), [-1.5]);
@@ -273,11 +302,11 @@ mod tests {
         let row = file.len() - 17 * 4;
         file[row + 36..row + 40].copy_from_slice(&f32::INFINITY.to_le_bytes());
         file[row + 40..row + 44].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
-        let splats = parse_splats(&file).unwrap();
+        let splats = parse_splats(Cursor::new(&file)).unwrap();
         assert!((16.0..17.0).contains(&splats.opacity_logits()[0]), "the f32 below 1");
         assert!((-88.0..-87.0).contains(&splats.log_scales()[0].x), "the least normal f32");
         file[row + 36..row + 40].copy_from_slice(&f32::NAN.to_le_bytes());
-        assert!(parse_splats(&file).is_err());
+        assert!(parse_splats(Cursor::new(file)).is_err());
     }
 
     #[test]
@@ -285,17 +314,18 @@ mod tests {
         let file = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
                      property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 4 5 6\n7 8 9 10 11 12\n";
         assert_eq!(
-            parse_points(file).unwrap(),
+            parse_points(Cursor::new(file)).unwrap(),
             [(DVec3::new(1.0, 2.0, 3.0), [4, 5, 6]), (DVec3::new(7.0, 8.0, 9.0), [10, 11, 12])]
         );
         let plain = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
                       end_header\n1 2 3";
-        assert_eq!(parse_points(plain).unwrap(), [(DVec3::new(1.0, 2.0, 3.0), [128; 3])]);
+        assert_eq!(parse_points(Cursor::new(plain)).unwrap(), [(DVec3::new(1.0, 2.0, 3.0), [128; 3])]);
     }
 
     #[test]
     fn messages_name_place_expected_and_found() {
-        let message = |bytes: &[u8]| parse_splats(bytes).unwrap_err().in_file(Path::new("a.ply")).to_string();
+        let message =
+            |bytes: &[u8]| parse_splats(Cursor::new(bytes)).unwrap_err().in_file(Path::new("a.ply")).to_string();
         assert_eq!(
             message(b"PK\x03\x04"),
             "a.ply: byte 0: expected a PLY file (starts with `ply`), found something else"
@@ -354,8 +384,8 @@ mod tests {
             file[first_row + 4 * (18 * row + column)..][..4].copy_from_slice(&value.to_le_bytes());
         }
         file[first_row + 4 * (18 * 5 + 13)..][..16].fill(0);
-        assert!(parse(&file, false).is_err());
-        let left = parse(&file, true).unwrap();
+        assert!(parse(Cursor::new(&file), false).is_err());
+        let left = parse(Cursor::new(&file), true).unwrap();
         assert_eq!((left.dropped, left.attributes[0].values()), (4, &[1.0, 4.0][..]));
         assert_eq!(left.splats.means(), [splats.means()[1], splats.means()[4]]);
     }
@@ -367,8 +397,8 @@ mod tests {
             file.truncate(cut.max(1));
             let at = at % file.len();
             file[at] = byte;
-            let _ = parse_splats(&file);
-            let _ = parse_points(&file);
+            let _ = parse_splats(Cursor::new(&file));
+            let _ = parse_points(Cursor::new(&file));
         }
     }
 }

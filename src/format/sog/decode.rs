@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::files::FileSet;
 use super::texels::Texels;
 use crate::format::error::Fault;
-use crate::format::record::logit_of_byte;
+use crate::format::record::{Columns, Record, logit_of_byte};
 use crate::scene::{Splats, sh};
 
 /// `meta.json` of both versions.
@@ -187,52 +187,29 @@ impl Scheme {
         if fits { Ok(()) } else { Err(format!("{} to {most} texels", self.count)) }
     }
 
-    /// The splats of images as [`Self::fetch`] returns them.
-    pub(super) fn splats(&self, images: &[Texels]) -> Result<Splats, Fault> {
+    /// The splats of images as [`Self::fetch`] returns them, checked, and decoded one by one as they are asked for.
+    pub(super) fn decoder<'a>(&'a self, images: &'a [Texels]) -> Result<Decoder<'a>, Fault> {
         let [lower, upper, scales, rotations, colors, palette @ ..] = images else {
             return Err(Fault::whole("at least 5 images", images.len().to_string()));
         };
-        let mean = |i| {
-            let (low, high) = (lower.at(i), upper.at(i));
-            Vec3::from_array(std::array::from_fn(|axis| {
-                let [first, last] = self.means[axis];
-                let part = f64::from(u16::from_le_bytes([low[axis], high[axis]])) / 65535.0;
-                expand(first + (last - first) * part) as f32
-            }))
+        let bad_tag = |i| rotation(rotations.at(i)).err().map(|tag| (i, tag));
+        if let Some((i, tag)) = (0..self.count).into_par_iter().find_map_first(bad_tag) {
+            return Err(Fault::pointer("/quats", "alpha of 252 to 255", format!("{tag} in texel {i}")));
+        }
+        let harmonics = match (&self.palette, palette) {
+            (Some(palette), [entries, labels]) => Some(self.harmonics(palette, entries, labels)?),
+            _ => None,
         };
-        let log_scale = |i| {
-            let texel = scales.at(i);
-            Vec3::from_array(std::array::from_fn(|axis| self.scales[axis][usize::from(texel[axis])]))
-        };
-        let color = |i, channel: usize| self.colors[channel][usize::from(colors.at(i)[channel])];
-        let indices = || (0..self.count).into_par_iter();
-        let means = indices().map(mean).collect();
-        let log_scales = indices().map(log_scale).collect();
-        let opacity_logits = indices().map(|i| color(i, 3)).collect();
-        let rotations: Vec<Quat> = indices()
-            .map(|i| {
-                let found = |tag| format!("{tag} in texel {i}");
-                rotation(rotations.at(i)).map_err(|tag| Fault::pointer("/quats", "alpha of 252 to 255", found(tag)))
-            })
-            .collect::<Result<_, _>>()?;
-
-        let (sh_degree, coefficients) = match (&self.palette, palette) {
-            (Some(palette), [entries, labels]) => self.harmonics(palette, entries, labels)?,
-            _ => (0, vec![]),
-        };
-        let k = sh::coefficients(sh_degree);
-        let sh = indices()
-            .flat_map_iter(|i| {
-                let dc = [color(i, 0), color(i, 1), color(i, 2)];
-                let rest = coefficients.get(i * (k - 1)..(i + 1) * (k - 1)).unwrap_or_default();
-                std::iter::once(dc).chain(rest.iter().copied())
-            })
-            .collect();
-        Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
+        Ok(Decoder { scheme: self, lower, upper, scales, rotations, colors, harmonics })
     }
 
-    /// Degree, and the coefficients above 0 of all splats.
-    fn harmonics(&self, palette: &Palette, entries: &Texels, labels: &Texels) -> Result<(u32, Vec<[f32; 3]>), Fault> {
+    /// The palette, whose entries all labels are known to be among.
+    fn harmonics<'a>(
+        &self,
+        palette: &'a Palette,
+        entries: &'a Texels,
+        labels: &'a Texels,
+    ) -> Result<Harmonics<'a>, Fault> {
         let degree = degree_of_width(entries.width).unwrap_or_default();
         let held = ENTRIES_PER_ROW * entries.height;
         if let Some((stated, count)) = palette.stated {
@@ -245,22 +222,80 @@ impl Scheme {
             }
         }
         let count = palette.stated.map_or(held, |(_, count)| count);
-        let per_entry = sh::coefficients(degree) - 1;
-        let mut coefficients = Vec::with_capacity(self.count * per_entry);
-        for i in 0..self.count {
-            let [low, high, ..] = labels.at(i);
-            let label = usize::from(u16::from_le_bytes([low, high]));
-            if label >= count {
-                let found = format!("{label} in texel {i}");
-                return Err(Fault::pointer("/shN/files/1", format!("labels below {count}"), found));
-            }
-            // Entries follow each other in rows of 64, so that all coefficients lie in one sequence.
-            coefficients.extend((0..per_entry).map(|c| {
-                let [r, g, b, _] = entries.at(label * per_entry + c);
-                [r, g, b].map(|v| palette.table[usize::from(v)])
-            }));
+        let harmonics = Harmonics { degree, table: &palette.table, entries, labels };
+        let beyond = |i: usize| Some((i, harmonics.label(i))).filter(|&(_, label)| label >= count);
+        if let Some((i, label)) = (0..self.count).into_par_iter().find_map_first(beyond) {
+            let found = format!("{label} in texel {i}");
+            return Err(Fault::pointer("/shN/files/1", format!("labels below {count}"), found));
         }
-        Ok((degree, coefficients))
+        Ok(harmonics)
+    }
+}
+
+/// Images that have been checked.
+pub(super) struct Decoder<'a> {
+    scheme: &'a Scheme,
+    lower: &'a Texels,
+    upper: &'a Texels,
+    scales: &'a Texels,
+    rotations: &'a Texels,
+    colors: &'a Texels,
+    harmonics: Option<Harmonics<'a>>,
+}
+
+struct Harmonics<'a> {
+    degree: u32,
+    table: &'a Table,
+    entries: &'a Texels,
+    labels: &'a Texels,
+}
+
+impl Harmonics<'_> {
+    fn label(&self, i: usize) -> usize {
+        let [low, high, ..] = self.labels.at(i);
+        usize::from(u16::from_le_bytes([low, high]))
+    }
+}
+
+impl Decoder<'_> {
+    pub(super) fn splats(&self) -> Result<Splats, Fault> {
+        let mut columns = Columns::with_capacity(self.scheme.count, self.harmonics.as_ref().map_or(0, |h| h.degree));
+        columns.extend(self.scheme.count, |i| self.record(i));
+        columns.finish()
+    }
+
+    /// Splat `i`.
+    pub(super) fn record(&self, i: usize) -> Record {
+        let scheme = self.scheme;
+        let (low, high, scale, color) = (self.lower.at(i), self.upper.at(i), self.scales.at(i), self.colors.at(i));
+        let mean = |axis: usize| {
+            let [first, last] = scheme.means[axis];
+            let part = f64::from(u16::from_le_bytes([low[axis], high[axis]])) / 65535.0;
+            expand(first + (last - first) * part) as f32
+        };
+        let color = |channel: usize| scheme.colors[channel][usize::from(color[channel])];
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = [0, 1, 2].map(color);
+        let mut sh_degree = 0;
+        if let Some(harmonics) = &self.harmonics {
+            sh_degree = harmonics.degree;
+            // Entries follow each other in rows of 64, so that all coefficients lie in one sequence.
+            let bands = sh::coefficients(sh_degree) - 1;
+            let first = harmonics.label(i) * bands;
+            for (k, coefficient) in sh[1..=bands].iter_mut().enumerate() {
+                let [r, g, b, _] = harmonics.entries.at(first + k);
+                *coefficient = [r, g, b].map(|v| harmonics.table[usize::from(v)]);
+            }
+        }
+        Record {
+            mean: Vec3::from([0, 1, 2].map(mean)),
+            // The tags have been checked.
+            rotation: rotation(self.rotations.at(i)).unwrap_or_default(),
+            log_scale: Vec3::from([0, 1, 2].map(|axis| scheme.scales[axis][usize::from(scale[axis])])),
+            opacity_logit: color(3),
+            sh_degree,
+            sh,
+        }
     }
 }
 

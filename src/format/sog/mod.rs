@@ -18,9 +18,11 @@ mod texels;
 
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use self::files::FileSet;
 use super::error::{Fault, FormatError};
-use super::loss::{Loss, WriteReport};
+use super::loss::{Loss, SplatError, WriteReport};
 use super::record::Record;
 use crate::scene::Splats;
 
@@ -59,7 +61,7 @@ impl FileSet {
         let meta = self.meta()?;
         let scheme = decode::Scheme::parse(&meta, self.bytes())?;
         let images = scheme.fetch(self)?;
-        scheme.splats(&images)
+        scheme.decoder(&images)?.splats()
     }
 }
 
@@ -70,12 +72,13 @@ impl FileSet {
 /// If a file cannot be written, or there are more splats than an image has texels (16384²).
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     let encoded = encode::encode(splats).map_err(|fault| fault.in_file(path))?;
-    let written = decode::Scheme::parse(&encoded.meta, u64::MAX).and_then(|scheme| scheme.splats(&encoded.images));
-    let written = written.map_err(|fault| fault.in_file(path))?;
-    let mut loss = Loss::default();
-    for (i, &source) in encoded.order.iter().enumerate() {
-        loss.max_error.include(&Record::of(splats, source), &Record::of(&written, i));
-    }
-    drop(written);
+    let written = decode::Scheme::parse(&encoded.meta, u64::MAX).map_err(|fault| fault.in_file(path))?;
+    let written = written.decoder(&encoded.images).map_err(|fault| fault.in_file(path))?;
+    let errors = encoded.order.par_iter().enumerate().map(|(i, &source)| {
+        let mut error = SplatError::default();
+        error.include(&Record::of(splats, source), &written.record(i));
+        error
+    });
+    let loss = Loss { max_error: errors.reduce(SplatError::default, SplatError::max), ..Loss::default() };
     Ok(WriteReport { bytes: files::write(path, &encoded)?, loss })
 }

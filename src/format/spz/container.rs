@@ -99,7 +99,10 @@ impl Header {
 /// Takes a file apart.
 pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
     if bytes.starts_with(&GZIP) {
-        return decode_legacy(&mut GzDecoder::new(bytes), bytes.len());
+        let mut content = GzDecoder::new(bytes);
+        let decoded = decode_legacy(&mut content, bytes.len());
+        // How far it was unpacked.
+        return decoded.map_err(|fault| fault.or_at_byte(bytes.len() - content.get_ref().len()));
     }
     let Some(start) = bytes.first_chunk::<LEGACY_HEADER>() else {
         return Err(Fault::whole(format!("an SPZ file of at least {LEGACY_HEADER} bytes"), bytes.len().to_string()));
@@ -108,7 +111,8 @@ pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
     if header.version == 4 {
         return decode_v4(header, bytes);
     }
-    decode_legacy(&mut &bytes[..], bytes.len())
+    let mut rest = bytes;
+    decode_legacy(&mut rest, bytes.len()).map_err(|fault| fault.or_at_byte(bytes.len() - rest.len()))
 }
 
 fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> {
@@ -151,8 +155,7 @@ fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
             toc.to_string(),
         ));
     };
-    let mut streams = [const { Vec::new() }; STREAMS];
-    let mut offset = table_end;
+    let (mut frames, mut offset) = (vec![], table_end);
     for (entry, (name, wanted)) in expected.into_iter().take(count).enumerate() {
         let at = toc + entry * TOC_ENTRY;
         let (sizes, _) = bytes[at..at + TOC_ENTRY].as_chunks::<8>();
@@ -165,10 +168,18 @@ fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
             let expected = format!("{name} within the {} bytes left", bytes.len() - offset);
             return Err(Fault::byte(at, expected, format!("{compressed} bytes")));
         };
-        if size > 0 {
-            streams[entry] = decompress(&bytes[offset..end], size, name).map_err(|fault| fault.at_byte(offset))?;
-        }
+        frames.push((offset..end, size, name));
         offset = end;
+    }
+    let decompressed = frames.into_par_iter().map(|(place, size, name)| {
+        let at = place.start;
+        if size > 0 { decompress(&bytes[place], size, name).map_err(|fault| fault.at_byte(at)) } else { Ok(vec![]) }
+    });
+    // The first fault in the file, whichever is found first.
+    let decompressed: Vec<Result<Vec<u8>, Fault>> = decompressed.collect();
+    let mut streams = [const { Vec::new() }; STREAMS];
+    for (stream, content) in streams.iter_mut().zip(decompressed) {
+        *stream = content?;
     }
     let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { &bytes[HEADER..toc] };
     finish(header, streams, extensions)
@@ -222,30 +233,84 @@ fn finish(header: Header, streams: [Vec<u8>; STREAMS], extensions: &[u8]) -> Res
     Ok(Packed { header, frame, streams, notes })
 }
 
-/// Puts a file together.
+/// Compresses the attributes block by block.
+pub(super) struct Writer {
+    header: Header,
+    streams: Streams,
+}
+
+enum Streams {
+    /// One after the other in a single stream, so that all must be there before the first can be written.
+    Legacy([Vec<u8>; STREAMS]),
+    V4(Vec<zstd::Encoder<'static, Vec<u8>>>),
+}
+
+impl Writer {
+    pub(super) fn new(header: &Header) -> io::Result<Self> {
+        if u32::try_from(header.count).is_err() {
+            return Err(io::Error::other("SPZ holds at most 2^32 splats"));
+        }
+        let streams = if header.version < 4 {
+            Streams::Legacy(header.stream_bytes().map(|bytes| Vec::with_capacity(bytes as usize)))
+        } else {
+            let kept = if header.sh_degree > 0 { STREAMS } else { STREAMS - 1 };
+            let encoder = |&bytes: &u64| {
+                let mut encoder = zstd::Encoder::new(vec![], ZSTD_LEVEL)?;
+                // The frame then states its size, and tables fit short ones.
+                encoder.set_pledged_src_size(Some(bytes))?;
+                Ok(encoder)
+            };
+            Streams::V4(header.stream_bytes()[..kept].iter().map(encoder).collect::<io::Result<_>>()?)
+        };
+        Ok(Self { header: *header, streams })
+    }
+
+    /// Appends the bytes of the next splats.
+    pub(super) fn append(&mut self, block: &[Vec<u8>; STREAMS]) -> io::Result<()> {
+        match &mut self.streams {
+            Streams::Legacy(streams) => streams.iter_mut().zip(block).for_each(|(all, own)| all.extend_from_slice(own)),
+            Streams::V4(encoders) => {
+                encoders.par_iter_mut().zip(block).try_for_each(|(encoder, own)| encoder.write_all(own))?;
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(self, out: &mut impl io::Write) -> io::Result<()> {
+        let header = self.header;
+        let mut start = MAGIC.to_vec();
+        start.extend(header.version.to_le_bytes());
+        // `new` has looked.
+        start.extend((header.count as u32).to_le_bytes());
+        start.extend([header.sh_degree as u8, header.fractional_bits, header.flags]);
+        let encoders = match self.streams {
+            Streams::Legacy(streams) => {
+                start.push(0);
+                let mut gzip = GzEncoder::new(out, Compression::default());
+                gzip.write_all(&start)?;
+                streams.iter().try_for_each(|stream| gzip.write_all(stream))?;
+                return gzip.finish().map(drop);
+            }
+            Streams::V4(encoders) => encoders,
+        };
+        let frames: Vec<Vec<u8>> = encoders.into_par_iter().map(zstd::Encoder::finish).collect::<io::Result<_>>()?;
+        start.push(frames.len() as u8);
+        start.extend((HEADER as u32).to_le_bytes());
+        start.resize(HEADER, 0);
+        for (frame, bytes) in frames.iter().zip(header.stream_bytes()) {
+            start.extend((frame.len() as u64).to_le_bytes());
+            start.extend(bytes.to_le_bytes());
+        }
+        out.write_all(&start)?;
+        frames.iter().try_for_each(|frame| out.write_all(frame))
+    }
+}
+
+/// A file of whole streams.
+#[cfg(test)]
 pub(in crate::format) fn encode(header: &Header, streams: &[Vec<u8>; STREAMS]) -> io::Result<Vec<u8>> {
-    let count = u32::try_from(header.count).map_err(|_| io::Error::other("SPZ holds at most 2^32 splats"))?;
-    let mut start = MAGIC.to_vec();
-    start.extend(header.version.to_le_bytes());
-    start.extend(count.to_le_bytes());
-    start.extend([header.sh_degree as u8, header.fractional_bits, header.flags]);
-    if header.version < 4 {
-        start.push(0);
-        let mut gzip = GzEncoder::new(vec![], Compression::default());
-        gzip.write_all(&start)?;
-        streams.iter().try_for_each(|stream| gzip.write_all(stream))?;
-        return gzip.finish();
-    }
-    let kept = &streams[..if header.sh_degree > 0 { STREAMS } else { STREAMS - 1 }];
-    let frames: Vec<Vec<u8>> =
-        kept.par_iter().map(|stream| zstd::bulk::compress(stream, ZSTD_LEVEL)).collect::<io::Result<_>>()?;
-    start.push(kept.len() as u8);
-    start.extend((HEADER as u32).to_le_bytes());
-    start.resize(HEADER, 0);
-    for (frame, stream) in frames.iter().zip(kept) {
-        start.extend((frame.len() as u64).to_le_bytes());
-        start.extend((stream.len() as u64).to_le_bytes());
-    }
-    frames.iter().for_each(|frame| start.extend(frame));
-    Ok(start)
+    let (mut writer, mut file) = (Writer::new(header)?, vec![]);
+    writer.append(streams)?;
+    writer.finish(&mut file)?;
+    Ok(file)
 }

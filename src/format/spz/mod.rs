@@ -24,14 +24,13 @@ mod packed;
 
 use std::path::Path;
 
-use rayon::prelude::*;
-
-use self::container::{Header, Packed, STREAMS};
+use self::container::{Header, Packed, STREAMS, Writer};
 use self::frame::Frame;
+use super::blocks::in_waves;
 use super::error::{Fault, read_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::record::{Columns, Record};
-use super::{FormatError, atomic_write};
+use super::{FormatError, atomic_write_with};
 use crate::scene::{Splats, sh};
 
 /// Which layout to write.
@@ -96,11 +95,21 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
         fractional_bits: packed::fractional_bits(splats.means()),
         flags: 0,
     };
-    let (streams, max_error) = pack(&header, splats, options.sh_bits.map(|bits| bits.clamp(1, 8)));
-    let write_error = |source| FormatError::Write { file: path.to_owned(), source };
-    let file = container::encode(&header, &streams).map_err(write_error)?;
-    atomic_write(path, &file)?;
-    Ok(WriteReport { bytes: file.len() as u64, loss: Loss { max_error, ..Loss::default() } })
+    let sh_bits = options.sh_bits.map(|bits| bits.clamp(1, 8));
+    let mut max_error = SplatError::default();
+    let bytes = atomic_write_with(path, |out| {
+        let mut writer = Writer::new(&header)?;
+        in_waves(
+            splats.len().div_ceil(BLOCK),
+            |block| pack(&header, splats, sh_bits, block),
+            |(streams, error)| {
+                max_error = max_error.max(error);
+                writer.append(&streams)
+            },
+        )?;
+        writer.finish(out)
+    })?;
+    Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() } })
 }
 
 pub(super) fn parse(bytes: &[u8]) -> Result<(Splats, Vec<String>), Fault> {
@@ -111,31 +120,25 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Splats, Vec<String>), Fault> {
     }
     let mut columns = Columns::with_capacity(header.count, sh_degree);
     let streams = streams.each_ref().map(Vec::as_slice);
-    (0..header.count).for_each(|i| columns.push(&frame.to_scene(&packed::decode(&header, streams, i))));
+    columns.extend(header.count, |i| frame.to_scene(&packed::decode(&header, streams, i)));
     Ok((columns.finish()?, notes))
 }
 
-/// The attributes' streams, and what a reader of them will miss.
-fn pack(header: &Header, splats: &Splats, sh_bits: [u32; 2]) -> ([Vec<u8>; STREAMS], SplatError) {
-    // Splats per task: large against the cost of a task, small against memory.
-    const BLOCK: usize = 1 << 14;
+/// Splats that are packed as one task.
+const BLOCK: usize = 1 << 14;
+
+/// What a block of splats adds to the attributes' streams, and what a reader of it will miss.
+fn pack(header: &Header, splats: &Splats, sh_bits: [u32; 2], block: usize) -> ([Vec<u8>; STREAMS], SplatError) {
     let frame = Frame::default();
-    let starts: Vec<usize> = (0..splats.len()).step_by(BLOCK).collect();
-    let blocks: Vec<([Vec<u8>; STREAMS], SplatError)> = starts
-        .par_iter()
-        .map(|&start| {
-            let (mut streams, mut error) = ([const { Vec::new() }; STREAMS], SplatError::default());
-            for i in start..splats.len().min(start + BLOCK) {
-                let splat = Record::of(splats, i);
-                packed::encode(header, sh_bits, &frame.to_file(&splat), &mut streams);
-                let written = streams.each_ref().map(Vec::as_slice);
-                error.include(&splat, &frame.to_scene(&packed::decode(header, written, i - start)));
-            }
-            (streams, error)
-        })
-        .collect();
-    let error = blocks.iter().map(|(_, error)| *error).fold(SplatError::default(), SplatError::max);
-    (std::array::from_fn(|k| blocks.iter().flat_map(|(streams, _)| &streams[k]).copied().collect()), error)
+    let (mut streams, mut error) = ([const { Vec::new() }; STREAMS], SplatError::default());
+    let start = block * BLOCK;
+    for i in start..splats.len().min(start + BLOCK) {
+        let splat = Record::of(splats, i);
+        packed::encode(header, sh_bits, &frame.to_file(&splat), &mut streams);
+        let written = streams.each_ref().map(Vec::as_slice);
+        error.include(&splat, &frame.to_scene(&packed::decode(header, written, i - start)));
+    }
+    (streams, error)
 }
 
 #[cfg(test)]

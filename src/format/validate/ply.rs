@@ -1,9 +1,11 @@
 //! PLY files of splats.
 
+use std::io::Cursor;
+
 use super::{Findings, Offenders};
 use crate::format::error::Location;
 use crate::format::ply::parse_splats;
-use crate::format::ply::table::Ply;
+use crate::format::ply::table::{self, Body, Header};
 use crate::scene::sh;
 
 /// Logits beyond which opacities in f32 are 0 or 1.
@@ -11,7 +13,7 @@ const SATURATED: f64 = 20.0;
 
 /// Checks a PLY in the INRIA layout, or a packed one. Any other (points, meshes) is held to its header and length alone.
 pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
-    let ply = match Ply::parse(bytes) {
+    let (ply, mut body) = match table::open(Cursor::new(bytes)) {
         Ok(ply) => ply,
         Err(fault) => return findings.fault("PLY_HEADER", fault),
     };
@@ -21,14 +23,14 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     if let Some(name) = ply.repeated_property() {
         findings.error("PLY_PROPERTY_TWICE", Location::File, "each property once", format!("`{name}` twice"));
     }
-    match ply.bytes_after_rows() {
+    match body.bytes_after_rows(&ply) {
         Ok(0) => {}
         Ok(rest) => findings.warning("PLY_LENGTH", Location::File, "no bytes after the last row", rest),
         Err(fault) => return findings.fault("PLY_LENGTH", fault),
     }
     if vertex.scalar("packed_position").is_some() {
         // All values are integers between the bounds of their chunk; what else can be wrong, the reader refuses.
-        if let Err(fault) = parse_splats(bytes) {
+        if let Err(fault) = parse_splats(Cursor::new(bytes)) {
             findings.fault("PLY_PACKED", fault);
         }
         return;
@@ -43,14 +45,14 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     if !missing.is_empty() {
         return findings.error("PLY_PROPERTY_MISSING", Location::File, missing.join(", "), "none of these");
     }
-    let rest = (0..).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
+    let rest = (0..90).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
     if !(0..=sh::MAX_DEGREE).any(|d| rest == 3 * (sh::coefficients(d) - 1)) {
         findings.error("PLY_SH_COUNT", Location::File, "0, 9, 24 or 45 properties `f_rest_0`, …", rest);
     }
-    check_values(&ply, findings);
+    check_values(&ply, &mut body, findings);
 }
 
-fn check_values(ply: &Ply<'_>, findings: &mut Findings) {
+fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Findings) {
     let Some(vertex) = ply.element("vertex") else { return };
     let (Ok([opacity]), Ok(scales), Ok(rotation)) = (
         vertex.scalars(["opacity"]),
@@ -64,7 +66,8 @@ fn check_values(ply: &Ply<'_>, findings: &mut Findings) {
     let mut not_finite: Vec<Offenders> = names.iter().map(|_| Offenders::default()).collect();
     let (mut zero, mut unnormalised) = (Offenders::default(), Offenders::default());
     let (mut linear_opacities, mut linear_scales, mut saturated) = (0usize, 0usize, 0usize);
-    let walked = ply.rows(
+    let walked = body.rows(
+        ply,
         "vertex",
         |_| (),
         |(), row| {

@@ -11,14 +11,14 @@
 //!
 //! The frame is that of INRIA PLY: the scene's own, by custom y down.
 
-use std::io::Write as _;
+use std::io::{BufRead, Seek, SeekFrom, Write as _};
 use std::path::Path;
 
 use glam::{Quat, Vec3};
-use rayon::prelude::*;
 
-use super::table::Ply;
+use super::table::{Body, Header};
 use super::{degree_of_rest, rest_columns};
+use crate::format::blocks::in_waves;
 use crate::format::error::Fault;
 use crate::format::loss::{Loss, SplatError, WriteReport};
 use crate::format::record::{Columns, Record, logit_of_byte, opacity_byte, quantize};
@@ -27,6 +27,9 @@ use crate::scene::{Splats, in_morton_order, sh};
 
 /// Splats in a chunk.
 const CHUNK: usize = 256;
+
+/// Splats that are encoded as one task.
+const GROUP: usize = 32 * CHUNK;
 
 /// Half the range of SH coefficients.
 const SH_RANGE: f32 = 4.0;
@@ -71,11 +74,11 @@ struct Bounds {
 /// If the file cannot be written.
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     let bands = sh::coefficients(splats.sh_degree()) - 1;
-    let chunks: Vec<EncodedChunk> =
-        in_morton_order(splats).par_chunks(CHUNK).map(|indices| encode_chunk(splats, indices)).collect();
+    let order = in_morton_order(splats);
+    let chunks = splats.len().div_ceil(CHUNK);
     let properties =
         |kind: &str, names: &[&str]| names.iter().map(|name| format!("property {kind} {name}\n")).collect::<String>();
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement chunk {}\n", chunks.len());
+    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement chunk {chunks}\n");
     header += &properties("float", &BOUNDS);
     header += &format!("element vertex {}\n", splats.len());
     header += &properties("uint", &PACKED);
@@ -84,26 +87,41 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
         (0..3 * bands).for_each(|i| header += &properties("uchar", &[&format!("f_rest_{i}")]));
     }
     header += "end_header\n";
+    let mut max_error = SplatError::default();
     let bytes = atomic_write_with(path, |out| {
         out.write_all(header.as_bytes())?;
-        chunks.iter().try_for_each(|c| c.bounds.iter().try_for_each(|v| out.write_all(&v.to_le_bytes())))?;
-        chunks.iter().try_for_each(|c| c.packed.iter().flatten().try_for_each(|v| out.write_all(&v.to_le_bytes())))?;
-        chunks.iter().try_for_each(|c| out.write_all(&c.sh))
+        // The three tables grow side by side in the file.
+        let bounds = header.len();
+        let vertices = bounds + chunks * 4 * BOUNDS.len();
+        let mut ends = [bounds, vertices, vertices + splats.len() * 4 * PACKED.len()].map(|offset| offset as u64);
+        let group = |i: usize| &order[i * GROUP..order.len().min((i + 1) * GROUP)];
+        let encode = |i: usize| group(i).chunks(CHUNK).map(|indices| encode_chunk(splats, indices)).collect();
+        in_waves(order.len().div_ceil(GROUP), encode, |chunks: Vec<EncodedChunk>| {
+            let bounds = chunks.iter().flat_map(|c| &c.bounds).flat_map(|v| v.to_le_bytes()).collect();
+            let packed = chunks.iter().flat_map(|c| c.packed.iter().flatten()).flat_map(|v| v.to_le_bytes()).collect();
+            let tables: [Vec<u8>; 3] = [bounds, packed, chunks.iter().flat_map(|c| &c.sh).copied().collect()];
+            for (end, rows) in ends.iter_mut().zip(tables) {
+                out.seek(SeekFrom::Start(*end))?;
+                out.write_all(&rows)?;
+                *end += rows.len() as u64;
+            }
+            max_error = chunks.iter().map(|c| c.error).fold(max_error, SplatError::max);
+            Ok(())
+        })
     })?;
-    let max_error = chunks.iter().map(|c| c.error).fold(SplatError::default(), SplatError::max);
     Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() } })
 }
 
 /// True if the header is that of a compressed PLY.
-pub(super) fn is_compressed(ply: &Ply<'_>) -> bool {
-    ply.element("vertex").is_some_and(|vertex| vertex.scalar(PACKED[0]).is_some())
+pub(super) fn is_compressed(header: &Header) -> bool {
+    header.element("vertex").is_some_and(|vertex| vertex.scalar(PACKED[0]).is_some())
 }
 
-pub(super) fn parse(ply: &Ply<'_>) -> Result<Splats, Fault> {
+pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>) -> Result<Splats, Fault> {
     let missing =
         |name: &str| Fault::whole(format!("a compressed PLY with the element `{name}`"), "a header without it");
-    let chunk = ply.element("chunk").ok_or_else(|| missing("chunk"))?;
-    let vertex = ply.element("vertex").ok_or_else(|| missing("vertex"))?;
+    let chunk = header.element("chunk").ok_or_else(|| missing("chunk"))?;
+    let vertex = header.element("vertex").ok_or_else(|| missing("vertex"))?;
     let geometry: [usize; 12] = chunk.scalars([
         "min_x",
         "min_y",
@@ -119,13 +137,13 @@ pub(super) fn parse(ply: &Ply<'_>) -> Result<Splats, Fault> {
         "max_scale_z",
     ])?;
     let color = chunk.scalars(["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"]).ok();
-    let packed = vertex.scalars(PACKED)?;
+    let packed = vertex.columns(PACKED)?;
     let (count, needed) = (vertex.count, vertex.count.div_ceil(CHUNK));
     if chunk.count < needed {
         let found = format!("{} chunks", chunk.count);
-        return Err(Fault::whole(format!("{needed} chunks of {CHUNK} splats for {count} splats"), found));
+        return Err(Fault::byte(chunk.at, format!("{needed} chunks of {CHUNK} splats for {count} splats"), found));
     }
-    let chunks = ply.rows("chunk", Vec::with_capacity, |chunks, row| {
+    let chunks = body.rows(header, "chunk", Vec::with_capacity, |chunks, row| {
         let at = |k: usize| Vec3::from([0, 1, 2].map(|axis| row.values[geometry[k + axis]] as f32));
         let color_at = |c: [usize; 3]| Vec3::from(c.map(|column| row.values[column] as f32));
         let color =
@@ -134,37 +152,40 @@ pub(super) fn parse(ply: &Ply<'_>) -> Result<Splats, Fault> {
         Ok(())
     })?;
 
-    let sh_degree = match ply.element("sh") {
+    let sh_degree = match header.element("sh") {
         None => 0,
         Some(element) if element.count != count || element.is_float("f_rest_0") => {
             let found = format!("{} rows", element.count);
-            return Err(Fault::whole(format!("the element `sh` with {count} rows of uchar"), found));
+            return Err(Fault::byte(element.at, format!("the element `sh` with {count} rows of uchar"), found));
         }
-        Some(element) => degree_of_rest(rest_columns(element).len())?,
+        Some(element) => degree_of_rest(rest_columns(element).len()).map_err(|fault| fault.at_byte(element.at))?,
     };
-    let rows = ply.rows("vertex", Vec::with_capacity, |rows, row| {
-        rows.push(packed.map(|column| row.values[column] as u32));
+    let rows = body.blocks(header, "vertex", Vec::with_capacity, |words, rows| {
+        words.extend(rows.map(|row| packed.map(|column| column.f64(row) as u32)));
         Ok(())
     })?;
     let record = |i: usize| decode(&chunks[i / CHUNK], rows[i]);
-    let columns = match ply.element("sh").filter(|_| sh_degree > 0) {
+    let columns = match header.element("sh").filter(|_| sh_degree > 0) {
         None => {
             let mut columns = Columns::with_capacity(count, 0);
-            (0..count).for_each(|i| columns.push(&record(i)));
+            columns.extend(count, record);
             columns
         }
         Some(element) => {
             let (rest, bands) = (rest_columns(element), sh::coefficients(sh_degree) - 1);
             // As many rows of `sh` as splats, so that `count` fits into the file.
             let start = |_| (0, Columns::with_capacity(count, sh_degree));
-            ply.rows("sh", start, |(i, columns), row| {
-                let mut splat = Record { sh_degree, ..record(*i) };
-                for band in 0..bands {
-                    let byte = |channel: usize| row.values[rest[channel * bands + band]] as u8;
-                    splat.sh[1 + band] = [0, 1, 2].map(|channel| coefficient(byte(channel)));
-                }
-                columns.push(&splat);
-                *i += 1;
+            body.blocks(header, "sh", start, |(first, columns), rows| {
+                let rows: Vec<&[u8]> = rows.collect();
+                columns.extend(rows.len(), |i| {
+                    let mut splat = Record { sh_degree, ..record(*first + i) };
+                    for band in 0..bands {
+                        let byte = |channel: usize| rest[channel * bands + band].f64(rows[i]) as u8;
+                        splat.sh[1 + band] = [0, 1, 2].map(|channel| coefficient(byte(channel)));
+                    }
+                    splat
+                });
+                *first += rows.len();
                 Ok(())
             })?
             .1

@@ -1,3 +1,5 @@
+use std::io::Cursor;
+
 use proptest::prelude::*;
 
 use super::*;
@@ -23,7 +25,7 @@ fn round_trip_stays_within_the_stated_errors() {
         let splats = random_splats(3000, degree, 1);
         let (bytes, report) = written(&splats);
         assert_eq!(bytes.len() as u64, report.bytes);
-        let back = parse_splats(&bytes).unwrap();
+        let back = parse_splats(Cursor::new(&bytes)).unwrap();
         assert_same_loss(&report.loss, &Loss::of_splats(&as_written(&splats), &back));
         let e = report.loss.max_error;
         assert_eq!(report.loss.sh_degree, None);
@@ -56,10 +58,10 @@ fn rotations_of_any_largest_component_and_sign() {
 fn extremes_survive() {
     let splats = saturated_splats();
     let (bytes, report) = written(&splats);
-    let back = parse_splats(&bytes).unwrap();
+    let back = parse_splats(Cursor::new(&bytes)).unwrap();
     assert_eq!(back.len(), splats.len());
     assert!(report.loss.max_error.opacity < 1e-6);
-    assert_eq!(parse_splats(&written(&Splats::empty(2)).0).unwrap(), Splats::empty(2));
+    assert_eq!(parse_splats(Cursor::new(written(&Splats::empty(2)).0)).unwrap(), Splats::empty(2));
     assert_eq!((coefficient(0), coefficient(255), coefficient_byte(-1e9), coefficient_byte(4.0)), (-4.0, 4.0, 0, 255));
 }
 
@@ -78,7 +80,7 @@ fn chunks_without_colour_bounds() {
     old.extend(&bytes[end + 72..]);
     let last = old.len();
     old[last - 4..].copy_from_slice(&0x00ff_8040_u32.to_le_bytes());
-    let rgb = sh::rgb_from_dc(parse_splats(&old).unwrap().sh_of(1)[0]);
+    let rgb = sh::rgb_from_dc(parse_splats(Cursor::new(old)).unwrap().sh_of(1)[0]);
     let expected = [0.0, 1.0, 128.0 / 255.0];
     assert!(rgb.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{rgb:?}");
 }
@@ -90,7 +92,7 @@ fn messages_name_what_is_missing() {
         let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap();
         let header = String::from_utf8(bytes[..end].to_vec()).unwrap().replace(from, to);
         let changed = [header.as_bytes(), &bytes[end..]].concat();
-        parse_splats(&changed).unwrap_err().in_file(Path::new("a.ply")).to_string()
+        parse_splats(Cursor::new(changed)).unwrap_err().in_file(Path::new("a.ply")).to_string()
     };
     assert!(message("chunk 2", "chunk 1").contains("expected 2 chunks of 256 splats for 300 splats, found 1 chunks"));
     assert!(message("element sh 300", "element sh 299").contains("`sh` with 300 rows of uchar, found 299 rows"));
@@ -105,6 +107,6 @@ proptest! {
         file.truncate(cut.max(1));
         let at = at % file.len();
         file[at] = byte;
-        let _ = parse_splats(&file);
+        let _ = parse_splats(Cursor::new(&file));
     }
 }

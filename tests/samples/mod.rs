@@ -1,0 +1,151 @@
+//! One small file, or set of files, for every reader: what tests damage, and what fuzzing starts from.
+
+#![allow(dead_code, reason = "not every program uses everything")]
+
+use std::path::Path;
+
+use centaur::format::{self, WriteOptions, ksplat, spz};
+use centaur::optimize::checkpoint::Checkpoint;
+use centaur::optimize::state::SplatState;
+use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture, sh};
+use glam::{Quat, Vec2, Vec3};
+
+/// What one call of a reader reads.
+pub(crate) struct Sample {
+    /// The target in `fuzz/` that begins with it.
+    pub(crate) reader: &'static str,
+    /// Names and contents; several for a capture.
+    pub(crate) files: Vec<(&'static str, Vec<u8>)>,
+}
+
+/// A grey photograph of 1×1.
+pub(crate) const PHOTOGRAPH: &[u8] = b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x00\x00\x00\x00:~\x9bU\x00\x00\x00\x0aIDATx\xdach\x00\x00\x00\x82\x00\x81\xdaE\x08;\x00\x00\x00\x00IEND\xaeB`\x82";
+
+/// A triangle, from the glTF tutorial by Khronos.
+const GLTF: &str = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
+"meshes":[{"primitives":[{"attributes":{"POSITION":1},"indices":0}]}],
+"buffers":[{"uri":"data:application/octet-stream;base64,AAABAAIAAAAAAAAAAAAAAAAAAAAAAIA/AAAAAAAAAAAAAAAAAACAPwAAAAA=","byteLength":44}],
+"bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":6,"target":34963},{"buffer":0,"byteOffset":8,"byteLength":36,"target":34962}],
+"accessors":[{"bufferView":0,"componentType":5123,"count":3,"type":"SCALAR","max":[2],"min":[0]},
+{"bufferView":1,"componentType":5126,"count":3,"type":"VEC3","max":[1,1,0],"min":[0,0,0]}]}"#;
+
+const OBJ: &str =
+    "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3 4/4\nf -4 -3 -1\n";
+
+const MESH_PLY: &str = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+    property float s\nproperty float t\nelement face 1\nproperty list uchar uint vertex_indices\nend_header\n\
+    0 0 0 0 0\n1 0 0 1 0\n1 1 0 1 1\n0 1 0 0 1\n4 0 1 2 3\n";
+
+const CAMERAS: &str = "1 OPENCV 1 1 1.5 1.5 0.5 0.5 0.01 0 0 0\n2 PINHOLE 1 1 1.5 1.5 0.5 0.5\n";
+const IMAGES: &str = "1 1 0 0 0 0 0 1.5 1 a.png\n0.5 0.5 -1\n2 0.5 0.5 0.5 0.5 0 0 1.5 2 b.png\n\n";
+const POINTS: &str = "# id, position, colour, error, track\n1 0 0 0 255 0 0 0.1 1 0\n2 0.5 1 -2 0 255 0 0.1\n";
+
+const TRANSFORMS: &str = r#"{"camera_angle_x":0.7,"w":1,"h":1,"k1":0.01,"frames":[
+{"file_path":"images/a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},
+{"file_path":"images/b","transform_matrix":[[0,0,1,4],[0,1,0,0],[-1,0,0,0],[0,0,0,1]]}]}"#;
+
+/// All of them.
+pub(crate) fn samples() -> Vec<Sample> {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut samples = vec![];
+    let mut add = |reader, files| samples.push(Sample { reader, files });
+    let scene = scene(40, 2);
+    for (reader, name) in [
+        ("ply", "scene.ply"),
+        ("compressed_ply", "scene.compressed.ply"),
+        ("spz", "scene.spz"),
+        ("splat", "scene.splat"),
+        ("ksplat", "scene.ksplat"),
+        ("sog", "scene.sog"),
+        ("glb", "scene.glb"),
+        ("usda", "scene.usda"),
+        ("usdz", "scene.usdz"),
+    ] {
+        let write = |path: &Path| format::write_scene(path, &scene, &WriteOptions::default()).map(drop);
+        add(reader, vec![(name, written(folder.path(), name, write))]);
+    }
+    add("ply", vec![("scene.ply", ascii_ply().into_bytes())]);
+    for version in [spz::Version::V2, spz::Version::V3] {
+        let options = spz::Options { version, ..spz::Options::default() };
+        let write = |path: &Path| spz::write(path, &scene.splats, &options).map(drop);
+        add("spz", vec![("scene.spz", written(folder.path(), "scene.spz", write))]);
+    }
+    for level in [ksplat::Level::Half, ksplat::Level::HalfAndByte] {
+        let write = |path: &Path| ksplat::write(path, &scene.splats, level).map(drop);
+        add("ksplat", vec![("scene.ksplat", written(folder.path(), "scene.ksplat", write))]);
+    }
+    add("gltf", vec![("scene.gltf", GLTF.into())]);
+    add("obj", vec![("mesh.obj", OBJ.into())]);
+    add("mesh_ply", vec![("mesh.ply", MESH_PLY.into())]);
+    add(
+        "colmap_text",
+        vec![("cameras.txt", CAMERAS.into()), ("images.txt", IMAGES.into()), ("points3D.txt", POINTS.into())],
+    );
+    add("colmap_binary", colmap_binary());
+    add("transforms", vec![("transforms.json", TRANSFORMS.into())]);
+    let checkpoint = Checkpoint {
+        splats: SplatState::from_splats(&self::scene(3, 1).splats),
+        indices: [("corners".to_owned(), vec![0, 1, 2])].into(),
+        ..Checkpoint::default()
+    };
+    let bytes = written(folder.path(), "scene.checkpoint", |path| checkpoint.write(path));
+    add("checkpoint", vec![("scene.checkpoint", bytes)]);
+    samples
+}
+
+fn written<E: std::fmt::Debug>(folder: &Path, name: &str, write: impl FnOnce(&Path) -> Result<(), E>) -> Vec<u8> {
+    let path = folder.join(name);
+    write(&path).expect("a valid scene in a temporary folder");
+    std::fs::read(path).expect("what was written")
+}
+
+/// A square with maps among splats on a helix.
+fn scene(count: usize, degree: u32) -> HybridScene {
+    let t = |i: usize| i as f32 / count as f32;
+    let splats = Splats::new(
+        (0..count).map(|i| Vec3::new((9.0 * t(i)).cos(), (9.0 * t(i)).sin(), t(i))).collect(),
+        (0..count).map(|i| Quat::from_rotation_y(3.0 * t(i))).collect(),
+        (0..count).map(|i| Vec3::new(-3.0, -4.0 * t(i), -5.0)).collect(),
+        (0..count).map(|i| 6.0 * t(i) - 3.0).collect(),
+        degree,
+        (0..count * sh::coefficients(degree)).map(|i| [(i as f32).sin() * 0.5, 0.1, -0.2]).collect(),
+    )
+    .expect("valid splats");
+    let base = Texture::new(4, 4, 4, (0..64).map(|i| i as f32 * 0.02).collect()).expect("a texture");
+    let bands = Texture::new(2, 2, 9, vec![0.1; 36]).expect("a texture");
+    let mesh = Mesh::new(
+        vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y],
+        vec![[0, 1, 2], [0, 2, 3]],
+        vec![[Vec2::ZERO, Vec2::X, Vec2::ONE], [Vec2::ZERO, Vec2::ONE, Vec2::Y]],
+        Atlas::new(base, Some(bands)).expect("an atlas"),
+    )
+    .expect("a mesh");
+    HybridScene { splats, meshes: vec![mesh], composition: Composition::default() }
+}
+
+fn ascii_ply() -> String {
+    let names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0"];
+    let names = names.into_iter().chain(["rot_1", "rot_2", "rot_3", "label"]);
+    let properties: String = names.map(|name| format!("property float {name}\n")).collect();
+    let rows: String = (0..3).map(|i| format!("{i} 1e-3 -2.5 0.1 .2 0.3 inf -4 -5 -6 1 0 0 0 {i}\n")).collect();
+    format!("ply\nformat ascii 1.0\ncomment by hand\nelement vertex 3\n{properties}end_header\n{rows}")
+}
+
+/// A camera, two images and a point.
+fn colmap_binary() -> Vec<(&'static str, Vec<u8>)> {
+    let mut cameras = [1u64.to_le_bytes(), [1, 0, 0, 0, 1, 0, 0, 0], 1u64.to_le_bytes(), 1u64.to_le_bytes()].concat();
+    cameras.extend([1.5, 1.5, 0.5, 0.5].map(f64::to_le_bytes).concat());
+    let mut images = 2u64.to_le_bytes().to_vec();
+    for (id, name) in [(1u32, b"a.png\0"), (2, b"b.png\0")] {
+        images.extend(id.to_le_bytes());
+        images.extend([1.0, 0.0, 0.0, 0.0, 0.0, 0.5, f64::from(id)].map(f64::to_le_bytes).concat());
+        images.extend(1u32.to_le_bytes());
+        images.extend(name);
+        images.extend([1u64.to_le_bytes(), 0.5f64.to_le_bytes(), 0.5f64.to_le_bytes(), 1u64.to_le_bytes()].concat());
+    }
+    let mut points = [1u64.to_le_bytes(), 1u64.to_le_bytes()].concat();
+    points.extend([0.1, 0.2, 0.3].map(f64::to_le_bytes).concat());
+    points.extend([255, 0, 0]);
+    points.extend([0.5f64.to_le_bytes(), 1u64.to_le_bytes(), [1, 0, 0, 0, 0, 0, 0, 0]].concat());
+    vec![("cameras.bin", cameras), ("images.bin", images), ("points3D.bin", points)]
+}
