@@ -1,5 +1,7 @@
 //! Triangle meshes from other programs, for `--mesh FILE`: geometry and UVs; materials are what gets optimised.
 
+mod obj;
+
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
@@ -38,7 +40,7 @@ pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
     let soup = if bytes.starts_with(b"ply") {
         from_ply(&bytes)
     } else if is_obj {
-        from_obj(&bytes)
+        obj::parse(&bytes)
     } else if bytes.starts_with(b"glTF") || bytes.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{') {
         drop(bytes);
         from_gltf(&Asset::open(path)?)
@@ -136,30 +138,6 @@ fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     Ok(soup)
 }
 
-fn from_obj(bytes: &[u8]) -> Result<Soup, Fault> {
-    let options =
-        tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
-    // Materials are not needed, so their files are not opened.
-    let no_materials = |_: &Path| Ok(Default::default());
-    let (models, _) = tobj::load_obj_buf(&mut &*bytes, &options, no_materials)
-        .map_err(|e| Fault::whole("a Wavefront OBJ file", e.to_string()))?;
-    let mut soup = Soup::default();
-    for tobj::Model { mesh, .. } in models {
-        let positions: Vec<Vec3> = mesh.positions.as_chunks::<3>().0.iter().map(|&p| Vec3::from(p)).collect();
-        let (triangles, left) = mesh.indices.as_chunks::<3>();
-        if !left.is_empty() || mesh.indices.iter().any(|&v| v as usize >= positions.len()) {
-            return Err(Fault::whole("faces of existing vertices", "others"));
-        }
-        let texcoords = mesh.texcoords.as_chunks::<2>().0;
-        // OBJ has v upwards.
-        let uv = |i: u32| texcoords.get(i as usize).map_or(Vec2::NAN, |t| Vec2::new(t[0], 1.0 - t[1]));
-        let has_uvs = !texcoords.is_empty() && mesh.texcoord_indices.len() == mesh.indices.len();
-        let uvs = has_uvs.then(|| mesh.texcoord_indices.as_chunks::<3>().0.iter().map(|t| t.map(uv)).collect());
-        soup.add(positions, triangles, uvs, mesh.material_id)?;
-    }
-    Ok(soup)
-}
-
 fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
     let (header, mut body) = table::open(std::io::Cursor::new(bytes))?;
     let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
@@ -226,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_quad_from_obj_and_ply_is_the_same() {
-        let obj = from_obj(QUAD_OBJ.as_bytes()).and_then(Soup::finish).unwrap();
+        let obj = obj::parse(QUAD_OBJ.as_bytes()).and_then(Soup::finish).unwrap();
         assert_eq!(obj.positions.len(), 4);
         assert_eq!(obj.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(obj.corner_uvs.as_ref().unwrap()[1][2], Vec2::new(0.0, 0.25), "v is flipped");
@@ -236,17 +214,17 @@ mod tests {
     #[test]
     fn joined_vertices_and_degenerate_faces() {
         let obj = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 -0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 4 5 6\nf 1 2 4\n";
-        let mesh = from_obj(obj.as_bytes()).and_then(Soup::finish).unwrap();
+        let mesh = obj::parse(obj.as_bytes()).and_then(Soup::finish).unwrap();
         assert_eq!((mesh.positions.len(), mesh.triangles.len(), mesh.corner_uvs), (4, 2, None));
     }
 
     #[test]
     fn uvs_that_tile_are_scaled_and_those_of_two_materials_dropped() {
         let tiled = QUAD_OBJ.replace("vt 1 1", "vt 1 3");
-        let uvs = from_obj(tiled.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.unwrap();
+        let uvs = obj::parse(tiled.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.unwrap();
         // v = 3 is −2 downwards: of −2..1, 3 long, the top; u keeps its proportion.
         assert_eq!(uvs[0], [Vec2::new(0.0, 1.0), Vec2::new(1.0 / 3.0, 1.0), Vec2::new(1.0 / 3.0, 0.0)]);
-        let mut two = from_obj(QUAD_OBJ.as_bytes()).unwrap();
+        let mut two = obj::parse(QUAD_OBJ.as_bytes()).unwrap();
         two.materials.insert(Some(7));
         assert!(two.finish().unwrap().corner_uvs.is_none());
     }
@@ -255,15 +233,41 @@ mod tests {
     fn meshes_without_triangles_are_refused() {
         let message =
             |soup: Result<Soup, Fault>| soup.and_then(Soup::finish).unwrap_err().in_file(Path::new("m")).to_string();
-        assert_eq!(message(from_obj(b"v 0 0 0\n")), "m: expected a mesh with at least one triangle, found 0 positions");
+        assert_eq!(
+            message(obj::parse(b"v 0 0 0\n")),
+            "m: expected a mesh with at least one triangle, found 1 positions"
+        );
         assert!(message(from_ply(QUAD_PLY.replace("4 0 1 2 3", "4 0 1 2 4").as_bytes())).contains("below 4, found 4"));
-        assert!(message(from_obj(b"v 0 0 0\nf 1 2 3\n")).contains("OBJ"));
+        assert_eq!(
+            message(obj::parse(b"v 0 0 0\nf 1 2 3\n")),
+            "m: byte 8: expected a face of the 1 vertices in the OBJ, found vertex 2"
+        );
+        for (text, found) in [
+            ("v 0 zero 0\n", "byte 0: expected coordinates as in an OBJ, found `v 0 zero 0`"),
+            ("v 0 0 0\nf 0 1 1\n", "byte 8: expected a face of indices as in an OBJ, found `0`"),
+            ("v 0 0 0\nf 1 1 -2\n", "byte 8: expected a face of indices as in an OBJ, found `-2`"),
+            ("v 0 0 0\nf 1/-1 1 1\n", "found `1/-1`"),
+            ("v 0 0 0\nf 1 1 9223372036854775808\n", "found `9223372036854775808`"),
+        ] {
+            assert!(message(obj::parse(text.as_bytes())).contains(found), "{}", message(obj::parse(text.as_bytes())));
+        }
+    }
+
+    #[test]
+    fn what_obj_allows() {
+        // Relative indices, normals, a colour after the position, a broken line, faces before their vertices.
+        let text =
+            "f 1//1 2//1 3//1\r\nv 0 0 0 1 1 1\r\nvn 0 0 1\r\nv 1 0 \\\r\n0\r\nv 0 1 0\r\nf -3 -2 -1\r\nl 1 2\r\n";
+        let mesh = obj::parse(text.as_bytes()).and_then(Soup::finish).unwrap();
+        assert_eq!((mesh.positions, mesh.triangles), (vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![[0, 1, 2]; 2]));
+        let part_without = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0\nf 1/1 2/1 3/1\nf 1 2 3\n";
+        assert!(obj::parse(part_without.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.is_none());
     }
 
     proptest! {
         #[test]
         fn damaged_files_do_not_panic(cut in 1usize..400, at in 0usize..400, byte: u8) {
-            for (text, parse) in [(QUAD_OBJ, from_obj as fn(&[u8]) -> _), (QUAD_PLY, from_ply)] {
+            for (text, parse) in [(QUAD_OBJ, obj::parse as fn(&[u8]) -> _), (QUAD_PLY, from_ply)] {
                 let mut file = text.as_bytes().to_vec();
                 file.truncate(cut);
                 let at = at % file.len();

@@ -58,12 +58,15 @@ pub(crate) fn samples() -> Vec<Sample> {
         ("ksplat", "scene.ksplat"),
         ("sog", "scene.sog"),
         ("glb", "scene.glb"),
-        ("usda", "scene.usda"),
         ("usdz", "scene.usdz"),
     ] {
         let write = |path: &Path| format::write_scene(path, &scene, &WriteOptions::default()).map(drop);
         add(reader, vec![(name, written(folder.path(), name, write))]);
     }
+    // Maps would be files of their own.
+    let bare = HybridScene { meshes: vec![], ..scene.clone() };
+    let write = |path: &Path| format::write_scene(path, &bare, &WriteOptions::default()).map(drop);
+    add("usda", vec![("scene.usda", written(folder.path(), "scene.usda", write))]);
     add("ply", vec![("scene.ply", ascii_ply().into_bytes())]);
     for version in [spz::Version::V2, spz::Version::V3] {
         let options = spz::Options { version, ..spz::Options::default() };

@@ -2,7 +2,7 @@
 
 mod rows;
 
-use std::io::{self, BufRead, Seek, SeekFrom};
+use std::io::{self, BufRead, Read as _, Seek, SeekFrom};
 
 pub(crate) use self::rows::Body;
 use crate::format::error::{Fault, shown};

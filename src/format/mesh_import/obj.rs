@@ -1,0 +1,123 @@
+//! Wavefront OBJ: positions, texture coordinates and faces. Everything else is passed over.
+
+use std::collections::HashMap;
+use std::str::SplitAsciiWhitespace;
+
+use glam::{Vec2, Vec3};
+
+use super::Soup;
+use crate::format::error::{Fault, shown};
+
+/// A file while it is read. Indices may point to what follows, so that they are looked up at the end.
+#[derive(Default)]
+struct Obj {
+    positions: Vec<Vec3>,
+    texcoords: Vec<Vec2>,
+    triangles: Vec<[u32; 3]>,
+    /// Of the corners of the triangles; `None` where a face has none.
+    texcoord_indices: Vec<Option<[u32; 3]>>,
+    /// Offset of the face of each triangle.
+    places: Vec<usize>,
+}
+
+pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
+    let (mut obj, mut soup) = (Obj::default(), Soup::default());
+    let (mut names, mut material) = (HashMap::<String, usize>::new(), None);
+    let (mut offset, mut start, mut line) = (0, 0, String::new());
+    for raw in bytes.split_inclusive(|&b| b == b'\n').chain([&b""[..]]) {
+        if line.is_empty() {
+            start = offset;
+        }
+        offset += raw.len();
+        let text = String::from_utf8_lossy(raw);
+        if let Some(begun) = text.trim_end().strip_suffix('\\') {
+            line.push_str(begun);
+            line.push(' ');
+            continue;
+        }
+        line.push_str(&text);
+        let mut words = line.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => obj.positions.push(Vec3::from(numbers(&mut words, start, &line)?)),
+            Some("vt") => {
+                let [u] = numbers(&mut words, start, &line)?;
+                let [v] = if words.clone().next().is_some() { numbers(&mut words, start, &line)? } else { [0.0] };
+                // OBJ has v upwards.
+                obj.texcoords.push(Vec2::new(u, 1.0 - v));
+            }
+            Some("usemtl") => {
+                let count = names.len();
+                let name = words.collect::<Vec<_>>().join(" ");
+                material = Some(*names.entry(name).or_insert(count));
+            }
+            Some("f") => {
+                obj.face(words, start)?;
+                soup.materials.insert(material);
+            }
+            _ => {}
+        }
+        line.clear();
+    }
+    obj.finish(soup)
+}
+
+/// The next words as numbers.
+fn numbers<const N: usize>(words: &mut SplitAsciiWhitespace<'_>, start: usize, line: &str) -> Result<[f32; N], Fault> {
+    let mut values = [0.0; N];
+    for value in &mut values {
+        let number = words.next().and_then(|word| word.parse().ok());
+        let fault = || Fault::byte(start, "coordinates as in an OBJ", shown(line.trim_end().as_bytes()));
+        *value = number.ok_or_else(fault)?;
+    }
+    Ok(values)
+}
+
+impl Obj {
+    /// Cuts a polygon into a fan. Points and lines leave nothing.
+    fn face(&mut self, words: SplitAsciiWhitespace<'_>, start: usize) -> Result<(), Fault> {
+        let mut corners: Vec<(u32, Option<u32>)> = vec![];
+        for word in words {
+            let mut parts = word.split('/');
+            let vertex = parts.next().and_then(|text| index(text, self.positions.len()));
+            let texcoord = parts.next().filter(|text| !text.is_empty());
+            let texcoord = texcoord.map(|text| index(text, self.texcoords.len()));
+            let (Some(vertex), Some(texcoord)) = (vertex, texcoord.map_or(Some(None), |t| t.map(Some))) else {
+                return Err(Fault::byte(start, "a face of indices as in an OBJ", shown(word.as_bytes())));
+            };
+            corners.push((vertex, texcoord));
+        }
+        for second in 1..corners.len().saturating_sub(1) {
+            let fan = [corners[0], corners[second], corners[second + 1]];
+            self.triangles.push(fan.map(|(vertex, _)| vertex));
+            let texcoords = match fan.map(|(_, texcoord)| texcoord) {
+                [Some(a), Some(b), Some(c)] => Some([a, b, c]),
+                _ => None,
+            };
+            self.texcoord_indices.push(texcoords);
+            self.places.push(start);
+        }
+        Ok(())
+    }
+
+    fn finish(self, mut soup: Soup) -> Result<Soup, Fault> {
+        for (triangle, &place) in self.triangles.iter().zip(&self.places) {
+            if let Some(&bad) = triangle.iter().find(|&&v| v as usize >= self.positions.len()) {
+                let expected = format!("a face of the {} vertices in the OBJ", self.positions.len());
+                return Err(Fault::byte(place, expected, format!("vertex {}", u64::from(bad) + 1)));
+            }
+        }
+        let uv = |i: u32| self.texcoords.get(i as usize).copied().unwrap_or(Vec2::NAN);
+        let uvs: Option<Vec<[Vec2; 3]>> = self.texcoord_indices.iter().map(|t| t.map(|t| t.map(uv))).collect();
+        soup.positions = self.positions;
+        soup.triangles = self.triangles;
+        soup.corner_uvs = uvs.unwrap_or_default();
+        Ok(soup)
+    }
+}
+
+/// An index from 1, or backwards from −1, of which the last of `count` is meant.
+fn index(text: &str, count: usize) -> Option<u32> {
+    let i: i64 = text.parse().ok()?;
+    let i = if i < 0 { i64::try_from(count).ok()?.checked_add(i)? } else { i - 1 };
+    u32::try_from(i).ok()
+}
