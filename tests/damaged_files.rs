@@ -52,7 +52,7 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
         "obj" | "mesh_ply" => format::mesh_import::read(&path).map_err(|e| e.to_string()).map(drop),
         _ => {
             let strict = format::read_file(&path, &ReadOptions::default());
-            let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true });
+            let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true });
             assert!(strict.is_err() || lenient.is_ok());
             let _ = (format::inspect(&path), format::validate(&path), format::mesh_import::read(&path));
             strict.map_err(|e| e.to_string()).map(drop)

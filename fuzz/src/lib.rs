@@ -27,7 +27,7 @@ fn put(name: &str, bytes: &[u8]) -> PathBuf {
 pub fn splats(name: &str, bytes: &[u8]) {
     let path = put(name, bytes);
     let strict = format::read_file(&path, &ReadOptions::default());
-    let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true });
+    let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true });
     assert!(strict.is_err() || lenient.is_ok(), "refused when invalid splats may be dropped, but not otherwise");
     let _ = format::inspect(&path);
     let _ = format::validate(&path);
