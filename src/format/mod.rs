@@ -10,6 +10,7 @@ mod inspect;
 pub mod ksplat;
 mod loss;
 pub mod mesh_import;
+mod placed;
 pub mod ply;
 mod record;
 mod scene_file;

@@ -5,7 +5,7 @@ use serde_json::Value;
 
 use super::extension::{EXTRAS, ExactCamera};
 use super::lift::Asset;
-use super::transform::{Similarity, similarity};
+use crate::format::placed::{Similarity, similarity};
 use crate::scene::{Camera, Intrinsics};
 
 /// Image height given to cameras that do not state one.

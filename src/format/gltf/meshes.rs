@@ -2,18 +2,18 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DMat4, Vec2, Vec3};
+use glam::{DMat4, Vec2, Vec3};
 use serde::Deserialize as _;
 
 use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
 use super::material::{self, BaseColour, Maps};
 use super::pose::Pose;
-use super::transform::{Similarity, similarity};
 use super::triangles::{self, Triangles};
 use super::vertex_color;
 use crate::format::error::Fault;
-use crate::scene::{Atlas, ColorSpace, Mesh, Texture, sh};
+use crate::format::placed::{Similarity, similarity, turned};
+use crate::scene::{Atlas, ColorSpace, Mesh, Texture};
 
 /// Bytes of maps that a byte of images and buffers may become, above what any file may: four floats for each of the
 /// pixels, of which a PNG holds up to a thousand in a byte.
@@ -105,7 +105,7 @@ impl<'a> Meshes<'a> {
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            group.atlas = Some(turned(&maps.atlas, &sh::Rotation::new(DMat3::from_quat(rotation)))?);
+            group.atlas = Some(turned(&maps.atlas, rotation)?);
         }
         if let Some(source) = surface_vertices(self.asset, primitive, &positions)? {
             // The surface's own vertices come back in their own order.
@@ -224,11 +224,4 @@ fn surface_vertices(
         }
     }
     Ok(Some(source))
-}
-
-fn turned(atlas: &Atlas, harmonics: &sh::Rotation) -> Result<Atlas, Fault> {
-    let Some(bands) = atlas.bands() else { return Ok(atlas.clone()) };
-    let mut texels = bands.texels().to_vec();
-    texels.chunks_exact_mut(bands.channels() as usize).for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
-    Ok(Atlas::new(atlas.base().clone(), Some(Texture::new(bands.width(), bands.height(), bands.channels(), texels)?))?)
 }

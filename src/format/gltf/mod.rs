@@ -44,7 +44,7 @@ pub(super) use pose::Pose;
 pub(super) use read::scene as scene_of;
 pub(super) use sizes::bytes_by_part;
 pub use source::Source;
-pub(super) use transform::{Similarity, placements, similarity};
+pub(super) use transform::placements;
 pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
 pub(super) use uri::resolve;

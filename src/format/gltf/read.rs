@@ -7,10 +7,11 @@ use super::camera;
 use super::extension::{HYBRID, KHR_SPLATS, SceneContract, parse_color_space};
 use super::lift::Asset;
 use super::meshes::Meshes;
-use super::splats::{self, Part};
+use super::splats;
 use super::transform::{is_ours, placements};
 use crate::format::SceneFile;
 use crate::format::error::Fault;
+use crate::format::placed::join;
 use crate::scene::{ColorSpace, Composition, HybridScene, sh};
 
 /// Bytes of geometry that a byte of the file may become, above what any small file may. Meshes at many nodes and accessors
@@ -33,8 +34,9 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
             let mesh = node.mesh().map_or(0, |m| m.index());
             if let Some(khr) = primitive.extension_value(KHR_SPLATS) {
                 let id = (mesh, primitive.index());
-                let part = Part::read(asset, id, &primitive, khr, (node.index(), transform), space, &mut notes)?;
-                bytes = bytes.saturating_add(part.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64));
+                let part = splats::read(asset, id, &primitive, khr, (node.index(), transform), space, &mut notes)?;
+                bytes =
+                    bytes.saturating_add(part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64));
                 parts.push(part);
             } else if let Some(added) = meshes.add((&node, transform), &primitive, &mut notes)? {
                 bytes = bytes.saturating_add(added);
@@ -59,7 +61,7 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
         }
     }
     let meshes = meshes.finish(&mut notes)?;
-    let scene = HybridScene { splats: splats::join(parts)?, meshes, composition };
+    let scene = HybridScene { splats: join(parts)?, meshes, composition };
     Ok(SceneFile {
         scene,
         cameras,

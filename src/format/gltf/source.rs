@@ -11,8 +11,9 @@ use super::container::Bin;
 use super::extension::{HYBRID, MOVED_NODE, SceneContract};
 use super::lift::Asset;
 use super::remainder::remainder;
-use super::transform::{FLIP, is_ours, similarity};
+use super::transform::{FLIP, is_ours};
 use super::{meshopt, uri};
+use crate::format::placed::similarity;
 use crate::scene::{Camera, Composition, HybridScene};
 
 /// The glTF document that a scene was read from. A scene holds what is rendered; animations, skins, morph targets, lights,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use glam::{DMat3, DMat4, DVec3, DVec4, Quat, Vec3};
+use glam::{DMat4, DVec4, Quat, Vec3};
 use serde::Deserialize as _;
 use serde_json::Value;
 
@@ -10,213 +10,160 @@ use super::extension::{
     HYBRID, KHR_SPLATS, Khr, OPACITY, ROTATION, SCALE, SPZ, Spz, color_space_token, parse_color_space, sh_attributes,
 };
 use super::lift::Asset;
-use super::transform::{Similarity, similarity};
 use crate::format::error::Fault;
+use crate::format::placed::place;
 use crate::format::{activation, spz};
-use crate::scene::{ColorSpace, SplatArrays, Splats, sh};
+use crate::scene::{ColorSpace, SplatArrays, sh};
 
-/// Splats of one primitive, where its node puts them.
-pub(super) struct Part(SplatArrays);
-
-impl Part {
-    /// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, below a node of this transform.
-    pub(super) fn read(
-        asset: &Asset,
-        id: (usize, usize),
-        primitive: &gltf::Primitive<'_>,
-        khr: &Value,
-        (node, transform): (usize, DMat4),
-        space: ColorSpace,
-        notes: &mut Vec<String>,
-    ) -> Result<Self, Fault> {
-        let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
-        let at_khr = format!("{at}/extensions/{KHR_SPLATS}");
-        let khr = Khr::deserialize(khr).map_err(|e| Fault::pointer(&at_khr, KHR_SPLATS, e.to_string()))?;
-        if let Some(kernel) = khr.kernel.as_ref().filter(|k| *k != "ellipse") {
-            return Err(Fault::pointer(format!("{at_khr}/kernel"), "ellipse", format!("`{kernel}`")));
-        }
-        if let Some(token) = &khr.color_space
-            && parse_color_space(token, &at_khr)? != space
-        {
-            let expected = format!("{} throughout", color_space_token(space));
-            return Err(Fault::pointer(format!("{at_khr}/colorSpace"), expected, format!("`{token}`")));
-        }
-        let is_draft = khr.kernel.is_none() && khr.color_space.is_none();
-        if khr.kernel.is_none() != khr.color_space.is_none() {
-            return Err(Fault::pointer(at_khr, "a kernel and a colorSpace", "one of them"));
-        }
-        if is_draft {
-            notes
-                .push(format!("{at_khr}: of a draft of the extension: taken for ellipses in the scene's colour space"));
-        }
-        if primitive.mode() != gltf::mesh::Mode::Points {
-            return Err(Fault::pointer(format!("{at}/mode"), "0 (POINTS)", format!("{:?}", primitive.mode())));
-        }
-        for name in khr.extensions.keys().filter(|name| ![HYBRID, SPZ].contains(&name.as_str())) {
-            notes.push(format!("{at_khr}: `{name}` is not known here; the attributes are read"));
-        }
-        let (part, transform) = match khr.extensions.get(SPZ) {
-            Some(value) => {
-                let at = format!("{at_khr}/extensions/{SPZ}");
-                let part = Self::decompress(asset, primitive, value, &at, notes)?;
-                // From the frame of captures (right, down, front), which the codec delivers: half a turn about z to
-                // (left, up, front), as Khronos' draft asks; early files store theirs as they are (right, up, back).
-                let frame = if is_draft { [1.0, -1.0, -1.0] } else { [-1.0, -1.0, 1.0] };
-                let [x, y, z] = frame;
-                (part, transform * DMat4::from_diagonal(DVec4::new(x, y, z, 1.0)))
-            }
-            None => (Self::attributes(asset, id, primitive, is_draft, &at, notes)?, transform),
-        };
-        part.placed(transform, &format!("/nodes/{node}"))
+/// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, below a node of this transform.
+pub(super) fn read(
+    asset: &Asset,
+    id: (usize, usize),
+    primitive: &gltf::Primitive<'_>,
+    khr: &Value,
+    (node, transform): (usize, DMat4),
+    space: ColorSpace,
+    notes: &mut Vec<String>,
+) -> Result<SplatArrays, Fault> {
+    let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
+    let at_khr = format!("{at}/extensions/{KHR_SPLATS}");
+    let khr = Khr::deserialize(khr).map_err(|e| Fault::pointer(&at_khr, KHR_SPLATS, e.to_string()))?;
+    if let Some(kernel) = khr.kernel.as_ref().filter(|k| *k != "ellipse") {
+        return Err(Fault::pointer(format!("{at_khr}/kernel"), "ellipse", format!("`{kernel}`")));
     }
-
-    fn decompress(
-        asset: &Asset,
-        primitive: &gltf::Primitive<'_>,
-        value: &Value,
-        at: &str,
-        notes: &mut Vec<String>,
-    ) -> Result<Self, Fault> {
-        let stream =
-            Spz::deserialize(value).map_err(|e| Fault::pointer(at, format!("an object of {SPZ}"), e.to_string()))?;
-        let view = asset.document.views().nth(stream.buffer_view).filter(|view| asset.has_view(view));
-        let view = view.ok_or_else(|| {
-            let views = asset.root.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);
-            let at = format!("{at}/bufferView");
-            Fault::pointer(at, format!("a bufferView below {views}"), stream.buffer_view.to_string())
-        })?;
-        let (splats, found) = spz::parse(asset.view_bytes(&view)?).map_err(|fault| {
-            let (location, expected, found) = fault.into_parts();
-            Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
-        })?;
-        notes.extend(found.into_iter().map(|note| format!("{at}: {note}")));
-        let declared = primitive.get(&gltf::Semantic::Positions).map_or(splats.len(), |a| a.count());
-        if declared != splats.len() {
-            return Err(Fault::pointer(at, format!("{declared} splats, as in POSITION"), splats.len().to_string()));
-        }
-        Ok(Self(splats.into_arrays()))
+    if let Some(token) = &khr.color_space
+        && parse_color_space(token, &at_khr)? != space
+    {
+        let expected = format!("{} throughout", color_space_token(space));
+        return Err(Fault::pointer(format!("{at_khr}/colorSpace"), expected, format!("`{token}`")));
     }
-
-    fn attributes(
-        asset: &Asset,
-        id: (usize, usize),
-        primitive: &gltf::Primitive<'_>,
-        is_draft: bool,
-        at: &str,
-        notes: &mut Vec<String>,
-    ) -> Result<Self, Fault> {
-        let none = BTreeMap::new();
-        let attributes = asset.attributes.get(&id).unwrap_or(&none);
-        let find = |name: &str, of_draft: &str| {
-            let found = attributes.get(name).or(attributes.get(of_draft).filter(|_| is_draft));
-            found.copied().ok_or_else(|| {
-                Fault::pointer(format!("{at}/attributes"), format!("the attribute `{name}`"), "none of this name")
-            })
-        };
-        let position = primitive.get(&gltf::Semantic::Positions);
-        let position = position.ok_or_else(|| Fault::pointer(format!("{at}/attributes"), "POSITION", "none"))?;
-        let means: Vec<Vec3> = asset.floats::<3>(position.index())?.into_iter().map(Vec3::from).collect();
-        let same = |found: usize, name: &str| {
-            let fault = || {
-                let expected = format!("{} elements, as in POSITION", means.len());
-                Fault::pointer(format!("{at}/attributes/{name}"), expected, found.to_string())
-            };
-            if found == means.len() { Ok(()) } else { Err(fault()) }
-        };
-        let rotations = asset.floats::<4>(find(ROTATION, "_ROTATION")?)?;
-        same(rotations.len(), ROTATION)?;
-        let scales = asset.floats::<3>(find(SCALE, "_SCALE")?)?;
-        same(scales.len(), SCALE)?;
-        // Drafts have the zeroth coefficient and the opacity as a colour.
-        let dc_name = format!("{KHR_SPLATS}:SH_DEGREE_0_COEF_0");
-        let of_color = is_draft && !attributes.contains_key(&dc_name) && !attributes.contains_key(OPACITY);
-        let colors = if of_color { asset.floats::<4>(find("COLOR_0", "")?)? } else { vec![] };
-        let opacities: Vec<f32> = if of_color {
-            colors.iter().map(|c| c[3]).collect()
-        } else {
-            asset.floats::<1>(find(OPACITY, "")?)?.into_iter().map(|[o]| o).collect()
-        };
-        same(opacities.len(), if of_color { "COLOR_0" } else { OPACITY })?;
-
-        let prefix = format!("{KHR_SPLATS}:SH_DEGREE_");
-        let harmonics = attributes.keys().filter(|name| name.starts_with(&prefix)).count() + usize::from(of_color);
-        let degree = (0..=sh::MAX_DEGREE).find(|&d| sh::coefficients(d) == harmonics).ok_or_else(|| {
-            let found = format!("{harmonics} SH attributes");
-            Fault::pointer(format!("{at}/attributes"), "complete SH degrees from 0 to at most 3", found)
-        })?;
-        let k = sh::coefficients(degree);
-        let mut interleaved = vec![[0.0; 3]; means.len() * k];
-        for (c, name) in sh_attributes(degree).enumerate() {
-            let coefficients = if of_color && c == 0 {
-                colors.iter().map(|c| sh::dc_from_rgb([c[0], c[1], c[2]])).collect()
-            } else {
-                asset.floats::<3>(find(&name, "")?)?
-            };
-            same(coefficients.len(), &name)?;
-            interleaved.iter_mut().skip(c).step_by(k).zip(coefficients).for_each(|(slot, value)| *slot = value);
-        }
-
-        let mut clamped = 0usize;
-        let mut clamp = |(value, was_clamped): (f32, bool)| {
-            clamped += usize::from(was_clamped);
-            value
-        };
-        let opacity_logits = opacities.iter().map(|&o| clamp(activation::logit(o))).collect();
-        let log_scales = scales.iter().map(|s| Vec3::from(s.map(|v| clamp(activation::log_scale(v))))).collect();
-        if clamped > 0 {
-            notes.push(format!(
-                "{at}: {clamped} opacities of 0 or 1 or scales of 0 are clamped, so that their logit or logarithm is finite"
-            ));
-        }
-        let rotations = rotations.into_iter().map(Quat::from_array).collect();
-        Ok(Self(SplatArrays { means, rotations, log_scales, opacity_logits, sh_degree: degree, sh: interleaved }))
+    let is_draft = khr.kernel.is_none() && khr.color_space.is_none();
+    if khr.kernel.is_none() != khr.color_space.is_none() {
+        return Err(Fault::pointer(at_khr, "a kernel and a colorSpace", "one of them"));
     }
-
-    /// Moves the splats to where their node puts them.
-    fn placed(self, transform: DMat4, at: &str) -> Result<Self, Fault> {
-        let Self(mut splats) = self;
-        if transform == DMat4::IDENTITY {
-            return Ok(Self(splats));
-        }
-        let Some(Similarity { scale, rotation, .. }) = similarity(transform) else {
-            let expected = "a rotation, a translation and an even, positive scale above splats";
-            return Err(Fault::pointer(at, expected, "another transform"));
-        };
-        for mean in &mut splats.means {
-            *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
-        }
-        splats.rotations.iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
-        splats.log_scales.iter_mut().for_each(|s| *s = (s.as_dvec3() + DVec3::splat(scale.ln())).as_vec3());
-        if splats.sh_degree > 0 {
-            let harmonics = sh::Rotation::new(DMat3::from_quat(rotation));
-            splats.sh.chunks_exact_mut(sh::coefficients(splats.sh_degree)).for_each(|c| harmonics.apply(&mut c[1..]));
-        }
-        Ok(Self(splats))
+    if is_draft {
+        notes.push(format!("{at_khr}: of a draft of the extension: taken for ellipses in the scene's colour space"));
     }
-
-    pub(super) fn len(&self) -> usize {
-        self.0.means.len()
+    if primitive.mode() != gltf::mesh::Mode::Points {
+        return Err(Fault::pointer(format!("{at}/mode"), "0 (POINTS)", format!("{:?}", primitive.mode())));
     }
+    for name in khr.extensions.keys().filter(|name| ![HYBRID, SPZ].contains(&name.as_str())) {
+        notes.push(format!("{at_khr}: `{name}` is not known here; the attributes are read"));
+    }
+    let (mut splats, transform) = match khr.extensions.get(SPZ) {
+        Some(value) => {
+            let at = format!("{at_khr}/extensions/{SPZ}");
+            let splats = decompress(asset, primitive, value, &at, notes)?;
+            // From the frame of captures (right, down, front), which the codec delivers: half a turn about z to
+            // (left, up, front), as Khronos' draft asks; early files store theirs as they are (right, up, back).
+            let frame = if is_draft { [1.0, -1.0, -1.0] } else { [-1.0, -1.0, 1.0] };
+            let [x, y, z] = frame;
+            (splats, transform * DMat4::from_diagonal(DVec4::new(x, y, z, 1.0)))
+        }
+        None => (attributes(asset, id, primitive, is_draft, &at, notes)?, transform),
+    };
+    place(&mut splats, transform, &format!("/nodes/{node}"))?;
+    Ok(splats)
 }
 
-/// All parts as one, at the highest degree among them.
-pub(super) fn join(parts: Vec<Part>) -> Result<Splats, Fault> {
-    let degree = parts.iter().map(|p| p.0.sh_degree).max().unwrap_or(0);
-    let k = sh::coefficients(degree);
-    let mut parts = parts.into_iter().map(|Part(mut part)| {
-        if part.sh_degree < degree {
-            let own = part.sh.chunks_exact(sh::coefficients(part.sh_degree));
-            part.sh = own.flat_map(|c| c.iter().copied().chain(std::iter::repeat([0.0; 3])).take(k)).collect();
-        }
-        SplatArrays { sh_degree: degree, ..part }
-    });
-    let Some(mut all) = parts.next() else { return Ok(Splats::empty(0)) };
-    for mut part in parts {
-        all.means.append(&mut part.means);
-        all.rotations.append(&mut part.rotations);
-        all.log_scales.append(&mut part.log_scales);
-        all.opacity_logits.append(&mut part.opacity_logits);
-        all.sh.append(&mut part.sh);
+fn decompress(
+    asset: &Asset,
+    primitive: &gltf::Primitive<'_>,
+    value: &Value,
+    at: &str,
+    notes: &mut Vec<String>,
+) -> Result<SplatArrays, Fault> {
+    let stream =
+        Spz::deserialize(value).map_err(|e| Fault::pointer(at, format!("an object of {SPZ}"), e.to_string()))?;
+    let view = asset.document.views().nth(stream.buffer_view).filter(|view| asset.has_view(view));
+    let view = view.ok_or_else(|| {
+        let views = asset.root.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);
+        let at = format!("{at}/bufferView");
+        Fault::pointer(at, format!("a bufferView below {views}"), stream.buffer_view.to_string())
+    })?;
+    let (splats, found) = spz::parse(asset.view_bytes(&view)?).map_err(|fault| {
+        let (location, expected, found) = fault.into_parts();
+        Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
+    })?;
+    notes.extend(found.into_iter().map(|note| format!("{at}: {note}")));
+    let declared = primitive.get(&gltf::Semantic::Positions).map_or(splats.len(), |a| a.count());
+    if declared != splats.len() {
+        return Err(Fault::pointer(at, format!("{declared} splats, as in POSITION"), splats.len().to_string()));
     }
-    Ok(all.check()?)
+    Ok(splats.into_arrays())
+}
+
+fn attributes(
+    asset: &Asset,
+    id: (usize, usize),
+    primitive: &gltf::Primitive<'_>,
+    is_draft: bool,
+    at: &str,
+    notes: &mut Vec<String>,
+) -> Result<SplatArrays, Fault> {
+    let none = BTreeMap::new();
+    let attributes = asset.attributes.get(&id).unwrap_or(&none);
+    let find = |name: &str, of_draft: &str| {
+        let found = attributes.get(name).or(attributes.get(of_draft).filter(|_| is_draft));
+        found.copied().ok_or_else(|| {
+            Fault::pointer(format!("{at}/attributes"), format!("the attribute `{name}`"), "none of this name")
+        })
+    };
+    let position = primitive.get(&gltf::Semantic::Positions);
+    let position = position.ok_or_else(|| Fault::pointer(format!("{at}/attributes"), "POSITION", "none"))?;
+    let means: Vec<Vec3> = asset.floats::<3>(position.index())?.into_iter().map(Vec3::from).collect();
+    let same = |found: usize, name: &str| {
+        let fault = || {
+            let expected = format!("{} elements, as in POSITION", means.len());
+            Fault::pointer(format!("{at}/attributes/{name}"), expected, found.to_string())
+        };
+        if found == means.len() { Ok(()) } else { Err(fault()) }
+    };
+    let rotations = asset.floats::<4>(find(ROTATION, "_ROTATION")?)?;
+    same(rotations.len(), ROTATION)?;
+    let scales = asset.floats::<3>(find(SCALE, "_SCALE")?)?;
+    same(scales.len(), SCALE)?;
+    // Drafts have the zeroth coefficient and the opacity as a colour.
+    let dc_name = format!("{KHR_SPLATS}:SH_DEGREE_0_COEF_0");
+    let of_color = is_draft && !attributes.contains_key(&dc_name) && !attributes.contains_key(OPACITY);
+    let colors = if of_color { asset.floats::<4>(find("COLOR_0", "")?)? } else { vec![] };
+    let opacities: Vec<f32> = if of_color {
+        colors.iter().map(|c| c[3]).collect()
+    } else {
+        asset.floats::<1>(find(OPACITY, "")?)?.into_iter().map(|[o]| o).collect()
+    };
+    same(opacities.len(), if of_color { "COLOR_0" } else { OPACITY })?;
+
+    let prefix = format!("{KHR_SPLATS}:SH_DEGREE_");
+    let harmonics = attributes.keys().filter(|name| name.starts_with(&prefix)).count() + usize::from(of_color);
+    let degree = (0..=sh::MAX_DEGREE).find(|&d| sh::coefficients(d) == harmonics).ok_or_else(|| {
+        let found = format!("{harmonics} SH attributes");
+        Fault::pointer(format!("{at}/attributes"), "complete SH degrees from 0 to at most 3", found)
+    })?;
+    let k = sh::coefficients(degree);
+    let mut interleaved = vec![[0.0; 3]; means.len() * k];
+    for (c, name) in sh_attributes(degree).enumerate() {
+        let coefficients = if of_color && c == 0 {
+            colors.iter().map(|c| sh::dc_from_rgb([c[0], c[1], c[2]])).collect()
+        } else {
+            asset.floats::<3>(find(&name, "")?)?
+        };
+        same(coefficients.len(), &name)?;
+        interleaved.iter_mut().skip(c).step_by(k).zip(coefficients).for_each(|(slot, value)| *slot = value);
+    }
+
+    let mut clamped = 0usize;
+    let mut clamp = |(value, was_clamped): (f32, bool)| {
+        clamped += usize::from(was_clamped);
+        value
+    };
+    let opacity_logits = opacities.iter().map(|&o| clamp(activation::logit(o))).collect();
+    let log_scales = scales.iter().map(|s| Vec3::from(s.map(|v| clamp(activation::log_scale(v))))).collect();
+    if clamped > 0 {
+        notes.push(format!(
+            "{at}: {clamped} opacities of 0 or 1 or scales of 0 are clamped, so that their logit or logarithm is finite"
+        ));
+    }
+    let rotations = rotations.into_iter().map(Quat::from_array).collect();
+    Ok(SplatArrays { means, rotations, log_scales, opacity_logits, sh_degree: degree, sh: interleaved })
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DMat4, DQuat, DVec3};
 use gltf::scene::Transform;
 
 use super::extension::{EXTRAS, ROOT_NODE};
@@ -60,45 +60,5 @@ fn local(node: &gltf::Node<'_>) -> DMat4 {
             DQuat::from_array(rotation.map(f64::from)).normalize(),
             DVec3::from(translation.map(f64::from)),
         ),
-    }
-}
-
-/// `scale · rotation` and a translation: what a splat can follow.
-pub(in crate::format) struct Similarity {
-    pub(in crate::format) scale: f64,
-    pub(in crate::format) rotation: DQuat,
-    pub(in crate::format) translation: DVec3,
-}
-
-/// Takes a transform apart; `None` if it shears, mirrors or scales unevenly by more than 1e-4, about the noise of f32
-/// matrices multiplied along a node path.
-pub(in crate::format) fn similarity(transform: DMat4) -> Option<Similarity> {
-    let linear = DMat3::from_mat4(transform);
-    let scale = linear.determinant().cbrt();
-    let unit = linear * scale.recip();
-    let is_rotation = scale > 0.0 && (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-4);
-    is_rotation.then(|| Similarity {
-        // Exactly 1, so that the frame change of our own files leaves every bit alone.
-        scale: if (scale - 1.0).abs() < 1e-12 { 1.0 } else { scale },
-        rotation: if unit == DMat3::IDENTITY { DQuat::IDENTITY } else { DQuat::from_mat3(&unit).normalize() },
-        translation: transform.w_axis.truncate(),
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_similarities_come_apart() {
-        let rotation = DQuat::from_rotation_y(0.7);
-        let good = DMat4::from_scale_rotation_translation(DVec3::splat(2.5), rotation, DVec3::X);
-        let s = similarity(good).unwrap();
-        assert!((s.scale - 2.5).abs() < 1e-12 && s.rotation.abs_diff_eq(rotation, 1e-12) && s.translation == DVec3::X);
-        assert!(similarity(DMat4::from_scale(DVec3::new(1.0, 1.0, 1.1))).is_none());
-        assert!(similarity(DMat4::from_scale(DVec3::new(1.0, 1.0, -1.0))).is_none());
-        assert!(similarity(DMat4::ZERO).is_none());
-        let exact = similarity(FLIP * FLIP).unwrap();
-        assert!(exact.scale == 1.0 && exact.rotation == DQuat::IDENTITY);
     }
 }

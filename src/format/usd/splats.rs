@@ -1,13 +1,12 @@
-//! `ParticleField3DGaussianSplat` to splats, and where a transform puts them.
+//! `ParticleField3DGaussianSplat` to splats.
 
-use glam::{DMat3, DMat4, Quat, Vec3};
+use glam::{Quat, Vec3};
 
 use super::names;
 use super::stage::Stage;
 use crate::format::activation;
 use crate::format::error::Fault;
-use crate::format::gltf::{Similarity, similarity};
-use crate::scene::{ColorSpace, SplatArrays, Splats, sh};
+use crate::scene::{ColorSpace, SplatArrays, sh};
 
 /// Colour space that a prim states by `ColorSpaceAPI`; on failure, the name that is not known.
 pub(super) fn color_space<'a>(stage: &Stage<'a>, prim: usize) -> Result<Option<ColorSpace>, &'a str> {
@@ -87,45 +86,4 @@ fn either<const N: usize>(stage: &Stage<'_>, prim: usize, name: &str) -> Result<
         Some(rows) => Ok(Some(rows)),
         None => stage.rows(prim, &format!("{name}h")),
     }
-}
-
-/// Moves splats to where their prim lies.
-pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Result<(), Fault> {
-    if transform == DMat4::IDENTITY {
-        return Ok(());
-    }
-    let Some(Similarity { scale, rotation, .. }) = similarity(transform) else {
-        let expected = "a rotation, a translation and an even, positive scale above splats";
-        return Err(Fault::pointer(at, expected, "another transform"));
-    };
-    for mean in &mut splats.means {
-        *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
-    }
-    splats.rotations.iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
-    splats.log_scales.iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
-    if splats.sh_degree > 0 {
-        let harmonics = sh::Rotation::new(DMat3::from_quat(rotation));
-        splats.sh.chunks_exact_mut(sh::coefficients(splats.sh_degree)).for_each(|c| harmonics.apply(&mut c[1..]));
-    }
-    Ok(())
-}
-
-/// All as one, at the highest degree among them.
-pub(super) fn join(parts: Vec<SplatArrays>) -> Result<Splats, Fault> {
-    let degree = parts.iter().map(|p| p.sh_degree).max().unwrap_or(0);
-    let k = sh::coefficients(degree);
-    let mut all = SplatArrays { sh_degree: degree, ..SplatArrays::default() };
-    for mut part in parts {
-        all.means.append(&mut part.means);
-        all.rotations.append(&mut part.rotations);
-        all.log_scales.append(&mut part.log_scales);
-        all.opacity_logits.append(&mut part.opacity_logits);
-        if part.sh_degree == degree {
-            all.sh.append(&mut part.sh);
-        } else {
-            let own = part.sh.chunks_exact(sh::coefficients(part.sh_degree));
-            all.sh.extend(own.flat_map(|c| c.iter().copied().chain(std::iter::repeat([0.0; 3])).take(k)));
-        }
-    }
-    Ok(all.check()?)
 }

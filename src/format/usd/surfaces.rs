@@ -2,15 +2,15 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DMat4, Vec2, Vec3};
+use glam::{DMat4, Vec2, Vec3};
 
 use super::document::{Prim, Value, field};
 use super::materials::Materials;
 use super::names;
 use super::stage::Stage;
 use crate::format::error::Fault;
-use crate::format::gltf::{Similarity, similarity};
-use crate::scene::{Atlas, Mesh, Texture, sh};
+use crate::format::placed::{Similarity, similarity, turned};
+use crate::scene::Mesh;
 
 /// Where the prim lies and which material is bound to it.
 pub(super) struct Placed {
@@ -55,7 +55,7 @@ pub(super) fn read(
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            atlas = turned(&atlas, &sh::Rotation::new(DMat3::from_quat(rotation)))?;
+            atlas = turned(&atlas, rotation)?;
         }
         let uvs = CornerUvs::of(stage, prim, &primvar)?;
         if uvs.is_none() {
@@ -137,13 +137,6 @@ fn used(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
         });
     }
     positions
-}
-
-fn turned(atlas: &Atlas, harmonics: &sh::Rotation) -> Result<Atlas, Fault> {
-    let Some(bands) = atlas.bands() else { return Ok(atlas.clone()) };
-    let mut texels = bands.texels().to_vec();
-    texels.chunks_exact_mut(bands.channels() as usize).for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
-    Ok(Atlas::new(atlas.base().clone(), Some(Texture::new(bands.width(), bands.height(), bands.channels(), texels)?))?)
 }
 
 /// Checked: counts and corners agree, and corners are points.

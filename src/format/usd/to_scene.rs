@@ -13,6 +13,7 @@ use super::{frame, names, splats, views, xform};
 use crate::format::SceneFile;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
+use crate::format::placed::{self, join};
 use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode};
 
 /// Type of splats.
@@ -38,17 +39,17 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     let mut left_out = Counts::default();
     left_out.layer(layer);
     let (mut parts, mut meshes, mut cameras) = (vec![], vec![], vec![]);
-    for placed in place_all(&stage, to_world, &mut left_out)? {
-        let prim = stage.prims[placed.prim];
-        let at = || stage.path(placed.prim);
+    for found in place_all(&stage, to_world, &mut left_out)? {
+        let prim = stage.prims[found.prim];
+        let at = || stage.path(found.prim);
         match prim.type_name.as_str() {
             SPLATS => {
-                let mut part = splats::read(&stage, placed.prim, &mut notes)?;
-                splats::place(&mut part, placed.transform, &at())?;
+                let mut part = splats::read(&stage, found.prim, &mut notes)?;
+                placed::place(&mut part, found.transform, &at())?;
                 parts.push(part);
             }
-            "Mesh" => meshes.extend(surfaces::read(&stage, &placed, &mut materials, &mut notes)?),
-            "Camera" => match views::read(&stage, placed.prim, placed.transform, to_scene) {
+            "Mesh" => meshes.extend(surfaces::read(&stage, &found, &mut materials, &mut notes)?),
+            "Camera" => match views::read(&stage, found.prim, found.transform, to_scene) {
                 Ok((camera, note)) => {
                     notes.extend(note.map(|note| format!("{}: {note}", at())));
                     cameras.push((display_name(prim), camera));
@@ -60,7 +61,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
         }
     }
     notes.extend(left_out.lines());
-    let mut scene = HybridScene { splats: splats::join(parts)?, meshes, composition };
+    let mut scene = HybridScene { splats: join(parts)?, meshes, composition };
     if is_ours {
         scene = frame::back(scene)?;
     }

@@ -4,7 +4,7 @@ use glam::{DMat3, DMat4, DVec3};
 
 use super::names;
 use super::stage::Stage;
-use crate::format::gltf::{Similarity, similarity};
+use crate::format::placed::{Similarity, similarity};
 use crate::scene::{Camera, Intrinsics};
 
 /// Image height given to cameras that do not state one.
