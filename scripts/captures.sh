@@ -20,7 +20,7 @@ compare() { # name, capture, floats, iterations, flags of the capture
     for seed in $seeds; do
         for kind in hybrid splats; do
             local flags=(--no-mesh)
-            [ $kind = splats ] || flags=(--surface-iterations 600 --warmup 200 --layers 1 --triangles 6000 --texture-size 512)
+            [ $kind = splats ] || flags=(--surface-iterations 600 --warmup 600 --layers 1 --triangles 6000 --texture-size 512)
             centaur train "$capture" -o "$out/$name-$kind-$seed.glb" --report "$out/$name-$kind-$seed" --json --quiet \
                 --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$out/$name-$kind-$seed.json"
             python3 - "$out/$name-$kind-$seed.json" "$name" "$kind" "$seed" <<'PYTHON'
@@ -35,7 +35,7 @@ PYTHON
 }
 
 seeds=${*:-0 1}
-compare demo demo 2000000 1000
-compare banana16 "$data/capture_banana16" 2000000 1000 --max-side 376
+compare demo demo 1000000 1000
+compare banana16 "$data/capture_banana16" 1300000 1000 --max-side 376
 compare skull66 "$data/capture_skull66" 2000000 1000 --max-side 356
 compare maryrose69 "$data/capture_maryrose69" 1500000 800 --max-side 432 --masks
