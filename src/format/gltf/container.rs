@@ -2,37 +2,89 @@
 //! way a scene is one file, which is there as a whole or not at all.
 
 use std::borrow::Cow;
-use std::io::Write as _;
+use std::io::{self, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use serde_json::{Value, json};
 
 use super::{glb, uri};
 use crate::format::atomic_write_with;
+use crate::format::blocks::{BLOCK_BYTES, in_waves};
 use crate::format::error::{Fault, FormatError};
 
 /// The content of buffer 0, in pieces that begin at multiples of 4 bytes.
 #[derive(Default)]
 pub(super) struct Bin<'a> {
-    pieces: Vec<Cow<'a, [u8]>>,
+    pieces: Vec<Piece<'a>>,
     length: usize,
+}
+
+enum Piece<'a> {
+    Bytes(Cow<'a, [u8]>),
+    Rows(Rows<'a>),
+}
+
+/// Rows that are made as they are written, so that a large scene is not held a second time.
+struct Rows<'a> {
+    count: usize,
+    stride: usize,
+    append: Box<Append<'a>>,
+}
+
+/// Appends the rows of a range.
+type Append<'a> = dyn Fn(Range<usize>, &mut Vec<u8>) + Sync + 'a;
+
+impl Rows<'_> {
+    fn write(&self, out: &mut (impl Write + Send)) -> io::Result<()> {
+        let per_block = (BLOCK_BYTES / self.stride).max(1);
+        let block = |i: usize| {
+            let rows = i * per_block..self.count.min((i + 1) * per_block);
+            let mut bytes = Vec::with_capacity(rows.len() * self.stride);
+            (self.append)(rows, &mut bytes);
+            bytes
+        };
+        in_waves(self.count.div_ceil(per_block), block, |bytes| out.write_all(&bytes))
+    }
 }
 
 impl<'a> Bin<'a> {
     /// Appends a piece; returns where it begins.
     pub(super) fn push(&mut self, piece: impl Into<Cow<'a, [u8]>>) -> usize {
+        let piece = piece.into();
+        self.place(piece.len(), Piece::Bytes(piece))
+    }
+
+    /// Appends `count` rows of `stride` bytes each, of which `row` appends the one of an index; returns where they begin.
+    pub(super) fn push_rows(
+        &mut self,
+        count: usize,
+        stride: usize,
+        row: impl Fn(usize, &mut Vec<u8>) + Sync + 'a,
+    ) -> usize {
+        let append = Box::new(move |rows: Range<usize>, bytes: &mut Vec<u8>| rows.for_each(|i| row(i, bytes)));
+        self.place(count * stride, Piece::Rows(Rows { count, stride, append }))
+    }
+
+    fn place(&mut self, length: usize, piece: Piece<'a>) -> usize {
         let start = self.length.next_multiple_of(4);
         if start > self.length {
-            self.pieces.push(vec![0; start - self.length].into());
+            self.pieces.push(Piece::Bytes(vec![0; start - self.length].into()));
         }
-        let piece = piece.into();
-        self.length = start + piece.len();
+        self.length = start + length;
         self.pieces.push(piece);
         start
     }
 
     pub(super) fn len(&self) -> usize {
         self.length
+    }
+
+    fn write(&self, out: &mut (impl Write + Send)) -> io::Result<()> {
+        self.pieces.iter().try_for_each(|piece| match piece {
+            Piece::Bytes(bytes) => out.write_all(bytes),
+            Piece::Rows(rows) => rows.write(out),
+        })
     }
 }
 
@@ -43,7 +95,9 @@ pub(super) fn write(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u
         if bin.len() > 0 {
             let mut text = "data:application/octet-stream;base64,".to_owned();
             // Base64 takes three bytes at a time, wherever pieces end.
-            uri::encode_base64(&bin.pieces.concat(), &mut text);
+            let mut bytes = Vec::with_capacity(bin.len());
+            bin.write(&mut bytes).map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
+            uri::encode_base64(&bytes, &mut text);
             document["buffers"][0]["uri"] = json!(text);
         }
         return atomic_write_with(path, |file| Ok(serde_json::to_writer(file, &document)?));
@@ -58,7 +112,7 @@ pub(super) fn write(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u
         file.write_all(&text)?;
         file.write_all(&b"   "[..padding])?;
         file.write_all(&headers[1])?;
-        bin.pieces.iter().try_for_each(|piece| file.write_all(piece))?;
+        bin.write(file)?;
         file.write_all(&[0; 3][..bin_padding])
     })
 }

@@ -49,7 +49,6 @@ pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
 pub(super) use uri::resolve;
 
-use self::container::Bin;
 use super::{FormatError, SceneFile};
 use crate::scene::{Camera, HybridScene};
 
@@ -68,9 +67,7 @@ pub fn write_glb(
     extras: Option<serde_json::Value>,
 ) -> Result<u64, FormatError> {
     let (document, bin) = write::layout(scene, cameras, extras);
-    let mut whole = Bin::default();
-    whole.push(bin);
-    container::write(path, document, &whole)
+    container::write(path, document, &bin)
 }
 
 /// As [`write_glb`], on the ground of the document that the scene was read from: all of it is written where it stands
@@ -90,9 +87,7 @@ pub(super) fn write_over(
     }
     let (mut document, bin) = write::layout(scene, cameras, None);
     source.carry_over(&mut document);
-    let mut whole = Bin::default();
-    whole.push(bin);
-    Ok((container::write(path, document, &whole)?, false))
+    Ok((container::write(path, document, &bin)?, false))
 }
 
 /// Reads a `.glb` or `.gltf` file: hybrids, plain `KHR_gaussian_splatting` files, plain textured meshes.

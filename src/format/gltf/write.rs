@@ -1,5 +1,6 @@
 //! Lays a hybrid scene out as JSON and one binary chunk.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use glam::{DMat3, DQuat, Vec2, Vec3};
@@ -7,12 +8,13 @@ use image::ImageEncoder as _;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use serde_json::{Value, json};
 
+use super::container::Bin;
 use super::extension::{
     EXTRAS, ExactCamera, HYBRID, KHR_SPLATS, Khr, OPACITY, OpacityField, ROOT_NODE, ROTATION, Radiance, SCALE,
     SceneContract, ShField, Surface, TexelSource, UNLIT, color_space_token, sh_attributes,
 };
 use crate::format::activation;
-use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, color, sh};
+use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, color, sh};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -20,8 +22,12 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// The document and its binary chunk.
-pub(super) fn layout(scene: &HybridScene, cameras: &[(String, Camera)], extras: Option<Value>) -> (Value, Vec<u8>) {
+/// The document and its binary chunk, which is made as it is written.
+pub(super) fn layout<'a>(
+    scene: &'a HybridScene,
+    cameras: &[(String, Camera)],
+    extras: Option<Value>,
+) -> (Value, Bin<'a>) {
     let mut out = Layout::default();
     let space = scene.composition.color_space;
     let mut children = vec![];
@@ -54,7 +60,7 @@ pub(super) fn layout(scene: &HybridScene, cameras: &[(String, Camera)], extras: 
 
 /// The document under construction: its arrays, and the binary chunk that they point into.
 #[derive(Default)]
-struct Layout {
+struct Layout<'a> {
     nodes: Vec<Value>,
     meshes: Vec<Value>,
     materials: Vec<Value>,
@@ -62,21 +68,35 @@ struct Layout {
     images: Vec<Value>,
     accessors: Vec<Value>,
     views: Vec<Value>,
-    bin: Vec<u8>,
+    bin: Bin<'a>,
 }
 
-impl Layout {
+impl<'a> Layout<'a> {
     fn node(&mut self, node: Value) -> usize {
         self.nodes.push(node);
         self.nodes.len() - 1
     }
 
-    /// A buffer view of everything that `fill` appends, aligned to 4 bytes.
-    fn view(&mut self, target: Option<u32>, fill: impl FnOnce(&mut Vec<u8>)) -> usize {
-        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
-        let start = self.bin.len();
-        fill(&mut self.bin);
-        let mut view = json!({ "buffer": 0, "byteOffset": start, "byteLength": self.bin.len() - start });
+    /// A buffer view of bytes.
+    fn view(&mut self, target: Option<u32>, bytes: Vec<u8>) -> usize {
+        let length = bytes.len();
+        let start = self.bin.push(bytes);
+        self.view_of(target, start, length)
+    }
+
+    /// A buffer view of `count` rows of `stride` bytes, of which `row` appends one.
+    fn rows(
+        &mut self,
+        target: Option<u32>,
+        (count, stride): (usize, usize),
+        row: impl Fn(usize, &mut Vec<u8>) + Sync + 'a,
+    ) -> usize {
+        let start = self.bin.push_rows(count, stride, row);
+        self.view_of(target, start, count * stride)
+    }
+
+    fn view_of(&mut self, target: Option<u32>, start: usize, length: usize) -> usize {
+        let mut view = json!({ "buffer": 0, "byteOffset": start, "byteLength": length });
         if let Some(target) = target {
             view["target"] = json!(target);
         }
@@ -89,48 +109,52 @@ impl Layout {
         self.accessors.len() - 1
     }
 
-    fn floats(&mut self, target: Option<u32>, kind: &str, count: usize, values: impl Iterator<Item = f32>) -> usize {
-        let view = self.view(target, |bin| values.for_each(|v| bin.extend_from_slice(&v.to_le_bytes())));
-        self.accessor(view, FLOAT, kind, count)
+    /// Rows of N floats.
+    fn floats<const N: usize>(
+        &mut self,
+        target: Option<u32>,
+        count: usize,
+        row: impl Fn(usize) -> [f32; N] + Sync + 'a,
+    ) -> usize {
+        let append =
+            move |i, bytes: &mut Vec<u8>| row(i).iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        let view = self.rows(target, (count, 4 * N), append);
+        self.accessor(view, FLOAT, ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1], count)
     }
 
     /// A vertex attribute.
-    fn attribute<const N: usize>(&mut self, values: impl ExactSizeIterator<Item = [f32; N]>) -> usize {
-        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1];
-        let count = values.len();
-        self.floats(Some(ARRAY_BUFFER), kind, count, values.flatten())
+    fn attribute<const N: usize>(&mut self, count: usize, row: impl Fn(usize) -> [f32; N] + Sync + 'a) -> usize {
+        self.floats(Some(ARRAY_BUFFER), count, row)
     }
 
     /// POSITION, with the bounds that glTF demands.
-    fn positions(&mut self, positions: &[Vec3]) -> usize {
-        let index = self.attribute(positions.iter().map(Vec3::to_array));
+    fn positions(&mut self, positions: Cow<'a, [Vec3]>) -> usize {
         let low = positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
         let high = positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
+        let index = self.attribute(positions.len(), move |i| positions[i].to_array());
         self.accessors[index]["min"] = json!(low.to_array());
         self.accessors[index]["max"] = json!(high.to_array());
         index
     }
 
-    fn splats(&mut self, splats: &Splats, space: ColorSpace) -> usize {
+    fn splats(&mut self, splats: &'a Splats, space: ColorSpace) -> usize {
         let n = splats.len();
         let mut attributes = serde_json::Map::new();
         let mut add = |name: &str, accessor: usize| attributes.insert(name.to_owned(), json!(accessor));
-        add("POSITION", self.positions(splats.means()));
-        add(ROTATION, self.attribute(splats.rotations().iter().map(glam::Quat::to_array)));
-        add(SCALE, self.attribute(splats.log_scales().iter().map(|s| s.to_array().map(activation::scale))));
+        add("POSITION", self.positions(splats.means().into()));
+        add(ROTATION, self.attribute(n, |i| splats.rotations()[i].to_array()));
+        add(SCALE, self.attribute(n, |i| splats.log_scales()[i].to_array().map(activation::scale)));
         let opacity = |i: usize| activation::opacity(splats.opacity_logits()[i]);
-        add(OPACITY, self.attribute((0..n).map(|i| [opacity(i)])));
+        add(OPACITY, self.attribute(n, move |i| [opacity(i)]));
         for (k, name) in sh_attributes(splats.sh_degree()).enumerate() {
-            add(&name, self.attribute((0..n).map(|i| splats.sh_of(i)[k])));
+            add(&name, self.attribute(n, move |i| splats.sh_of(i)[k]));
         }
         // What a viewer without the extension shows. COLOR_0 is linear light whatever the splats are.
-        let color_view = self.view(Some(ARRAY_BUFFER), |bin| {
-            for i in 0..n {
-                let rgb = sh::rgb_from_dc(splats.sh_of(i)[0]).map(|c| c.clamp(0.0, 1.0));
-                let linear = if space == ColorSpace::SrgbDisplay { rgb.map(color::srgb_to_linear) } else { rgb };
-                for c in linear.into_iter().chain([opacity(i)]) {
-                    bin.extend_from_slice(&((c * 65535.0).round() as u16).to_le_bytes());
-                }
+        let color_view = self.rows(Some(ARRAY_BUFFER), (n, 8), move |i, bytes| {
+            let rgb = sh::rgb_from_dc(splats.sh_of(i)[0]).map(|c| c.clamp(0.0, 1.0));
+            let linear = if space == ColorSpace::SrgbDisplay { rgb.map(color::srgb_to_linear) } else { rgb };
+            for c in linear.into_iter().chain([opacity(i)]) {
+                bytes.extend_from_slice(&((c * 65535.0).round() as u16).to_le_bytes());
             }
         });
         let color = self.accessor(color_view, UNSIGNED_SHORT, "VEC4", n);
@@ -149,15 +173,16 @@ impl Layout {
         self.meshes.len() - 1
     }
 
-    fn mesh(&mut self, mesh: &Mesh, space: ColorSpace) -> usize {
+    fn mesh(&mut self, mesh: &'a Mesh, space: ColorSpace) -> usize {
         let split = split_at_seams(mesh);
         let positions: Vec<Vec3> = split.surface_vertices.iter().map(|&v| mesh.positions()[v as usize]).collect();
         let mut attributes = serde_json::Map::new();
-        attributes.insert("POSITION".to_owned(), json!(self.positions(&positions)));
-        let uvs = self.attribute(split.uvs.iter().map(Vec2::to_array));
+        attributes.insert("POSITION".to_owned(), json!(self.positions(positions.into())));
+        let uvs = split.uvs;
+        let uvs = self.attribute(uvs.len(), move |i| uvs[i].to_array());
         attributes.insert("TEXCOORD_0".to_owned(), json!(uvs));
         let mut integers = |target: Option<u32>, values: &[u32]| {
-            let view = self.view(target, |bin| values.iter().for_each(|v| bin.extend_from_slice(&v.to_le_bytes())));
+            let view = self.view(target, values.iter().flat_map(|v| v.to_le_bytes()).collect());
             self.accessor(view, UNSIGNED_INT, "SCALAR", values.len())
         };
         let indices = integers(Some(ELEMENT_ARRAY_BUFFER), split.triangles.as_flattened());
@@ -176,34 +201,30 @@ impl Layout {
         index
     }
 
-    fn material(&mut self, atlas: &Atlas, space: ColorSpace) -> usize {
+    fn material(&mut self, atlas: &'a Atlas, space: ColorSpace) -> usize {
         let base = atlas.base();
-        let view = self.view(None, |bin| preview_png(atlas, space, bin));
+        let view = self.view(None, preview_png(atlas, space));
         self.images.push(json!({ "bufferView": view, "mimeType": "image/png" }));
         // Image i is texture i; all textures share the one sampler.
         let texture = self.images.len() - 1;
 
-        let plane = |out: &mut Self, width: u32, height: u32, kind: &str, values: &mut dyn Iterator<Item = f32>| {
-            let accessor = out.floats(None, kind, width as usize * height as usize, values);
-            let sampler = Some(0);
-            TexelSource {
-                accessor: Some(accessor),
-                width: Some(width),
-                height: Some(height),
-                sampler,
-                ..TexelSource::default()
-            }
+        let source = |map: &Texture, accessor: usize| TexelSource {
+            accessor: Some(accessor),
+            width: Some(map.width()),
+            height: Some(map.height()),
+            sampler: Some(0),
+            ..TexelSource::default()
         };
-        let (w, h) = (base.width(), base.height());
-        let texels = || base.texels().chunks_exact(4);
-        let mut coefficients = vec![plane(self, w, h, "VEC3", &mut texels().flat_map(|t| [t[0], t[1], t[2]]))];
-        let logits = plane(self, w, h, "SCALAR", &mut texels().map(|t| t[3]));
+        let count = |map: &Texture| map.width() as usize * map.height() as usize;
+        let texel = |map: &'a Texture, i: usize| &map.texels()[i * map.channels() as usize..];
+        let rgb = |map: &'a Texture, first: usize| {
+            move |i: usize| *texel(map, i)[first..].first_chunk::<3>().expect("three channels of a coefficient")
+        };
+        let mut coefficients = vec![source(base, self.floats(None, count(base), rgb(base, 0)))];
+        let logits = source(base, self.floats(None, count(base), move |i| [texel(base, i)[3]]));
         if let Some(bands) = atlas.bands() {
-            let channels = bands.channels() as usize;
-            for first in (0..channels).step_by(3) {
-                let mut rgb =
-                    bands.texels().chunks_exact(channels).flat_map(|t| [t[first], t[first + 1], t[first + 2]]);
-                coefficients.push(plane(self, bands.width(), bands.height(), "VEC3", &mut rgb));
+            for first in (0..bands.channels() as usize).step_by(3) {
+                coefficients.push(source(bands, self.floats(None, count(bands), rgb(bands, first))));
             }
         }
         let radiance = Radiance {
@@ -262,7 +283,7 @@ impl Layout {
     }
 
     /// The whole document and the binary chunk. glTF forbids empty arrays, so they are left out.
-    fn finish(self, scenes: &Value, extras: Option<Value>, scene: &HybridScene) -> (Value, Vec<u8>) {
+    fn finish(self, scenes: &Value, extras: Option<Value>, scene: &HybridScene) -> (Value, Bin<'a>) {
         let mut used = vec![HYBRID];
         if !scene.splats.is_empty() {
             used.push(KHR_SPLATS);
@@ -293,7 +314,7 @@ impl Layout {
         for (name, array) in arrays.into_iter().filter(|(_, array)| !array.is_empty()) {
             document[name] = Value::Array(array);
         }
-        if !self.bin.is_empty() {
+        if self.bin.len() > 0 {
             document["buffers"] = json!([{ "byteLength": self.bin.len() }]);
         }
         (document, self.bin)
@@ -333,7 +354,7 @@ fn split_at_seams(mesh: &Mesh) -> Split {
 }
 
 /// RGBA8 of what the maps show without view dependence: sRGB-encoded DC colour, linear opacity.
-fn preview_png(atlas: &Atlas, space: ColorSpace, bin: &mut Vec<u8>) {
+fn preview_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
     let base = atlas.base();
     let to_byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let mut rgba = Vec::with_capacity(base.texels().len());
@@ -343,7 +364,9 @@ fn preview_png(atlas: &Atlas, space: ColorSpace, bin: &mut Vec<u8>) {
         rgba.extend(shown.map(to_byte));
         rgba.push(to_byte(activation::opacity(t[3])));
     }
-    PngEncoder::new_with_quality(bin, CompressionType::Fast, FilterType::Adaptive)
+    let mut png = vec![];
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
         .write_image(&rgba, base.width(), base.height(), image::ExtendedColorType::Rgba8)
         .expect("encoding into memory, with a buffer of the declared size, cannot fail");
+    png
 }
