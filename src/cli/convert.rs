@@ -79,6 +79,8 @@ struct Outcome<'a> {
     steps: &'a [Step],
     lossless: bool,
     loss: &'a Loss,
+    beside: &'a [String],
+    notes: &'a [String],
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
@@ -120,6 +122,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         steps: &edited.steps,
         lossless: report.loss.is_rounding() && inputs.iter().all(|i| i.notes.is_empty()),
         loss: &report.loss,
+        beside: &report.beside,
+        notes: &report.notes,
     };
     if args.messages.json { output::print_json(&outcome) } else { output::print(&described(&outcome)) }
 }
@@ -245,6 +249,7 @@ fn described(o: &Outcome<'_>) -> String {
         lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
     }
     lines.push(format!("lost: {}", o.loss));
+    lines.extend(o.notes.iter().map(|note| format!("note: {}: {note}", o.output.display())));
     let mut parts = vec![format!("{} splats of SH degree {}", o.splats, o.sh_degree)];
     for (count, what) in [(o.meshes, "mesh(es)"), (o.cameras, "camera(s)")] {
         if count > 0 {
@@ -252,5 +257,8 @@ fn described(o: &Outcome<'_>) -> String {
         }
     }
     lines.push(format!("{}: {}, {} bytes", o.output.display(), parts.join(", "), o.bytes));
+    if !o.beside.is_empty() {
+        lines.push(format!("beside it: {}", o.beside.join(", ")));
+    }
     lines.join("\n")
 }

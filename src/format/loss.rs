@@ -10,12 +10,16 @@ use super::record::Record;
 use crate::scene::{Splats, sh};
 
 /// What a writer did.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct WriteReport {
-    /// Length of the file.
+    /// Length of the file and of those beside it.
     pub bytes: u64,
     /// What did not get into it.
     pub loss: Loss,
+    /// Names of the files beside it, without which it is not whole.
+    pub beside: Vec<String>,
+    /// How what the program shows that the file is for differs from what Centaur shows, one sentence each.
+    pub notes: Vec<String>,
 }
 
 /// What a reader of the written file cannot get back. Measured on what was written, not derived from the format.

@@ -5,6 +5,9 @@ mod activation;
 mod atomic;
 mod blocks;
 mod error;
+#[allow(dead_code, reason = "exporters for rendering programs are its users, and come after it")]
+mod exchange;
+mod exr;
 pub mod gltf;
 mod inspect;
 pub mod ksplat;

@@ -111,18 +111,20 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
                 }
                 None => (gltf::write_glb(path, scene, options.cameras, None)?, of_linear_values(splats)),
             };
-            return Ok(WriteReport { bytes, loss: Loss { attributes: names(options.attributes), ..loss } });
+            let loss = Loss { attributes: names(options.attributes), ..loss };
+            return Ok(WriteReport { bytes, loss, ..WriteReport::default() });
         }
         "usda" | "usdz" => {
-            let bytes = usd::write(path, scene, options.cameras)?;
+            let (bytes, beside) = usd::write(path, scene, options.cameras)?;
             let loss = Loss { attributes: names(options.attributes), ..of_linear_values(splats) };
             let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
-            return Ok(WriteReport { bytes, loss });
+            return Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() });
         }
         "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
         "ply" => {
             let bytes = ply::write_with(path, splats, options.attributes)?;
-            return Ok(WriteReport { bytes, loss: beside_splats(scene, options, Loss::default()) });
+            let loss = beside_splats(scene, options, Loss::default());
+            return Ok(WriteReport { bytes, loss, ..WriteReport::default() });
         }
         "sog" => sog::write(path, splats)?,
         "splat" => splat::write(path, splats)?,

@@ -56,7 +56,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
             out.write_all(&bytes)
         })
     })?;
-    Ok(WriteReport { bytes, loss })
+    Ok(WriteReport { bytes, loss, ..WriteReport::default() })
 }
 
 /// The splats, and how many have been left out because they are invalid and `drop_invalid` is set.

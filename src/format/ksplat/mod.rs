@@ -93,7 +93,7 @@ pub fn write(path: &Path, splats: &Splats, level: Level) -> Result<WriteReport, 
         loss = encode::encode(splats, level, out)?;
         Ok(())
     })?;
-    Ok(WriteReport { bytes, loss })
+    Ok(WriteReport { bytes, loss, ..WriteReport::default() })
 }
 
 #[cfg(test)]

@@ -80,5 +80,5 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
         error
     });
     let loss = Loss { max_error: errors.reduce(SplatError::default, SplatError::max), ..Loss::default() };
-    Ok(WriteReport { bytes: files::write(path, &encoded)?, loss })
+    Ok(WriteReport { bytes: files::write(path, &encoded)?, loss, ..WriteReport::default() })
 }

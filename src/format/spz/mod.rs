@@ -109,7 +109,7 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
         )?;
         writer.finish(out)
     })?;
-    Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() } })
+    Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() }, ..WriteReport::default() })
 }
 
 pub(super) fn parse(bytes: &[u8]) -> Result<(Splats, Vec<String>), Fault> {

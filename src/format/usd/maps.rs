@@ -2,10 +2,7 @@
 
 use std::io::Cursor;
 
-use exr::prelude::{
-    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, ReadChannels as _, ReadLayers as _,
-    WritableImage as _,
-};
+use exr::prelude::{ReadChannels as _, ReadLayers as _};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 
@@ -58,15 +55,7 @@ fn channel_names(channels: u32) -> Vec<String> {
 
 /// A map as EXR, lossless.
 pub(super) fn exr(map: &Texture) -> Result<Vec<u8>, String> {
-    let channels = map.channels() as usize;
-    let plane = |c: usize| map.texels().iter().skip(c).step_by(channels).copied().collect();
-    let named = |(c, name): (usize, &String)| AnyChannel::new(name.as_str(), FlatSamples::F32(plane(c)));
-    let planes = channel_names(map.channels()).iter().enumerate().map(named).collect();
-    let size = (map.width() as usize, map.height() as usize);
-    let layer = Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(planes));
-    let mut file = Cursor::new(vec![]);
-    Image::from_layer(layer).write().to_buffered(&mut file).map_err(|e| e.to_string())?;
-    Ok(file.into_inner())
+    crate::format::exr::encode(map, 0, &channel_names(map.channels()))
 }
 
 /// Bytes of texels that a byte of a file can stand for at most: deflate reaches 1032.

@@ -42,7 +42,7 @@ mod xform;
 use std::path::Path;
 
 use super::error::{Fault, read_file};
-use super::{FormatError, SceneFile, atomic_write, atomic_write_with};
+use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange};
 use crate::scene::{Camera, HybridScene};
 
 /// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to
@@ -62,31 +62,36 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
 }
 
 /// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
-/// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes.
+/// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the names of
+/// the pictures.
 ///
 /// Scales and opacities are stored linear in f32, as the schema demands: log-scales come back to 1e-6, opacities to 1e-7.
 /// Everything else that is optimised comes back bit for bit.
 ///
 /// # Errors
 /// If a file cannot be written, or a `.usdz` would hold a file of more than 4 GiB.
-pub fn write(path: &Path, scene: &HybridScene, cameras: &[(String, Camera)]) -> Result<u64, FormatError> {
+pub fn write(
+    path: &Path,
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+) -> Result<(u64, Vec<String>), FormatError> {
     let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let plain = |c: char| if c.is_alphanumeric() || c == '-' { c } else { '_' };
-    let prefix = if is_package { String::new() } else { format!("{}_", stem.chars().map(plain).collect::<String>()) };
+    let prefix = if is_package { String::new() } else { format!("{}_", exchange::stem(path, ".usda")) };
     let failed = |reason| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };
     let export = from_scene::export(scene, cameras, &prefix).map_err(failed)?;
     if is_package {
-        return atomic_write_with(path, |out| {
+        let bytes = atomic_write_with(path, |out| {
             package::write(out, |layer| print::print(&export.layer, layer), &export.files)
-        });
+        })?;
+        return Ok((bytes, vec![]));
     }
     let mut bytes = 0;
     for (name, content) in &export.files {
         atomic_write(&path.with_file_name(name), content)?;
         bytes += content.len() as u64;
     }
-    Ok(bytes + atomic_write_with(path, |out| print::print(&export.layer, out))?)
+    bytes += atomic_write_with(path, |out| print::print(&export.layer, out))?;
+    Ok((bytes, export.files.into_iter().map(|(name, _)| name).collect()))
 }
 
 /// True if a file that begins with `start` is a layer, as text or not, or a package of one.

@@ -78,9 +78,10 @@ fn parts_may_be_absent_and_names_strange() {
 fn a_package_is_aligned_stored_and_begins_with_its_layer() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.usdz");
-    let written = write(&path, &random_scene(10, 2, 2, 3), &[]).unwrap();
+    let (written, beside) = write(&path, &random_scene(10, 2, 2, 3), &[]).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     assert_eq!(written, bytes.len() as u64);
+    assert!(beside.is_empty(), "a package holds all");
     let mut archive = zip::ZipArchive::new(std::io::Cursor::new(bytes)).unwrap();
     assert!(archive.len() >= 7);
     for i in 0..archive.len() {

@@ -109,7 +109,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
             Ok(())
         })
     })?;
-    Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() } })
+    Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() }, ..WriteReport::default() })
 }
 
 /// True if the header is that of a compressed PLY.
