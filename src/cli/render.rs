@@ -1,11 +1,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
-use centaur::format::{atomic_write, gltf, read_scene};
+use centaur::format::{self, Channel, ExrCompression, ExrHeader, SampleType, gltf, read_scene};
 use centaur::metrics::to_rgb8;
-use centaur::render::gpu::Renderer;
+use centaur::render::contract::{ImageModel, ShDirection};
+use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Renderer};
 use centaur::scene::color::{linear_to_srgb, srgb_to_linear};
-use centaur::scene::{Camera, ColorSpace};
+use centaur::scene::{Camera, ColorSpace, Composition, HybridScene};
 use clap::ValueEnum;
 use image::Rgb32FImage;
 
@@ -17,7 +18,17 @@ const EXAMPLES: &str = "\
 Examples:
   centaur render garden.glb -o frames
   centaur render garden.glb --cameras captures/garden --downscale 4 -o frames
-  centaur render garden.glb --cameras orbit/transforms.json --format exr -o frames";
+  centaur render garden.glb --cameras orbit/transforms.json --format exr -o frames
+  centaur render garden.glb --layers --exr-type half -o layers
+  centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
+
+Channels of --layers, all in the scene's own colour space (`colorSpace` in the header), none over the background:
+  R G B A                     the picture, premultiplied; A = 1 - what is left of the background
+  splats.R .G .B .A           what splats contribute where meshes hide them
+  mesh.R .G .B .A             what meshes contribute where splats hide them; both sum to R G B A
+  Z, depth.first              depth along the camera's axis: expected, and where alpha passes one half; 1e10 where none
+  N.X .Y .Z                   normal of the nearest mesh layer in world space, towards the camera
+  splats.count                splats that contribute to the pixel";
 
 /// Render a scene from given cameras
 #[derive(clap::Args)]
@@ -32,9 +43,11 @@ pub(super) struct Args {
     /// Folder for the pictures, named after the cameras
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Kind of picture
-    #[arg(long, value_enum, default_value_t = Format::Png)]
-    format: Format,
+    /// Kind of picture [default: png, with --layers exr]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    #[command(flatten)]
+    look: LookArgs,
     #[command(flatten)]
     adapter: AdapterArgs,
     #[command(flatten)]
@@ -43,15 +56,101 @@ pub(super) struct Args {
     messages: MessageArgs,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+/// What is rendered of a scene.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Picture")]
+struct LookArgs {
+    /// What a Gaussian looks like
+    #[arg(long, value_enum, default_value_t = Model::Ewa)]
+    model: Model,
+    /// Direction at which `--model ray` evaluates a splat's colour
+    #[arg(long, value_enum, value_name = "mean|ray", default_value_t = Direction::Mean)]
+    sh_direction: Direction,
+    /// Write EXR files with splats, meshes, depth and normals in channels of their own
+    #[arg(long)]
+    layers: bool,
+    /// Samples of EXR files; depths and counts are 32 bits in either
+    #[arg(long, value_enum, default_value_t = ExrType::Float)]
+    exr_type: ExrType,
+    /// Compression of EXR files; both are lossless
+    #[arg(long, value_enum, default_value_t = Compression::Zip)]
+    exr_compression: Compression,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Format {
-    /// 8 bits, sRGB
+    /// 8 bits, sRGB, over the scene's background
     Png,
-    /// 32-bit float, linear light, Rec. 709 primaries
+    /// Floats in linear light, Rec. 709 primaries, over the scene's background
     Exr,
 }
 
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Model {
+    /// 3DGS rasterisation, which training uses: projections linearised at the means, ordered by these
+    Ewa,
+    /// The largest value along each pixel's ray, in exact order: what ray tracers do
+    Ray,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Direction {
+    /// From the camera to the mean, as in training
+    Mean,
+    /// Of the pixel's ray
+    Ray,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum ExrType {
+    /// 32 bits
+    Float,
+    /// 16 bits
+    Half,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Compression {
+    /// Read by every program
+    Zip,
+    /// Smaller where pictures are noisy
+    Piz,
+}
+
+impl LookArgs {
+    fn model(&self) -> ImageModel {
+        match (self.model, self.sh_direction) {
+            (Model::Ewa, _) => ImageModel::Ewa,
+            (Model::Ray, Direction::Mean) => ImageModel::Ray(ShDirection::Mean),
+            (Model::Ray, Direction::Ray) => ImageModel::Ray(ShDirection::Ray),
+        }
+    }
+
+    fn header(&self, camera: &Camera, color_space: ColorSpace, comment: &str) -> ExrHeader {
+        let k = camera.intrinsics();
+        ExrHeader {
+            color_space,
+            pixel_aspect: (k.fx / k.fy) as f32,
+            comment: comment.to_owned(),
+            samples: if self.exr_type == ExrType::Half { SampleType::Half } else { SampleType::Float },
+            compression: if self.exr_compression == Compression::Piz {
+                ExrCompression::Piz
+            } else {
+                ExrCompression::Zip
+            },
+        }
+    }
+}
+
 pub(super) fn run(args: &Args) -> Result<()> {
+    ensure!(
+        !(args.look.layers && args.format == Some(Format::Png)),
+        "--layers writes EXR files: leave --format png away"
+    );
+    ensure!(
+        args.look.model == Model::Ray || args.look.sh_direction == Direction::Mean,
+        "--sh-direction ray needs --model ray: projected splats have one colour each"
+    );
     output::check_folder(&args.output)?;
     let (scene, cameras): (_, Vec<(String, Camera)>) = if args.cameras == Path::new("embedded") {
         let has_none = || format!("{}: holds no cameras: say --cameras CAPTURE", args.scene.display());
@@ -66,18 +165,26 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    let mut renderer = Renderer::new(&gpu, &scene, &poses)?;
+    let mut renderer = AnyRenderer::new(&gpu, &scene, &poses, &args.look)?;
     shared::make_folder(&args.output)?;
-    let extension = match args.format {
-        Format::Png => "png",
-        Format::Exr => "exr",
-    };
+    let format = args.format.unwrap_or(if args.look.layers { Format::Exr } else { Format::Png });
+    let extension = if format == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
     let bar = output::bar(&args.messages, cameras.len() as u64);
     for ((name, camera), path) in cameras.iter().zip(&written) {
-        let image = shared::image(renderer.render(camera).with_context(|| name.clone())?);
-        write_frame(path, image, args.format, scene.composition.color_space)?;
+        match renderer.render(camera).with_context(|| name.clone())? {
+            Rendered::Parts(picture) if args.look.layers => {
+                write_layers(path, picture, camera, &scene.composition, &args.look)?;
+            }
+            Rendered::Parts(picture) => {
+                let rgb = picture.over(scene.composition.background).into_flattened();
+                let image = Rgb32FImage::from_raw(picture.width, picture.height, rgb);
+                let image = image.context("a picture has width·height pixels of 3 floats")?;
+                write_frame(path, image, format, camera, &scene.composition, &args.look)?;
+            }
+            Rendered::Whole(image) => write_frame(path, image, format, camera, &scene.composition, &args.look)?,
+        }
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -87,12 +194,46 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::print(&format!("{}: {} pictures", args.output.display(), written.len()))
 }
 
-fn write_frame(path: &Path, image: Rgb32FImage, format: Format, space: ColorSpace) -> Result<()> {
-    match (format, space) {
+/// The fast renderer where it draws what is asked for.
+enum AnyRenderer<'g> {
+    Whole(Box<Renderer<'g>>),
+    Parts(Box<LayeredRenderer<'g>>),
+}
+
+enum Rendered {
+    Whole(Rgb32FImage),
+    Parts(LayeredPicture),
+}
+
+impl<'g> AnyRenderer<'g> {
+    fn new(gpu: &'g Gpu, scene: &HybridScene, poses: &[Camera], look: &LookArgs) -> Result<Self, GpuError> {
+        Ok(match look.model() {
+            ImageModel::Ewa if !look.layers => Self::Whole(Box::new(Renderer::new(gpu, scene, poses)?)),
+            model => Self::Parts(Box::new(LayeredRenderer::new(gpu, scene, poses, model)?)),
+        })
+    }
+
+    fn render(&mut self, camera: &Camera) -> Result<Rendered, GpuError> {
+        Ok(match self {
+            Self::Whole(renderer) => Rendered::Whole(shared::image(renderer.render(camera)?)),
+            Self::Parts(renderer) => Rendered::Parts(renderer.render(camera)?),
+        })
+    }
+}
+
+fn write_frame(
+    path: &Path,
+    image: Rgb32FImage,
+    format: Format,
+    camera: &Camera,
+    composition: &Composition,
+    look: &LookArgs,
+) -> Result<()> {
+    match (format, composition.color_space) {
         (Format::Png, ColorSpace::SrgbDisplay) => write_png(path, &to_rgb8(&image)),
         (Format::Png, ColorSpace::LinearDisplay) => write_png(path, &to_rgb8(&mapped(image, linear_to_srgb))),
-        (Format::Exr, ColorSpace::SrgbDisplay) => write_exr(path, &mapped(image, srgb_to_linear)),
-        (Format::Exr, ColorSpace::LinearDisplay) => write_exr(path, &image),
+        (Format::Exr, ColorSpace::SrgbDisplay) => write_linear(path, &mapped(image, srgb_to_linear), camera, look),
+        (Format::Exr, ColorSpace::LinearDisplay) => write_linear(path, &image, camera, look),
     }
 }
 
@@ -101,39 +242,56 @@ fn mapped(mut image: Rgb32FImage, f: fn(f32) -> f32) -> Rgb32FImage {
     image
 }
 
-fn write_exr(path: &Path, image: &Rgb32FImage) -> Result<()> {
-    use exr::prelude::{Encoding, Image, SpecificChannels, WritableImage as _};
-    let (width, height) = image.dimensions();
-    let pixels = SpecificChannels::rgb(|at: exr::math::Vec2<usize>| {
-        let [r, g, b] = image.get_pixel(at.x() as u32, at.y() as u32).0;
-        (r, g, b)
-    });
-    let exr = Image::from_encoded_channels((width as usize, height as usize), Encoding::SMALL_LOSSLESS, pixels);
-    let mut bytes = std::io::Cursor::new(vec![]);
-    exr.write().to_buffered(&mut bytes).with_context(|| path.display().to_string())?;
-    Ok(atomic_write(path, bytes.get_ref())?)
+fn write_linear(path: &Path, image: &Rgb32FImage, camera: &Camera, look: &LookArgs) -> Result<()> {
+    let channel = |(c, name): (usize, &str)| plain(name, image.pixels().map(|p| p.0[c]).collect());
+    let channels = ["R", "G", "B"].into_iter().enumerate().map(channel).collect();
+    let header = look.header(camera, ColorSpace::LinearDisplay, "Over the scene's background.");
+    Ok(format::write_exr(path, image.dimensions().into(), channels, &header)?)
+}
+
+fn plain(name: &str, values: Vec<f32>) -> Channel {
+    Channel { name: name.to_owned(), values, precise: false }
+}
+
+/// What no surface is at, in channels of depth: beyond all, as other programs write it.
+const NO_DEPTH: f32 = 1e10;
+
+fn write_layers(
+    path: &Path,
+    picture: LayeredPicture,
+    camera: &Camera,
+    composition: &Composition,
+    look: &LookArgs,
+) -> Result<()> {
+    let size = [picture.width, picture.height];
+    let depth = |name: &str, values: Vec<f32>| {
+        let values = values.into_iter().map(|z| if z > 0.0 { z } else { NO_DEPTH }).collect();
+        Channel { name: name.to_owned(), values, precise: true }
+    };
+    let mut channels = vec![];
+    for (c, suffix) in ["R", "G", "B", "A"].into_iter().enumerate() {
+        let both = picture.splats.iter().zip(&picture.mesh);
+        channels.push(plain(suffix, both.map(|(s, m)| s[c] + m[c]).collect()));
+        channels.push(plain(&format!("splats.{suffix}"), picture.splats.iter().map(|p| p[c]).collect()));
+        channels.push(plain(&format!("mesh.{suffix}"), picture.mesh.iter().map(|p| p[c]).collect()));
+    }
+    for (c, suffix) in ["X", "Y", "Z"].into_iter().enumerate() {
+        channels.push(plain(&format!("N.{suffix}"), picture.normal.iter().map(|n| n[c]).collect()));
+    }
+    channels.push(depth("Z", picture.expected_depth));
+    channels.push(depth("depth.first", picture.median_depth));
+    channels.push(Channel { name: "splats.count".to_owned(), values: picture.count, precise: true });
+    let comment = "Premultiplied, blended in colorSpace, not over the background. Z is expected depth along the camera's \
+                   axis, depth.first where alpha passes one half.";
+    Ok(format::write_exr(path, size, channels, &look.header(camera, composition.color_space, comment))?)
 }
 
 #[cfg(test)]
 mod tests {
-    use image::Rgb;
-
     use super::*;
 
     #[test]
-    fn exr_keeps_floats_and_transfer_functions_are_inverse() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.exr");
-        let image = Rgb32FImage::from_fn(5, 3, |x, y| Rgb([x as f32 * 0.3, y as f32 - 0.5, 7.25]));
-        write_exr(&path, &image).unwrap();
-        let back = exr::prelude::read_first_rgba_layer_from_file(
-            &path,
-            |size, _| Rgb32FImage::new(size.x() as u32, size.y() as u32),
-            |image, at, (r, g, b, _): (f32, f32, f32, f32)| {
-                image.put_pixel(at.x() as u32, at.y() as u32, Rgb([r, g, b]));
-            },
-        );
-        assert_eq!(back.unwrap().layer_data.channel_data.pixels, image);
+    fn transfer_functions_are_inverse() {
         for c in [0.0_f32, 0.01, 0.5, 1.0] {
             assert!((srgb_to_linear(linear_to_srgb(c)) - c).abs() < 1e-6);
         }

@@ -13,6 +13,7 @@ mod inspect;
 pub mod ksplat;
 mod loss;
 pub mod mesh_import;
+mod picture_exr;
 mod placed;
 pub mod ply;
 mod record;
@@ -31,6 +32,7 @@ pub use atomic::{atomic_write, atomic_write_with};
 pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
+pub use picture_exr::{Channel, ExrCompression, ExrHeader, SampleType, write_exr};
 pub use scene_file::{ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};
 

@@ -12,8 +12,12 @@
 //! **Stop.** A splat that would take the transmittance in front of what follows below [`TRANSMITTANCE_STOP`] is not
 //! added and ends its bucket. Mesh fragments are always added: there are few, and dropping an opaque one would show
 //! the background through it.
+//!
+//! **Rays.** [`ImageModel::Ray`] shares the limits of alpha, the culling of means before the near plane and the choice of
+//! fragments (the composition's nearest layers). It has no low-pass, no thresholds and no stop; a splat whose peak along a
+//! ray is not beyond the near plane does not contribute there, and one whose peak is at the depth of a fragment is in front.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use crate::scene::{Intrinsics, OrderMode};
 
@@ -45,6 +49,46 @@ pub const JACOBIAN_MARGIN: f64 = 0.3;
 
 /// Largest number of mesh layers per pixel.
 pub const MAX_LAYERS: usize = 4;
+
+/// What a Gaussian looks like.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImageModel {
+    /// Its projection is linearised at its mean and widened by [`LOW_PASS`]; splats are ordered by the depths of their
+    /// means and against mesh layers by the scene's mode. What training uses (METHODS 2.2, 4.4).
+    #[default]
+    Ewa,
+    /// Its largest value along the pixel's own ray, see [`ray_peak`]; splats are ordered by the depths at which they have
+    /// it, and against mesh fragments by the depths of these. What ray tracers do (3DGRT, Mitsuba's `volprim_rf_basic`).
+    Ray(ShDirection),
+}
+
+/// Direction at which a splat's colour is evaluated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ShDirection {
+    /// From the camera's centre to the mean: one colour per splat and picture, as in training.
+    #[default]
+    Mean,
+    /// Of the pixel's ray.
+    Ray,
+}
+
+/// The largest value of a Gaussian along a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayPeak {
+    /// Where it is, in lengths of the ray's direction; camera-space z if that has z = 1.
+    pub depth: f64,
+    /// Its logarithm, ≤ 0: minus half the squared distance to the mean in standard deviations.
+    pub power: f64,
+}
+
+/// The peak along the ray from `origin` in `direction`, both in the splat's own frame and in units of its standard
+/// deviations: S⁻¹Rᵀ(c − μ) and S⁻¹Rᵀr.
+#[must_use]
+pub fn ray_peak(origin: DVec3, direction: DVec3) -> RayPeak {
+    let depth = -origin.dot(direction) / direction.length_squared();
+    // The distance by the cross product: o + t·d cancels where a splat is thin.
+    RayPeak { depth, power: -0.5 * origin.cross(direction).length_squared() / direction.length_squared() }
+}
 
 /// 1/(1+e⁻ˣ): logit to opacity.
 #[must_use]

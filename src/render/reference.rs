@@ -2,9 +2,11 @@
 //! sorted list. No tiles, no buckets of running sums, no tricks: slow and meant to be checked by eye.
 
 mod backward;
+mod layers;
 mod margin;
 mod mesh;
 mod parameters;
+mod ray;
 #[cfg(test)]
 mod tests;
 
@@ -12,6 +14,7 @@ use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
 pub use backward::{ScreenStatistics, backward, backward_with_statistics};
+pub use layers::{Layers, render_layers};
 pub use margin::{Margin, render_with_margins};
 pub use parameters::{Parameter, Parameters, finite_difference};
 
@@ -50,6 +53,14 @@ pub struct Fragment {
     pub color: [f64; 3],
     /// 0 to [`contract::MESH_ALPHA_CAP`].
     pub alpha: f64,
+}
+
+impl Fragment {
+    /// As the `i`-th layer of a pixel. Its transmittance is not set.
+    fn contribution(&self, i: usize) -> Contribution {
+        let (source, color) = (Source::Layer(i), DVec3::from(self.color));
+        Contribution { source, depth: self.depth, alpha: self.alpha, color, transmittance: 0.0 }
+    }
 }
 
 /// A splat as an image sees it.
@@ -155,10 +166,14 @@ fn jacobian(camera: &Camera, t: DVec3) -> DMat3 {
     )
 }
 
-/// Colour of splat `i` before the clamp at 0: `0.5 + Σ Y_k sh_k`.
+/// Colour of splat `i` before the clamp at 0, seen from the camera's centre.
 fn splat_radiance(scene: &HybridScene, camera: &Camera, parameters: &Parameters, i: usize) -> DVec3 {
+    radiance_along(scene, parameters, i, (parameters.means[i] - camera.center()).normalize_or(DVec3::Z))
+}
+
+/// Colour of splat `i` before the clamp at 0, in a unit direction: `0.5 + Σ Y_k sh_k`.
+fn radiance_along(scene: &HybridScene, parameters: &Parameters, i: usize, direction: DVec3) -> DVec3 {
     let coefficients = sh::coefficients(scene.splats.sh_degree());
-    let direction = (parameters.means[i] - camera.center()).normalize_or(DVec3::Z);
     let terms = sh::basis(direction.to_array()).into_iter().zip(&parameters.sh[i * coefficients..]);
     0.5 + terms.take(coefficients).map(|(y, sh)| y * *sh).sum::<DVec3>()
 }
@@ -176,6 +191,8 @@ enum Source {
 #[derive(Clone, Copy)]
 struct Contribution {
     source: Source,
+    /// Camera-space z of the mean, the peak or the fragment.
+    depth: f64,
     alpha: f64,
     color: DVec3,
     /// Product of 1 − alpha of everything in front.
@@ -191,12 +208,22 @@ struct View<'a> {
     splats: Vec<(Projected, [f64; MAX_LAYERS])>,
 }
 
+/// What every pixel's ray meets of the meshes, and how that looks.
+fn fragments(
+    scene: &HybridScene,
+    camera: &Camera,
+    parameters: &Parameters,
+) -> (Vec<Vec<mesh::Hit>>, Vec<Vec<Fragment>>) {
+    let hits = mesh::trace(scene, camera, &parameters.positions);
+    let maps = mesh::maps(scene, parameters);
+    let shade = |hits: &Vec<mesh::Hit>| hits.iter().map(|hit| mesh::shade(hit, &maps[hit.mesh])).collect();
+    let layers = hits.iter().map(shade).collect();
+    (hits, layers)
+}
+
 impl<'a> View<'a> {
     fn new(scene: &HybridScene, camera: &'a Camera, parameters: &Parameters) -> Self {
-        let hits = mesh::trace(scene, camera, &parameters.positions);
-        let maps = mesh::maps(scene, parameters);
-        let layers: Vec<Vec<_>> =
-            hits.iter().map(|hits| hits.iter().map(|hit| mesh::shade(hit, &maps[hit.mesh])).collect()).collect();
+        let (hits, layers) = fragments(scene, camera, parameters);
         let project = |i| project(scene, camera, parameters, i);
         let mut splats: Vec<_> = (0..parameters.means.len())
             .filter_map(project)
@@ -222,12 +249,12 @@ impl<'a> View<'a> {
             if let Some(alpha) = contract::splat_alpha(splat.opacity, power(splat, offset)) {
                 let source = Source::Splat(i, offset);
                 let place = 2 * contract::bucket(&depths, thresholds);
-                list.push((place, Contribution { source, alpha, color: splat.color, transmittance: 0.0 }));
+                let (depth, color) = (splat.depth, splat.color);
+                list.push((place, Contribution { source, depth, alpha, color, transmittance: 0.0 }));
             }
         }
         for (i, layer) in layers.iter().enumerate() {
-            let (source, color) = (Source::Layer(i), DVec3::from(layer.color));
-            list.push((2 * i + 1, Contribution { source, alpha: layer.alpha, color, transmittance: 0.0 }));
+            list.push((2 * i + 1, layer.contribution(i)));
         }
         list.sort_by_key(|(place, _)| *place); // stable: splats of a bucket stay sorted by (depth, index)
         list

@@ -323,9 +323,24 @@ impl MeshStage {
         }
     }
 
+    /// Layers per pixel.
+    pub(crate) fn layers(&self) -> u32 {
+        self.layers
+    }
+
     /// Triangles of all meshes.
     pub(crate) fn n_triangles(&self) -> u32 {
         self.n_triangles as u32
+    }
+
+    /// `array<u32>` `[layers, h, w]`: index + 1 of the triangle, 0 = empty.
+    pub(crate) fn layer_triangle(&self) -> &Buffer {
+        &self.screen.layer_triangle
+    }
+
+    /// `array<vec4f>` `[F, 3]`: camera-space corners for the view that was rendered last.
+    pub(crate) fn corners(&self) -> &Buffer {
+        &self.geometry.corners
     }
 
     /// `array<f32>` `[layers, h, w]`: camera-space z, nearest layer first, 0 = empty.

@@ -4,6 +4,9 @@
 pub(crate) mod adam;
 mod blend;
 mod device;
+mod layered;
+#[cfg(test)]
+mod layered_tests;
 pub(crate) mod loss;
 pub mod measure;
 pub mod memory;
@@ -25,6 +28,7 @@ pub(crate) mod vertices;
 mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
+pub use layered::{LayeredPicture, LayeredRenderer};
 pub use renderer::{Picture, Renderer};
 
 #[cfg(test)]

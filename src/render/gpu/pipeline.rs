@@ -9,6 +9,7 @@ use super::{
     status::status_buffer,
     view::{VIEW_WORDS, View},
 };
+use crate::render::contract::ImageModel;
 use crate::scene::{Camera, Composition, HybridScene, Mesh, sh};
 
 /// (tile, splat) pairs that fit at first, per splat; grown when a frame needs more.
@@ -85,7 +86,7 @@ impl Pipeline {
             }
         }
         let depth = mesh.as_ref().map(|m| (m.layer_depth(), composition.layers));
-        let lists = SplatLists::new(gpu, &splats, image, pairs + image.tiles, &view, depth)?;
+        let lists = SplatLists::new(gpu, ImageModel::Ewa, &splats, image, pairs + image.tiles, &view, depth)?;
         let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
         let training = image_gradient.as_ref().map(|g| (g, splats.capacity));
         let blend = Blend::new(gpu, &lists, image, &view, layer_buffers(mesh.as_ref()), training)?;
@@ -183,7 +184,7 @@ impl Pipeline {
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         let depth = self.mesh.as_ref().map(|m| (m.layer_depth(), self.composition.layers));
-        self.lists = SplatLists::new(gpu, &self.splats, self.image, pairs, &self.view, depth)?;
+        self.lists = SplatLists::new(gpu, ImageModel::Ewa, &self.splats, self.image, pairs, &self.view, depth)?;
         let old = self.backward.take();
         let training = old.as_ref().map(|b| (&b.image_gradient, self.splats.capacity));
         let layers = layer_buffers(self.mesh.as_ref());

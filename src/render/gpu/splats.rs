@@ -6,6 +6,7 @@ use super::{
     sort::Sort,
     view::TILE,
 };
+use crate::render::contract::{ImageModel, ShDirection};
 use crate::scene::{Splats, sh};
 
 /// Words of the buffer of counts.
@@ -88,6 +89,8 @@ pub(crate) struct SplatLists {
     pub(crate) visible: Buffer,
     /// `[capacity][layers]`, see `order_splats.wgsl`; a dummy without layers.
     pub(crate) thresholds: Buffer,
+    /// `[capacity][5]` vec4, see `blend_rays.wgsl`; `None` under [`ImageModel::Ewa`].
+    pub(crate) rays: Option<Buffer>,
     /// `[tiles]` vec2u.
     pub(crate) ranges: Buffer,
     counts: Buffer,
@@ -108,9 +111,11 @@ pub(crate) struct SplatLists {
 }
 
 impl SplatLists {
-    /// Stages for these parameters. `layer_depth` is the mesh stage's, if there are meshes (with `layers` of them).
+    /// Stages for these parameters. `layer_depth` is the mesh stage's, if there are meshes (with `layers` of them) that
+    /// splats are ordered against by thresholds.
     pub(crate) fn new(
         gpu: &Gpu,
+        model: ImageModel,
         splats: &SplatBuffers,
         image: ImageCapacity,
         pair_capacity: usize,
@@ -119,6 +124,10 @@ impl SplatLists {
     ) -> Result<Self, GpuError> {
         let n = splats.capacity;
         let projected = gpu.storage("projected splats", n * 12)?;
+        let rays = match model {
+            ImageModel::Ewa => None,
+            ImageModel::Ray(_) => Some(gpu.storage("splat rays", n * 20)?),
+        };
         let tile_count = gpu.storage("tile counts", n)?;
         let visible = gpu.storage("visible splats", n)?;
         let slots = gpu.storage("slots", n)?;
@@ -139,6 +148,7 @@ impl SplatLists {
             .defines()
             .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
             .with("LAYERS", layers)
+            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)))
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_PAIRS", COUNT_PAIRS)
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
@@ -148,8 +158,14 @@ impl SplatLists {
             (kernel, bindings)
         };
         let sorted = depth_sort.values_out();
-        let project =
-            stage("project_splats.wgsl", &[view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible]);
+        let mut parameters = vec![view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible];
+        let project = match &rays {
+            None => stage("project_splats.wgsl", &parameters),
+            Some(rays) => {
+                parameters.push(rays);
+                stage("project_rays.wgsl", &parameters)
+            }
+        };
         let compact = stage(
             "compact_visible.wgsl",
             &[view, &visible, &slots, &projected, depth_sort.keys_in(), depth_sort.values_in()],
@@ -168,6 +184,7 @@ impl SplatLists {
             projected,
             visible,
             thresholds,
+            rays,
             ranges,
             counts,
             pair_capacity,

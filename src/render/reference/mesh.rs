@@ -65,6 +65,13 @@ pub(super) fn intersect(v: [DVec3; 3], r: DVec3) -> Option<Intersection> {
 }
 
 impl Hit {
+    /// Unit normal of the triangle, towards the camera, in world space.
+    pub(super) fn normal(&self, camera: &Camera) -> DVec3 {
+        let [a, b, c] = self.corners;
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        camera.rotation().transpose() * if normal.dot(self.ray) > 0.0 { -normal } else { normal }
+    }
+
     /// Gradient with respect to the camera-space corners, from that of the colour before its clamp and of the opacity
     /// logit (METHODS 4.2). The mip level is taken for constant.
     pub(super) fn corner_gradient(&self, maps: &Maps, d_color: DVec3, d_logit: f64) -> [DVec3; 3] {

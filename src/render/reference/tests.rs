@@ -3,6 +3,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
+use crate::render::contract::{ImageModel, ShDirection};
 use crate::render::testing::{random_scene, smooth_scene};
 use crate::scene::{Atlas, Composition, Intrinsics, Mesh, OrderMode, Splats, Texture};
 
@@ -435,5 +436,65 @@ fn threshold_pixels_are_few() {
         let close = margins.iter().filter(|m| m.is_within(&tolerance)).count();
         eprintln!("{mode:?}: {close} of {} pixels", margins.len());
         assert!(close < margins.len() / 10, "{close} of {}", margins.len());
+    }
+}
+
+/// An isotropic Gaussian is seen at its distance from the ray, and nearer the farther the ray passes from it.
+#[test]
+fn peaks_of_an_isotropic_splat_are_known() {
+    let (z, sigma) = (3.0, 0.4);
+    for slope in [0.0_f64, 0.05, -0.3, 2.0] {
+        let ray = DVec3::new(slope, 0.0, 1.0);
+        let peak = contract::ray_peak(DVec3::new(0.0, 0.0, -z) / sigma, ray / sigma);
+        let distance = z * slope.abs() / (1.0 + slope * slope).sqrt();
+        assert!((peak.power + 0.5 * (distance / sigma).powi(2)).abs() < 1e-12);
+        assert!((peak.depth - z / (1.0 + slope * slope)).abs() < 1e-12);
+    }
+}
+
+/// Where a splat is small as seen from the camera its linearised projection is exact but for the low-pass.
+#[test]
+fn the_two_models_agree_on_small_splats() {
+    let k = Intrinsics { width: 64, height: 64, fx: 4e4, fy: 4e4, cx: 32.0, cy: 32.0 };
+    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let splats = Splats::new(
+        vec![Vec3::new(0.0003, -0.0002, 3.0)],
+        vec![Quat::from_xyzw(0.1, -0.2, 0.3, 0.9)],
+        vec![Vec3::new(0.0009_f32.ln(), 0.0004_f32.ln(), 0.0006_f32.ln())],
+        vec![logit(0.8)],
+        0,
+        vec![[0.7, 0.2, -0.4]],
+    );
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    let ewa = render_layers(&scene, &camera, ImageModel::Ewa);
+    let ray = render_layers(&scene, &camera, ImageModel::Ray(ShDirection::Mean));
+    let difference = |a: &[f64; 4], b: &[f64; 4]| (a[3] - b[3]).abs();
+    let most = ewa.splats.iter().zip(&ray.splats).map(|(a, b)| difference(a, b)).fold(0.0, f64::max);
+    // The low-pass adds 0.3 px² to variances of 30 and more; the cut at 1/255 is elsewhere.
+    assert!(ewa.splats[32 * 64 + 32][3] > 0.5 && most > 1e-4 && most < 6e-3, "{most}");
+}
+
+/// Parts sum to the picture, and peaks decide the order where means do not.
+#[test]
+fn parts_sum_to_the_picture() {
+    for mode in MODES {
+        let (scene, camera) = random_scene(3, 200, 2, 2, 2, mode);
+        let whole = render(&scene, &camera);
+        let layers = render_layers(&scene, &camera, ImageModel::Ewa);
+        let sum = layers.over(scene.composition.background);
+        let most = |a: &[[f64; 3]], b: &[[f64; 3]]| {
+            a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        };
+        assert!(most(&sum, &whole.rgb) < 1e-12);
+        for i in 0..sum.len() {
+            let weights = layers.splats[i][3] + layers.mesh[i][3];
+            assert!((1.0 - weights - layers.transmittance[i]).abs() < 1e-12);
+        }
+        // By rays there is one order, whatever the mode.
+        let by_ray = render_layers(&scene, &camera, ImageModel::Ray(ShDirection::Ray));
+        let mut other = scene.clone();
+        other.composition.mode = MODES[(MODES.iter().position(|m| *m == mode).unwrap() + 1) % 3];
+        assert_eq!(by_ray, render_layers(&other, &camera, ImageModel::Ray(ShDirection::Ray)));
+        assert_ne!(by_ray, render_layers(&other, &camera, ImageModel::Ray(ShDirection::Mean)));
     }
 }

@@ -1,0 +1,67 @@
+// The parts of a picture under the EWA model: what `blend_forward` sums into one colour, kept apart. One thread a pixel,
+// which goes through its tile's list once for every bucket; made to be read, as it is run once per picture.
+//#import shared/view.wgsl
+//#import shared/blend.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
+@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> layered: array<vec4f>;       // [pixel][PARTS]
+//#if LAYERS
+@group(0) @binding(5) var<storage, read> layer_depth: array<f32>;
+@group(0) @binding(6) var<storage, read> layer_color: array<vec4f>;
+@group(0) @binding(7) var<storage, read> layer_triangle: array<u32>;
+@group(0) @binding(8) var<storage, read> corners: array<vec4f>;
+@group(0) @binding(9) var<storage, read> thresholds: array<f32>;
+//#end
+//#import shared/layered.wgsl
+
+const STOP: f32 = 1e-4;                 // as in blend_forward
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let tile = group_index(group, groups);
+    let x = (tile % view.tiles.x) * TILE + thread % TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE;
+    if tile >= view.tiles.x * view.tiles.y || x >= view.size.x || y >= view.size.y { return; }
+    let at = vec2f(f32(x), f32(y)) + 0.5;
+    let pixel = y * view.size.x + x;
+    let range = ranges[tile];
+    var parts = nothing();
+    var normal = vec3f(0.0);
+//#if LAYERS
+    let area = view.size.x * view.size.y;
+    normal = front_normal(x, y);
+//#for l in 0..LAYERS
+    let raw$l = layer_depth[$lu * area + pixel];
+    let depth$l = select(EMPTY_DEPTH, raw$l, raw$l > 0.0);
+//#end
+//#end
+    for (var bucket = 0u; bucket <= LAYERS; bucket++) {
+        for (var k = range.x; k < range.y; k++) {
+            let i = pair_splats[k];
+            let a = projected[3u * i];
+            let conic = projected[3u * i + 1u].xyz;
+            let d = at - a.xy;
+            let power = -0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) - conic.y * d.x * d.y;
+            let alpha = min(ALPHA_CAP, a.w * exp(power));
+            if power > 0.0 || alpha < ALPHA_CUT { continue; }
+            var behind = 0u;
+//#for l in 0..LAYERS
+            if depth$l < thresholds[i * LAYERS + $lu] { behind = $lu + 1u; }
+//#end
+            if behind != bucket { continue; }
+            if parts.transmittance * (1.0 - alpha) < STOP { break; }
+            add_splat(&parts, alpha, projected[3u * i + 2u].xyz, a.z);
+        }
+//#for l in 0..LAYERS
+        if bucket == $lu && raw$l > 0.0 { add_fragment(&parts, layer_color[$lu * area + pixel], raw$l); }
+//#end
+    }
+    write_parts(pixel, parts, normal);
+}

@@ -1,0 +1,145 @@
+// The parts of a picture under the ray model: every splat at its peak along the pixel's ray, in the order of these peaks
+// and the mesh fragments. One thread a pixel.
+//
+// Exact for any number of splats: the nearest SLOTS peaks behind those that were blended before are sought in the tile's
+// list and blended, until there are fewer. The list is sorted by the least depth that a splat's peak can have, so that a
+// search ends once that is beyond the farthest peak kept. About 40 flops per (splat, pixel, search).
+//#import shared/view.wgsl
+//#import shared/blend.wgsl
+//#import shared/sh.wgsl
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
+@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> layered: array<vec4f>;       // [pixel][PARTS]
+//#if LAYERS
+@group(0) @binding(5) var<storage, read> layer_depth: array<f32>;
+@group(0) @binding(6) var<storage, read> layer_color: array<vec4f>;
+@group(0) @binding(7) var<storage, read> layer_triangle: array<u32>;
+@group(0) @binding(8) var<storage, read> corners: array<vec4f>;
+//#end
+// In units of a splat's standard deviations over the largest one: [mean's ray a, z / largest], [camera's x axis, mean's
+// pixel], [y axis, mean's pixel], [a × x axis, z], [a × y axis, 0].
+@group(0) @binding(9) var<storage, read> rays: array<vec4f>;
+//#if SH_BY_RAY
+@group(0) @binding(10) var<storage, read> sh: array<f32>;
+//#end
+//#import shared/layered.wgsl
+
+const SLOTS: u32 = 16u;
+const HIDDEN: f32 = 1e-6;               // transmittance behind which nothing is visible in 8 bits or in the mean of 16
+
+struct Peak {
+    depth: f32,
+    alpha: f32,                         // 0: none that contributes
+}
+
+fn peak(i: u32, at: vec2f) -> Peak {
+    let a = rays[5u * i];
+    let x = rays[5u * i + 1u];
+    let y = rays[5u * i + 2u];
+    let u = rays[5u * i + 3u];
+    let delta = (at - vec2f(x.w, y.w)) / view.focal;
+    let ray = a.xyz + x.xyz * delta.x + y.xyz * delta.y;
+    let across = (u.xyz * delta.x + rays[5u * i + 4u].xyz * delta.y) * a.w;
+    let inverse = 1.0 / dot(ray, ray);
+    let depth = u.w * dot(a.xyz, ray) * inverse;
+    let alpha = projected[3u * i].w * exp(-0.5 * dot(across, across) * inverse);
+    // Phrased so that NaN fails.
+    if alpha >= ALPHA_CUT && depth > view.near { return Peak(depth, min(alpha, ALPHA_CAP)); }
+    return Peak(0.0, 0.0);
+}
+
+//#if SH_BY_RAY
+fn radiance(i: u32, basis: array<f32, 16>) -> vec3f {
+    let first = i * 3u * SH_TERMS;
+    var color = vec3f(0.5);
+//#for k in 0..SH_TERMS
+    color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
+//#end
+    return max(color, vec3f(0.0));
+}
+//#end
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let tile = group_index(group, groups);
+    let x = (tile % view.tiles.x) * TILE + thread % TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE;
+    if tile >= view.tiles.x * view.tiles.y || x >= view.size.x || y >= view.size.y { return; }
+    let at = vec2f(f32(x), f32(y)) + 0.5;
+    let pixel = y * view.size.x + x;
+    let range = ranges[tile];
+    var parts = nothing();
+    var normal = vec3f(0.0);
+//#if LAYERS
+    let area = view.size.x * view.size.y;
+    normal = front_normal(x, y);
+    var layer = 0u;                     // the next to be blended
+//#end
+//#if SH_BY_RAY
+    let slope = (at - view.principal) / view.focal;
+    let basis = sh_basis(normalize(slope.x * view.row_x.xyz + slope.y * view.row_y.xyz + view.row_z.xyz));
+//#end
+    // The last that was blended; equal depths go by index.
+    var last_depth = 0.0;
+    var last_splat = 0u;
+    var more = true;
+    while more && parts.transmittance >= HIDDEN {
+        var depth: array<f32, SLOTS>;
+        var alpha: array<f32, SLOTS>;
+        var splat: array<u32, SLOTS>;
+        var n = 0u;
+        for (var k = range.x; k < range.y; k++) {
+            let i = pair_splats[k];
+            if n == SLOTS && projected[3u * i].z > depth[SLOTS - 1u] { break; }
+            let p = peak(i, at);
+            if p.alpha == 0.0 || p.depth < last_depth || (p.depth == last_depth && i <= last_splat) { continue; }
+            if n == SLOTS && (p.depth > depth[SLOTS - 1u] || (p.depth == depth[SLOTS - 1u] && i > splat[SLOTS - 1u])) { continue; }
+            var slot = min(n, SLOTS - 1u);
+            while slot > 0u && (p.depth < depth[slot - 1u] || (p.depth == depth[slot - 1u] && i < splat[slot - 1u])) {
+                depth[slot] = depth[slot - 1u];
+                alpha[slot] = alpha[slot - 1u];
+                splat[slot] = splat[slot - 1u];
+                slot--;
+            }
+            depth[slot] = p.depth;
+            alpha[slot] = p.alpha;
+            splat[slot] = i;
+            n = min(n + 1u, SLOTS);
+        }
+        for (var slot = 0u; slot < n; slot++) {
+//#if LAYERS
+            while layer < LAYERS {
+                let d = layer_depth[layer * area + pixel];
+                if d <= 0.0 || d >= depth[slot] { break; }
+                add_fragment(&parts, layer_color[layer * area + pixel], d);
+                layer++;
+            }
+//#end
+//#if SH_BY_RAY
+            let color = radiance(splat[slot], basis);
+//#else
+            let color = projected[3u * splat[slot] + 2u].xyz;
+//#end
+            add_splat(&parts, alpha[slot], color, depth[slot]);
+        }
+        more = n == SLOTS;
+        last_depth = depth[SLOTS - 1u];
+        last_splat = splat[SLOTS - 1u];
+    }
+//#if LAYERS
+    while layer < LAYERS {
+        let d = layer_depth[layer * area + pixel];
+        if d <= 0.0 { break; }
+        add_fragment(&parts, layer_color[layer * area + pixel], d);
+        layer++;
+    }
+//#end
+    write_parts(pixel, parts, normal);
+}

@@ -1,0 +1,60 @@
+// The parts of one pixel, blended front to back: what splats and meshes contribute, and where. Written for
+// `render/gpu/layered.rs`, which reads PARTS vectors a pixel.
+
+const PARTS: u32 = 4u;
+
+struct Layered {
+    splats: vec4f,                      // rgb · weight, Σ weight
+    mesh: vec4f,
+    depth: f32,                         // Σ weight · depth
+    median: f32,                        // depth at which the transmittance falls below one half
+    count: f32,                         // splats
+    transmittance: f32,
+}
+
+fn nothing() -> Layered {
+    return Layered(vec4f(0.0), vec4f(0.0), 0.0, 0.0, 0.0, 1.0);
+}
+
+// Adds what is behind all so far; returns the premultiplied colour and weight.
+fn add(into: ptr<function, Layered>, alpha: f32, color: vec3f, depth: f32) -> vec4f {
+    let weight = (*into).transmittance * alpha;
+    let after = (*into).transmittance * (1.0 - alpha);
+    (*into).depth += weight * depth;
+    if (*into).transmittance >= 0.5 && after < 0.5 { (*into).median = depth; }
+    (*into).transmittance = after;
+    return vec4f(weight * color, weight);
+}
+
+fn add_splat(into: ptr<function, Layered>, alpha: f32, color: vec3f, depth: f32) {
+    (*into).splats += add(into, alpha, color, depth);
+    (*into).count += 1.0;
+}
+
+fn add_fragment(into: ptr<function, Layered>, layer: vec4f, depth: f32) {
+    (*into).mesh += add(into, layer.w, layer.xyz, depth);
+}
+
+fn write_parts(pixel: u32, parts: Layered, normal: vec3f) {
+    let weight = parts.splats.w + parts.mesh.w;
+    let expected = select(0.0, parts.depth / weight, weight > 0.0);
+    layered[PARTS * pixel] = parts.splats;
+    layered[PARTS * pixel + 1u] = parts.mesh;
+    layered[PARTS * pixel + 2u] = vec4f(expected, parts.median, parts.count, parts.transmittance);
+    layered[PARTS * pixel + 3u] = vec4f(normal, 0.0);
+}
+
+//#if LAYERS
+// Unit normal, towards the camera, in world space, of the nearest fragment of a pixel.
+fn front_normal(x: u32, y: u32) -> vec3f {
+    let triangle = layer_triangle[y * view.size.x + x];
+    if triangle == 0u { return vec3f(0.0); }
+    let a = corners[3u * (triangle - 1u)].xyz;
+    let b = corners[3u * (triangle - 1u) + 1u].xyz;
+    let c = corners[3u * (triangle - 1u) + 2u].xyz;
+    let ray = vec3f((vec2f(f32(x), f32(y)) + 0.5 - view.principal) / view.focal, 1.0);
+    let across = cross(b - a, c - a);
+    let normal = across * (select(1.0, -1.0, dot(across, ray) > 0.0) / max(length(across), 1e-30));
+    return normal.x * view.row_x.xyz + normal.y * view.row_y.xyz + normal.z * view.row_z.xyz;
+}
+//#end

@@ -1,0 +1,151 @@
+//! Pictures in parts against the reference, under both image models.
+
+use glam::{DMat3, DVec3, Quat, Vec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+
+use super::{Gpu, LayeredPicture, LayeredRenderer, Renderer};
+use crate::render::contract::{ImageModel, ShDirection};
+use crate::render::reference::{self, Layers};
+use crate::render::testing;
+use crate::scene::{Camera, Composition, HybridScene, Intrinsics, OrderMode, Splats};
+
+const BY_MEAN: ImageModel = ImageModel::Ray(ShDirection::Mean);
+const BY_RAY: ImageModel = ImageModel::Ray(ShDirection::Ray);
+const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
+
+/// PSNR of a set of numbers against a peak of 1, and the pixels that differ by more than 1e-2.
+struct Agreement {
+    psnr: f64,
+    differing: usize,
+}
+
+fn agreement<const N: usize>(found: &[[f32; N]], expected: &[[f64; N]]) -> Agreement {
+    assert_eq!(found.len(), expected.len());
+    let (mut squares, mut differing) = (0.0, 0);
+    for (f, e) in found.iter().zip(expected) {
+        let worst = f.iter().zip(e).map(|(f, e)| (f64::from(*f) - e).abs()).fold(0.0, f64::max);
+        assert!(worst.is_finite());
+        squares += f.iter().zip(e).map(|(f, e)| (f64::from(*f) - e).powi(2)).sum::<f64>();
+        differing += usize::from(worst > 1e-2);
+    }
+    let mean = squares / (found.len() * N).max(1) as f64;
+    Agreement { psnr: -10.0 * mean.max(1e-20).log10(), differing }
+}
+
+fn columns<T: Copy>(values: &[T]) -> Vec<[T; 1]> {
+    values.iter().map(|v| [*v]).collect()
+}
+
+fn pictures(gpu: &Gpu, scene: &HybridScene, camera: &Camera, model: ImageModel) -> (LayeredPicture, Layers) {
+    let found = LayeredRenderer::new(gpu, scene, &[*camera], model).unwrap().render(camera).unwrap();
+    (found, reference::render_layers(scene, camera, model))
+}
+
+/// Every part of both models agrees to 80 dB over all pixels, those at thresholds included: a splat that one of the two
+/// cuts at 1/255 is a difference of at most 1/255.
+#[test]
+fn parts_equal_the_reference() {
+    let gpu = Gpu::open(None).unwrap();
+    for seed in 0..18_u64 {
+        let n = [40, 300, 1500][seed as usize % 3];
+        let (n_meshes, layers) = ([1, 0, 3, 2][seed as usize % 4], [1, 4, 2][seed as usize / 2 % 3]);
+        let mode = MODES[seed as usize / 3 % 3];
+        let (scene, camera) = testing::random_scene(seed, n, n_meshes, (seed % 4) as u32, layers, mode);
+        for model in [ImageModel::Ewa, BY_MEAN, BY_RAY] {
+            let (found, expected) = pictures(&gpu, &scene, &camera, model);
+            let background = scene.composition.background;
+            let beauty = agreement(&found.over(background), &expected.over(background));
+            let splats = agreement(&found.splats, &expected.splats);
+            let mesh = agreement(&found.mesh, &expected.mesh);
+            let normal = agreement(&found.normal, &expected.normal);
+            let depth = agreement(&columns(&found.expected_depth), &columns(&expected.expected_depth));
+            let median = agreement(&columns(&found.median_depth), &columns(&expected.median_depth));
+            let count: Vec<f64> = expected.count.iter().map(|c| f64::from(*c)).collect();
+            let count = agreement(&columns(&found.count), &columns(&count));
+            let pixels = found.splats.len();
+            eprintln!(
+                "scene {seed}, {n} splats, {n_meshes} meshes, {model:?}: beauty {:.1} dB ({} of {pixels} px > 0.01), splats \
+                 {:.1}, mesh {:.1}, normal {:.1} ({}), depth {:.1} ({}), median ({}), count ({})",
+                beauty.psnr,
+                beauty.differing,
+                splats.psnr,
+                mesh.psnr,
+                normal.psnr,
+                normal.differing,
+                depth.psnr,
+                depth.differing,
+                median.differing,
+                count.differing,
+            );
+            assert!(beauty.psnr > 80.0 && splats.psnr > 80.0 && mesh.psnr > 80.0);
+            // Where an edge or a cut decides, depths, normals and counts jump.
+            for jumps in [normal, depth, median, count] {
+                assert!(jumps.differing * 100 <= pixels, "{} of {pixels}", jumps.differing);
+            }
+        }
+    }
+}
+
+/// What `Renderer` draws is what its parts sum to, but for what it learns too late to be behind its stop at 1e-4.
+#[test]
+fn parts_sum_to_the_picture() {
+    let gpu = Gpu::open(None).unwrap();
+    for (seed, mode) in MODES.into_iter().enumerate() {
+        let (scene, camera) = testing::random_scene(40 + seed as u64, 1500, 2, 2, 2, mode);
+        let whole = Renderer::new(&gpu, &scene, &[camera]).unwrap().render(&camera).unwrap();
+        let parts = LayeredRenderer::new(&gpu, &scene, &[camera], ImageModel::Ewa).unwrap().render(&camera).unwrap();
+        let sum = parts.over(scene.composition.background);
+        let differences = sum.as_flattened().iter().zip(whole.rgb.as_flattened()).map(|(a, b)| (a - b).abs());
+        let (sum, most) = differences.fold((0.0, 0.0_f32), |(sum, most), d| (sum + d, most.max(d)));
+        let mean = sum / (3 * whole.rgb.len()) as f32;
+        eprintln!("{mode:?}: mean {mean:.1e}, max {most:.1e}");
+        // Three buckets, colours up to about 2.
+        assert!(mean < 1e-6 && most < 6e-4, "{mean:e}, {most:e}");
+    }
+}
+
+/// Needles and plates of up to 1 to 1000, most seen edge-on somewhere in a view of 120°, some around the camera's plane.
+/// Much thinner ones fall between pixels, where f32 does not tell whether a ray meets them.
+#[test]
+fn thin_splats_and_splats_beside_the_camera_equal_the_reference() {
+    let gpu = Gpu::open(None).unwrap();
+    let k = Intrinsics { width: 128, height: 96, fx: 37.0, fy: 41.0, cx: 50.0, cy: 47.0 };
+    let camera = Camera::new(k, DMat3::from_rotation_y(0.3), DVec3::new(0.1, -0.2, 0.3)).unwrap();
+    let mut rng = Pcg32::seed_from_u64(11);
+    let (mut means, mut rotations, mut scales, mut logits, mut sh) = (vec![], vec![], vec![], vec![], vec![]);
+    for i in 0..400 {
+        let z = rng.random_range(0.25..6.0_f64);
+        let p = DVec3::new(rng.random_range(-2.0..2.0) * z, rng.random_range(-1.5..1.5) * z, z);
+        means.push((camera.rotation().transpose() * (p - camera.translation())).as_vec3());
+        rotations.push(Quat::from_array([0; 4].map(|_| rng.random_range(-1.0..1.0_f32))));
+        let (wide, thin) = (rng.random_range(0.05..0.5_f32), 10_f32.powf(rng.random_range(-3.5..-2.0)));
+        let scale = if i % 2 == 0 { Vec3::new(wide, thin, 2.0 * thin) } else { Vec3::new(wide, thin, 0.7 * wide) };
+        scales.push(scale.map(f32::ln));
+        logits.push(rng.random_range(-3.0..4.0));
+        sh.push([0; 3].map(|_| rng.random_range(-1.5..1.5_f32)));
+    }
+    let splats = Splats::new(means, rotations, scales, logits, 0, sh).unwrap();
+    let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
+    let (found, expected) = pictures(&gpu, &scene, &camera, BY_MEAN);
+    let beauty = agreement(&found.over([0.0; 3]), &expected.over([0.0; 3]));
+    let covered = expected.transmittance.iter().filter(|t| **t < 0.9).count();
+    eprintln!("{:.1} dB, {} of {} px > 0.01, {covered} covered", beauty.psnr, beauty.differing, found.splats.len());
+    assert!(beauty.psnr > 80.0 && covered * 2 > found.splats.len());
+}
+
+/// More peaks in a pixel than one search keeps.
+#[test]
+fn deep_stacks_are_searched_in_parts() {
+    let gpu = Gpu::open(None).unwrap();
+    let (mut scene, camera) = testing::random_scene(5, 1500, 1, 0, 1, OrderMode::Direct);
+    let logits: Vec<f32> = (0..1500).map(|i| -2.5 + 0.5 * (i as f32).sin()).collect();
+    let s = &scene.splats;
+    let wide: Vec<Vec3> = s.log_scales().iter().map(|s| *s + 1.7).collect();
+    scene.splats = Splats::new(s.means().to_vec(), s.rotations().to_vec(), wide, logits, 0, s.sh().to_vec()).unwrap();
+    let (found, expected) = pictures(&gpu, &scene, &camera, BY_MEAN);
+    let deepest = expected.count.iter().max().copied().unwrap_or_default();
+    let beauty = agreement(&found.over([0.0; 3]), &expected.over([0.0; 3]));
+    eprintln!("{:.1} dB, up to {deepest} peaks a pixel", beauty.psnr);
+    assert!(beauty.psnr > 80.0 && deepest > 64);
+}
