@@ -224,7 +224,7 @@ fn colours_of_vertices_become_a_map() {
     let (mut b, mut attributes) = triangle();
     let colours = [255u8, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 51];
     attributes["COLOR_0"] = json!(b.normalized(5121, "VEC4", 3, &colours));
-    let material = json!({ "alphaMode": "BLEND", "extensions": { "KHR_materials_unlit": {} } });
+    let material = json!({ "alphaMode": "BLEND", "doubleSided": true, "extensions": { "KHR_materials_unlit": {} } });
     let read = |b: &Builder| {
         b.read(json!({ "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }], "materials": [material] }))
     };

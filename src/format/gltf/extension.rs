@@ -236,8 +236,8 @@ impl SceneContract {
         }
     }
 
-    /// `at` is the JSON pointer of this object.
-    pub(crate) fn composition(&self, at: &str) -> Result<Composition, Fault> {
+    /// `at` is the JSON pointer of this object; `near` is for scenes that leave it to their cameras.
+    pub(crate) fn composition(&self, at: &str, near: f32) -> Result<Composition, Fault> {
         let Some(mode) = OrderMode::ALL.into_iter().find(|mode| mode.name() == self.mode) else {
             let expected = "stable, surfaceConsistent or direct";
             return Err(Fault::pointer(format!("{at}/mode"), expected, format!("`{}`", self.mode)));
@@ -251,7 +251,7 @@ impl SceneContract {
             layers: self.layers,
             color_space: parse_color_space(&self.color_space, at)?,
             background: self.background,
-            near: self.near.unwrap_or(Composition::default().near),
+            near: self.near.unwrap_or(near),
         };
         composition.validate()?;
         Ok(composition)

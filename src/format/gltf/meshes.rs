@@ -71,6 +71,10 @@ impl<'a> Meshes<'a> {
         if !self.maps.contains_key(&material.index()) {
             let maps = material::maps(self.asset, &material, self.space, notes)?;
             self.count(&maps, &at)?;
+            if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
+                let name = material.index().map_or(String::new(), |i| format!("/materials/{i}: "));
+                notes.push(format!("{name}single-sided, but drawn from both sides"));
+            }
             self.maps.insert(material.index(), maps);
         }
         let maps = &self.maps[&material.index()];

@@ -73,6 +73,15 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
     })
 }
 
+/// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras otherwise.
+fn least_near(document: &gltf::Document) -> f32 {
+    let znear = |camera: gltf::Camera<'_>| match camera.projection() {
+        gltf::camera::Projection::Perspective(p) if p.znear() > 0.0 && p.znear().is_finite() => Some(p.znear()),
+        _ => None,
+    };
+    document.cameras().filter_map(znear).reduce(f32::min).unwrap_or(Composition::default().near)
+}
+
 /// The scene's contract; without one, defaults in the colour space of the first splat primitive.
 fn composition(asset: &Asset) -> Result<Composition, Fault> {
     let document = &asset.document;
@@ -82,7 +91,7 @@ fn composition(asset: &Asset) -> Result<Composition, Fault> {
         let at = format!("/scenes/{}/extensions/{HYBRID}", scene.index());
         let contract = SceneContract::deserialize(value)
             .map_err(|e| Fault::pointer(&at, format!("a scene of {HYBRID}"), e.to_string()))?;
-        return contract.composition(&at);
+        return contract.composition(&at, least_near(document));
     }
     let mut primitives = document.meshes().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
     let first = primitives.find_map(|(mesh, p)| {

@@ -70,6 +70,25 @@ fn round_trip() {
 }
 
 #[test]
+fn a_scene_may_leave_near_to_its_cameras_and_faces_to_one_side() {
+    let mut scene = random_scene(3, 1, 0, 5);
+    scene.composition.near = 0.07;
+    let glb = bytes_of(&scene, &[("a".to_owned(), camera()), ("b".to_owned(), camera())]);
+    let mut json = json_of(&glb);
+    let contract = json["scenes"][0]["extensions"]["EXT_gaussian_splatting_hybrid"].as_object_mut().unwrap();
+    assert!(contract.remove("near").is_some());
+    json["cameras"][1]["perspective"]["znear"] = json!(0.05);
+    json["materials"][0]["doubleSided"] = json!(false);
+    let back = read_bytes(&with_json(&glb, &json)).unwrap();
+    assert_eq!(back.scene.composition.near, 0.05, "the least");
+    assert_eq!(back.notes, ["/materials/0: single-sided, but drawn from both sides"]);
+    json["nodes"].as_array_mut().unwrap().iter_mut().for_each(|n| drop(n.as_object_mut().unwrap().remove("camera")));
+    json["cameras"] = json!([]);
+    let back = read_bytes(&with_json(&glb, &json)).unwrap();
+    assert_eq!(back.scene.composition.near, Composition::default().near);
+}
+
+#[test]
 fn parts_may_be_absent() {
     for (splats, meshes) in [(0, 0), (0, 1), (3, 0)] {
         let scene = random_scene(splats, meshes, 0, 2);
