@@ -18,6 +18,7 @@ Examples:
   centaur convert garden.glb splats.ply --no-mesh --no-cameras --strict
   centaur convert table.ply chair.glb room.glb
   centaur convert garden.glb garden.usdz
+  centaur convert garden.glb mitsuba/garden.xml
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
 
@@ -38,7 +39,7 @@ pub(super) struct Args {
     #[arg(required = true, num_args = 1.., value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// File to write
-    #[arg(value_name = "OUTPUT", value_parser = |s: &str| output::with_extension(s, format::WRITABLE))]
+    #[arg(value_name = "OUTPUT", value_parser = |s: &str| output::with_extension(s, &[format::WRITABLE, format::EXPORTABLE].concat()))]
     output: PathBuf,
     /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene
     #[arg(long)]

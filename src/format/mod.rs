@@ -5,7 +5,6 @@ mod activation;
 mod atomic;
 mod blocks;
 mod error;
-#[allow(dead_code, reason = "exporters for rendering programs are its users, and come after it")]
 mod exchange;
 mod exr;
 pub mod gltf;
@@ -13,6 +12,7 @@ mod inspect;
 pub mod ksplat;
 mod loss;
 pub mod mesh_import;
+pub mod mitsuba;
 mod picture_exr;
 mod placed;
 pub mod ply;
@@ -33,7 +33,7 @@ pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
 pub use picture_exr::{Channel, ExrCompression, ExrHeader, SampleType, write_exr};
-pub use scene_file::{ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
+pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};
 
 use crate::scene::HybridScene;

@@ -8,7 +8,8 @@ use super::error::Fault;
 use super::ply::Attribute;
 use super::record::Record;
 use super::{
-    FormatError, Kind, Loss, SplatError, WriteReport, activation, gltf, kind, ksplat, ply, sog, splat, spz, usd,
+    FormatError, Kind, Loss, SplatError, WriteReport, activation, gltf, kind, ksplat, mitsuba, ply, sog, splat, spz,
+    usd,
 };
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
@@ -63,8 +64,11 @@ pub struct WriteOptions<'a> {
     pub spz: spz::Options,
 }
 
-/// Extensions of files that [`write_scene`] writes. A name that ends in `.compressed.ply` asks for compressed PLY.
+/// Extensions of files that [`write_scene`] writes and [`read_file`] reads. A name that ends in `.compressed.ply` asks for compressed PLY.
 pub const WRITABLE: &[&str] = &["glb", "gltf", "usda", "usdz", "ply", "sog", "spz", "splat", "ksplat"];
+
+/// Extensions of files that [`write_scene`] writes for rendering programs, and that are not read: Mitsuba's.
+pub const EXPORTABLE: &[&str] = &["xml"];
 
 /// As [`super::read_scene`], with what the file says besides.
 ///
@@ -94,7 +98,7 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
     })
 }
 
-/// Writes a scene in the format of the file's extension, one of [`WRITABLE`] in any case.
+/// Writes a scene in the format of the file's extension, one of [`WRITABLE`] and [`EXPORTABLE`] in any case.
 ///
 /// # Errors
 /// If the extension is none of these, the file cannot be written, or the format's limits are exceeded.
@@ -120,6 +124,12 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
             let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
             return Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() });
         }
+        "xml" => {
+            let report = mitsuba::write(path, scene, options.cameras)?;
+            let loss = Loss { attributes: names(options.attributes), ..report.loss };
+            let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
+            return Ok(WriteReport { loss, ..report });
+        }
         "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
         "ply" => {
             let bytes = ply::write_with(path, splats, options.attributes)?;
@@ -131,7 +141,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
         "ksplat" => ksplat::write(path, splats, ksplat::Level::default())?,
         "spz" => spz::write(path, splats, &options.spz)?,
         _ => {
-            let wanted: Vec<String> = WRITABLE.iter().map(|e| format!(".{e}")).collect();
+            let wanted: Vec<String> = WRITABLE.iter().chain(EXPORTABLE).map(|e| format!(".{e}")).collect();
             let fault = Fault::whole(format!("a name that ends in {}", wanted.join(", ")), format!("`.{extension}`"));
             return Err(fault.in_file(path));
         }
@@ -221,7 +231,7 @@ mod tests {
         let error = write("a.txt", &scene).unwrap_err().to_string();
         assert!(
             error
-                .ends_with("a.txt: expected a name that ends in .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, found `.txt`"),
+                .ends_with("a.txt: expected a name that ends in .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, .xml, found `.txt`"),
             "{error}"
         );
     }

@@ -1,0 +1,413 @@
+"""Renders what `centaur convert SCENE scene.xml` wrote, in Mitsuba 3 (3.9 or later).
+
+    python hybrid_rf.py scene.xml -o picture.exr [--camera 0|NAME] [--output linear|blending] [--sh-direction mean|ray]
+
+or, in a program of one's own, once a variant is set (`llvm_ad_rgb` or `cuda_ad_rgb`):
+
+    import mitsuba as mi; mi.set_variant('llvm_ad_rgb')
+    import hybrid_rf; hybrid_rf.register()
+    image = mi.render(mi.load_file('scene.xml'), sensor=0)
+
+It registers four plug-ins:
+
+* the integrator `hybrid_rf`, Centaur's image model `ray`: splats (`ellipsoidsmesh`, best twice, with two extents) have the response of their peak along the
+  exact ray of a pixel, meshes (with the BSDF `hybrid_maps`) that of their maps where the ray meets them, and all are blended in
+  the order of depth along that ray. There are no lights: colours are what was captured.
+* the BSDF `hybrid_maps`: maps of SH coefficients and logits of opacity, filtered before they are made colour and opacity.
+* the sensor `hybrid_pinhole`: any focal lengths and principal point, in pixels. Its `to_world` is as that of `perspective`: the
+  camera looks along +z, +x is left and +y up. Its rays have depth 1 at parameter 1, so that depths are along the view's axis.
+* the sampler `pixel_center`.
+
+Blending is in the space that the scene was trained in, as a rule sRGB-encoded values, as browsers and 3DGS do, not in linear
+light, as Mitsuba does elsewhere.
+"""
+
+import argparse
+import os
+import re
+import sys
+from pathlib import Path
+
+
+def find_llvm():
+    """Dr.Jit takes the first LLVM that it finds, and dies of those before 17 on some machines. 19 is the one tested."""
+    folders = ['/usr/lib', '/usr/lib64', '/usr/local/lib', '/opt/homebrew/opt', '/usr/local/opt']
+    patterns = ['libLLVM*.so*', '*/libLLVM*.so*', 'llvm*/lib/libLLVM*.so*', 'llvm*/lib/libLLVM.dylib']
+    found = {}
+    for path in (p for folder in folders for pattern in patterns for p in Path(folder).glob(pattern)):
+        version = re.search(r'LLVM(?:-|\.so\.)(\d+)', path.name) or re.search(r'llvm[@-]?(\d+)', str(path))
+        if version and int(version[1]) >= 17:
+            found.setdefault(int(version[1]), str(path))
+    return found[min(found, key=lambda version: abs(version - 19))] if found else None
+
+
+if 'DRJIT_LIBLLVM_PATH' not in os.environ and sys.platform != 'win32' and (llvm := find_llvm()):
+    os.environ['DRJIT_LIBLLVM_PATH'] = llvm
+
+try:
+    import drjit as dr
+    import mitsuba as mi
+    import numpy as np
+except ImportError as error:
+    sys.exit(f'hybrid_rf.py: {error}; install it with: pip install mitsuba==3.9.1 numpy')
+
+if mi.variant() is None:
+    mi.set_variant('llvm_ad_rgb')
+
+# Largest opacity of a splat and of a surface, and the least that a splat contributes with.
+MAX_SPLAT_ALPHA, MAX_SURFACE_ALPHA, MIN_SPLAT_ALPHA = 0.99, 1 - 1e-4, 1 / 255
+# How far behind an entered shell or a met surface the search goes on, relative to the distance: the least step that a float of
+# 32 bits can make. Shells that begin within it of each other are lost, which is why splats have two.
+STEP = 1.3e-7
+# A surface that a ray meets within this distance of itself, relative to it, is two triangles at their common edge.
+EDGE = 1e-5
+# In the place of a splat's number.
+SURFACE = 0xFFFFFFFF
+# Farthest point of the icosahedron around a unit sphere that `ellipsoidsmesh` makes of a splat.
+SHELL = 1.26
+
+
+class HybridMaps(mi.BSDF):
+    """Maps of a mesh: the files `map_00` (R, G, B of SH coefficient 0, logit of opacity in A) to `map_15` (R, G, B)."""
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_components = [mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide]
+        self.m_flags = self.m_components[0]
+        names = [f'map_{k:02}' for k in range(16) if f'map_{k:02}' in props]
+        maps = [self.load(props[name]) for name in names]
+        self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[len(maps)]
+        self.base = self.texture(maps[0])
+        self.bands = self.texture(np.concatenate([m[..., :3] for m in maps[1:]], axis=-1)) if len(maps) > 1 else None
+
+    @staticmethod
+    def load(name):
+        return np.array(mi.Bitmap(str(mi.file_resolver().resolve(name)))).astype(np.float32)
+
+    @staticmethod
+    def texture(texels):
+        # Filtering in hardware rounds weights to 8 bits.
+        return mi.Texture2f(mi.TensorXf(texels), use_accel=False, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
+
+    def radiance(self, si, direction, active):
+        """Colour towards the viewer who looks along `direction`, and opacity."""
+        base = self.base.eval(si.uv, active)
+        coefficients = [*base[:3], *(self.bands.eval(si.uv, active) if self.bands else [])]
+        alpha = dr.minimum(dr.rcp(1 + dr.exp(-base[3])), MAX_SURFACE_ALPHA)
+        return sh_color(coefficients, direction, self.degree), alpha
+
+    def eval_null_transmission(self, si, active=True):
+        return mi.Spectrum(1 - self.radiance(si, dr.normalize(-si.to_world(si.wi)), active)[1])
+
+    def to_string(self):
+        return f'HybridMaps[degree = {self.degree}]'
+
+
+def sh_color(coefficients, direction, degree):
+    color = mi.Color3f(0.5)
+    for k, basis in enumerate(dr.sh_eval(direction, degree)):
+        color += basis * mi.Color3f(coefficients[3 * k], coefficients[3 * k + 1], coefficients[3 * k + 2])
+    return dr.maximum(color, 0)
+
+
+class HybridPinhole(mi.Sensor):
+    """`focal_x`, `focal_y`, `center_x`, `center_y` in pixels from the top left corner; pixel centres are at +0.5."""
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.pose = np.array(props['to_world'].matrix, dtype=float).reshape(4, 4)
+        self.focal = [props['focal_x'], props['focal_y']]
+        self.center = [props['center_x'], props['center_y']]
+        self.label = props.get('label', '')
+
+    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+        film = self.film()
+        x, y = (sample2[i] * film.crop_size()[i] + film.crop_offset()[i] for i in range(2))
+        local = mi.Vector3f((self.center[0] - x) / self.focal[0], (self.center[1] - y) / self.focal[1], 1)
+        direction = mi.Matrix3f(self.pose[:3, :3].tolist()) @ local
+        return mi.Ray3f(mi.Point3f(self.pose[:3, 3].tolist()), direction, time, mi.Color0f()), mi.Color3f(1)
+
+    def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
+        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        return mi.RayDifferential3f(ray), weight
+
+    def to_string(self):
+        return f'HybridPinhole[{self.label}, focal = {self.focal}, center = {self.center}]'
+
+
+class PixelCenter(mi.Sampler):
+    def next_1d(self, active=True):
+        return mi.Float(0.5)
+
+    def next_2d(self, active=True):
+        return mi.Point2f(0.5)
+
+    def fork(self):
+        return PixelCenter(mi.Properties())
+
+    def clone(self):
+        return PixelCenter(mi.Properties())
+
+
+class HybridRF(mi.SamplingIntegrator):
+    """Parameters: `near` (depth from which on there is something), `surfaces` (mesh fragments that count per ray, nearest first),
+    `background` (RGB in the space of blending), `color_space` (`srgb` or `linear`: the space of blending), `sh_direction`
+    (`mean`: from the camera to a splat's mean, or `ray`), `slots` (splats whose shells a ray is in at once), `aovs`, and
+    `output`, what the film's RGB is:
+
+    * `linear`: linear light of the colour over the background, as Mitsuba and other programs expect of an EXR;
+    * `blending`: values in the space of blending, multiplied by alpha, without background.
+
+    A is what the scene covers. AOVs are in the space of blending and multiplied by alpha: `splats.RGBA`, `mesh.RGBA` (each with
+    what the other hides of it left out, so that both sum to the picture), `Z` (mean depth along the view's axis; 1e10 where
+    there is nothing).
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.near = props.get('near', 0.2)
+        self.surfaces = props.get('surfaces', 1)
+        self.background = mi.ScalarColor3f(props.get('background', mi.ScalarColor3f(0)))
+        self.encoded = props.get('color_space', 'srgb') == 'srgb'
+        self.by_mean = props.get('sh_direction', 'mean') == 'mean'
+        self.linear = props.get('output', 'linear') == 'linear'
+        self.slots = props.get('slots', 64)
+        self.aovs = props.get('aovs', True)
+        self.back = 0.0
+
+    def aov_names(self):
+        if not self.aovs:
+            return []
+        return [f'{layer}.{c}' for layer in ('splats', 'mesh') for c in 'RGBA'] + ['Z']
+
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        """As every integrator's, but with the alpha that was summed; `sample` can only say 0 or 1."""
+        sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+        film, sampler = sensor.film(), sensor.sampler()
+        self.back = self.reach_behind(scene, np.array(sensor.world_transform().matrix)[:3, 3].ravel())
+        film.prepare(self.aov_names())
+        width, height = film.crop_size()
+        index = dr.arange(mi.UInt32, width * height)
+        corner = mi.Vector2f(index % width, index // width)
+        samples = int(spp or sampler.sample_count())
+        for i in range(samples):
+            sampler.seed(int(seed) * samples + i, width * height)
+            position = corner + sampler.next_2d()
+            relative = position / mi.Vector2f(width, height)
+            ray, _ = sensor.sample_ray_differential(sampler.next_1d(), sampler.next_1d(), relative, sampler.next_2d())
+            rgb, alpha, aovs = self.trace(scene, ray)
+            block = film.create_block()
+            block.put(position + mi.Vector2f(film.crop_offset()), [*rgb, alpha, mi.Float(1), *aovs][: block.channel_count()])
+            dr.eval(block.tensor())
+            film.put_block(block)
+        if not develop:
+            return mi.TensorXf()
+        return film.develop()
+
+    def reach_behind(self, scene, eye):
+        """How far behind the camera rays must begin to enter all shells that it is in. Back faces of shells are not met."""
+        reach = 0.0
+        for shape in (s for s in scene.shapes() if s.is_ellipsoids()):
+            parameters = mi.traverse(shape)
+            center, scale, xyzw = np.split(np.array(parameters['data']).reshape(-1, 10), [3, 6], axis=1)
+            x, y, z, w = xyzw.T
+            axes = np.stack([
+                1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+            ], -1).reshape(-1, 3, 3)  # fmt: skip
+            offset, radius = eye - center, SHELL * parameters['extent']
+            inside = np.linalg.norm(np.einsum('nji,nj->ni', axes, offset) / scale, axis=1) <= radius
+            reaches = np.linalg.norm(offset, axis=1) + radius * scale.max(axis=1)
+            reach = max(reach, reaches[inside].max(initial=0.0))
+        return float(reach)
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        rgb, alpha, aovs = self.trace(scene, ray, active)
+        return mi.Spectrum(rgb), alpha > 0, aovs
+
+    def splat(self, si, origin, direction, active):
+        """Of the splat whose shell is entered at `si`: depth of its peak, opacity and colour along the ray."""
+
+        def of(shape, si, origin, direction, active):
+            if shape is None or not shape.is_ellipsoids():
+                return mi.Float(0), mi.Float(0), mi.Color3f(0)
+            e = shape.eval_attribute_x('ellipsoid', si, active)
+            mean, scale = mi.Point3f(e[0], e[1], e[2]), mi.Vector3f(e[3], e[4], e[5])
+            turn = dr.quat_to_matrix(mi.Matrix3f, mi.Quaternion4f(e[6], e[7], e[8], e[9])).T
+            o, d = (turn @ (origin - mean)) / scale, (turn @ direction) / scale
+            peak = -dr.dot(o, d) / dr.dot(d, d)
+            response = dr.exp(-0.5 * dr.squared_norm(dr.fma(d, peak, o)))
+            alpha = shape.eval_attribute_1('opacities', si, active) * response
+            alpha = dr.select(alpha >= MIN_SPLAT_ALPHA, dr.minimum(alpha, MAX_SPLAT_ALPHA), 0)
+            sh = shape.eval_attribute_x('sh_coeffs', si, active)
+            towards = dr.normalize(mean - origin if self.by_mean else direction)
+            return peak, alpha, sh_color(sh, towards, int(round((len(sh) // 3) ** 0.5)) - 1)
+
+        return dr.dispatch(si.shape, of, si, origin, direction, active)
+
+    def surface(self, si, direction, active):
+        """Of the mesh that is met at `si`: opacity and colour."""
+
+        def of(bsdf, si, direction, active):
+            if not isinstance(bsdf, HybridMaps):
+                return mi.Float(0), mi.Color3f(0)
+            color, alpha = bsdf.radiance(si, dr.normalize(direction), active)
+            return alpha, color
+
+        return dr.dispatch(si.bsdf(), of, si, direction, active)
+
+    @dr.syntax
+    def trace(self, scene, ray, active=True):
+        """Shells are entered in order of depth, and peaks lie behind entries: what waits in the slots is blended as soon as
+        the next entry is behind its peak. -> RGB, alpha, AOVs"""
+        origin, direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
+        slots = self.slots
+        depths, alphas = dr.alloc_local(mi.Float, slots), dr.alloc_local(mi.Float, slots)
+        reds, greens, blues = dr.alloc_local(mi.Float, slots), dr.alloc_local(mi.Float, slots), dr.alloc_local(mi.Float, slots)
+        # Number of the splat, or SURFACE.
+        names = dr.alloc_local(mi.UInt32, slots)
+        for empty in range(slots):
+            depths[empty] = mi.Float(dr.inf)
+        del empty
+        # How many slots are taken, beyond which none is, and the least depth in them.
+        waiting, top, nearest = mi.UInt32(0), mi.UInt32(0), mi.Float(dr.inf)
+
+        start = mi.Float(-self.back)
+        last_shape, last_depth = dr.zeros(mi.ShapePtr), mi.Float(-dr.inf)
+        met = mi.UInt32(0)
+        transmittance, depth = mi.Float(1), mi.Float(0)
+        splats, surfaces, splats_alpha, surfaces_alpha = mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0)
+        active = mi.Bool(active)
+        while dr.hint(active, label='hybrid_rf'):
+            si = scene.ray_intersect(
+                mi.Ray3f(dr.fma(direction, start, origin), direction), ray_flags=mi.RayFlags.All, coherent=False, active=active
+            )
+            valid = si.is_valid()
+            here = dr.select(valid, start + si.t, dr.inf)
+            is_splat = valid & si.shape.is_ellipsoids()
+            is_surface = valid & ~si.shape.is_ellipsoids()
+            peak, alpha, color = self.splat(si, origin, direction, is_splat)
+            surface_alpha, surface_color = self.surface(si, direction, is_surface)
+
+            is_new = is_surface & (here > self.near) & ~((si.shape == last_shape) & (here - last_depth <= EDGE * here))
+            is_new &= met < self.surfaces
+            met += dr.select(is_new, mi.UInt32(1), mi.UInt32(0))
+            last_shape, last_depth = dr.select(is_surface, si.shape, last_shape), dr.select(is_surface, here, last_depth)
+            is_new |= is_splat & (peak > self.near) & (alpha > 0)
+            key, name = dr.select(is_splat, peak, here), dr.select(is_splat, si.prim_index, SURFACE)
+
+            # Blend what is in front of `here`, and where all slots are taken the nearest. No array is written in the block
+            # that reads it: Dr.Jit may order the two either way.
+            is_full = mi.Bool(is_new & (waiting == slots))
+            go = mi.Bool((nearest < here) | is_full)
+            while go:
+                nearest, first, i = mi.Float(dr.inf), mi.UInt32(0), mi.UInt32(0)
+                while i < top:
+                    # A splat is in front of a surface at its depth.
+                    if (depths[i] < nearest) | ((depths[i] == nearest) & (names[i] != SURFACE)):
+                        nearest = depths[i]
+                        first = mi.UInt32(i)
+                    i += 1
+                go = (nearest < here) | is_full
+                if go:
+                    is_one = names[first] != SURFACE
+                    w = transmittance * alphas[first]
+                    c = w * mi.Color3f(reds[first], greens[first], blues[first])
+                    splats += dr.select(is_one, c, 0)
+                    surfaces += dr.select(is_one, 0, c)
+                    splats_alpha += dr.select(is_one, w, 0)
+                    surfaces_alpha += dr.select(is_one, 0, w)
+                    depth += w * nearest
+                    transmittance *= 1 - alphas[first]
+                    depths[first] = mi.Float(dr.inf)
+                    waiting -= 1
+                    is_full = mi.Bool(False)
+                go &= waiting > 0
+                if waiting == 0:
+                    nearest, top = mi.Float(dr.inf), mi.UInt32(0)
+
+            # The first slot that is free. A splat that is waiting has been entered before, by its other shell.
+            slot, i = mi.UInt32(slots), mi.UInt32(0)
+            while is_new & (i <= top) & (i < slots):
+                if (depths[i] == dr.inf) & (slot == slots):
+                    slot = mi.UInt32(i)
+                if (depths[i] == key) & (names[i] == name) & is_splat:
+                    is_new = mi.Bool(False)
+                i += 1
+            if is_new:
+                depths[slot], names[slot] = key, name
+                alphas[slot] = dr.select(is_splat, alpha, surface_alpha)
+                color = dr.select(is_splat, color, surface_color)
+                reds[slot], greens[slot], blues[slot] = color.x, color.y, color.z
+                nearest = dr.minimum(nearest, key)
+                top = dr.maximum(top, slot + 1)
+                waiting += 1
+
+            start = dr.select(valid, here + dr.maximum(STEP * dr.abs(here), 1e-9), start)
+            # What is behind changes no picture of 32-bit floats.
+            active &= valid & (transmittance > 1e-8)
+
+        alpha = splats_alpha + surfaces_alpha
+        rgb = splats + surfaces
+        if dr.hint(self.linear, mode='scalar'):
+            rgb += (1 - alpha) * mi.Color3f(self.background)
+            if dr.hint(self.encoded, mode='scalar'):
+                rgb = mi.math.srgb_to_linear(rgb)
+        aovs = []
+        if dr.hint(self.aovs, mode='scalar'):
+            aovs = [
+                splats.x, splats.y, splats.z, splats_alpha,
+                surfaces.x, surfaces.y, surfaces.z, surfaces_alpha,
+                dr.select(alpha > 0, depth / alpha, 1e10),
+            ]  # fmt: skip
+        return rgb, alpha, aovs
+
+    def to_string(self):
+        return 'HybridRF[]'
+
+
+def register():
+    """Makes the plug-ins known to Mitsuba's variant of the moment."""
+    mi.register_bsdf('hybrid_maps', HybridMaps)
+    mi.register_sensor('hybrid_pinhole', HybridPinhole)
+    mi.register_sampler('pixel_center', PixelCenter)
+    mi.register_integrator('hybrid_rf', HybridRF)
+
+
+def main():
+    parser = argparse.ArgumentParser(description='Render a scene of `centaur convert` in Mitsuba.')
+    parser.add_argument('scene', type=Path, help='the .xml')
+    parser.add_argument('-o', '--out', type=Path, required=True, help='the .exr to write: RGBA, layers, depth')
+    parser.add_argument('--camera', default='0', help='number or name of a camera (default: the first)')
+    parser.add_argument('--output', choices=['linear', 'blending'], help='what RGB is (default: as in the .xml)')
+    parser.add_argument('--sh-direction', choices=['mean', 'ray'], help='where splats are seen from (default: as in the .xml)')
+    arguments = parser.parse_args()
+    if not arguments.scene.is_file():
+        sys.exit(f'hybrid_rf.py: {arguments.scene}: no such file')
+    register()
+    try:
+        scene = mi.load_file(str(arguments.scene))
+    except RuntimeError as error:
+        sys.exit(f'hybrid_rf.py: {arguments.scene}: {str(error).strip().splitlines()[-1].strip()}')
+    sensors = scene.sensors()
+    labels = [getattr(sensor, 'label', '') for sensor in sensors]
+    camera = arguments.camera
+    index = labels.index(camera) if camera in labels else int(camera) if camera.isdecimal() else len(sensors)
+    if index >= len(sensors):
+        names = ', '.join(f'{i} ({label})' for i, label in enumerate(labels))
+        sys.exit(f'hybrid_rf.py: {arguments.scene}: no camera `{camera}`; there are {names}')
+    integrator = scene.integrator()
+    if arguments.output:
+        integrator.linear = arguments.output == 'linear'
+    if arguments.sh_direction:
+        integrator.by_mean = arguments.sh_direction == 'mean'
+    mi.render(scene, sensor=index, integrator=integrator)
+    try:
+        sensors[index].film().bitmap().write(str(arguments.out))
+    except RuntimeError as error:
+        sys.exit(f'hybrid_rf.py: {arguments.out}: cannot write: {str(error).strip().splitlines()[-1].strip()}')
+
+
+if __name__ == '__main__':
+    main()

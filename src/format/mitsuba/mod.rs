@@ -1,0 +1,209 @@
+//! Mitsuba 3: a scene as XML, for pictures; not read back.
+//!
+//! `NAME.xml` is rendered by our plug-ins, [`PLUGINS`], a Python file that is laid beside it: `python hybrid_rf.py NAME.xml -o
+//! picture.exr`. They know splats and meshes, and follow the image model `ray`: the peak of a splat along the exact ray, all
+//! in the order of depth along it, SH by the mean.
+//!
+//! `NAME.stock.xml` holds the splats alone, for Mitsuba as it is (`ellipsoidsmesh` and `volprim_rf_basic`): splats in the order
+//! in which their shells are entered, SH by the ray, over black, and a film without alpha. It needs no Python of ours.
+//!
+//! Splats, meshes and maps lie beside either, see [`super::exchange`]. The frame is the scene's.
+
+#[cfg(test)]
+mod tests;
+mod xml;
+
+use std::path::Path;
+
+use glam::{DMat3, DMat4, DVec3};
+
+use self::xml::Element;
+use super::exchange::{self, Beside};
+use super::{FormatError, Loss, WriteReport, atomic_write};
+use crate::scene::{Camera, ColorSpace, Composition, HybridScene};
+
+/// The plug-ins, as a Python file that also renders, and its name.
+pub const PLUGINS: (&str, &str) = ("hybrid_rf.py", include_str!("hybrid_rf.py"));
+
+/// Ends the names of files for Mitsuba without our plug-ins.
+const STOCK: &str = ".stock.xml";
+
+/// Radii of shells in standard deviations. At the first, a splat of opacity 1 falls below 1/255. The second is for our
+/// integrator, which misses a shell that begins within a rounding error of another: it would have to miss both.
+const EXTENTS: [&str; 2] = ["3.33", "3.5"];
+
+/// More splats than this are worth a warning.
+const MANY_SPLATS: usize = 2_000_000;
+
+/// Writes the scene and what belongs to it. The document comes last.
+///
+/// # Errors
+/// If a file cannot be written.
+pub(super) fn write(
+    path: &Path,
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+) -> Result<WriteReport, FormatError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let is_stock = name.ends_with(STOCK);
+    let stem = exchange::stem(path, if is_stock { STOCK } else { ".xml" });
+    let (document, mut beside, loss, notes) = if is_stock {
+        let splats = HybridScene { meshes: vec![], ..scene.clone() };
+        let beside = exchange::write(path, &stem, &splats)?;
+        let usual = Composition::default();
+        let is = &scene.composition;
+        let composition = !scene.meshes.is_empty() || (is.background, is.near) != (usual.background, usual.near);
+        let loss = Loss { meshes: scene.meshes.len(), composition, ..Loss::default() };
+        (stock(scene, &beside, cameras), beside, loss, stock_notes(scene, cameras))
+    } else {
+        let mut beside = exchange::write(path, &stem, scene)?;
+        beside.add(PLUGINS.0.to_owned(), |name| {
+            atomic_write(&path.with_file_name(name), PLUGINS.1.as_bytes()).map(|()| PLUGINS.1.len() as u64)
+        })?;
+        // Of the rule, a ray's own order replaces mode and λ.
+        let loss = Loss { composition: is_hybrid(scene), ..Loss::default() };
+        (hybrid(scene, &beside, cameras), beside, loss, hybrid_notes(scene, cameras))
+    };
+    let text = document.document();
+    beside.bytes += text.len() as u64;
+    atomic_write(path, text.as_bytes())?;
+    Ok(WriteReport { bytes: beside.bytes, loss, beside: beside.files, notes })
+}
+
+fn is_hybrid(scene: &HybridScene) -> bool {
+    !scene.splats.is_empty() && !scene.meshes.is_empty()
+}
+
+fn hybrid_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String> {
+    let mut notes = vec![];
+    if !scene.splats.is_empty() {
+        notes.push("Mitsuba shows the image model `ray`; training used `ewa`".to_owned());
+    }
+    if is_hybrid(scene) {
+        let mode = scene.composition.mode.name();
+        notes.push(format!("splats and surfaces are in the order of depth along every ray, not by the mode `{mode}`"));
+    }
+    if !scene.meshes.is_empty() {
+        notes.push("maps are filtered without mip levels: surfaces smaller than their texels alias".to_owned());
+    }
+    notes.extend(shared_notes(scene, cameras));
+    notes
+}
+
+fn stock_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String> {
+    let mut notes = vec![
+        "splats are in the order in which rays enter them, with SH by the ray, opacity up to 0.9999, over black, \
+         and the film has no alpha"
+            .to_owned(),
+    ];
+    let skewed = |k: &crate::scene::Intrinsics| (k.fx / k.fy - 1.0).abs() > 1e-9;
+    let count = cameras.iter().filter(|(_, camera)| skewed(camera.intrinsics())).count();
+    if count > 0 {
+        notes.push(format!("{count} camera(s) have pixels that are not square; Mitsuba's are: fx is taken for both"));
+    }
+    notes.extend(shared_notes(scene, cameras));
+    notes
+}
+
+fn shared_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String> {
+    let mut notes = vec![];
+    if cameras.is_empty() {
+        notes.push("there are no cameras; a picture needs a <sensor>".to_owned());
+    }
+    let count = scene.splats.len();
+    if count > MANY_SPLATS {
+        notes.push(format!("{count} splats: {COST}"));
+    }
+    notes
+}
+
+/// What many splats take: for a million, in one shell each, 2.9 GB and 196 s were measured.
+const COST: &str = "Mitsuba takes about 3 GB of memory and 3 minutes (512×512 pixels, 2 cores) per million; splats are given \
+                    one shell instead of two, so that some of those that overlap may be missed";
+
+fn hybrid(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> Element {
+    let c = &scene.composition;
+    let space = if c.color_space == ColorSpace::SrgbDisplay { "srgb" } else { "linear" };
+    let integrator = Element::plugin("integrator", "hybrid_rf")
+        .with("float", "near", c.near)
+        .with("integer", "surfaces", c.layers)
+        .with("rgb", "background", xml::numbers(&c.background))
+        .with("string", "color_space", space)
+        .with("string", "sh_direction", "mean")
+        .with("string", "output", "linear");
+    let mut root = Element::scene().child(integrator);
+    for (name, camera) in cameras {
+        let k = camera.intrinsics();
+        let sensor = Element::plugin("sensor", "hybrid_pinhole")
+            .with("string", "label", name)
+            .with("float", "focal_x", k.fx)
+            .with("float", "focal_y", k.fy)
+            .with("float", "center_x", k.cx)
+            .with("float", "center_y", k.cy)
+            .child(pose(camera))
+            .child(Element::plugin("sampler", "pixel_center").with("integer", "sample_count", 1))
+            .child(film(camera, "rgba"));
+        root = root.child(sensor);
+    }
+    let extents = if scene.splats.len() > MANY_SPLATS { &EXTENTS[..1] } else { &EXTENTS };
+    root = root.children(beside.splats.iter().flat_map(|file| extents.iter().map(|extent| splats(file, extent))));
+    root.children(beside.meshes.iter().map(|mesh| {
+        let maps = mesh.maps.iter().enumerate();
+        let maps = maps.fold(Element::plugin("bsdf", "hybrid_maps"), |maps, (k, file)| {
+            maps.with("string", &format!("map_{k:02}"), file)
+        });
+        Element::plugin("shape", "ply")
+            .with("string", "filename", &mesh.surface)
+            .with("boolean", "face_normals", true)
+            .child(maps)
+    }))
+}
+
+fn stock(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> Element {
+    let decodes = scene.composition.color_space == ColorSpace::SrgbDisplay;
+    let integrator = Element::plugin("integrator", "volprim_rf_basic").with("integer", "max_depth", 4096).with(
+        "boolean",
+        "srgb_primitives",
+        decodes,
+    );
+    let mut root = Element::scene().child(integrator);
+    for (_, camera) in cameras {
+        let k = camera.intrinsics();
+        let (width, height) = (f64::from(k.width), f64::from(k.height));
+        let sensor = Element::plugin("sensor", "perspective")
+            .with("string", "fov_axis", "x")
+            .with("float", "fov", 2.0 * (0.5 * width / k.fx).atan().to_degrees())
+            .with("float", "principal_point_offset_x", k.cx / width - 0.5)
+            .with("float", "principal_point_offset_y", k.cy / height - 0.5)
+            .with("float", "near_clip", scene.composition.near)
+            .with("float", "far_clip", scene.composition.near.max(1.0) * 1e6)
+            .child(pose(camera))
+            .child(Element::plugin("sampler", "independent").with("integer", "sample_count", 16))
+            .child(film(camera, "rgb"));
+        root = root.child(sensor);
+    }
+    root.children(beside.splats.as_deref().map(|file| splats(file, EXTENTS[0])))
+}
+
+fn splats(file: &str, extent: &str) -> Element {
+    // `ellipsoids`, the exact shape, loses small splats to rounding.
+    Element::plugin("shape", "ellipsoidsmesh").with("string", "filename", file).with("float", "extent", extent)
+}
+
+fn film(camera: &Camera, channels: &str) -> Element {
+    let k = camera.intrinsics();
+    Element::plugin("film", "hdrfilm")
+        .with("integer", "width", k.width)
+        .with("integer", "height", k.height)
+        .with("string", "pixel_format", channels)
+        .with("string", "component_format", "float32")
+        .child(Element::plugin("rfilter", "box"))
+}
+
+/// Camera to world. Mitsuba's cameras look along +z, with x to the left and y up.
+fn pose(camera: &Camera) -> Element {
+    let axes = camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
+    let pose = DMat4::from_translation(camera.center()) * DMat4::from_mat3(axes);
+    let rows = pose.transpose().to_cols_array();
+    Element::named("transform", "to_world").child(Element::new("matrix").attribute("value", xml::numbers(&rows)))
+}
