@@ -16,6 +16,7 @@ CENTAUR := cargo run --release --quiet --
 ORACLES := .venv-oracles
 ORACLES_USD := .venv-oracles-usd
 ORACLES_COMPOSITION := .venv-oracles-composition
+ORACLES_GLTF := .venv-oracles-gltf
 GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
 GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
 GARDEN := $(or $(wildcard $(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz),target/oracles/test_garden.npz)
@@ -97,7 +98,7 @@ oracle-colmap: $(ORACLES)/installed
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
 
 # Node finds packages beside the script that asks for them, so both go to target/. The demo's scene is checked if it is there.
-oracle-gltf:
+oracle-gltf: $(ORACLES_GLTF)/installed
 	@mkdir -p target/oracles
 	cp tests/oracles/gltf_validate.mjs tests/oracles/gltf_babylon.mjs target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0 \
@@ -107,6 +108,7 @@ oracle-gltf:
 	$(CENTAUR) convert target/oracles/hybrid.glb target/oracles/thinned.glb --decimate 50% --quiet
 	$(CENTAUR) convert tests/data/meshopt/ext_quantized.glb target/oracles/torus.glb --scale 2 --quiet
 	node target/oracles/gltf_validate.mjs $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb torus.glb) $(wildcard out/demo/scene.glb)
+	$(ORACLES_GLTF)/bin/python tests/oracles/check_gltf_schema.py $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb torus.glb) $(wildcard out/demo/scene.glb)
 	node target/oracles/gltf_babylon.mjs $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb) $(wildcard out/demo/scene.glb)
 
 oracle-splat-transform:
@@ -142,6 +144,11 @@ fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (cargo install cargo-fuzz)
 $(ORACLES)/installed: tests/oracles/requirements.txt
 	$(PYTHON) -m venv $(ORACLES)
 	$(ORACLES)/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+$(ORACLES_GLTF)/installed: tests/oracles/requirements-gltf.txt
+	$(PYTHON) -m venv $(ORACLES_GLTF)
+	$(ORACLES_GLTF)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
 $(ORACLES_COMPOSITION)/installed: tests/oracles/requirements-composition.txt
