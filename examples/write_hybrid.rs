@@ -49,7 +49,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         sh.collect(),
     )?;
 
-    let intrinsics = Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 320.0, cy: 240.0 };
+    // Off the centre, so that the seam does not run through pixel centres, which rounding would give to either side.
+    let intrinsics = Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 319.7, cy: 240.2 };
     let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0))?;
     let scene = HybridScene { splats, meshes: vec![mesh], composition: Composition::default() };
     let cameras = [("front".to_owned(), camera)];

@@ -87,11 +87,19 @@ pub(super) fn lens(name: &str, p: &[f64], width: u32, height: u32) -> Option<Len
 /// One line of `images.txt` or record of `images.bin`.
 #[derive(Debug)]
 pub(super) struct ImageRecord {
+    pub(super) id: u32,
     pub(super) name: String,
     pub(super) camera: u32,
     /// w, x, y, z; world→camera.
     pub(super) rotation: [f64; 4],
     pub(super) translation: [f64; 3],
+}
+
+/// The points of a model, and for each the images that see it, by their number.
+#[derive(Debug, Default)]
+pub(super) struct PointRecords {
+    pub(super) points: Vec<Point>,
+    pub(super) tracks: Vec<Vec<u32>>,
 }
 
 /// The folder of a COLMAP model in or below `root`, if there is one.
@@ -114,7 +122,7 @@ pub(super) fn load(
         let expected = "an images file beside rigs and frames; export the model again with COLMAP's model_converter";
         return Err(CaptureError::invalid(folder, "COLMAP model", expected, "frames only"));
     }
-    let (cameras, images, points) = if binary {
+    let (cameras, images, PointRecords { points, tracks }) = if binary {
         (
             colmap_binary::cameras(&super::error::read(&cameras_file)?, &cameras_file)?,
             colmap_binary::images(&super::error::read(&images_file)?, &images_file)?,
@@ -131,7 +139,16 @@ pub(super) fn load(
         return Err(CaptureError::invalid(&cameras_file, "cameras", "at least one camera", "none"));
     }
     let images_folder = root.join(options.images.as_deref().unwrap_or("images"));
-    let frames = frames(images, &cameras, &images_file, &images_folder)?;
+    let numbers: HashMap<u32, usize> = images.iter().enumerate().map(|(i, image)| (image.id, i)).collect();
+    let mut frames = frames(images, &cameras, &images_file, &images_folder)?;
+    for (point, track) in (0u32..).zip(&tracks) {
+        for &frame in track.iter().filter_map(|id| numbers.get(id)) {
+            // A point that an image sees twice is still one point.
+            if frames[frame].sees.last() != Some(&point) {
+                frames[frame].sees.push(point);
+            }
+        }
+    }
     if let Some(i) = points.iter().position(|p| !p.position.is_finite()) {
         let found = points[i].position.to_string();
         return Err(CaptureError::invalid(&points_file, format!("point {i}"), "finite numbers", found));
@@ -167,6 +184,7 @@ fn frames(
             rotation: DMat3::from_quat(rotation),
             translation: DVec3::from(image.translation),
             held_out: None,
+            sees: vec![],
         });
     }
     Ok(frames)

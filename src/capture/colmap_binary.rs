@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::colmap::{self, ImageRecord};
+use super::colmap::{self, ImageRecord, PointRecords};
 use super::distortion::Lens;
 use super::{CaptureError, Point};
 
@@ -109,7 +109,7 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, Capt
     let count = file.count(4 + 7 * 8 + 4 + 1 + 8, "images")?;
     let mut images = Vec::with_capacity(count);
     for _ in 0..count {
-        file.u32("image id")?;
+        let id = file.u32("image id")?;
         let rotation = file.f64s("rotation")?;
         let translation = file.f64s("translation")?;
         let camera = file.u32("camera id")?;
@@ -123,24 +123,28 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, Capt
         file.skip(length + 1, 1);
         let observations = file.count(24, "2-D points")?;
         file.skip(observations, 24);
-        images.push(ImageRecord { name, camera, rotation, translation });
+        images.push(ImageRecord { id, name, camera, rotation, translation });
     }
     Ok(images)
 }
 
-/// The points in the order of the file, without their tracks.
-pub(super) fn points(bytes: &[u8], path: &Path) -> Result<Vec<Point>, CaptureError> {
+/// The points in the order of the file.
+pub(super) fn points(bytes: &[u8], path: &Path) -> Result<PointRecords, CaptureError> {
     let mut file = Cursor::new(bytes, path);
     let count = file.count(8 + 3 * 8 + 3 + 8 + 8, "points")?;
-    let mut points = Vec::with_capacity(count);
+    let mut records = PointRecords { points: Vec::with_capacity(count), tracks: Vec::with_capacity(count) };
     for _ in 0..count {
         file.u64("point id")?;
         let position = DVec3::from(file.f64s("position")?);
         let rgb = file.take("colour")?;
         file.f64s::<1>("reprojection error")?;
-        let track = file.count(8, "track elements")?;
-        file.skip(track, 8);
-        points.push(Point { position, rgb });
+        let mut track = Vec::with_capacity(file.count(8, "track elements")?);
+        for _ in 0..track.capacity() {
+            track.push(file.u32("image id of a track")?);
+            file.u32("2-D point of a track")?;
+        }
+        records.points.push(Point { position, rgb });
+        records.tracks.push(track);
     }
-    Ok(points)
+    Ok(records)
 }

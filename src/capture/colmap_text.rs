@@ -6,7 +6,7 @@ use std::str::{FromStr, SplitWhitespace};
 
 use glam::DVec3;
 
-use super::colmap::{self, ImageRecord};
+use super::colmap::{self, ImageRecord, PointRecords};
 use super::distortion::Lens;
 use super::{CaptureError, Point};
 
@@ -78,7 +78,7 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
         if text.is_empty() {
             continue;
         }
-        line.number::<u32>("an image id")?;
+        let id = line.number("an image id")?;
         let rotation = line.numbers("a quaternion")?;
         let translation = line.numbers("a translation")?;
         let camera = line.number("a camera id")?;
@@ -87,20 +87,23 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
         if name.is_empty() {
             return Err(line.invalid("an image name", "the end of the line"));
         }
-        images.push(ImageRecord { name: name.to_owned(), camera, rotation, translation });
+        images.push(ImageRecord { id, name: name.to_owned(), camera, rotation, translation });
         lines.next();
     }
     Ok(images)
 }
 
-/// The points in the order of the file, without their tracks.
-pub(super) fn points(text: &str, path: &Path) -> Result<Vec<Point>, CaptureError> {
-    let mut points = Vec::new();
-    for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
+/// The points in the order of the file.
+pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureError> {
+    let mut records = PointRecords::default();
+    for (text, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
         line.number::<u64>("a point id")?;
         let position = DVec3::from(line.numbers("a position")?);
         let rgb = line.numbers("a colour of 0 to 255")?;
-        points.push(Point { position, rgb });
+        // After the reprojection error, pairs of an image's number and that of one of its 2-D points.
+        let track = text.split_whitespace().skip(8).step_by(2).filter_map(|id| id.parse().ok()).collect();
+        records.points.push(Point { position, rgb });
+        records.tracks.push(track);
     }
-    Ok(points)
+    Ok(records)
 }

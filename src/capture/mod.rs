@@ -42,6 +42,8 @@ pub struct View {
     pub camera: Camera,
     /// Where the picture comes from and what is done to it.
     pub source: ImageSource,
+    /// Indices into [`Capture::points`] of those that were found in the picture, ascending; empty if the capture does not say.
+    pub sees: Vec<u32>,
 }
 
 /// A sparse point.

@@ -120,6 +120,7 @@ pub(super) fn parse(
                 rotation,
                 translation,
                 held_out: held_out.or_else(|| own_split.then(|| tests(name))),
+                sees: vec![],
             })
         })
         .collect()

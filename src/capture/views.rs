@@ -25,6 +25,8 @@ pub(super) struct Frame {
     pub(super) translation: DVec3,
     /// The capture's own split, if it has one.
     pub(super) held_out: Option<bool>,
+    /// See [`View::sees`].
+    pub(super) sees: Vec<u32>,
 }
 
 /// `name` as a path, if it stays inside the folder it is joined to. `list` is the file that holds the name.
@@ -111,7 +113,7 @@ fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
 
 /// Looks at the image's header and settles size, orientation and camera.
 fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, CaptureError> {
-    let Frame { name, image, mask, lens, rotation, translation, held_out } = frame;
+    let Frame { name, image, mask, lens, rotation, translation, held_out, sees } = frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
     // Poses are those of the upright picture, unless only the stored one fits: COLMAP reads files without turning.
@@ -129,5 +131,5 @@ fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, Captur
     let size = options.downscale.size(width, height);
     let mask = mask.filter(|_| options.masks);
     let source = ImageSource { image, mask, orientation, lens, size, held_out };
-    Ok(View { name, camera: camera.resized(size.0, size.1), source })
+    Ok(View { name, camera: camera.resized(size.0, size.1), source, sees })
 }

@@ -1,10 +1,13 @@
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
+use centaur::capture::{Capture, View};
 use centaur::format::{gltf, read_scene};
-use centaur::geometry;
+use centaur::geometry::{self, PointView, SparseStats, SurfaceStats};
 use centaur::optimize::{TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
+
+use glam::Vec3;
 
 use super::output;
 use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
@@ -12,19 +15,23 @@ use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
 const EXAMPLES: &str = "\
 Examples:
   centaur mesh splats.glb captures/garden --downscale 4 -o surface.glb
+  centaur mesh captures/garden -o coarse.glb
   centaur train captures/garden --mesh surface.glb -o garden.glb --downscale 4";
 
-/// Make a surface from trained splats
+/// Make a surface from trained splats, or a coarse one from a capture's points alone
 ///
 /// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
 /// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
 /// takes the result; without a mesh of yours it does the same by itself.
+///
+/// Without SPLATS, in seconds: the points that structure from motion found in each view are triangulated, triangles
+/// that hide what other views see are dropped, and the rest is fused.
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, allow_missing_positional = true)]
 pub(super) struct Args {
     /// Trained splats, in any format that `centaur convert` reads; meshes are ignored
     #[arg(value_name = "SPLATS")]
-    splats: PathBuf,
+    splats: Option<PathBuf>,
     /// Folder with photographs and poses, or a transforms*.json
     capture: PathBuf,
     /// Surface to write
@@ -47,9 +54,14 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     let capture = args.loading.open(&args.capture)?;
-    let scene = read_scene(&args.splats)?;
-    let gpu = args.adapter.open()?;
-    let (surface, steps) = surface_from_splats(&gpu, &scene.splats, &capture, args.triangles)?;
+    let (surface, steps) = match &args.splats {
+        Some(splats) => {
+            let scene = read_scene(splats)?;
+            let gpu = args.adapter.open()?;
+            surface_from_splats(&gpu, &scene.splats, &capture, args.triangles)?
+        }
+        None => from_points(&capture, args)?,
+    };
     let unwrapped = geometry::unwrap(&surface, args.texture_size)?;
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
@@ -83,4 +95,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
         100.0 * charts.min_density,
         args.output.display()
     ))
+}
+
+fn from_points(capture: &Capture, args: &Args) -> Result<(geometry::Surface, SurfaceStats)> {
+    let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
+    ensure!(
+        !points.is_empty(),
+        "{}: expected a capture with points, found none: name trained splats before it",
+        args.capture.display()
+    );
+    let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
+    let views: Vec<PointView> = capture.views.iter().map(view).collect();
+    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles)?;
+    if !args.messages.json && !args.messages.quiet {
+        let SparseStats { lifted, clear, .. } = steps;
+        output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;
+    }
+    Ok((surface, steps.surface))
 }

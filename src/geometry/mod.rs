@@ -7,6 +7,7 @@ mod fusion;
 mod neighbors;
 mod pack;
 mod smooth;
+mod sparse;
 mod surface;
 mod transfer;
 mod unwrap;
@@ -17,6 +18,7 @@ pub use bvh::{ClosestPoint, Hit, MeshBvh};
 pub use fusion::{DepthView, Fusion, FusionOptions};
 pub use neighbors::mean_squared_distance_to_3_neighbors;
 pub use smooth::{Rings, smooth, vertex_normals, without_rough};
+pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};
 pub use surface::{
     Surface, SurfaceOptions, SurfaceStats, clean, compact, components, simplify, surface_from_depths,
     surface_from_fusion,

@@ -1,0 +1,356 @@
+//! A coarse surface from the points of structure from motion alone, in seconds: per view a Delaunay triangulation of the
+//! points that it sees, lifted to their depths; triangles that hide what another view sees are dropped; the rest is
+//! rasterised to depth maps and fused.
+
+use glam::{DVec2, Vec3};
+use rayon::prelude::*;
+use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation as _};
+
+use super::GeometryError;
+use super::bvh::MeshBvh;
+use super::fusion::{DepthView, Fusion, FusionOptions};
+use super::surface::{Surface, SurfaceOptions, SurfaceStats, surface_from_fusion};
+use crate::scene::Camera;
+
+/// A camera and what it sees of a cloud of points.
+#[derive(Clone, Debug)]
+pub struct PointView {
+    /// Only its pose and field of view matter, not the size of its picture.
+    pub camera: Camera,
+    /// Indices of the points found in its picture; empty if unknown, and then decided by [`visible_points`].
+    pub sees: Vec<u32>,
+}
+
+/// Longer side in pixels of the depth maps that are fused. Points are some ten pixels apart in it.
+const SIDE: u32 = 320;
+
+/// A triangle is no surface if it is seen more edge-on than this cosine: it spans a jump in depth.
+const LEAST_COSINE: f64 = 0.17;
+/// Nor if it is longer than so many times the median edge of its view, both as seen: it spans what has no points.
+const LONGEST_EDGE: f64 = 6.0;
+/// Rays from cameras to points that a triangle may stand in the way of: some points are wrong.
+const ALLOWED_RAYS: u32 = 1;
+/// A triangle is in the way if it is nearer than the point by more than this part of its depth.
+const IN_THE_WAY: f64 = 0.03;
+/// Cells across the longer side of the picture in which [`visible_points`] compares depths.
+const CELLS: f64 = 48.0;
+/// Points of a cell are taken for visible down to this many times the nearest depth.
+const SAME_SURFACE: f64 = 1.05;
+
+/// Triangles of points, and what they were made of.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SparseStats {
+    /// Triangles lifted from all views.
+    pub lifted: usize,
+    /// Those that hide nothing that is seen.
+    pub clear: usize,
+    /// What fusion made of them.
+    pub surface: SurfaceStats,
+}
+
+/// Fuses a surface of at most about `triangles` triangles.
+///
+/// # Errors
+/// Without cameras, if there are too few points, or if no surface is left.
+pub fn surface_from_points(
+    views: &[PointView],
+    points: &[Vec3],
+    triangles: usize,
+) -> Result<(Surface, SparseStats), GeometryError> {
+    let seen: Vec<Vec<u32>> = views
+        .par_iter()
+        .map(|view| match view.sees.as_slice() {
+            [] => visible_points(&view.camera, points),
+            sees => sees.iter().copied().filter(|&i| (i as usize) < points.len()).collect(),
+        })
+        .collect();
+    let lifted: Vec<Vec<[u32; 3]>> =
+        views.par_iter().zip(&seen).map(|(view, seen)| lift(&view.camera, points, seen)).collect();
+    let clear = without_hiding(views, points, &seen, &lifted);
+    let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
+    let mut stats = SparseStats { lifted: count(&lifted), clear: count(&clear), ..SparseStats::default() };
+    if stats.clear == 0 {
+        let hint = "the capture has too few points, or its views see too few of them";
+        return Err(GeometryError::EmptySurface { step: "lifting triangles of points", hint });
+    }
+    let cameras: Vec<Camera> = views.iter().map(|view| small(&view.camera)).collect();
+    let suggested = FusionOptions::suggest(&cameras, points, 128)?;
+    // Half an edge: finer voxels only hold the same facets.
+    let resolution = (2.0 * suggested.max_depth / median_edge(points, &clear)).clamp(48.0, 384.0) as u32;
+    let volume = FusionOptions::suggest(&cameras, points, resolution)?;
+    let mut fusion = Fusion::new(volume)?;
+    for (camera, triangles) in cameras.iter().zip(&clear) {
+        let depth = depth_map(camera, points, triangles);
+        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
+    }
+    let options = SurfaceOptions { target_triangles: triangles, ..SurfaceOptions::new(volume) };
+    let (surface, counts) = surface_from_fusion(&fusion, &options)?;
+    stats.surface = counts;
+    Ok((surface, stats))
+}
+
+/// The points that nothing hides, as far as points can tell: in every cell of the picture the nearest ones.
+#[must_use]
+pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
+    let k = camera.intrinsics();
+    let cell = f64::from(k.width.max(k.height)) / CELLS;
+    let across = (f64::from(k.width) / cell).ceil() as usize + 1;
+    let down = (f64::from(k.height) / cell).ceil() as usize + 1;
+    let mut nearest = vec![f64::INFINITY; across * down];
+    let mut found = vec![];
+    for (i, point) in (0u32..).zip(points) {
+        let Some((pixel, depth)) = project(camera, *point) else { continue };
+        let at = (pixel.y / cell) as usize * across + (pixel.x / cell) as usize;
+        nearest[at] = nearest[at].min(depth);
+        found.push((i, at, depth));
+    }
+    found.into_iter().filter(|&(_, at, depth)| depth <= SAME_SURFACE * nearest[at]).map(|(i, _, _)| i).collect()
+}
+
+/// Pixel and depth of a point in front of the camera and inside its picture.
+fn project(camera: &Camera, point: Vec3) -> Option<(DVec2, f64)> {
+    let p = camera.to_camera(point.as_dvec3());
+    let k = camera.intrinsics();
+    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
+    let pixel = (p.z > 0.0).then(|| camera.project(p))?;
+    // Phrased so that NaN fails.
+    (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all()).then_some((pixel, p.z))
+}
+
+/// The same view as a picture of `SIDE` pixels.
+fn small(camera: &Camera) -> Camera {
+    let k = camera.intrinsics();
+    let scale = f64::from(SIDE) / f64::from(k.width.max(k.height));
+    let side = |n: u32| (f64::from(n) * scale).round().max(1.0) as u32;
+    camera.resized(side(k.width), side(k.height))
+}
+
+/// A point in a picture.
+struct Seen {
+    pixel: DVec2,
+    point: u32,
+}
+
+impl HasPosition for Seen {
+    type Scalar = f64;
+
+    fn position(&self) -> Point2<f64> {
+        Point2::new(self.pixel.x, self.pixel.y)
+    }
+}
+
+/// Delaunay triangles of what a camera sees, without those that cannot be a surface.
+fn lift(camera: &Camera, points: &[Vec3], seen: &[u32]) -> Vec<[u32; 3]> {
+    let project = |&i: &u32| project(camera, points[i as usize]).map(|(pixel, _)| Seen { pixel, point: i });
+    let Ok(delaunay) = DelaunayTriangulation::<Seen>::bulk_load(seen.iter().filter_map(project).collect()) else {
+        return vec![];
+    };
+    let mut edges: Vec<f64> =
+        delaunay.undirected_edges().map(|edge| edge.length_2()).filter(|length| *length > 0.0).collect();
+    if edges.is_empty() {
+        return vec![];
+    }
+    let middle = edges.len() / 2;
+    let median = *edges.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let longest = median * LONGEST_EDGE * LONGEST_EDGE; // of squares
+    let surface = |face: spade::handles::FaceHandle<'_, spade::handles::InnerTag, Seen, (), (), ()>| {
+        let corners = face.vertices().map(|v| v.data().point);
+        let pixels = face.vertices().map(|v| v.data().pixel);
+        let sides = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| pixels[a].distance_squared(pixels[b]));
+        let [a, b, c] = corners.map(|i| points[i as usize].as_dvec3());
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let towards = ((a + b + c) / 3.0 - camera.center()).normalize_or_zero();
+        let faces = normal.dot(towards).abs() >= LEAST_COSINE;
+        (faces && sides.iter().all(|s| *s <= longest)).then_some(corners)
+    };
+    delaunay.inner_faces().filter_map(surface).collect()
+}
+
+/// The triangles that stand in the way of no more than [`ALLOWED_RAYS`] rays from any camera to a point it sees.
+fn without_hiding(
+    views: &[PointView],
+    points: &[Vec3],
+    seen: &[Vec<u32>],
+    lifted: &[Vec<[u32; 3]>],
+) -> Vec<Vec<[u32; 3]>> {
+    use std::sync::atomic::{AtomicU32, Ordering};
+    let bvh = MeshBvh::new(lifted.iter().map(|triangles| (points, triangles.as_slice())));
+    let hidden: Vec<Vec<AtomicU32>> =
+        lifted.iter().map(|triangles| triangles.iter().map(|_| AtomicU32::new(0)).collect()).collect();
+    views.par_iter().zip(seen).for_each(|(view, seen)| {
+        let origin = view.camera.center();
+        for &point in seen {
+            // The ray's parameter is 1 at the point.
+            let along = points[point as usize].as_dvec3() - origin;
+            let hits = bvh.all_hits(origin, along);
+            for hit in hits.iter().take_while(|hit| hit.t < 1.0 - IN_THE_WAY) {
+                hidden[hit.mesh as usize][hit.triangle as usize].fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    });
+    let keep = |(triangles, hidden): (&Vec<[u32; 3]>, &Vec<AtomicU32>)| {
+        let clear = triangles.iter().zip(hidden).filter(|(_, n)| n.load(Ordering::Relaxed) <= ALLOWED_RAYS);
+        clear.map(|(t, _)| *t).collect()
+    };
+    lifted.iter().zip(&hidden).map(keep).collect()
+}
+
+/// Median length in space of the triangles' first edges.
+fn median_edge(points: &[Vec3], lifted: &[Vec<[u32; 3]>]) -> f64 {
+    let length = |t: &[u32; 3]| f64::from(points[t[0] as usize].distance(points[t[1] as usize]));
+    let mut edges: Vec<f64> = lifted.iter().flatten().map(length).collect();
+    let middle = edges.len() / 2;
+    edges.select_nth_unstable_by(middle, f64::total_cmp).1.max(f64::MIN_POSITIVE)
+}
+
+/// Depth of the nearest triangle at every pixel centre, `[h·w]`, 0 where there is none.
+fn depth_map(camera: &Camera, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<f32> {
+    let k = camera.intrinsics();
+    let (width, height) = (k.width as usize, k.height as usize);
+    let mut depth = vec![0.0_f32; width * height];
+    for triangle in triangles {
+        let corners = triangle.map(|i| camera.to_camera(points[i as usize].as_dvec3()));
+        let pixels = corners.map(|p| camera.project(p));
+        let low = pixels[0].min(pixels[1]).min(pixels[2]) - 0.5;
+        let high = pixels[0].max(pixels[1]).max(pixels[2]) - 0.5;
+        let range = |low: f64, high: f64, n: usize| {
+            (low.ceil().max(0.0) as usize)..((high.floor() + 1.0).max(0.0) as usize).min(n)
+        };
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+        for y in range(low.y, high.y, height) {
+            for x in range(low.x, high.x, width) {
+                let at = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                if !contains(pixels, at) {
+                    continue;
+                }
+                // Where the pixel's ray, of depth 1, meets the triangle's plane.
+                let z = (corners[0].dot(normal) / camera.ray(at).dot(normal)) as f32;
+                let known = &mut depth[y * width + x];
+                if z > 0.0 && z.is_finite() && (*known == 0.0 || z < *known) {
+                    *known = z;
+                }
+            }
+        }
+    }
+    depth
+}
+
+/// Whether a triangle of either winding holds `p`, its border included.
+fn contains(corners: [DVec2; 3], p: DVec2) -> bool {
+    let side = |a: DVec2, b: DVec2| (b - a).perp_dot(p - a);
+    let sides = [side(corners[0], corners[1]), side(corners[1], corners[2]), side(corners[2], corners[0])];
+    sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0)
+}
+
+/// A sphere and a floor under it, seen from all around above.
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+    use crate::scene::Intrinsics;
+
+    const FLOOR: f64 = 1.2;
+
+    /// Cameras in two rings around the y axis, which points down.
+    fn cameras() -> Vec<Camera> {
+        let ring = |i: u32, n: u32, height: f64| {
+            let (s, c) = (std::f64::consts::TAU * f64::from(i) / f64::from(n)).sin_cos();
+            let eye = DVec3::new(4.0 * c, -height, 4.0 * s);
+            let z = (DVec3::new(0.0, 0.3, 0.0) - eye).normalize();
+            let x = DVec3::Y.cross(z).normalize();
+            let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
+            let k = Intrinsics { width: 400, height: 300, fx: 380.0, fy: 380.0, cx: 200.0, cy: 150.0 };
+            Camera::new(k, rotation, -(rotation * eye)).unwrap()
+        };
+        (0..14).map(|i| ring(i, 14, 0.8)).chain((0..10).map(|i| ring(i, 10, 2.4))).collect()
+    }
+
+    /// Points on both, with noise, and some of them wrong; and which camera sees which.
+    fn cloud(cameras: &[Camera], wrong: usize) -> (Vec<Vec3>, Vec<PointView>) {
+        let mut rng = Pcg32::seed_from_u64(3);
+        let mut points = vec![];
+        let mut normals = vec![];
+        for i in 0..5000 {
+            let d = DVec3::from_array([0; 3].map(|_| rng.random_range(-1.0..1.0)));
+            let noise = 1.0 + 0.002 * rng.random_range(-1.0..1.0);
+            if i % 2 == 0 && d.length() < 1.0 && d.length() > 0.1 {
+                points.push((noise * d.normalize()).as_vec3());
+                normals.push(d.normalize());
+            } else {
+                points.push(DVec3::new(2.0 * d.x, FLOOR * noise, 2.0 * d.z).as_vec3());
+                normals.push(-DVec3::Y);
+            }
+        }
+        let right = points.len();
+        points.extend((0..wrong).map(|_| Vec3::from_array([0; 3].map(|_| rng.random_range(-2.0..1.1_f32)))));
+        let sees = |camera: &Camera| {
+            let hidden = |p: DVec3| {
+                // By the sphere, short of the point itself.
+                let d = p - camera.center();
+                let (a, b, c) = (d.length_squared(), camera.center().dot(d), camera.center().length_squared() - 0.99);
+                b * b > a * c && (-b - (b * b - a * c).sqrt()) / a < 0.99
+            };
+            let seen = |&i: &u32| {
+                let p = points[i as usize].as_dvec3();
+                let faces = i as usize >= right || normals[i as usize].dot(p - camera.center()) < 0.0;
+                faces && !hidden(p) && project(camera, points[i as usize]).is_some() && i % 3 != 0
+            };
+            (0..points.len() as u32).filter(seen).collect()
+        };
+        let views = cameras.iter().map(|camera| PointView { camera: *camera, sees: sees(camera) }).collect();
+        (points, views)
+    }
+
+    /// Distance of a point to the two surfaces.
+    fn error(p: Vec3) -> f64 {
+        let p = p.as_dvec3();
+        let floor = if p.x.abs().max(p.z.abs()) < 2.1 { (p.y - FLOOR).abs() } else { f64::INFINITY };
+        (p.length() - 1.0).abs().min(floor)
+    }
+
+    /// Means of the distance from the mesh to the truth and, over points that are right, from the truth to the mesh.
+    fn errors(surface: &Surface, points: &[Vec3]) -> [f64; 2] {
+        let center = |t: &[u32; 3]| t.iter().map(|&i| surface.positions[i as usize]).sum::<Vec3>() / 3.0;
+        let accuracy = surface.triangles.iter().map(|t| error(center(t))).sum::<f64>() / surface.triangles.len() as f64;
+        let bvh = MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
+        let distance = |p: &Vec3| bvh.closest_point(*p).map_or(f64::INFINITY, |c| c.distance);
+        // What is below the sphere is seen by nobody.
+        let seen = |p: &&Vec3| !(f64::from(p.y) > 0.5 && f64::from(p.x.hypot(p.z)) < 1.2);
+        let known: Vec<f64> = points[..5000].iter().filter(seen).map(distance).collect();
+        [accuracy, known.iter().sum::<f64>() / known.len() as f64]
+    }
+
+    #[test]
+    fn a_sphere_on_a_floor_is_found() {
+        let cameras = cameras();
+        for wrong in [0, 100] {
+            let (points, views) = cloud(&cameras, wrong);
+            let (surface, stats) = surface_from_points(&views, &points, 20_000).unwrap();
+            let [accuracy, completeness] = errors(&surface, &points);
+            eprintln!("{wrong} wrong points: {accuracy:.4} to the truth, {completeness:.4} from it, {stats:?}");
+            assert!(accuracy < 0.01 && completeness < 0.01, "{accuracy} {completeness}");
+            assert!(stats.clear < stats.lifted);
+        }
+        // Without tracks the points themselves say what is visible: as exact, but less is found.
+        let (points, mut views) = cloud(&cameras, 0);
+        views.iter_mut().for_each(|view| view.sees.clear());
+        let (surface, _) = surface_from_points(&views, &points, 20_000).unwrap();
+        let [accuracy, completeness] = errors(&surface, &points);
+        eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
+        assert!(accuracy < 0.01 && completeness < 0.15, "{accuracy} {completeness}");
+    }
+
+    #[test]
+    fn too_little_is_an_error() {
+        let cameras = cameras();
+        let views: Vec<_> = cameras.iter().map(|c| PointView { camera: *c, sees: vec![0, 1, 2, 900] }).collect();
+        for points in [vec![], vec![Vec3::ZERO], vec![Vec3::ZERO; 3], vec![Vec3::NAN; 5]] {
+            let error = surface_from_points(&views, &points, 1000).unwrap_err().to_string();
+            assert!(error.contains("lifting triangles of points"), "{error}");
+        }
+        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000).is_err());
+    }
+}
