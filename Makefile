@@ -25,7 +25,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition convert-times fuzz
+	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -62,8 +62,10 @@ DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs sha
 test-data: ## tests on real captures and foreign files, in CENTAUR_DATA or ../shared/data
 	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA and no ../shared/data: not run")
 
-test-python: ## unit tests of datasets-scripts
+test-python: ## unit tests of datasets-scripts; syntax of the scripts that exports hold
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
+	@mkdir -p target/python
+	PYTHONPYCACHEPREFIX=target/python $(PYTHON) -m py_compile src/format/*/*.py
 
 # A coarse run of everything a user does: is a scene trained, written, read, scored, rendered?
 END_TO_END := target/end-to-end
@@ -119,6 +121,21 @@ oracle-splat-transform:
 
 oracle-usd: $(ORACLES_USD)/installed
 	CENTAUR_USD_PYTHON=$(abspath $(ORACLES_USD)/bin/python) cargo test --release --test usd_oracle -- --ignored
+
+# What our scripts do in Blender itself, two versions of it as modules of Python 3.11 (2.4 GB); libraries of X, which `bpy` is linked to.
+BLENDERS ?= 4.5.15 5.0.1
+BLENDER_PYTHON ?= python3.11
+crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and plain import of a .glb in Blender (PyPI's bpy; Python 3.11, 2.4 GB)
+	cargo build --release --quiet
+	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
+	@for version in $(BLENDERS); do \
+		.venv-blender-$$version/bin/python tests/crosscheck/check_blender.py "$(CENTAUR)" target/oracles/hybrid.glb target/crosscheck/blender-$$version || exit 1; \
+	done
+
+.venv-blender-%/installed:
+	$(BLENDER_PYTHON) -m venv .venv-blender-$*
+	.venv-blender-$*/bin/pip install --quiet --disable-pip-version-check bpy==$*
+	touch $@
 
 $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 	$(PYTHON) -m venv $(ORACLES_USD)

@@ -19,13 +19,15 @@ Examples:
   centaur convert table.ply chair.glb room.glb
   centaur convert garden.glb garden.usdz
   centaur convert garden.glb mitsuba/garden.xml
+  centaur convert garden.glb garden.blend.py
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
 
 /// Convert scenes between formats, and move, crop, thin or join them
 ///
-/// The output's format is that of its extension. What it cannot hold is named; --strict refuses to lose it. What
-/// options remove is no loss. Differences that come of rounding to 32 bits are none either.
+/// The output's format is that of its extension; an .xml is for Mitsuba, a .blend.py is a script that builds the scene in
+/// Blender. What it cannot hold is named; --strict refuses to lose it. What options remove is no loss. Differences that come
+/// of rounding to 32 bits are none either.
 ///
 /// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
 /// unknown extensions, as long as its scene is whole: moving it and --no-cameras leave it so, other edits and joining do not.

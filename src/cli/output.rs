@@ -57,8 +57,11 @@ fn probe(folder: &Path) -> Result<()> {
 /// A path whose name ends in one of `extensions` (lower case, without dot); for clap's `value_parser`.
 pub(super) fn with_extension(text: &str, extensions: &[&str]) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    if extensions.contains(&extension.as_str()) {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let ends = |extension: &&str| {
+        name.strip_suffix(extension).and_then(|s| s.strip_suffix('.')).is_some_and(|s| !s.is_empty())
+    };
+    if extensions.iter().any(ends) {
         return Ok(path);
     }
     let wanted: Vec<String> = extensions.iter().map(|e| format!(".{e}")).collect();
@@ -86,6 +89,8 @@ mod tests {
     #[test]
     fn extensions_ignore_case() {
         assert!(with_extension("a.GLB", &["glb"]).is_ok());
+        assert!(with_extension("a.Blend.py", &["blend.py"]).is_ok() && with_extension("a.py", &["blend.py"]).is_err());
+        assert!(with_extension(".glb", &["glb"]).is_err());
         assert_eq!(with_extension("a", &["glb", "ply"]).unwrap_err(), "expected a name that ends in .glb or .ply");
     }
 }

@@ -3,6 +3,7 @@
 
 mod activation;
 mod atomic;
+mod blender;
 mod blocks;
 mod error;
 mod exchange;

@@ -8,8 +8,8 @@ use super::error::Fault;
 use super::ply::Attribute;
 use super::record::Record;
 use super::{
-    FormatError, Kind, Loss, SplatError, WriteReport, activation, gltf, kind, ksplat, mitsuba, ply, sog, splat, spz,
-    usd,
+    FormatError, Kind, Loss, SplatError, WriteReport, activation, blender, gltf, kind, ksplat, mitsuba, ply, sog,
+    splat, spz, usd,
 };
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
@@ -67,8 +67,8 @@ pub struct WriteOptions<'a> {
 /// Extensions of files that [`write_scene`] writes and [`read_file`] reads. A name that ends in `.compressed.ply` asks for compressed PLY.
 pub const WRITABLE: &[&str] = &["glb", "gltf", "usda", "usdz", "ply", "sog", "spz", "splat", "ksplat"];
 
-/// Extensions of files that [`write_scene`] writes for rendering programs, and that are not read: Mitsuba's.
-pub const EXPORTABLE: &[&str] = &["xml"];
+/// What names of files end with that [`write_scene`] writes for rendering programs, and that are not read: Mitsuba's and Blender's.
+pub const EXPORTABLE: &[&str] = &["xml", "blend.py"];
 
 /// As [`super::read_scene`], with what the file says besides.
 ///
@@ -124,8 +124,9 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
             let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
             return Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() });
         }
-        "xml" => {
-            let report = mitsuba::write(path, scene, options.cameras)?;
+        "xml" | "py" if extension == "xml" || name.ends_with(blender::SUFFIX) => {
+            let write = if extension == "xml" { mitsuba::write } else { blender::write };
+            let report = write(path, scene, options.cameras)?;
             let loss = Loss { attributes: names(options.attributes), ..report.loss };
             let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
             return Ok(WriteReport { loss, ..report });
@@ -231,7 +232,7 @@ mod tests {
         let error = write("a.txt", &scene).unwrap_err().to_string();
         assert!(
             error
-                .ends_with("a.txt: expected a name that ends in .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, .xml, found `.txt`"),
+                .ends_with("a.txt: expected a name that ends in .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat, .ksplat, .xml, .blend.py, found `.txt`"),
             "{error}"
         );
     }

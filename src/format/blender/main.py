@@ -1,0 +1,231 @@
+# ---------------------------------------------------------------------------------------------------------------------
+# The command, and what goes on in a saved .blend.
+
+HELP = """\
+Builds the scene in Blender: a collection with meshes, splats and cameras, with settings of Cycles under which a picture is
+what the optimiser saw. Runs in Blender's text editor (open it, press Run), with `blender --python FILE`, or with the module
+`bpy` of PyPI. The files beside it are needed until a .blend is saved, which holds everything.
+
+constructions of splats:
+  ewa    the raster model, which scenes are trained with: a quad per splat at its depth. Exact for the active camera.
+  cap    the ray model: a curved patch per splat where rays peak. Alpha is exact for any camera that sees the patch; the
+         order and, with --sh-direction mean, the colours are those of the active camera.
+  shell  the ray model without a camera: an ellipsoid per splat, in the order in which rays enter them. Approximate
+         (about 41 dB against cap); for moving around.
+
+When the camera moves, `ewa` and `cap` have to be built again. That happens at every change of the frame and before every
+render, by the text `centaur.py` that is stored in a saved .blend; Blender runs it when it opens the file if "Auto Run
+Python Scripts" is on in its preferences, else press Run in the text editor. In between, the viewport shows the splats
+for the camera that they were built for.
+
+spaces:
+  blending  values are blended as the optimiser did, sRGB-encoded for most scenes; exact. The view transform is Raw, and
+            lamps or other objects of the file have to be made for such values.
+  linear    colours are decoded first and blended as light, as everything else in Blender: other pictures where something
+            is translucent (19 to 24 dB), to be mixed with what Blender lights.
+
+Several samples per pixel: raise Samples and set Pixel Filter to Blackman-Harris, 1.5 px.
+"""
+EXAMPLES = """\
+examples:
+  python NAME.blend.py --save scene.blend
+  python NAME.blend.py --render out.exr --camera 3 --construction cap --layers
+  python NAME.blend.py --path 24 --camera path --render frames/out.png
+  blender --background --python NAME.blend.py -- --save scene.blend"""
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(prog=f"{SCENE['name']}.blend.py", description=HELP, epilog=EXAMPLES.replace("NAME", SCENE["name"]),
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--save", metavar="FILE.blend", help="save the scene, maps packed into it")
+    add("--render", metavar="FILE.exr|png", help="render; .exr holds 32-bit floats, premultiplied, without the background, in "
+        "the space of --space; .png the picture on the background in sRGB")
+    add("--camera", default="0", metavar="N|all|path", help="number of the active camera, from 0; `all` renders each, to "
+        "FILE_000.exr and so on; `path` each frame of --path")
+    add("--construction", choices=("cap", "ewa", "shell"), default="ewa", help="of splats, see above (default: ewa)")
+    add("--space", choices=("blending", "linear"), default="blending", help="see above (default: blending)")
+    add("--what", choices=("all", "splats", "mesh"), default="all", help="what is rendered")
+    add("--layers", action="store_true", help="write also splats.RGBA and mesh.RGBA, premultiplied and as occluded by each "
+        "other, and the mean depth Z; takes a second rendering")
+    add("--sh-direction", choices=("mean", "ray"), default="mean", help="direction at which SH of splats are evaluated in cap "
+        "and shell: from the camera to the mean, or of the pixel's ray (default: mean)")
+    add("--triangles", type=int, default=2 * MILLION, metavar="N", help="most that patches of cap are made of; more order "
+        "splats that are close to each other more exactly (default: 2000000)")
+    add("--path", type=int, metavar="FRAMES", help="add a camera that moves through all others, FRAMES from one to the next")
+    options = parser.parse_args(arguments)
+    if options.path is not None and options.path < 1:
+        parser.error("--path: expected at least 1 frame")
+    if options.render and not options.render.lower().endswith((".exr", ".png")):
+        parser.error(f"--render: expected a name that ends in .exr or .png, found {options.render}")
+    return options
+
+
+def say(text):
+    print(f"{SCENE['name']}.blend.py: {text}", file=sys.stderr)
+
+
+def home():
+    """The folder of this script and of the files beside it."""
+    candidates = [globals().get("__file__", "")]
+    candidates += [bpy.path.abspath(text.filepath) for text in bpy.data.texts if text.filepath]  # run in the text editor
+    for candidate in candidates:
+        if candidate and os.path.isfile(candidate):
+            folder = os.path.dirname(os.path.abspath(candidate))
+            named = [SCENE["splats"]] if SCENE["splats"] else [m["surface"] for m in SCENE["meshes"]]
+            if all(os.path.isfile(os.path.join(folder, name)) for name in named):
+                return folder
+    return os.path.dirname(os.path.abspath(candidates[0])) if candidates[0] else os.getcwd()
+
+
+def source():
+    """The text of this script."""
+    path = globals().get("__file__", "")
+    if os.path.isfile(path):
+        with open(path, encoding="utf-8") as file:
+            return file.read()
+    for text in bpy.data.texts:
+        if "def find_root" in text.as_string():
+            return text.as_string()
+    return ""
+
+
+def on_frame(scene, depsgraph=None):
+    """Builds the splats again if the camera has moved."""
+    try:
+        refresh(depsgraph=depsgraph)
+    except ScriptError as error:
+        say(error)
+
+
+def on_render(scene, depsgraph=None):
+    on_frame(scene)
+
+
+def listen(is_on=True):
+    """Registers the above, in the place of what an earlier run registered."""
+    for handlers, function in ((bpy.app.handlers.frame_change_post, on_frame), (bpy.app.handlers.render_init, on_render)):
+        for known in [h for h in handlers if h.__name__ == function.__name__]:
+            handlers.remove(known)
+        if is_on:
+            handlers.append(bpy.app.handlers.persistent(function))
+
+
+def keep_script():
+    """Stores this script in the file, to be run when it is opened."""
+    text = bpy.data.texts.get("centaur.py") or bpy.data.texts.new("centaur.py")
+    text.from_string(source())
+    text.use_module = True
+
+
+def writable(path):
+    folder = os.path.dirname(os.path.abspath(path))
+    if not os.path.isdir(folder):
+        raise ScriptError(f"{path}: cannot write: {folder} is no folder")
+    if os.path.isdir(path):
+        raise ScriptError(f"{path}: cannot write: a folder of this name exists")
+    if not os.access(folder, os.W_OK):
+        raise ScriptError(f"{path}: cannot write: {folder} is not writable")
+
+
+def overview(root):
+    """A camera for a scene without any: in front of what there is."""
+    corners = np.concatenate([np.array(c.bound_box) for c in root.children if c.type == "MESH" and c.data.vertices])
+    middle, size = (corners.min(0) + corners.max(0)) / 2, max(np.linalg.norm(np.ptp(corners, axis=0)), 1e-3)
+    distance = size + SCENE["composition"]["near"]
+    return add_camera(root.users_collection[0], root, {
+        "name": "overview", "width": 1280, "height": 720, "fx": 1000.0, "fy": 1000.0, "cx": 640.0, "cy": 360.0,
+        "rotation": np.eye(3).tolist(), "translation": (-middle + [0, 0, distance]).tolist()})
+
+
+def chosen(options, root):
+    """The cameras to render; the first is made active."""
+    cameras = scene_cameras(root)
+    if options.camera == "path":
+        path = next((c for c in root.children if c.get("centaur") == "path"), None)
+        if path is None:
+            raise ScriptError("--camera path: expected --path and two cameras or more")
+        return [path]
+    if not cameras:
+        return [overview(root)]
+    if options.camera == "all":
+        return cameras
+    if not options.camera.isdigit() or int(options.camera) >= len(cameras):
+        raise ScriptError(f"--camera: expected 0 to {len(cameras) - 1}, `all` or `path`, found {options.camera}")
+    return [cameras[int(options.camera)]]
+
+
+def show(options, root):
+    """Hides what --what leaves out."""
+    for thing in root.children:
+        kind = thing.get("centaur")
+        if thing.type == "MESH" and kind != "splat data" and options.what != "all":
+            is_hidden = (kind == "splats") != (options.what == "splats")
+            thing.hide_render = thing.hide_viewport = is_hidden
+
+
+def run(options):
+    for path in filter(None, (options.save, options.render)):
+        writable(path)
+    if bpy.app.background and not bpy.data.filepath:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.preferences.filepaths.save_version = 0
+    build(home(), options)
+    root, settings = find_root()
+    settle(settings["decode"])
+    cameras = chosen(options, root)
+    look_through(cameras[0])
+    bpy.context.view_layer.update()
+    refresh()
+    show(options, root)
+    listen()
+    keep_script()
+    if options.save:
+        try:
+            with quiet():
+                bpy.ops.file.pack_all()
+                bpy.ops.wm.save_as_mainfile(filepath=os.path.abspath(options.save), check_existing=False)
+        except RuntimeError as error:
+            raise ScriptError(f"{options.save}: cannot write ({str(error).strip()})")
+    if not options.render:
+        return
+    stem, extension = os.path.splitext(options.render)
+    save = lambda path: write_picture(path, render_picture(options.layers), settings["decode"])
+    if options.camera == "path":
+        for frame in range(bpy.context.scene.frame_start, bpy.context.scene.frame_end + 1):
+            bpy.context.scene.frame_set(frame)
+            save(f"{stem}_{frame:04}{extension}")
+        return
+    for index, camera in enumerate(cameras):
+        look_through(camera)
+        bpy.context.view_layer.update()
+        refresh()
+        save(f"{stem}_{index:03}{extension}" if options.camera == "all" else options.render)
+
+
+def main():
+    if bpy is not None and not os.path.isfile(globals().get("__file__", "")) and find_root()[0] is not None:
+        on_frame(bpy.context.scene)  # the text in a .blend: on opening it, or by Run
+        listen()
+        return
+    if bpy is not None and bpy.app.binary_path:
+        arguments = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else []
+    else:
+        arguments = sys.argv[1:]
+    options = parse(arguments)
+    if bpy is None:
+        sys.exit(f"{SCENE['name']}.blend.py: this script needs Blender 4.5 or later: pip install bpy==4.5.15 (Python 3.11), or "
+                 "blender --background --python FILE -- OPTIONS")
+    try:
+        run(options)
+    except ScriptError as error:
+        if not bpy.app.background:
+            raise RuntimeError(str(error)) from None  # leaving would end Blender
+        sys.exit(f"{SCENE['name']}.blend.py: {error}")
+    finally:
+        if not bpy.app.binary_path:
+            listen(False)  # the module `bpy` does not end while Python functions are registered
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,320 @@
+# ---------------------------------------------------------------------------------------------------------------------
+# Splats as triangles. Only numpy; all in the frame of the scene, cameras in OpenCV axes (x right, y down, z forward).
+
+ALPHA_CAP, ALPHA_CUT, LOW_PASS, JACOBIAN_MARGIN = 0.99, 1 / 255, 0.3, 0.3
+
+
+class ScriptError(Exception):
+    """What is told to the user in one line."""
+
+
+class Splats:
+    """mean [N, 3], rotation [N, 4] (w, x, y, z), scale [N, 3] (standard deviations), opacity [N], sh [N, K, 3]."""
+
+    def __init__(self, mean, rotation, scale, opacity, sh):
+        self.mean, self.rotation, self.scale, self.opacity, self.sh = (
+            np.asarray(a, np.float64) for a in (mean, rotation, scale, opacity, sh))
+
+    def __len__(self):
+        return len(self.mean)
+
+    def __getitem__(self, which):
+        return Splats(self.mean[which], self.rotation[which], self.scale[which], self.opacity[which], self.sh[which])
+
+    def axes(self):
+        """Rotation matrices [N, 3, 3]; column i is local axis i."""
+        w, x, y, z = (self.rotation / np.linalg.norm(self.rotation, axis=1, keepdims=True)).T
+        rows = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
+        return np.moveaxis(np.array(rows), 2, 0)
+
+
+class View:
+    """What is seen from where: p_camera = rotation · p_scene + translation; focal lengths and centre in pixels."""
+
+    def __init__(self, width, height, fx, fy, cx, cy, rotation, translation, near):
+        self.width, self.height, self.fx, self.fy, self.cx, self.cy = width, height, fx, fy, cx, cy
+        self.rotation, self.translation, self.near = np.asarray(rotation), np.asarray(translation), near
+        self.center = -self.rotation.T @ self.translation
+
+    def to_camera(self, points):
+        return points @ self.rotation.T + self.translation
+
+    def to_scene(self, points):
+        return (points - self.translation) @ self.rotation
+
+
+def read_ply(path):
+    """{element: structured array} of a binary little-endian PLY; lists must have three entries."""
+    kinds = {"float": "<f4", "float32": "<f4", "double": "<f8", "uchar": "u1", "uint8": "u1", "char": "i1", "int": "<i4",
+             "int32": "<i4", "uint": "<u4", "uint32": "<u4", "short": "<i2", "ushort": "<u2"}
+    try:
+        file = open(path, "rb")
+    except OSError as error:
+        raise ScriptError(f"{path}: cannot read ({error.strerror}); it lies beside the script where `centaur convert` wrote it")
+    with file:
+        elements = []
+        for line in iter(file.readline, b""):
+            words = line.decode("ascii", "replace").split()
+            if words[:1] == ["element"]:
+                elements.append((words[1], int(words[2]), []))
+            elif words[:2] == ["property", "list"]:
+                elements[-1][2].extend([("count", kinds[words[2]]), (words[4], kinds[words[3]], 3)])
+            elif words[:1] == ["property"]:
+                elements[-1][2].append((words[2], kinds[words[1]]))
+            elif words[:1] == ["end_header"]:
+                break
+        tables = {name: np.fromfile(file, np.dtype(fields), count) for name, count, fields in elements}
+    for name, count, _ in elements:
+        if len(tables[name]) != count:
+            raise ScriptError(f"{path}: expected {count} of `{name}`, found {len(tables[name])}: the file is cut")
+    return tables
+
+
+def read_splats(path):
+    """The 3DGS layout: logarithms of scales, logits of opacities, SH by channel."""
+    table = read_ply(path)["vertex"]
+    columns = lambda *names: np.stack([table[n] for n in names], 1).astype(np.float64)
+    rest = [n for n in table.dtype.names if n.startswith("f_rest_")]
+    sh = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+    if rest:
+        by_channel = columns(*(f"f_rest_{i}" for i in range(len(rest)))).reshape(len(table), 3, -1)
+        sh = np.concatenate([sh, by_channel.transpose(0, 2, 1)], 1)
+    with np.errstate(over="ignore"):
+        opacity = 1 / (1 + np.exp(-table["opacity"].astype(np.float64)))
+    return Splats(columns("x", "y", "z"), columns("rot_0", "rot_1", "rot_2", "rot_3"),
+                  np.exp(columns("scale_0", "scale_1", "scale_2")), opacity, sh)
+
+
+def sh_basis(d):
+    """The real spherical harmonics of 3DGS at unit directions [..., 3] -> [..., 16]."""
+    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    return np.stack([sum(c * x**i * y**j * z**k for c, i, j, k in terms) for terms in SH_TERMS], -1)
+
+
+# Each function as a sum of (factor, powers of x, y, z); the materials evaluate the same table.
+SH_TERMS = (
+    ((0.28209479177387814, 0, 0, 0),),
+    ((-0.4886025119029199, 0, 1, 0),),
+    ((0.4886025119029199, 0, 0, 1),),
+    ((-0.4886025119029199, 1, 0, 0),),
+    ((1.0925484305920792, 1, 1, 0),),
+    ((-1.0925484305920792, 0, 1, 1),),
+    ((0.6307831305050401, 0, 0, 2), (-0.31539156525252005, 2, 0, 0), (-0.31539156525252005, 0, 2, 0)),
+    ((-1.0925484305920792, 1, 0, 1),),
+    ((0.5462742152960396, 2, 0, 0), (-0.5462742152960396, 0, 2, 0)),
+    ((-1.7701307697799304, 2, 1, 0), (0.5900435899266435, 0, 3, 0)),
+    ((2.890611442640554, 1, 1, 1),),
+    ((-1.8281831978578632, 0, 1, 2), (0.4570457994644658, 2, 1, 0), (0.4570457994644658, 0, 3, 0)),
+    ((0.7463526651802308, 0, 0, 3), (-1.1195289977703462, 2, 0, 1), (-1.1195289977703462, 0, 2, 1)),
+    ((-1.8281831978578632, 1, 0, 2), (0.4570457994644658, 3, 0, 0), (0.4570457994644658, 1, 2, 0)),
+    ((1.445305721320277, 2, 0, 1), (-1.445305721320277, 0, 2, 1)),
+    ((-0.5900435899266435, 3, 0, 0), (1.7701307697799304, 1, 2, 0)),
+)
+
+
+def srgb_to_linear(c):
+    return np.where(c <= 0.04045, c / 12.92, ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def colors(splats, view, decode):
+    """Colours [N, 3] as seen from the camera's centre, in linear light if `decode`."""
+    toward = splats.mean - view.center
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
+    count = splats.sh.shape[1]
+    rgb = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis(toward)[:, :count], splats.sh))
+    return srgb_to_linear(rgb) if decode else rgb
+
+
+class Triangles:
+    """points [V, 3], faces [F, 3 or 4] and, by name, attributes of points [V, width]."""
+
+    def __init__(self, points, faces, attributes):
+        self.points, self.faces, self.attributes = points, faces, attributes
+
+
+def reach(opacity):
+    """Mahalanobis distance at which alpha falls below the cut, a little more for rounding; 0 where it never reaches it."""
+    return np.sqrt(2 * np.log(np.maximum(opacity / ALPHA_CUT, 1))) * 1.0005
+
+
+def separated(depth):
+    """Sorted depths moved so far apart that a ray tracer in single precision tells them apart.
+
+    Cycles goes on one representable number behind a transparent hit, so what lies closer is lost or swapped. The gap is
+    2e-6 of the depth, or less where that would move splats by more than a few gaps.
+    """
+    if len(depth) < 2:
+        return depth
+    log = np.log(depth)
+    around = min(64, len(log) - 1)
+    closest = np.percentile((log[around:] - log[:-around]) / around, 1)
+    ramp = min(2e-6, 0.5 * closest) * np.arange(len(log))
+    return np.exp(np.maximum.accumulate(log - ramp) + ramp)
+
+
+def ewa(splats, view, decode):
+    """The raster model: a quad per splat in the plane at its depth, so that they are hit in the order of their means.
+
+    Attribute `ewa` holds the offset from the mean in standard deviations of the projected Gaussian, and opacity.
+    """
+    p = view.to_camera(splats.mean)
+    kept = (p[:, 2] > view.near) & (splats.opacity >= ALPHA_CUT)
+    splats, p = splats[kept], p[kept]
+    order = np.argsort(p[:, 2], kind="stable")
+    splats, p = splats[order], p[order]
+    x, y, z = p.T
+    margin = 0.5 * JACOBIAN_MARGIN * np.array([view.width, view.height])
+    xh = z * np.clip(x / z, (-view.cx - margin[0]) / view.fx, (view.width - view.cx + margin[0]) / view.fx)
+    yh = z * np.clip(y / z, (-view.cy - margin[1]) / view.fy, (view.height - view.cy + margin[1]) / view.fy)
+    zero = np.zeros_like(z)
+    jacobian = np.stack([np.stack([view.fx / z, zero, -view.fx * xh / z**2], -1),
+                         np.stack([zero, view.fy / z, -view.fy * yh / z**2], -1)], 1)
+    spread = jacobian @ view.rotation @ (splats.axes() * splats.scale[:, None])
+    covariance = spread @ spread.transpose(0, 2, 1) + LOW_PASS * np.eye(2)
+    variance, direction = np.linalg.eigh(covariance)
+    half = direction * (reach(splats.opacity)[:, None] * np.sqrt(variance))[:, None]
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    center = np.stack([view.fx * x / z + view.cx, view.fy * y / z + view.cy], -1)
+    pixels = center[:, None] + np.einsum("nij,kj->nki", half, signs)
+    # What lies outside the picture is left out; the order of faces, back to front, is the one in which EEVEE draws.
+    low, high = pixels.min(1), pixels.max(1)
+    seen = np.flatnonzero((high >= 0).all(1) & (low[:, 0] <= view.width) & (low[:, 1] <= view.height))[::-1]
+    depth = separated(z)[seen]
+    splats, pixels = splats[seen], pixels[seen]
+    corners = np.stack([(pixels[..., 0] - view.cx) / view.fx, (pixels[..., 1] - view.cy) / view.fy,
+                        np.ones(pixels.shape[:2])], -1) * depth[:, None, None]
+    local = np.empty((len(splats), 4, 3))
+    local[:, :, :2] = reach(splats.opacity)[:, None, None] * signs
+    local[:, :, 2] = splats.opacity[:, None]
+    attributes = {"ewa": local.reshape(-1, 3), "shade": np.repeat(colors(splats, view, decode), 4, 0)}
+    return Triangles(view.to_scene(corners.reshape(-1, 3)), np.arange(4 * len(splats)).reshape(-1, 4), attributes)
+
+
+def rings(count):
+    """Rings of 6, 12, 18 … points around one: radii in 0..1 and angles of the points, and the triangles between them."""
+    radii, angles, faces = [0.0], [0.0], []
+    first = lambda ring: 1 + 3 * ring * (ring - 1) if ring else 0
+    at = lambda ring, i: first(ring) + i % (6 * ring) if ring else 0
+    for ring in range(1, count + 1):
+        radii += [ring / count] * (6 * ring)
+        angles += [2 * np.pi * i / (6 * ring) for i in range(6 * ring)]
+        for sector in range(6):
+            for i in range(ring):
+                outer, inner = sector * ring + i, sector * (ring - 1) + i
+                faces.append((at(ring, outer), at(ring, outer + 1), at(ring - 1, inner)))
+                if i + 1 < ring:
+                    faces.append((at(ring - 1, inner), at(ring, outer + 1), at(ring - 1, inner + 1)))
+    return np.array(radii), np.array(angles), np.array(faces)
+
+
+def whitening(splats):
+    """Rows [N, 3, 3] of the map from offsets in the scene to standard deviations along the splat's axes."""
+    return splats.axes().transpose(0, 2, 1) / splats.scale[:, :, None]
+
+
+def ray_attributes(splats, view, decode, sh_direction):
+    """What the material of the ray model needs of every splat."""
+    whiten = whitening(splats)
+    attributes = {"mean": splats.mean, "opacity": splats.opacity[:, None]}
+    attributes.update({f"whiten_{i}": whiten[:, i] for i in range(3)})
+    if sh_direction == "ray":
+        attributes.update({f"sh_{k}": splats.sh[:, k] for k in range(splats.sh.shape[1])})
+    else:
+        attributes["shade"] = colors(splats, view, decode)
+    return attributes
+
+
+def joined(parts):
+    """One of several; at least one."""
+    starts = np.cumsum([0] + [len(p.points) for p in parts])
+    return Triangles(np.concatenate([p.points for p in parts]),
+                     np.concatenate([p.faces + start for p, start in zip(parts, starts)]),
+                     {name: np.concatenate([p.attributes[name] for p in parts]) for name in parts[0].attributes})
+
+
+def instanced(local, faces, splats, view, decode, sh_direction):
+    """A patch of points [N, P, 3] in standard deviations for every splat, in the scene."""
+    n, count = local.shape[:2]
+    points = splats.mean[:, None] + np.einsum("nij,npj->npi", splats.axes() * splats.scale[:, None], local)
+    faces = (faces[None] + count * np.arange(n)[:, None, None]).reshape(-1, 3)
+    attributes = ray_attributes(splats, view, decode, sh_direction)
+    return Triangles(points.reshape(-1, 3), faces, {name: np.repeat(a, count, 0) for name, a in attributes.items()})
+
+
+def cap(splats, view, decode, sh_direction, budget):
+    """The ray model: for every splat the surface of the peaks along all rays from the camera, so that a ray hits it where
+    its response is highest. In standard deviations that is a sphere through the camera and the mean.
+
+    The finer the patches, the better the order of splats that are close to each other: facets are as small as `budget`
+    triangles in all allow. The material computes alpha from the ray, whatever the facets.
+    """
+    ahead = view.to_camera(splats.mean)[:, 2]
+    toward = np.einsum("nij,nj->ni", whitening(splats), view.center - splats.mean)
+    distance = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)
+    limit = reach(splats.opacity)
+    # Splats behind the camera are seen only from within.
+    kept = (splats.opacity >= ALPHA_CUT) & ((ahead > 0) | (distance < limit))
+    order = np.flatnonzero(kept)[np.argsort(-ahead[kept], kind="stable")]
+    splats, toward, distance = splats[order], toward[order], distance[order]
+    angle = np.arcsin(np.minimum(limit[order] / distance, 0.9998))
+    # Facets of side h lie up to h²/8 beside the surface, relative to the distance.
+    for error in 10.0 ** np.arange(-6, 0, 0.1):
+        count = np.clip(np.ceil(angle / np.sqrt(8 * error)), 1, 32).astype(int)
+        if 6 * (count**2).sum() <= budget:
+            break
+    axis = toward / distance[:, None]
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    up = np.cross(axis, side)
+    # Every patch is turned differently: edges of many on one line would meet the same ray.
+    turn = 2.399963 * np.arange(len(splats))
+    parts = []
+    for k in np.unique(count):
+        these = count == k
+        radii, angles, faces = rings(int(k))
+        outer = np.arctan(np.tan(angle[these]) / np.cos(np.pi / (6 * k)))
+        theta = outer[:, None] * radii
+        phi = angles + turn[these][:, None]
+        d = distance[these][:, None]
+        across, along = d * np.sin(theta) * np.cos(theta), d * np.sin(theta) ** 2
+        local = (across * np.cos(phi))[..., None] * side[these][:, None] + (across * np.sin(phi))[..., None] * up[these][:, None]
+        local += along[..., None] * axis[these][:, None]
+        parts.append(instanced(local, faces, splats[these], view, decode, sh_direction))
+    return joined(parts) if parts else instanced(np.zeros((0, 1, 3)), np.zeros((0, 3), int), splats, view, decode, sh_direction)
+
+
+def shell(splats, view, decode, sh_direction):
+    """The ray model without a camera: an ellipsoid around every splat, ordered by where rays enter it."""
+    golden = (1 + 5**0.5) / 2
+    corners = [(s, t * golden) for s in (-1, 1) for t in (-1, 1)]
+    points = np.array([np.roll((0, s, t), k) for k in range(3) for s, t in corners], float)
+    points /= np.linalg.norm(points[0])
+    near = np.linalg.norm(points[:, None] - points, axis=2) < 1.06
+    faces = np.array([(i, j, k) for i in range(12) for j in range(i + 1, 12) for k in range(j + 1, 12)
+                      if near[i, j] and near[j, k] and near[i, k]])
+    middle = points[faces].mean(1)
+    outward = np.einsum("fi,fi->f", np.cross(points[faces[:, 1]] - points[faces[:, 0]],
+                                             points[faces[:, 2]] - points[faces[:, 0]]), middle)
+    faces[outward < 0] = faces[outward < 0][:, ::-1]
+    splats = splats[splats.opacity >= ALPHA_CUT]
+    local = points * (reach(splats.opacity) / np.linalg.norm(middle[0]))[:, None, None]
+    return instanced(local, faces, splats, view, decode, sh_direction)
+
+
+def deepest(triangles, view):
+    """At most how many patches lie behind one another, by their bounding boxes on a coarse grid of the picture."""
+    size = triangles.faces.shape[1]
+    if size != 4 or not len(triangles.faces):
+        return 0
+    p = view.to_camera(triangles.points).reshape(-1, 4, 3)
+    u = (view.fx * p[..., 0] / p[..., 2] + view.cx) / view.width
+    v = (view.fy * p[..., 1] / p[..., 2] + view.cy) / view.height
+    cells = 64
+    edge = lambda values, extra: np.clip(np.floor(values * cells + 0.5), 0, cells).astype(int) + extra
+    counts = np.zeros((cells + 2, cells + 2), int)
+    u0, u1, v0, v1 = edge(u.min(1), 0), edge(u.max(1), 0), edge(v.min(1), 0), edge(v.max(1), 0)
+    for rows, columns, sign in ((v0, u0, 1), (v1, u0, -1), (v0, u1, -1), (v1, u1, 1)):
+        np.add.at(counts, (rows, columns), sign)
+    return int(counts.cumsum(0).cumsum(1).max())

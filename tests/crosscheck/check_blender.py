@@ -1,0 +1,193 @@
+#!/usr/bin/env python3
+"""What becomes of our files in Blender: check_blender.py CENTAUR HYBRID.glb FOLDER, run by a Python that has `bpy`.
+
+* `centaur convert HYBRID.glb scene.blend.py`: the script renders, saves, and says in one line what is wrong.
+* A saved .blend builds its splats anew when its camera moves, for animations and for stills.
+* The stock importer takes HYBRID.glb: nothing is lost but the splats' shapes, and the mesh looks as ours does in linear light.
+
+How exact pictures are is compared elsewhere, with renderers that owe nothing to Blender. Every check runs in a process of
+its own, since `bpy` can be imported once.
+"""
+import json
+import pathlib
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+
+
+def psnr(a, b):
+    return -10 * np.log10(max(np.mean((a - b) ** 2), 1e-30))
+
+
+def run(command, expect=0):
+    done = subprocess.run([str(c) for c in command], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True, timeout=300)
+    assert done.returncode == expect, f"{command}: exit code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
+    return done
+
+
+def inside(step, *arguments):
+    """Runs a step of this file in a process of its own; what it returns, by way of JSON."""
+    done = run([sys.executable, __file__, f"--{step}", *arguments])
+    return json.loads(done.stdout.split("RESULT ", 1)[1].splitlines()[0])
+
+
+# --- steps, each in a process of its own ---
+
+def read_picture(path):
+    """[h, w, 4] of an EXR, from the top."""
+    import bpy
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
+    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1]
+
+
+def write_exr_to(path):
+    import bpy
+    form = bpy.context.scene.render.image_settings
+    if hasattr(form, "media_type"):
+        form.media_type = "IMAGE"
+    form.file_format, form.color_depth, form.color_mode = "OPEN_EXR", "32", "RGBA"
+    bpy.context.scene.render.filepath = str(path)
+
+
+def step_compare(a, b):
+    return {"psnr": psnr(read_picture(a), read_picture(b))}
+
+
+def step_import(glb, picture):
+    """The stock importer's scene, rendered with our settings of Cycles, its points hidden."""
+    import bpy
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=glb)
+    scene = bpy.context.scene
+    things = [(o.type, len(o.data.vertices), len(o.data.polygons)) for o in bpy.data.objects if o.type == "MESH"]
+    for thing in bpy.data.objects:
+        thing.hide_render = thing.type == "MESH" and not thing.data.polygons
+    scene.camera = next(o for o in bpy.data.objects if o.type == "CAMERA")
+    render, cycles = scene.render, scene.cycles
+    render.engine, render.film_transparent, render.dither_intensity = "CYCLES", True, 0
+    render.resolution_x, render.resolution_y = 640, 480
+    scene.view_settings.view_transform = "Raw"
+    cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
+    cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
+    cycles.transparent_max_bounces = cycles.min_transparent_bounces = 64
+    write_exr_to(picture)
+    bpy.ops.render.render(write_still=True)
+    return {"meshes": things, "cameras": sum(o.type == "CAMERA" for o in bpy.data.objects)}
+
+
+def step_reopen(blend, folder):
+    """Opens a saved .blend, renders two frames of its path, moves the camera, renders a still."""
+    import bpy
+    bpy.ops.wm.open_mainfile(filepath=blend, use_scripts=True)
+    scene = bpy.context.scene
+    shown = lambda: next(o for o in scene.objects if o.get("centaur") == "splats")["built for"]
+    states = [shown()]
+    scene.frame_start, scene.frame_end = 2, 3
+    write_exr_to(f"{folder}/frame_####.exr")
+    bpy.ops.render.render(animation=True)
+    states.append(shown())
+    scene.camera = next(o for o in scene.objects if o.get("centaur") == "camera")
+    scene.camera.location.x += 0.25
+    write_exr_to(f"{folder}/still.exr")
+    bpy.ops.render.render(write_still=True)
+    states.append(shown())
+    bpy.ops.render.render(write_still=True)
+    unchanged = shown() == states[-1]
+    names = sorted(a.name for a in next(o for o in bpy.data.objects if o.get("centaur") == "splat data").data.attributes)
+    for handlers in (bpy.app.handlers.frame_change_post, bpy.app.handlers.render_init):
+        handlers.clear()  # Python does not end while they are registered
+    return {"states": len(set(states)), "unchanged": unchanged, "attributes": names}
+
+
+# --- the checks ---
+
+def check_script(centaur, glb, folder):
+    """Builds in every construction, in one process each; what it cannot do is one line."""
+    script = folder / "scene.blend.py"
+    run([*centaur, "convert", glb, script])
+    python = [sys.executable, script]
+    for construction in ("ewa", "cap", "shell"):
+        run([*python, "--construction", construction, "--render", folder / f"{construction}.exr", "--layers"])
+    close = inside("compare", folder / "ewa.exr", folder / "cap.exr")["psnr"]
+    assert close > 25, f"ewa and cap differ by more than models do: {close:.1f} dB"
+    moved = (folder / "elsewhere").resolve()
+    moved.mkdir(exist_ok=True)
+    (moved / "scene.blend.py").write_text(script.read_text())
+    for arguments, code, message in [
+        ([script, "--render", "/nowhere/a.exr"], 1, "/nowhere/a.exr: cannot write: /nowhere is no folder"),
+        ([script, "--save", folder], 1, "a folder of this name exists"),
+        ([script, "--render", "a.tif"], 2, "expected a name that ends in .exr or .png"),
+        ([script, "--camera", "99"], 1, "--camera: expected 0 to "),
+        ([script, "--camera", "path"], 1, "expected --path"),
+        ([moved / "scene.blend.py"], 1, "it lies beside the script where"),
+    ]:
+        error = run([sys.executable, *arguments], expect=code).stderr
+        assert message in error and "Traceback" not in error, f"{arguments}: {error}"
+    print(f"script: ewa and cap are {close:.1f} dB apart")
+    return script
+
+
+def check_parts(centaur, glb, folder):
+    """Scenes without meshes, without splats, without cameras."""
+    run([*centaur, "convert", glb, folder / "splats.ply"])
+    run([*centaur, "convert", folder / "splats.ply", folder / "bare.blend.py"])
+    run([sys.executable, folder / "bare.blend.py", "--render", folder / "bare.png"])
+    run([*centaur, "convert", glb, folder / "mesh.blend.py", "--min-opacity", "1.1"])
+    run([sys.executable, folder / "mesh.blend.py", "--render", folder / "mesh.exr", "--layers", "--save", folder / "mesh.blend"])
+    print("scenes without meshes and cameras, and without splats: render")
+
+
+def check_blend(centaur, glb, folder):
+    """A .blend lives on without the script and the files beside it."""
+    # Two cameras: of the scene, and of the scene turned.
+    run([*centaur, "convert", glb, folder / "turned.glb", "--rotate", "10,40,0"])
+    script = folder / "path.blend.py"
+    run([*centaur, "convert", glb, folder / "turned.glb", script])
+    run([sys.executable, script, "--save", folder / "scene.blend", "--path", "4", "--camera", "path",
+         "--render", folder / "path.exr"])
+    alone = folder / "alone"
+    alone.mkdir(exist_ok=True)
+    blend = (folder / "scene.blend").rename(alone / "scene.blend")
+    found = inside("reopen", blend, alone)
+    assert found["states"] == 3 and found["unchanged"], found
+    for name in ("radiance:base", "radiance:sh_0", "scale", "rotation"):
+        assert name in found["attributes"], found
+    worst = min(inside("compare", folder / f"path_{f:04}.exr", alone / f"frame_{f:04}.exr")["psnr"] for f in (2, 3))
+    assert worst > 80, f"frames of the .blend differ from the script's: {worst:.1f} dB"
+    print(f"saved .blend: builds its splats anew; frames as the script's, {worst:.0f} dB")
+
+
+def check_import(glb, script, folder):
+    """The mesh of a .glb as Blender's own importer shows it: in linear light, of 8 bits, without view dependence."""
+    found = inside("import", glb, folder / "import.exr")
+    assert sorted(faces > 0 for _, _, faces in found["meshes"]) == [False, True] and found["cameras"] >= 1, found
+    assert all(vertices > 0 for _, vertices, _ in found["meshes"]), found
+    run([sys.executable, script, "--what", "mesh", "--space", "linear", "--render", folder / "ours.exr"])
+    close = inside("compare", folder / "import.exr", folder / "ours.exr")["psnr"]
+    assert close > 25, f"the imported mesh looks different: {close:.1f} dB"
+    print(f"import of the .glb: {found['meshes']}, mesh as ours in linear light, {close:.1f} dB")
+
+
+def main():
+    import bpy
+    centaur, glb, folder = shlex.split(sys.argv[1]), pathlib.Path(sys.argv[2]).resolve(), pathlib.Path(sys.argv[3]).resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"Blender {bpy.app.version_string}")
+    script = check_script(centaur, glb, folder)
+    check_parts(centaur, glb, folder)
+    check_blend(centaur, glb, folder)
+    check_import(glb, script, folder)
+
+
+if __name__ == "__main__":
+    if sys.argv[1].startswith("--"):
+        result = globals()[f"step_{sys.argv[1][2:]}"](*sys.argv[2:])
+        print("\nRESULT " + json.dumps(result), flush=True)
+    else:
+        main()
