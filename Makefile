@@ -17,6 +17,7 @@ ORACLES := .venv-oracles
 ORACLES_USD := .venv-oracles-usd
 ORACLES_COMPOSITION := .venv-oracles-composition
 ORACLES_GLTF := .venv-oracles-gltf
+CROSSCHECK := .venv-crosscheck
 GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
 GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
 GARDEN := $(or $(wildcard $(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz),target/oracles/test_garden.npz)
@@ -24,7 +25,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
+.PHONY: crosscheck crosscheck-quick help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
 	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
@@ -140,6 +141,24 @@ crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and pla
 $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 	$(PYTHON) -m venv $(ORACLES_USD)
 	$(ORACLES_USD)/bin/pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
+# Our pictures beside those of other programs, pixel by pixel; the page is in out/crosscheck.
+CROSSCHECK_FLAGS ?=
+crosscheck: system $(CROSSCHECK)/installed ## compare with pictures of Mitsuba, Cycles and numpy (PyPI; Python 3.11, 4 GB)
+	@scripts/ensure-llvm.sh
+	@rm -rf target/crosscheck && mkdir -p target/crosscheck
+	cargo build --release --quiet
+	cargo run --release --quiet --example write_crosscheck -- target/crosscheck
+	$(if $(findstring --quick,$(CROSSCHECK_FLAGS)),,$(CENTAUR) train demo -o target/crosscheck/trained.glb $(COARSE))
+	$(CROSSCHECK)/bin/python tests/crosscheck/crosscheck.py --centaur "$(CENTAUR)" --scenes target/crosscheck --out out/crosscheck $(CROSSCHECK_FLAGS)
+
+crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
+	$(MAKE) crosscheck CROSSCHECK_FLAGS="--quick $(CROSSCHECK_FLAGS)"
+
+$(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
+	$(PYTHON) -m venv $(CROSSCHECK)
+	$(CROSSCHECK)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
 SPLATS ?= 1000000

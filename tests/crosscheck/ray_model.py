@@ -1,8 +1,8 @@
 """The image model `ray` in numpy, written from its definition: a second witness beside `centaur render --model ray`.
 
 For a pixel's ray, o + t d with d of depth 1: a splat has its peak at t* = -o'.d'/d'.d' in its own whitened space, the squared
-distance m2 there, and alpha = min(opacity exp(-m2/2), 0.99) if that is at least 1/255 and t* > near. Splats by t* and surfaces
-by depth are blended front to back. Surfaces, and glTF, are those of ../oracles/composition.py.
+distance m2 there, and alpha = min(opacity exp(-m2/2), 0.99) if that is at least 1/255 and both t* and the mean's depth are
+beyond near. Splats by t* and surfaces by depth are blended front to back. Surfaces, and glTF, are those of ../oracles/composition.py.
 """
 import pathlib
 import sys
@@ -54,6 +54,8 @@ def render(asset, camera=0, mips=False, by_mean=True):
         mean, whiten, alpha0, sh, turn = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 1, 3)), np.eye(3)
     else:
         mean, whiten, alpha0, sh, turn = splats
+    # Whose mean is not beyond the near plane is in no picture.
+    alpha0 = np.where(view.to_camera(mean)[:, 2] > near, alpha0, 0)
     offset = view.center - mean
     o = np.einsum("nij,nj->ni", whiten, offset)
     towards = -offset / np.linalg.norm(offset, axis=1, keepdims=True)

@@ -150,7 +150,7 @@ class PixelCenter(mi.Sampler):
 
 
 class HybridRF(mi.SamplingIntegrator):
-    """Parameters: `near` (depth from which on there is something), `surfaces` (mesh fragments that count per ray, nearest first),
+    """Parameters: `near` (depth beyond which means, peaks and surfaces count), `surfaces` (mesh fragments that count per ray, nearest first),
     `background` (RGB in the space of blending), `color_space` (`srgb` or `linear`: the space of blending), `sh_direction`
     (`mean`: from the camera to a splat's mean, or `ray`), `slots` (splats whose shells a ray is in at once), `aovs`, and
     `output`, what the film's RGB is:
@@ -173,7 +173,8 @@ class HybridRF(mi.SamplingIntegrator):
         self.linear = props.get('output', 'linear') == 'linear'
         self.slots = props.get('slots', 64)
         self.aovs = props.get('aovs', True)
-        self.back = 0.0
+        # Of the camera: how far behind it rays begin, and where it looks.
+        self.back, self.forward = 0.0, None
 
     def aov_names(self):
         if not self.aovs:
@@ -184,7 +185,9 @@ class HybridRF(mi.SamplingIntegrator):
         """As every integrator's, but with the alpha that was summed; `sample` can only say 0 or 1."""
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         film, sampler = sensor.film(), sensor.sampler()
-        self.back = self.reach_behind(scene, np.array(sensor.world_transform().matrix)[:3, 3].ravel())
+        pose = np.array(sensor.world_transform().matrix).reshape(4, 4)
+        self.back = self.reach_behind(scene, pose[:3, 3])
+        self.forward = (pose[:3, 2] / np.linalg.norm(pose[:3, 2])).tolist()
         film.prepare(self.aov_names())
         width, height = film.crop_size()
         index = dr.arange(mi.UInt32, width * height)
@@ -239,7 +242,11 @@ class HybridRF(mi.SamplingIntegrator):
             peak = -dr.dot(o, d) / dr.dot(d, d)
             response = dr.exp(-0.5 * dr.squared_norm(dr.fma(d, peak, o)))
             alpha = shape.eval_attribute_1('opacities', si, active) * response
-            alpha = dr.select(alpha >= MIN_SPLAT_ALPHA, dr.minimum(alpha, MAX_SPLAT_ALPHA), 0)
+            is_there = (alpha >= MIN_SPLAT_ALPHA) & (peak > self.near)
+            if self.forward:
+                # As rasterisers do, which project means.
+                is_there &= dr.dot(mean - origin, mi.Vector3f(self.forward)) > self.near
+            alpha = dr.select(is_there, dr.minimum(alpha, MAX_SPLAT_ALPHA), 0)
             sh = shape.eval_attribute_x('sh_coeffs', si, active)
             towards = dr.normalize(mean - origin if self.by_mean else direction)
             return peak, alpha, sh_color(sh, towards, int(round((len(sh) // 3) ** 0.5)) - 1)
@@ -294,7 +301,7 @@ class HybridRF(mi.SamplingIntegrator):
             is_new &= met < self.surfaces
             met += dr.select(is_new, mi.UInt32(1), mi.UInt32(0))
             last_shape, last_depth = dr.select(is_surface, si.shape, last_shape), dr.select(is_surface, here, last_depth)
-            is_new |= is_splat & (peak > self.near) & (alpha > 0)
+            is_new |= is_splat & (alpha > 0)
             key, name = dr.select(is_splat, peak, here), dr.select(is_splat, si.prim_index, SURFACE)
 
             # Blend what is in front of `here`, and where all slots are taken the nearest. No array is written in the block

@@ -1,0 +1,227 @@
+#!/usr/bin/env python3
+"""Renders the same scenes in Centaur, Mitsuba, Blender's Cycles and numpy, and compares every pixel.
+
+    python crosscheck.py --centaur "cargo run --release --" --scenes FOLDER --out FOLDER
+                         [--blender-python PYTHON]... [--quick] [--only SCENE]...
+
+Scenes are the .glb in FOLDER (examples/write_crosscheck.rs writes them), each from its embedded cameras. Pictures are compared
+in the space that the scene is blended in, over its background; layers premultiplied. OUT gets `crosscheck.html`, one page with
+pictures, errors and figures, and `crosscheck.json`. Exit 1 if a gate is missed or a program fails.
+"""
+import argparse
+import json
+import pathlib
+import shlex
+import subprocess
+import sys
+import time
+
+import numpy as np
+import OpenEXR
+
+import ray_model
+import report
+from composition import Asset, contract_of
+
+# Least PSNR in dB with a peak of 1: (renderer, its construction) -> by what is in the scene.
+GATES = {
+    "mitsuba": {"meshes": 70, "few": 80, "many": 65},
+    "blender cap": {"meshes": 70, "few": 60, "many": 60},
+    "blender ewa": {"meshes": 70, "few": 75, "many": 75},
+    "numpy": {"meshes": 80, "few": 80, "many": 80},
+}
+LAYER_GATE = 50
+# What splats and meshes contribute must be the picture, up to this.
+SUM_LIMIT = 1e-5
+# More splats than this are many.
+FEW = 1000
+# Left out of --quick, for the time that they take.
+SLOW = ["hybrid10k", "trained"]
+# Scenes whose maps have texels smaller than pixels. No other program has our mip levels: numpy with them is held to Centaur, and
+# without them others to numpy.
+MINIFIED = ["trained"]
+# Cameras of a scene that are compared.
+MOST_CAMERAS = 2
+
+
+def run(command, timeout=1800):
+    """Runs a program; on failure, the last line of what it says is the reason."""
+    started = time.time()
+    done = subprocess.run([str(c) for c in command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=timeout)
+    if done.returncode:
+        lines = done.stdout.strip().splitlines() or ["nothing was printed"]
+        raise RuntimeError(f"{pathlib.Path(str(command[0])).name} failed ({done.returncode}): {lines[-1]}")
+    return time.time() - started, done.stdout
+
+
+def read(path):
+    """{"": RGBA, "splats": RGBA, "mesh": RGBA} of an EXR, [h, w, 4]; layers that are not in it are left out."""
+    channels = {}
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part in file.parts:
+            channels |= {name.split("ViewLayer.")[-1]: c.pixels.astype(np.float64) for name, c in part.channels.items()}
+    layers = {}
+    for layer in ("", "splats", "mesh"):
+        names = [f"{layer}.{c}" if layer else c for c in "RGBA"]
+        if all(name in channels for name in names):
+            layers[layer] = np.stack([channels[name] for name in names], -1)
+    return layers
+
+
+# --- Renderers: each gives {camera: ({layer: RGBA}, seconds)} for a scene ---
+
+
+def by_centaur(centaur, scene, out, model):
+    folder = out / f"centaur-{model}"
+    seconds, text = run([*centaur, "render", scene, "--model", model, "--layers", "-o", folder, "--json", "--quiet"])
+    pictures = json.loads(text.strip().splitlines()[-1])["pictures"]
+    return {i: (read(path), seconds / len(pictures)) for i, path in enumerate(pictures[:MOST_CAMERAS])}
+
+
+def by_mitsuba(centaur, scene, cameras, out):
+    xml = out / "mitsuba" / "scene.xml"
+    xml.parent.mkdir(exist_ok=True)
+    run([*centaur, "convert", scene, xml, "--quiet"])
+    pictures = {}
+    for i in range(cameras):
+        exr = xml.parent / f"{i}.exr"
+        plugins = xml.with_name("hybrid_rf.py")
+        seconds, _ = run([sys.executable, plugins, xml, "-o", exr, "--camera", i, "--output", "blending"])
+        pictures[i] = read(exr), seconds
+    return pictures
+
+
+def by_blender(python, construction, centaur, scene, cameras, out):
+    script = out / f"blender-{construction}" / "scene.blend.py"
+    script.parent.mkdir(exist_ok=True)
+    run([*centaur, "convert", scene, script, "--quiet"])
+    pictures = {}
+    for i in range(cameras):
+        exr = script.parent / f"{i}.exr"
+        seconds, _ = run([python, script, "--render", exr, "--construction", construction, "--camera", i, "--layers"])
+        pictures[i] = read(exr), seconds
+    return pictures
+
+
+def by_numpy(scene, cameras, mips):
+    pictures = {}
+    for i in range(cameras):
+        started = time.time()
+        both, splats, mesh = ray_model.render(Asset(scene), camera=i, mips=mips)
+        pictures[i] = {"": both, "splats": splats, "mesh": mesh}, time.time() - started
+    return pictures
+
+
+# --- Comparison ---
+
+
+def figures(ours, theirs):
+    difference = np.abs(ours - theirs)
+    difference[~np.isfinite(difference)] = 1
+    mse = float((difference**2).mean())
+    return {
+        "max": float(difference.max()),
+        "mean": float(difference.mean()),
+        "psnr": round(10 * np.log10(1 / mse), 2) if mse > 0 else None,
+        "above_1e-2": int((difference.max(-1) > 1e-2).sum()),
+    }
+
+
+def over(image, background):
+    return image[..., :3] + (1 - image[..., 3:]) * background
+
+
+def compare(row, ours, theirs, background, gate):
+    """Fills `row` with figures, and says whether its gates are met."""
+    if ours[""].shape != theirs[""].shape:
+        raise RuntimeError(f"expected a picture of {ours[''].shape}, found {theirs[''].shape}")
+    at_least = lambda f, gate: gate is None or f["psnr"] is None or bool(f["psnr"] >= gate)
+    row |= figures(over(ours[""], background), over(theirs[""], background)) | {"gate": gate}
+    row["alpha"] = figures(ours[""][..., 3:], theirs[""][..., 3:])
+    row["passes"] = at_least(row, gate)
+    if "splats" in theirs and "mesh" in theirs:
+        row["layers"] = {name: figures(ours[name], theirs[name]) for name in ("splats", "mesh")}
+        row["sum_error"] = float(np.abs(theirs["splats"] + theirs["mesh"] - theirs[""])[..., :3].max())
+        row["passes"] &= all(at_least(f, gate and LAYER_GATE) for f in row["layers"].values()) and row["sum_error"] <= SUM_LIMIT
+    row["pictures"] = [report.png(p) for p in (
+        over(ours[""], background), over(theirs[""], background),
+        10 * np.abs(over(ours[""], background) - over(theirs[""], background)),
+    )]  # fmt: skip
+
+
+def check(scene, arguments, out):
+    """Rows of the table of one scene."""
+    asset = Asset(scene)
+    cameras = min(MOST_CAMERAS, sum("camera" in node for node, _ in asset.nodes()))
+    background = np.array(contract_of(asset).get("background", [0, 0, 0]), float)
+    splats = ray_model.splats_of(asset)
+    count = 0 if splats is None else len(splats[0])
+    kind = "meshes" if count == 0 else "few" if count <= FEW else "many"
+    out.mkdir(parents=True, exist_ok=True)
+    centaur = arguments.centaur
+    ours = {model: by_centaur(centaur, scene, out, model) for model in ("ray", "ewa")}
+    gate_of = lambda program: GATES[program][kind]
+    # (program, model that it is compared with, least PSNR, how it renders)
+    comparisons = []
+    reference, gate_ewa = "ray", gate_of("blender ewa")
+    if scene.stem in MINIFIED:
+        ours["ray without mips"] = by_numpy(scene, cameras, mips=False)
+        comparisons.append(("numpy without mips", "ray", None, lambda: ours["ray without mips"]))
+        reference, gate_ewa = "ray without mips", None
+    if kind != "many" or scene.stem in MINIFIED:
+        comparisons.append(("numpy", "ray", gate_of("numpy"), lambda: by_numpy(scene, cameras, mips=True)))
+    comparisons.append(("mitsuba", reference, gate_of("mitsuba"), lambda: by_mitsuba(centaur, scene, cameras, out)))
+    for python in arguments.blender_python:
+        version = run([python, "-c", "import bpy; print(bpy.app.version_string)"])[1].split()[-1]
+        for construction, model, gate in [("cap", reference, gate_of("blender cap")), ("ewa", "ewa", gate_ewa)]:
+            render = lambda python=python, c=construction: by_blender(python, c, centaur, scene, cameras, out)
+            comparisons.append((f"blender {version} {construction}", model, gate, render))
+    rows = []
+    for name, model, gate, render in comparisons:
+        try:
+            theirs, error = render(), None
+        except (RuntimeError, subprocess.TimeoutExpired, OSError) as e:
+            theirs, error = {}, str(e)
+        for i in range(cameras):
+            row = {"scene": scene.stem, "camera": i, "splats": count, "program": name, "model": model, "passes": False}
+            try:
+                if error:
+                    raise RuntimeError(error)
+                compare(row, ours[model][i][0], theirs[i][0], background, gate)
+                row["seconds"] = {"ours": round(ours[model][i][1], 2), "theirs": round(theirs[i][1], 2)}
+            except RuntimeError as e:
+                row["error"] = str(e)
+            rows.append(row)
+            print(report.line(row), flush=True)
+            if error:
+                break
+    return rows
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--centaur", type=shlex.split, required=True)
+    parser.add_argument("--scenes", type=pathlib.Path, required=True)
+    parser.add_argument("--out", type=pathlib.Path, required=True)
+    parser.add_argument("--blender-python", action="append", default=[])
+    parser.add_argument("--quick", action="store_true", help=f"leave out {', '.join(SLOW)}")
+    parser.add_argument("--only", action="append", default=[])
+    arguments = parser.parse_args()
+    scenes = sorted(arguments.scenes.glob("*.glb"))
+    scenes = [s for s in scenes if (s.stem in arguments.only or not arguments.only) and not (arguments.quick and s.stem in SLOW)]
+    if not scenes:
+        sys.exit(f"crosscheck.py: {arguments.scenes}: no scenes (.glb)")
+    started = time.time()
+    rows = [row for scene in scenes for row in check(scene, arguments, arguments.out / scene.stem)]
+    missed = [row for row in rows if not row["passes"]]
+    summary = f"{len(rows) - len(missed)} of {len(rows)} comparisons pass, {time.time() - started:.0f} s"
+    if not arguments.blender_python:
+        summary += "; Blender was not run: there is no --blender-python"
+    report.write(arguments.out, summary, rows)
+    print(summary)
+    print(arguments.out / "crosscheck.html")
+    sys.exit(1 if missed else 0)
+
+
+if __name__ == "__main__":
+    main()
