@@ -145,13 +145,16 @@ $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 
 # Our pictures beside those of other programs, pixel by pixel; the page is in out/crosscheck.
 CROSSCHECK_FLAGS ?=
-crosscheck: system $(CROSSCHECK)/installed ## compare with pictures of Mitsuba, Cycles and numpy (PyPI; Python 3.11, 4 GB)
+# --quick takes the first of BLENDERS.
+CROSSCHECK_BLENDERS = $(if $(findstring --quick,$(CROSSCHECK_FLAGS)),$(firstword $(BLENDERS)),$(BLENDERS))
+crosscheck: system $(CROSSCHECK)/installed $(BLENDERS:%=.venv-blender-%/installed) ## compare with pictures of Mitsuba, Cycles and numpy (PyPI; Python 3.11, 4 GB of disk)
 	@scripts/ensure-llvm.sh
 	@rm -rf target/crosscheck && mkdir -p target/crosscheck
 	cargo build --release --quiet
 	cargo run --release --quiet --example write_crosscheck -- target/crosscheck
 	$(if $(findstring --quick,$(CROSSCHECK_FLAGS)),,$(CENTAUR) train demo -o target/crosscheck/trained.glb $(COARSE))
-	$(CROSSCHECK)/bin/python tests/crosscheck/crosscheck.py --centaur "$(CENTAUR)" --scenes target/crosscheck --out out/crosscheck $(CROSSCHECK_FLAGS)
+	$(CROSSCHECK)/bin/python tests/crosscheck/crosscheck.py --centaur "$(CENTAUR)" --scenes target/crosscheck --out out/crosscheck \
+		$(CROSSCHECK_BLENDERS:%=--blender-python .venv-blender-%/bin/python) $(CROSSCHECK_FLAGS)
 
 crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
 	$(MAKE) crosscheck CROSSCHECK_FLAGS="--quick $(CROSSCHECK_FLAGS)"

@@ -7,7 +7,9 @@ use std::error::Error;
 use std::path::Path;
 
 use centaur::format::{self, WriteOptions};
-use centaur::scene::{Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
+use centaur::scene::{
+    Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh,
+};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
@@ -98,8 +100,9 @@ fn main() -> Result<()> {
     Ok(())
 }
 
+/// Order is by the depths at each pixel, as other programs have it.
 fn layers(layers: u32) -> Composition {
-    Composition { layers, ..Composition::default() }
+    Composition { mode: OrderMode::Direct, layers, ..Composition::default() }
 }
 
 fn linear() -> Composition {

@@ -10,7 +10,6 @@ import sys
 import numpy as np
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "oracles"))
-import composition
 from composition import KHR, View, contract_of, mesh_layers, rotations, scale_and_rotation, sh_basis
 
 
@@ -30,15 +29,7 @@ def splats_of(asset):
     return None
 
 
-def sample_finest(levels, uv, *_):
-    """In place of composition.sample: bilinear, as in programs without mip levels."""
-    return sample_trilinear(levels[:1], uv, np.zeros_like(uv), np.zeros_like(uv))
-
-
-sample_trilinear = composition.sample
-
-
-def render(asset, camera=0, mips=False, by_mean=True):
+def render(asset, camera=0, by_mean=True):
     """-> image [h, w, 4], premultiplied, without background, and its layers of splats and surfaces, likewise."""
     cameras = [n for n, _ in asset.nodes() if "camera" in n]
     kept = {id(n): n.pop("camera") for n in cameras if n is not cameras[camera]}
@@ -46,7 +37,6 @@ def render(asset, camera=0, mips=False, by_mean=True):
     for node in cameras:
         node.update({"camera": kept[id(node)]} if id(node) in kept else {})
     near = contract.get("near", view.znear)
-    composition.sample = sample_trilinear if mips else sample_finest
     depth, opacity, color = mesh_layers(asset, view, near, contract.get("layers", 1))
     layers = np.zeros((2, view.h, view.w, 4))
     splats = splats_of(asset)

@@ -27,7 +27,7 @@ def line(row):
     start = f"{'pass' if row['passes'] else 'MISS'}  {row['scene']}/{row['camera']}  {row['program']} ~ {row['model']}: "
     if "error" in row:
         return start + row["error"]
-    text = f"{decibels(row)} (gate {row['gate'] or 'none'}), max {row['max']:.1e}, mean {row['mean']:.1e}, {row['above_1e-2']} px above 1e-2"
+    text = f"{decibels(row)} (gate {row['gate']}), max {row['max']:.1e}, mean {row['mean']:.1e}, {row['above_1e-2']} px above 1e-2"
     text += f", alpha {decibels(row['alpha'])}"
     if "layers" in row:
         text += "".join(f", {name} {decibels(f)}" for name, f in row["layers"].items()) + f", sum {row['sum_error']:.0e}"
@@ -48,7 +48,7 @@ def cells(row):
         return [*place, row["error"]]
     layers = row.get("layers", {})
     return [
-        *place, decibels(row), f"{row['gate']} dB" if row["gate"] else "none", f"{row['max']:.1e}", f"{row['mean']:.1e}", str(row["above_1e-2"]), decibels(row["alpha"]),
+        *place, decibels(row), f"{row['gate']} dB", f"{row['max']:.1e}", f"{row['mean']:.1e}", str(row["above_1e-2"]), decibels(row["alpha"]),
         *(decibels(layers[name]) if name in layers else "" for name in ("splats", "mesh")),
         f"{row['sum_error']:.0e}" if layers else "", str(row["seconds"]["theirs"]),
     ]  # fmt: skip

@@ -13,7 +13,8 @@ It registers four plug-ins:
 * the integrator `hybrid_rf`, Centaur's image model `ray`: splats (`ellipsoidsmesh`, best twice, with two extents) have the response of their peak along the
   exact ray of a pixel, meshes (with the BSDF `hybrid_maps`) that of their maps where the ray meets them, and all are blended in
   the order of depth along that ray. There are no lights: colours are what was captured.
-* the BSDF `hybrid_maps`: maps of SH coefficients and logits of opacity, filtered before they are made colour and opacity.
+* the BSDF `hybrid_maps`: maps of SH coefficients and logits of opacity, filtered trilinearly before they are made colour and
+  opacity.
 * the sensor `hybrid_pinhole`: any focal lengths and principal point, in pixels. Its `to_world` is as that of `perspective`: the
   camera looks along +z, +x is left and +y up. Its rays have depth 1 at parameter 1, so that depths are along the view's axis.
 * the sampler `pixel_center`.
@@ -77,27 +78,59 @@ class HybridMaps(mi.BSDF):
         names = [f'map_{k:02}' for k in range(16) if f'map_{k:02}' in props]
         maps = [self.load(props[name]) for name in names]
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[len(maps)]
-        self.base = self.texture(maps[0])
-        self.bands = self.texture(np.concatenate([m[..., :3] for m in maps[1:]], axis=-1)) if len(maps) > 1 else None
+        self.base = self.levels(maps[0])
+        self.bands = self.levels(np.concatenate([m[..., :3] for m in maps[1:]], axis=-1)) if len(maps) > 1 else []
 
     @staticmethod
     def load(name):
         return np.array(mi.Bitmap(str(mi.file_resolver().resolve(name)))).astype(np.float32)
 
     @staticmethod
-    def texture(texels):
+    def levels(texels):
+        """A texture per mip level: halving while both sides are even, at most four times."""
+        levels = [texels]
+        while len(levels) < 5 and levels[-1].shape[0] % 2 == 0 and levels[-1].shape[1] % 2 == 0:
+            t = levels[-1]
+            levels.append((t[::2, ::2] + t[1::2, ::2] + t[::2, 1::2] + t[1::2, 1::2]) / 4)
         # Filtering in hardware rounds weights to 8 bits.
-        return mi.Texture2f(mi.TensorXf(texels), use_accel=False, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
+        modes = {'use_accel': False, 'filter_mode': dr.FilterMode.Linear, 'wrap_mode': dr.WrapMode.Clamp}
+        return [mi.Texture2f(mi.TensorXf(np.ascontiguousarray(t)), **modes) for t in levels]
 
-    def radiance(self, si, direction, active):
-        """Colour towards the viewer who looks along `direction`, and opacity."""
-        base = self.base.eval(si.uv, active)
-        coefficients = [*base[:3], *(self.bands.eval(si.uv, active) if self.bands else [])]
+    @staticmethod
+    def filtered(levels, uv, duv_dx, duv_dy, active):
+        """Trilinear: the level is log2 of the longer axis of the pixel's footprint, in texels."""
+        size = mi.Vector2f(levels[0].shape[1], levels[0].shape[0])
+        x, y = duv_dx * size, duv_dy * size
+        a, b, c = dr.squared_norm(x), dr.squared_norm(y), dr.dot(x, y)
+        longest = 0.5 * (a + b) + dr.sqrt(0.25 * dr.square(a - b) + dr.square(c))
+        level = dr.clip(0.5 * dr.log2(dr.maximum(longest, 1e-30)), 0, len(levels) - 1)
+        values = [mi.Float(0)] * levels[0].shape[2]
+        for i, texture in enumerate(levels):
+            weight = dr.maximum(1 - dr.abs(level - i), 0)
+            values = [v + weight * t for v, t in zip(values, texture.eval(uv, active & (weight > 0)))]
+        return values
+
+    def radiance(self, si, direction, pixel, active):
+        """Colour towards the viewer who looks along `direction`, and opacity. `pixel`: how `direction` changes per pixel, to the
+        right and down; the finest level is taken where it is None."""
+        duv = [self.duv(si, direction, step) if pixel else mi.Vector2f(0) for step in pixel or (None, None)]
+        base = self.filtered(self.base, si.uv, *duv, active)
+        coefficients = [*base[:3], *(self.filtered(self.bands, si.uv, *duv, active) if self.bands else [])]
         alpha = dr.minimum(dr.rcp(1 + dr.exp(-base[3])), MAX_SURFACE_ALPHA)
-        return sh_color(coefficients, direction, self.degree), alpha
+        return sh_color(coefficients, dr.normalize(direction), self.degree), alpha
+
+    @staticmethod
+    def duv(si, direction, step):
+        """Change of UV where the surface is met, per `step` of the ray's direction; `si.t` is along `direction`, from the camera."""
+        n, u, v = si.n, si.dp_du, si.dp_dv
+        move = si.t * (step - direction * (dr.dot(n, step) / dr.dot(n, direction)))
+        uu, uv, vv, um, vm = dr.dot(u, u), dr.dot(u, v), dr.dot(v, v), dr.dot(u, move), dr.dot(v, move)
+        inverse = dr.rcp(uu * vv - uv * uv)
+        change = mi.Vector2f((vv * um - uv * vm) * inverse, (uu * vm - uv * um) * inverse)
+        return dr.select(dr.isfinite(inverse), change, 0)
 
     def eval_null_transmission(self, si, active=True):
-        return mi.Spectrum(1 - self.radiance(si, dr.normalize(-si.to_world(si.wi)), active)[1])
+        return mi.Spectrum(1 - self.radiance(si, -si.to_world(si.wi), None, active)[1])
 
     def to_string(self):
         return f'HybridMaps[degree = {self.degree}]'
@@ -126,6 +159,10 @@ class HybridPinhole(mi.Sensor):
         local = mi.Vector3f((self.center[0] - x) / self.focal[0], (self.center[1] - y) / self.focal[1], 1)
         direction = mi.Matrix3f(self.pose[:3, :3].tolist()) @ local
         return mi.Ray3f(mi.Point3f(self.pose[:3, 3].tolist()), direction, time, mi.Color0f()), mi.Color3f(1)
+
+    def per_pixel(self):
+        """What is added to the direction of a ray from one pixel to the next, to the right and down."""
+        return [(-self.pose[:3, axis] / self.focal[axis]).tolist() for axis in range(2)]
 
     def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
@@ -173,8 +210,10 @@ class HybridRF(mi.SamplingIntegrator):
         self.linear = props.get('output', 'linear') == 'linear'
         self.slots = props.get('slots', 64)
         self.aovs = props.get('aovs', True)
-        # Of the camera: how far behind it rays begin, and where it looks.
-        self.back, self.forward = 0.0, None
+        # Of the camera: how far behind it rays begin, where it looks, and how rays change per pixel, to the right and down.
+        self.back, self.forward, self.pixel = 0.0, None, None
+        # Of a splat, the next of those in its place, in a ring; None where each is alone.
+        self.twins = None
 
     def aov_names(self):
         if not self.aovs:
@@ -187,7 +226,9 @@ class HybridRF(mi.SamplingIntegrator):
         film, sampler = sensor.film(), sensor.sampler()
         pose = np.array(sensor.world_transform().matrix).reshape(4, 4)
         self.back = self.reach_behind(scene, pose[:3, 3])
+        self.twins = self.rings(scene, pose[:3, 3])
         self.forward = (pose[:3, 2] / np.linalg.norm(pose[:3, 2])).tolist()
+        self.pixel = sensor.per_pixel() if isinstance(sensor, HybridPinhole) else None
         film.prepare(self.aov_names())
         width, height = film.crop_size()
         index = dr.arange(mi.UInt32, width * height)
@@ -206,6 +247,35 @@ class HybridRF(mi.SamplingIntegrator):
         if not develop:
             return mi.TensorXf()
         return film.develop()
+
+    @staticmethod
+    def rings(scene, eye):
+        """Shells that a ray enters within a rounding error of each other are met once, not twice; so it is with the clones that
+        density control leaves in one place. Whoever lies in one cell of a ten-thousandth of the distance is taken for one;
+        to be looked at without need costs nothing but time."""
+        clouds = [np.array(mi.traverse(s)['data']).reshape(-1, 10) for s in scene.shapes() if s.is_ellipsoids()]
+        if not clouds or not all(np.array_equal(clouds[0], cloud) for cloud in clouds[1:]):
+            return None
+        centers = clouds[0][:, :3].astype(np.float64)
+        cell = 1e-4 * np.median(np.linalg.norm(centers - eye, axis=1)) + 1e-30
+        group = np.arange(len(centers))
+        # The second grid is for those that a wall of the first comes between.
+        for shift in (0, 0.5, 0, 0.5):
+            x, y, z = np.floor(centers / cell + shift).astype(np.int64).T
+            _, inside = np.unique((x * 73856093) ^ (y * 19349663) ^ (z * 83492791), return_inverse=True)
+            least = np.full(inside.max() + 1, len(group))
+            np.minimum.at(least, inside, group)
+            group = least[inside]
+        order = np.argsort(group, kind='stable')
+        ends = np.append(np.diff(group[order]) != 0, True)
+        begins = np.append(True, ends[:-1])
+        if begins.all():
+            return None
+        after = np.roll(order, -1)
+        after[ends] = order[begins]
+        ring = np.empty(len(order), np.uint32)
+        ring[order] = after
+        return mi.UInt32(ring)
 
     def reach_behind(self, scene, eye):
         """How far behind the camera rays must begin to enter all shells that it is in. Back faces of shells are not met."""
@@ -255,11 +325,12 @@ class HybridRF(mi.SamplingIntegrator):
 
     def surface(self, si, direction, active):
         """Of the mesh that is met at `si`: opacity and colour."""
+        pixel = [mi.Vector3f(step) for step in self.pixel] if self.pixel else None
 
         def of(bsdf, si, direction, active):
             if not isinstance(bsdf, HybridMaps):
                 return mi.Float(0), mi.Color3f(0)
-            color, alpha = bsdf.radiance(si, dr.normalize(direction), active)
+            color, alpha = bsdf.radiance(si, direction, pixel, active)
             return alpha, color
 
         return dr.dispatch(si.bsdf(), of, si, direction, active)
@@ -282,7 +353,7 @@ class HybridRF(mi.SamplingIntegrator):
 
         start = mi.Float(-self.back)
         last_shape, last_depth = dr.zeros(mi.ShapePtr), mi.Float(-dr.inf)
-        met = mi.UInt32(0)
+        met, twin = mi.UInt32(0), mi.UInt32(SURFACE)
         transmittance, depth = mi.Float(1), mi.Float(0)
         splats, surfaces, splats_alpha, surfaces_alpha = mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0)
         active = mi.Bool(active)
@@ -294,8 +365,16 @@ class HybridRF(mi.SamplingIntegrator):
             here = dr.select(valid, start + si.t, dr.inf)
             is_splat = valid & si.shape.is_ellipsoids()
             is_surface = valid & ~si.shape.is_ellipsoids()
+            entered = mi.UInt32(si.prim_index)
+            if dr.hint(self.twins is not None, mode='scalar'):
+                # The same ray once more for every twin.
+                si.prim_index = dr.select(twin != SURFACE, twin, entered)
+                after = dr.gather(mi.UInt32, self.twins, si.prim_index, is_splat)
+                twin = dr.select(is_splat & (after != entered), after, mi.UInt32(SURFACE))
             peak, alpha, color = self.splat(si, origin, direction, is_splat)
-            surface_alpha, surface_color = self.surface(si, direction, is_surface)
+            met_at = mi.SurfaceInteraction3f(si)
+            met_at.t = here
+            surface_alpha, surface_color = self.surface(met_at, direction, is_surface)
 
             is_new = is_surface & (here > self.near) & ~((si.shape == last_shape) & (here - last_depth <= EDGE * here))
             is_new &= met < self.surfaces
@@ -309,11 +388,11 @@ class HybridRF(mi.SamplingIntegrator):
             is_full = mi.Bool(is_new & (waiting == slots))
             go = mi.Bool((nearest < here) | is_full)
             while go:
-                nearest, first, i = mi.Float(dr.inf), mi.UInt32(0), mi.UInt32(0)
+                nearest, first, i, least = mi.Float(dr.inf), mi.UInt32(0), mi.UInt32(0), mi.UInt32(SURFACE)
                 while i < top:
-                    # A splat is in front of a surface at its depth.
-                    if (depths[i] < nearest) | ((depths[i] == nearest) & (names[i] != SURFACE)):
-                        nearest = depths[i]
+                    # At equal depths by number, and splats in front of surfaces.
+                    if (depths[i] < nearest) | ((depths[i] == nearest) & (names[i] < least)):
+                        nearest, least = depths[i], names[i]
                         first = mi.UInt32(i)
                     i += 1
                 go = (nearest < here) | is_full
@@ -351,7 +430,7 @@ class HybridRF(mi.SamplingIntegrator):
                 top = dr.maximum(top, slot + 1)
                 waiting += 1
 
-            start = dr.select(valid, here + dr.maximum(STEP * dr.abs(here), 1e-9), start)
+            start = dr.select(valid & (twin == SURFACE), here + dr.maximum(STEP * dr.abs(here), 1e-9), start)
             # What is behind changes no picture of 32-bit floats.
             active &= valid & (transmittance > 1e-8)
 

@@ -83,9 +83,6 @@ fn hybrid_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String
         let mode = scene.composition.mode.name();
         notes.push(format!("splats and surfaces are in the order of depth along every ray, not by the mode `{mode}`"));
     }
-    if !scene.meshes.is_empty() {
-        notes.push("maps are filtered without mip levels: surfaces smaller than their texels alias".to_owned());
-    }
     notes.extend(shared_notes(scene, cameras));
     notes
 }

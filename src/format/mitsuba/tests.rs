@@ -100,7 +100,7 @@ fn a_hybrid_scene_is_whole() {
     assert!(direction.abs_diff_eq(camera().rotation().transpose() * ray, 1e-12));
     assert!(to_world.transform_point3(DVec3::ZERO).abs_diff_eq(camera().center(), 1e-12));
     assert!(report.loss.composition && report.loss.meshes == 0 && report.loss.cameras == 0);
-    assert!(report.notes.iter().any(|note| note.contains("mip levels")), "{:?}", report.notes);
+    assert!(report.notes.iter().any(|note| note.contains("mode `surfaceConsistent`")), "{:?}", report.notes);
 }
 
 #[test]
