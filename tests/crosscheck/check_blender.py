@@ -113,19 +113,20 @@ def check_script(centaur, glb, folder):
     run([*centaur, "convert", glb, script])
     python = [sys.executable, script]
     for construction in ("ewa", "cap", "shell"):
-        run([*python, "--construction", construction, "--render", folder / f"{construction}.exr", "--layers"])
+        run([*python, "--construction", construction, "--render", folder / f"{construction}.exr"])
+    run([*python, "--render", folder / "layers.exr", "--layers", "--what", "all"])
     close = inside("compare", folder / "ewa.exr", folder / "cap.exr")["psnr"]
     assert close > 25, f"ewa and cap differ by more than models do: {close:.1f} dB"
     moved = (folder / "elsewhere").resolve()
     moved.mkdir(exist_ok=True)
-    (moved / "scene.blend.py").write_text(script.read_text())
+    (moved / script.name).write_text(script.read_text())
     for arguments, code, message in [
         ([script, "--render", "/nowhere/a.exr"], 1, "/nowhere/a.exr: cannot write: /nowhere is no folder"),
         ([script, "--save", folder], 1, "a folder of this name exists"),
         ([script, "--render", "a.tif"], 2, "expected a name that ends in .exr or .png"),
         ([script, "--camera", "99"], 1, "--camera: expected 0 to "),
         ([script, "--camera", "path"], 1, "expected --path"),
-        ([moved / "scene.blend.py"], 1, "it lies beside the script where"),
+        ([moved / script.name], 1, "it lies beside the script where"),
     ]:
         error = run([sys.executable, *arguments], expect=code).stderr
         assert message in error and "Traceback" not in error, f"{arguments}: {error}"
@@ -138,7 +139,7 @@ def check_parts(centaur, glb, folder):
     run([*centaur, "convert", glb, folder / "splats.ply"])
     run([*centaur, "convert", folder / "splats.ply", folder / "bare.blend.py"])
     run([sys.executable, folder / "bare.blend.py", "--render", folder / "bare.png"])
-    run([*centaur, "convert", glb, folder / "mesh.blend.py", "--min-opacity", "1.1"])
+    run([*centaur, "convert", glb, folder / "mesh.blend.py", "--min-opacity", "1"])
     run([sys.executable, folder / "mesh.blend.py", "--render", folder / "mesh.exr", "--layers", "--save", folder / "mesh.blend"])
     print("scenes without meshes and cameras, and without splats: render")
 

@@ -89,11 +89,11 @@ class Graph:
             return self.math("ADD", low, self.math("MULTIPLY", is_high, self.math("SUBTRACT", high, low)))
         return self.join(*map(channel, self.split(color)))
 
-    def finish(self, color, alpha):
+    def finish(self, color, alpha, target="ALL"):
         group = self.node("ShaderNodeGroup", node_tree=surface_group())
         self.link(color, group.inputs["Color"])
         self.link(alpha, group.inputs["Alpha"])
-        self.link(group.outputs[0], self.node("ShaderNodeOutputMaterial").inputs["Surface"])
+        self.link(group.outputs[0], self.node("ShaderNodeOutputMaterial", target=target).inputs["Surface"])
 
 
 def surface_group():
@@ -144,7 +144,19 @@ def ewa_material(name):
     return material
 
 
-def ray_material(name, coefficients, decode, is_shell):
+def from_camera(g):
+    """The vector from the camera to the surface, in the scene."""
+    place = g.node("ShaderNodeVectorTransform", vector_type="POINT", convert_from="CAMERA", convert_to="OBJECT")
+    place.inputs[0].default_value = (0.0, 0.0, 0.0)
+    return g.vector("SUBTRACT", g.node("ShaderNodeTexCoord").outputs["Object"], place.outputs[0])
+
+
+def beyond(g, alpha, depth, near):
+    """Alpha, 0 for depths up to `near`."""
+    return g.math("MULTIPLY", alpha, g.math("GREATER_THAN", depth, near))
+
+
+def ray_material(name, coefficients, decode, is_shell, near):
     """Alpha from the smallest Mahalanobis distance on the ray. `coefficients` of SH to evaluate, 0 for colours as given."""
     material, g = new_material(name)
     position = g.node("ShaderNodeTexCoord").outputs["Object"]
@@ -157,6 +169,9 @@ def ray_material(name, coefficients, decode, is_shell):
     response = g.math("EXPONENT", g.math("MULTIPLY", g.vector("DOT_PRODUCT", peak, peak), -0.5))
     opacity = g.node("ShaderNodeAttribute", attribute_name="opacity", attribute_type="GEOMETRY").outputs["Fac"]
     alpha = within(g, g.math("MULTIPLY", opacity, response), ALPHA_CAP, ALPHA_CUT)
+    # The peak lies t behind the hit.
+    behind = g.math("ADD", 1.0, g.math("DIVIDE", t, g.vector("LENGTH", from_camera(g))))
+    alpha = beyond(g, alpha, g.math("MULTIPLY", g.node("ShaderNodeCameraData").outputs["View Z Depth"], behind), near)
     if is_shell:
         back = g.node("ShaderNodeNewGeometry").outputs["Backfacing"]
         alpha = g.math("MULTIPLY", alpha, g.math("SUBTRACT", 1.0, back))
@@ -194,14 +209,14 @@ def footprint(g):
 
     with the surface at v from the camera and the camera's axis X, a pixel moves it by depth/fx · (X - v (n·X)/(n·v)).
     """
-    def in_scene(vector, kind):
-        turn = g.node("ShaderNodeVectorTransform", vector_type=kind, convert_from="CAMERA", convert_to="OBJECT")
-        g.link(vector, turn.inputs[0])
-        return turn.outputs[0]
+    def in_scene(vector):
+        turn = g.node("ShaderNodeVectorTransform", vector_type="VECTOR", convert_from="CAMERA", convert_to="OBJECT")
+        turn.inputs[0].default_value = vector
+        return g.vector("NORMALIZE", turn.outputs[0])
 
-    along = g.vector("SUBTRACT", g.node("ShaderNodeTexCoord").outputs["Object"], in_scene((0.0, 0.0, 0.0), "POINT"))
+    along = from_camera(g)
     normal, gradients = g.attribute("face_normal"), [g.attribute("gradient_u"), g.attribute("gradient_v")]
-    axes = [g.vector("NORMALIZE", in_scene(axis, "VECTOR")) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    axes = [in_scene(axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     depth = g.math("ABSOLUTE", g.vector("DOT_PRODUCT", along, axes[2]))
     facing = g.vector("DOT_PRODUCT", normal, along)
     focal = g.node("ShaderNodeGroup", node_tree=pixel_group()).outputs
@@ -226,7 +241,7 @@ def level_of_detail(g, moved, size, levels):
     return g.math("MINIMUM", g.math("MAXIMUM", level, 0.0), float(levels - 1))
 
 
-def mesh_material(name, maps, decode):
+def mesh_material(name, maps, decode, near):
     """`maps`: of every SH coefficient the images of its mip levels, with the logit of opacity in the first one's alpha.
 
     They hold what is before activation, and are interpolated before it.
@@ -245,12 +260,13 @@ def mesh_material(name, maps, decode):
                             for m in range(len(images))]
         return weights[key][level]
 
-    colors, logit = [], None
+    colors, logit, finest = [], None, None
     for images in maps:
         color = None
         for level, image in enumerate(images):
             node = g.node("ShaderNodeTexImage", image=image, interpolation="Linear", extension="EXTEND")
             g.link(uv, node.inputs[0])
+            finest = finest or node
             part, alpha = node.outputs["Color"], node.outputs["Alpha"]
             if len(images) > 1:
                 part = g.vector("SCALE", part, weight(images, level))
@@ -259,8 +275,11 @@ def mesh_material(name, maps, decode):
             if images is maps[0]:
                 logit = alpha if logit is None else g.math("ADD", logit, alpha)
         colors.append(color)
-    logit = g.math("MAXIMUM", logit, -60.0)
-    alpha = g.math("DIVIDE", 1.0, g.math("ADD", 1.0, g.math("EXPONENT", g.math("MULTIPLY", logit, -1.0))))
-    color = g.harmonics(colors, g.direction("ray"))
-    g.finish(g.linear(color) if decode else color, g.math("MINIMUM", alpha, MESH_ALPHA_CAP))
+    opacity = lambda x: g.math("DIVIDE", 1.0, g.math("ADD", 1.0, g.math("EXPONENT", g.math("MULTIPLY", g.math("MAXIMUM", x, -60.0), -1.0))))
+    alpha, color = opacity(logit), g.harmonics(colors, g.direction("ray"))
+    # EEVEE has few texture units: the first map at its finest level.
+    plain = g.harmonics([finest.outputs["Color"]], (0.0, 0.0, 1.0))
+    g.finish(g.linear(plain) if decode else plain, g.math("MINIMUM", opacity(finest.outputs["Alpha"]), MESH_ALPHA_CAP), "EEVEE")
+    alpha = beyond(g, g.math("MINIMUM", alpha, MESH_ALPHA_CAP), g.node("ShaderNodeCameraData").outputs["View Z Depth"], near)
+    g.finish(g.linear(color) if decode else color, alpha, "CYCLES")
     return material

@@ -254,8 +254,8 @@ def cap(splats, view, decode, sh_direction, budget):
     toward = np.einsum("nij,nj->ni", whitening(splats), view.center - splats.mean)
     distance = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)
     limit = reach(splats.opacity)
-    # Splats behind the camera are seen only from within.
-    kept = (splats.opacity >= ALPHA_CUT) & ((ahead > 0) | (distance < limit))
+    # Of a splat behind the camera, rays may have their peak before it where it is wide.
+    kept = (splats.opacity >= ALPHA_CUT) & ((ahead > 0) | (limit > 0.02 * distance))
     order = np.flatnonzero(kept)[np.argsort(-ahead[kept], kind="stable")]
     splats, toward, distance = splats[order], toward[order], distance[order]
     angle = np.arcsin(np.minimum(limit[order] / distance, 0.9998))
