@@ -147,7 +147,7 @@ $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 CROSSCHECK_FLAGS ?=
 # --quick takes the first of BLENDERS.
 CROSSCHECK_BLENDERS = $(if $(findstring --quick,$(CROSSCHECK_FLAGS)),$(firstword $(BLENDERS)),$(BLENDERS))
-crosscheck: system $(CROSSCHECK)/installed $(BLENDERS:%=.venv-blender-%/installed) ## compare with pictures of Mitsuba, Cycles and numpy (PyPI; Python 3.11, 4 GB of disk)
+crosscheck: system $(CROSSCHECK)/installed $(CROSSCHECK_BLENDERS:%=.venv-blender-%/installed) ## compare with pictures of Mitsuba, Cycles and numpy (PyPI; Python 3.11, 4 GB of disk)
 	@scripts/ensure-llvm.sh
 	@rm -rf target/crosscheck && mkdir -p target/crosscheck
 	cargo build --release --quiet

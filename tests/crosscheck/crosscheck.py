@@ -31,6 +31,9 @@ GATES = {
     "numpy": {"meshes": 80, "few": 80, "many": 80},
 }
 LAYER_GATE = 50
+# Rays through the common edge of two triangles meet both or neither in Cycles, one or two in a picture. So many pixels with an
+# error above 0.01 are counted and left out of what Cycles' gates are held to; `psnr` is of all.
+CYCLES_EDGES = 5
 # What splats and meshes contribute must be the picture, up to this.
 SUM_LIMIT = 1e-5
 # More splats than this are many.
@@ -115,14 +118,17 @@ def by_numpy(scene, cameras):
 
 
 def figures(ours, theirs):
+    """`rest` is the PSNR of the pixels whose error is at most 0.01; None for a PSNR without error."""
     difference = np.abs(ours - theirs)
     difference[~np.isfinite(difference)] = 1
-    mse = float((difference**2).mean())
+    is_above = difference.max(-1) > 1e-2
+    psnr = lambda d: round(float(-10 * np.log10((d**2).mean())), 2) if d.any() else None
     return {
         "max": float(difference.max()),
         "mean": float(difference.mean()),
-        "psnr": round(10 * np.log10(1 / mse), 2) if mse > 0 else None,
-        "above_1e-2": int((difference.max(-1) > 1e-2).sum()),
+        "psnr": psnr(difference),
+        "rest": psnr(difference[~is_above]),
+        "above_1e-2": int(is_above.sum()),
     }
 
 
@@ -130,11 +136,12 @@ def over(image, background):
     return image[..., :3] + (1 - image[..., 3:]) * background
 
 
-def compare(row, ours, theirs, background, gate):
-    """Fills `row` with figures, and says whether its gates are met."""
+def compare(row, ours, theirs, background, gate, edges):
+    """Fills `row` with figures, and says whether its gates are met, at most `edges` pixels left out."""
     if ours[""].shape != theirs[""].shape:
         raise RuntimeError(f"expected a picture of {ours[''].shape}, found {theirs[''].shape}")
-    at_least = lambda f, gate: f["psnr"] is None or bool(f["psnr"] >= gate)
+    meets = lambda psnr, gate: psnr is None or psnr >= gate
+    at_least = lambda f, gate: meets(f["psnr"], gate) or (f["above_1e-2"] <= edges and meets(f["rest"], gate))
     row |= figures(over(ours[""], background), over(theirs[""], background)) | {"gate": gate}
     row["alpha"] = figures(ours[""][..., 3:], theirs[""][..., 3:])
     row["passes"] = at_least(row, gate)
@@ -165,7 +172,7 @@ def check(scene, arguments, out):
     if kind != "many":
         comparisons.append(("numpy", "ray", gate_of("numpy"), lambda: by_numpy(scene, cameras)))
     for python in arguments.blender_python if scene.stem not in NOT_CYCLES else []:
-        version = run([python, "-c", "import bpy; print(bpy.app.version_string)"])[1].split()[-1]
+        version = run([python, "-c", "import bpy; print('%d.%d.%d' % bpy.app.version)"])[1].split()[-1]
         for construction, model in [("cap", "ray"), ("ewa", "ewa")] if count else [("ewa", "ray")]:
             render = lambda python=python, c=construction: by_blender(python, c, centaur, scene, cameras, out)
             comparisons.append((f"blender {version} {construction}", model, gate_of(f"blender {construction}"), render))
@@ -180,7 +187,8 @@ def check(scene, arguments, out):
             try:
                 if error:
                     raise RuntimeError(error)
-                compare(row, ours[model][i][0], theirs[i][0], background, gate)
+                edges = CYCLES_EDGES if name.startswith("blender") else 0
+                compare(row, ours[model][i][0], theirs[i][0], background, gate, edges)
                 row["seconds"] = {"ours": round(ours[model][i][1], 2), "theirs": round(theirs[i][1], 2)}
             except RuntimeError as e:
                 row["error"] = str(e)

@@ -19,6 +19,9 @@ def png(image):
 
 
 def decibels(figures):
+    """PSNR of a picture, and of the rest of it where pixels are above 0.01."""
+    if figures["above_1e-2"] and figures["rest"]:
+        return f"{figures['psnr']:.1f} dB ({figures['rest']:.1f} without {figures['above_1e-2']} px)"
     return "exact" if figures["psnr"] is None else f"{figures['psnr']:.1f} dB"
 
 
