@@ -101,6 +101,9 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
+    /// What the surface is made of
+    #[arg(long, value_enum, value_name = "splats|points", default_value_t = SurfaceOf::Splats, conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
+    surface: SurfaceOf,
     /// Of --iterations, those on splats alone before the surface is fused from their depth; the rest trains splats and
     /// mesh together [default: half]
     #[arg(long, value_name = "N", help_heading = MESH)]
@@ -245,12 +248,25 @@ impl Args {
 
     fn mesh(&self) -> Result<MeshSource> {
         let Some(file) = &self.mesh else {
-            return Ok(if self.no_mesh { MeshSource::None } else { MeshSource::Splats });
+            return Ok(match (self.no_mesh, self.surface) {
+                (true, _) => MeshSource::None,
+                (false, SurfaceOf::Splats) => MeshSource::Splats,
+                (false, SurfaceOf::Points) => MeshSource::Points,
+            });
         };
         let mesh = mesh_import::read(file)?;
         let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
         Ok(MeshSource::Given { surface, corner_uvs: mesh.corner_uvs })
     }
+}
+
+/// What a surface is made of.
+#[derive(Clone, Copy, ValueEnum)]
+enum SurfaceOf {
+    /// The depth of the splats after --surface-iterations, fused
+    Splats,
+    /// The capture's points, triangulated in every view
+    Points,
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {

@@ -32,7 +32,7 @@ pub(super) fn check(
         gpu.ensure_bindable("the mesh layers of an image", 16 * (hybrid.layers as u64 + 1) * pixels)?;
     }
     gpu.ensure_bindable("the loss of an image", 48 * pixels)?;
-    let (what, bytes) = needed(&hybrid, *source == MeshSource::Splats, texture_size);
+    let (what, bytes) = needed(&hybrid, source.is_found(), texture_size);
     Ok(gpu.ensure_free(&what, bytes)?)
 }
 
@@ -46,7 +46,7 @@ fn size(
 ) -> TrainingSize {
     let triangles = match source {
         MeshSource::None => 0,
-        MeshSource::Splats => options.triangles,
+        MeshSource::Splats | MeshSource::Points => options.triangles,
         MeshSource::Given { surface, .. } => surface.triangles.len(),
     };
     let side = |of: fn(&Camera) -> u32| cameras.iter().map(of).max().unwrap_or(1) as usize;

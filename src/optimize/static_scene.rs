@@ -190,6 +190,7 @@ impl<'a> Run<'a> {
         let mesh = match mesh {
             MeshSource::None => "none".to_owned(),
             MeshSource::Splats => "splats".to_owned(),
+            MeshSource::Points => "points".to_owned(),
             MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
         };
         let identity = Identity { options, input: serde_json::json!({ "views": views, "mesh": mesh }) };
@@ -238,27 +239,29 @@ impl<'a> Run<'a> {
             self.max_splats(&[]),
             self.texture_size(),
         )?;
-        let initial = self.initial_splats()?;
-        let mut scene = HybridScene { splats: initial, meshes: vec![], composition: self.composition() };
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
-        self.hands_over = source == MeshSource::Splats;
-        let mut trained = None;
-        match (&after_surface, source) {
-            (Some(saved), _) => scene.meshes.clone_from(&saved.meshes),
-            (None, MeshSource::None) => {}
+        self.hands_over = source.is_found();
+        let of_points = source == MeshSource::Points;
+        let meshes = match (&after_surface, source) {
+            (Some(saved), _) => saved.meshes.clone(),
             (None, MeshSource::Given { surface, corner_uvs }) => {
-                scene.meshes = vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?];
+                vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?]
             }
-            (None, MeshSource::Splats) => {
-                let mut training = self.training(&scene)?;
-                if self.run_phase(&mut training, &scene, Phase::Surface, saved)? == Outcome::Interrupted {
-                    return self.finish(&training, &scene, Outcome::Interrupted);
-                }
-                scene.meshes = vec![self.find_surface(&mut training)?];
-                let state = splat_state(&training)?;
-                scene.splats = state.to_splats()?;
-                trained = Some(state);
+            (None, _) => vec![],
+        };
+        // A mesh that is there from the beginning takes its part of the budget from the beginning.
+        let splats = self.initial_splats(if self.hands_over { &[] } else { &meshes })?;
+        let mut scene = HybridScene { splats, meshes, composition: self.composition() };
+        let mut trained = None;
+        if self.hands_over && after_surface.is_none() {
+            let mut training = self.training(&scene)?;
+            if self.run_phase(&mut training, &scene, Phase::Surface, saved)? == Outcome::Interrupted {
+                return self.finish(&training, &scene, Outcome::Interrupted);
             }
+            scene.meshes = vec![self.find_surface(&mut training, of_points)?];
+            let state = splat_state(&training)?;
+            scene.splats = state.to_splats()?;
+            trained = Some(state);
         }
         let mut training = self.training(&scene)?;
         if let Some(state) = trained {
@@ -293,14 +296,14 @@ impl<'a> Run<'a> {
         Ok(Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight, self.truth_alpha)?)
     }
 
-    fn initial_splats(&self) -> Result<Splats, TrainError> {
+    fn initial_splats(&self, beside: &[Mesh]) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
         let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
         Ok(if points.is_empty() {
-            let count = RANDOM_SPLATS.min(self.max_splats(&[]));
+            let count = RANDOM_SPLATS.min(self.max_splats(beside));
             initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
         } else {
-            initialize::from_points(points, o.sh_degree, initial, self.max_splats(&[]), o.seed)?
+            initialize::from_points(points, o.sh_degree, initial, self.max_splats(beside), o.seed)?
         })
     }
 

@@ -28,6 +28,9 @@ pub enum MeshSource {
     /// Splats are trained first and their median depths fused (METHODS 6).
     #[default]
     Splats,
+    /// Splats are trained first all the same, to judge the surface; it is made of the points that the training views see
+    /// ([`geometry::surface_from_points`]).
+    Points,
     /// The user's; unwrapped if it has no texture coordinates.
     Given {
         /// Geometry in the capture's world frame.
@@ -35,6 +38,13 @@ pub enum MeshSource {
         /// UV of every corner, v downwards, `[F]`.
         corner_uvs: Option<Vec<[Vec2; 3]>>,
     },
+}
+
+impl MeshSource {
+    /// Whether splats are trained before there is a mesh, and handed over to it.
+    pub(super) fn is_found(&self) -> bool {
+        matches!(self, Self::Splats | Self::Points)
+    }
 }
 
 /// A surface of trained splats: their median depths from all cameras of a capture, fused. Of the photographs only alpha

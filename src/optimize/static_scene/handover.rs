@@ -2,14 +2,25 @@
 
 use super::{Run, arrays, splat_state, squared_error};
 use crate::{
+    geometry::{self, PointView},
     optimize::{TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{Camera, HybridScene, Mesh},
 };
 
 impl<'a> Run<'a> {
-    /// Fuses the median depths of the splats as they are.
-    pub(super) fn find_surface(&mut self, training: &mut Training) -> Result<Mesh, TrainError> {
+    /// Fuses the median depths of the splats as they are, or triangles of the points that the training views see.
+    pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
+        if of_points {
+            let view = |&i: &usize| {
+                let view = &self.capture.views[i];
+                PointView { camera: view.camera, sees: view.sees.clone() }
+            };
+            let views: Vec<PointView> = self.train.iter().map(view).collect();
+            let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
+            let (surface, _) = geometry::surface_from_points(&views, &points, self.options.triangles)?;
+            return surface::textured(surface, None, self.options, self.texture_size());
+        }
         let points: Vec<_> = if self.capture.points.len() < 100 {
             splat_state(training)?.to_splats()?.means().to_vec()
         } else {

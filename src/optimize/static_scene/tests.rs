@@ -41,7 +41,7 @@ fn with_run<T>(options: &TrainOptions, test: impl FnOnce(&mut Run, &mut Training
     let mut run = Run::new(&capture, options, &square(), session).unwrap();
     let MeshSource::Given { surface, corner_uvs } = square() else { unreachable!() };
     let mesh = surface::textured(surface, corner_uvs, options, 64).unwrap();
-    let splats = run.initial_splats().unwrap();
+    let splats = run.initial_splats(&[]).unwrap();
     let scene = HybridScene { splats, meshes: vec![mesh], composition: run.composition() };
     let mut training = run.training(&scene).unwrap();
     test(&mut run, &mut training, &scene)
@@ -60,6 +60,19 @@ fn error_with(geometry: bool, at: usize, value: f32) -> TrainError {
             .and_then(|outcome| run.finish(training, scene, outcome))
             .unwrap_err()
     })
+}
+
+/// Also where the mesh is there before the splats are, and where its surface is made of points.
+#[test]
+fn floats_stay_within_their_budget() {
+    let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    let options = TrainOptions { max_floats: Some(60_000), ..options() };
+    for source in [square(), MeshSource::Points, MeshSource::Splats, MeshSource::None] {
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let scene = train(&capture, source.clone(), &options, session).unwrap().scene;
+        assert!(scene.total_floats() <= 60_000, "{source:?}: {}", scene.total_floats());
+        assert!(scene.total_floats() > 40_000, "{source:?}: {}", scene.total_floats());
+    }
 }
 
 #[test]
