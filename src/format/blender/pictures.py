@@ -13,7 +13,7 @@ def settle(decode):
     render.use_persistent_data = False
     render.use_lock_interface = True  # splats are rebuilt while animations are rendered
     cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
-    cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
+    cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", 0.01
     cycles.seed = 0
     # Without the second, paths end at random behind many surfaces.
     cycles.transparent_max_bounces = cycles.min_transparent_bounces = 1024

@@ -254,12 +254,13 @@ def cap(splats, view, decode, sh_direction, budget):
     toward = np.einsum("nij,nj->ni", whitening(splats), view.center - splats.mean)
     distance = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)
     limit = reach(splats.opacity)
-    # Of a splat behind the camera, rays may have their peak before it where it is wide.
-    kept = (splats.opacity >= ALPHA_CUT) & ((ahead > 0) | (limit > 0.02 * distance))
+    kept = (splats.opacity >= ALPHA_CUT) & (ahead > view.near)
     order = np.flatnonzero(kept)[np.argsort(-ahead[kept], kind="stable")]
     splats, toward, distance = splats[order], toward[order], distance[order]
-    angle = np.arcsin(np.minimum(limit[order] / distance, 0.9998))
-    # Facets of side h lie up to h²/8 beside the surface, relative to the distance.
+    # Angles a as asinh(tan a): alike where they are small; where the camera is within a splat, depths, which go with cos a,
+    # fall evenly in their logarithms. Facets of side h lie up to h²/8 beside the surface, relative to the distance.
+    sine = np.minimum(limit[order] / distance, 1 - 1e-9)
+    angle = np.arcsinh(sine / np.sqrt(1 - sine**2))
     for error in 10.0 ** np.arange(-6, 0, 0.1):
         count = np.clip(np.ceil(angle / np.sqrt(8 * error)), 1, 32).astype(int)
         if 6 * (count**2).sum() <= budget:
@@ -274,8 +275,8 @@ def cap(splats, view, decode, sh_direction, budget):
     for k in np.unique(count):
         these = count == k
         radii, angles, faces = rings(int(k))
-        outer = np.arctan(np.tan(angle[these]) / np.cos(np.pi / (6 * k)))
-        theta = outer[:, None] * radii
+        outer = np.arcsinh(np.sinh(angle[these]) / np.cos(np.pi / (6 * k)))
+        theta = np.arctan(np.sinh(outer[:, None] * radii))
         phi = angles + turn[these][:, None]
         d = distance[these][:, None]
         across, along = d * np.sin(theta) * np.cos(theta), d * np.sin(theta) ** 2
