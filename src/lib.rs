@@ -12,5 +12,6 @@ pub mod format;
 pub mod geometry;
 pub mod metrics;
 pub mod optimize;
+pub mod path;
 pub mod render;
 pub mod scene;

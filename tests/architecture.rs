@@ -6,13 +6,14 @@
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
-const MAY_IMPORT: [(&str, &[&str]); 8] = [
+const MAY_IMPORT: [(&str, &[&str]); 9] = [
     ("scene", &[]),
     ("capture", &["scene"]),
     ("edit", &["scene"]),
     ("format", &["scene"]),
     ("geometry", &["scene"]),
     ("metrics", &["scene"]),
+    ("path", &["scene"]),
     ("render", &["scene", "geometry"]),
     ("optimize", &["scene", "capture", "geometry", "metrics", "render"]),
 ];

@@ -44,7 +44,8 @@ fn wrong_usage_is_exit_code_2() {
 #[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
-    let commands = ["train", "eval", "render", "convert", "inspect", "validate", "mesh", "devices"].map(of_command);
+    let commands =
+        ["train", "eval", "render", "cameras", "convert", "inspect", "validate", "mesh", "devices"].map(of_command);
     for args in [vec!["--help"], vec!["--version"]].into_iter().chain(commands) {
         let output = centaur(&args);
         assert_eq!(output.status.code(), Some(0), "{args:?}");

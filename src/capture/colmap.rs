@@ -109,11 +109,12 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     })
 }
 
-/// Frames and points of the model in `folder`, with the images in `root/<images folder>`, and the file that lists them.
+/// Frames and points of the model in `folder`, with the images in `root/<images folder>`, and the file that lists them. Unless
+/// they are wanted, points are not read, nor which of them a frame sees.
 pub(super) fn load(
     root: &Path,
     folder: &Path,
-    options: &LoadOptions,
+    (options, wants_points): (&LoadOptions, bool),
 ) -> Result<(Vec<Frame>, Vec<Point>, PathBuf), CaptureError> {
     let binary = folder.join("cameras.bin").is_file();
     let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
@@ -122,18 +123,21 @@ pub(super) fn load(
         let expected = "an images file beside rigs and frames; export the model again with COLMAP's model_converter";
         return Err(CaptureError::invalid(folder, "COLMAP model", expected, "frames only"));
     }
-    let (cameras, images, PointRecords { points, tracks }) = if binary {
+    let (cameras, images) = if binary {
         (
             colmap_binary::cameras(&super::error::read(&cameras_file)?, &cameras_file)?,
             colmap_binary::images(&super::error::read(&images_file)?, &images_file)?,
-            colmap_binary::points(&super::error::read(&points_file)?, &points_file)?,
         )
     } else {
         (
             colmap_text::cameras(&super::error::read_text(&cameras_file)?, &cameras_file)?,
             colmap_text::images(&super::error::read_text(&images_file)?, &images_file)?,
-            colmap_text::points(&super::error::read_text(&points_file)?, &points_file)?,
         )
+    };
+    let PointRecords { points, tracks } = match (wants_points, binary) {
+        (false, _) => PointRecords::default(),
+        (true, true) => colmap_binary::points(&super::error::read(&points_file)?, &points_file)?,
+        (true, false) => colmap_text::points(&super::error::read_text(&points_file)?, &points_file)?,
     };
     if cameras.is_empty() {
         return Err(CaptureError::invalid(&cameras_file, "cameras", "at least one camera", "none"));
@@ -181,6 +185,7 @@ fn frames(
             name: image.name,
             mask: None,
             lens: *lens,
+            has_size: true,
             rotation: DMat3::from_quat(rotation),
             translation: DVec3::from(image.translation),
             held_out: None,

@@ -4,6 +4,7 @@
 //! of time and in parallel. Every view leaves here as an ideal pinhole: lens distortion is taken out on decoding.
 
 mod cache;
+mod cameras;
 mod colmap;
 mod colmap_binary;
 mod colmap_text;
@@ -16,6 +17,7 @@ mod views;
 use std::path::Path;
 
 pub use cache::PhotoCache;
+pub use cameras::{Cameras, cameras};
 pub use distortion::{Distortion, Lens};
 pub use error::CaptureError;
 pub use images::{ImageSource, Photo, decode};
@@ -143,7 +145,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     let (frames, points, list) = if !folder {
         (transforms::load(root, &[(path.into(), None)], options)?, vec![], path.into())
     } else if let Some(model) = colmap::find_model(path) {
-        colmap::load(path, &model, options)?
+        colmap::load(path, &model, (options, true))?
     } else {
         let files = transforms::find(path);
         let Some((first, _)) = files.first() else {

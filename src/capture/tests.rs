@@ -325,7 +325,7 @@ proptest! {
         let _ = colmap_text::cameras(&text, path);
         let _ = colmap_text::images(&text, path);
         let _ = colmap_text::points(&text, path);
-        let _ = transforms::parse(&text, path, path, None, &LoadOptions::default());
+        let _ = transforms::parse(&text, path, path, None, (&LoadOptions::default(), true));
     }
 
     #[test]

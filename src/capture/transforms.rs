@@ -23,12 +23,15 @@ struct Transforms {
     #[serde(default)]
     val_filenames: Vec<String>,
     train_filenames: Option<Vec<String>>,
+    fps: Option<f64>,
 }
 
 #[derive(Deserialize)]
 struct FrameFields {
     #[serde(flatten)]
     lens: LensFields,
+    /// May be absent where no photograph is needed.
+    #[serde(default)]
     file_path: String,
     mask_path: Option<String>,
     transform_matrix: Vec<[f64; 4]>,
@@ -77,7 +80,7 @@ pub(super) fn load(
 ) -> Result<Vec<Frame>, CaptureError> {
     let mut frames = Vec::new();
     for (path, held_out) in files {
-        frames.extend(parse(&error::read_text(path)?, path, root, *held_out, options)?);
+        frames.extend(parse(&error::read_text(path)?, path, root, *held_out, (options, true))?.0);
     }
     Ok(frames)
 }
@@ -87,33 +90,42 @@ fn plain(name: &str) -> &str {
     name.strip_prefix("./").unwrap_or(name)
 }
 
-/// The frames of one file's text.
+/// The frames of one file's text, and how many there are a second if it says so. Without `photographs`, names need not be
+/// those of files in the capture.
 pub(super) fn parse(
     text: &str,
     path: &Path,
     root: &Path,
     held_out: Option<bool>,
-    options: &LoadOptions,
-) -> Result<Vec<Frame>, CaptureError> {
+    (options, photographs): (&LoadOptions, bool),
+) -> Result<(Vec<Frame>, Option<f64>), CaptureError> {
     let file: Transforms = serde_json::from_str(text).map_err(|e| {
         let place = format!("line {} column {}", e.line(), e.column());
         CaptureError::invalid(path, place, "a transforms.json with frames", e.to_string())
     })?;
     let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty();
     let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
-    file.frames
+    let frames = file
+        .frames
         .par_iter()
         .map(|fields| {
             let name = plain(&fields.file_path);
-            let image = find_image(root, inside(path, name)?, options);
+            let image = match (inside(path, name), photographs) {
+                (Ok(name), _) => find_image(root, name, options),
+                (Err(e), true) => return Err(e),
+                // The name is only a name.
+                (Err(_), false) => PathBuf::new(),
+            };
             let mask = match &fields.mask_path {
-                Some(mask) => Some(root.join(inside(path, plain(mask))?)),
-                None => None,
+                Some(mask) if photographs => Some(root.join(inside(path, plain(mask))?)),
+                _ => None,
             };
             let (rotation, translation) = world_to_camera(&fields.transform_matrix)
                 .ok_or_else(|| CaptureError::invalid(path, name, "a 4×4 transform_matrix", "fewer rows"))?;
+            let has = |side: fn(&LensFields) -> Option<f64>| side(&fields.lens).or(side(&file.lens)).is_some();
             Ok(Frame {
                 lens: lens(&fields.lens, &file.lens, path, name, &image)?,
+                has_size: has(|l| l.w) && has(|l| l.h),
                 name: name.to_owned(),
                 image,
                 mask,
@@ -123,7 +135,8 @@ pub(super) fn parse(
                 sees: vec![],
             })
         })
-        .collect()
+        .collect::<Result<_, CaptureError>>()?;
+    Ok((frames, file.fps))
 }
 
 /// The file of an image: another folder for `images` if asked for, a suffix if the name has none.
@@ -145,7 +158,7 @@ fn find_image(root: &Path, name: &Path, options: &LoadOptions) -> PathBuf {
 }
 
 /// Inverts a camera→world matrix in OpenGL axes (x right, y up, z back).
-fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
+pub(super) fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
     let [a, b, c, ..] = rows else { return None };
     let column = |i: usize| DVec3::new(a[i], b[i], c[i]);
     let rotation = DMat3::from_cols(column(0), -column(1), -column(2)).transpose();

@@ -19,6 +19,8 @@ pub(super) struct Frame {
     pub(super) mask: Option<PathBuf>,
     /// At the size the files declare.
     pub(super) lens: Lens,
+    /// Whether they do; else the image does, or nothing.
+    pub(super) has_size: bool,
     /// World→camera.
     pub(super) rotation: DMat3,
     /// World→camera.
@@ -112,8 +114,8 @@ fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
 }
 
 /// Looks at the image's header and settles size, orientation and camera.
-fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, CaptureError> {
-    let Frame { name, image, mask, lens, rotation, translation, held_out, sees } = frame;
+pub(super) fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, CaptureError> {
+    let Frame { name, image, mask, lens, has_size: _, rotation, translation, held_out, sees } = frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
     // Poses are those of the upright picture, unless only the stored one fits: COLMAP reads files without turning.

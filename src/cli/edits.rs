@@ -201,12 +201,12 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     parsed.ok_or_else(|| format!("expected {N} numbers separated by commas"))
 }
 
-fn finite<const N: usize>(text: &str) -> Result<[f64; N], String> {
+pub(super) fn finite<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let numbers = numbers(text)?;
     if numbers.iter().all(|n| n.is_finite()) { Ok(numbers) } else { Err("expected finite numbers".to_owned()) }
 }
 
-fn point(text: &str) -> Result<DVec3, String> {
+pub(super) fn point(text: &str) -> Result<DVec3, String> {
     finite(text).map(DVec3::from_array)
 }
 
@@ -229,7 +229,7 @@ fn sphere(text: &str) -> Result<Volume, String> {
     }
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|n: &f64| *n > 0.0 && n.is_finite()).ok_or_else(|| "expected a number above 0".to_owned())
 }
 

@@ -1,5 +1,6 @@
 //! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
 
+mod cameras;
 mod convert;
 mod devices;
 mod edits;
@@ -12,6 +13,7 @@ mod render;
 mod shared;
 mod train;
 mod validate;
+mod video;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;
@@ -32,6 +34,7 @@ enum Command {
     Train(Box<train::Args>),
     Eval(eval::Args),
     Render(render::Args),
+    Cameras(Box<cameras::Args>),
     Convert(Box<convert::Args>),
     Inspect(inspect::Args),
     Validate(validate::Args),
@@ -45,6 +48,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Cameras(args) => cameras::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Validate(args) => validate::run(&args),

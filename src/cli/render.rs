@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
-use centaur::format::{self, Channel, ExrCompression, ExrHeader, SampleType, gltf, read_scene};
+use centaur::format::{self, Channel, DEFAULT_FPS, ExrCompression, ExrHeader, ReadOptions, SampleType, read_file};
 use centaur::metrics::to_rgb8;
 use centaur::render::contract::{ImageModel, ShDirection};
 use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Renderer};
@@ -12,13 +12,16 @@ use image::Rgb32FImage;
 
 use super::eval::write_png;
 use super::output;
-use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs};
+use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs, SamplingArgs};
+use super::video;
 
 const EXAMPLES: &str = "\
 Examples:
   centaur render garden.glb -o frames
   centaur render garden.glb --cameras captures/garden --downscale 4 -o frames
-  centaur render garden.glb --cameras orbit/transforms.json --format exr -o frames
+  centaur render garden.glb --cameras shot/transforms.json --format exr -o frames
+  centaur render garden.glb --cameras orbit.glb -o frames --video orbit.mp4
+  centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 --max-side 1280 -o frames
   centaur render garden.glb --layers --exr-type half -o layers
   centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
 
@@ -37,15 +40,24 @@ pub(super) struct Args {
     /// Scene to render: .glb or .gltf, or splats alone in any format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// `embedded` (cameras in the scene's file), or a capture: its folder or a transforms*.json
-    #[arg(long, value_name = "embedded|CAPTURE", default_value = "embedded")]
+    /// `embedded` (cameras in the scene's file), or a file or folder that has some
+    ///
+    /// A capture or COLMAP model (folder), nerfstudio's `transforms*.json` or `camera_path.json`; photographs are not needed
+    /// where the size of images is stated. Or a .glb, .gltf, .usda, .usdc or .usdz: cameras that are animated, by themselves or by
+    /// what they hang on, are rendered frame by frame. `centaur cameras` makes such files.
+    #[arg(long, value_name = "embedded|PATH", default_value = "embedded")]
     cameras: PathBuf,
+    #[command(flatten)]
+    sampling: SamplingArgs,
     /// Folder for the pictures, named after the cameras
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Kind of picture [default: png, with --layers exr]
     #[arg(long, value_enum)]
     format: Option<Format>,
+    /// Make a film of the PNG pictures, in order, by the `ffmpeg` on PATH: H.264, 4:2:0
+    #[arg(long, value_name = "FILE.mp4", value_parser = |text: &str| output::with_extension(text, &["mp4"]))]
+    video: Option<PathBuf>,
     #[command(flatten)]
     look: LookArgs,
     #[command(flatten)]
@@ -151,18 +163,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
         args.look.model == Model::Ray || args.look.sh_direction == Direction::Mean,
         "--sh-direction ray needs --model ray: projected splats have one colour each"
     );
+    ensure!(
+        args.video.is_none() || !(args.look.layers || args.format == Some(Format::Exr)),
+        "--video is made of PNG pictures: leave --format exr and --layers away"
+    );
     output::check_folder(&args.output)?;
-    let (scene, cameras): (_, Vec<(String, Camera)>) = if args.cameras == Path::new("embedded") {
-        let has_none = || format!("{}: holds no cameras: say --cameras CAPTURE", args.scene.display());
-        let is_ply = args.scene.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
-        ensure!(!is_ply, has_none());
-        let file = gltf::read(&args.scene)?;
-        ensure!(!file.cameras.is_empty(), has_none());
-        (file.scene, file.cameras)
+    let file = read_file(&args.scene, &ReadOptions::default())?;
+    let source = if args.cameras == Path::new("embedded") {
+        ensure!(!file.cameras.is_empty(), "{}: holds no cameras: say --cameras PATH", args.scene.display());
+        &args.scene
     } else {
-        let capture = args.loading.open(&args.cameras)?;
-        (read_scene(&args.scene)?, capture.views.into_iter().map(|v| (v.name, v.camera)).collect())
+        &args.cameras
     };
+    let shot = args.loading.cameras(source, &args.sampling.sampling())?.in_frame(file.y_up);
+    let (scene, cameras) = (file.scene, shot.cameras);
+    args.video.as_deref().map_or(Ok(()), |path| video::check(path, &cameras))?;
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
     let mut renderer = AnyRenderer::new(&gpu, &scene, &poses, &args.look)?;
@@ -188,10 +203,23 @@ pub(super) fn run(args: &Args) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    if args.messages.json {
-        return output::print_json(&serde_json::json!({ "pictures": written, "adapter": gpu.adapter() }));
+    let fps = shot.fps.unwrap_or(DEFAULT_FPS);
+    if let Some(path) = &args.video {
+        video::write(path, &written, fps)?;
     }
-    output::print(&format!("{}: {} pictures", args.output.display(), written.len()))
+    if args.messages.json {
+        let mut outcome = serde_json::json!({ "pictures": written, "adapter": gpu.adapter(), "notes": shot.notes });
+        if let Some(path) = &args.video {
+            outcome["video"] = serde_json::json!(path);
+        }
+        return output::print_json(&outcome);
+    }
+    let mut lines = vec![format!("{}: {} pictures", args.output.display(), written.len())];
+    if let Some(path) = &args.video {
+        lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), written.len() as f64 / fps));
+    }
+    lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", source.display())));
+    output::print(&lines.join("\n"))
 }
 
 /// The fast renderer where it draws what is asked for.

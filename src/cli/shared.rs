@@ -3,8 +3,9 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use anyhow::{Context as _, Result};
-use centaur::capture::{self, Capture, Downscale, LoadOptions};
+use anyhow::{Context as _, Result, ensure};
+use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
+use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::{Gpu, Picture};
 use image::Rgb32FImage;
 
@@ -12,12 +13,12 @@ use image::Rgb32FImage;
 #[derive(clap::Args)]
 #[command(next_help_heading = "Capture")]
 pub(super) struct CaptureArgs {
-    /// Divide both sides of the photographs by this (bicubic, antialiased)
+    /// Divide both sides of the photographs, or of what is rendered, by this (bicubic, antialiased)
     ///
     /// Mip-NeRF 360 tables use 4 outdoors and 2 indoors.
     #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
     downscale: Option<u32>,
-    /// Shrink photographs whose longer side has more pixels than this
+    /// Shrink photographs, or what is rendered, whose longer side has more pixels than this
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=16384))]
     max_side: Option<u32>,
     /// Folder with the images, relative to the capture, such as `images_4` [default: images]
@@ -30,13 +31,65 @@ pub(super) struct CaptureArgs {
 
 impl CaptureArgs {
     pub(super) fn open(&self, path: &Path) -> Result<Capture> {
+        Ok(capture::open(path, &self.options())?)
+    }
+
+    fn options(&self) -> LoadOptions {
         let downscale = match (self.downscale, self.max_side) {
             (Some(n), _) => Downscale::Factor(n),
             (None, Some(n)) => Downscale::MaxSide(n),
             (None, None) => Downscale::Full,
         };
-        Ok(capture::open(path, &LoadOptions { downscale, images: self.images.clone(), masks: self.masks })?)
+        LoadOptions { downscale, images: self.images.clone(), masks: self.masks }
     }
+
+    /// Cameras of a capture, a scene or a path, with or without photographs.
+    pub(super) fn cameras(&self, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        read_cameras(path, sampling, &self.options())
+    }
+}
+
+/// Which cameras of a file are used.
+#[derive(clap::Args)]
+pub(super) struct SamplingArgs {
+    /// Only the camera of this name [default: those that move, else all]
+    #[arg(long, value_name = "NAME")]
+    camera: Option<String>,
+    /// Frames a second, at which cameras that move are read [default: what the file states, else 30]
+    #[arg(long, value_name = "N", value_parser = frame_rate)]
+    fps: Option<f64>,
+}
+
+impl SamplingArgs {
+    pub(super) fn sampling(&self) -> Sampling<'_> {
+        Sampling { fps: self.fps, only: self.camera.as_deref() }
+    }
+}
+
+/// Frames a second.
+pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
+    let rate: Option<f64> = text.parse().ok();
+    rate.filter(|n| (0.001..=1000.0).contains(n)).ok_or_else(|| "expected a number from 0.001 to 1000".to_owned())
+}
+
+/// Cameras of a capture (a folder or `.json`), or of a glTF or USD file.
+pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadOptions) -> Result<CameraFile> {
+    let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    if !(is_json || path.is_dir()) {
+        let mut file = format::read_cameras(path, sampling)?;
+        for (_, camera) in &mut file.cameras {
+            let (width, height) = options.downscale.size(camera.intrinsics().width, camera.intrinsics().height);
+            *camera = camera.resized(width, height);
+        }
+        file.fps = file.fps.or(sampling.fps);
+        return Ok(file);
+    }
+    let Cameras { mut cameras, fps } = capture::cameras(path, options)?;
+    if let Some(only) = sampling.only {
+        cameras.retain(|(name, _)| name == only);
+        ensure!(!cameras.is_empty(), "{}: expected a camera called {only}, found none", path.display());
+    }
+    Ok(CameraFile { cameras, fps: sampling.fps.or(fps), y_up: None, notes: vec![] })
 }
 
 /// How much is said, and to whom.

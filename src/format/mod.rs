@@ -5,6 +5,7 @@ mod activation;
 mod atomic;
 mod blender;
 mod blocks;
+mod cameras;
 mod error;
 mod exchange;
 mod exr;
@@ -30,6 +31,9 @@ mod validate;
 use std::path::Path;
 
 pub use atomic::{atomic_write, atomic_write_with};
+pub use cameras::{
+    CameraFile, DEFAULT_FPS, Sampling, WRITABLE_CAMERAS, read_cameras, write_cameras, write_cameras_with_scene,
+};
 pub use error::{FormatError, Location};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};

@@ -16,9 +16,11 @@ mod lift;
 mod material;
 mod meshes;
 pub(super) mod meshopt;
+mod motion;
 mod pose;
 mod read;
 mod remainder;
+mod shot;
 mod sizes;
 mod source;
 #[cfg(test)]
@@ -49,8 +51,10 @@ pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
 pub(super) use uri::resolve;
 
+use super::cameras::{CameraFile, DEFAULT_FPS, Sampling};
+use super::error::Fault;
 use super::{FormatError, SceneFile};
-use crate::scene::{Camera, HybridScene};
+use crate::scene::{Camera, Composition, HybridScene, Splats};
 
 /// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
 /// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings).
@@ -117,4 +121,31 @@ pub(super) fn read_with(path: &Path, keep: bool) -> Result<SceneFile, FormatErro
     let file = read::scene(&asset).map_err(|fault| fault.in_file(path))?;
     let source = Source::new(asset, &file.scene, &file.cameras, keep);
     Ok(SceneFile { source: Some(source), ..file })
+}
+
+/// Reads cameras alone, those that are animated frame by frame.
+pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
+    motion::cameras(&Asset::open(path)?, sampling).map_err(|fault| fault.in_file(path))
+}
+
+/// Writes cameras, which are in the frame of the capture, as one that moves.
+pub(super) fn write_cameras(path: &Path, cameras: &[(String, Camera)], fps: f64) -> Result<u64, FormatError> {
+    let composition = Composition::default();
+    let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
+    let (mut document, mut bin) = write::layout(&nothing, &[], None);
+    shot::append(&mut document, &mut bin, cameras, fps, composition.near);
+    container::write(path, document, &bin)
+}
+
+/// Writes the document of a glTF again, with cameras added as one that moves.
+pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
+    let file = read_with(scene, true)?;
+    let Some(source) = &file.source else {
+        return Err(Fault::whole("a glTF document", "another file").in_file(scene));
+    };
+    let (mut document, mut bin) = source.document(&file.scene, &file.cameras);
+    let shown = cameras.clone().in_frame(file.y_up);
+    let near = file.scene.composition.near;
+    shot::append(&mut document, &mut bin, &shown.cameras, shown.fps.unwrap_or(DEFAULT_FPS), near);
+    container::write(path, document, &bin)
 }

@@ -45,14 +45,15 @@ pub(super) fn is_ours(document: &gltf::Document) -> bool {
     document.nodes().any(|node| is_our_root(&node))
 }
 
-fn is_our_root(node: &gltf::Node<'_>) -> bool {
+pub(super) fn is_our_root(node: &gltf::Node<'_>) -> bool {
     let marked = node.extras().as_ref().is_some_and(|extras| {
         serde_json::from_str::<serde_json::Value>(extras.get()).is_ok_and(|v| v.get(EXTRAS).is_some())
     });
     node.name() == Some(ROOT_NODE) && marked
 }
 
-fn local(node: &gltf::Node<'_>) -> DMat4 {
+/// Where a node puts what is in it, in its parent.
+pub(super) fn local(node: &gltf::Node<'_>) -> DMat4 {
     match node.transform() {
         Transform::Matrix { matrix } => DMat4::from_cols_array_2d(&matrix.map(|column| column.map(f64::from))),
         Transform::Decomposed { translation, rotation, scale } => DMat4::from_scale_rotation_translation(

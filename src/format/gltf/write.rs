@@ -16,7 +16,7 @@ use super::extension::{
 use crate::format::activation;
 use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, color, sh};
 
-const FLOAT: u32 = 5126;
+pub(super) const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
@@ -247,39 +247,9 @@ impl<'a> Layout<'a> {
 
     /// A camera and its node; returns the node.
     fn camera(&mut self, name: &str, camera: &Camera, near: f32) -> usize {
-        let k = camera.intrinsics();
-        let exact = ExactCamera {
-            width: k.width,
-            height: k.height,
-            fx: k.fx,
-            fy: k.fy,
-            cx: k.cx,
-            cy: k.cy,
-            rotation: camera.rotation().transpose().to_cols_array(),
-            translation: camera.translation().to_array(),
-        };
-        let (width, height) = (f64::from(k.width), f64::from(k.height));
-        self.cameras.push(json!({
-            "name": name,
-            "type": "perspective",
-            "perspective": {
-                "yfov": 2.0 * (height / (2.0 * k.fy)).atan(),
-                "aspectRatio": (width * k.fy) / (height * k.fx),
-                "znear": near,
-            },
-            "extras": { EXTRAS: exact },
-        }));
-        let index = self.cameras.len() - 1;
-        // glTF cameras look along −z with y up; ours along +z with y down.
-        let to_world = camera.rotation().transpose() * DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, -1.0));
-        let rotation = DQuat::from_mat3(&to_world).normalize();
-        let translation = camera.center().to_array();
-        self.node(json!({
-            "name": name,
-            "camera": index,
-            "rotation": rotation.to_array(),
-            "translation": translation,
-        }))
+        let (camera, node) = camera_and_node(name, camera, near, self.cameras.len());
+        self.cameras.push(camera);
+        self.node(node)
     }
 
     /// The whole document and the binary chunk. glTF forbids empty arrays, so they are left out.
@@ -319,6 +289,45 @@ impl<'a> Layout<'a> {
         }
         (document, self.bin)
     }
+}
+
+/// A camera, which will have this index, and its node.
+pub(super) fn camera_and_node(name: &str, camera: &Camera, near: f32, index: usize) -> (Value, Value) {
+    let k = camera.intrinsics();
+    let exact = ExactCamera {
+        width: k.width,
+        height: k.height,
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx,
+        cy: k.cy,
+        rotation: camera.rotation().transpose().to_cols_array(),
+        translation: camera.translation().to_array(),
+    };
+    let (width, height) = (f64::from(k.width), f64::from(k.height));
+    let optics = json!({
+        "name": name,
+        "type": "perspective",
+        "perspective": {
+            "yfov": 2.0 * (height / (2.0 * k.fy)).atan(),
+            "aspectRatio": (width * k.fy) / (height * k.fx),
+            "znear": near,
+        },
+        "extras": { EXTRAS: exact },
+    });
+    let node = json!({
+        "name": name,
+        "camera": index,
+        "rotation": node_rotation(camera).to_array(),
+        "translation": camera.center().to_array(),
+    });
+    (optics, node)
+}
+
+/// glTF cameras look along −z with y up; ours along +z with y down.
+pub(super) fn node_rotation(camera: &Camera) -> DQuat {
+    let to_world = camera.rotation().transpose() * DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, -1.0));
+    DQuat::from_mat3(&to_world).normalize()
 }
 
 /// A mesh with one UV per vertex.

@@ -1,5 +1,11 @@
 //! A USD layer as plain data: what a `.usda` says, before it means anything.
 
+use std::borrow::Cow;
+
+use glam::{DMat4, DQuat};
+
+use crate::format::placed::similarity;
+
 /// A layer: everything in one file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Layer {
@@ -208,6 +214,19 @@ fn size_of(digit: &str) -> Option<usize> {
 }
 
 impl Layer {
+    /// Puts time samples in the order of their times, as [`Prim::value_at`] needs them.
+    pub(super) fn sort_samples(&mut self) {
+        let mut prims: Vec<&mut Prim> = self.prims.iter_mut().collect();
+        while let Some(prim) = prims.pop() {
+            for property in &mut prim.properties {
+                if let PropertyKind::Attribute { samples, .. } = &mut property.kind {
+                    samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+                }
+            }
+            prims.extend(&mut prim.children);
+        }
+    }
+
     pub(super) fn field(&self, name: &str) -> Option<&Value> {
         field(&self.metadata, name)
     }
@@ -283,6 +302,29 @@ impl Prim {
         value.as_ref().or_else(first).filter(|v| **v != Value::Blocked)
     }
 
+    /// Values of an attribute by time code.
+    pub(super) fn samples(&self, name: &str) -> &[(f64, Value)] {
+        match self.property(name).map(|p| &p.kind) {
+            Some(PropertyKind::Attribute { samples, .. }) => samples,
+            _ => &[],
+        }
+    }
+
+    /// The value of an attribute at a time code, samples being sorted: held before the first and after the last, between
+    /// two linear where it is of numbers, along the shorter arc where these are rotations.
+    pub(super) fn value_at(&self, name: &str, time: f64) -> Option<Cow<'_, Value>> {
+        let PropertyKind::Attribute { type_name, samples, .. } = &self.property(name)?.kind else { return None };
+        let after = samples.partition_point(|(at, _)| *at <= time);
+        let found = match (after.checked_sub(1).map(|i| &samples[i]), samples.get(after)) {
+            (None, None) => return self.value(name).map(Cow::Borrowed),
+            (None, Some((_, only))) | (Some((_, only)), None) => Cow::Borrowed(only),
+            (Some((start, first)), Some((end, second))) => {
+                between(type_name, first, second, (time - start) / (end - start))
+            }
+        };
+        Some(found).filter(|v| **v != Value::Blocked)
+    }
+
     /// Where an attribute takes its value from.
     pub(super) fn connection(&self, name: &str) -> Option<&str> {
         let PropertyKind::Attribute { connections, .. } = &self.property(name)?.kind else { return None };
@@ -294,6 +336,34 @@ impl Prim {
         let PropertyKind::Relationship { targets } = &self.property(name)?.kind else { return None };
         targets.as_ref()?.1.first().map(String::as_str)
     }
+}
+
+/// A value from `first`, at u = 0, to `second`, at 1; `first` throughout where there is nothing between them.
+fn between<'a>(type_name: &str, first: &'a Value, second: &Value, u: f64) -> Cow<'a, Value> {
+    let (Some(a), Some(b)) = (first.as_numbers(), second.as_numbers()) else { return Cow::Borrowed(first) };
+    if u == 0.0 || a.len() != b.len() || matches!(first, Value::Integers(_)) {
+        return Cow::Borrowed(first);
+    }
+    let linear = || a.iter().zip(&b).map(|(a, b)| a + (b - a) * u).collect();
+    let matrix = |values: &[f64]| <[f64; 16]>::try_from(values).ok().map(|all| DMat4::from_cols_array(&all));
+    let numbers = match (type_name, &a[..], &b[..]) {
+        ("quath" | "quatf" | "quatd", &[w, x, y, z], &[w1, x1, y1, z1]) => {
+            let q = DQuat::from_xyzw(x, y, z, w).slerp(DQuat::from_xyzw(x1, y1, z1, w1), u);
+            vec![q.w, q.x, q.y, q.z]
+        }
+        // USD blends entries, which would shrink what turns; a camera that is turned stays a camera.
+        ("matrix4d", a, b) => match (matrix(a).and_then(similarity), matrix(b).and_then(similarity)) {
+            (Some(a), Some(b)) => {
+                let scale = glam::DVec3::splat(a.scale + (b.scale - a.scale) * u);
+                let rotation = a.rotation.slerp(b.rotation, u);
+                let between = a.translation.lerp(b.translation, u);
+                DMat4::from_scale_rotation_translation(scale, rotation, between).to_cols_array().to_vec()
+            }
+            _ => linear(),
+        },
+        _ => linear(),
+    };
+    Cow::Owned(Value::Doubles(numbers))
 }
 
 impl Property {

@@ -182,7 +182,8 @@ fn material(name: &str, color: &str, opacity: &str) -> Prim {
     material
 }
 
-fn view(name: &str, identifier: &str, camera: &Camera, near: f32) -> Prim {
+/// A camera, whose prim has this name.
+pub(super) fn view(name: &str, identifier: &str, camera: &Camera, near: f32) -> Prim {
     let mut prim = Prim::new("Camera", identifier);
     if name != identifier {
         prim.metadata.push(Field { edit: None, name: "displayName".to_owned(), value: Value::text(name) });

@@ -28,6 +28,7 @@ mod names;
 mod package;
 mod parse;
 mod print;
+mod shot;
 mod splats;
 mod stage;
 mod surfaces;
@@ -41,6 +42,7 @@ mod xform;
 
 use std::path::Path;
 
+use super::cameras::{CameraFile, Sampling};
 use super::error::{Fault, read_file};
 use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange};
 use crate::scene::{Camera, HybridScene};
@@ -92,6 +94,22 @@ pub fn write(
     }
     bytes += atomic_write_with(path, |out| print::print(&export.layer, out))?;
     Ok((bytes, export.files.into_iter().map(|(name, _)| name).collect()))
+}
+
+/// Reads cameras alone, those that move frame by frame.
+pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
+    let read = |file| -> Result<CameraFile, Fault> {
+        let (bytes, _) = package::open(file, path)?;
+        let layer = if bytes.starts_with(binary::MAGIC) { binary::parse(&bytes)? } else { parse::parse(&bytes)? };
+        shot::read(layer, sampling)
+    };
+    read(read_file(path)?).map_err(|fault| fault.in_file(path))
+}
+
+/// Writes cameras, which are in the frame of the capture, as one that moves.
+pub(super) fn write_cameras(path: &Path, cameras: &[(String, Camera)], fps: f64) -> Result<u64, FormatError> {
+    let layer = shot::layer(cameras, fps);
+    atomic_write_with(path, |out| print::print(&layer, out))
 }
 
 /// True if a file that begins with `start` is a layer, as text or not, or a package of one.

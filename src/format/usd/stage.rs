@@ -1,5 +1,6 @@
 //! The prims of a layer by path, and typed access to their attributes.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
@@ -10,6 +11,8 @@ pub(super) struct Stage<'a> {
     pub(super) prims: Vec<&'a Prim>,
     pub(super) parents: Vec<Option<usize>>,
     children: HashMap<(Option<usize>, &'a str), usize>,
+    /// Time code at which [`Self::value`] looks; `None`: no time, where defaults are before samples.
+    pub(super) time: Option<f64>,
 }
 
 /// Connections that are followed before the value is held to be nowhere.
@@ -27,7 +30,7 @@ pub(super) enum Source<'a> {
 
 impl<'a> Stage<'a> {
     pub(super) fn new(layer: &'a Layer) -> Self {
-        let mut stage = Self { prims: vec![], parents: vec![], children: HashMap::new() };
+        let mut stage = Self { prims: vec![], parents: vec![], children: HashMap::new(), time: None };
         let mut stack: Vec<(Option<usize>, &Prim)> = layer.prims.iter().rev().map(|p| (None, p)).collect();
         while let Some((parent, prim)) = stack.pop() {
             let id = stage.prims.len();
@@ -37,6 +40,14 @@ impl<'a> Stage<'a> {
             stack.extend(prim.children.iter().rev().map(|child| (Some(id), child)));
         }
         stage
+    }
+
+    /// The value of an attribute at [`Self::time`].
+    pub(super) fn value(&self, prim: usize, name: &str) -> Option<Cow<'a, Value>> {
+        match self.time {
+            None => self.prims[prim].value(name).map(Cow::Borrowed),
+            Some(time) => self.prims[prim].value_at(name, time),
+        }
     }
 
     pub(super) fn path(&self, prim: usize) -> String {
@@ -115,7 +126,7 @@ impl<'a> Stage<'a> {
 
     /// `N` numbers of a single value.
     pub(super) fn numbers<const N: usize>(&self, prim: usize, name: &str) -> Option<[f64; N]> {
-        self.prims[prim].value(name)?.as_numbers()?.try_into().ok()
+        self.value(prim, name)?.as_numbers()?.try_into().ok()
     }
 
     pub(super) fn number(&self, prim: usize, name: &str) -> Option<f64> {

@@ -33,7 +33,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     let to_world = units(layer, &mut notes)?;
     let root = contract_prim(&stage);
     let composition = composition(&stage, root, &mut notes)?;
-    let is_ours = root.is_some_and(|root| stage.text(root, names::FRAME) == Some(names::CAPTURE));
+    let is_ours = is_ours(&stage);
     let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
     let mut materials = Materials { place, space: composition.color_space };
     let mut left_out = Counts::default();
@@ -68,12 +68,12 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None })
 }
 
-fn display_name(prim: &Prim) -> String {
+pub(super) fn display_name(prim: &Prim) -> String {
     field(&prim.metadata, "displayName").and_then(Value::as_text).unwrap_or(&prim.name).to_owned()
 }
 
 /// From the layer's units and axes to metres and y up.
-fn units(layer: &Layer, notes: &mut Vec<String>) -> Result<DMat4, Fault> {
+pub(super) fn units(layer: &Layer, notes: &mut Vec<String>) -> Result<DMat4, Fault> {
     let scale = match layer.field("metersPerUnit").map(Value::as_number) {
         None => {
             notes.push("metersPerUnit is not stated: lengths are taken as they are".to_owned());
@@ -88,6 +88,11 @@ fn units(layer: &Layer, notes: &mut Vec<String>) -> Result<DMat4, Fault> {
         Some(other) => return Err(Fault::pointer("/upAxis", "Y or Z", format!("`{other}`"))),
     };
     Ok(if scale == 1.0 { turn } else { DMat4::from_scale(DVec3::splat(scale)) * turn })
+}
+
+/// Whether the layer is a capture's world, turned.
+pub(super) fn is_ours(stage: &Stage<'_>) -> bool {
+    contract_prim(stage).is_some_and(|root| stage.text(root, names::FRAME) == Some(names::CAPTURE))
 }
 
 /// The prim that states the rule of blending.
@@ -135,7 +140,7 @@ fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) 
 }
 
 /// All prims that are drawn, with their transforms to the world and the materials that they inherit.
-fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Counts) -> Result<Vec<Placed>, Fault> {
+pub(super) fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Counts) -> Result<Vec<Placed>, Fault> {
     let mut states: Vec<Option<(DMat4, Option<usize>)>> = Vec::with_capacity(stage.prims.len());
     let mut drawn = vec![];
     for (i, prim) in stage.prims.iter().enumerate() {
@@ -181,7 +186,7 @@ fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
 
 /// What is not taken over, by kind.
 #[derive(Default)]
-struct Counts(BTreeMap<String, usize>);
+pub(super) struct Counts(BTreeMap<String, usize>);
 
 impl Counts {
     fn add(&mut self, what: &str) {

@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::document::Value;
+use super::document::{Prim, Value};
 use super::stage::Stage;
 use crate::format::error::Fault;
 
@@ -23,7 +23,7 @@ pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fau
             Some(attribute) => (true, attribute),
             None => (false, name),
         };
-        let values = stage.prims[prim].value(attribute).and_then(Value::as_numbers).unwrap_or_default();
+        let values = stage.value(prim, attribute).and_then(|v| v.as_numbers()).unwrap_or_default();
         let kind = attribute.split(':').nth(1).unwrap_or_default();
         let step = operation(kind, &values).filter(DMat4::is_finite).ok_or_else(|| {
             let found = format!("{} numbers", values.len());
@@ -36,6 +36,15 @@ pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fau
         return Err(Fault::pointer(at(), "a finite transform", "numbers that are not"));
     }
     Ok((transform, resets))
+}
+
+/// Names of the attributes that say how a prim lies in its parent.
+pub(super) fn attributes(prim: &Prim) -> impl Iterator<Item = &str> {
+    let order = match prim.value("xformOpOrder") {
+        Some(Value::List(order)) => &order[..],
+        _ => &[],
+    };
+    order.iter().filter_map(Value::as_text).map(|name| name.strip_prefix("!invert!").unwrap_or(name))
 }
 
 /// One operation on column vectors. Angles are in degrees.

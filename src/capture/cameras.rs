@@ -1,0 +1,250 @@
+//! Posed cameras alone, with or without the photographs: what is rendered from, not what is learned from.
+
+use std::cmp::Ordering;
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use super::views::{self, Frame};
+use super::{CaptureError, LoadOptions, colmap, error, transforms};
+use crate::scene::{Camera, Intrinsics};
+
+/// Cameras in the order in which they are shown.
+#[derive(Clone, Debug)]
+pub struct Cameras {
+    /// At least one, with their names.
+    pub cameras: Vec<(String, Camera)>,
+    /// How many there are a second, if they are a path that says so.
+    pub fps: Option<f64>,
+}
+
+/// Sides and pixels that an image may have, as many as the largest photographs: buffers are made for it.
+const MAX_SIDE: u32 = 1 << 16;
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// `camera_path.json` of nerfstudio's viewer.
+#[derive(Deserialize)]
+struct CameraPath {
+    camera_type: Option<String>,
+    render_width: f64,
+    render_height: f64,
+    fps: Option<f64>,
+    camera_path: Vec<Key>,
+}
+
+/// A frame of it.
+#[derive(Deserialize)]
+struct Key {
+    /// Rows; OpenGL axes.
+    camera_to_world: Vec<f64>,
+    /// Vertical, in degrees. The aspect beside it is that of the image.
+    fov: f64,
+}
+
+#[derive(Deserialize)]
+struct Probe {
+    camera_path: Option<IgnoredAny>,
+}
+
+/// Reads the cameras of a capture as [`super::open`] finds it, of a `transforms*.json` or of nerfstudio's
+/// `camera_path.json`, whose poses are in the world that nerfstudio trained in.
+///
+/// Photographs need not exist where the files state the size of the image. Where they do exist, cameras are those of
+/// [`super::open`]. Cameras are sorted by name, numbers in names by their value; those of a `camera_path.json` are in its order.
+///
+/// # Errors
+/// If a file is missing or malformed, a camera model cannot be undistorted, a pose is no rigid motion, the size of an image is
+/// not known, or there is no camera.
+pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureError> {
+    let is_folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
+    let root = if is_folder { path } else { path.parent().unwrap_or(path) };
+    if let Some(images) = &options.images {
+        views::inside(path, images)?;
+    }
+    let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
+    let (mut frames, fps, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
+        let (frames, _, list) = colmap::load(path, &model, (options, false))?;
+        (frames, None, list)
+    } else {
+        let Some((first, _)) = files.first() else {
+            let expected = "a COLMAP model (sparse/0, sparse) or a transforms*.json";
+            return Err(CaptureError::invalid(path, "capture", expected, "neither"));
+        };
+        let (mut frames, mut fps) = (vec![], None);
+        for (file, held_out) in &files {
+            let text = error::read_text(file)?;
+            if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
+                return camera_path(&text, file, options);
+            }
+            let read = transforms::parse(&text, file, root, *held_out, (options, false))?;
+            frames.extend(read.0);
+            fps = fps.or(read.1);
+        }
+        (frames, fps, first.clone())
+    };
+    for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
+        frame.name = format!("frame_{i:05}");
+    }
+    let camera = |frame: Frame| camera(frame, &list, options);
+    let mut cameras = frames.into_par_iter().map(camera).collect::<Result<Vec<_>, _>>()?;
+    cameras.sort_by(|a, b| natural(&a.0, &b.0));
+    finish(cameras, fps, &list)
+}
+
+fn finish(cameras: Vec<(String, Camera)>, fps: Option<f64>, list: &Path) -> Result<Cameras, CaptureError> {
+    if cameras.is_empty() {
+        return Err(CaptureError::invalid(list, "cameras", "at least 1", "none"));
+    }
+    if let Some(found) = fps.filter(|fps| !(*fps > 0.0 && fps.is_finite())) {
+        return Err(CaptureError::invalid(list, "fps", "a positive number", found.to_string()));
+    }
+    Ok(Cameras { cameras, fps })
+}
+
+fn camera(frame: Frame, list: &Path, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
+    let invalid = |expected: &str, found: &str| CaptureError::invalid(list, frame.name.clone(), expected, found);
+    if frame.image.is_file() {
+        return views::view(frame, list, options).map(|view| (view.name, view.camera));
+    }
+    if let Some(folder) = &options.images {
+        return Err(invalid(&format!("its image in {folder}"), "no such file"));
+    }
+    if !frame.has_size {
+        return Err(invalid("its image, or its size as w and h", "neither"));
+    }
+    let camera = Camera::new(frame.lens.intrinsics, frame.rotation, frame.translation)
+        .map_err(|e| CaptureError::scene(list, &format!("image {}", frame.name), e))?;
+    sized(frame.name, &camera, list, options)
+}
+
+/// At the size that is asked for.
+fn sized(name: String, camera: &Camera, list: &Path, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
+    let (width, height) = options.downscale.size(camera.intrinsics().width, camera.intrinsics().height);
+    if width.max(height) > MAX_SIDE || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        let expected = format!("an image of at most {MAX_PIXELS} pixels");
+        return Err(CaptureError::invalid(list, name, expected, format!("{width}×{height}")));
+    }
+    Ok((name, camera.resized(width, height)))
+}
+
+fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureError> {
+    let file: CameraPath = serde_json::from_str(text).map_err(|e| {
+        let place = format!("line {} column {}", e.line(), e.column());
+        CaptureError::invalid(path, place, "a camera_path.json", e.to_string())
+    })?;
+    if let Some(model) = file.camera_type.filter(|kind| kind != "perspective") {
+        return Err(CaptureError::UnsupportedModel { path: path.into(), model });
+    }
+    let [width, height] = [file.render_width, file.render_height];
+    let camera = |(i, key): (usize, &Key)| {
+        let name = format!("frame_{i:05}");
+        let rows: Vec<[f64; 4]> = key.camera_to_world.as_chunks::<4>().0.to_vec();
+        let (rotation, translation) = transforms::world_to_camera(&rows).ok_or_else(|| {
+            let found = format!("{} numbers", key.camera_to_world.len());
+            CaptureError::invalid(path, format!("camera_path/{i}/camera_to_world"), "16 numbers", found)
+        })?;
+        let f = 0.5 * height / (0.5 * key.fov.to_radians()).tan();
+        // A float cast saturates; sizes that are no sizes are refused below.
+        let k =
+            Intrinsics { width: width as u32, height: height as u32, fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
+        let camera = Camera::new(k, rotation, translation)
+            .map_err(|e| CaptureError::scene(path, &format!("camera_path/{i}"), e))?;
+        sized(name, &camera, path, options)
+    };
+    finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, file.fps, path)
+}
+
+/// Order of names in which `frame_2` is before `frame_10`.
+fn natural(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (a, b);
+    loop {
+        let digits = |text: &str| text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+        let (i, j) = (digits(left), digits(right));
+        let order = if i > 0 && j > 0 {
+            let [x, y] = [&left[..i], &right[..j]].map(|number| number.trim_start_matches('0'));
+            (left, right) = (&left[i..], &right[j..]);
+            x.len().cmp(&y.len()).then_with(|| x.cmp(y))
+        } else {
+            let (mut x, mut y) = (left.chars(), right.chars());
+            let heads = (x.next(), y.next());
+            (left, right) = (x.as_str(), y.as_str());
+            if heads == (None, None) {
+                return a.cmp(b);
+            }
+            heads.0.cmp(&heads.1)
+        };
+        if order != Ordering::Equal {
+            return order;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+    use crate::capture::Downscale;
+
+    fn read(json: &str) -> Result<Cameras, CaptureError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        std::fs::write(&path, json).unwrap();
+        cameras(&path, &LoadOptions { downscale: Downscale::Factor(2), ..LoadOptions::default() })
+    }
+
+    #[test]
+    fn photographs_are_not_needed_where_sizes_are_stated() {
+        let matrix = "[[1, 0, 0, 4], [0, 1, 0, 5], [0, 0, 1, 6], [0, 0, 0, 1]]";
+        let frame = |name: &str| format!(r#"{{ "file_path": "{name}", "transform_matrix": {matrix} }}"#);
+        let frames = format!("[{}, {}, {}]", frame("../f_10.png"), frame("../f_9.png"), frame("../f_2.png"));
+        let lens = r#""w": 40, "h": 20, "fl_x": 30, "fps": 12.5"#;
+        let found = read(&format!(r#"{{ {lens}, "frames": {frames} }}"#)).unwrap();
+        let names: Vec<&str> = found.cameras.iter().map(|(name, _)| &name[..]).collect();
+        assert_eq!((names, found.fps), (vec!["../f_2.png", "../f_9.png", "../f_10.png"], Some(12.5)));
+        let camera = found.cameras[0].1;
+        let k = Intrinsics { width: 20, height: 10, fx: 15.0, fy: 15.0, cx: 10.0, cy: 5.0 };
+        assert_eq!((*camera.intrinsics(), camera.center()), (k, DVec3::new(4.0, 5.0, 6.0)));
+        assert_eq!(camera.rotation(), DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)));
+
+        let error = |json: &str| read(json).unwrap_err().to_string();
+        let unsized_ = error(&format!(r#"{{ "fl_x": 30, "frames": {frames} }}"#));
+        assert!(unsized_.ends_with("expected its image, or its size as w and h, found neither"), "{unsized_}");
+        let large = error(&format!(r#"{{ "fl_x": 30, "w": 1e9, "h": 9, "frames": {frames} }}"#));
+        assert!(large.contains("pixels, found 500000000×5"), "{large}");
+        assert!(error(&format!(r#"{{ {lens}, "frames": [] }}"#)).ends_with("cameras: expected at least 1, found none"));
+        let still = error(&format!(r#"{{ "fps": 0, "w": 4, "h": 4, "fl_x": 3, "frames": {frames} }}"#));
+        assert!(still.ends_with("fps: expected a positive number, found 0"), "{still}");
+    }
+
+    #[test]
+    fn camera_paths_of_nerfstudio_are_read() {
+        let path = |key: &str| {
+            format!(
+                r#"{{ "keyframes": [], "camera_type": "perspective", "render_height": 200, "render_width": 400, "fps": 24,
+                "seconds": 1, "camera_path": [{{ "camera_to_world": [0,0,1,7, 1,0,0,8, 0,1,0,9, 0,0,0,1], "fov": 90, "aspect": 2 }},
+                {key}] }}"#
+            )
+        };
+        let other = r#"{ "camera_to_world": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1], "fov": 60, "aspect": 2 }"#;
+        let found = read(&path(other)).unwrap();
+        assert_eq!((found.cameras.len(), found.fps), (2, Some(24.0)));
+        let (name, camera) = &found.cameras[0];
+        assert_eq!((&name[..], camera.center()), ("frame_00000", DVec3::new(7.0, 8.0, 9.0)));
+        // It looks along its −z, the third column: −x in the world; its y, up, is z.
+        assert!(camera.rotation().row(2).abs_diff_eq(-DVec3::X, 1e-12));
+        assert!(camera.rotation().row(1).abs_diff_eq(-DVec3::Z, 1e-12));
+        let k = camera.intrinsics();
+        assert!((k.width, k.height, k.cx, k.cy) == (200, 100, 100.0, 50.0) && (k.fx - 50.0).abs() < 1e-9);
+        assert!((found.cameras[1].1.intrinsics().fy - 50.0 * 3f64.sqrt()).abs() < 1e-9);
+
+        let error = |text: &str| read(text).unwrap_err().to_string();
+        let short = error(&path(r#"{ "camera_to_world": [1, 0], "fov": 60 }"#));
+        assert!(short.ends_with("camera_path/1/camera_to_world: expected 16 numbers, found 2 numbers"), "{short}");
+        assert!(error(&path(other).replace("perspective", "fisheye")).contains("camera model fisheye"));
+        assert!(error(&path(other).replace("\"fps\": 24", "\"fps\": -1")).contains("fps"));
+        assert!(error(r#"{ "camera_path": 3 }"#).contains("expected a camera_path.json"));
+    }
+}

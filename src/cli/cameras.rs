@@ -1,0 +1,258 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use centaur::capture::LoadOptions;
+use centaur::format::{CameraFile, DEFAULT_FPS, Sampling, WRITABLE_CAMERAS, write_cameras, write_cameras_with_scene};
+use centaur::path::{self, Around, PathError, Shot, Spline};
+use centaur::scene::Camera;
+use clap::Subcommand;
+use glam::DVec3;
+
+use super::edits::{finite, point, positive};
+use super::output;
+use super::shared::{SamplingArgs, frame_rate, read_cameras};
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur cameras orbit garden.glb -o orbit.json --frames 240 --size 1280x720
+  centaur cameras spline captures/garden -o flight.glb --keys 8 --closed
+  centaur cameras lemniscate garden.glb -o eight.usda --radius-scale 0.5
+  centaur cameras convert blender.glb -o shot.json --fps 24
+  centaur cameras orbit garden.glb -o garden-orbit.glb --with-scene
+  centaur render garden.glb --cameras orbit.json -o frames --video orbit.mp4
+
+SOURCE is a capture or COLMAP model (folder), a transforms*.json or camera_path.json, or a .glb, .gltf, .usda, .usdc or .usdz:
+a scene of Centaur holds the cameras that it was trained from. Photographs are not needed where the size of images is stated.
+
+OUT is, by its name:
+  .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera to world, with OpenGL axes
+                 (x right, y up, z backwards); `fps` besides
+  .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn about x, as in scenes of
+                 Centaur, so that both fit in Blender. Exact intrinsics are in `extras`
+  .usda          one Camera with time samples, y up likewise, frame i at time code i
+  a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in the world of SOURCE";
+
+/// Make camera paths from posed cameras, and convert them between formats
+///
+/// A path is what `centaur render --cameras` takes, and other programs open.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    kind: Kind,
+}
+
+#[derive(Subcommand)]
+enum Kind {
+    /// A circle around what the cameras look at
+    ///
+    /// Around the point nearest to all optical axes, in the plane that fits the cameras, with radius and height of the cameras on
+    /// average. Begins beside the first camera; can be looped.
+    Orbit {
+        #[command(flatten)]
+        files: FileArgs,
+        #[command(flatten)]
+        shot: ShotArgs,
+        #[command(flatten)]
+        around: AroundArgs,
+    },
+    /// A smooth flight through the cameras, at one speed
+    ///
+    /// In the order of their names (`frame_2` before `frame_10`), or of the file where it is a path.
+    Spline {
+        #[command(flatten)]
+        files: FileArgs,
+        #[command(flatten)]
+        shot: ShotArgs,
+        /// Cameras to go through, evenly picked from all in order [default: all]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+        keys: Option<u32>,
+        /// Go on from the last to the first, so that the shot can be looped
+        #[arg(long)]
+        closed: bool,
+    },
+    /// A figure of eight before the mean camera, looking at what the cameras look at
+    ///
+    /// As wide as the cameras spread across the view, at most half the distance; where they are all around, before the first of
+    /// them. Can be looped.
+    Lemniscate {
+        #[command(flatten)]
+        files: FileArgs,
+        #[command(flatten)]
+        shot: ShotArgs,
+        #[command(flatten)]
+        around: AroundArgs,
+    },
+    /// The cameras themselves, in another format
+    Convert {
+        #[command(flatten)]
+        files: FileArgs,
+        #[command(flatten)]
+        sampling: SamplingArgs,
+    },
+}
+
+#[derive(clap::Args)]
+struct FileArgs {
+    /// What has the cameras: a capture, a scene, a path
+    #[arg(value_name = "SOURCE")]
+    source: PathBuf,
+    /// File (.json, .glb, .gltf, .usda) or folder (COLMAP) to write
+    #[arg(short, long, value_name = "OUT", value_parser = writable)]
+    output: PathBuf,
+    /// Write SOURCE, a .glb or .gltf, again with the path in it: OUT is a .glb or .gltf that renders as the path
+    #[arg(long)]
+    with_scene: bool,
+    /// Print one JSON object on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(clap::Args)]
+#[command(next_help_heading = "Shot")]
+struct ShotArgs {
+    /// Number of frames
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: u32,
+    /// Frames a second
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_FPS, value_parser = frame_rate)]
+    fps: f64,
+    /// Size of the pictures in pixels [default: that of the cameras]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
+    /// Vertical field of view in degrees [default: that of the cameras; their median where they differ]
+    #[arg(long, value_name = "DEGREES", value_parser = field_of_view)]
+    fov: Option<f64>,
+}
+
+#[derive(clap::Args)]
+#[command(next_help_heading = "Path")]
+struct AroundArgs {
+    /// What to look at, in the world of SOURCE [default: the point nearest to the cameras' optical axes]
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    focus: Option<DVec3>,
+    /// Radius of the circle, half the width of the figure of eight [default: from the cameras]
+    #[arg(long, value_name = "R", value_parser = positive)]
+    radius: Option<f64>,
+    /// Height of the circle above the focus; half that of the figure of eight [default: from the cameras; a third of its width]
+    #[arg(long, value_name = "H", value_parser = number, allow_hyphen_values = true)]
+    height: Option<f64>,
+    /// Factor of the radius
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = positive)]
+    radius_scale: f64,
+    /// Factor of the height
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = number, allow_hyphen_values = true)]
+    height_scale: f64,
+}
+
+impl ShotArgs {
+    fn shot(&self) -> Shot {
+        Shot { frames: self.frames as usize, size: self.size, fov_y: self.fov.map(f64::to_radians) }
+    }
+}
+
+impl AroundArgs {
+    fn around(&self) -> Around {
+        let Self { focus, radius, height, radius_scale, height_scale } = *self;
+        Around { focus, radius, height, radius_scale, height_scale }
+    }
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    match &args.kind {
+        Kind::Orbit { files, shot, around } => {
+            files.generate(shot, |views| path::orbit(views, &around.around(), &shot.shot()))
+        }
+        Kind::Spline { files, shot, keys, closed } => {
+            let options = Spline { keys: keys.map(|n| n as usize), closed: *closed };
+            files.generate(shot, |views| path::spline(views, &options, &shot.shot()))
+        }
+        Kind::Lemniscate { files, shot, around } => {
+            files.generate(shot, |views| path::lemniscate(views, &around.around(), &shot.shot()))
+        }
+        Kind::Convert { files, sampling } => files.write(files.read(&sampling.sampling())?),
+    }
+}
+
+impl FileArgs {
+    fn read(&self, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        if is_folder(&self.output) {
+            output::check_folder(&self.output)?;
+        } else {
+            output::check_file(&self.output)?;
+        }
+        read_cameras(&self.source, sampling, &LoadOptions::default())
+    }
+
+    fn generate(&self, shot: &ShotArgs, make: impl Fn(&[Camera]) -> Result<Vec<Camera>, PathError>) -> Result<()> {
+        let source = self.read(&Sampling::default())?;
+        let views: Vec<Camera> = source.cameras.iter().map(|(_, camera)| *camera).collect();
+        let frames = match make(&views) {
+            Err(e @ (PathError::NoFocus | PathError::Outwards)) => {
+                bail!("{}: {e} (--focus X,Y,Z)", self.source.display())
+            }
+            Err(e @ PathError::NoRadius) => bail!("{}: {e} (--radius R)", self.source.display()),
+            frames => frames.with_context(|| self.source.display().to_string())?,
+        };
+        let cameras = frames.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera)).collect();
+        self.write(CameraFile { cameras, fps: Some(shot.fps), ..source })
+    }
+
+    fn write(&self, file: CameraFile) -> Result<()> {
+        let bytes = if self.with_scene {
+            write_cameras_with_scene(&self.output, &self.source, &file)?
+        } else {
+            write_cameras(&self.output, &file)?
+        };
+        let CameraFile { cameras, fps, mut notes, .. } = file;
+        let is_gltf =
+            self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
+        if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
+            notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
+        }
+        if self.json {
+            return output::print_json(&serde_json::json!({
+                "output": self.output, "frames": cameras.len(), "fps": fps, "bytes": bytes, "notes": notes,
+            }));
+        }
+        let k = cameras[0].1.intrinsics();
+        let rate = fps
+            .map_or_else(String::new, |fps| format!(", {:.1} s at {fps} frames a second", cameras.len() as f64 / fps));
+        let what = match (fps, cameras.len()) {
+            (Some(_), 1) => "1 frame".to_owned(),
+            (Some(_), n) => format!("{n} frames"),
+            (None, 1) => "1 camera".to_owned(),
+            (None, n) => format!("{n} cameras"),
+        };
+        let mut lines = vec![format!("{}: {what} of {}×{}{rate}", self.output.display(), k.width, k.height)];
+        lines.extend(notes.iter().map(|note| format!("note: {}: {note}", self.source.display())));
+        output::print(&lines.join("\n"))
+    }
+}
+
+fn is_folder(path: &Path) -> bool {
+    path.is_dir() || path.extension().is_none()
+}
+
+fn writable(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if is_folder(&path) {
+        return Ok(path);
+    }
+    output::with_extension(text, WRITABLE_CAMERAS).map_err(|e| format!("{e}, or of a folder (no extension)"))
+}
+
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let side = |text: &str| text.parse().ok().filter(|n| (1..=16384).contains(n));
+    let sides = text.split_once(['x', '×', 'X']).and_then(|(w, h)| Some([side(w)?, side(h)?]));
+    sides.ok_or_else(|| "expected width and height up to 16384, as in 1280x720".to_owned())
+}
+
+fn field_of_view(text: &str) -> Result<f64, String> {
+    let degrees: Option<f64> = text.parse().ok();
+    degrees.filter(|d| (0.1..=179.0).contains(d)).ok_or_else(|| "expected degrees from 0.1 to 179".to_owned())
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    finite(text).map(|[n]| n)
+}

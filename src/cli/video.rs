@@ -1,0 +1,128 @@
+//! A film of pictures, by ffmpeg.
+
+use std::fs::File;
+use std::io::{self, Read as _, Seek as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use centaur::scene::Camera;
+
+/// Refuses what cannot become a film before it is rendered.
+pub(super) fn check(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
+    super::output::check_file(path)?;
+    let size = |camera: &Camera| (camera.intrinsics().width, camera.intrinsics().height);
+    let mut sizes = cameras.iter().map(|(name, camera)| (name, size(camera)));
+    if let Some((_, first)) = sizes.next()
+        && let Some((name, other)) = sizes.find(|(_, size)| *size != first)
+    {
+        bail!(
+            "--video: expected pictures of one size, found {}×{} and {}×{} of {name}; --max-side or other cameras may help",
+            first.0,
+            first.1,
+            other.0,
+            other.1
+        );
+    }
+    Ok(())
+}
+
+/// Makes an H.264 film of PNG files in their order, `fps` a second. It is there whole or not at all.
+pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let named = || format!("{}: cannot write", path.display());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".centaur-");
+    // As readable as the umask allows, like any other file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let temporary = builder.tempfile_in(folder).with_context(named)?.into_temp_path();
+    let mut messages = tempfile::tempfile().with_context(named)?;
+    let spawned = Command::new("ffmpeg")
+        .args(arguments(fps))
+        .arg(&temporary)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(messages.try_clone().with_context(named)?)
+        .spawn();
+    let mut child = match spawned {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => {
+            let folder = pictures.first().and_then(|p| p.parent()).unwrap_or(Path::new("."));
+            let words: Vec<String> = arguments(fps).iter().map(|word| quoted(word)).collect();
+            bail!(
+                "{}: not made: there is no ffmpeg on PATH. The pictures are in {}; install it (apt-get install ffmpeg, \
+                 brew install ffmpeg) and run: cat {}/*.png | ffmpeg {} {}",
+                path.display(),
+                folder.display(),
+                quoted(&folder.display().to_string()),
+                words.join(" "),
+                quoted(&path.display().to_string())
+            );
+        }
+        spawned => spawned.context("ffmpeg")?,
+    };
+    let mut stdin = child.stdin.take().context("ffmpeg has no input")?;
+    let fed = pictures
+        .iter()
+        .try_for_each(|picture| -> io::Result<()> { io::copy(&mut File::open(picture)?, &mut stdin).map(drop) });
+    let fed = fed.and_then(|()| stdin.flush());
+    drop(stdin);
+    let status = child.wait().context("ffmpeg")?;
+    if !status.success() {
+        // It stops reading where it fails, and says why.
+        let mut said = String::new();
+        messages.rewind()?;
+        messages.take(1 << 16).read_to_string(&mut said).ok();
+        let reason = said.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("it does not say why");
+        bail!("{}: not made: ffmpeg: {reason}", path.display());
+    }
+    fed.context("ffmpeg")?;
+    ensure!(temporary.metadata().with_context(named)?.len() > 0, "{}: not made: ffmpeg wrote nothing", path.display());
+    temporary.persist(path).map_err(|e| e.error).with_context(named)
+}
+
+/// Everything but the output. 4:2:0 needs even sides, which a row or column of black makes; colours are those of HD video.
+fn arguments(fps: f64) -> Vec<String> {
+    let filter = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p";
+    let fps = fps.to_string();
+    let arguments = [
+        ["-loglevel", "error"],
+        ["-f", "png_pipe"],
+        ["-framerate", &fps],
+        ["-i", "-"],
+        ["-vf", filter],
+        ["-c:v", "libx264"],
+        ["-crf", "18"],
+        ["-pix_fmt", "yuv420p"],
+        ["-colorspace", "bt709"],
+        ["-color_primaries", "bt709"],
+        ["-color_trc", "bt709"],
+        ["-movflags", "+faststart"],
+        ["-f", "mp4"],
+    ];
+    arguments.iter().flatten().map(|argument| (*argument).to_owned()).chain(["-y".to_owned()]).collect()
+}
+
+/// A word as a shell reads it.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_./+=:,-".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_quoted_where_a_shell_would_read_more() {
+        assert_eq!(["a/b.mp4", "two words", "it's", ""].map(quoted), ["a/b.mp4", "'two words'", r"'it'\''s'", "''"]);
+        assert_eq!(
+            quoted(&arguments(30.0)[9]),
+            "'pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p'"
+        );
+    }
+}

@@ -1,0 +1,207 @@
+//! Cameras without a scene, in files that other programs make or read: what a shot is rendered from.
+//!
+//! | | read | written |
+//! |---|---|---|
+//! | `.glb`, `.gltf` | cameras, and their animation: translation, rotation and scale of nodes, in every interpolation | one camera that moves, y up |
+//! | `.usda`, `.usdz`, `.usdc` | cameras, and time samples of their transforms and optics | one camera that moves, y up (`.usda`) |
+//! | `.json` | by `capture::cameras` | `transforms.json` of nerfstudio: camera→world, OpenGL axes (x right, y up, z backwards) |
+//! | a folder | by `capture::cameras` | a COLMAP model as text in `sparse/0`: world→camera, OpenCV axes |
+
+mod colmap;
+#[cfg(test)]
+mod tests;
+mod transforms;
+
+use std::path::{Component, Path};
+
+use glam::{DMat3, DVec3};
+
+use super::error::Fault;
+use super::{FormatError, Kind, gltf, kind, usd};
+use crate::scene::Camera;
+
+/// Cameras in the order in which they are shown.
+#[derive(Clone, Debug)]
+pub struct CameraFile {
+    /// At least one where it has been read, with their names.
+    pub cameras: Vec<(String, Camera)>,
+    /// How many there are a second, if they are the frames of a shot.
+    pub fps: Option<f64>,
+    /// True if they are in a world with y up, as those of glTF and USD; false if they are in the frame of the capture, half a turn
+    /// about x away; `None` if nobody says, and they are in the frame of what they are shown with.
+    pub y_up: Option<bool>,
+    /// What could not be taken over exactly, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// What of a file's cameras is read.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sampling<'a> {
+    /// Frames a second of those that move; `None`: what the file states, else [`DEFAULT_FPS`].
+    pub fps: Option<f64>,
+    /// Only the camera of this name; `None`: all that move, or all where none does.
+    pub only: Option<&'a str>,
+}
+
+/// Frames a second where nothing else is stated.
+pub const DEFAULT_FPS: f64 = 30.0;
+
+/// Longest shot: an hour at 30 frames a second is 108,000.
+const MAX_FRAMES: f64 = 500_000.0;
+
+/// What a camera that moves is called in files that we write.
+pub(super) const NAME: &str = "path";
+
+/// Extensions of files that [`write_cameras`] writes; a path that has none of them is a folder for a COLMAP model.
+pub const WRITABLE_CAMERAS: &[&str] = &["json", "glb", "gltf", "usda"];
+
+impl CameraFile {
+    /// The same cameras in a world that is y up, or in the frame of the capture.
+    #[must_use]
+    pub fn in_frame(mut self, y_up: bool) -> Self {
+        if self.y_up.is_some_and(|own| own != y_up) {
+            self.cameras.iter_mut().for_each(|(_, camera)| *camera = turned(camera));
+        }
+        self.y_up = Some(y_up);
+        self
+    }
+}
+
+/// In the world after half a turn about x.
+fn turned(camera: &Camera) -> Camera {
+    let rotation = camera.rotation() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    Camera::new(*camera.intrinsics(), rotation, camera.translation()).expect("a rotation, turned, is one")
+}
+
+/// Reads the cameras of a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, whatever else is in it. One that moves becomes as
+/// many cameras as the shot has frames, from the first to the last key of what moves it.
+///
+/// # Errors
+/// If the file is none of these, cannot be read, is malformed, or has no camera, or none of the name that is asked for.
+pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
+    match kind(path)? {
+        Kind::Gltf => gltf::read_cameras(path, sampling),
+        Kind::Usd => usd::read_cameras(path, sampling),
+        other => {
+            let expected = "a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json";
+            Err(Fault::whole(expected, other.name()).in_file(path))
+        }
+    }
+}
+
+/// Writes cameras in the format of the path's extension, one of [`WRITABLE_CAMERAS`], or as a COLMAP model into a folder, which
+/// is made. Returns the bytes written.
+///
+/// # Errors
+/// If a file cannot be written.
+pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError> {
+    let fps = file.fps.unwrap_or(DEFAULT_FPS);
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    match &extension[..] {
+        "json" => transforms::write(path, &file.cameras, file.fps),
+        "glb" | "gltf" => gltf::write_cameras(path, &file.clone().in_frame(false).cameras, fps),
+        "usda" => usd::write_cameras(path, &file.clone().in_frame(false).cameras, fps),
+        _ => colmap::write(path, &file.cameras),
+    }
+}
+
+/// As [`write_cameras`], with all that is in the `.glb` or `.gltf` at `scene`, whose document is written again as it is.
+///
+/// # Errors
+/// If `path` has another extension than these, `scene` cannot be read or is something else, or the file cannot be written.
+pub fn write_cameras_with_scene(path: &Path, scene: &Path, file: &CameraFile) -> Result<u64, FormatError> {
+    let is_gltf = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
+    if !is_gltf {
+        return Err(Fault::whole("a name that ends in .glb or .gltf", path.display().to_string()).in_file(path));
+    }
+    match kind(scene)? {
+        Kind::Gltf => gltf::write_with_cameras(path, scene, file),
+        other => Err(Fault::whole("a .glb or .gltf, to which cameras can be added", other.name()).in_file(scene)),
+    }
+}
+
+/// A camera of a file: where it is when nothing moves, and the frames that it moves through.
+pub(super) struct Found {
+    pub(super) name: String,
+    pub(super) frames: Vec<Camera>,
+    /// Frames a second; `None` if it does not move.
+    pub(super) fps: Option<f64>,
+}
+
+/// What `sampling` asks for, of all that a file has; `others` are names of cameras that are no pinholes.
+pub(super) fn chosen(
+    found: Vec<Found>,
+    sampling: &Sampling<'_>,
+    y_up: bool,
+    mut notes: Vec<String>,
+) -> Result<CameraFile, Fault> {
+    let names: Vec<String> = found.iter().map(|camera| camera.name.clone()).collect();
+    let moves = found.iter().any(|camera| camera.fps.is_some());
+    let (kept, others): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|camera| match sampling.only {
+        Some(name) => camera.name == name,
+        None => camera.fps.is_some() || !moves,
+    });
+    if kept.is_empty() {
+        return Err(match sampling.only {
+            Some(name) if !names.is_empty() => {
+                let some: Vec<&str> = names.iter().take(8).map(String::as_str).collect();
+                let more = if names.len() > some.len() { ", …" } else { "" };
+                Fault::whole(format!("a camera called {name}"), format!("{}{more}", some.join(", ")))
+            }
+            _ => Fault::whole("cameras", "none that are pinholes"),
+        });
+    }
+    if sampling.only.is_none() && !others.is_empty() {
+        notes.push(format!("cameras that do not move: left out ({})", others.len()));
+    }
+    let fps = kept.iter().find_map(|camera| camera.fps);
+    let one = kept.len() == 1;
+    let mut cameras = vec![];
+    for Found { name, frames, fps } in kept {
+        let of_frame = |i: usize| match fps {
+            None => name.clone(),
+            Some(_) if one => format!("frame_{i:05}"),
+            Some(_) => format!("{name}_{i:05}"),
+        };
+        cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
+    }
+    Ok(CameraFile { cameras, fps, y_up: Some(y_up), notes })
+}
+
+/// How many frames there are from `start` to `end`, in seconds, both included. The end counts if it is a hundredth of a frame
+/// late: times are often of single precision.
+pub(super) fn frame_count(start: f64, end: f64, fps: f64) -> Result<usize, Fault> {
+    let last = ((end - start) * fps + 0.01).floor();
+    if (0.0..MAX_FRAMES).contains(&last) {
+        return Ok(last as usize + 1);
+    }
+    Err(Fault::whole(
+        format!("a shot of at most {MAX_FRAMES} frames"),
+        format!("{} seconds at {fps} a second", end - start),
+    ))
+}
+
+/// Names of pictures: relative paths in their folder, each once.
+pub(super) fn picture_names(cameras: &[(String, Camera)]) -> Vec<String> {
+    let mut taken = std::collections::HashSet::new();
+    let mut unique = |name: &str| {
+        let path = Path::new(name);
+        let is_inside = path.components().all(|part| matches!(part, Component::Normal(_))) && !name.is_empty();
+        let is_plain = is_inside && !name.contains(|c: char| c.is_control() || c.is_whitespace() || c == '\\');
+        let safe = if is_plain {
+            name.to_owned()
+        } else {
+            let safe = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' };
+            format!("_{}", name.chars().map(safe).collect::<String>().trim_matches('.'))
+        };
+        let is_picture = [".png", ".jpg", ".jpeg"].iter().any(|suffix| safe.to_lowercase().ends_with(suffix));
+        let (stem, suffix) = match safe.rfind('.').filter(|_| is_picture) {
+            Some(dot) => (&safe[..dot], &safe[dot..]),
+            None => (&safe[..], ".png"),
+        };
+        let numbered = (2..).map(|n| format!("{stem}_{n}{suffix}"));
+        let mut candidates = std::iter::once(format!("{stem}{suffix}")).chain(numbered);
+        candidates.find(|name| taken.insert(name.clone())).unwrap_or_default()
+    };
+    cameras.iter().map(|(name, _)| unique(name)).collect()
+}

@@ -1,0 +1,328 @@
+use glam::{DMat3, DVec3};
+use serde_json::json;
+
+use super::*;
+use crate::capture::{self, LoadOptions};
+use crate::format::test_scenes::{camera, random_scene};
+use crate::format::{ReadOptions, WriteOptions, read_file, validate, write_scene};
+use crate::scene::Intrinsics;
+
+/// A path with turns, of which some pass half a turn of the quaternion.
+fn shot(frames: usize, zoom: f64) -> Vec<(String, Camera)> {
+    let at = |i: usize| {
+        let t = i as f64;
+        let k = Intrinsics { width: 321, height: 200, fx: 150.25 + zoom * t, fy: 151.5, cx: 160.125, cy: 99.7 };
+        let rotation = DMat3::from_euler(glam::EulerRot::YXZ, 0.9 * t, (0.3 * t).sin(), 0.2 * t);
+        (format!("frame_{i:05}"), Camera::new(k, rotation, DVec3::new(t.sin(), 0.1 * t - 3.0, 2.0)).unwrap())
+    };
+    (0..frames).map(at).collect()
+}
+
+fn largest_difference(a: &[(String, Camera)], b: &[(String, Camera)]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let of = |(a, b): (&(String, Camera), &(String, Camera))| {
+        assert_eq!(a.1.intrinsics(), b.1.intrinsics());
+        let r = (a.1.rotation() - b.1.rotation()).to_cols_array().map(f64::abs).into_iter().fold(0.0, f64::max);
+        r.max((a.1.center() - b.1.center()).abs().max_element())
+    };
+    a.iter().zip(b).map(of).fold(0.0, f64::max)
+}
+
+fn read(path: &Path) -> CameraFile {
+    read_cameras(path, &Sampling::default()).unwrap()
+}
+
+#[test]
+fn what_is_written_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    for (frames, fps) in [(1, 24.0), (2, 30.0), (37, 29.97), (300, 60.0)] {
+        let file = CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), y_up: Some(false), notes: vec![] };
+        for (name, tolerance) in [("a.glb", 1e-5), ("a.gltf", 1e-5), ("a.usda", 1e-12)] {
+            let path = folder.path().join(name);
+            let bytes = write_cameras(&path, &file).unwrap();
+            assert_eq!(bytes, path.metadata().unwrap().len());
+            let back = read(&path);
+            assert_eq!((back.y_up, &back.notes[..]), (Some(false), &[][..]), "{name}");
+            // One frame does not move.
+            let expected = (frames > 1 || name != "a.usda").then_some(fps);
+            assert_eq!(back.fps, expected, "{name}");
+            let found = largest_difference(&file.cameras, &back.cameras);
+            assert!(found <= tolerance, "{name}, {frames} frames: {found}");
+            assert!(frames == 1 || back.cameras.iter().zip(&file.cameras).all(|(a, b)| a.0 == b.0));
+            if name != "a.usda" {
+                let faults = validate(&path).unwrap();
+                assert!(faults.findings.is_empty(), "{:?}", faults.findings);
+            }
+            // Twice as many frames a second are twice as many, but for the last.
+            let twice = read_cameras(&path, &Sampling { fps: Some(2.0 * fps), only: None }).unwrap();
+            assert!(frames == 1 || twice.cameras.len() == 2 * frames - 1, "{name}: {}", twice.cameras.len());
+        }
+        for name in ["a.json", "model"] {
+            let path = folder.path().join(name);
+            write_cameras(&path, &file).unwrap();
+            let back = capture::cameras(&path, &LoadOptions::default()).unwrap();
+            assert_eq!(back.fps, (name == "a.json").then_some(fps));
+            assert!(largest_difference(&file.cameras, &back.cameras) < 1e-12, "{name}");
+            assert!(back.cameras[0].0 == "frame_00000.png");
+        }
+    }
+}
+
+#[test]
+fn lenses_may_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: Some(false), notes: vec![] };
+    let at = |name: &str| {
+        let path = folder.path().join(name);
+        write_cameras(&path, &file).unwrap();
+        path
+    };
+    let (gltf, usd) = (read(&at("a.glb")), read(&at("a.usda")));
+    // glTF has no animation of lenses: a camera each.
+    assert_eq!((gltf.fps, usd.fps), (None, Some(10.0)));
+    assert!(largest_difference(&file.cameras, &gltf.cameras) < 1e-6);
+    assert!(largest_difference(&file.cameras, &usd.cameras) < 1e-6);
+    for name in ["a.json", "model"] {
+        let back = capture::cameras(&at(name), &LoadOptions::default()).unwrap();
+        assert!(largest_difference(&file.cameras, &back.cameras) < 1e-12, "{name}");
+    }
+}
+
+#[test]
+fn frames_of_reference_are_kept_where_files_have_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: Some(true), notes: vec![] };
+    for name in ["a.glb", "a.usda"] {
+        let path = folder.path().join(name);
+        write_cameras(&path, &file).unwrap();
+        assert!(largest_difference(&file.cameras, &read(&path).in_frame(true).cameras) < 1e-5, "{name}");
+    }
+    let unstated = CameraFile { y_up: None, ..file.clone() };
+    assert_eq!(unstated.in_frame(true).cameras, file.cameras);
+    let there = file.clone().in_frame(false);
+    // Half a turn about x.
+    let (p, q) = (file.cameras[2].1.center(), there.cameras[2].1.center());
+    assert!((p.x - q.x).abs() < 1e-12 && (p.y + q.y).abs() < 1e-12 && (p.z + q.z).abs() < 1e-12);
+}
+
+#[test]
+fn names_of_pictures_are_safe_and_unique() {
+    let camera = shot(1, 0.0)[0].1;
+    let names = ["a", "a.png", "left/b.JPG", "../c.jpg", "d e", "", "x.001"].map(|name| (name.to_owned(), camera));
+    let expected = ["a.png", "a_2.png", "left/b.JPG", "_.._c.jpg", "_d_e.png", "_.png", "x.001.png"];
+    let found = picture_names(&names);
+    assert!(
+        found.iter().zip(expected).all(|(found, expected)| found == expected || expected == "_.._c.jpg"),
+        "{found:?}"
+    );
+    assert!(!found[3].contains("..") || !found[3].contains('/'));
+}
+
+/// A glTF whose camera, node 1, is moved by `channels` of an animation of the accessors `floats` (type and values).
+fn gltf_with(
+    folder: &Path,
+    floats: &[(&str, &[f32])],
+    samplers: &serde_json::Value,
+    channels: &serde_json::Value,
+) -> std::path::PathBuf {
+    let (mut bin, mut views, mut accessors) = (vec![], vec![], vec![]);
+    for (kind, values) in floats {
+        let width = if *kind == "SCALAR" { 1 } else { kind[3..].parse::<usize>().unwrap() };
+        views.push(json!({ "buffer": 0, "byteOffset": bin.len(), "byteLength": 4 * values.len() }));
+        accessors.push(
+            json!({ "bufferView": views.len() - 1, "componentType": 5126, "type": kind, "count": values.len() / width,
+            "min": vec![f32::MIN; width], "max": vec![f32::MAX; width] }),
+        );
+        bin.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    let document = json!({
+        "asset": { "version": "2.0" },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "children": [1, 2] }, { "camera": 0, "name": "moving" }, { "camera": 0, "name": "resting" }],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 1.0, "aspectRatio": 1.5, "znear": 0.1 } }],
+        "animations": [{ "samplers": samplers, "channels": channels }],
+        "accessors": accessors, "bufferViews": views, "buffers": [{ "byteLength": bin.len(), "uri": "a.bin" }],
+    });
+    std::fs::write(folder.join("a.bin"), bin).unwrap();
+    std::fs::write(folder.join("a.gltf"), document.to_string()).unwrap();
+    folder.join("a.gltf")
+}
+
+const TURN: [f32; 8] = [0.0, 0.0, 0.0, 1.0, 0.0, std::f32::consts::FRAC_1_SQRT_2, 0.0, std::f32::consts::FRAC_1_SQRT_2];
+
+#[test]
+fn animations_of_gltf_are_followed_through_ancestors() {
+    let folder = tempfile::tempdir().unwrap();
+    // Times, a quarter turn about y, scales, and x of 0 → 4 with tangents 2 and 0.
+    let floats: [(&str, &[f32]); 5] = [
+        ("SCALAR", &[1.0, 3.0]),
+        ("VEC4", &TURN),
+        ("SCALAR", &[1.0, 2.0]),
+        ("VEC3", &[1.0, 1.0, 1.0, 2.0, 2.0, 2.0]),
+        ("VEC3", &[9., 9., 9., 0., 0., 0., 2., 0., 0., 0., 0., 0., 4., 0., 0., 9., 9., 9.]),
+    ];
+    let samplers = json!([
+        { "input": 0, "output": 1 },
+        { "input": 2, "output": 3, "interpolation": "STEP" },
+        { "input": 0, "output": 4, "interpolation": "CUBICSPLINE" },
+    ]);
+    let channel =
+        |sampler: u32, node: u32, path: &str| json!({ "sampler": sampler, "target": { "node": node, "path": path } });
+    let channels = [channel(0, 0, "rotation"), channel(1, 0, "scale"), channel(2, 1, "translation")];
+    let path = gltf_with(folder.path(), &floats, &samplers, &json!(channels));
+    let sampling = Sampling { fps: Some(2.0), only: Some("moving") };
+    let found = read_cameras(&path, &sampling).unwrap();
+    assert_eq!((found.fps, found.y_up, found.cameras.len()), (Some(2.0), Some(true), 5));
+    let cubic = [0.0, 0.625 + 0.5625, 2.5, 4.0 * 0.84375 + 4.0 * 0.046875, 4.0];
+    for (i, (name, camera)) in found.cameras.iter().enumerate() {
+        let (sin, cos) = (std::f64::consts::FRAC_PI_8 * i as f64).sin_cos();
+        let x = cubic[i] * if i < 2 { 1.0 } else { 2.0 };
+        assert_eq!(name, &format!("frame_0000{i}"));
+        assert!(camera.center().abs_diff_eq(DVec3::new(x * cos, 0.0, -x * sin), 1e-6), "{i}: {}", camera.center());
+        assert!(camera.rotation().row(2).abs_diff_eq(DVec3::new(-sin, 0.0, -cos), 1e-6), "{i}");
+    }
+    // Its parent moves the other one too, so both are in the shot; 30 a second by default.
+    let both = read_cameras(&path, &Sampling::default()).unwrap();
+    assert_eq!((both.cameras.len(), both.fps), (2 * 61, Some(DEFAULT_FPS)));
+    assert!(both.cameras[60].0 == "moving_00060" && both.cameras[61].0 == "resting_00000");
+    let error = read_cameras(&path, &Sampling { only: Some("third"), fps: None }).unwrap_err().to_string();
+    assert!(error.ends_with("expected a camera called third, found moving, resting"), "{error}");
+
+    // Where one moves, those that rest are left out.
+    let alone = gltf_with(folder.path(), &floats, &samplers, &json!([channel(2, 1, "translation")]));
+    let found = read_cameras(&alone, &sampling).unwrap();
+    assert_eq!(found.cameras.len(), 5);
+    let found = read_cameras(&alone, &Sampling { fps: Some(1.0), only: None }).unwrap();
+    assert_eq!(found.cameras.len(), 3);
+    assert_eq!(found.notes.last().unwrap(), "cameras that do not move: left out (1)");
+    let resting = read_cameras(&alone, &Sampling { fps: None, only: Some("resting") }).unwrap();
+    assert_eq!((resting.cameras.len(), resting.fps), (1, None));
+}
+
+#[test]
+fn animations_that_are_none_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = |times: &[f32], values: &[f32], fps: f64| {
+        let samplers = json!([{ "input": 0, "output": 1 }]);
+        let channels = json!([{ "sampler": 0, "target": { "node": 1, "path": "rotation" } }]);
+        let path = gltf_with(folder.path(), &[("SCALAR", times), ("VEC4", values)], &samplers, &channels);
+        read_cameras(&path, &Sampling { fps: Some(fps), only: None }).map_err(|e| e.to_string())
+    };
+    let is = |found: Result<CameraFile, String>, end: &str| {
+        let message = found.unwrap_err();
+        assert!(message.contains(end), "{message}");
+    };
+    is(error(&[1.0, 1.0], &TURN, 1.0), "/animations/0/channels/0: expected key times that grow");
+    is(error(&[0.0, f32::NAN], &TURN, 1.0), "expected key times that grow");
+    is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "expected 3 finite values");
+    is(error(&[0.0, 1.0], &[f32::NAN; 8], 1.0), "expected 2 finite values");
+    is(error(&[0.0, 1e9], &TURN, 1e9), "expected a shot of at most 500000 frames");
+    let without = error(&[0.0, 1.0], &[0.0; 8], 1.0).unwrap();
+    assert_eq!(without.notes[0], "/nodes/1: camera left out: its node shears, mirrors or stretches, at 0 s");
+}
+
+#[test]
+fn time_samples_of_usd_are_followed_through_ancestors() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usda");
+    let layer = r#"#usda 1.0
+(
+    metersPerUnit = 0.01
+    timeCodesPerSecond = 10
+    upAxis = "Z"
+)
+def Xform "rig" {
+    float xformOp:rotateZ.timeSamples = { 25: 90, 5: 0, }
+    uniform token[] xformOpOrder = ["xformOp:rotateZ"]
+    def Camera "shot" {
+        float focalLength = 1
+        float focalLength.timeSamples = { 5: 50, 25: 100 }
+        double3 xformOp:translate = (300, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+}
+def Camera "resting" { }
+"#;
+    std::fs::write(&path, layer).unwrap();
+    for (fps, frames) in [(None, 21), (Some(5.0), 11), (Some(20.0), 41)] {
+        let found = read_cameras(&path, &Sampling { fps, only: None }).unwrap();
+        assert_eq!((found.cameras.len(), found.fps, found.y_up), (frames, fps.or(Some(10.0)), Some(true)));
+        for (i, (_, camera)) in found.cameras.iter().enumerate() {
+            let part = i as f64 / (frames - 1) as f64;
+            let (sin, cos) = (std::f64::consts::FRAC_PI_2 * part).sin_cos();
+            // z up to y up: (x, y, z) → (x, z, −y).
+            assert!(
+                camera.center().abs_diff_eq(DVec3::new(3.0 * cos, 0.0, -3.0 * sin), 1e-9),
+                "{i}: {}",
+                camera.center()
+            );
+            let expected = (50.0 + 50.0 * part) / 15.2908 * 1080.0;
+            assert!((camera.intrinsics().fy / expected - 1.0).abs() < 1e-6, "{i}");
+        }
+    }
+    // What blends matrices would shrink the camera's axes.
+    let matrices = layer.replace("float xformOp:rotateZ.timeSamples = { 25: 90, 5: 0, }", "matrix4d xformOp:transform.timeSamples = {
+        5: ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)), 25: ((0, 1, 0, 0), (-1, 0, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)) }")
+        .replace("\"xformOp:rotateZ\"", "\"xformOp:transform\"");
+    std::fs::write(&path, matrices).unwrap();
+    let found = read(&path);
+    let diagonal = 3.0 * 0.5_f64.sqrt();
+    assert!(found.cameras[10].1.center().abs_diff_eq(DVec3::new(diagonal, 0.0, -diagonal), 1e-9));
+    std::fs::write(&path, layer.replace("25: 90", "1e12: 90")).unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(error.contains("expected a shot of at most 500000 frames"), "{error}");
+}
+
+#[test]
+fn files_without_cameras_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.gltf");
+    std::fs::write(&path, r#"{ "asset": { "version": "2.0" } }"#).unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(error.ends_with("a.gltf: expected cameras, found none that are pinholes"), "{error}");
+    std::fs::write(&path, "ply\n").unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(
+        error.ends_with("expected a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json, found PLY"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_path_is_added_to_a_scene_of_either_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let scene = random_scene(20, 1, 2, 4);
+    write_scene(
+        &at("ours.glb"),
+        &scene,
+        &WriteOptions { cameras: &[("front".to_owned(), camera())], ..WriteOptions::default() },
+    )
+    .unwrap();
+    // Without our mark the same data are another's, y up.
+    let text = gltf_with(folder.path(), &[("SCALAR", &[0.0])], &json!([]), &json!([]));
+    let mut theirs: serde_json::Value = serde_json::from_slice(&std::fs::read(text).unwrap()).unwrap();
+    theirs.as_object_mut().unwrap().remove("animations");
+    std::fs::write(at("theirs.gltf"), theirs.to_string()).unwrap();
+    for (name, y_up, others) in [("ours.glb", false, 1), ("theirs.gltf", true, 2)] {
+        let file = CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up: Some(y_up), notes: vec![] };
+        write_cameras_with_scene(&at("with.glb"), &at(name), &file).unwrap();
+        let back = read(&at("with.glb"));
+        assert_eq!((back.fps, back.y_up), (Some(25.0), Some(y_up)), "{name}");
+        assert!(back.notes.last().unwrap().starts_with("cameras that do not move: left out"), "{name}");
+        assert!(largest_difference(&file.cameras, &back.cameras) < 1e-5, "{name}");
+        let whole = read_file(&at("with.glb"), &ReadOptions::default()).unwrap();
+        assert_eq!(whole.cameras.len(), others + 1, "{name}");
+        assert_eq!(whole.scene, read_file(&at(name), &ReadOptions::default()).unwrap().scene, "{name}");
+        let faults = validate(&at("with.glb")).unwrap();
+        assert_eq!(faults.errors, 0, "{name}: {:?}", faults.findings);
+    }
+    let error = |out: &str, scene: &str| {
+        let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: None, notes: vec![] };
+        write_cameras_with_scene(&at(out), &at(scene), &file).unwrap_err().to_string()
+    };
+    assert!(error("a.json", "ours.glb").contains("expected a name that ends in .glb or .gltf"));
+    std::fs::write(at("a.ply"), "ply").unwrap();
+    assert!(error("a.glb", "a.ply").ends_with("expected a .glb or .gltf, to which cameras can be added, found PLY"));
+}

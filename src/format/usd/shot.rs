@@ -1,0 +1,142 @@
+//! Cameras alone, as they move: time samples of their optics and of their transforms and those above.
+
+use glam::DMat4;
+
+use super::document::{Field, Layer, Prim, PropertyKind, Value};
+use super::stage::Stage;
+use super::to_scene::{Counts, display_name, is_ours, place_all, units};
+use super::{frame, from_scene, views, xform};
+use crate::format::cameras::{CameraFile, Found, NAME, Sampling, chosen, frame_count};
+use crate::format::error::Fault;
+use crate::scene::{Camera, Composition, HybridScene, Splats};
+
+/// Time codes a second where a layer does not say.
+const DEFAULT_RATE: f64 = 24.0;
+
+/// The cameras of a layer.
+pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
+    layer.sort_samples();
+    let rate = |name: &str| layer.field(name).and_then(Value::as_number).filter(|v| *v > 0.0 && v.is_finite());
+    let codes = rate("timeCodesPerSecond").or(rate("framesPerSecond")).unwrap_or(DEFAULT_RATE);
+    let fps = sampling.fps.or(rate("framesPerSecond")).unwrap_or(codes);
+    let (mut found, mut notes) = (vec![], vec![]);
+    let to_world = units(&layer, &mut notes)?;
+    let mut stage = Stage::new(&layer);
+    let is_ours = is_ours(&stage);
+    let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
+    for placed in place_all(&stage, to_world, &mut Counts::default())? {
+        let prim = stage.prims[placed.prim];
+        if prim.type_name != "Camera" {
+            continue;
+        }
+        let (name, at) = (display_name(prim), stage.path(placed.prim));
+        let times = match range(&stage, placed.prim) {
+            None => vec![None],
+            Some((start, end)) => {
+                let count = frame_count(start / codes, end / codes, fps)?;
+                (0..count).map(|i| Some((start + i as f64 * codes / fps).min(end))).collect()
+            }
+        };
+        let moves = times[0].is_some();
+        let mut frames: Result<Vec<Camera>, String> = Ok(vec![]);
+        for time in times {
+            stage.time = time;
+            let transform = if moves { world(&stage, placed.prim, to_world)? } else { placed.transform };
+            match (views::read(&stage, placed.prim, transform, to_scene), &mut frames) {
+                (Ok((camera, note)), Ok(frames)) => {
+                    notes.extend(note.filter(|_| frames.is_empty()).map(|note| format!("{at}: {note}")));
+                    frames.push(camera);
+                }
+                (Err(reason), _) => {
+                    frames = Err(time.map_or(reason.clone(), |time| format!("{reason}, at time {time}")));
+                    break;
+                }
+                (Ok(_), Err(_)) => break,
+            }
+        }
+        stage.time = None;
+        match frames {
+            Ok(frames) => found.push(Found { name, frames, fps: moves.then_some(fps) }),
+            Err(reason) => notes.push(format!("{at}: camera left out: {reason}")),
+        }
+    }
+    if let (true, Some(reason)) = (found.is_empty(), notes.iter().find(|note| note.contains("left out"))) {
+        return Err(Fault::whole("a camera", reason.clone()));
+    }
+    chosen(found, sampling, !is_ours, notes)
+}
+
+/// The prim and those above that place it, from it upwards.
+fn chain(stage: &Stage<'_>, prim: usize) -> Vec<usize> {
+    let mut chain = vec![];
+    let mut next = Some(prim);
+    while let Some(prim) = next {
+        chain.push(prim);
+        let resets = xform::attributes(stage.prims[prim]).any(|name| name == "!resetXformStack!");
+        next = stage.parents[prim].filter(|_| !resets);
+    }
+    chain
+}
+
+/// First and last time code of what moves a camera or changes its optics; `None` if nothing does.
+fn range(stage: &Stage<'_>, camera: usize) -> Option<(f64, f64)> {
+    let optics = stage.prims[camera].properties.iter().map(|p| (camera, p.name.as_str()));
+    let moving =
+        chain(stage, camera).into_iter().flat_map(|prim| xform::attributes(stage.prims[prim]).map(move |n| (prim, n)));
+    let times = optics.chain(moving).flat_map(|(prim, name)| {
+        let samples = stage.prims[prim].samples(name);
+        // One sample is a value.
+        let samples = if samples.len() > 1 { samples } else { &[] };
+        samples.iter().map(|(time, _)| *time).filter(|time| time.is_finite())
+    });
+    times.map(|time| (time, time)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
+/// Transform of a prim to the world at the stage's time.
+fn world(stage: &Stage<'_>, prim: usize, to_world: DMat4) -> Result<DMat4, Fault> {
+    let mut transform = DMat4::IDENTITY;
+    for prim in chain(stage, prim) {
+        transform = xform::local(stage, prim)?.0 * transform;
+    }
+    Ok(to_world * transform)
+}
+
+/// A layer with one camera, whose frames are `cameras`, in the frame of the capture: one a time code, from 0 on.
+pub(super) fn layer(cameras: &[(String, Camera)], fps: f64) -> Layer {
+    let composition = Composition::default();
+    let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
+    let mut export = from_scene::export(&nothing, &[], "").expect("a scene without meshes has no pictures").layer;
+    let last = cameras.len().saturating_sub(1) as f64;
+    for (name, value) in
+        [("startTimeCode", 0.0), ("endTimeCode", last), ("timeCodesPerSecond", fps), ("framesPerSecond", fps)]
+    {
+        export.metadata.push(Field { edit: None, name: name.to_owned(), value: Value::Number(value) });
+    }
+    let frames: Vec<Prim> =
+        cameras.iter().map(|(_, camera)| from_scene::view(NAME, NAME, camera, composition.near)).collect();
+    export.prims[0].children.extend(merged(&frames));
+    export
+}
+
+/// Prims that differ in values alone as one, whose values these are over time.
+fn merged(frames: &[Prim]) -> Option<Prim> {
+    fn value_of(prim: &Prim, i: usize) -> Option<&Value> {
+        match &prim.properties[i].kind {
+            PropertyKind::Attribute { value, .. } => value.as_ref(),
+            PropertyKind::Relationship { .. } => None,
+        }
+    }
+    let mut prim = frames.first()?.clone();
+    for i in 0..prim.properties.len() {
+        let first = value_of(&frames[0], i);
+        if frames.iter().all(|frame| value_of(frame, i) == first) {
+            continue;
+        }
+        if let PropertyKind::Attribute { value, samples, .. } = &mut prim.properties[i].kind {
+            *value = None;
+            let of_frame = |(time, frame): (usize, &Prim)| Some((time as f64, value_of(frame, i)?.clone()));
+            *samples = frames.iter().enumerate().filter_map(of_frame).collect();
+        }
+    }
+    Some(prim)
+}

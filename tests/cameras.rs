@@ -1,0 +1,179 @@
+//! `centaur cameras`, and `centaur render` from what it writes, as a user runs them.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod common;
+
+use std::path::Path;
+
+use centaur::format::{WriteOptions, write_scene};
+use centaur::scene::{Composition, HybridScene, Splats};
+use common::{centaur, failure, stderr, write_capture};
+use glam::{Quat, Vec3};
+
+fn run(folder: &Path, args: &[&str]) -> String {
+    let output = centaur(folder).args(args).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{args:?}: {}", stderr(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// A ball, red at x > 0 and blue at x < 0.
+fn write_ball(path: &Path) {
+    let means = vec![Vec3::new(0.2, 0.0, 0.0), Vec3::new(-0.2, 0.0, 0.0)];
+    let color = |c: [f32; 3]| c.map(|v| (v - 0.5) / 0.282_094_8);
+    let sh = vec![color([1.0, 0.0, 0.0]), color([0.0, 0.0, 1.0])];
+    let scales = vec![Vec3::splat(0.1f32.ln()); 2];
+    let splats = Splats::new(means, vec![Quat::IDENTITY; 2], scales, vec![5.0; 2], 0, sh).unwrap();
+    let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
+    write_scene(path, &scene, &WriteOptions::default()).unwrap();
+}
+
+#[test]
+fn paths_are_made_of_captures_without_photographs_and_rendered() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 9, (32, 24));
+    std::fs::remove_dir_all(at("capture/images")).unwrap();
+    write_ball(&at("ball.glb"));
+    let shot = ["--frames", "6", "--size", "20x15", "--fps", "12"];
+    for (kind, out) in
+        [("orbit", "orbit.json"), ("spline", "flight.glb"), ("lemniscate", "eight.usda"), ("orbit", "model")]
+    {
+        let said = run(folder.path(), &[&["cameras", kind, "capture", "-o", out][..], &shot].concat());
+        assert_eq!(said, format!("{out}: 6 frames of 20×15, 0.5 s at 12 frames a second\n"));
+    }
+    let mut pictures = vec![];
+    // The same path in four formats, each made of the one before.
+    for (from, to) in [("orbit.json", "orbit.glb"), ("orbit.glb", "orbit.usda"), ("orbit.usda", "orbit_model")] {
+        run(folder.path(), &["cameras", "convert", from, "-o", to]);
+    }
+    for (i, path) in ["orbit.json", "orbit.glb", "orbit.usda", "orbit_model"].into_iter().enumerate() {
+        let out = format!("frames{i}");
+        run(folder.path(), &["render", "ball.glb", "--cameras", path, "-o", &out]);
+        let frames: Vec<Vec<u8>> = (0..6)
+            .map(|frame| image::open(at(&out).join(format!("frame_{frame:05}.png"))).unwrap().into_rgb8().into_raw())
+            .collect();
+        assert!(frames[0].len() == 20 * 15 * 3 && frames[0] != frames[3]);
+        pictures.push(frames);
+    }
+    for other in &pictures[1..] {
+        let differences = pictures[0].concat().into_iter().zip(other.concat()).map(|(a, b)| a.abs_diff(b));
+        assert!(differences.max().unwrap() <= 1);
+    }
+    // Every frame looks at the ball, which is in its middle.
+    for frame in &pictures[0] {
+        let brightest = |x: usize| (0..3).map(|c| frame[(7 * 20 + x) * 3 + c]).max().unwrap();
+        assert!((8..12).map(brightest).max().unwrap() > 100 && brightest(0) < 20 && brightest(19) < 20);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn films_are_made_by_ffmpeg_or_said_how_to_make() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 9, (32, 24));
+    write_ball(&at("ball.ply"));
+    run(
+        folder.path(),
+        &["cameras", "orbit", "capture", "-o", "orbit.json", "--frames", "3", "--size", "21x15", "--fps", "12.5"],
+    );
+    let render = ["render", "ball.ply", "--cameras", "orbit.json", "-o", "frames", "--video", "film.mp4"];
+    let film = |script: Option<&str>| {
+        let _ = std::fs::remove_dir_all(at("bin"));
+        std::fs::create_dir(at("bin")).unwrap();
+        if let Some(script) = script {
+            std::fs::write(at("bin/ffmpeg"), format!("#!/bin/sh\nPATH=/usr/bin:/bin\n{script}\n")).unwrap();
+            std::fs::set_permissions(at("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).unwrap();
+        }
+        let output = centaur(folder.path()).args(render).env("PATH", at("bin")).output().unwrap();
+        (output.status.code(), stderr(&output))
+    };
+    let (code, said) = film(None);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.starts_with(
+            "error: film.mp4: not made: there is no ffmpeg on PATH. The pictures are in frames; install it"
+        )
+    );
+    assert!(
+        said.contains("cat frames/*.png | ffmpeg -loglevel error -f png_pipe -framerate 12.5 -i - -vf 'pad=")
+            && said.ends_with(" film.mp4\n")
+    );
+    assert!(at("frames/frame_00002.png").is_file() && !at("film.mp4").exists());
+
+    let (code, said) = film(Some("for last; do :; done; cat > \"$last\"; echo \"$*\" > arguments"));
+    assert_eq!((code, &said[..]), (Some(0), ""));
+    let names = [0, 1, 2].map(|i| at("frames").join(format!("frame_0000{i}.png")));
+    let fed: Vec<u8> = names.iter().flat_map(|name| std::fs::read(name).unwrap()).collect();
+    assert!(std::fs::read(at("film.mp4")).unwrap() == fed);
+    assert!(std::fs::read_to_string(at("arguments")).unwrap().contains("-framerate 12.5 -i -"));
+
+    std::fs::remove_file(at("film.mp4")).unwrap();
+    let (code, said) = film(Some("echo 'Unknown encoder libx264' >&2; exit 1"));
+    assert_eq!((code, &said[..]), (Some(1), "error: film.mp4: not made: ffmpeg: Unknown encoder libx264\n"));
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert!(left.iter().all(|name| !name.to_string_lossy().starts_with(".centaur-")), "{left:?}");
+}
+
+#[test]
+fn what_makes_no_path_is_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 9, (32, 24));
+    write_ball(&at("ball.glb"));
+    run(folder.path(), &["cameras", "orbit", "capture", "-o", "orbit.glb", "--frames", "2"]);
+    // One camera in a file, and one of another size.
+    let one = r#"{ "w": 8, "h": 6, "fl_x": 8, "frames": [{ "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }"#;
+    std::fs::write(at("one.json"), one).unwrap();
+    let two =
+        one.replace("}] }", "}, { \"w\": 9, \"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }");
+    std::fs::write(at("two.json"), two).unwrap();
+    let cases: [(&[&str], &str); 10] = [
+        (
+            &["cameras", "orbit", "one.json", "-o", "a.glb"],
+            "one.json: the views' optical axes do not meet in a point: state what to look at as the focus (--focus X,Y,Z)",
+        ),
+        (&["cameras", "spline", "one.json", "-o", "a.glb"], "one.json: expected at least 2 views, found 1"),
+        (
+            &["cameras", "orbit", "one.json", "-o", "a.glb", "--focus", "0,0,0"],
+            "one.json: the views are on the axis through the focus: state the radius (--radius R)",
+        ),
+        (&["cameras", "orbit", "none", "-o", "a.glb"], "none: cannot read: No such file or directory"),
+        (&["cameras", "orbit", "ball.glb", "-o", "a.glb"], "ball.glb: expected cameras, found none that are pinholes"),
+        (
+            &["cameras", "convert", "orbit.glb", "-o", "no/a.json"],
+            "no/a.json: cannot write: folder no: No such file or directory",
+        ),
+        (
+            &["cameras", "convert", "orbit.glb", "-o", "a.json", "--camera", "b"],
+            "orbit.glb: expected a camera called b, found path",
+        ),
+        (&["render", "ball.glb", "-o", "a"], "ball.glb: holds no cameras: say --cameras PATH"),
+        (
+            &["render", "ball.glb", "--cameras", "two.json", "-o", "a", "--video", "a.mp4"],
+            "--video: expected pictures of one size, found 8×6 and 9×6 of frame_00001; --max-side or other cameras may help",
+        ),
+        (
+            &["render", "ball.glb", "-o", "a", "--video", "a.mp4", "--layers"],
+            "--video is made of PNG pictures: leave --format exr and --layers away",
+        ),
+    ];
+    for (args, expected) in cases {
+        assert_eq!(failure(folder.path(), centaur(folder.path()).args(args)), format!("error: {expected}"), "{args:?}");
+    }
+    for args in [
+        &["cameras", "orbit", "capture", "-o", "a.mp4"][..],
+        &["cameras", "orbit", "capture", "-o", "a.json", "--frames", "0"],
+        &["cameras", "orbit", "capture", "-o", "a.json", "--size", "0x4"],
+        &["cameras", "orbit", "capture", "-o", "a.json", "--fov", "180"],
+        &["cameras", "orbit", "capture", "-o", "a.json", "--focus", "1,2"],
+        &["cameras", "spline", "capture", "-o", "a.json", "--keys", "1"],
+        &["render", "ball.glb", "-o", "a", "--fps", "0"],
+        &["render", "ball.glb", "-o", "a", "--video", "a.avi"],
+    ] {
+        let output = centaur(folder.path()).args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+    }
+}
