@@ -25,7 +25,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: crosscheck crosscheck-quick help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
+.PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
 	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
@@ -155,6 +155,10 @@ crosscheck: system $(CROSSCHECK)/installed $(CROSSCHECK_BLENDERS:%=.venv-blender
 	$(if $(findstring --quick,$(CROSSCHECK_FLAGS)),,$(CENTAUR) train demo -o target/crosscheck/trained.glb $(COARSE))
 	$(CROSSCHECK)/bin/python tests/crosscheck/crosscheck.py --centaur "$(CENTAUR)" --scenes target/crosscheck --out out/crosscheck \
 		$(CROSSCHECK_BLENDERS:%=--blender-python .venv-blender-%/bin/python) $(CROSSCHECK_FLAGS)
+
+# What crosscheck-quick installs, so that a machine without PyPI can be told from a picture that differs.
+crosscheck-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))/installed
+	@scripts/ensure-llvm.sh
 
 crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
 	$(MAKE) crosscheck CROSSCHECK_FLAGS="--quick $(CROSSCHECK_FLAGS)"

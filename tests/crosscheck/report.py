@@ -27,14 +27,16 @@ def decibels(figures):
 
 def line(row):
     """A comparison in a line of text."""
-    start = f"{'pass' if row['passes'] else 'MISS'}  {row['scene']}/{row['camera']}  {row['program']} ~ {row['model']}: "
+    verdict = ("why " if row.get("explained") else "pass") if row["passes"] else "MISS"
+    start = f"{verdict}  {row['scene']}/{row['camera']}  {row['program']} ~ {row['model']}: "
     if "error" in row:
         return start + row["error"]
     text = f"{decibels(row)} (gate {row['gate']}), max {row['max']:.1e}, mean {row['mean']:.1e}, {row['above_1e-2']} px above 1e-2"
     text += f", alpha {decibels(row['alpha'])}"
     if "layers" in row:
         text += "".join(f", {name} {decibels(f)}" for name, f in row["layers"].items()) + f", sum {row['sum_error']:.0e}"
-    return start + text + f", {row['seconds']['theirs']} s"
+    reason = f"; {row['explained']}" if row.get("explained") else ""
+    return start + text + f", {row['seconds']['theirs']} s{reason}"
 
 
 STYLE = """
@@ -51,7 +53,7 @@ def cells(row):
         return [*place, row["error"]]
     layers = row.get("layers", {})
     return [
-        *place, decibels(row), f"{row['gate']} dB", f"{row['max']:.1e}", f"{row['mean']:.1e}", str(row["above_1e-2"]), decibels(row["alpha"]),
+        *place, decibels(row), f"{row['gate']} dB" + (f" ({row['explained']})" if row["explained"] else ""), f"{row['max']:.1e}", f"{row['mean']:.1e}", str(row["above_1e-2"]), decibels(row["alpha"]),
         *(decibels(layers[name]) if name in layers else "" for name in ("splats", "mesh")),
         f"{row['sum_error']:.0e}" if layers else "", str(row["seconds"]["theirs"]),
     ]  # fmt: skip
