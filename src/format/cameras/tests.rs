@@ -326,3 +326,12 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     std::fs::write(at("a.ply"), "ply").unwrap();
     assert!(error("a.glb", "a.ply").ends_with("expected a .glb or .gltf, to which cameras can be added, found PLY"));
 }
+
+#[test]
+fn usd_in_binary_moves_as_its_text() {
+    let at = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/usd").join(name);
+    let (text, binary) = (read(&at("moving.usda")), read(&at("moving.usdc")));
+    assert_eq!((binary.fps, &binary.cameras), (Some(24.0), &text.cameras));
+    let x: Vec<f64> = binary.cameras.iter().map(|(_, camera)| camera.center().x).collect();
+    assert_eq!(x, [0.0, 1.0, 2.0, 3.0, 4.0]);
+}

@@ -138,7 +138,7 @@ impl Crate<'_> {
         }))
     }
 
-    /// Times and values of an animated attribute: the first sample, with the time of the second if there are more.
+    /// Times and values of an animated attribute; of arrays the first two.
     pub(super) fn samples(&mut self, rep: Rep) -> Result<Vec<(f64, Value)>, Fault> {
         if rep.kind() != 46 || rep.is_inlined() {
             return Ok(vec![]);
@@ -152,9 +152,15 @@ impl Crate<'_> {
         let mut at_times = self.at(times.payload())?;
         let times = at_times.count(8)?.min(count);
         let mut samples = vec![];
-        for _ in 0..times.min(2) {
+        for i in 0..times {
             let time = f64::from_le_bytes(*at_times.chunk()?);
             let value = Rep(cursor.u64()?);
+            // Of what deforms, that it does is enough; cameras are followed.
+            if i >= 2 && value.is_array() {
+                break;
+            }
+            // As many numbers as the largest of what is no array, a matrix, has.
+            self.spend(16)?;
             samples.extend(self.value(value)?.map(|value| (time, value)));
         }
         Ok(samples)
