@@ -47,7 +47,7 @@ pub struct Sampling<'a> {
 pub const DEFAULT_FPS: f64 = 30.0;
 
 /// Longest shot: an hour at 30 frames a second is 108,000.
-const MAX_FRAMES: f64 = 500_000.0;
+const MAX_FRAMES: f64 = 120_000.0;
 
 /// What a camera that moves is called in files that we write.
 pub(super) const NAME: &str = "path";

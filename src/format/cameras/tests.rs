@@ -217,7 +217,7 @@ fn animations_that_are_none_are_refused() {
     is(error(&[0.0, f32::NAN], &TURN, 1.0), "expected key times that grow");
     is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "expected 3 finite values");
     is(error(&[0.0, 1.0], &[f32::NAN; 8], 1.0), "expected 2 finite values");
-    is(error(&[0.0, 1e9], &TURN, 1e9), "expected a shot of at most 500000 frames");
+    is(error(&[0.0, 1e9], &TURN, 1e9), "expected a shot of at most 120000 frames");
     let without = error(&[0.0, 1.0], &[0.0; 8], 1.0).unwrap();
     assert_eq!(without.notes[0], "/nodes/1: camera left out: its node shears, mirrors or stretches, at 0 s");
 }
@@ -271,7 +271,7 @@ def Camera "resting" { }
     assert!(found.cameras[10].1.center().abs_diff_eq(DVec3::new(diagonal, 0.0, -diagonal), 1e-9));
     std::fs::write(&path, layer.replace("25: 90", "1e12: 90")).unwrap();
     let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
-    assert!(error.contains("expected a shot of at most 500000 frames"), "{error}");
+    assert!(error.contains("expected a shot of at most 120000 frames"), "{error}");
 }
 
 #[test]
