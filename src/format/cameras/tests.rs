@@ -128,10 +128,13 @@ fn gltf_with(
     let (mut bin, mut views, mut accessors) = (vec![], vec![], vec![]);
     for (kind, values) in floats {
         let width = if *kind == "SCALAR" { 1 } else { kind[3..].parse::<usize>().unwrap() };
+        let bound = |of: fn(f32, f32) -> f32| -> Vec<f32> {
+            (0..width).map(|c| values.iter().skip(c).step_by(width).copied().reduce(of).unwrap()).collect()
+        };
         views.push(json!({ "buffer": 0, "byteOffset": bin.len(), "byteLength": 4 * values.len() }));
         accessors.push(
             json!({ "bufferView": views.len() - 1, "componentType": 5126, "type": kind, "count": values.len() / width,
-            "min": vec![f32::MIN; width], "max": vec![f32::MAX; width] }),
+            "min": bound(f32::min), "max": bound(f32::max) }),
         );
         bin.extend(values.iter().flat_map(|v| v.to_le_bytes()));
     }

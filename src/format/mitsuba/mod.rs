@@ -7,7 +7,7 @@
 //! `NAME.stock.xml` holds the splats alone, for Mitsuba as it is (`ellipsoidsmesh` and `volprim_rf_basic`): splats in the order
 //! in which their shells are entered, SH by the ray, over black, and a film without alpha. It needs no Python of ours.
 //!
-//! Splats, meshes and maps lie beside either, see [`super::exchange`]. The frame is the scene's.
+//! Splats, meshes and maps lie beside either, as for every program that renders (`exchange`). The frame is the scene's.
 
 #[cfg(test)]
 mod tests;
