@@ -101,10 +101,10 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// What the surface is made of
-    #[arg(long, value_enum, value_name = "splats|points", default_value_t = SurfaceOf::Splats, conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
-    surface: SurfaceOf,
-    /// Of --iterations, those on splats alone before the surface is fused from their depth; the rest trains splats and
+    /// What the surface is made of [default: points where the capture says which views see them, else splats]
+    #[arg(long, value_enum, value_name = "splats|points", conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
+    surface: Option<SurfaceOf>,
+    /// Of --iterations, those on splats alone before there is a surface, with which it is compared; the rest trains splats and
     /// mesh together [default: half]
     #[arg(long, value_name = "N", help_heading = MESH)]
     surface_iterations: Option<u32>,
@@ -246,12 +246,15 @@ impl Args {
         name.into()
     }
 
-    fn mesh(&self) -> Result<MeshSource> {
+    fn mesh(&self, capture: &Capture) -> Result<MeshSource> {
         let Some(file) = &self.mesh else {
+            let says_who_sees = capture.views.iter().all(|v| !v.sees.is_empty());
             return Ok(match (self.no_mesh, self.surface) {
                 (true, _) => MeshSource::None,
-                (false, SurfaceOf::Splats) => MeshSource::Splats,
-                (false, SurfaceOf::Points) => MeshSource::Points,
+                (false, Some(SurfaceOf::Splats)) => MeshSource::Splats,
+                (false, Some(SurfaceOf::Points)) => MeshSource::Points,
+                (false, None) if says_who_sees => MeshSource::Points,
+                (false, None) => MeshSource::Splats,
             });
         };
         let mesh = mesh_import::read(file)?;
@@ -272,7 +275,7 @@ enum SurfaceOf {
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     let capture = args.loading.open(&args.capture)?;
-    let mesh = args.mesh()?;
+    let mesh = args.mesh(&capture)?;
     let gpu = args.adapter.open()?;
     let options = args.options();
     let stop = stop_on_ctrl_c()?;

@@ -29,7 +29,7 @@ pub enum MeshSource {
     #[default]
     Splats,
     /// Splats are trained first all the same, to judge the surface; it is made of the points that the training views see
-    /// ([`geometry::surface_from_points`]).
+    /// ([`geometry::surface_from_points`]), and only if these are too few as for `Splats`.
     Points,
     /// The user's; unwrapped if it has no texture coordinates.
     Given {

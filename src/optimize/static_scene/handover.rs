@@ -2,14 +2,14 @@
 
 use super::{Run, arrays, splat_state, squared_error};
 use crate::{
-    geometry::{self, PointView},
+    geometry::{self, GeometryError, PointView},
     optimize::{TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{Camera, HybridScene, Mesh},
 };
 
 impl<'a> Run<'a> {
-    /// Fuses the median depths of the splats as they are, or triangles of the points that the training views see.
+    /// Fuses triangles of the points that the training views see, or the median depths of the splats as they are.
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
         if of_points {
             let view = |&i: &usize| {
@@ -18,8 +18,11 @@ impl<'a> Run<'a> {
             };
             let views: Vec<PointView> = self.train.iter().map(view).collect();
             let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-            let (surface, _) = geometry::surface_from_points(&views, &points, self.options.triangles)?;
-            return surface::textured(surface, None, self.options, self.texture_size());
+            match geometry::surface_from_points(&views, &points, self.options.triangles) {
+                Ok((surface, _)) => return surface::textured(surface, None, self.options, self.texture_size()),
+                Err(GeometryError::EmptySurface { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
         }
         let points: Vec<_> = if self.capture.points.len() < 100 {
             splat_state(training)?.to_splats()?.means().to_vec()
