@@ -99,19 +99,26 @@ impl MeshBvh {
         Self { tree, triangles, center, radius }
     }
 
-    /// The first `max_hits` triangles on the ray with `t ≥ t_min`, nearest first.
-    #[must_use]
-    pub fn hits(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_min: f64, max_hits: usize) -> Vec<Hit> {
-        let mut hits = self.collect(origin.into(), dir.into(), t_min);
-        hits.truncate(max_hits);
-        hits
-    }
-
     /// Every triangle on the ray with `t ≥ 0`, nearest first, each once. Ties in `t` are in order of mesh and triangle.
     /// A ray through an edge or a vertex reports all triangles that share it.
     #[must_use]
     pub fn all_hits(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>) -> Vec<Hit> {
-        self.collect(origin.into(), dir.into(), 0.0)
+        self.hits_before(origin, dir, f64::INFINITY)
+    }
+
+    /// Those of [`Self::all_hits`] with `t < t_max`. What lies behind costs nothing.
+    #[must_use]
+    pub fn hits_before(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_max: f64) -> Vec<Hit> {
+        let mut hits = Vec::new();
+        let Some(mut local) = self.local_ray(origin.into(), dir.into()) else { return hits };
+        // Boxes are padded, and their ray starts two radii before its point nearest to the centre.
+        let length = (t_max - local.shift) * local.dir.length() + (2.0 + BOX_PADDING) * self.radius;
+        local.boxes.tmax = (length * (1.0 + BOX_PADDING)) as f32;
+        self.tree.ray_traverse_anyhit(local.boxes, |_, slot| {
+            hits.extend(self.intersect(slot, &local).filter(|h| h.t >= 0.0 && h.t < t_max));
+        });
+        hits.sort_by(|a, b| a.t.total_cmp(&b.t).then((a.mesh, a.triangle).cmp(&(b.mesh, b.triangle))));
+        hits
     }
 
     /// Whether any triangle lies on the ray with `t_min ≤ t ≤ t_max`.
@@ -163,16 +170,6 @@ impl MeshBvh {
             }
         }
         best
-    }
-
-    fn collect(&self, origin: DVec3, dir: DVec3, t_min: f64) -> Vec<Hit> {
-        let mut hits = Vec::new();
-        let Some(local) = self.local_ray(origin, dir) else { return hits };
-        self.tree.ray_traverse_anyhit(local.boxes, |_, slot| {
-            hits.extend(self.intersect(slot, &local).filter(|h| h.t >= t_min));
-        });
-        hits.sort_by(|a, b| a.t.total_cmp(&b.t).then((a.mesh, a.triangle).cmp(&(b.mesh, b.triangle))));
-        hits
     }
 
     /// `None` if the ray passes the scene by, or is not a ray.
@@ -321,7 +318,9 @@ mod tests {
                 assert_eq!(tree.any_hit(origin, dir, 0.0, f64::INFINITY), !expected.is_empty());
                 if let [first, second, ..] = expected[..] {
                     let middle = (first.0 + second.0) / 2.0;
-                    assert_eq!(tree.hits(origin, dir, middle, 1)[0].triangle, second.2);
+                    assert_eq!(tree.hits_before(origin, dir, middle), hits[..1]);
+                    assert_eq!(tree.hits_before(origin, dir, second.0 + 1e-6 * away)[1].triangle, second.2);
+                    assert!(tree.hits_before(origin, dir, first.0 * (1.0 - 1e-9) - 1e-9).is_empty());
                     assert!(tree.any_hit(origin, dir, 0.0, middle));
                     assert!(!tree.any_hit(origin, dir, 0.0, first.0 * (1.0 - 1e-9) - 1e-9));
                 }

@@ -182,8 +182,7 @@ fn without_hiding(
         for &point in seen {
             // The ray's parameter is 1 at the point.
             let along = points[point as usize].as_dvec3() - origin;
-            let hits = bvh.all_hits(origin, along);
-            for hit in hits.iter().take_while(|hit| hit.t < 1.0 - IN_THE_WAY) {
+            for hit in bvh.hits_before(origin, along, 1.0 - IN_THE_WAY) {
                 hidden[hit.mesh as usize][hit.triangle as usize].fetch_add(1, Ordering::Relaxed);
             }
         }
