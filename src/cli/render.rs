@@ -139,10 +139,9 @@ impl LookArgs {
     }
 
     fn header(&self, camera: &Camera, color_space: ColorSpace, comment: &str) -> ExrHeader {
-        let k = camera.intrinsics();
         ExrHeader {
             color_space,
-            pixel_aspect: (k.fx / k.fy) as f32,
+            pixel_aspect: format::pixel_aspect(camera.intrinsics()),
             comment: comment.to_owned(),
             samples: if self.exr_type == ExrType::Half { SampleType::Half } else { SampleType::Float },
             compression: if self.exr_compression == Compression::Piz {

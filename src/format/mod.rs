@@ -15,7 +15,6 @@ pub mod ksplat;
 mod loss;
 pub mod mesh_import;
 pub mod mitsuba;
-mod picture_exr;
 mod placed;
 pub mod ply;
 mod record;
@@ -35,9 +34,9 @@ pub use cameras::{
     CameraFile, DEFAULT_FPS, Sampling, WRITABLE_CAMERAS, read_cameras, write_cameras, write_cameras_with_scene,
 };
 pub use error::{FormatError, Location};
+pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
 pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
-pub use picture_exr::{Channel, ExrCompression, ExrHeader, SampleType, write_exr};
 pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};
 
