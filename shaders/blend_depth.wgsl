@@ -31,10 +31,9 @@ fn main(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let tile = group_index(group, groups);
-    let x = (tile % view.tiles.x) * TILE + thread % TILE;
-    let y = (tile / view.tiles.x) * TILE + thread / TILE;
-    if tile >= view.tiles.x * view.tiles.y || x >= view.size.x || y >= view.size.y { return; }
-    let pixel = vec2f(f32(x), f32(y)) + 0.5;
+    let place = tile_pixel(view, tile, thread);
+    if any(place >= view.size) { return; }
+    let pixel = vec2f(place) + 0.5;
     let range = ranges[tile];
     var t = 1.0;
     var median = 0.0;
@@ -52,5 +51,5 @@ fn main(
             break;
         }
     }
-    depth[y * view.size.x + x] = median;
+    depth[place.y * view.size.x + place.x] = median;
 }

@@ -2,20 +2,11 @@
 // which goes through its tile's list once for every bucket; made to be read, as it is run once per picture.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
+//#import shared/layered.wgsl
 
-@group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
-@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
-@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
-@group(0) @binding(4) var<storage, read_write> layered: array<vec4f>;       // [pixel][PARTS]
 //#if LAYERS
-@group(0) @binding(5) var<storage, read> layer_depth: array<f32>;
-@group(0) @binding(6) var<storage, read> layer_color: array<vec4f>;
-@group(0) @binding(7) var<storage, read> layer_triangle: array<u32>;
-@group(0) @binding(8) var<storage, read> corners: array<vec4f>;
 @group(0) @binding(9) var<storage, read> thresholds: array<f32>;
 //#end
-//#import shared/layered.wgsl
 
 const STOP: f32 = 1e-4;                 // as in blend_forward
 
@@ -26,17 +17,16 @@ fn main(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let tile = group_index(group, groups);
-    let x = (tile % view.tiles.x) * TILE + thread % TILE;
-    let y = (tile / view.tiles.x) * TILE + thread / TILE;
-    if tile >= view.tiles.x * view.tiles.y || x >= view.size.x || y >= view.size.y { return; }
-    let at = vec2f(f32(x), f32(y)) + 0.5;
-    let pixel = y * view.size.x + x;
+    let place = tile_pixel(view, tile, thread);
+    if any(place >= view.size) { return; }
+    let at = vec2f(place) + 0.5;
+    let pixel = place.y * view.size.x + place.x;
     let range = ranges[tile];
     var parts = nothing();
     var normal = vec3f(0.0);
 //#if LAYERS
     let area = view.size.x * view.size.y;
-    normal = front_normal(x, y);
+    normal = front_normal(place);
 //#for l in 0..LAYERS
     let raw$l = layer_depth[$lu * area + pixel];
     let depth$l = select(EMPTY_DEPTH, raw$l, raw$l > 0.0);

@@ -7,28 +7,17 @@
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 //#import shared/sh.wgsl
+//#import shared/layered.wgsl
 
-@group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
-@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
-@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
-@group(0) @binding(4) var<storage, read_write> layered: array<vec4f>;       // [pixel][PARTS]
-//#if LAYERS
-@group(0) @binding(5) var<storage, read> layer_depth: array<f32>;
-@group(0) @binding(6) var<storage, read> layer_color: array<vec4f>;
-@group(0) @binding(7) var<storage, read> layer_triangle: array<u32>;
-@group(0) @binding(8) var<storage, read> corners: array<vec4f>;
-//#end
 // In units of a splat's standard deviations over the largest one: [mean's ray a, z / largest], [camera's x axis, mean's
 // pixel], [y axis, mean's pixel], [a × x axis, z], [a × y axis, 0].
 @group(0) @binding(9) var<storage, read> rays: array<vec4f>;
 //#if SH_BY_RAY
 @group(0) @binding(10) var<storage, read> sh: array<f32>;
 //#end
-//#import shared/layered.wgsl
 
 const SLOTS: u32 = 16u;
-const HIDDEN: f32 = 1e-6;               // transmittance behind which nothing is visible in 8 bits or in the mean of 16
+const HIDDEN: f32 = 1e-6;               // transmittance behind which nothing changes a picture of 16 bits
 
 struct Peak {
     depth: f32,
@@ -69,17 +58,16 @@ fn main(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let tile = group_index(group, groups);
-    let x = (tile % view.tiles.x) * TILE + thread % TILE;
-    let y = (tile / view.tiles.x) * TILE + thread / TILE;
-    if tile >= view.tiles.x * view.tiles.y || x >= view.size.x || y >= view.size.y { return; }
-    let at = vec2f(f32(x), f32(y)) + 0.5;
-    let pixel = y * view.size.x + x;
+    let place = tile_pixel(view, tile, thread);
+    if any(place >= view.size) { return; }
+    let at = vec2f(place) + 0.5;
+    let pixel = place.y * view.size.x + place.x;
     let range = ranges[tile];
     var parts = nothing();
     var normal = vec3f(0.0);
 //#if LAYERS
     let area = view.size.x * view.size.y;
-    normal = front_normal(x, y);
+    normal = front_normal(place);
     var layer = 0u;                     // the next to be blended
 //#end
 //#if SH_BY_RAY

@@ -1,5 +1,17 @@
 // The parts of one pixel, blended front to back: what splats and meshes contribute, and where. Written for
-// `render/gpu/layered.rs`, which reads PARTS vectors a pixel.
+// `render/gpu/layered.rs`, which reads PARTS vectors a pixel and binds what stands here for either image model.
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
+@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
+@group(0) @binding(3) var<storage, read> projected: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> layered: array<vec4f>;       // [pixel][PARTS]
+//#if LAYERS
+@group(0) @binding(5) var<storage, read> layer_depth: array<f32>;
+@group(0) @binding(6) var<storage, read> layer_color: array<vec4f>;
+@group(0) @binding(7) var<storage, read> layer_triangle: array<u32>;
+@group(0) @binding(8) var<storage, read> corners: array<vec4f>;
+//#end
 
 const PARTS: u32 = 4u;
 
@@ -46,13 +58,13 @@ fn write_parts(pixel: u32, parts: Layered, normal: vec3f) {
 
 //#if LAYERS
 // Unit normal, towards the camera, in world space, of the nearest fragment of a pixel.
-fn front_normal(x: u32, y: u32) -> vec3f {
-    let triangle = layer_triangle[y * view.size.x + x];
+fn front_normal(pixel: vec2u) -> vec3f {
+    let triangle = layer_triangle[pixel.y * view.size.x + pixel.x];
     if triangle == 0u { return vec3f(0.0); }
     let a = corners[3u * (triangle - 1u)].xyz;
     let b = corners[3u * (triangle - 1u) + 1u].xyz;
     let c = corners[3u * (triangle - 1u) + 2u].xyz;
-    let ray = vec3f((vec2f(f32(x), f32(y)) + 0.5 - view.principal) / view.focal, 1.0);
+    let ray = vec3f((vec2f(pixel) + 0.5 - view.principal) / view.focal, 1.0);
     let across = cross(b - a, c - a);
     let normal = across * (select(1.0, -1.0, dot(across, ray) > 0.0) / max(length(across), 1e-30));
     return normal.x * view.row_x.xyz + normal.y * view.row_y.xyz + normal.z * view.row_z.xyz;

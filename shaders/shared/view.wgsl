@@ -32,6 +32,11 @@ fn to_camera(v: View, p: vec3f) -> vec3f {
     return vec3f(dot(v.row_x, h), dot(v.row_y, h), dot(v.row_z, h));
 }
 
+// Pixel of one of a tile's PIXELS threads; beyond the image where that ends within the tile, or there is no such tile.
+fn tile_pixel(v: View, tile: u32, thread: u32) -> vec2u {
+    return TILE * vec2u(tile % v.tiles.x, tile / v.tiles.x) + vec2u(thread % TILE, thread / TILE);
+}
+
 // Index of this thread's workgroup in a dispatch that may be folded into two dimensions.
 fn group_index(group: vec3u, groups: vec3u) -> u32 {
     return group.x + group.y * groups.x;

@@ -49,7 +49,8 @@ impl LayeredPicture {
 
 /// A scene on the GPU, ready to be taken apart.
 ///
-/// 200 + 24(d+1)² bytes per splat of degree d and 80 more under [`ImageModel::Ray`], 80 + 24 L per pixel with L mesh layers.
+/// Takes what [`super::Renderer`] takes, and 48 bytes more per pixel; under [`ImageModel::Ray`] 80 more per splat, and 4 less per
+/// splat and mesh layer.
 pub struct LayeredRenderer<'g> {
     gpu: &'g Gpu,
     model: ImageModel,
@@ -114,14 +115,9 @@ impl<'g> LayeredRenderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let view = View {
-            n_splats: self.n_splats as u32,
-            sh_degree: self.splats.sh_degree,
-            band_degree: sh::MAX_DEGREE,
-            n_triangles: self.mesh.as_ref().map_or(0, MeshStage::n_triangles),
-            pair_capacity: self.lists.pair_capacity() as u32,
-            ..View::of(camera, self.composition)
-        };
+        let splats = (self.n_splats, self.splats.sh_degree);
+        let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
+        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pair_capacity());
         if let Some(mesh) = &mut self.mesh
             && mesh.resize(self.gpu, &view, &self.view)?
         {

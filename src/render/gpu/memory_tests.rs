@@ -3,11 +3,12 @@
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 use super::{
-    Gpu, Renderer,
+    Gpu, LayeredRenderer, Renderer,
     loss::TruthAlpha,
     memory::{TrainingSize, training_bytes},
     training::Training,
 };
+use crate::render::contract::{ImageModel, ShDirection};
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
 
 const SH_DEGREE: u32 = 3;
@@ -16,8 +17,16 @@ const LAYERS: u32 = 2;
 /// Six (tile, splat) pairs of 16 bytes have room from the start.
 const PAIRS: f64 = 6.0 * 16.0;
 
+/// What the memory is allocated for.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Training,
+    Rendering,
+    Layers(ImageModel),
+}
+
 /// Peak bytes for a picture of `side`² pixels of `n` splats and a triangle with a base map of `texels`² texels.
-fn peak(n: usize, texels: u32, side: u32, training: bool) -> f64 {
+fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
     let splats = Splats::new(
         vec![Vec3::ZERO; n],
         vec![Quat::IDENTITY; n],
@@ -38,26 +47,26 @@ fn peak(n: usize, texels: u32, side: u32, training: bool) -> f64 {
     let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap();
     // A fresh adapter each time, as the peak of one never falls. Nothing is read back, as staging counts too.
     let gpu = Gpu::open(None).unwrap();
-    if training {
-        Training::new(&gpu, &scene, &[camera], 0.2, TruthAlpha::Ignore).unwrap();
-    } else {
-        Renderer::new(&gpu, &scene, &[camera]).unwrap();
+    match kind {
+        Kind::Training => drop(Training::new(&gpu, &scene, &[camera], 0.2, TruthAlpha::Ignore).unwrap()),
+        Kind::Rendering => drop(Renderer::new(&gpu, &scene, &[camera]).unwrap()),
+        Kind::Layers(model) => drop(LayeredRenderer::new(&gpu, &scene, &[camera], model).unwrap()),
     }
     gpu.peak_bytes() as f64
 }
 
 /// Compares bytes per splat, texel and pixel. Tables of counters (sort histograms, scan sums, tile ranges) add up to
 /// two per cent to what they belong to.
-fn check(training: bool, stated: [f64; 3]) {
-    let smallest = peak(50_000, 512, 256, training);
-    let per = |n, texels, side, count: f64| (peak(n, texels, side, training) - smallest) / count;
+fn check(kind: Kind, stated: [f64; 3]) {
+    let smallest = peak(50_000, 512, 256, kind);
+    let per = |n, texels, side, count: f64| (peak(n, texels, side, kind) - smallest) / count;
     let found = [
         per(100_000, 512, 256, 50_000.0),
         per(50_000, 1024, 256, 1024.0 * 1024.0 - 512.0 * 512.0),
         per(50_000, 512, 1024, 1024.0 * 1024.0 - 256.0 * 256.0),
     ];
     for ((found, stated), what) in found.into_iter().zip(stated).zip(["splat", "texel", "pixel"]) {
-        assert!((found / stated - 1.0).abs() < 0.02, "training {training}: {found} bytes per {what}, not {stated}");
+        assert!((found / stated - 1.0).abs() < 0.02, "{kind:?}: {found} bytes per {what}, not {stated}");
     }
 }
 
@@ -65,7 +74,11 @@ fn check(training: bool, stated: [f64; 3]) {
 fn rendering_takes_the_stated_bytes() {
     let layers = f64::from(LAYERS);
     // Five mip levels: 1 + 1/4 + … + 1/256 of the four floats.
-    check(false, [132.0 + 12.0 * SH_TERMS + 4.0 * layers + PAIRS, 16.0 * 341.0 / 256.0, 16.0 + 24.0 * layers]);
+    let texel = 16.0 * 341.0 / 256.0;
+    let splat = 132.0 + 12.0 * SH_TERMS + PAIRS;
+    check(Kind::Rendering, [splat + 4.0 * layers, texel, 16.0 + 24.0 * layers]);
+    check(Kind::Layers(ImageModel::Ewa), [splat + 4.0 * layers, texel, 64.0 + 24.0 * layers]);
+    check(Kind::Layers(ImageModel::Ray(ShDirection::Mean)), [splat + 80.0, texel, 64.0 + 24.0 * layers]);
 }
 
 #[test]
@@ -73,7 +86,7 @@ fn training_takes_the_stated_bytes() {
     let layers = f64::from(LAYERS);
     let per_splat = 332.0 + 48.0 * SH_TERMS + 4.0 * layers + PAIRS;
     // Texels and gradients have mips, the two moments have none. Room is made for half as many splats again.
-    check(true, [1.5 * per_splat, 16.0 * (2.0 * 341.0 / 256.0 + 2.0), 104.0 + 60.0 * layers]);
+    check(Kind::Training, [1.5 * per_splat, 16.0 * (2.0 * 341.0 / 256.0 + 2.0), 104.0 + 60.0 * layers]);
 }
 
 #[test]
@@ -88,7 +101,8 @@ fn the_account_of_training_is_what_is_allocated() {
             width: side,
             height: side,
         };
-        let (found, stated) = (peak(splats, texels as u32, side as u32, true), training_bytes(&size).total() as f64);
+        let (found, stated) =
+            (peak(splats, texels as u32, side as u32, Kind::Training), training_bytes(&size).total() as f64);
         // As above, of the counters.
         assert!((found / stated - 1.0).abs() < 0.02, "{size:?}: {found} bytes, not {stated}");
     }

@@ -100,14 +100,9 @@ impl Pipeline {
     /// Gets ready for a frame of this camera, one of those that the pipeline was made for or smaller, and says what
     /// the shaders are told of it.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<View, GpuError> {
-        let view = View {
-            n_splats: self.n_splats as u32,
-            sh_degree: self.splats.sh_degree,
-            band_degree: sh::MAX_DEGREE,
-            n_triangles: self.mesh.as_ref().map_or(0, MeshStage::n_triangles),
-            pair_capacity: self.lists.pair_capacity() as u32,
-            ..View::of(camera, self.composition)
-        };
+        let splats = (self.n_splats, self.splats.sh_degree);
+        let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
+        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pair_capacity());
         if let Some(mesh) = &mut self.mesh
             && mesh.resize(gpu, &view, &self.view)?
         {

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use crate::scene::{Camera, Composition, OrderMode};
+use crate::scene::{Camera, Composition, OrderMode, sh};
 
 /// Everything the shaders know of one view.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +25,18 @@ pub(crate) const VIEW_WORDS: usize = 36;
 pub(crate) const TILE: u32 = 16;
 
 impl View {
+    /// A view of splats and meshes, all bands of which are shown, with room for so many (tile, splat) pairs.
+    pub(crate) fn of_scene(
+        camera: &Camera,
+        composition: Composition,
+        (n_splats, sh_degree): (usize, u32),
+        n_triangles: u32,
+        pair_capacity: usize,
+    ) -> Self {
+        let (n_splats, pair_capacity, band_degree) = (n_splats as u32, pair_capacity as u32, sh::MAX_DEGREE);
+        Self { n_splats, sh_degree, band_degree, n_triangles, pair_capacity, ..Self::of(camera, composition) }
+    }
+
     /// A view of nothing yet.
     pub(crate) fn of(camera: &Camera, composition: Composition) -> Self {
         let (n_splats, sh_degree, band_degree, n_triangles, pair_capacity) = (0, 0, 0, 0, 0);
