@@ -107,7 +107,10 @@ fn truncated_binary_models() {
 fn poses_and_points_that_are_no_numbers() {
     for (from, to) in [(" 1.5 1 004.png", " NaN 1 004.png"), (" 1.5 1 004.png", " inf 1 004.png")] {
         let line = refused(|c| edit(&c.join("sparse/0/images.txt"), |text| text.replacen(from, to, 1)));
-        assert!(line.starts_with("error: capture/sparse/0/images.txt: image 004.png: "), "{line}");
+        assert!(
+            line.starts_with("error: capture/sparse/0/images.txt: line ") && line.contains(", image 004.png: "),
+            "{line}"
+        );
         assert!(line.contains("expected") && line.contains("finite"), "{line}");
     }
     let line = refused(|c| {
@@ -115,10 +118,10 @@ fn poses_and_points_that_are_no_numbers() {
     });
     assert_eq!(
         line,
-        "error: capture/sparse/0/images.txt: image 000.png: expected a unit quaternion, found [0.0, 0.0, 0.0, 0.0]"
+        "error: capture/sparse/0/images.txt: line 1, image 000.png: expected a unit quaternion, found [0.0, 0.0, 0.0, 0.0]"
     );
     let line = refused(|c| edit(&c.join("sparse/0/points3D.txt"), |text| format!("{text}999 0 NaN 0 1 2 3 0.1\n")));
-    assert!(line.starts_with("error: capture/sparse/0/points3D.txt: point 300: expected finite numbers"), "{line}");
+    assert!(line.starts_with("error: capture/sparse/0/points3D.txt: line 301: expected finite numbers"), "{line}");
 }
 
 #[test]

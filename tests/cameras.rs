@@ -141,14 +141,17 @@ fn what_makes_no_path_is_one_line() {
             "one.json: the views are on the axis through the focus: state the radius (--radius R)",
         ),
         (&["cameras", "orbit", "none", "-o", "a.glb"], "none: cannot read: No such file or directory"),
-        (&["cameras", "orbit", "ball.glb", "-o", "a.glb"], "ball.glb: expected cameras, found none that are pinholes"),
+        (
+            &["cameras", "orbit", "ball.glb", "-o", "a.glb"],
+            "ball.glb: /cameras: expected cameras, found none that are pinholes",
+        ),
         (
             &["cameras", "convert", "orbit.glb", "-o", "no/a.json"],
             "no/a.json: cannot write: folder no: No such file or directory",
         ),
         (
             &["cameras", "convert", "orbit.glb", "-o", "a.json", "--camera", "b"],
-            "orbit.glb: expected a camera called b, found path",
+            "orbit.glb: /cameras: expected a camera called b, found path",
         ),
         (&["render", "ball.glb", "-o", "a"], "ball.glb: holds no cameras: say --cameras PATH"),
         (

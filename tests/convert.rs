@@ -137,7 +137,7 @@ fn refusals_are_one_line_and_leave_nothing() {
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }
-    assert!(failure(folder.path(), "h.glb notes.txt b.glb").starts_with("error: notes.txt: expected a "));
+    assert!(failure(folder.path(), "h.glb notes.txt b.glb").starts_with("error: notes.txt: byte 0: expected a "));
 }
 
 #[test]
@@ -372,7 +372,10 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
 fn invalid_splats_are_refused_or_dropped() {
     let folder = tempfile::tempdir().unwrap();
     write_labelled(&folder.path().join("a.ply"), 5, &[0, 3]);
-    assert_eq!(failure(folder.path(), "a.ply b.ply"), "error: a.ply: means[0]: expected finite numbers, found NaN");
+    assert_eq!(
+        failure(folder.path(), "a.ply b.ply"),
+        "error: a.ply: byte 432: expected finite numbers, found NaN in means[0]"
+    );
     let said = convert(folder.path(), "a.ply b.ply --drop-invalid");
     assert!(said.starts_with("a.ply: dropped 2 invalid splats\n"), "{said}");
     let left = ply::read_with(&folder.path().join("b.ply"), &format::ReadOptions::default()).unwrap();

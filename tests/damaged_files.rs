@@ -1,5 +1,5 @@
 //! Every reader on random bytes and on valid files that were damaged: no panic, and no more memory than the file
-//! justifies. `make fuzz` searches further.
+//! justifies, and a message that says which file, where, what was expected and what was found. `make fuzz` searches further.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -8,8 +8,8 @@ mod samples;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use centaur::capture::LoadOptions;
-use centaur::format::{self, ReadOptions};
+use centaur::capture::{self, CaptureError, LoadOptions};
+use centaur::format::{self, FormatError, Location, ReadOptions, Sampling};
 use centaur::optimize::checkpoint::Checkpoint;
 use peak_alloc::PeakAlloc;
 use proptest::prelude::*;
@@ -44,29 +44,85 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
     let path = folder.join(files[0].0);
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
-    let taken = match reader {
+    let (taken, said) = match reader {
         "colmap_text" | "colmap_binary" | "transforms" => {
-            centaur::capture::open(folder, &LoadOptions::default()).map_err(|e| e.to_string()).map(drop)
+            let options = LoadOptions::default();
+            let opened = capture::open(folder, &options).map(drop).map_err(of_capture);
+            let cameras = capture::cameras(folder, &options).map(drop).map_err(of_capture);
+            // A path is no capture.
+            (opened.is_ok() || cameras.is_ok(), vec![opened, cameras])
         }
-        "checkpoint" => Checkpoint::read(&path).map_err(|e| e.to_string()).map(drop),
-        "obj" | "mesh_ply" => format::mesh_import::read(&path).map_err(|e| e.to_string()).map(drop),
+        "checkpoint" => {
+            let read = Checkpoint::read(&path).map(drop).map_err(|e| e.to_string());
+            (read.is_ok(), vec![read])
+        }
+        "obj" | "mesh_ply" => {
+            let read = format::mesh_import::read(&path).map(drop).map_err(of_format);
+            (read.is_ok(), vec![read])
+        }
         _ => {
-            let strict = format::read_file(&path, &ReadOptions::default());
-            let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true });
+            let strict = format::read_file(&path, &ReadOptions::default()).map(drop);
+            let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true }).map(drop);
             assert!(strict.is_err() || lenient.is_ok());
-            let _ = (format::inspect(&path), format::validate(&path), format::mesh_import::read(&path));
-            strict.map_err(|e| e.to_string()).map(drop)
+            let taken = strict.is_ok();
+            let others = [
+                format::inspect(&path).map(drop),
+                format::validate(&path).map(drop),
+                format::mesh_import::read(&path).map(drop),
+                format::read_cameras(&path, &Sampling::default()).map(drop),
+            ];
+            (taken, [strict, lenient].into_iter().chain(others).map(|read| read.map_err(of_format)).collect())
         }
     };
     let peak = MEMORY.peak_usage().saturating_sub(before);
     let size: usize = files.iter().map(|(_, content)| content.len()).sum();
     assert!(peak <= MOST_PER_BYTE * size + MOST_BESIDES, "{reader}: {peak} bytes of memory for a file of {size}");
-    if let Err(message) = &taken {
+    for message in said.iter().filter_map(|read| read.as_ref().err()) {
         // Whatever stands in the file, the message is one line that names it.
         assert!(!message.contains(['\n', '\r']) && message.len() < 600, "{message:?}");
         assert!(message.contains(&*folder.to_string_lossy()), "{message:?}");
     }
-    taken.is_ok()
+    taken
+}
+
+/// The message of an error that says where, what was expected and what was found.
+#[expect(clippy::needless_pass_by_value, reason = "what `map_err` takes")]
+fn of_format(e: FormatError) -> String {
+    match &e {
+        FormatError::Read { .. } => {}
+        FormatError::Content { location, expected, found, .. } => {
+            let is_member_alone = matches!(location, Location::Member { at, .. } if **at == Location::File);
+            // Many formats have no cameras and no meshes: nothing is malformed, and the whole file is of another kind.
+            let is_of_other_kind = expected.starts_with("a file that can hold cameras");
+            assert!((*location != Location::File && !is_member_alone) || is_of_other_kind, "nowhere: {e}");
+            assert!(!expected.is_empty() && !found.is_empty(), "{e}");
+        }
+        FormatError::Write { .. } => panic!("{e}"),
+    }
+    e.to_string()
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "what `map_err` takes")]
+fn of_capture(e: CaptureError) -> String {
+    let place = match &e {
+        CaptureError::Invalid { place, expected, found, .. } => {
+            assert!(!expected.is_empty() && !found.is_empty(), "{e}");
+            place
+        }
+        CaptureError::UnsupportedModel { place, .. } => place,
+        // The offset is a part of the second; the others are about files, not about what is in them.
+        CaptureError::Io { .. }
+        | CaptureError::Truncated { .. }
+        | CaptureError::Image { .. }
+        | CaptureError::Missing { .. } => return e.to_string(),
+    };
+    let is_place = place.starts_with('/') || ["line ", "byte "].iter().any(|word| place.contains(word));
+    // These are missing altogether.
+    assert!(
+        is_place || ["capture", "cameras", "views", "COLMAP model", "image size"].contains(&&**place),
+        "nowhere: {e}"
+    );
+    e.to_string()
 }
 
 #[test]
@@ -149,6 +205,127 @@ fn damaged_files() {
         });
         assert!(outcome.is_ok(), "{reader}: {}", outcome.unwrap_err());
     }
+}
+
+/// What a file says where `from` was replaced by `to`, once, in all of its text or its bytes.
+fn said_of(reader: &str, name: &str, from: &[u8], to: &[u8]) -> String {
+    let folder = folder();
+    let all = samples();
+    let has = |content: &[u8]| content.windows(from.len()).position(|window| window == from);
+    let sample = all.iter().find(|s| s.reader == reader && s.files.iter().any(|(n, c)| *n == name && has(c).is_some()));
+    let mut files =
+        sample.unwrap_or_else(|| panic!("{reader}: no {name} with {:?}", from.escape_ascii())).files.clone();
+    let (_, content) = files.iter_mut().find(|(n, _)| *n == name).unwrap();
+    let at = has(content).unwrap();
+    content.splice(at..at + from.len(), to.iter().copied());
+    if content.starts_with(b"PK") {
+        // Of what was in the zip; else its checksums are all that is said.
+        mend_checksums(content);
+    }
+    let error = match reader {
+        "colmap_text" | "colmap_binary" | "transforms" => {
+            files.iter().for_each(|(name, content)| std::fs::write(folder.path().join(name), content).unwrap());
+            capture::open(folder.path(), &LoadOptions::default()).unwrap_err().to_string()
+        }
+        _ => {
+            let path = folder.path().join(name);
+            std::fs::write(&path, &files[0].1).unwrap();
+            format::read_file(&path, &ReadOptions::default()).unwrap_err().to_string()
+        }
+    };
+    error.replace(&format!("{}/", folder.path().display()), "")
+}
+
+/// Sets the checksums of a zip whose members are stored, one after the other, and have the lengths that are stated.
+fn mend_checksums(zip: &mut [u8]) {
+    let word = |zip: &[u8], at: usize| u32::from_le_bytes(*zip[at..].first_chunk().unwrap()) as usize;
+    let half = |zip: &[u8], at: usize| usize::from(u16::from_le_bytes(*zip[at..].first_chunk().unwrap()));
+    let (mut at, mut sums) = (0, vec![]);
+    while zip[at..].starts_with(b"PK\x03\x04") {
+        let start = at + 30 + half(zip, at + 26) + half(zip, at + 28);
+        let end = start + word(zip, at + 18);
+        let mut crc = flate2::Crc::new();
+        crc.update(&zip[start..end]);
+        sums.push(crc.sum().to_le_bytes());
+        zip[at + 14..at + 18].copy_from_slice(&sums[sums.len() - 1]);
+        at = end;
+    }
+    for sum in sums {
+        assert!(zip[at..].starts_with(b"PK\x01\x02"), "a directory behind the members");
+        zip[at + 16..at + 20].copy_from_slice(&sum);
+        at += 46 + half(zip, at + 28) + half(zip, at + 30) + half(zip, at + 32);
+    }
+}
+
+#[test]
+fn messages_name_the_place() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let nan = f32::NAN.to_le_bytes();
+    let mut others = vec![];
+    for (reader, name, from, to, said) in [
+        (
+            "ply",
+            "scene.ply",
+            &b"property float opacity\n"[..],
+            &b""[..],
+            "byte 36: expected a PLY with the vertex property",
+        ),
+        (
+            "ply",
+            "scene.ply",
+            b"element vertex",
+            b"element vertez",
+            ": expected the element `vertex` before the end of the",
+        ),
+        ("ply", "scene.ply", b"2 1e-3", b"2 nan", "byte 471: expected finite numbers, found NaN in means[2]"),
+        (
+            "compressed_ply",
+            "scene.compressed.ply",
+            b"element chunk",
+            b"element chunc",
+            ": expected the element `chunk`",
+        ),
+        ("spz", "scene.spz", b"NGSP", b"NGSQ", "byte 0: expected"),
+        ("sog", "scene.sog", b"\"count\":40", b"\"count\":-4", "`meta.json`, /count: expected"),
+        ("sog", "scene.sog", b"\"mins\":[", b"\"mins\":{", "`meta.json`, byte "),
+        ("sog", "scene.sog", b"\"version\":2", b"\"version\":7", "`meta.json`, /version: expected version 2"),
+        ("sog", "scene.sog", b"\"means_l.webp\"", b"\"means_x.webp\"", "`meta.json`, /means/files/0: expected"),
+        ("sog", "scene.sog", b"\"quats.webp\"", b"77777777.777", "`meta.json`, /quats/files/0: expected"),
+        ("sog", "scene.sog", b"\"mins\":[", b"\"nims\":[", "`meta.json`, /means/mins: expected a number for channel 0"),
+        ("sog", "scene.sog", b"WEBPVP8L", b"WEBPVP8X", "`means_l.webp`, byte "),
+        ("usdz", "scene.usdz", b"upAxis = \"Y\"", b"upAxis = \"N\"", "`scene.usda`, /upAxis: expected Y or Z"),
+        ("usdz", "scene.usdz", b"#usda 1.0\n(", b"#usda 1.0\n}", "`scene.usda`, line 2, column 1: expected"),
+        ("usda", "scene.usda", b"orientations = [(", b"orientations = [[", ": line "),
+        ("glb", "scene.glb", b"\"bufferView\":0", b"\"bufferView\":z", "byte "),
+        (
+            "glb",
+            "scene.glb",
+            b"\"layers\":1",
+            b"\"layers\":9",
+            "/scenes/0/extensions/EXT_gaussian_splatting_hybrid/layers: expected",
+        ),
+        ("gltf", "scene.gltf", b"\"byteLength\":36", b"\"byteLength\":-6", "/bufferViews/1/byteLength: expected"),
+        ("colmap_text", "cameras.txt", b"OPENCV 1", b"OPENCV x", "cameras.txt: line 1: expected a width"),
+        ("colmap_text", "cameras.txt", b"OPENCV 1", b"OPENCW 1", "cameras.txt: line 1: expected a camera model"),
+        ("colmap_text", "images.txt", b"2 b.png", b"9 b.png", "images.txt: line 3, image b.png: expected a camera"),
+        ("colmap_binary", "images.bin", b"b.png", b"b.\xffng", "images.bin: image name at byte "),
+        ("transforms", "transforms.json", b"[0,0,0,1]]},", b"[0,0,0]]},", "transforms.json: line 2 column "),
+        (
+            "transforms",
+            "transforms.json",
+            b"images/b",
+            b"../ges/b",
+            "transforms.json: /frames/1/file_path: expected a path",
+        ),
+    ] {
+        let message = said_of(reader, name, from, to);
+        if !(message.contains(said) && message.starts_with(&format!("{name}: ")) && message.contains(", found ")) {
+            others.push(format!("{reader}, {said}: {message}"));
+        }
+    }
+    assert!(others.is_empty(), "{others:#?}");
+    let broken = said_of("splat", "scene.splat", &1.0f32.to_le_bytes(), &nan);
+    assert!(broken.starts_with("scene.splat: byte 0: expected finite numbers, found NaN in means[0]"), "{broken}");
 }
 
 #[test]

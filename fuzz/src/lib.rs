@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use centaur::format::{self, ReadOptions};
+use centaur::format::{self, ReadOptions, Sampling};
 use tempfile::TempDir;
 
 /// A folder of this process, in memory where the system has such a place.
@@ -23,7 +23,7 @@ fn put(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A scene: read strictly and leniently, summed up, checked.
+/// A scene: read strictly and leniently, summed up, checked; its cameras by themselves.
 pub fn splats(name: &str, bytes: &[u8]) {
     let path = put(name, bytes);
     let strict = format::read_file(&path, &ReadOptions::default());
@@ -31,6 +31,7 @@ pub fn splats(name: &str, bytes: &[u8]) {
     assert!(strict.is_err() || lenient.is_ok(), "refused when invalid splats may be dropped, but not otherwise");
     let _ = format::inspect(&path);
     let _ = format::validate(&path);
+    let _ = format::read_cameras(&path, &Sampling::default());
 }
 
 /// A mesh alone.
@@ -69,6 +70,7 @@ pub fn capture<const N: usize>(names: [&str; N], bytes: &[u8]) {
         }
     });
     let _ = centaur::capture::open(folder(), &Default::default());
+    let _ = centaur::capture::cameras(folder(), &Default::default());
 }
 
 /// A checkpoint.

@@ -61,7 +61,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     let is_folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if is_folder { path } else { path.parent().unwrap_or(path) };
     if let Some(images) = &options.images {
-        views::inside(path, images)?;
+        views::inside(path, "--images", images)?;
     }
     let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
     let (mut frames, fps, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
@@ -95,16 +95,25 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
 
 fn finish(cameras: Vec<(String, Camera)>, fps: Option<f64>, list: &Path) -> Result<Cameras, CaptureError> {
     if cameras.is_empty() {
-        return Err(CaptureError::invalid(list, "cameras", "at least 1", "none"));
+        return Err(CaptureError::invalid(
+            list,
+            if is_json(list) { "/frames" } else { "byte 0" },
+            "at least 1 camera",
+            "none",
+        ));
     }
     if let Some(found) = fps.filter(|fps| !(*fps > 0.0 && fps.is_finite())) {
-        return Err(CaptureError::invalid(list, "fps", "a positive number", found.to_string()));
+        return Err(CaptureError::invalid(list, "/fps", "a positive number", found.to_string()));
     }
     Ok(Cameras { cameras, fps })
 }
 
+fn is_json(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "json")
+}
+
 fn camera(frame: Frame, list: &Path, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
-    let invalid = |expected: &str, found: &str| CaptureError::invalid(list, frame.name.clone(), expected, found);
+    let invalid = |expected: &str, found: &str| CaptureError::invalid(list, frame.place(), expected, found);
     if frame.image.is_file() {
         return views::view(frame, list, options).map(|view| (view.name, view.camera));
     }
@@ -115,27 +124,32 @@ fn camera(frame: Frame, list: &Path, options: &LoadOptions) -> Result<(String, C
         return Err(invalid("its image, or its size as w and h", "neither"));
     }
     let camera = Camera::new(frame.lens.intrinsics, frame.rotation, frame.translation)
-        .map_err(|e| CaptureError::scene(list, &format!("image {}", frame.name), e))?;
-    sized(frame.name, &camera, list, options)
+        .map_err(|e| CaptureError::scene(list, &frame.place(), e))?;
+    let place = frame.place();
+    sized(frame.name, &camera, list, &place, options)
 }
 
 /// At the size that is asked for.
-fn sized(name: String, camera: &Camera, list: &Path, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
+fn sized(
+    name: String,
+    camera: &Camera,
+    list: &Path,
+    at: &str,
+    options: &LoadOptions,
+) -> Result<(String, Camera), CaptureError> {
     let (width, height) = options.downscale.size(camera.intrinsics().width, camera.intrinsics().height);
     if width.max(height) > MAX_SIDE || u64::from(width) * u64::from(height) > MAX_PIXELS {
         let expected = format!("an image of at most {MAX_PIXELS} pixels");
-        return Err(CaptureError::invalid(list, name, expected, format!("{width}×{height}")));
+        return Err(CaptureError::invalid(list, at, expected, format!("{width}×{height}")));
     }
     Ok((name, camera.resized(width, height)))
 }
 
 fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureError> {
-    let file: CameraPath = serde_json::from_str(text).map_err(|e| {
-        let place = format!("line {} column {}", e.line(), e.column());
-        CaptureError::invalid(path, place, "a camera_path.json", e.to_string())
-    })?;
+    let file: CameraPath =
+        serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a camera_path.json", &e))?;
     if let Some(model) = file.camera_type.filter(|kind| kind != "perspective") {
-        return Err(CaptureError::UnsupportedModel { path: path.into(), model });
+        return Err(CaptureError::UnsupportedModel { path: path.into(), place: "/camera_type".to_owned(), model });
     }
     let [width, height] = [file.render_width, file.render_height];
     let camera = |(i, key): (usize, &Key)| {
@@ -143,15 +157,15 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
         let rows: Vec<[f64; 4]> = key.camera_to_world.as_chunks::<4>().0.to_vec();
         let (rotation, translation) = transforms::world_to_camera(&rows).ok_or_else(|| {
             let found = format!("{} numbers", key.camera_to_world.len());
-            CaptureError::invalid(path, format!("camera_path/{i}/camera_to_world"), "16 numbers", found)
+            CaptureError::invalid(path, format!("/camera_path/{i}/camera_to_world"), "16 numbers", found)
         })?;
         let f = 0.5 * height / (0.5 * key.fov.to_radians()).tan();
         // A float cast saturates; sizes that are no sizes are refused below.
         let k =
             Intrinsics { width: width as u32, height: height as u32, fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
         let camera = Camera::new(k, rotation, translation)
-            .map_err(|e| CaptureError::scene(path, &format!("camera_path/{i}"), e))?;
-        sized(name, &camera, path, options)
+            .map_err(|e| CaptureError::scene(path, &format!("/camera_path/{i}"), e))?;
+        sized(name, &camera, path, &format!("/camera_path/{i}"), options)
     };
     finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, file.fps, path)
 }
@@ -214,9 +228,12 @@ mod tests {
         assert!(unsized_.ends_with("expected its image, or its size as w and h, found neither"), "{unsized_}");
         let large = error(&format!(r#"{{ "fl_x": 30, "w": 1e9, "h": 9, "frames": {frames} }}"#));
         assert!(large.contains("pixels, found 500000000×5"), "{large}");
-        assert!(error(&format!(r#"{{ {lens}, "frames": [] }}"#)).ends_with("cameras: expected at least 1, found none"));
+        assert!(
+            error(&format!(r#"{{ {lens}, "frames": [] }}"#))
+                .ends_with("/frames: expected at least 1 camera, found none")
+        );
         let still = error(&format!(r#"{{ "fps": 0, "w": 4, "h": 4, "fl_x": 3, "frames": {frames} }}"#));
-        assert!(still.ends_with("fps: expected a positive number, found 0"), "{still}");
+        assert!(still.ends_with("/fps: expected a positive number, found 0"), "{still}");
     }
 
     #[test]
@@ -242,7 +259,7 @@ mod tests {
 
         let error = |text: &str| read(text).unwrap_err().to_string();
         let short = error(&path(r#"{ "camera_to_world": [1, 0], "fov": 60 }"#));
-        assert!(short.ends_with("camera_path/1/camera_to_world: expected 16 numbers, found 2 numbers"), "{short}");
+        assert!(short.ends_with("/camera_path/1/camera_to_world: expected 16 numbers, found 2 numbers"), "{short}");
         assert!(error(&path(other).replace("perspective", "fisheye")).contains("camera model fisheye"));
         assert!(error(&path(other).replace("\"fps\": 24", "\"fps\": -1")).contains("fps"));
         assert!(error(r#"{ "camera_path": 3 }"#).contains("expected a camera_path.json"));

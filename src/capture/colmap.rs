@@ -87,6 +87,8 @@ pub(super) fn lens(name: &str, p: &[f64], width: u32, height: u32) -> Option<Len
 /// One line of `images.txt` or record of `images.bin`.
 #[derive(Debug)]
 pub(super) struct ImageRecord {
+    /// Where it stands: `line 7`, `byte 120`.
+    pub(super) at: String,
     pub(super) id: u32,
     pub(super) name: String,
     pub(super) camera: u32,
@@ -153,10 +155,6 @@ pub(super) fn load(
             }
         }
     }
-    if let Some(i) = points.iter().position(|p| !p.position.is_finite()) {
-        let found = points[i].position.to_string();
-        return Err(CaptureError::invalid(&points_file, format!("point {i}"), "finite numbers", found));
-    }
     Ok((frames, points, images_file))
 }
 
@@ -169,7 +167,7 @@ fn frames(
 ) -> Result<Vec<Frame>, CaptureError> {
     let mut frames = Vec::with_capacity(images.len());
     for image in images {
-        let place = format!("image {}", image.name);
+        let place = format!("{}, image {}", image.at, image.name);
         let Some(lens) = cameras.get(&image.camera) else {
             let found = format!("camera {}", image.camera);
             return Err(CaptureError::invalid(path, place, "a camera of the cameras file", found));
@@ -181,8 +179,9 @@ fn frames(
             return Err(CaptureError::invalid(path, place, "a unit quaternion", found));
         }
         frames.push(Frame {
-            image: images_folder.join(inside(path, &image.name)?),
+            image: images_folder.join(inside(path, &image.at, &image.name)?),
             name: image.name,
+            at: image.at,
             mask: None,
             lens: *lens,
             has_size: true,

@@ -87,7 +87,11 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
         let [Ok(width), Ok(height)] = size else {
             return Err(file.invalid(at, "camera", "a width and height below 2^32", format!("{size:?}")));
         };
-        let unsupported = |model: String| CaptureError::UnsupportedModel { path: path.into(), model };
+        let unsupported = |model: String| CaptureError::UnsupportedModel {
+            path: path.into(),
+            place: format!("camera at byte {at}"),
+            model,
+        };
         let (name, parameters) = colmap::model_of_id(model).ok_or_else(|| unsupported(model.to_string()))?;
         let values = (0..parameters)
             .map(|_| file.f64s::<1>("camera parameters").map(|[v]| v))
@@ -109,6 +113,7 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, Capt
     let count = file.count(4 + 7 * 8 + 4 + 1 + 8, "images")?;
     let mut images = Vec::with_capacity(count);
     for _ in 0..count {
+        let at = format!("byte {}", file.offset);
         let id = file.u32("image id")?;
         let rotation = file.f64s("rotation")?;
         let translation = file.f64s("translation")?;
@@ -123,7 +128,7 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, Capt
         file.skip(length + 1, 1);
         let observations = file.count(24, "2-D points")?;
         file.skip(observations, 24);
-        images.push(ImageRecord { id, name, camera, rotation, translation });
+        images.push(ImageRecord { at, id, name, camera, rotation, translation });
     }
     Ok(images)
 }
@@ -134,8 +139,12 @@ pub(super) fn points(bytes: &[u8], path: &Path) -> Result<PointRecords, CaptureE
     let count = file.count(8 + 3 * 8 + 3 + 8 + 8, "points")?;
     let mut records = PointRecords { points: Vec::with_capacity(count), tracks: Vec::with_capacity(count) };
     for _ in 0..count {
+        let at = file.offset;
         file.u64("point id")?;
         let position = DVec3::from(file.f64s("position")?);
+        if !position.is_finite() {
+            return Err(file.invalid(at, "point", "finite numbers", position.to_string()));
+        }
         let rgb = file.take("colour")?;
         file.f64s::<1>("reprojection error")?;
         let mut track = Vec::with_capacity(file.count(8, "track elements")?);

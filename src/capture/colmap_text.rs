@@ -52,10 +52,15 @@ fn lines<'a>(text: &'a str, path: &'a Path) -> impl Iterator<Item = (&'a str, Li
 pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, CaptureError> {
     let mut cameras = HashMap::new();
     for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
+        let number = line.number;
         let id: u32 = line.number("a camera id")?;
         let model = line.word("a camera model")?;
         let [width, height] = line.numbers("a width and a height")?;
-        let unsupported = || CaptureError::UnsupportedModel { path: path.into(), model: model.into() };
+        let unsupported = || CaptureError::UnsupportedModel {
+            path: path.into(),
+            place: format!("line {number}"),
+            model: model.into(),
+        };
         let count = colmap::parameter_count(model).ok_or_else(unsupported)?;
         let values: Vec<f64> =
             (0..count).map(|_| line.number("a camera parameter")).collect::<Result<_, CaptureError>>()?;
@@ -87,7 +92,14 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
         if name.is_empty() {
             return Err(line.invalid("an image name", "the end of the line"));
         }
-        images.push(ImageRecord { id, name: name.to_owned(), camera, rotation, translation });
+        images.push(ImageRecord {
+            at: format!("line {}", line.number),
+            id,
+            name: name.to_owned(),
+            camera,
+            rotation,
+            translation,
+        });
         lines.next();
     }
     Ok(images)
@@ -99,6 +111,9 @@ pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureErr
     for (text, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
         line.number::<u64>("a point id")?;
         let position = DVec3::from(line.numbers("a position")?);
+        if !position.is_finite() {
+            return Err(line.invalid("finite numbers", &position.to_string()));
+        }
         let rgb = line.numbers("a colour of 0 to 255")?;
         // After the reprojection error, pairs of an image's number and that of one of its 2-D points.
         let track = text.split_whitespace().skip(8).step_by(2).filter_map(|id| id.parse().ok()).collect();

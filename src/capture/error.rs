@@ -29,7 +29,7 @@ pub enum CaptureError {
     Invalid {
         /// The file or folder.
         path: PathBuf,
-        /// Byte, line, image or field.
+        /// Byte, line, JSON pointer, or property of an image.
         place: String,
         /// What would have been accepted.
         expected: String,
@@ -37,15 +37,20 @@ pub enum CaptureError {
         found: String,
     },
     /// A camera model for which no pinhole image can be made.
-    #[error("{}: camera model {model} is not supported; undistort the capture with COLMAP first", .path.display())]
+    #[error(
+        "{}: {place}: expected a camera model with a pinhole image, found camera model {model}; undistort the capture with COLMAP first",
+        .path.display()
+    )]
     UnsupportedModel {
         /// The file that names it.
         path: PathBuf,
+        /// Byte, line or JSON pointer.
+        place: String,
         /// COLMAP's or nerfstudio's name, or the number of an unknown one.
         model: String,
     },
-    /// An image cannot be decoded.
-    #[error("{}: {reason}", .path.display())]
+    /// An image cannot be decoded; decoders do not say where.
+    #[error("{}: expected a PNG or JPEG, found one that cannot be decoded: {reason}", .path.display())]
     Image {
         /// The image.
         path: PathBuf,
@@ -76,6 +81,12 @@ impl CaptureError {
         found: impl Into<String>,
     ) -> Self {
         Self::Invalid { path: path.into(), place: place.into(), expected: expected.into(), found: found.into() }
+    }
+
+    /// JSON that is no such thing, or not what it should be.
+    pub(super) fn json(path: &Path, expected: &str, error: &serde_json::Error) -> Self {
+        let place = format!("line {} column {}", error.line(), error.column());
+        Self::invalid(path, place, expected, error.to_string())
     }
 
     /// A value that `scene` refuses, found at `place` of `path`.

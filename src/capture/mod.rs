@@ -140,7 +140,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if folder { path } else { path.parent().unwrap_or(path) };
     if let Some(images) = &options.images {
-        views::inside(path, images)?;
+        views::inside(path, "--images", images)?;
     }
     let (frames, points, list) = if !folder {
         (transforms::load(root, &[(path.into(), None)], options)?, vec![], path.into())

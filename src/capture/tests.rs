@@ -206,7 +206,7 @@ fn broken_captures_are_refused_in_one_line() {
     assert!(refused("images.bin", nan).contains("quaternion"));
     let mut nan = points_bin(2);
     nan[16..24].copy_from_slice(&f64::NAN.to_le_bytes());
-    assert!(refused("points3D.bin", nan).contains("point 0"));
+    assert!(refused("points3D.bin", nan).contains("point at byte 8: expected finite"));
 
     write_capture(root, 2, 8, 4);
     std::fs::write(sparse.join("points3D.bin"), points_bin(0)).unwrap();

@@ -99,34 +99,37 @@ pub(super) fn parse(
     held_out: Option<bool>,
     (options, photographs): (&LoadOptions, bool),
 ) -> Result<(Vec<Frame>, Option<f64>), CaptureError> {
-    let file: Transforms = serde_json::from_str(text).map_err(|e| {
-        let place = format!("line {} column {}", e.line(), e.column());
-        CaptureError::invalid(path, place, "a transforms.json with frames", e.to_string())
-    })?;
+    let file: Transforms =
+        serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a transforms.json with frames", &e))?;
     let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty();
     let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
     let frames = file
         .frames
         .par_iter()
-        .map(|fields| {
+        .enumerate()
+        .map(|(i, fields)| {
             let name = plain(&fields.file_path);
-            let image = match (inside(path, name), photographs) {
+            let at = format!("/frames/{i}");
+            let image = match (inside(path, &format!("{at}/file_path"), name), photographs) {
                 (Ok(name), _) => find_image(root, name, options),
                 (Err(e), true) => return Err(e),
                 // The name is only a name.
                 (Err(_), false) => PathBuf::new(),
             };
             let mask = match &fields.mask_path {
-                Some(mask) if photographs => Some(root.join(inside(path, plain(mask))?)),
+                Some(mask) if photographs => Some(root.join(inside(path, &format!("{at}/mask_path"), plain(mask))?)),
                 _ => None,
             };
-            let (rotation, translation) = world_to_camera(&fields.transform_matrix)
-                .ok_or_else(|| CaptureError::invalid(path, name, "a 4×4 transform_matrix", "fewer rows"))?;
+            let (rotation, translation) = world_to_camera(&fields.transform_matrix).ok_or_else(|| {
+                let found = format!("{} rows", fields.transform_matrix.len());
+                CaptureError::invalid(path, format!("{at}/transform_matrix"), "a 4×4 matrix", found)
+            })?;
             let has = |side: fn(&LensFields) -> Option<f64>| side(&fields.lens).or(side(&file.lens)).is_some();
             Ok(Frame {
-                lens: lens(&fields.lens, &file.lens, path, name, &image)?,
+                lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
                 name: name.to_owned(),
+                at,
                 image,
                 mask,
                 rotation,
@@ -166,7 +169,7 @@ pub(super) fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
 }
 
 /// The lens of a frame, with the file's values where the frame has none of its own.
-fn lens(frame: &LensFields, file: &LensFields, path: &Path, name: &str, image: &Path) -> Result<Lens, CaptureError> {
+fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Path) -> Result<Lens, CaptureError> {
     let value = |field: fn(&LensFields) -> Option<f64>| field(frame).or_else(|| field(file));
     let (width, height) = match (value(|l| l.w), value(|l| l.h)) {
         // A float cast saturates; sizes that are no sizes fail the aspect check against the image.
@@ -178,7 +181,7 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, name: &str, image: &
     let (w, h) = (f64::from(width), f64::from(height));
     let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
     let fx = value(|l| l.fl_x).or_else(|| value(|l| l.camera_angle_x).map(|a| from_angle(w, a)));
-    let fx = fx.ok_or_else(|| CaptureError::invalid(path, name, "fl_x or camera_angle_x", "neither"))?;
+    let fx = fx.ok_or_else(|| CaptureError::invalid(path, at, "fl_x or camera_angle_x", "neither"))?;
     let fy = value(|l| l.fl_y).or_else(|| value(|l| l.camera_angle_y).map(|a| from_angle(h, a))).unwrap_or(fx);
     let cx = value(|l| l.cx).unwrap_or(w / 2.0);
     let cy = value(|l| l.cy).unwrap_or(h / 2.0);
@@ -188,7 +191,9 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, name: &str, image: &
         [value(|l| l.k1), value(|l| l.k2), value(|l| l.k3), value(|l| l.k4)].map(|k| k.unwrap_or(0.0));
     let [p1, p2] = [value(|l| l.p1), value(|l| l.p2)].map(|p| p.unwrap_or(0.0));
     let model = frame.camera_model.as_deref().or(file.camera_model.as_deref());
-    let unsupported = |model: &str| Err(CaptureError::UnsupportedModel { path: path.into(), model: model.into() });
+    let unsupported = |model: &str| {
+        Err(CaptureError::UnsupportedModel { path: path.into(), place: at.to_owned(), model: model.into() })
+    };
     if frame.ftheta_p0.is_some() || file.ftheta_p0.is_some() {
         return unsupported("ftheta");
     }
@@ -200,7 +205,7 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, name: &str, image: &
         | Some("SIMPLE_PINHOLE" | "PINHOLE" | "PERSPECTIVE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV") => {
             // OpenCV divides by its k4; others multiply r⁸ by it.
             if k4 != 0.0 {
-                return Err(CaptureError::invalid(path, name, "k4 = 0 without a fisheye lens", k4.to_string()));
+                return Err(CaptureError::invalid(path, at, "k4 = 0 without a fisheye lens", k4.to_string()));
             }
             if [k1, k2, k3, p1, p2] == [0.0; 5] {
                 Distortion::None

@@ -14,6 +14,8 @@ use crate::scene::Camera;
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
     pub(super) name: String,
+    /// Where it stands in its file: `line 7`, `byte 120`, `/frames/3`.
+    pub(super) at: String,
     pub(super) image: PathBuf,
     /// A mask that the files name.
     pub(super) mask: Option<PathBuf>,
@@ -31,14 +33,21 @@ pub(super) struct Frame {
     pub(super) sees: Vec<u32>,
 }
 
-/// `name` as a path, if it stays inside the folder it is joined to. `list` is the file that holds the name.
-pub(super) fn inside<'a>(list: &Path, name: &'a str) -> Result<&'a Path, CaptureError> {
+impl Frame {
+    /// Where it stands, with its name.
+    pub(super) fn place(&self) -> String {
+        format!("{}, image {}", self.at, self.name)
+    }
+}
+
+/// `name` as a path, if it stays inside the folder it is joined to. `list` is the file that holds the name, at `at`.
+pub(super) fn inside<'a>(list: &Path, at: &str, name: &'a str) -> Result<&'a Path, CaptureError> {
     let path = Path::new(name);
     let inner = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
     if inner && path.file_name().is_some() {
         return Ok(path);
     }
-    Err(CaptureError::invalid(list, "file name", "a path inside the capture", format!("{name:?}")))
+    Err(CaptureError::invalid(list, at, "a path inside the capture", format!("{name:?}")))
 }
 
 /// Whether two sizes have the same aspect ratio to 1 %: resized pictures are rounded to whole pixels.
@@ -59,7 +68,7 @@ pub(super) fn assemble(
     }
     frames.sort_by(|a, b| a.name.cmp(&b.name));
     if let Some(pair) = frames.windows(2).find(|pair| pair[0].name == pair[1].name) {
-        return Err(CaptureError::invalid(list, "views", "unique names", format!("{} twice", pair[0].name)));
+        return Err(CaptureError::invalid(list, &pair[1].at, "unique names", format!("{} twice", pair[0].name)));
     }
     all_exist(
         root,
@@ -115,7 +124,8 @@ fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
 
 /// Looks at the image's header and settles size, orientation and camera.
 pub(super) fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, CaptureError> {
-    let Frame { name, image, mask, lens, has_size: _, rotation, translation, held_out, sees } = frame;
+    let place = frame.place();
+    let Frame { name, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, sees } = frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
     // Poses are those of the upright picture, unless only the stored one fits: COLMAP reads files without turning.
@@ -128,8 +138,8 @@ pub(super) fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<V
             CaptureError::invalid(&image, "image size", expected, format!("{w}×{h}"))
         })?;
     let lens = lens.resized(width, height);
-    let camera = Camera::new(lens.intrinsics, rotation, translation)
-        .map_err(|e| CaptureError::scene(list, &format!("image {name}"), e))?;
+    let camera =
+        Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(list, &place, e))?;
     let size = options.downscale.size(width, height);
     let mask = mask.filter(|_| options.masks);
     let source = ImageSource { image, mask, orientation, lens, size, held_out };

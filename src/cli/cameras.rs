@@ -112,7 +112,7 @@ struct FileArgs {
 #[command(next_help_heading = "Shot")]
 struct ShotArgs {
     /// Number of frames
-    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=36_000))]
     frames: u32,
     /// Frames a second
     #[arg(long, value_name = "N", default_value_t = DEFAULT_FPS, value_parser = frame_rate)]

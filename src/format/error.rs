@@ -1,8 +1,11 @@
+use std::borrow::Cow;
 use std::fmt;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use crate::scene::SceneError;
 
@@ -58,6 +61,13 @@ pub enum Location {
     Pointer(String),
     /// A field of the scene that was being made: `means[17]`.
     Field(String),
+    /// Place in a member of a zip, or in what a compressed file unpacks to.
+    Member {
+        /// Its name there, quoted, or `unpacked`.
+        name: String,
+        /// Where in it.
+        at: Box<Location>,
+    },
 }
 
 impl fmt::Display for Location {
@@ -66,8 +76,9 @@ impl fmt::Display for Location {
             Self::File => Ok(()),
             Self::Byte(offset) => write!(f, "byte {offset}: "),
             Self::Line { line, column } => write!(f, "line {line}, column {column}: "),
-            Self::Pointer(pointer) => write!(f, "{pointer}: "),
-            Self::Field(field) => write!(f, "{field}: "),
+            Self::Pointer(at) | Self::Field(at) => write!(f, "{}: ", one_line(at)),
+            Self::Member { name, at } if **at == Self::File => write!(f, "{name}: "),
+            Self::Member { name, at } => write!(f, "{name}, {at}"),
         }
     }
 }
@@ -81,6 +92,7 @@ pub(crate) struct Fault {
 }
 
 impl Fault {
+    /// No place: it is not the content that is at fault, but what was asked of it.
     pub(crate) fn whole(expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self { location: Location::File, expected: expected.into(), found: found.into() }
     }
@@ -112,6 +124,59 @@ impl Fault {
         if self.location == Location::File { self.at_byte(offset) } else { self }
     }
 
+    /// The same at `at`, a JSON pointer or the path of a prim, where the finder knew no more than a field of the scene.
+    pub(crate) fn under(self, at: impl Into<String>) -> Self {
+        let found = match self.location {
+            Location::File => self.found,
+            Location::Field(field) => format!("{} in {field}", self.found),
+            _ => return self,
+        };
+        Self { location: Location::Pointer(at.into()), found, ..self }
+    }
+
+    /// The same at the place of an element, by its index, where the finder knew no more than this.
+    pub(crate) fn of_element(self, place: impl FnOnce(usize) -> Location) -> Self {
+        match self.element() {
+            Some((name, i)) => Self { location: place(i), found: format!("{} in {name}[{i}]", self.found), ..self },
+            None => self,
+        }
+    }
+
+    /// The same at the place of the part that it is in, of parts one after the other: how many elements each has, and a pointer
+    /// or the path of a prim.
+    pub(crate) fn of_part<'a>(self, parts: impl IntoIterator<Item = (usize, &'a str)>) -> Self {
+        let Some((name, mut i)) = self.element() else { return self };
+        for (count, at) in parts {
+            if i < count {
+                let found = format!("{} in {name}[{i}]", self.found);
+                return Self { location: Location::Pointer(at.to_owned()), found, ..self };
+            }
+            i -= count;
+        }
+        self
+    }
+
+    /// `means` and 17 of `means[17]`.
+    fn element(&self) -> Option<(String, usize)> {
+        let Location::Field(field) = &self.location else { return None };
+        let (name, index) = field.strip_suffix(']')?.rsplit_once('[')?;
+        Some((name.to_owned(), index.parse().ok()?))
+    }
+
+    /// The same in a member of a zip.
+    pub(crate) fn in_member(self, name: &str) -> Self {
+        let location = Location::Member { name: shown(name.as_bytes()), at: Box::new(self.location) };
+        Self { location, ..self }
+    }
+
+    /// The same in what the file unpacks to.
+    pub(crate) fn unpacked(self) -> Self {
+        match self.location {
+            Location::File => self,
+            at => Self { location: Location::Member { name: "unpacked".to_owned(), at: Box::new(at) }, ..self },
+        }
+    }
+
     /// Where, what was expected and what was found.
     pub(crate) fn into_parts(self) -> (Location, String, String) {
         (self.location, self.expected, self.found)
@@ -119,6 +184,7 @@ impl Fault {
 
     pub(crate) fn in_file(self, file: &Path) -> FormatError {
         let Self { location, expected, found } = self;
+        let [expected, found] = [expected, found].map(|text| one_line(&text).into_owned());
         FormatError::Content { file: file.to_owned(), location, expected, found }
     }
 }
@@ -127,6 +193,53 @@ impl From<SceneError> for Fault {
     fn from(e: SceneError) -> Self {
         Self { location: Location::Field(e.field), expected: e.expected, found: e.found }
     }
+}
+
+/// Reads JSON that stands at `offset` of a file. Faults of the text have a byte, those of values a pointer.
+pub(crate) fn from_json<T: DeserializeOwned>(json: &[u8], offset: usize, expected: &str) -> Result<T, Fault> {
+    let mut text = serde_json::Deserializer::from_slice(json);
+    let value = serde_path_to_error::deserialize(&mut text).map_err(|e| {
+        if e.inner().is_data() {
+            return Fault::pointer(pointer(e.path()), expected, e.inner().to_string());
+        }
+        in_text(e.inner(), json, offset, expected)
+    })?;
+    text.end().map_err(|e| in_text(&e, json, offset, expected))?;
+    Ok(value)
+}
+
+fn in_text(error: &serde_json::Error, json: &[u8], offset: usize, expected: &str) -> Fault {
+    let lines = json.split_inclusive(|&b| b == b'\n').take(error.line().max(1) - 1);
+    let line_start: usize = lines.map(<[u8]>::len).sum();
+    // Columns are counted from 1, but for that of the end.
+    let column = if error.is_eof() { error.column() } else { error.column().saturating_sub(1) };
+    Fault::byte(offset + line_start + column, expected, error.to_string())
+}
+
+/// A value of JSON, which stands at a pointer of the document, as a type.
+pub(crate) fn from_value<T: DeserializeOwned>(value: &Value, at: &str, expected: &str) -> Result<T, Fault> {
+    serde_path_to_error::deserialize(value)
+        .map_err(|e| Fault::pointer(format!("{at}{}", pointer(e.path())), expected, e.inner().to_string()))
+}
+
+/// RFC 6901, as far as the path is known; empty for the whole.
+fn pointer(path: &serde_path_to_error::Path) -> String {
+    use serde_path_to_error::Segment;
+    let token = |segment: &Segment| match segment {
+        Segment::Seq { index } => Some(format!("/{index}")),
+        Segment::Map { key } => Some(format!("/{}", key.replace('~', "~0").replace('/', "~1"))),
+        Segment::Enum { .. } | Segment::Unknown => None,
+    };
+    path.iter().map_while(token).collect()
+}
+
+/// Names and messages hold what files say.
+fn one_line(text: &str) -> Cow<'_, str> {
+    if !text.contains(char::is_control) {
+        return text.into();
+    }
+    let escaped = |c: char| if c.is_control() { c.escape_default().collect() } else { String::from(c) };
+    text.chars().map(escaped).collect::<String>().into()
 }
 
 /// Text of a file as it may stand in a message: short, in one line.

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use glam::{Vec2, Vec3};
 
-use super::error::{Fault, FormatError, read_file};
+use super::error::{Fault, FormatError, Location, read_file};
 use super::gltf::{Asset, Pose, placements, triangles};
 use super::ply::table;
 
@@ -45,7 +45,7 @@ pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
         drop(bytes);
         from_gltf(&Asset::open(path)?)
     } else {
-        Err(Fault::whole("a .glb, .gltf, .obj or .ply mesh", "other content"))
+        Err(Fault::byte(0, "a .glb, .gltf, .obj or .ply mesh", "other content"))
     };
     soup.and_then(Soup::finish).map_err(|fault| fault.in_file(path))
 }
@@ -58,21 +58,29 @@ struct Soup {
     /// As long as `triangles`, if no part lacks UVs.
     corner_uvs: Vec<[Vec2; 3]>,
     materials: BTreeSet<Option<usize>>,
+    /// Vertices that are not finite, in order, and where they stand: no triangle may have them.
+    unusable: Vec<(u32, Location)>,
+    /// Where triangles should have been.
+    faces: Option<Location>,
 }
 
 impl Soup {
-    /// Appends one part whose indices count from its own first position.
+    /// Appends one part whose indices count from its own first position. `place` is that of one of its vertices.
     fn add(
         &mut self,
         positions: impl IntoIterator<Item = Vec3>,
         triangles: &[[u32; 3]],
         uvs: Option<Vec<[Vec2; 3]>>,
         material: Option<usize>,
+        place: impl Fn(usize) -> Location,
     ) -> Result<(), Fault> {
-        let too_many = || Fault::whole("fewer than 2³² vertices", "more");
+        let too_many = || Fault::at(place(0), "fewer than 2³² vertices", "more");
         let first = u32::try_from(self.positions.len()).map_err(|_| too_many())?;
         self.positions.extend(positions);
         u32::try_from(self.positions.len()).map_err(|_| too_many())?;
+        let own = &self.positions[first as usize..];
+        let unusable = own.iter().enumerate().filter(|(_, p)| !p.is_finite());
+        self.unusable.extend(unusable.map(|(i, _)| (first + i as u32, place(i))));
         self.triangles.extend(triangles.iter().map(|t| t.map(|v| v + first)));
         self.corner_uvs.extend(uvs.unwrap_or_default());
         self.materials.insert(material);
@@ -99,7 +107,9 @@ impl Soup {
                 // Adding 0 turns −0 into 0.
                 let p = self.positions[*v as usize] + 0.0;
                 if !p.is_finite() {
-                    return Err(Fault::whole("finite vertex positions", format!("{p} at vertex {v}")));
+                    let place = self.unusable.binary_search_by_key(v, |(vertex, _)| *vertex);
+                    let place = place.map_or(Location::File, |i| self.unusable[i].1.clone());
+                    return Err(Fault::at(place, "finite vertex positions", format!("{p} at vertex {v}")));
                 }
                 *v = *index.entry(p.to_array().map(f32::to_bits)).or_insert_with(|| {
                     mesh.positions.push(p);
@@ -115,7 +125,8 @@ impl Soup {
             }
         }
         if mesh.triangles.is_empty() {
-            return Err(Fault::whole(
+            return Err(Fault::at(
+                self.faces.unwrap_or(Location::Byte(0)),
                 "a mesh with at least one triangle",
                 format!("{} positions", self.positions.len()),
             ));
@@ -126,13 +137,15 @@ impl Soup {
 
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
-    let mut soup = Soup::default();
+    let mut soup = Soup { faces: Some(Location::Pointer("/meshes".to_owned())), ..Soup::default() };
     let pose = Pose::rest(&asset.document)?;
     for (node, transform) in placements(&asset.document)? {
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
             let Some(t) = triangles::read(asset, &pose, (&node, transform), &primitive, 0)? else { continue };
             let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| t.map(|v| uvs[v as usize])).collect());
-            soup.add(t.positions, &t.triangles, uvs, primitive.material().index())?;
+            let mesh = node.mesh().map_or(0, |m| m.index());
+            let place = Location::Pointer(format!("/meshes/{mesh}/primitives/{}", primitive.index()));
+            soup.add(t.positions, &t.triangles, uvs, primitive.material().index(), |_| place.clone())?;
         }
     }
     Ok(soup)
@@ -140,25 +153,28 @@ fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
 
 fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
     let (header, mut body) = table::open(std::io::Cursor::new(bytes))?;
-    let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let vertex = header.required("vertex")?;
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
     let names = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]];
     let uv_columns = names.into_iter().find_map(|n| vertex.scalars(n).ok());
-    let (positions, vertex_uvs) = body.rows(
+    let (positions, vertex_uvs, unusable) = body.rows(
         &header,
         "vertex",
-        |n| (Vec::with_capacity(n), vec![]),
-        |(positions, uvs), row| {
+        |n| (Vec::with_capacity(n), vec![], vec![]),
+        |(positions, uvs, unusable), row| {
             let v = |column: usize| row.values[column] as f32;
-            positions.push(Vec3::new(v(x), v(y), v(z)));
+            let position = Vec3::new(v(x), v(y), v(z));
+            unusable.extend((!position.is_finite()).then_some((positions.len(), row.at)));
+            positions.push(position);
             uvs.extend(uv_columns.map(|[s, t]| Vec2::new(v(s), 1.0 - v(t))));
             Ok(())
         },
     )?;
 
-    let face = header.element("face").ok_or_else(|| Fault::whole("a PLY with the element `face`", "points alone"))?;
+    let face = header.required("face")?;
     let corners = face.list("vertex_indices").or_else(|| face.list("vertex_index"));
-    let corners = corners.ok_or_else(|| Fault::whole("the face property `vertex_indices`", "a header without it"))?;
+    let corners =
+        corners.ok_or_else(|| Fault::byte(face.at, "the face property `vertex_indices`", "a header without it"))?;
     let face_uvs = face.list("texcoord");
     let (triangles, uvs) = body.rows(
         &header,
@@ -168,7 +184,7 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
             let polygon = &row.lists[corners];
             if let Some(bad) = polygon.iter().find(|&&v| !(v >= 0.0 && (v as usize) < positions.len())) {
                 let expected = format!("vertex indices below {}", positions.len());
-                return Err(Fault::whole(expected, format!("{bad} in a face")));
+                return Err(Fault::byte(row.at, expected, format!("{bad} in a face")));
             }
             let texcoords = face_uvs.map_or(&[][..], |column| &row.lists[column]);
             let has_own = texcoords.len() == 2 * polygon.len();
@@ -186,8 +202,12 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
             Ok(())
         },
     )?;
-    let mut soup = Soup::default();
-    soup.add(positions, &triangles, Some(uvs), None)?;
+    let mut soup = Soup { faces: Some(Location::Byte(face.at as u64)), ..Soup::default() };
+    let place = |i: usize| {
+        let known = unusable.binary_search_by_key(&i, |(vertex, _)| *vertex);
+        Location::Byte(known.map_or(vertex.at, |k| unusable[k].1) as u64)
+    };
+    soup.add(positions, &triangles, Some(uvs), None, place)?;
     Ok(soup)
 }
 
@@ -235,7 +255,7 @@ mod tests {
             |soup: Result<Soup, Fault>| soup.and_then(Soup::finish).unwrap_err().in_file(Path::new("m")).to_string();
         assert_eq!(
             message(obj::parse(b"v 0 0 0\n")),
-            "m: expected a mesh with at least one triangle, found 1 positions"
+            "m: byte 8: expected a mesh with at least one triangle, found 1 positions"
         );
         assert!(message(from_ply(QUAD_PLY.replace("4 0 1 2 3", "4 0 1 2 4").as_bytes())).contains("below 4, found 4"));
         assert_eq!(

@@ -108,6 +108,6 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     } else {
         let expected = "a .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat or .ksplat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
-        Err(error::Fault::whole(expected, found).in_file(path))
+        Err(error::Fault::byte(0, expected, found).in_file(path))
     }
 }

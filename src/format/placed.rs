@@ -61,11 +61,12 @@ pub(super) fn turned(atlas: &Atlas, rotation: DQuat) -> Result<Atlas, SceneError
     Atlas::new(atlas.base().clone(), Some(bands))
 }
 
-/// All parts as one, at the highest degree among them.
-pub(super) fn join(parts: Vec<SplatArrays>) -> Result<Splats, SceneError> {
-    let degree = parts.iter().map(|p| p.sh_degree).max().unwrap_or(0);
+/// All parts as one, at the highest degree among them, with where each is from: a JSON pointer, or the path of a prim.
+pub(super) fn join(parts: Vec<(String, SplatArrays)>) -> Result<Splats, Fault> {
+    let places: Vec<(usize, String)> = parts.iter().map(|(at, part)| (part.means.len(), at.clone())).collect();
+    let degree = parts.iter().map(|(_, part)| part.sh_degree).max().unwrap_or(0);
     let k = sh::coefficients(degree);
-    let mut parts = parts.into_iter().map(|mut part| {
+    let mut parts = parts.into_iter().map(|(_, mut part)| {
         if part.sh_degree < degree {
             let own = part.sh.chunks_exact(sh::coefficients(part.sh_degree));
             part.sh = own.flat_map(|c| c.iter().copied().chain(std::iter::repeat([0.0; 3])).take(k)).collect();
@@ -80,7 +81,7 @@ pub(super) fn join(parts: Vec<SplatArrays>) -> Result<Splats, SceneError> {
         all.opacity_logits.append(&mut part.opacity_logits);
         all.sh.append(&mut part.sh);
     }
-    all.check()
+    all.check().map_err(|e| Fault::from(e).of_part(places.iter().map(|(count, at)| (*count, at.as_str()))))
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use std::path::Path;
 use glam::{Quat, Vec3};
 
 use super::blocks::{in_waves, read_in_blocks};
-use super::error::{Fault, open_file};
+use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::record::{Columns, Record, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
 use super::{FormatError, activation, atomic_write_with};
@@ -84,7 +84,8 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splat
             columns.extend(rows.len(), |i| splat(rows[i]));
         }
     })?;
-    Ok((columns.finish()?, dropped))
+    let byte = |i: usize| Location::Byte((i * BYTES) as u64);
+    Ok((columns.finish().map_err(|fault| fault.of_element(byte))?, dropped))
 }
 
 fn encode(splat: &Record) -> [u8; BYTES] {
@@ -181,14 +182,14 @@ mod tests {
         let (mut bytes, _) = written(&random_splats(2, 0, 4));
         bytes[32..36].copy_from_slice(&f32::NAN.to_le_bytes());
         let message = |bytes: &[u8]| parse(bytes).unwrap_err().in_file(Path::new("a.splat")).to_string();
-        assert_eq!(message(&bytes), "a.splat: means[1]: expected finite numbers, found NaN");
+        assert_eq!(message(&bytes), "a.splat: byte 32: expected finite numbers, found NaN in means[1]");
         assert_eq!(
             message(&bytes[..63]),
             "a.splat: byte 32: expected 32 bytes per splat, found 31 bytes after splat 1"
         );
         bytes[28..32].fill(128);
         bytes[32..36].fill(0);
-        assert!(message(&bytes).contains("rotations[0]: expected a non-zero quaternion"), "{}", message(&bytes));
+        assert!(message(&bytes).contains("byte 0: expected a non-zero quaternion"), "{}", message(&bytes));
     }
 
     proptest! {

@@ -4,11 +4,11 @@
 
 use std::path::Path;
 
-use centaur::format::{self, WriteOptions, ksplat, spz};
+use centaur::format::{self, CameraFile, WriteOptions, ksplat, spz};
 use centaur::optimize::checkpoint::Checkpoint;
 use centaur::optimize::state::SplatState;
-use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture, sh};
-use glam::{Quat, Vec2, Vec3};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 /// What one call of a reader reads.
 pub(crate) struct Sample {
@@ -44,6 +44,11 @@ const TRANSFORMS: &str = r#"{"camera_angle_x":0.7,"w":1,"h":1,"k1":0.01,"frames"
 {"file_path":"images/a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},
 {"file_path":"images/b","transform_matrix":[[0,0,1,4],[0,1,0,0],[-1,0,0,0],[0,0,0,1]]}]}"#;
 
+/// As nerfstudio's viewer writes it.
+const CAMERA_PATH: &str = r#"{"camera_type":"perspective","render_height":4,"render_width":8,"fps":24,"seconds":1,"camera_path":[
+{"camera_to_world":[0,0,1,7,1,0,0,8,0,1,0,9,0,0,0,1],"fov":90,"aspect":2},
+{"camera_to_world":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1],"fov":60.5,"aspect":2}]}"#;
+
 /// All of them.
 pub(crate) fn samples() -> Vec<Sample> {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -77,6 +82,10 @@ pub(crate) fn samples() -> Vec<Sample> {
         let write = |path: &Path| ksplat::write(path, &scene.splats, level).map(drop);
         add("ksplat", vec![("scene.ksplat", written(folder.path(), "scene.ksplat", write))]);
     }
+    for (reader, name) in [("glb", "scene.glb"), ("usda", "scene.usda")] {
+        let write = |path: &Path| format::write_cameras(path, &flight()).map(drop);
+        add(reader, vec![(name, written(folder.path(), name, write))]);
+    }
     add("gltf", vec![("scene.gltf", GLTF.into())]);
     add("obj", vec![("mesh.obj", OBJ.into())]);
     add("mesh_ply", vec![("mesh.ply", MESH_PLY.into())]);
@@ -86,6 +95,7 @@ pub(crate) fn samples() -> Vec<Sample> {
     );
     add("colmap_binary", colmap_binary());
     add("transforms", vec![("transforms.json", TRANSFORMS.into())]);
+    add("transforms", vec![("transforms.json", CAMERA_PATH.into())]);
     let checkpoint = Checkpoint {
         splats: SplatState::from_splats(&self::scene(3, 1).splats),
         indices: [("corners".to_owned(), vec![0, 1, 2])].into(),
@@ -124,6 +134,16 @@ fn scene(count: usize, degree: u32) -> HybridScene {
     )
     .expect("a mesh");
     HybridScene { splats, meshes: vec![mesh], composition: Composition::default() }
+}
+
+/// A camera that moves and turns for a quarter of a second.
+fn flight() -> CameraFile {
+    let frame = |i: usize| {
+        let lens = Intrinsics { width: 8, height: 4, fx: 5.0, fy: 5.0, cx: 4.0, cy: 2.0 };
+        let camera = Camera::new(lens, DMat3::from_rotation_y(0.3 * i as f64), DVec3::new(0.0, 0.1 * i as f64, 2.0));
+        (format!("frame_{i:05}"), camera.expect("a rigid pose"))
+    };
+    CameraFile { cameras: (0..7).map(frame).collect(), fps: Some(24.0), y_up: Some(false), notes: vec![] }
 }
 
 fn ascii_ply() -> String {

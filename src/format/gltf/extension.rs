@@ -253,7 +253,7 @@ impl SceneContract {
             background: self.background,
             near: self.near.unwrap_or(near),
         };
-        composition.validate()?;
+        composition.validate().map_err(|e| Fault::pointer(format!("{at}/{}", e.field), e.expected, e.found))?;
         Ok(composition)
     }
 }

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
 use super::uri::resolve;
 use super::{glb, meshopt};
-use crate::format::error::{Fault, FormatError, read_file};
+use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
 
 /// Attributes that the core does not define, by (mesh, primitive): name → accessor.
 type Attributes = HashMap<(usize, usize), BTreeMap<String, usize>>;
@@ -38,6 +38,9 @@ pub(in crate::format) struct Asset {
     /// Folder of the file: images and buffers may lie in it.
     pub(super) folder: PathBuf,
 }
+
+/// What channels of animations move.
+const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
 
 /// Extensions without which a file cannot be understood, and which are understood here.
 pub(in crate::format) const UNDERSTOOD: [&str; 9] = [
@@ -66,9 +69,9 @@ impl Asset {
         let (mut root, json_bytes) = if bytes.starts_with(glb::MAGIC) {
             let chunks = glb::split(&bytes)?;
             bin = chunks.bin.map(|data| chunks.bin_offset..chunks.bin_offset + data.len());
-            (parse_json(chunks.json, chunks.json_offset)?, chunks.json.len())
+            (from_json(chunks.json, chunks.json_offset, "glTF JSON")?, chunks.json.len())
         } else {
-            (parse_json(&bytes, 0)?, bytes.len())
+            (from_json(&bytes, 0, "glTF JSON")?, bytes.len())
         };
         let extensions_used = strings(&root, "extensionsUsed");
         let extensions_required = strings(&root, "extensionsRequired");
@@ -110,13 +113,6 @@ impl Asset {
     }
 }
 
-fn parse_json(json: &[u8], offset: usize) -> Result<Value, Fault> {
-    serde_json::from_slice(json).map_err(|e| {
-        let line_start: usize = json.split_inclusive(|&b| b == b'\n').take(e.line().max(1) - 1).map(<[u8]>::len).sum();
-        Fault::byte(offset + line_start + e.column(), "glTF JSON", e.to_string())
-    })
-}
-
 /// What the crate understands, validated by it, and the attributes that it does not.
 fn core(root: &Value) -> Result<(gltf::Document, Attributes), Fault> {
     let mut core = root.clone();
@@ -124,15 +120,15 @@ fn core(root: &Value) -> Result<(gltf::Document, Attributes), Fault> {
         object.remove("extensionsRequired");
     }
     let attributes = lift_attributes(&mut core)?;
+    lift_channels(&mut core)?;
     fill_accessors(&mut core);
-    let core: gltf::json::Root =
-        serde_json::from_value(core).map_err(|e| Fault::whole("glTF 2.0 JSON", e.to_string()))?;
+    let core: gltf::json::Root = from_value(&core, "", "glTF 2.0 JSON")?;
     let document = gltf::Document::from_json(core).map_err(|e| match e {
         gltf::Error::Validation(faults) if !faults.is_empty() => {
             let (path, error) = &faults[0];
             Fault::pointer(rfc6901(path.as_str()), "valid glTF 2.0", error.to_string().to_lowercase())
         }
-        other => Fault::whole("valid glTF 2.0", other.to_string()),
+        other => Fault::pointer("/", "valid glTF 2.0", other.to_string()),
     })?;
     Ok((document, attributes))
 }
@@ -181,6 +177,38 @@ fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
         }
     }
     Ok(lifted)
+}
+
+/// Leaves only channels of animations to the core that move nodes; others are those of extensions (`KHR_animation_pointer`), or are
+/// to be ignored. The crate takes the word of channels for their node and what they move.
+fn lift_channels(root: &mut Value) -> Result<(), Fault> {
+    let nodes = root.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
+    let animations = root.get_mut("animations").and_then(Value::as_array_mut).into_iter().flatten();
+    for (a, animation) in animations.enumerate() {
+        let Some(channels) = animation.get_mut("channels").and_then(Value::as_array_mut) else { continue };
+        for (c, channel) in channels.iter().enumerate() {
+            let at = || format!("/animations/{a}/channels/{c}/target");
+            let Some(target) = channel.get("target").filter(|target| target.get("extensions").is_none()) else {
+                continue;
+            };
+            let path = target.get("path").unwrap_or(&Value::Null);
+            if !path.as_str().is_some_and(|path| PATHS.contains(&path)) {
+                let found = path.as_str().map_or_else(|| path.to_string(), str::to_owned);
+                return Err(Fault::pointer(format!("{}/path", at()), PATHS.join(", "), shown(found.as_bytes())));
+            }
+            if let Some(node) = target.get("node").filter(|n| n.as_u64().is_none_or(|n| n >= nodes as u64)) {
+                let expected = format!("a node below {nodes}");
+                return Err(Fault::pointer(format!("{}/node", at()), expected, shown(node.to_string().as_bytes())));
+            }
+        }
+        channels.retain(|channel| {
+            let target = channel.get("target").unwrap_or(&Value::Null);
+            let is_core = target.get("path").and_then(Value::as_str).is_some_and(|path| PATHS.contains(&path));
+            let node = target.get("node").and_then(Value::as_u64);
+            is_core && node.is_some_and(|node| node < nodes as u64)
+        });
+    }
+    Ok(())
 }
 
 /// Gives accessors without data a view that [`Asset::has_view`] does not count.

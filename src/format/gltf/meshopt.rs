@@ -7,7 +7,7 @@ use meshopt::{
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::format::error::Fault;
+use crate::format::error::{Fault, from_value};
 
 /// Both names; KHR adds a version of the attribute codec and the filter COLOR.
 pub(in crate::format) const NAMES: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
@@ -44,8 +44,7 @@ pub(in crate::format) fn decompress<'b>(
     views.filter_map(move |(i, view)| {
         let (name, value) = of_view(view)?;
         let at = format!("/bufferViews/{i}/extensions/{name}");
-        let decoded = Compressed::deserialize(value)
-            .map_err(|e| Fault::pointer(&at, format!("an object of {name}"), e.to_string()))
+        let decoded = from_value::<Compressed>(value, &at, &format!("an object of {name}"))
             .and_then(|compressed| compressed.decode(buffer(compressed.buffer).unwrap_or_default(), &at));
         Some(decoded.and_then(|bytes| {
             let declared = view.get("byteLength").and_then(Value::as_u64).unwrap_or(0);
@@ -284,6 +283,6 @@ mod tests {
         fails(json!({ "filter": "BLUR" }), ": expected a mode and a filter that go together");
         fails(json!({ "mode": "TRIANGLES", "byteStride": 4 }), "/count: expected a multiple of 3, found 5");
         fails(json!({ "mode": "TRIANGLES", "byteStride": 4, "count": 6 }), ": expected 6 elements of mode TRIANGLES");
-        fails(json!({ "mode": 3 }), ": expected an object of KHR_meshopt_compression");
+        fails(json!({ "mode": 3 }), "/mode: expected an object of KHR_meshopt_compression");
     }
 }

@@ -46,7 +46,7 @@ pub(super) fn cameras(asset: &Asset, sampling: &Sampling<'_>) -> Result<CameraFi
             continue;
         };
         let fps = sampling.fps.or(motion.fps).unwrap_or(DEFAULT_FPS);
-        let count = frame_count(start, end, fps)?;
+        let count = frame_count(start, end, fps).map_err(|fault| fault.under(&at))?;
         let frames = (0..count).map(|i| -> Result<(Camera, Option<String>), String> {
             let time = start + i as f64 / fps;
             let in_world = chain.iter().fold(DMat4::IDENTITY, |below, &n| motion.local(&nodes[n], time) * below);
@@ -62,9 +62,9 @@ pub(super) fn cameras(asset: &Asset, sampling: &Sampling<'_>) -> Result<CameraFi
         }
     }
     if let (true, Some(reason)) = (found.is_empty(), notes.first()) {
-        return Err(Fault::whole("a camera", reason.clone()));
+        return Err(Fault::pointer("/cameras", "a camera", reason.clone()));
     }
-    chosen(found, sampling, !is_ours, notes)
+    chosen(found, sampling, !is_ours, notes).map_err(|fault| fault.under("/cameras"))
 }
 
 /// What moves translation, rotation and scale of nodes.

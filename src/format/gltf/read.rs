@@ -1,6 +1,5 @@
 //! From an opened asset to a hybrid scene.
 
-use serde::Deserialize as _;
 use serde_json::Value;
 
 use super::camera;
@@ -10,7 +9,7 @@ use super::meshes::Meshes;
 use super::splats;
 use super::transform::{is_ours, placements};
 use crate::format::SceneFile;
-use crate::format::error::Fault;
+use crate::format::error::{Fault, from_value};
 use crate::format::placed::join;
 use crate::scene::{ColorSpace, Composition, HybridScene, sh};
 
@@ -37,7 +36,7 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
                 let part = splats::read(asset, id, &primitive, khr, (node.index(), transform), space, &mut notes)?;
                 bytes =
                     bytes.saturating_add(part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64));
-                parts.push(part);
+                parts.push((format!("/meshes/{mesh}/primitives/{}", id.1), part));
             } else if let Some(added) = meshes.add((&node, transform), &primitive, &mut notes)? {
                 bytes = bytes.saturating_add(added);
             } else {
@@ -89,8 +88,7 @@ fn composition(asset: &Asset) -> Result<Composition, Fault> {
         && let Some(value) = scene.extension_value(HYBRID)
     {
         let at = format!("/scenes/{}/extensions/{HYBRID}", scene.index());
-        let contract = SceneContract::deserialize(value)
-            .map_err(|e| Fault::pointer(&at, format!("a scene of {HYBRID}"), e.to_string()))?;
+        let contract: SceneContract = from_value(value, &at, &format!("a scene of {HYBRID}"))?;
         return contract.composition(&at, least_near(document));
     }
     let mut primitives = document.meshes().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));

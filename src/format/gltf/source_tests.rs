@@ -46,7 +46,10 @@ fn rich() -> (Builder, Value) {
         "cameras": [{ "type": "perspective", "perspective": { "yfov": 1, "znear": 0.1 } }],
         "animations": [{
             "samplers": [{ "input": times, "output": turns }],
-            "channels": [{ "sampler": 0, "target": { "node": 1, "path": "rotation" } }],
+            "channels": [
+                { "sampler": 0, "target": { "path": "pointer", "extensions": { "KHR_animation_pointer": { "pointer": "/extras" } } } },
+                { "sampler": 0, "target": { "node": 1, "path": "rotation" } },
+            ],
         }],
     });
     (b, document)

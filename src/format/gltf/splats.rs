@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 
 use glam::{DMat4, DVec4, Quat, Vec3};
-use serde::Deserialize as _;
 use serde_json::Value;
 
 use super::extension::{
     HYBRID, KHR_SPLATS, Khr, OPACITY, ROTATION, SCALE, SPZ, Spz, color_space_token, parse_color_space, sh_attributes,
 };
 use super::lift::Asset;
-use crate::format::error::Fault;
+use crate::format::error::{Fault, from_value};
 use crate::format::placed::place;
 use crate::format::{activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
@@ -27,7 +26,7 @@ pub(super) fn read(
 ) -> Result<SplatArrays, Fault> {
     let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
     let at_khr = format!("{at}/extensions/{KHR_SPLATS}");
-    let khr = Khr::deserialize(khr).map_err(|e| Fault::pointer(&at_khr, KHR_SPLATS, e.to_string()))?;
+    let khr = from_value::<Khr>(khr, &at_khr, KHR_SPLATS)?;
     if let Some(kernel) = khr.kernel.as_ref().filter(|k| *k != "ellipse") {
         return Err(Fault::pointer(format!("{at_khr}/kernel"), "ellipse", format!("`{kernel}`")));
     }
@@ -73,8 +72,7 @@ fn decompress(
     at: &str,
     notes: &mut Vec<String>,
 ) -> Result<SplatArrays, Fault> {
-    let stream =
-        Spz::deserialize(value).map_err(|e| Fault::pointer(at, format!("an object of {SPZ}"), e.to_string()))?;
+    let stream: Spz = from_value(value, at, &format!("an object of {SPZ}"))?;
     let view = asset.document.views().nth(stream.buffer_view).filter(|view| asset.has_view(view));
     let view = view.ok_or_else(|| {
         let views = asset.root.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);

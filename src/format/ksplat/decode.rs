@@ -7,7 +7,7 @@ use half::f16;
 use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SECTION_HEADER};
 use crate::format::activation;
 use crate::format::blocks::read_in_blocks;
-use crate::format::error::Fault;
+use crate::format::error::{Fault, Location};
 use crate::format::record::{Columns, Record, dc_of_bytes, logit_of_byte};
 use crate::scene::{Splats, sh};
 
@@ -38,7 +38,7 @@ struct Section {
 pub(super) fn decode(mut file: impl Read + Seek + Send) -> Result<Splats, Fault> {
     let length = file.seek(SeekFrom::End(0)).map_err(|e| Fault::unreadable(0, &e))? as usize;
     if length < HEADER {
-        return Err(Fault::whole(format!("a .ksplat header of {HEADER} bytes"), format!("{length} bytes")));
+        return Err(Fault::byte(length, format!("a .ksplat header of {HEADER} bytes"), "the end of the file"));
     }
     let header = read_at(&mut file, 0..HEADER)?;
     if header[..2] != [0, 1] {
@@ -70,7 +70,19 @@ pub(super) fn decode(mut file: impl Read + Seek + Send) -> Result<Splats, Fault>
     let sh_degree = parsed.iter().map(|s| s.layout.sh_degree).max().unwrap_or(0);
     let mut columns = Columns::with_capacity(count, sh_degree);
     parsed.iter().try_for_each(|section| section.decode(&mut file, &mut columns))?;
-    columns.finish()
+    columns.finish().map_err(|fault| fault.of_element(|i| Location::Byte(start_of_splat(&parsed, i) as u64)))
+}
+
+/// Offset of splat `i` of all sections together.
+fn start_of_splat(sections: &[Section], i: usize) -> usize {
+    let mut left = i;
+    for section in sections {
+        if left < section.count {
+            return section.splats.start + left * section.layout.level.splat_bytes(section.layout.sh_degree);
+        }
+        left -= section.count;
+    }
+    HEADER
 }
 
 impl Section {

@@ -117,7 +117,10 @@ fn messages_name_place_expected_and_found() {
         changed[at] = byte;
         message(&changed)
     };
-    assert_eq!(message(&[0; 9]), "a.ksplat: expected a .ksplat header of 4096 bytes, found 9 bytes");
+    assert_eq!(
+        message(&[0; 9]),
+        "a.ksplat: byte 9: expected a .ksplat header of 4096 bytes, found the end of the file"
+    );
     assert_eq!(with(1, 2), "a.ksplat: byte 0: expected .ksplat version 0.1, found 0.2");
     assert_eq!(with(20, 3), "a.ksplat: byte 20: expected compression level 0, 1 or 2, found 3");
     assert!(with(7, 255).contains("byte 4: expected at most "));

@@ -6,7 +6,7 @@ use std::str::SplitAsciiWhitespace;
 use glam::{Vec2, Vec3};
 
 use super::Soup;
-use crate::format::error::{Fault, shown};
+use crate::format::error::{Fault, Location, shown};
 
 /// A file while it is read. Indices may point to what follows, so that they are looked up at the end.
 #[derive(Default)]
@@ -38,7 +38,13 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
         line.push_str(&text);
         let mut words = line.split_ascii_whitespace();
         match words.next() {
-            Some("v") => obj.positions.push(Vec3::from(numbers(&mut words, start, &line)?)),
+            Some("v") => {
+                let position = Vec3::from(numbers(&mut words, start, &line)?);
+                if !position.is_finite() {
+                    soup.unusable.push((obj.positions.len() as u32, Location::Byte(start as u64)));
+                }
+                obj.positions.push(position);
+            }
             Some("vt") => {
                 let [u] = numbers(&mut words, start, &line)?;
                 let [v] = if words.clone().next().is_some() { numbers(&mut words, start, &line)? } else { [0.0] };
@@ -58,6 +64,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
         }
         line.clear();
     }
+    soup.faces = Some(Location::Byte(offset as u64));
     obj.finish(soup)
 }
 

@@ -127,7 +127,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     if compressed::is_compressed(&header) {
         return Ok(PlySplats { splats: compressed::parse(&header, &mut body)?, attributes: vec![], dropped: 0 });
     }
-    let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let vertex = header.required("vertex")?;
     let means = vertex.columns(["x", "y", "z"])?;
     let dc = vertex.columns(["f_dc_0", "f_dc_1", "f_dc_2"])?;
     let [opacity] = vertex.columns(["opacity"])?;
@@ -174,7 +174,8 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             }
             Ok(())
         })?;
-    Ok(PlySplats { splats: columns.finish()?, attributes, dropped })
+    let splats = columns.finish().map_err(|fault| body.locate(&header, "vertex", |i| i, fault))?;
+    Ok(PlySplats { splats, attributes, dropped })
 }
 
 /// Columns of `f_rest_0`, `f_rest_1`, …
@@ -200,14 +201,15 @@ fn finite_log_scale(log_scale: f32) -> f32 {
 
 fn parse_points(file: impl BufRead + Seek) -> Result<Vec<(DVec3, [u8; 3])>, Fault> {
     let (header, mut body) = table::open(file)?;
-    let vertex = header.element("vertex").ok_or_else(|| Fault::whole("a PLY with the element `vertex`", "none"))?;
+    let vertex = header.required("vertex")?;
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
     let colours = vertex.scalars(["red", "green", "blue"]).ok();
     let scale = if vertex.is_float("red") { 255.0 } else { 1.0 };
     body.rows(&header, "vertex", Vec::with_capacity, |points, row| {
         let position = DVec3::new(row.values[x], row.values[y], row.values[z]);
         if !position.is_finite() {
-            return Err(Fault::whole(format!("finite numbers in vertex {}", points.len()), position.to_string()));
+            let expected = format!("finite numbers in vertex {}", points.len());
+            return Err(Fault::byte(row.at, expected, position.to_string()));
         }
         // A float-to-integer cast saturates, and takes NaN to 0.
         let rgb = colours.map_or([128; 3], |columns| columns.map(|c| (row.values[c] * scale).round() as u8));

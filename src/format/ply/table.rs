@@ -13,13 +13,15 @@ const MAX_HEADER: u64 = 1 << 20;
 /// What a file says about its tables.
 pub(crate) struct Header {
     elements: Vec<Element>,
+    /// Offset of `end_header`.
+    end: usize,
 }
 
 /// One table of the file: `vertex`, `face`, …
 pub(crate) struct Element {
     name: String,
     /// Offset of the line that declares it.
-    pub(super) at: usize,
+    pub(crate) at: usize,
     pub(crate) count: usize,
     properties: Vec<Property>,
     /// Bytes of the scalars of a row of [`Body::blocks`].
@@ -198,7 +200,7 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
     let mut encoding = None;
     let mut elements: Vec<Element> = vec![];
     let (mut offset, mut line) = (0, vec![]);
-    loop {
+    let end = loop {
         let start = offset as usize;
         line.clear();
         offset += reader.by_ref().take(MAX_HEADER - offset).read_until(b'\n', &mut line).map_err(unreadable)? as u64;
@@ -213,7 +215,7 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         let bad = |expected: &str| Fault::byte(start, expected, shown(line.trim_ascii_end()));
         match words.as_slice() {
-            ["end_header"] => break,
+            ["end_header"] => break start,
             [] | ["ply" | "comment" | "obj_info", ..] => {}
             ["format", name, ..] => {
                 encoding = Some(match *name {
@@ -241,7 +243,7 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
             }
             _ => return Err(bad("a PLY header line")),
         }
-    }
+    };
     let encoding = encoding.ok_or_else(|| Fault::byte(offset as usize, "a `format` line", "none in the header"))?;
     for element in &mut elements {
         for property in element.properties.iter_mut().filter(|p| p.list_length.is_none()) {
@@ -251,13 +253,23 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
             element.stride += kind.bytes();
         }
     }
-    Ok((Header { elements }, Body::new(reader, offset, length, encoding)))
+    Ok((Header { elements, end }, Body::new(reader, offset, length, encoding)))
 }
 
 impl Header {
     /// The first table of this name.
     pub(crate) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)
+    }
+
+    /// As [`Self::element`], of one that must exist.
+    pub(crate) fn required(&self, name: &str) -> Result<&Element, Fault> {
+        let missing = || {
+            let names: Vec<&str> = self.elements.iter().take(8).map(|e| e.name.as_str()).collect();
+            let found = if names.is_empty() { "none".to_owned() } else { shown(names.join(", ").as_bytes()) };
+            Fault::byte(self.end, format!("the element `{name}` before the end of the header"), found)
+        };
+        self.element(name).ok_or_else(missing)
     }
 
     /// A property that its element has twice; readers see the first alone.

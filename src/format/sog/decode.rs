@@ -164,13 +164,13 @@ impl Scheme {
 
     /// Reads and decodes the images.
     pub(super) fn fetch(&self, files: &mut FileSet) -> Result<Vec<Texels>, Fault> {
-        let fault = |i: usize, (expected, found): (String, String)| Fault::pointer(&self.files[i].0, expected, found);
         let mut contents = vec![];
-        for (i, (_, name)) in self.files.iter().enumerate() {
-            contents.push(files.image(name).map_err(|e| fault(i, e))?);
+        for (at, name) in &self.files {
+            contents.push(files.image(name, at)?);
         }
         let decode = |(i, content): (usize, Vec<u8>)| {
-            Texels::decode(&content, |width, height| self.check_size(i, width, height)).map_err(|e| fault(i, e))
+            let image = Texels::decode(&content, |width, height| self.check_size(i, width, height));
+            image.map_err(|fault| fault.in_member(&self.files[i].1))
         };
         contents.into_par_iter().enumerate().map(decode).collect()
     }
@@ -190,7 +190,7 @@ impl Scheme {
     /// The splats of images as [`Self::fetch`] returns them, checked, and decoded one by one as they are asked for.
     pub(super) fn decoder<'a>(&'a self, images: &'a [Texels]) -> Result<Decoder<'a>, Fault> {
         let [lower, upper, scales, rotations, colors, palette @ ..] = images else {
-            return Err(Fault::whole("at least 5 images", images.len().to_string()));
+            return Err(Fault::pointer("/means/files", "at least 5 images", images.len().to_string()));
         };
         let bad_tag = |i| rotation(rotations.at(i)).err().map(|tag| (i, tag));
         if let Some((i, tag)) = (0..self.count).into_par_iter().find_map_first(bad_tag) {
@@ -261,7 +261,7 @@ impl Decoder<'_> {
     pub(super) fn splats(&self) -> Result<Splats, Fault> {
         let mut columns = Columns::with_capacity(self.scheme.count, self.harmonics.as_ref().map_or(0, |h| h.degree));
         columns.extend(self.scheme.count, |i| self.record(i));
-        columns.finish()
+        columns.finish().map_err(|fault| fault.under("/means"))
     }
 
     /// Splat `i`.

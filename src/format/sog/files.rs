@@ -9,7 +9,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::decode::Meta;
 use super::encode::Encoded;
-use crate::format::error::{Fault, FormatError, read_file};
+use crate::format::error::{Fault, FormatError, from_json, read_file};
 use crate::format::{atomic_write, atomic_write_with};
 
 pub(super) const META: &str = "meta.json";
@@ -40,7 +40,9 @@ impl FileSet {
 
     pub(super) fn bundle(zip: Vec<u8>) -> Result<Self, Fault> {
         let bytes = zip.len() as u64;
-        let archive = ZipArchive::new(Cursor::new(zip)).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+        let archive = ZipArchive::new(Cursor::new(zip));
+        let archive =
+            archive.map_err(|e| Fault::byte(bytes as usize, "the directory of a zip before", e.to_string()))?;
         Ok(Self { place: Place::Bundle(Box::new(archive)), bytes })
     }
 
@@ -50,32 +52,51 @@ impl FileSet {
     }
 
     pub(super) fn meta(&mut self) -> Result<Meta, Fault> {
-        let text = self.read(META, MAX_META).map_err(|(expected, found)| Fault::whole(expected, found))?;
-        serde_json::from_slice(&text).map_err(|e| Fault::whole("the `meta.json` of a SOG", e.to_string()))
+        let text = match &self.place {
+            // The file that was opened has no other that names it.
+            Place::Folder(_) => self.read(META, "", MAX_META)?,
+            Place::Bundle(archive) if archive.index_for_name(META).is_none() => {
+                let directory = archive.central_directory_start() as usize;
+                return Err(Fault::byte(
+                    directory,
+                    format!("`{META}` among the files of the zip"),
+                    "none of this name",
+                ));
+            }
+            Place::Bundle(_) => self.read(META, "", MAX_META)?,
+        };
+        from_json(&text, 0, "the `meta.json` of a SOG").map_err(|fault| self.in_meta(fault))
     }
 
-    /// The content of an image. On failure: what was expected, and what was found.
-    pub(super) fn image(&mut self, name: &str) -> Result<Vec<u8>, (String, String)> {
+    /// A fault of `meta.json`.
+    pub(super) fn in_meta(&self, fault: Fault) -> Fault {
+        if let Place::Bundle(_) = self.place { fault.in_member(META) } else { fault }
+    }
+
+    /// The content of an image, which `meta.json` names at the pointer `at`.
+    pub(super) fn image(&mut self, name: &str, at: &str) -> Result<Vec<u8>, Fault> {
         // Lossless WebP does not deflate further, so that a member much larger than the whole zip is a trap.
-        self.read(name, self.bytes.saturating_mul(8).saturating_add(1 << 16))
+        self.read(name, at, self.bytes.saturating_mul(8).saturating_add(1 << 16))
     }
 
-    fn read(&mut self, name: &str, limit: u64) -> Result<Vec<u8>, (String, String)> {
-        let missing = |reason: String| ("a readable file".to_owned(), format!("`{name}` ({reason})"));
+    fn read(&mut self, name: &str, at: &str, limit: u64) -> Result<Vec<u8>, Fault> {
+        let missing = |reason: String| Fault::pointer(at, "a readable file", format!("`{name}` ({reason})"));
         let mut content = vec![];
-        match &mut self.place {
-            Place::Bundle(archive) => {
-                let member = archive.by_name(name).map_err(|e| missing(e.to_string()))?;
-                member.take(limit + 1).read_to_end(&mut content).map_err(|e| missing(e.to_string()))?;
-            }
+        let read = match &mut self.place {
+            Place::Bundle(archive) => match archive.by_name(name) {
+                Ok(member) => member.take(limit + 1).read_to_end(&mut content),
+                Err(e) => return Err(missing(e.to_string()).in_member(META)),
+            },
             Place::Folder(folder) => {
-                let path = inside(folder, name)?;
+                let path = inside(folder, name).map_err(|(expected, found)| Fault::pointer(at, expected, found))?;
                 let file = File::open(path).map_err(|e| missing(e.to_string()))?;
-                file.take(limit + 1).read_to_end(&mut content).map_err(|e| missing(e.to_string()))?;
+                file.take(limit + 1).read_to_end(&mut content)
             }
-        }
+        };
+        read.map_err(|e| Fault::unreadable(content.len() as u64, &e).in_member(name))?;
         if content.len() as u64 > limit {
-            return Err((format!("at most {limit} bytes"), format!("more in `{name}`")));
+            let most = format!("the end of the file at {limit} bytes");
+            return Err(Fault::byte(limit as usize, most, "more").in_member(name));
         }
         Ok(content)
     }

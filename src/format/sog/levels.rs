@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::files::{FileSet, folder_of, inside};
-use crate::format::error::{Fault, FormatError, read_file};
+use crate::format::error::{Fault, FormatError, from_json, read_file};
 use crate::format::record::{Columns, Record};
 use crate::scene::Splats;
 
@@ -42,12 +42,12 @@ struct Part {
 /// The splats of every leaf of the tree at the finest level whose file is there, and a sentence on what is missing.
 pub(super) fn read(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
     let text = read_file(path)?;
-    let index: Index = serde_json::from_slice(&text)
-        .map_err(|e| Fault::whole(format!("the `{INDEX}` of a streamed SOG"), e.to_string()).in_file(path))?;
+    let index: Index =
+        from_json(&text, 0, "the `lod-meta.json` of a streamed SOG").map_err(|fault| fault.in_file(path))?;
     let folder = folder_of(path);
     let there: Vec<Option<_>> = index.filenames.iter().map(|name| inside(folder, name).ok()).collect();
     let (mut parts, mut coarser) = (vec![], 0);
-    collect(&index.tree, &there, &mut parts, &mut coarser).map_err(|fault| fault.in_file(path))?;
+    collect(&index.tree, "/tree", &there, &mut parts, &mut coarser).map_err(|fault| fault.in_file(path))?;
 
     let mut sources = vec![];
     for (file, meta) in there.iter().enumerate() {
@@ -74,7 +74,7 @@ pub(super) fn read(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
     let notes = (coarser > 0).then(|| {
         format!("the files of the finest level are missing for {coarser} part(s) of the scene; coarser ones are read")
     });
-    Ok((columns.finish().map_err(|fault| fault.in_file(path))?, notes.into_iter().collect()))
+    Ok((columns.finish().map_err(|fault| fault.under("/tree").in_file(path))?, notes.into_iter().collect()))
 }
 
 /// The splats of one folder or bundle, never of another index: a circle of them would have no end.
@@ -83,7 +83,13 @@ fn set_of(path: &Path) -> Result<Splats, FormatError> {
 }
 
 /// The finest part of each leaf of which the file is there; counts the leaves for which that is not the finest of all.
-fn collect(node: &Node, there: &[Option<impl Sized>], parts: &mut Vec<Part>, coarser: &mut usize) -> Result<(), Fault> {
+fn collect(
+    node: &Node,
+    at: &str,
+    there: &[Option<impl Sized>],
+    parts: &mut Vec<Part>,
+    coarser: &mut usize,
+) -> Result<(), Fault> {
     let is_there = |part: &Part| there.get(part.file).is_some_and(Option::is_some);
     match node.lods.values().position(is_there) {
         Some(position) => {
@@ -91,9 +97,13 @@ fn collect(node: &Node, there: &[Option<impl Sized>], parts: &mut Vec<Part>, coa
             *coarser += usize::from(position > 0);
         }
         None if node.lods.is_empty() => {}
-        None => return Err(Fault::whole("the file of at least one level of detail of every part", "none of a part")),
+        None => {
+            let expected = "the file of at least one level of detail of every part";
+            return Err(Fault::pointer(format!("{at}/lods"), expected, "none of this part"));
+        }
     }
-    node.children.iter().try_for_each(|child| collect(child, there, parts, coarser))
+    let mut children = node.children.iter().enumerate();
+    children.try_for_each(|(i, child)| collect(child, &format!("{at}/children/{i}"), there, parts, coarser))
 }
 
 /// Parts of one file, by offset, must lie in it and not overlap, so that no splat is there twice.

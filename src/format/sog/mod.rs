@@ -59,9 +59,9 @@ pub(super) fn is_named(path: &Path) -> bool {
 impl FileSet {
     fn splats(&mut self) -> Result<Splats, Fault> {
         let meta = self.meta()?;
-        let scheme = decode::Scheme::parse(&meta, self.bytes())?;
+        let scheme = decode::Scheme::parse(&meta, self.bytes()).map_err(|fault| self.in_meta(fault))?;
         let images = scheme.fetch(self)?;
-        scheme.decoder(&images)?.splats()
+        scheme.decoder(&images).and_then(|decoder| decoder.splats()).map_err(|fault| self.in_meta(fault))
     }
 }
 

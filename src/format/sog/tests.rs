@@ -167,7 +167,7 @@ fn version_1_has_ranges() {
         near(back.sh_of(i)[2][1], -0.5 + byte(5, 3 * label(i) + 1, 1));
     }
     let none = parse(with_meta(&zip, |meta| meta["sh0"]["maxs"] = json!([1.0, 2.0]))).unwrap_err();
-    assert_eq!(none, "s.sog: /sh0/maxs: expected a number for channel 3, found none");
+    assert_eq!(none, "s.sog: `meta.json`, /sh0/maxs: expected a number for channel 3, found none");
 }
 
 #[test]
@@ -195,11 +195,11 @@ fn planted_faults_are_named() {
         ),
         (&|m| m["count"] = json!(1_000_000_000), "/count: expected at most"),
         (&|m| m["count"] = Value::Null, "/count: expected the number of splats, found none"),
-        (&|m| m["count"] = json!(-1), "expected the `meta.json` of a SOG, found"),
-        (&|m| m["count"] = json!(600), "/means/files/0: expected 600 to 66736 texels, found 24×24"),
+        (&|m| m["count"] = json!(-1), "`meta.json`, /count: expected the `meta.json` of a SOG, found"),
+        (&|m| m["count"] = json!(600), ": expected 600 to 66736 texels, found 24×24"),
         (&|m| m["means"]["files"] = json!(["means_l.webp"]), "/means/files: expected 2 file(s), found 1"),
         (&|m| m["means"]["mins"] = json!([0, 0]), "/means/mins: expected a number for channel 2, found none"),
-        (&|m| m["means"]["maxs"] = json!([1e3, 1e3, 1e3]), "means["),
+        (&|m| m["means"]["maxs"] = json!([1e3, 1e3, 1e3]), "/means: expected finite numbers, found inf in means["),
         (&|m| m["scales"]["codebook"] = json!([1.0]), "/scales/codebook: expected 256 numbers, found 1"),
         (&|m| m["sh0"]["codebook"][9] = Value::Null, "/sh0/codebook: expected 256 numbers, found null"),
         (&|m| m["shN"]["bands"] = json!(3), "/shN/bands: expected 3 as by the palette's width"),
@@ -208,17 +208,20 @@ fn planted_faults_are_named() {
         (&|m| m["shN"]["count"] = json!(4096), "/shN/count: expected at most 256 entries, found 4096"),
         (&|m| m["shN"]["count"] = json!(3), "/shN/files/1: expected labels below 3, found"),
         (&|m| m["quats"]["files"] = json!(["sh0.webp"]), "/quats: expected alpha of 252 to 255, found"),
-        (&|m| m["quats"]["files"] = json!(["meta.json"]), "/quats/files/0: expected a lossless WebP image, found"),
+        (&|m| m["quats"]["files"] = json!(["meta.json"]), "`meta.json`, byte 8: expected a lossless WebP image, found"),
         (&|m| m["quats"]["files"] = json!(["../../x"]), "/quats/files/0: expected a readable file, found `../../x`"),
-        (&|m| m["shN"]["files"] = json!(["sh0.webp", "sh0.webp"]), "/shN/files/0: expected 64 texels per coefficient"),
+        (
+            &|m| m["shN"]["files"] = json!(["sh0.webp", "sh0.webp"]),
+            "`sh0.webp`, byte 25: expected 64 texels per coefficient",
+        ),
     ] {
         let found = message(change);
-        assert!(found.starts_with("s.sog: ") && found.contains(expected), "{found}");
+        assert!(found.starts_with("s.sog: ") && found.contains(expected), "{found}, not {expected}");
     }
-    assert!(parse(zip[..zip.len() / 2].to_vec()).unwrap_err().contains("expected a zip file"));
+    assert!(parse(zip[..zip.len() / 2].to_vec()).unwrap_err().contains(": expected the directory of a zip before"));
     let without: Files = unzip(&zip).into_iter().filter(|(name, _)| name != files::META).collect();
     let message = parse(zipped(&without, CompressionMethod::Stored)).unwrap_err();
-    assert!(message.contains("expected a readable file, found `meta.json`"), "{message}");
+    assert!(message.contains("expected `meta.json` among the files of the zip"), "{message}");
 }
 
 #[test]
@@ -229,12 +232,15 @@ fn small_files_do_not_unpack_to_large_ones() {
     let bomb = zipped(&files, CompressionMethod::Deflated);
     assert!(bomb.len() < 1 << 18);
     let message = parse(bomb).unwrap_err();
-    assert!(message.contains("/means/files/0: expected at most") && message.contains("more in"), "{message}");
+    assert!(
+        message.contains("`means_l.webp`, byte ") && message.contains("expected the end of the file at"),
+        "{message}"
+    );
     // An image of one colour takes a few bytes whatever its size.
     let mut files = unzip(&zip);
     files[2].1 = texels::Texels::opaque(4096, 4096).encode();
     let message = parse(zipped(&files, CompressionMethod::Stored)).unwrap_err();
-    assert!(message.contains("/scales/files/0: expected 10 to 65556 texels, found 4096×4096"), "{message}");
+    assert!(message.contains("`scales.webp`, byte 25: expected 10 to 65556 texels, found 4096×4096"), "{message}");
 }
 
 proptest! {

@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use crate::format::error::Fault;
 use image_webp::{ColorType, EncoderParams, WebPDecoder, WebPEncoder};
 
 /// Largest side that `WebP` can state.
@@ -32,13 +33,19 @@ impl Texels {
         self.bytes.as_chunks_mut().0
     }
 
-    /// Decodes a lossless `WebP` whose size `fits`. On failure: what was expected, and what was found.
-    pub(super) fn decode(
-        webp: &[u8],
+    /// Decodes a lossless `WebP` whose size `fits`. Faults stand at the byte up to which it was read.
+    pub(super) fn decode(webp: &[u8], fits: impl FnOnce(usize, usize) -> Result<(), String>) -> Result<Self, Fault> {
+        let mut cursor = Cursor::new(webp);
+        let decoded = Self::read(&mut cursor, fits);
+        decoded.map_err(|(expected, found)| Fault::byte(cursor.position() as usize, expected, found))
+    }
+
+    fn read(
+        webp: &mut Cursor<&[u8]>,
         fits: impl FnOnce(usize, usize) -> Result<(), String>,
     ) -> Result<Self, (String, String)> {
         let lossless = |found: String| ("a lossless WebP image".to_owned(), found);
-        let mut decoder = WebPDecoder::new(Cursor::new(webp)).map_err(|e| lossless(e.to_string()))?;
+        let mut decoder = WebPDecoder::new(webp).map_err(|e| lossless(e.to_string()))?;
         if decoder.is_animated() || decoder.is_lossy() {
             return Err(lossless("a lossy or animated one, which cannot hold indices".to_owned()));
         }

@@ -101,11 +101,11 @@ pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
     if bytes.starts_with(&GZIP) {
         let mut content = GzDecoder::new(bytes);
         let decoded = decode_legacy(&mut content, bytes.len());
-        // How far it was unpacked.
-        return decoded.map_err(|fault| fault.or_at_byte(bytes.len() - content.get_ref().len()));
+        // Bytes of the header are those of what is unpacked; else it is known how far it was.
+        return decoded.map_err(|fault| fault.unpacked().or_at_byte(bytes.len() - content.get_ref().len()));
     }
     let Some(start) = bytes.first_chunk::<LEGACY_HEADER>() else {
-        return Err(Fault::whole(format!("an SPZ file of at least {LEGACY_HEADER} bytes"), bytes.len().to_string()));
+        return Err(Fault::byte(bytes.len(), format!("an SPZ header of {LEGACY_HEADER} bytes"), "the end of the file"));
     };
     let header = Header::parse(start)?;
     if header.version == 4 {
@@ -136,7 +136,7 @@ fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> 
 
 fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
     let Some(start) = bytes.first_chunk::<HEADER>() else {
-        return Err(Fault::whole(format!("a header of {HEADER} bytes"), format!("{} bytes", bytes.len())));
+        return Err(Fault::byte(bytes.len(), format!("a header of {HEADER} bytes"), "the end of the file"));
     };
     header.check_plausible(bytes.len())?;
     let expected: Vec<(&str, u64)> = NAMES.into_iter().zip(header.stream_bytes()).collect();
@@ -182,7 +182,7 @@ fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
         *stream = content?;
     }
     let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { &bytes[HEADER..toc] };
-    finish(header, streams, extensions)
+    finish(header, streams, extensions).map_err(|fault| fault.or_at_byte(HEADER))
 }
 
 fn decompress(frame: &[u8], size: u64, name: &str) -> Result<Vec<u8>, Fault> {

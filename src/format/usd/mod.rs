@@ -42,6 +42,8 @@ mod xform;
 
 use std::path::Path;
 
+use self::document::Layer;
+use self::package::{Opened, located};
 use super::cameras::{CameraFile, Sampling};
 use super::error::{Fault, read_file};
 use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange};
@@ -55,12 +57,17 @@ use crate::scene::{Camera, HybridScene};
 /// values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let read = |file| -> Result<SceneFile, Fault> {
-        let (bytes, mut place) = package::open(file, path)?;
-        let layer = if bytes.starts_with(binary::MAGIC) { binary::parse(&bytes)? } else { parse::parse(&bytes)? };
-        drop(bytes);
-        to_scene::scene(&layer, &mut place)
+        let Opened { layer, mut place, member } = package::open(file, path)?;
+        let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
+        scene.map_err(|fault| located(fault, member.as_ref()))
     };
     read(read_file(path)?).map_err(|fault| fault.in_file(path))
+}
+
+/// A layer of either form.
+#[expect(clippy::needless_pass_by_value, reason = "large, and of no use any more")]
+fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
+    if layer.starts_with(binary::MAGIC) { binary::parse(&layer) } else { parse::parse(&layer) }
 }
 
 /// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
@@ -99,9 +106,9 @@ pub fn write(
 /// Reads cameras alone, those that move frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let read = |file| -> Result<CameraFile, Fault> {
-        let (bytes, _) = package::open(file, path)?;
-        let layer = if bytes.starts_with(binary::MAGIC) { binary::parse(&bytes)? } else { parse::parse(&bytes)? };
-        shot::read(layer, sampling)
+        let Opened { layer, member, .. } = package::open(file, path)?;
+        let cameras = document(layer).and_then(|layer| shot::read(layer, sampling));
+        cameras.map_err(|fault| located(fault, member.as_ref()))
     };
     read(read_file(path)?).map_err(|fault| fault.in_file(path))
 }

@@ -63,25 +63,47 @@ fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, index: usize) -> Result<Vec
     Ok(content)
 }
 
-/// The layer at `path`, whose content is `file`, and where its files are.
-pub(super) fn open(file: Vec<u8>, path: &Path) -> Result<(Vec<u8>, Place), Fault> {
-    if !file.starts_with(b"PK\x03\x04") {
-        return Ok((file, Place::Folder(path.parent().unwrap_or(Path::new("")).to_owned())));
+/// A layer, and what is needed to read it.
+pub(super) struct Opened {
+    pub(super) layer: Vec<u8>,
+    pub(super) place: Place,
+    /// Its name in a package.
+    pub(super) member: Option<String>,
+}
+
+/// `fault` of the layer, where it stands in the package.
+pub(super) fn located(fault: Fault, member: Option<&String>) -> Fault {
+    match member {
+        Some(name) => fault.in_member(name),
+        None => fault,
     }
-    let mut archive = ZipArchive::new(Cursor::new(file)).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+}
+
+/// The layer at `path`, whose content is `file`, and where its files are.
+pub(super) fn open(file: Vec<u8>, path: &Path) -> Result<Opened, Fault> {
+    if !file.starts_with(b"PK\x03\x04") {
+        let place = Place::Folder(path.parent().unwrap_or(Path::new("")).to_owned());
+        return Ok(Opened { layer: file, place, member: None });
+    }
+    let end = file.len();
+    let archive = ZipArchive::new(Cursor::new(file));
+    let mut archive = archive.map_err(|e| Fault::byte(end, "the directory of a zip before", e.to_string()))?;
+    let directory = archive.central_directory_start() as usize;
+    let unlisted = |e: zip::result::ZipError| Fault::byte(directory, "the directory of a zip", e.to_string());
     // The first by place in the file, which need not be the first of the directory.
     let mut first: Option<(u64, usize, String)> = None;
     for i in 0..archive.len() {
-        let member = archive.by_index_raw(i).map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+        let member = archive.by_index_raw(i).map_err(unlisted)?;
         if first.as_ref().is_none_or(|(start, ..)| member.header_start() < *start) {
-            let name = member.name().map_err(|e| Fault::whole("a zip file", e.to_string()))?;
+            let name = member.name().map_err(unlisted)?;
             first = Some((member.header_start(), i, name.into_owned()));
         }
     }
-    let (_, index, name) = first.ok_or_else(|| Fault::whole("a package with a layer", "an empty one"))?;
-    let layer = stored(&mut archive, index).map_err(|(expected, found)| Fault::whole(expected, found))?;
+    let (start, index, name) = first.ok_or_else(|| Fault::byte(directory, "a package with a layer", "an empty one"))?;
+    let unread = |(expected, found)| Fault::byte(start as usize, expected, found);
+    let layer = stored(&mut archive, index).map_err(unread)?;
     let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned();
-    Ok((layer, Place::Package { archive: Box::new(archive), folder }))
+    Ok(Opened { layer, place: Place::Package { archive: Box::new(archive), folder }, member: Some(name) })
 }
 
 /// True if a file that begins with `start` is a zip whose first member is a layer.

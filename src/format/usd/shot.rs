@@ -33,7 +33,7 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
         let times = match range(&stage, placed.prim) {
             None => vec![None],
             Some((start, end)) => {
-                let count = frame_count(start / codes, end / codes, fps)?;
+                let count = frame_count(start / codes, end / codes, fps).map_err(|fault| fault.under(&at))?;
                 (0..count).map(|i| Some((start + i as f64 * codes / fps).min(end))).collect()
             }
         };
@@ -61,9 +61,9 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
         }
     }
     if let (true, Some(reason)) = (found.is_empty(), notes.iter().find(|note| note.contains("left out"))) {
-        return Err(Fault::whole("a camera", reason.clone()));
+        return Err(Fault::pointer("/", "a camera", reason.clone()));
     }
-    chosen(found, sampling, !is_ours, notes)
+    chosen(found, sampling, !is_ours, notes).map_err(|fault| fault.under("/"))
 }
 
 /// The prim and those above that place it, from it upwards.

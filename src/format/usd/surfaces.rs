@@ -55,7 +55,7 @@ pub(super) fn read(
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            atlas = turned(&atlas, rotation)?;
+            atlas = turned(&atlas, rotation).map_err(|e| Fault::from(e).under(&at))?;
         }
         let uvs = CornerUvs::of(stage, prim, &primvar)?;
         if uvs.is_none() {
@@ -79,7 +79,8 @@ pub(super) fn read(
         // A mesh of one material keeps its vertices, also those of no face.
         let positions = if parts.len() == 1 { polygons.points.clone() } else { used(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
-            meshes.push(Mesh::new(positions, triangles, corner_uvs, atlas)?);
+            let mesh = Mesh::new(positions, triangles, corner_uvs, atlas);
+            meshes.push(mesh.map_err(|e| Fault::from(e).under(&at))?);
         }
     }
     Ok(meshes)

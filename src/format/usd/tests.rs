@@ -306,7 +306,7 @@ fn what_cannot_be_taken_over_is_refused_in_one_line() {
         ),
         (
             splats(&format!("{one} quatf[] orientations = [(0,0,0,0)]")),
-            Some("/a.usda: rotations[0]: expected a non-zero quaternion, found [0, 0, 0, 0]"),
+            Some("/a.usda: /S: expected a non-zero quaternion, found [0, 0, 0, 0] in rotations[0]"),
         ),
         (
             splats(&format!(

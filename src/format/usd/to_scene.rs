@@ -46,7 +46,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
             SPLATS => {
                 let mut part = splats::read(&stage, found.prim, &mut notes)?;
                 placed::place(&mut part, found.transform, &at())?;
-                parts.push(part);
+                parts.push((at(), part));
             }
             "Mesh" => meshes.extend(surfaces::read(&stage, &found, &mut materials, &mut notes)?),
             "Camera" => match views::read(&stage, found.prim, found.transform, to_scene) {
@@ -63,7 +63,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     notes.extend(left_out.lines());
     let mut scene = HybridScene { splats: join(parts)?, meshes, composition };
     if is_ours {
-        scene = frame::back(scene)?;
+        scene = frame::back(scene).map_err(|e| Fault::from(e).under("/"))?;
     }
     Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None })
 }
@@ -135,7 +135,8 @@ fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) 
         background: stage.numbers::<3>(root, names::BACKGROUND).map_or(usual.background, |c| c.map(|v| v as f32)),
         near: stage.number(root, names::NEAR).map_or(usual.near, |v| v as f32),
     };
-    composition.validate()?;
+    // Fields of the rule are named as its attributes.
+    composition.validate().map_err(|e| Fault::from(e).under(stage.path(root)))?;
     Ok(composition)
 }
 

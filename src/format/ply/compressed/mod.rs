@@ -118,10 +118,7 @@ pub(super) fn is_compressed(header: &Header) -> bool {
 }
 
 pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>) -> Result<Splats, Fault> {
-    let missing =
-        |name: &str| Fault::whole(format!("a compressed PLY with the element `{name}`"), "a header without it");
-    let chunk = header.element("chunk").ok_or_else(|| missing("chunk"))?;
-    let vertex = header.element("vertex").ok_or_else(|| missing("vertex"))?;
+    let (chunk, vertex) = (header.required("chunk")?, header.required("vertex")?);
     let geometry: [usize; 12] = chunk.scalars([
         "min_x",
         "min_y",
@@ -191,7 +188,8 @@ pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>
             .1
         }
     };
-    columns.finish()
+    // Bounds are the only floats.
+    columns.finish().map_err(|fault| body.locate(header, "chunk", |i| i / CHUNK, fault))
 }
 
 struct EncodedChunk {

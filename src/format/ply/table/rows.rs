@@ -4,7 +4,7 @@ use std::io::{BufRead, Seek, SeekFrom};
 
 use super::{Column, Element, Encoding, Header, Scalar};
 use crate::format::blocks::{BLOCK_BYTES, in_blocks};
-use crate::format::error::{Fault, shown};
+use crate::format::error::{Fault, Location, shown};
 
 /// Longest number in ASCII; the longest f64 written out in full takes 344 characters.
 const MAX_TOKEN: usize = 512;
@@ -24,6 +24,8 @@ pub(crate) struct Body<R> {
 /// One row: `values[column]` for scalars (NaN in the place of a list), `lists[column]` for lists.
 #[derive(Default)]
 pub(crate) struct Row {
+    /// Offset in the file.
+    pub(crate) at: usize,
     pub(crate) values: Vec<f64>,
     pub(crate) lists: Vec<Vec<f64>>,
 }
@@ -102,7 +104,28 @@ impl<R: BufRead + Seek> Body<R> {
             }
             self.skip(element)?;
         }
-        Err(Fault::whole(format!("a PLY with the element `{name}`"), "a header without it"))
+        header.required(name)
+    }
+
+    /// `fault` with the byte at which row `row_of(i)` of the table called `name` begins, where it is that of an element `i`.
+    pub(in crate::format::ply) fn locate(
+        &mut self,
+        header: &Header,
+        name: &str,
+        row_of: impl Fn(usize) -> usize,
+        fault: Fault,
+    ) -> Fault {
+        fault.of_element(|i| Location::Byte(self.row_start(header, name, row_of(i)).unwrap_or(self.start)))
+    }
+
+    fn row_start(&mut self, header: &Header, name: &str, row: usize) -> Result<u64, Fault> {
+        let element = self.go_to_element(header, name)?;
+        if self.is_fixed(element) {
+            return Ok(self.offset + (row * element.stride) as u64);
+        }
+        let mut passed = Row::default();
+        (0..row).try_for_each(|_| self.row(element, &mut passed))?;
+        if self.encoding == Encoding::Ascii { self.next_token() } else { Ok(self.offset) }
     }
 
     fn go_to(&mut self, offset: u64) -> Result<(), Fault> {
@@ -172,6 +195,7 @@ impl<R: BufRead + Seek> Body<R> {
 
     fn row(&mut self, element: &Element, row: &mut Row) -> Result<(), Fault> {
         row.values.clear();
+        row.at = self.offset as usize;
         row.lists.resize(element.properties.len(), vec![]);
         for (property, list) in element.properties.iter().zip(&mut row.lists) {
             let Some(length_kind) = property.list_length else {

@@ -18,6 +18,10 @@ impl<'a> Cursor<'a> {
         }
     }
 
+    pub(super) fn at(&self) -> usize {
+        self.at
+    }
+
     pub(super) fn fault(&self, expected: impl Into<String>, found: impl Into<String>) -> Fault {
         Fault::byte(self.at, expected, found)
     }
@@ -83,7 +87,8 @@ impl<'a> Cursor<'a> {
     pub(super) fn follow(&mut self) -> Result<(), Fault> {
         let start = self.at as u64;
         let offset = self.u64()?;
-        *self = Self::new(self.file, start.wrapping_add(offset))?;
+        let target = Self::new(self.file, start.wrapping_add(offset));
+        *self = target.map_err(|fault| fault.or_at_byte(start as usize))?;
         Ok(())
     }
 

@@ -33,6 +33,8 @@ const END: u32 = u32::MAX;
 struct Crate<'a> {
     file: &'a [u8],
     version: [u8; 2],
+    /// Offset of the section that says where values are.
+    fields_at: usize,
     tokens: Vec<String>,
     /// Indices of tokens.
     strings: Vec<u32>,
@@ -64,11 +66,16 @@ pub(super) fn parse(file: &[u8]) -> Result<Layer, Fault> {
         return Err(Fault::byte(MAGIC.len(), "a crate file of version 0.4 to 0.x", format!("{major}.{minor}")));
     }
     let contents = header.u64()?;
+    Cursor::new(file, contents).map_err(|fault| fault.or_at_byte(MAGIC.len() + 8))?;
     let mut sections = Sections { file, contents };
+    let tokens = sections.open("TOKENS")?;
+    let tokens_at = tokens.at();
+    let fields = sections.open("FIELDS")?;
     let mut of = Crate {
         file,
         version,
-        tokens: sections.tokens()?,
+        fields_at: fields.at(),
+        tokens: read_tokens(tokens, file).map_err(|fault| fault.or_at_byte(tokens_at))?,
         strings: vec![],
         fields: vec![],
         sets: vec![],
@@ -78,15 +85,18 @@ pub(super) fn parse(file: &[u8]) -> Result<Layer, Fault> {
     let mut strings = sections.open("STRINGS")?;
     let count = strings.count(4)?;
     of.strings = strings.indices(count)?;
-    of.fields = sections.fields()?;
+    of.fields = read_fields(fields, file)?;
     let mut sets = sections.open("FIELDSETS")?;
     let count = counted(&mut sets, file)?;
     of.sets = sets.integers(count)?.into_iter().map(|i| i as u32).collect();
-    of.paths = of.read_paths(sections.open("PATHS")?)?;
+    let paths = sections.open("PATHS")?;
+    let paths_at = paths.at();
+    of.paths = of.read_paths(paths).map_err(|fault| fault.or_at_byte(paths_at))?;
     let mut specs = sections.open("SPECS")?;
+    let specs_at = specs.at();
     let count = counted(&mut specs, file)?;
     let [paths, sets, kinds] = [specs.integers(count)?, specs.integers(count)?, specs.integers(count)?];
-    of.layer(&paths, &sets, &kinds)
+    of.layer(&paths, &sets, &kinds).map_err(|fault| fault.or_at_byte(specs_at))
 }
 
 /// A count of things that may be compressed.
@@ -109,40 +119,38 @@ impl<'a> Sections<'a> {
             let start = contents.u64()?;
             contents.u64()?;
             if label.starts_with(name.as_bytes()) && label[name.len()] == 0 {
-                return Cursor::new(self.file, start);
+                return Cursor::new(self.file, start).map_err(|fault| fault.or_at_byte(contents.at() - 16));
             }
         }
         Err(contents.fault(format!("a section {name}"), "none of this name"))
     }
+}
 
-    fn tokens(&mut self) -> Result<Vec<String>, Fault> {
-        let mut cursor = self.open("TOKENS")?;
-        let count = counted(&mut cursor, self.file)?;
-        let length = cursor.u64()?;
-        let size = cursor.count(1)?;
-        let malformed = || Fault::whole("a section TOKENS of zero-ended UTF-8", "something else");
-        let length = usize::try_from(length).map_err(|_| malformed())?;
-        let text = decompress(cursor.take(size)?, length).ok_or_else(malformed)?;
-        let text = String::from_utf8(text).map_err(|_| malformed())?;
-        let tokens: Vec<String> = text.split_terminator('\0').take(count + 1).map(str::to_owned).collect();
-        if tokens.len() != count {
-            return Err(Fault::whole(format!("{count} tokens"), tokens.len().to_string()));
-        }
-        Ok(tokens)
+fn read_tokens(mut section: Cursor<'_>, file: &[u8]) -> Result<Vec<String>, Fault> {
+    let count = counted(&mut section, file)?;
+    let length = section.u64()?;
+    let size = section.count(1)?;
+    let malformed = || Fault::whole("a section TOKENS of zero-ended UTF-8", "something else");
+    let length = usize::try_from(length).map_err(|_| malformed())?;
+    let text = decompress(section.take(size)?, length).ok_or_else(malformed)?;
+    let text = String::from_utf8(text).map_err(|_| malformed())?;
+    let tokens: Vec<String> = text.split_terminator('\0').take(count + 1).map(str::to_owned).collect();
+    if tokens.len() != count {
+        return Err(Fault::whole(format!("{count} tokens"), tokens.len().to_string()));
     }
+    Ok(tokens)
+}
 
-    fn fields(&mut self) -> Result<Vec<(u32, Rep)>, Fault> {
-        let mut cursor = self.open("FIELDS")?;
-        let count = counted(&mut cursor, self.file)?;
-        let names = cursor.integers(count)?;
-        let size = cursor.count(1)?;
-        let reps = decompress(cursor.take(size)?, count.saturating_mul(8)).unwrap_or_default();
-        let reps = reps.as_chunks::<8>().0;
-        if reps.len() != count {
-            return Err(cursor.fault(format!("{count} compressed values"), reps.len().to_string()));
-        }
-        Ok(names.into_iter().zip(reps).map(|(name, rep)| (name as u32, Rep(u64::from_le_bytes(*rep)))).collect())
+fn read_fields(mut section: Cursor<'_>, file: &[u8]) -> Result<Vec<(u32, Rep)>, Fault> {
+    let count = counted(&mut section, file)?;
+    let names = section.integers(count)?;
+    let size = section.count(1)?;
+    let reps = decompress(section.take(size)?, count.saturating_mul(8)).unwrap_or_default();
+    let reps = reps.as_chunks::<8>().0;
+    if reps.len() != count {
+        return Err(section.fault(format!("{count} compressed values"), reps.len().to_string()));
     }
+    Ok(names.into_iter().zip(reps).map(|(name, rep)| (name as u32, Rep(u64::from_le_bytes(*rep)))).collect())
 }
 
 impl<'a> Crate<'a> {

@@ -70,7 +70,7 @@ fn what_is_no_layer_is_refused() {
     assert_eq!(refusal(&old), "f: byte 8: expected a crate file of version 0.4 to 0.x, found 0.3");
     let mut astray = BINARY.to_vec();
     astray[16..24].fill(0xff);
-    let message = format!("f: expected offsets within {} bytes, found 18446744073709551615", BINARY.len());
+    let message = format!("f: byte 16: expected offsets within {} bytes, found 18446744073709551615", BINARY.len());
     assert_eq!(refusal(&astray), message);
 }
 

@@ -1,6 +1,7 @@
 //! Paths and specs to prims.
 
 use super::cursor::Cursor;
+use super::values::Rep;
 use super::{Crate, END, PathNode, counted};
 use crate::format::error::Fault;
 use crate::format::usd::document::{Field, Layer, Prim, Property, PropertyKind, Specifier, Value, Variant};
@@ -141,14 +142,20 @@ impl Crate<'_> {
             let &(name, rep) = self.fields.get(index as usize).ok_or_else(outside)?;
             self.spend(1)?;
             let name = self.token(name)?;
-            let samples = if name == "timeSamples" { self.samples(rep)? } else { vec![] };
-            if !samples.is_empty() {
-                fields.push((name, Content::Samples(samples)));
-            } else if let Some(value) = self.value(rep)? {
-                fields.push((name, Content::Value(value)));
-            }
+            let content = self.content(&name, rep).map_err(|fault| fault.or_at_byte(self.fields_at))?;
+            fields.extend(content.map(|content| (name, content)));
             at += 1;
         }
+    }
+}
+
+impl Crate<'_> {
+    fn content(&mut self, name: &str, rep: Rep) -> Result<Option<Content>, Fault> {
+        let samples = if name == "timeSamples" { self.samples(rep)? } else { vec![] };
+        if samples.is_empty() {
+            return Ok(self.value(rep)?.map(Content::Value));
+        }
+        Ok(Some(Content::Samples(samples)))
     }
 }
 
