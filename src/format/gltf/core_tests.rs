@@ -100,6 +100,63 @@ pub(super) fn near(found: &[f32], expected: &[f32], tolerance: f32) {
 }
 
 #[test]
+fn texel_sources_are_transformed_and_repeat() {
+    let (mut b, attributes) = triangle();
+    let mut png = std::io::Cursor::new(vec![]);
+    let texels = [[0u8, 64, 128], [255, 0, 0], [9, 8, 7], [1, 2, 3]];
+    ::image::RgbImage::from_raw(2, 2, texels.concat()).unwrap().write_to(&mut png, ::image::ImageFormat::Png).unwrap();
+    let view = b.view(png.get_ref());
+    let accessor = b.floats(&[[0.1f32, 0.2, 0.3]; 4]);
+    let moved = json!({ "offset": [0.5, 0.25], "scale": [2, 0.5], "rotation": std::f32::consts::FRAC_PI_2 });
+    let source =
+        |transform: &Value| json!({ "texture": { "index": 0, "extensions": { "KHR_texture_transform": transform } } });
+    let file = |opacity: Value, bands: Value, sampler: Value| {
+        let radiance = json!({
+            "colorSpace": "srgb_rec709_display", "opacity": opacity,
+            "sphericalHarmonics": { "degree": 1, "coefficients": [source(&moved), bands, source(&moved), source(&moved)] },
+        });
+        b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [{ "alphaMode": "BLEND", "doubleSided": true, "extensions": { "EXT_gaussian_splatting_hybrid": radiance } }],
+            "textures": [{ "source": 0, "sampler": 0 }], "samplers": [sampler],
+            "images": [{ "bufferView": view, "mimeType": "image/png" }],
+        }))
+    };
+    let clamped = json!({ "wrapS": 33071, "wrapT": 33071 });
+    let read = file(source(&moved), source(&moved), clamped.clone()).unwrap();
+    let mesh = &read.scene.meshes[0];
+    near(&mesh.atlas().base().texels()[..3], &[0.0, 64.0 / 255.0, 128.0 / 255.0], 1e-6);
+    // Scaled to (2u, v/2), turned to (v/2, −2u), moved: as the extension multiplies.
+    let at = |[u, v]: [f32; 2]| [0.5 + 0.5 * v, 0.25 - 2.0 * u];
+    for (uv, corner) in UVS.iter().zip(&mesh.corner_uvs()[0]) {
+        near(&corner.to_array(), &at(*uv), 1e-6);
+    }
+    // −1.75 to 0.25 in v are three tiles, 0.5 to 1 in u one; the bands are repeated like the base.
+    let read = file(source(&moved), source(&moved), json!({})).unwrap();
+    let mesh = &read.scene.meshes[0];
+    let bands = mesh.atlas().bands().unwrap();
+    assert_eq!([mesh.atlas().base().height(), bands.height(), bands.width()], [6, 6, 2]);
+    for (uv, corner) in UVS.iter().zip(&mesh.corner_uvs()[0]) {
+        let [u, v] = at(*uv);
+        near(&corner.to_array(), &[u, (v + 2.0) / 3.0], 1e-6);
+    }
+    // Every map of a material lies where coefficient 0 does.
+    let other = file(source(&json!({ "offset": [0.5, 0.25] })), source(&moved), clamped.clone()).unwrap_err();
+    assert!(other.contains("hybrid/opacity: expected the KHR_texture_transform of coefficient 0, found"), "{other}");
+    let plain = json!({ "accessor": accessor, "width": 2, "height": 2 });
+    let other = file(source(&moved), plain, clamped.clone()).unwrap_err();
+    assert!(other.contains("/coefficients/1: expected the KHR_texture_transform of coefficient 0"), "{other}");
+    let second = json!({ "texture": { "index": 0, "extensions": { "KHR_texture_transform": { "texCoord": 1 } } } });
+    let other = file(source(&moved), second, clamped).unwrap_err();
+    assert!(other.contains("/coefficients/1: expected texCoord 0, as of coefficient 0, found 1"), "{other}");
+    let malformed = file(source(&moved), source(&json!({ "offset": [1, "x"] })), json!({})).unwrap_err();
+    assert!(
+        malformed.contains("/coefficients/1/texture/extensions/KHR_texture_transform/offset/1: expected"),
+        "{malformed}"
+    );
+}
+
+#[test]
 fn positions_in_every_component_type() {
     let cases: [(u32, bool, Vec<u8>, f32); 8] = [
         (5120, false, vec![0, 0, 0, 127, 0x80, 0], 127.0),

@@ -161,19 +161,14 @@ pub(crate) struct TexelSource {
     pub(crate) scale: Option<Vec<f32>>,
 }
 
-impl TexelSource {
-    /// n of the `TEXCOORD_n` over which it lies.
-    pub(crate) fn set(&self) -> u32 {
-        self.texture.as_ref().map_or(self.tex_coord, |t| t.tex_coord)
-    }
-}
-
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct TextureRef {
     pub(crate) index: usize,
     #[serde(default)]
     pub(crate) tex_coord: u32,
+    #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
+    pub(crate) extensions: serde_json::Map<String, serde_json::Value>,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]

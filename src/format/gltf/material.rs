@@ -1,14 +1,13 @@
 //! Materials to maps: exact ones from `EXT_gaussian_splatting_hybrid`, else the base colour.
 
 use gltf::material::AlphaMode;
-use serde::Deserialize as _;
 
-use super::extension::{HYBRID, Radiance, ShField, TexelSource, UNLIT, parse_color_space};
+use super::extension::{HYBRID, Radiance, ShField, TEXTURE_TRANSFORM, TexelSource, UNLIT, parse_color_space};
 use super::image::Texels;
 use super::lift::Asset;
 use super::uv::UvMap;
 use crate::format::activation;
-use crate::format::error::Fault;
+use crate::format::error::{Fault, from_value};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// A material as maps.
@@ -57,21 +56,48 @@ pub(super) fn maps(
     let at = material.index().map_or("the default material".to_owned(), |i| format!("/materials/{i}"));
     if let Some(value) = material.extension_value(HYBRID) {
         let at = format!("{at}/extensions/{HYBRID}");
-        let radiance = Radiance::deserialize(value)
-            .map_err(|e| Fault::pointer(&at, format!("a material of {HYBRID}"), e.to_string()))?;
+        let radiance: Radiance = from_value(value, &at, &format!("a material of {HYBRID}"))?;
         if parse_color_space(&radiance.color_space, &at)? != space {
             let at = format!("{at}/colorSpace");
             return Err(Fault::pointer(at, "the colour space of the scene", format!("`{}`", radiance.color_space)));
         }
         if let Some(harmonics) = &radiance.spherical_harmonics {
-            return exact(asset, &radiance, harmonics, &at);
+            return exact(asset, &radiance, harmonics, &at, notes);
         }
     }
     base_colour(asset, material, space, &at, notes)
 }
 
+/// Where all texel sources of a material lie: over the same coordinates, as those of `like`.
+struct Coordinates<'a> {
+    document: &'a gltf::Document,
+    uv: UvMap,
+    like: &'static str,
+}
+
+impl Coordinates<'_> {
+    /// Refuses a source that lies elsewhere; true if it goes on in another way beyond its borders.
+    fn check(&self, source: &TexelSource, at: &str) -> Result<bool, Fault> {
+        let own = UvMap::of_source(self.document, source, at)?;
+        if own.set != self.uv.set {
+            let expected = format!("texCoord {}, as of {}", self.uv.set, self.like);
+            return Err(Fault::pointer(at, expected, own.set.to_string()));
+        }
+        if own.transform != self.uv.transform {
+            return Err(Fault::pointer(at, format!("the {TEXTURE_TRANSFORM} of {}", self.like), "another or none"));
+        }
+        Ok(own != self.uv)
+    }
+}
+
 /// The maps of the extension.
-fn exact(asset: &Asset, radiance: &Radiance, harmonics: &ShField, at: &str) -> Result<Maps, Fault> {
+fn exact(
+    asset: &Asset,
+    radiance: &Radiance,
+    harmonics: &ShField,
+    at: &str,
+    notes: &mut Vec<String>,
+) -> Result<Maps, Fault> {
     let at_sh = format!("{at}/sphericalHarmonics");
     let (degree, found) = (harmonics.degree, harmonics.coefficients.len());
     if degree > sh::MAX_DEGREE || found != sh::coefficients(degree) {
@@ -81,17 +107,23 @@ fn exact(asset: &Asset, radiance: &Radiance, harmonics: &ShField, at: &str) -> R
     if harmonics.frame != "node" {
         return Err(Fault::pointer(format!("{at_sh}/frame"), "node", format!("`{}`", harmonics.frame)));
     }
-    let set = harmonics.coefficients[0].set();
+    let (document, first) = (&asset.document, format!("{at_sh}/coefficients/0"));
+    let uv = UvMap::of_source(document, &harmonics.coefficients[0], &first)?;
+    let coordinates = Coordinates { document, uv, like: "coefficient 0" };
     let mut planes = vec![];
+    let mut borders_differ = false;
     for (i, source) in harmonics.coefficients.iter().enumerate() {
-        planes.push(plane::<3>(asset, source, set, &format!("{at_sh}/coefficients/{i}"))?);
+        let at = format!("{at_sh}/coefficients/{i}");
+        borders_differ |= coordinates.check(source, &at)?;
+        planes.push(plane::<3>(asset, source, &at)?);
     }
     let dc = &planes[0];
     let mut logits =
         Plane { width: dc.width, height: dc.height, values: vec![[activation::logit(1.0).0]; dc.values.len()] };
     if let Some(field) = &radiance.opacity {
         let at = format!("{at}/opacity");
-        logits = plane::<1>(asset, &field.source, set, &at)?;
+        borders_differ |= coordinates.check(&field.source, &at)?;
+        logits = plane::<1>(asset, &field.source, &at)?;
         match field.activation.as_str() {
             "logistic" => {}
             "none" => logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0),
@@ -103,7 +135,8 @@ fn exact(asset: &Asset, radiance: &Radiance, harmonics: &ShField, at: &str) -> R
         }
     }
     let texels = dc.values.iter().zip(&logits.values).flat_map(|(c, l)| [c[0], c[1], c[2], l[0]]).collect();
-    let base = Texture::new(dc.width, dc.height, 4, texels)?;
+    let refused = |e| Fault::from(e).under(&at_sh);
+    let base = Texture::new(dc.width, dc.height, 4, texels).map_err(refused)?;
     let bands = match planes.get(1) {
         None => None,
         Some(first) => {
@@ -113,10 +146,13 @@ fn exact(asset: &Asset, radiance: &Radiance, harmonics: &ShField, at: &str) -> R
                 return Err(Fault::pointer(at_sh, format!("bands of one size, {width}×{height}"), found));
             }
             let texels = (0..first.values.len()).flat_map(|i| planes[1..].iter().flat_map(move |p| p.values[i]));
-            Some(Texture::new(width, height, 3 * (planes.len() - 1) as u32, texels.collect())?)
+            Some(Texture::new(width, height, 3 * (planes.len() - 1) as u32, texels.collect()).map_err(refused)?)
         }
     };
-    Ok(Maps { atlas: Atlas::new(base, bands)?, uv: UvMap::plain(set), image: None, base: None })
+    if borders_differ {
+        notes.push(format!("{at}: all maps go on beyond their borders as that of coefficient 0 does"));
+    }
+    Ok(Maps { atlas: Atlas::new(base, bands).map_err(refused)?, uv, image: None, base: None })
 }
 
 struct Plane<const N: usize> {
@@ -125,12 +161,8 @@ struct Plane<const N: usize> {
     values: Vec<[f32; N]>,
 }
 
-/// Values of a texel source with `N` (1 or 3) components, over texture coordinates `set`: `offset + scale·texel`.
-fn plane<const N: usize>(asset: &Asset, source: &TexelSource, set: u32, at: &str) -> Result<Plane<N>, Fault> {
-    if source.set() != set {
-        let expected = format!("texCoord {set}, as of coefficient 0");
-        return Err(Fault::pointer(at, expected, source.set().to_string()));
-    }
+/// Values of a texel source with `N` (1 or 3) components: `offset + scale·texel`.
+fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Result<Plane<N>, Fault> {
     let mut plane = match (source.accessor, &source.texture, source.width, source.height) {
         (Some(accessor), None, Some(width), Some(height)) => {
             let values = asset.floats::<N>(accessor)?;
@@ -205,6 +237,7 @@ fn base_colour(
         let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
         base.texel([r, g, b, a])
     });
-    let atlas = Atlas::new(Texture::new(texels.width, texels.height, 4, values.collect())?, None)?;
+    let atlas = Texture::new(texels.width, texels.height, 4, values.collect()).and_then(|base| Atlas::new(base, None));
+    let atlas = atlas.map_err(|e| Fault::from(e).under(at))?;
     Ok(Maps { atlas, uv, image: is_textured.then_some(texels.encoded), base: Some(base) })
 }

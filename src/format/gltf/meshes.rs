@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 
 use glam::{DMat4, Vec2, Vec3};
-use serde::Deserialize as _;
 
 use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
@@ -11,7 +10,7 @@ use super::material::{self, BaseColour, Maps};
 use super::pose::Pose;
 use super::triangles::{self, Triangles};
 use super::vertex_color;
-use crate::format::error::Fault;
+use crate::format::error::{Fault, from_value};
 use crate::format::placed::{Similarity, similarity, turned};
 use crate::scene::{Atlas, ColorSpace, Mesh, Texture};
 
@@ -93,7 +92,8 @@ impl<'a> Meshes<'a> {
             let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
             let colors = vertex_color::read(self.asset, id, positions.len())?;
             if let Some(colors) = colors.filter(|colors| colors.iter().any(|c| *c != [1.0; 4])) {
-                group.atlas = colored(base, &maps.atlas, &colors, &triangles, &mut group.corner_uvs)?;
+                group.atlas = colored(base, &maps.atlas, &colors, &triangles, &mut group.corner_uvs)
+                    .map_err(|fault| fault.under(&at))?;
                 if group.atlas.is_none() {
                     notes.push(format!("{at}: colours of vertices beside a texture are left out"));
                 }
@@ -109,9 +109,9 @@ impl<'a> Meshes<'a> {
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            group.atlas = Some(turned(&maps.atlas, rotation)?);
+            group.atlas = Some(turned(&maps.atlas, rotation).map_err(|e| Fault::from(e).under(&at))?);
         }
-        if let Some(source) = surface_vertices(self.asset, primitive, &positions)? {
+        if let Some(source) = surface_vertices(self.asset, node, primitive, &positions)? {
             // The surface's own vertices come back in their own order.
             let count = source.iter().max().map_or(0, |&v| v as usize + 1);
             let mut own = vec![Vec3::ZERO; count];
@@ -122,7 +122,7 @@ impl<'a> Meshes<'a> {
         let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
         (group.positions, group.triangles) = (positions, triangles);
         let bytes = bytes + group.atlas.as_ref().map_or(0, |a| a.floats() as u64 * 4);
-        self.join(group)?;
+        self.join(group).map_err(|fault| fault.under(&at))?;
         Ok(Some(bytes))
     }
 
@@ -165,17 +165,19 @@ impl<'a> Meshes<'a> {
             let maps = &self.maps[&group.material];
             let atlas = match group.atlas {
                 Some(atlas) => atlas,
-                None if maps.base.is_some() => {
-                    let base = maps.uv.unrolled(maps.atlas.base(), &mut group.corner_uvs).unwrap_or_else(|| {
+                None => {
+                    let before = group.corner_uvs.clone();
+                    maps.uv.unrolled_atlas(&maps.atlas, &mut group.corner_uvs).unwrap_or_else(|| {
                         let material = group.material.unwrap_or_default();
                         notes.push(format!("/materials/{material}: a texture repeated too often is shown once"));
-                        maps.atlas.base().clone()
-                    });
-                    Atlas::new(base, None)?
+                        group.corner_uvs = before;
+                        maps.atlas.clone()
+                    })
                 }
-                None => maps.atlas.clone(),
             };
-            meshes.push(Mesh::new(group.positions, group.triangles, group.corner_uvs, atlas)?);
+            let material = || group.material.map_or("/meshes".to_owned(), |i| format!("/materials/{i}"));
+            let mesh = Mesh::new(group.positions, group.triangles, group.corner_uvs, atlas);
+            meshes.push(mesh.map_err(|e| Fault::from(e).under(material()))?);
         }
         Ok(meshes)
     }
@@ -206,12 +208,14 @@ fn colored(
 /// The accessor of seam copies, if there is one and its claims hold: one entry per vertex, indices without gaps.
 fn surface_vertices(
     asset: &Asset,
+    node: &gltf::Node<'_>,
     primitive: &gltf::Primitive<'_>,
     positions: &[Vec3],
 ) -> Result<Option<Vec<u32>>, Fault> {
     let Some(value) = primitive.extension_value(HYBRID) else { return Ok(None) };
-    let surface = Surface::deserialize(value)
-        .map_err(|e| Fault::whole(format!("a mesh primitive of {HYBRID}"), e.to_string()))?;
+    let mesh = node.mesh().map_or(0, |m| m.index());
+    let at = format!("/meshes/{mesh}/primitives/{}/extensions/{HYBRID}", primitive.index());
+    let surface: Surface = from_value(value, &at, &format!("a mesh primitive of {HYBRID}"))?;
     let Some(accessor) = surface.surface_vertices else { return Ok(None) };
     let source = asset.indices(accessor)?;
     let at = format!("/accessors/{accessor}");

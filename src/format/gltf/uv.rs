@@ -2,18 +2,18 @@
 
 use glam::{Mat2, Vec2};
 use gltf::texture::WrappingMode;
-use serde::Deserialize as _;
+use serde_json::Value;
 
-use super::extension::{TEXTURE_TRANSFORM, TextureTransform};
-use crate::format::error::Fault;
-use crate::scene::Texture;
+use super::extension::{TEXTURE_TRANSFORM, TexelSource, TextureTransform};
+use crate::format::error::{Fault, from_value};
+use crate::scene::{Atlas, Texture};
 
-/// How a material reads its colour texture.
-#[derive(Clone, Copy)]
+/// How a material reads a texture.
+#[derive(Clone, Copy, PartialEq)]
 pub(super) struct UvMap {
     /// n of `TEXCOORD_n`.
     pub(super) set: u32,
-    transform: Option<(Mat2, Vec2)>,
+    pub(super) transform: Option<(Mat2, Vec2)>,
     wrap: [WrappingMode; 2],
 }
 
@@ -33,16 +33,48 @@ impl UvMap {
     pub(super) fn of(info: &gltf::texture::Info<'_>, at: &str) -> Result<Self, Fault> {
         let sampler = info.texture().sampler();
         let mut map = Self { set: info.tex_coord(), transform: None, wrap: [sampler.wrap_s(), sampler.wrap_t()] };
-        if let Some(value) = info.extension_value(TEXTURE_TRANSFORM) {
-            let at = format!("{at}/extensions/{TEXTURE_TRANSFORM}");
-            let t = TextureTransform::deserialize(value)
-                .map_err(|e| Fault::pointer(&at, format!("an object of {TEXTURE_TRANSFORM}"), e.to_string()))?;
-            let (sin, cos) = t.rotation.sin_cos();
-            let rotation = Mat2::from_cols(Vec2::new(cos, -sin), Vec2::new(sin, cos));
-            map.transform = Some((rotation * Mat2::from_diagonal(Vec2::from(t.scale)), Vec2::from(t.offset)));
-            map.set = t.tex_coord.unwrap_or(map.set);
-        }
+        map.transform_by(info.extension_value(TEXTURE_TRANSFORM), at)?;
         Ok(map)
+    }
+
+    /// That of a texel source, at the JSON pointer `at`.
+    pub(super) fn of_source(document: &gltf::Document, source: &TexelSource, at: &str) -> Result<Self, Fault> {
+        let wrap = |sampler: gltf::texture::Sampler<'_>| [sampler.wrap_s(), sampler.wrap_t()];
+        let Some(texture) = &source.texture else {
+            // Without a sampler an accessor ends at its edge, a texture repeats.
+            let sampler = source.sampler.and_then(|i| document.samplers().nth(i));
+            return Ok(Self {
+                wrap: sampler.map_or([WrappingMode::ClampToEdge; 2], wrap),
+                ..Self::plain(source.tex_coord)
+            });
+        };
+        let sampled = document.textures().nth(texture.index).map(|t| wrap(t.sampler()));
+        let mut map = Self { wrap: sampled.unwrap_or([WrappingMode::Repeat; 2]), ..Self::plain(texture.tex_coord) };
+        map.transform_by(texture.extensions.get(TEXTURE_TRANSFORM), &format!("{at}/texture"))?;
+        Ok(map)
+    }
+
+    fn transform_by(&mut self, value: Option<&Value>, at: &str) -> Result<(), Fault> {
+        let Some(value) = value else { return Ok(()) };
+        let at = format!("{at}/extensions/{TEXTURE_TRANSFORM}");
+        let t: TextureTransform = from_value(value, &at, &format!("an object of {TEXTURE_TRANSFORM}"))?;
+        let (sin, cos) = t.rotation.sin_cos();
+        let rotation = Mat2::from_cols(Vec2::new(cos, -sin), Vec2::new(sin, cos));
+        let transform = (rotation * Mat2::from_diagonal(Vec2::from(t.scale)), Vec2::from(t.offset));
+        self.transform = Some(transform).filter(|t| *t != (Mat2::IDENTITY, Vec2::ZERO));
+        self.set = t.tex_coord.unwrap_or(self.set);
+        Ok(())
+    }
+
+    /// As [`Self::unrolled`], for all maps of a material.
+    pub(super) fn unrolled_atlas(&self, atlas: &Atlas, corners: &mut [[Vec2; 3]]) -> Option<Atlas> {
+        let mut again = atlas.bands().map(|bands| (bands, corners.to_vec()));
+        let base = self.unrolled(atlas.base(), corners)?;
+        let bands = match &mut again {
+            Some((bands, corners)) => Some(self.unrolled(bands, corners)?),
+            None => None,
+        };
+        Atlas::new(base, bands).ok()
     }
 
     /// Corners of a triangle on the map: transformed, and where the texture repeats, moved into the first tile as far as

@@ -10,7 +10,7 @@ use super::document::{Component, Document, Elements};
 use super::scenes::check_times;
 use super::splats::check_token;
 use super::{binding, extension, fields, index, objects, primitives, schema};
-use crate::format::gltf::extension::{HYBRID, KHR_SPLATS};
+use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM};
 
 const COLOR_SPACES: [&str; 2] = ["srgb_rec709_display", "lin_rec709_display"];
 
@@ -109,6 +109,44 @@ fn check_material(
         check_texels(document, (i, source), 3, &at, findings);
     }
     check_sizes(radiance.get("opacity"), harmonics, &at, findings);
+    check_coordinates(radiance.get("opacity"), harmonics, &at, findings);
+}
+
+/// Where a texel source lies.
+#[derive(PartialEq)]
+struct Coordinates {
+    set: usize,
+    /// Offset, scale, rotation.
+    transform: [f64; 5],
+}
+
+impl Coordinates {
+    fn of(source: &Value) -> Self {
+        let texture = source.get("texture").unwrap_or(&Value::Null);
+        let transform = texture.get("extensions").and_then(|e| e.get(TEXTURE_TRANSFORM)).unwrap_or(&Value::Null);
+        let part =
+            |key: &str, i: usize, usual: f64| transform.get(key).and_then(|v| v.get(i)?.as_f64()).unwrap_or(usual);
+        let rotation = transform.get("rotation").and_then(Value::as_f64).unwrap_or(0.0);
+        let set =
+            index(transform, "texCoord").or(index(texture, "texCoord")).or(index(source, "texCoord")).unwrap_or(0);
+        let [offset, scale] = [("offset", 0.0), ("scale", 1.0)].map(|(key, usual)| [0, 1].map(|i| part(key, i, usual)));
+        Self { set, transform: [offset[0], offset[1], scale[0], scale[1], rotation] }
+    }
+}
+
+/// One set and one transform for all.
+fn check_coordinates(opacity: Option<&Value>, harmonics: &Value, at: &str, findings: &mut Findings) {
+    let mut sources = objects(harmonics, "coefficients", at);
+    let Some((_, first)) = sources.next() else { return };
+    let expected = Coordinates::of(first);
+    let opacity = opacity.map(|opacity| (at.replace("/sphericalHarmonics", "/opacity"), opacity));
+    for (at, source) in sources.chain(opacity) {
+        let own = Coordinates::of(source);
+        if own != expected {
+            let shown = |c: &Coordinates| format!("TEXCOORD_{}, offset, scale and rotation {:?}", c.set, c.transform);
+            findings.error("HYBRID_TEXEL_UV", at, format!("{}, as of coefficient 0", shown(&expected)), shown(&own));
+        }
+    }
 }
 
 /// One size for coefficient 0 and the opacity, one for all other coefficients. Sizes of images are not looked at.
@@ -163,8 +201,7 @@ fn check_texels(
             findings.error("HYBRID_TEXEL_RANGE", format!("{at}/{key}"), format!("1 or {channels} numbers"), length);
         }
     }
-    let own = index(source, "texCoord");
-    let set = own.or_else(|| source.get("texture").and_then(|t| index(t, "texCoord"))).unwrap_or(0);
+    let set = Coordinates::of(source).set;
     for (at_primitive, primitive) in primitives(document.root) {
         let uses = index(primitive, "material") == Some(material);
         let name = format!("TEXCOORD_{set}");

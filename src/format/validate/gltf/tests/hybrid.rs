@@ -85,6 +85,17 @@ pub(super) const PLANTED: &[Planted] = &[
     }),
     ("HYBRID_TEXEL_RANGE", "/opacity/offset", |f| hybrid_material(f)["opacity"]["offset"] = json!([0, 0, 0])),
     ("HYBRID_TEXCOORD", "/opacity", |f| hybrid_material(f)["opacity"]["texCoord"] = json!(1)),
+    ("HYBRID_TEXEL_UV", "/opacity", |f| {
+        let uvs = primitive(f, SURFACE)["attributes"]["TEXCOORD_0"].clone();
+        primitive(f, SURFACE)["attributes"]["TEXCOORD_1"] = uvs;
+        hybrid_material(f)["opacity"]["texCoord"] = json!(1);
+    }),
+    ("HYBRID_TEXEL_UV", "/coefficients/1", |f| {
+        let texture = f.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"].clone();
+        let moved = json!({ "KHR_texture_transform": { "offset": [0, 0.25] } });
+        hybrid_material(f)["sphericalHarmonics"]["coefficients"][1] =
+            json!({ "texture": { "index": texture, "extensions": moved } });
+    }),
     ("HYBRID_MODE", "/mode", |f| primitive(f, SURFACE)["mode"] = json!(5)),
     ("HYBRID_SURFACE_TYPE", "/surfaceVertices", |f| {
         let position = primitive(f, SURFACE)["attributes"]["POSITION"].clone();
