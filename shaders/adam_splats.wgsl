@@ -31,7 +31,7 @@ struct Step {
 @group(0) @binding(1) var<storage, read> visible: array<u32>;
 @group(0) @binding(6) var<storage, read_write> status: Status;
 //#if GEOMETRY
-// Three per splat: mean and opacity logit; quaternion w, x, y, z of any length; log-scale and 0.
+// Three per splat: mean and opacity logit; quaternion w, x, y, z of any length; log-scale and a constant.
 @group(0) @binding(2) var<storage, read_write> parameters: array<vec4f>;
 @group(0) @binding(3) var<storage, read> gradient: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> first: array<vec4f>;

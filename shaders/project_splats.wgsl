@@ -27,9 +27,9 @@ fn main(
     let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
     let p = project(view, g);
     // Comparisons are phrased so that NaN fails them.
-    if !(p.t.z > view.near) || !(g.opacity >= ALPHA_CUT) { return; }
+    if !(p.t.z > view.near) || !(p.opacity >= ALPHA_CUT) { return; }
     if !(p.covariance.x * p.covariance.z - p.covariance.y * p.covariance.y > 0.0) { return; }
-    let e = ellipse(p.center, p.conic, g.opacity);
+    let e = ellipse(p.center, p.conic, p.opacity);
     if !(max(e.extent.x, e.extent.y) < 1e6) || !(max(abs(p.center.x), abs(p.center.y)) < 1e7) { return; }
     let rows = row_span(e, view.tiles);
     var count = 0u;
@@ -48,7 +48,7 @@ fn main(
         color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
     }
 //#end
-    projected[3u * i] = vec4f(p.center, p.t.z, g.opacity);
+    projected[3u * i] = vec4f(p.center, p.t.z, p.opacity);
     projected[3u * i + 1u] = vec4f(p.conic, max(e.extent.x, e.extent.y));
     projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 0.0);
     tile_count[i] = count;

@@ -72,18 +72,28 @@ fn main(
     let h = 0.5 * sdd;
     let r0 = vec2f(q.x * h.x + q.y * h.y, q.x * h.y + q.y * h.z);
     let r1 = vec2f(q.y * h.x + q.z * h.y, q.y * h.y + q.z * h.z);
-    let g_xx = r0.x * q.x + r0.y * q.y;
-    let g_xy = r0.x * q.y + r0.y * q.z;
-    let g_yy = r1.x * q.y + r1.y * q.z;
+    var g_xx = r0.x * q.x + r0.y * q.y;
+    var g_xy = r0.x * q.y + r0.y * q.z;
+    var g_yy = r1.x * q.y + r1.y * q.z;
+    // power = ln(alpha/opacity), so that sp is the derivative by the logarithm of the opacity and of all its factors. That
+    // of the pixel filter is |n0 × n1| / √det Σ'.
+    var g_n0 = vec3f(0.0);
+    var g_n1 = vec3f(0.0);
+    if view.filter_normalized != 0u {
+        g_xx -= 0.5 * sp * q.x;
+        g_xy -= 0.5 * sp * q.y;
+        g_yy -= 0.5 * sp * q.z;
+        let across = cross(p.n0, p.n1);
+        let inverse = across / dot(across, across);
+        g_n0 = sp * cross(p.n1, inverse);
+        g_n1 = sp * cross(inverse, p.n0);
+    }
 
-    // Σ2 = (J·W)·Σ3·(J·W)ᵀ with rows m0, m1; in the splat's own axes n = scale ∘ Rᵀm.
-    let l0 = p.m0 * g.rotation;
-    let l1 = p.m1 * g.rotation;
-    let s2 = g.scale * g.scale;
-    let k0 = s2 * l0;                   // RᵀΣ3·m0
-    let k1 = s2 * l1;
-    let g_m0 = 2.0 * (g.rotation * (g_xx * k0 + g_xy * k1));
-    let g_m1 = 2.0 * (g.rotation * (g_xy * k0 + g_yy * k1));
+    // Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm.
+    g_n0 += 2.0 * (g_xx * p.n0 + g_xy * p.n1);
+    g_n1 += 2.0 * (g_xy * p.n0 + g_yy * p.n1);
+    let g_m0 = g.rotation * (g.scale * g_n0);
+    let g_m1 = g.rotation * (g.scale * g_n1);
 
     // J from t; where t.xy is clamped, x̂ = z·limit moves with z alone.
     let w0 = view.row_x.xyz; let w1 = view.row_y.xyz; let w2 = view.row_z.xyz;
@@ -101,15 +111,12 @@ fn main(
     g_t.z += c.x + c.y + select(d.x, 0.0, p.inside.x) + select(d.y, 0.0, p.inside.y);
     g_mean += w0 * g_t.x + w1 * g_t.y + w2 * g_t.z;
 
-    // Σ3 = N·Nᵀ, N = R·diag(scale): G_N = 2·G_Σ3·N with G_Σ3 = Σ g_ab m_a m_bᵀ; column j of G_N is
-    // 2·scale_j·(m0·(g_xx·l0_j + g_xy·l1_j) + m1·(g_xy·l0_j + g_yy·l1_j)).
-    let u0 = g_xx * l0 + g_xy * l1;
-    let u1 = g_xy * l0 + g_yy * l1;
-    let g_log_scale = 2.0 * s2 * (l0 * u0 + l1 * u1);
+    // n = Nᵀm, N = R·diag(scale): G_N = m0·g_n0ᵀ + m1·g_n1ᵀ. Smoothing leaves Π s/s̃ of the opacity.
+    let g_log_scale = g.own * (p.n0 * g_n0 + p.n1 * g_n1) + sp * (1.0 - g.own);
     // H = G_N·diag(scale): h_j is its column j.
-    let h0 = 2.0 * s2.x * (p.m0 * u0.x + p.m1 * u1.x);
-    let h1 = 2.0 * s2.y * (p.m0 * u0.y + p.m1 * u1.y);
-    let h2 = 2.0 * s2.z * (p.m0 * u0.z + p.m1 * u1.z);
+    let h0 = g.scale.x * (p.m0 * g_n0.x + p.m1 * g_n1.x);
+    let h1 = g.scale.y * (p.m0 * g_n0.y + p.m1 * g_n1.y);
+    let h2 = g.scale.z * (p.m0 * g_n0.z + p.m1 * g_n1.z);
     let qw = g.quaternion.x; let qx = g.quaternion.y; let qy = g.quaternion.z; let qz = g.quaternion.w;
     let g_unit = 2.0 * vec4f(
         qx * (h1.z - h2.y) + qy * (h2.x - h0.z) + qz * (h0.y - h1.x),
@@ -119,8 +126,7 @@ fn main(
     );
     let g_rotation = (g_unit - g.quaternion * dot(g.quaternion, g_unit)) / g.quaternion_length;
 
-    // power = ln(alpha/opacity): ∂L/∂opacity = Σp/opacity, through the logit ·opacity·(1−opacity).
-    geometry_gradient[3u * i] = vec4f(g_mean, sp * (1.0 - g.opacity));
+    geometry_gradient[3u * i] = vec4f(g_mean, sp * g.clear);
     geometry_gradient[3u * i + 1u] = g_rotation;
     geometry_gradient[3u * i + 2u] = vec4f(g_log_scale, 0.0);
 

@@ -101,6 +101,7 @@ fn openusd_finds_what_was_written() {
         color_space: ColorSpace::SrgbDisplay,
         background: [0.1, 0.2, 0.3],
         near: 0.07,
+        ..Composition::default()
     };
     let scene = HybridScene { splats: splats(200, 3), meshes: vec![mesh(2, 1), mesh(0, 2)], composition };
     let camera = camera();

@@ -1,33 +1,46 @@
-// EWA projection of one splat (METHODS 2.2), shared by the forward and backward stages.
+// EWA projection of one splat (METHODS 2.2, filters of section 3), shared by the forward and backward stages.
 //#import shared/rotation.wgsl
 
-const LOW_PASS: f32 = 0.3;              // px², added to the screen covariance's diagonal (3DGS)
 const CLAMP_MARGIN: f32 = 0.3;          // of half the image, for the Jacobian's clamp
 
 struct Gaussian {
     mean: vec3f,
-    opacity: f32,
+    opacity: f32,                       // times what smoothing leaves of it
+    clear: f32,                         // 1 − opacity, of the splat itself
     rotation: mat3x3f,                  // columns are the local axes in world space
-    scale: vec3f,
+    scale: vec3f,                       // smoothed
+    own: vec3f,                         // part of its variance that is the splat's own: 1 unless smoothed
     quaternion: vec4f,                  // (w, x, y, z), unit
     quaternion_length: f32,
 }
 
+// s: log-scale, and the standard deviation of the Gaussian that it is smoothed with.
 fn gaussian(a: vec4f, q: vec4f, s: vec4f) -> Gaussian {
     let l = length(q);
     let unit = q / l;
-    return Gaussian(a.xyz, 1.0 / (1.0 + exp(-a.w)), rotation_matrix(unit), exp(s.xyz), unit, l);
+    let opacity = 1.0 / (1.0 + exp(-a.w));
+    var scale = exp(s.xyz);
+    var kept = vec3f(1.0);
+    if s.w > 0.0 {
+        let smoothed = sqrt(scale * scale + s.w * s.w);
+        kept = scale / smoothed;
+        scale = smoothed;
+    }
+    return Gaussian(a.xyz, opacity * kept.x * kept.y * kept.z, 1.0 - opacity, rotation_matrix(unit), scale, kept * kept, unit, l);
 }
 
 struct Projection {
     t: vec3f,                           // mean, camera space
     clamped: vec2f,                     // t.xy as the Jacobian sees them (x̂, ŷ)
     inside: vec2<bool>,                 // not clamped
-    m0: vec3f,                          // rows of J·W
+    m0: vec3f,                          // rows of M = J·W
     m1: vec3f,
-    covariance: vec3f,                  // Σ2 + LOW_PASS·I: xx, xy, yy
+    n0: vec3f,                          // rows of M·R·diag(scale): Σ2 is their Gram matrix
+    n1: vec3f,
+    covariance: vec3f,                  // Σ' = Σ2 + filter: xx, xy, yy
     conic: vec3f,                       // its inverse
     center: vec2f,                      // pixels
+    opacity: f32,                       // times what the pixel filter leaves of it
 }
 
 fn project(v: View, g: Gaussian) -> Projection {
@@ -44,8 +57,14 @@ fn project(v: View, g: Gaussian) -> Projection {
     let m1 = (v.focal.y / t.z) * (w1 - (clamped.y / t.z) * w2);
     let n0 = g.scale * (m0 * g.rotation);
     let n1 = g.scale * (m1 * g.rotation);
-    let covariance = vec3f(dot(n0, n0) + LOW_PASS, dot(n0, n1), dot(n1, n1) + LOW_PASS);
+    let k = v.filter_variance;
+    let covariance = vec3f(dot(n0, n0) + k, dot(n0, n1), dot(n1, n1) + k);
     let det = covariance.x * covariance.z - covariance.y * covariance.y;
     let conic = vec3f(covariance.z, -covariance.y, covariance.x) / det;
-    return Projection(t, clamped, inside, m0, m1, covariance, conic, v.focal * slope + v.principal);
+    var opacity = g.opacity;
+    if v.filter_normalized != 0u {
+        // √det Σ2 is the area that n0 and n1 span, which does not cancel for needles as Σ2's own determinant does.
+        opacity *= length(cross(n0, n1)) * inverseSqrt(det);
+    }
+    return Projection(t, clamped, inside, m0, m1, n0, n1, covariance, conic, v.focal * slope + v.principal, opacity);
 }

@@ -25,6 +25,9 @@ struct View {
     lambda: f32,                        // 3.4e38 stands for infinity (WGSL has no literal for it)
     pair_capacity: u32,                 // (tile, splat) pairs that fit the buffers
     band_degree: u32,                   // active SH degree of mesh maps
+    filter_variance: f32,               // px², added to the diagonal of projected covariances
+    filter_normalized: u32,             // 1: opacities are scaled so that splats keep their integral
+    unused: vec2u,
 }
 
 fn to_camera(v: View, p: vec3f) -> vec3f {

@@ -85,6 +85,10 @@ pub struct CompositionSummary {
     pub background: [f32; 3],
     /// Nearest depth drawn.
     pub near: f32,
+    /// Variance in px² that projections of splats are widened by.
+    pub filter_variance: f32,
+    /// Whether they keep their integral then.
+    pub filter_normalized: bool,
 }
 
 /// Reads a file and sums it up.
@@ -188,6 +192,8 @@ fn composition(c: &Composition) -> CompositionSummary {
         },
         background: c.background,
         near: c.near,
+        filter_variance: c.pixel_filter.variance,
+        filter_normalized: c.pixel_filter.normalized,
     }
 }
 
@@ -254,6 +260,8 @@ impl fmt::Display for Summary {
             let lambda = c.lambda.map_or("infinite".to_owned(), |l| l.to_string());
             write!(f, "\n├ composition: {}, λ {lambda}, {} layer(s), {}", c.mode, c.layers, c.color_space)?;
             write!(f, ", near {}, background {:?}", c.near, c.background)?;
+            let normalized = if c.filter_normalized { ", normalised (anti-aliased)" } else { "" };
+            write!(f, ", pixel filter {} px²{normalized}", c.filter_variance)?;
         }
         if self.cameras > 0 {
             write!(f, "\n├ cameras: {}", self.cameras)?;

@@ -31,7 +31,7 @@ pub struct Loss {
     pub meshes: usize,
     /// Number of cameras left out.
     pub cameras: usize,
-    /// True if the rule of blending (order, λ, background, colour space) is left out.
+    /// True if the rule of blending (order, λ, background, colour space, pixel filter) is left out.
     pub composition: bool,
     /// Names of what else was known of every splat, and is left out.
     pub attributes: Vec<String>,

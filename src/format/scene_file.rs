@@ -166,12 +166,13 @@ fn of_linear_values(splats: &Splats) -> Loss {
     Loss { max_error, ..Loss::default() }
 }
 
-/// Adds what formats of splats alone leave out. Without meshes only the background, the near plane and the colour space
-/// are left of the rule of blending; that these formats cannot state them matters where they are not the usual ones.
+/// Adds what formats of splats alone leave out. Without meshes only the background, the near plane, the colour space
+/// and the pixel filter are left of the rule of blending; that these formats cannot state them matters where they are not the usual ones.
 fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, loss: Loss) -> Loss {
     let usual = Composition::default();
     let is = &scene.composition;
-    let plain = (is.background, is.near, is.color_space) == (usual.background, usual.near, usual.color_space);
+    let stated = |c: &Composition| (c.background, c.near, c.color_space, c.pixel_filter);
+    let plain = stated(is) == stated(&usual);
     let composition = !scene.meshes.is_empty() || !plain;
     let loss = Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, ..loss };
     options.source.map_or(loss.clone(), |source| dropping(source, loss))

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::loss::{Loss, SplatError};
 use crate::scene::{
-    Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh,
+    Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture, sh,
 };
 
 pub(super) fn random_splats(n: usize, degree: u32, seed: u64) -> Splats {
@@ -49,6 +49,7 @@ pub(super) fn random_scene(splats: usize, meshes: u32, degree: u32, seed: u64) -
             color_space: if seed.is_multiple_of(2) { ColorSpace::SrgbDisplay } else { ColorSpace::LinearDisplay },
             background: [0.1, 0.2, 0.3],
             near: 0.07,
+            pixel_filter: PixelFilter { variance: 0.2, normalized: seed.is_multiple_of(3) },
         },
     }
 }

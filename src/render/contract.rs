@@ -14,12 +14,12 @@
 //! the background through it.
 //!
 //! **Rays.** [`ImageModel::Ray`] shares the limits of alpha, the culling of means before the near plane and the choice of
-//! fragments (the composition's nearest layers). It has no low-pass, no thresholds and no stop; a splat whose peak along a
+//! fragments (the composition's nearest layers). It has no pixel filter, no thresholds and no stop; a splat whose peak along a
 //! ray is not beyond the near plane does not contribute there, and one whose peak is at the depth of a fragment is in front.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat2, DVec2, DVec3};
 
-use crate::scene::{Intrinsics, OrderMode};
+use crate::scene::{Intrinsics, OrderMode, PixelFilter};
 
 /// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, METHODS 2.4. Where it is
 /// reached the derivative of alpha is zero.
@@ -31,10 +31,6 @@ pub const ALPHA_CUT: f64 = 1.0 / 255.0;
 
 /// Transmittance below which nothing more is added. INRIA 3DGS, METHODS 2.4.
 pub const TRANSMITTANCE_STOP: f64 = 1e-4;
-
-/// Added to both diagonal entries of a projected covariance, px²: every splat is at least about a pixel wide.
-/// INRIA 3DGS, METHODS 2.2.
-pub const LOW_PASS: f64 = 0.3;
 
 /// Largest alpha of a mesh fragment, for the same reason as [`ALPHA_CAP`]. METHODS 4.1.
 pub const MESH_ALPHA_CAP: f64 = 1.0 - 1e-4;
@@ -53,7 +49,7 @@ pub const MAX_LAYERS: usize = 4;
 /// What a Gaussian looks like.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageModel {
-    /// Its projection is linearised at its mean and widened by [`LOW_PASS`]; splats are ordered by the depths of their
+    /// Its projection is linearised at its mean and widened by the scene's [`PixelFilter`]; splats are ordered by the depths of their
     /// means and against mesh layers by the scene's mode. What training uses (METHODS 2.2, 4.4).
     #[default]
     Ewa,
@@ -96,6 +92,25 @@ pub fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
+/// Factor on the opacity of a splat whose projection has this covariance, px², before `filter` widens it (METHODS 3).
+#[must_use]
+pub fn filter_opacity(filter: PixelFilter, covariance: DMat2) -> f64 {
+    let widened = covariance + f64::from(filter.variance) * DMat2::IDENTITY;
+    if filter.normalized { (covariance.determinant().max(0.0) / widened.determinant()).sqrt() } else { 1.0 }
+}
+
+/// A splat with these log-scales after convolution with an isotropic Gaussian of standard deviation `deviation`: standard
+/// deviations, and the factor on its opacity that keeps its integral in space. Mip-Splatting's 3-D filter (METHODS 3).
+#[must_use]
+pub fn smoothed(log_scale: DVec3, deviation: f64) -> (DVec3, f64) {
+    let scale = log_scale.exp();
+    if deviation == 0.0 {
+        return (scale, 1.0);
+    }
+    let smooth = (scale * scale + deviation * deviation).map(f64::sqrt);
+    (smooth, (scale / smooth).element_product())
+}
+
 /// Range of (x/z, y/z) to which a mean is clamped before the projection is linearised there, as (min, max).
 #[must_use]
 pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
@@ -113,7 +128,7 @@ pub fn splat_alpha(opacity: f64, power: f64) -> Option<f64> {
 }
 
 /// Half width and height in pixels of the ellipse on which alpha is [`ALPHA_CUT`], from the variances along x and y
-/// of the projected splat (low-pass included); `None` if its opacity is below the cut everywhere.
+/// of the projected splat (pixel filter included); `None` if its opacity is below the cut everywhere.
 #[must_use]
 pub fn splat_extent(opacity: f64, variance: DVec2) -> Option<DVec2> {
     let squared = 2.0 * (opacity / ALPHA_CUT).ln();

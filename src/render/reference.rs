@@ -13,7 +13,7 @@ mod tests;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
-pub use backward::{ScreenStatistics, backward, backward_with_statistics};
+pub use backward::{ScreenStatistics, backward, backward_parameters};
 pub use layers::{Layers, render_layers};
 pub use margin::{Margin, render_with_margins};
 pub use parameters::{Parameter, Parameters, finite_difference};
@@ -70,7 +70,7 @@ pub struct Projected {
     pub index: usize,
     /// Continuous pixel position of the mean.
     pub center: DVec2,
-    /// Projected covariance with the low-pass, px².
+    /// Projected covariance with the pixel filter, px².
     pub covariance: DMat2,
     /// Its inverse, 1/px².
     pub conic: DMat2,
@@ -78,7 +78,7 @@ pub struct Projected {
     pub extent: DVec2,
     /// Camera-space z of the mean.
     pub depth: f64,
-    /// 0 to 1.
+    /// 0 to 1: that of the splat times what smoothing and the pixel filter leave of it.
     pub opacity: f64,
     /// RGB, ≥ 0.
     pub color: DVec3,
@@ -126,14 +126,17 @@ pub fn project(scene: &HybridScene, camera: &Camera, parameters: &Parameters, i:
         return None;
     }
     let m = jacobian(camera, mean) * camera.rotation();
-    let (rotation, scale) = (rotation(parameters.rotations[i]), parameters.log_scales[i].exp());
-    let n = rotation * DMat3::from_diagonal(scale);
-    let covariance = DMat2::from_mat3(m * n * n.transpose() * m.transpose()) + contract::LOW_PASS * DMat2::IDENTITY;
+    let (scale, smooth_opacity) = contract::smoothed(parameters.log_scales[i], parameters.smoothing[i]);
+    let n = rotation(parameters.rotations[i]) * DMat3::from_diagonal(scale);
+    let filter = scene.composition.pixel_filter;
+    let projected = DMat2::from_mat3(m * n * n.transpose() * m.transpose());
+    let covariance = projected + f64::from(filter.variance) * DMat2::IDENTITY;
     let conic = covariance.inverse();
     if !conic.is_finite() {
         return None;
     }
-    let opacity = contract::sigmoid(parameters.opacity_logits[i]);
+    let opacity =
+        contract::sigmoid(parameters.opacity_logits[i]) * smooth_opacity * contract::filter_opacity(filter, projected);
     let extent = contract::splat_extent(opacity, DVec2::new(covariance.x_axis.x, covariance.y_axis.y))?;
     let color = splat_radiance(scene, camera, parameters, i).max(DVec3::ZERO);
     Some(Projected { index: i, center: camera.project(mean), covariance, conic, extent, depth: mean.z, opacity, color })

@@ -39,6 +39,31 @@ pub enum ColorSpace {
     LinearDisplay,
 }
 
+/// How the projections of splats are fitted to the pixels of a picture, which are not points.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PixelFilter {
+    /// Added to both diagonal entries of a projected covariance, px²: every splat is at least about a pixel wide.
+    pub variance: f32,
+    /// Whether a splat keeps its integral over the picture: its opacity is multiplied by √(det Σ / det(Σ + variance·I)), so
+    /// that one far smaller than a pixel fades instead of growing. Named *antialiased* by many programs.
+    pub normalized: bool,
+}
+
+impl PixelFilter {
+    /// That of 3DGS (METHODS 2.2), which almost all files are made for.
+    pub const DILATION: Self = Self { variance: 0.3, normalized: false };
+    /// That of Mip-Splatting (METHODS 3): about the box of a pixel.
+    pub const MIP: Self = Self { variance: 0.1, normalized: true };
+    /// That of programs which know one bit, *antialiased*: gsplat, SPZ, SOG.
+    pub const NORMALIZED_DILATION: Self = Self { normalized: true, ..Self::DILATION };
+}
+
+impl Default for PixelFilter {
+    fn default() -> Self {
+        Self::DILATION
+    }
+}
+
 /// Everything that turns splats and meshes into pixels besides their own parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Composition {
@@ -55,6 +80,8 @@ pub struct Composition {
     pub background: [f32; 3],
     /// Splats with depth ≤ `near` are culled; mesh fragments likewise. World units.
     pub near: f32,
+    /// What splats are widened by.
+    pub pixel_filter: PixelFilter,
 }
 
 impl Default for Composition {
@@ -66,13 +93,15 @@ impl Default for Composition {
             color_space: ColorSpace::SrgbDisplay,
             background: [0.0; 3],
             near: 0.2,
+            pixel_filter: PixelFilter::default(),
         }
     }
 }
 
 impl Composition {
     /// # Errors
-    /// If λ is negative or NaN, `layers` is not 1, 2 or 4, `near` is not positive or the background not finite.
+    /// If λ is negative or NaN, `layers` is not 1, 2 or 4, `near` is not positive, the variance of the
+    /// pixel filter negative, or a number not finite.
     pub fn validate(&self) -> Result<(), SceneError> {
         if self.lambda.is_nan() || self.lambda < 0.0 {
             return Err(SceneError::new("lambda", "a number ≥ 0", self.lambda.to_string()));
@@ -82,6 +111,10 @@ impl Composition {
         }
         if !(self.near > 0.0 && self.near.is_finite()) {
             return Err(SceneError::new("near", "a positive number", self.near.to_string()));
+        }
+        let variance = self.pixel_filter.variance;
+        if !(variance >= 0.0 && variance.is_finite()) {
+            return Err(SceneError::new("variance of the pixel filter", "a number ≥ 0", variance.to_string()));
         }
         if !self.background.iter().all(|c| c.is_finite()) {
             return Err(SceneError::new("background", "finite numbers", format!("{:?}", self.background)));

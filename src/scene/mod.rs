@@ -15,7 +15,7 @@ mod splats;
 use rayon::prelude::*;
 
 pub use camera::{Camera, Intrinsics};
-pub use composition::{ColorSpace, Composition, OrderMode};
+pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
 pub use mesh::{Atlas, Mesh, Texture};
 pub use morton::in_morton_order;
 pub use splats::{SplatArrays, Splats};

@@ -29,7 +29,7 @@ MODES = ["stable", "surfaceConsistent", "direct"]
 def crowded(path):
     """A harder scene from the file at `path`: its meshes several times over, through each other, more transparent; its
     splats larger, more transparent, moved and turned by their node; 112 pixels wide,
-    with a background and cut by the near plane."""
+    with a background and cut by the near plane, and with a normalised footprint."""
     asset = Asset(path)
     json_ = asset.json
     data = bytearray(asset.bin)
@@ -56,7 +56,8 @@ def crowded(path):
     for material in json_["materials"]:
         material["extensions"][EXT]["opacity"].update(offset=[-1], scale=[0.5])
     depths = project_splats(asset, View(asset), 0.0)[0]
-    contract_of(asset).update(background=[0.1, 0.2, 0.3], near=float(np.float32(np.quantile(depths, 0.05))))
+    contract_of(asset).update(background=[0.1, 0.2, 0.3], near=float(np.float32(np.quantile(depths, 0.05))),
+                              footprint={"variance": 0.1, "normalized": True})
     return asset
 
 

@@ -120,7 +120,7 @@ class View:
 
 # --- Splats ---
 
-def project_splats(asset, view, near):
+def project_splats(asset, view, near, footprint={}):
     """Depth, centre, inverse covariance, opacity and colour of the splats that are drawn, front to back."""
     parts = []
     for node, matrix in asset.nodes():
@@ -150,7 +150,13 @@ def project_splats(asset, view, near):
     jacobian = np.stack([np.stack([view.fx / z, zero, -view.fx * xh / z**2], -1),
                          np.stack([zero, view.fy / z, -view.fy * yh / z**2], -1)], 1)
     m = jacobian @ view.rotation @ axes
-    covariance = m @ m.transpose(0, 2, 1) + 0.3 * np.eye(2)
+    exact = m @ m.transpose(0, 2, 1)
+    covariance = exact + footprint.get("variance", 0.3) * np.eye(2)
+    if footprint.get("normalized", False):
+        opacity = opacity * np.sqrt(np.maximum(np.linalg.det(exact), 0) / np.linalg.det(covariance))
+        drawn = opacity >= 1 / 255
+        t, opacity, color, covariance, x, y, z = (
+            a[drawn] for a in (t, opacity, color, covariance, x, y, z))
     center = np.stack([view.fx * x / z + view.cx, view.fy * y / z + view.cy], -1)
     # Half width and height of the ellipse on which alpha is 1/255.
     reach = np.sqrt(2 * np.log(255 * opacity)[:, None] * np.stack([covariance[:, 0, 0], covariance[:, 1, 1]], -1))
@@ -309,7 +315,7 @@ def render(asset):
     near, layers, lam = contract.get("near", view.znear), contract.get("layers", 1), contract.get("lambda", np.inf)
     depth, opacity, layer_color = mesh_layers(asset, view, near, layers)
     splats = []
-    for z, (u, v), conic, o, c, (rx, ry) in zip(*project_splats(asset, view, near)):
+    for z, (u, v), conic, o, c, (rx, ry) in zip(*project_splats(asset, view, near, contract.get("footprint", {}))):
         i0, i1 = max(int(np.ceil(u - rx - 0.5)), 0), min(int(np.floor(u + rx - 0.5)) + 1, view.w)
         j0, j1 = max(int(np.ceil(v - ry - 0.5)), 0), min(int(np.floor(v + ry - 0.5)) + 1, view.h)
         if i0 >= i1 or j0 >= j1:

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::format::error::Fault;
-use crate::scene::{ColorSpace, Composition, OrderMode};
+use crate::scene::{ColorSpace, Composition, OrderMode, PixelFilter};
 
 /// Splats as a POINTS primitive.
 pub(crate) const KHR_SPLATS: &str = "KHR_gaussian_splatting";
@@ -87,6 +87,34 @@ pub(crate) struct SceneContract {
     pub(crate) background: [f32; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) near: Option<f32>,
+    #[serde(default, skip_serializing_if = "Footprint::is_usual")]
+    pub(crate) footprint: Footprint,
+}
+
+/// How projections are widened: [`PixelFilter`].
+#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub(crate) struct Footprint {
+    variance: f32,
+    normalized: bool,
+}
+
+impl Default for Footprint {
+    fn default() -> Self {
+        PixelFilter::default().into()
+    }
+}
+
+impl From<PixelFilter> for Footprint {
+    fn from(PixelFilter { variance, normalized }: PixelFilter) -> Self {
+        Self { variance, normalized }
+    }
+}
+
+impl Footprint {
+    fn is_usual(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 fn view_z() -> String {
@@ -228,6 +256,7 @@ impl SceneContract {
             layers: c.layers,
             background: c.background,
             near: Some(c.near),
+            footprint: c.pixel_filter.into(),
         }
     }
 
@@ -247,6 +276,7 @@ impl SceneContract {
             color_space: parse_color_space(&self.color_space, at)?,
             background: self.background,
             near: self.near.unwrap_or(near),
+            pixel_filter: PixelFilter { variance: self.footprint.variance, normalized: self.footprint.normalized },
         };
         composition.validate().map_err(|e| Fault::pointer(format!("{at}/{}", e.field), e.expected, e.found))?;
         Ok(composition)

@@ -6,7 +6,7 @@ use super::document::{Field, Layer, Prim, Value};
 use super::{frame, maps, names};
 use crate::format::activation;
 use crate::format::gltf::extension::color_space_token;
-use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, Splats, sh};
+use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, PixelFilter, Splats, sh};
 
 /// Width of the sensor that cameras are given, in mm; only its ratio to the focal length counts.
 const APERTURE: f64 = 36.0;
@@ -67,6 +67,10 @@ fn contract(root: &mut Prim, c: &Composition) {
     root.set_custom("token", names::COLOR_SPACE, Value::text(color_space_token(c.color_space)));
     root.set_custom("float3", names::BACKGROUND, Value::Floats(c.background.to_vec()));
     root.set_custom("float", names::NEAR, Value::Floats(vec![c.near]));
+    if c.pixel_filter != PixelFilter::default() {
+        root.set_custom("float", names::FILTER_VARIANCE, Value::Floats(vec![c.pixel_filter.variance]));
+        root.set_custom("int", names::FILTER_NORMALIZED, Value::Integers(vec![c.pixel_filter.normalized.into()]));
+    }
 }
 
 fn flat<const N: usize>(rows: impl Iterator<Item = [f32; N]>) -> Value {

@@ -19,6 +19,8 @@ pub(super) const LAYERS: &str = "centaur:layers";
 pub(super) const COLOR_SPACE: &str = "centaur:colorSpace";
 pub(super) const BACKGROUND: &str = "centaur:background";
 pub(super) const NEAR: &str = "centaur:near";
+pub(super) const FILTER_VARIANCE: &str = "centaur:pixelFilter:variance";
+pub(super) const FILTER_NORMALIZED: &str = "centaur:pixelFilter:normalized";
 
 /// On a mesh: v of every corner, downwards; the maps with all their bits.
 pub(super) const EXACT_V: &str = "centaur:v";

@@ -14,7 +14,7 @@ use crate::format::SceneFile;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
 use crate::format::placed::{self, join};
-use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode};
+use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode, PixelFilter};
 
 /// Type of splats.
 const SPLATS: &str = "ParticleField3DGaussianSplat";
@@ -134,6 +134,10 @@ fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) 
         color_space,
         background: stage.numbers::<3>(root, names::BACKGROUND).map_or(usual.background, |c| c.map(|v| v as f32)),
         near: stage.number(root, names::NEAR).map_or(usual.near, |v| v as f32),
+        pixel_filter: PixelFilter {
+            variance: stage.number(root, names::FILTER_VARIANCE).map_or(usual.pixel_filter.variance, |v| v as f32),
+            normalized: stage.number(root, names::FILTER_NORMALIZED).is_some_and(|v| v != 0.0),
+        },
     };
     // Fields of the rule are named as its attributes.
     composition.validate().map_err(|e| Fault::from(e).under(stage.path(root)))?;

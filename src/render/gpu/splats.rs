@@ -18,7 +18,8 @@ const COUNT_STORED_PAIRS: u32 = 3;
 /// Bits of a depth key, see `compact_visible.wgsl`.
 const DEPTH_BITS: u32 = 28;
 
-/// Floats of a splat in the geometry buffer: mean, opacity logit, quaternion (w, x, y, z), log-scale, 0.
+/// Floats of a splat in the geometry buffer: mean, opacity logit, quaternion (w, x, y, z), log-scale, and the standard
+/// deviation of the Gaussian that it is smoothed with while training (`filter_splats.wgsl`).
 pub(crate) const GEOMETRY: usize = 12;
 
 /// Splat parameters as the shaders keep them.

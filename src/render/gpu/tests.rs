@@ -1,5 +1,6 @@
 //! The GPU pipeline against the f64 reference: images, gradients, limits.
 
+use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -13,7 +14,7 @@ use crate::{
         reference::{self, Image, Margin, Parameters},
         testing,
     },
-    scene::{Atlas, Camera, HybridScene, OrderMode, Texture, sh},
+    scene::{Atlas, Camera, HybridScene, OrderMode, PixelFilter, SplatArrays, Texture, sh},
 };
 
 /// Renders on the GPU; with a cotangent also returns the gradients of every splat parameter.
@@ -23,9 +24,23 @@ fn gpu_frame(
     camera: &Camera,
     cotangent: Option<&Image>,
 ) -> (Image, Option<Parameters>) {
+    smoothed_frame(gpu, scene, camera, &[], cotangent)
+}
+
+/// The same of splats that are smoothed, by `deviations` or not at all.
+fn smoothed_frame(
+    gpu: &Gpu,
+    scene: &HybridScene,
+    camera: &Camera,
+    deviations: &[f64],
+    cotangent: Option<&Image>,
+) -> (Image, Option<Parameters>) {
     let k = *camera.intrinsics();
     let mut pipeline = Pipeline::new(gpu, scene, 0, &[*camera], cotangent.is_some()).unwrap();
     let n = scene.splats.len();
+    for (i, &deviation) in deviations.iter().enumerate() {
+        gpu.write(&pipeline.splats.geometry, 48 * i as u64 + 44, &[deviation as f32]);
+    }
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
         let view = pipeline.prepare(gpu, camera).unwrap();
@@ -202,6 +217,45 @@ fn gradients_equal_the_reference() {
     }
 }
 
+/// Filters about as wide as the splats, and as narrow as they are in training.
+#[test]
+fn filters_equal_the_reference() {
+    let gpu = Gpu::open(None).unwrap();
+    for (variance, deviation) in [(20.0, 0.0), (0.1, 0.2), (20.0, 0.2), (0.1, 0.01)] {
+        let (mut scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
+        scene.composition.pixel_filter = PixelFilter { variance, normalized: true };
+        let mut parameters = Parameters::of(&scene);
+        let deviations: Vec<f64> =
+            parameters.means.iter().map(|&mean| f64::from((deviation * camera.to_camera(mean).z) as f32)).collect();
+        parameters.smoothing.clone_from(&deviations);
+        let cotangent = random_cotangent(&camera, 3);
+        let expected = reference::backward_parameters(&scene, &camera, &parameters, &cotangent).0;
+        let (image, found) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some(&cotangent));
+        let reference = reference::render_parameters(&scene, &camera, &parameters);
+        let pairs = image.rgb.iter().flatten().zip(reference.rgb.iter().flatten());
+        let most = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let errors = class_errors(&found.unwrap(), &expected);
+        eprintln!("{variance} px², {deviation}: image {most:.1e}, {errors:?}");
+        assert!(most < 1e-4, "{variance} px², {deviation}: {most:e}");
+        assert!(errors.iter().all(|(_, error)| *error < 1e-3), "{variance} px², {deviation}: {errors:?}");
+    }
+    // Splats from far below a pixel to many, and needles.
+    for seed in 0..4 {
+        let (mut scene, camera) = testing::random_scene(seed, 800, 1, 1, 2, OrderMode::Stable);
+        let s = scene.splats.into_arrays();
+        let log_scales = s
+            .log_scales
+            .iter()
+            .enumerate()
+            .map(|(i, l)| *l - [0.0, 2.0, 4.0][i % 3] * Vec3::new(1.0, 1.0, (i % 2) as f32));
+        scene.splats = SplatArrays { log_scales: log_scales.collect(), ..s }.check().unwrap();
+        scene.composition.pixel_filter = PixelFilter::MIP;
+        let (mean, most, _) = compare(&gpu_frame(&gpu, &scene, &camera, None).0, &scene, &camera);
+        eprintln!("scene {seed}: mean {mean:.1e}, max {most:.1e}");
+        assert!(mean < 1e-4 && most < 2e-3, "scene {seed}: mean {mean:e}, max {most:e}");
+    }
+}
+
 /// Along the normals of free vertices, also through mips and view dependence, whose changes neither side counts.
 #[test]
 fn vertex_gradients_equal_the_reference() {
@@ -225,7 +279,7 @@ fn vertex_gradients_equal_the_reference() {
             pipeline.record_backward(&mut frame, &view);
             frame.submit();
             let found = pipeline.mesh.as_ref().unwrap().vertices().unwrap().read_gradient(&gpu).unwrap();
-            let normals = state.normals.chunks_exact(3).map(|n| glam::Vec3::from_slice(n).as_dvec3());
+            let normals = state.normals.chunks_exact(3).map(|n| Vec3::from_slice(n).as_dvec3());
             let expected = expected.iter().flatten().zip(normals).map(|(g, n)| g.dot(n));
             let error = relative(found.into_iter().map(f64::from), expected);
             eprintln!("atomics {atomics}, subgroups {subgroups}, scene {seed}: {error:.1e}");

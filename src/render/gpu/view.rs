@@ -19,7 +19,7 @@ pub(crate) struct View {
 }
 
 /// Number of words of the uniform buffer.
-pub(crate) const VIEW_WORDS: usize = 36;
+pub(crate) const VIEW_WORDS: usize = 40;
 
 /// Side of a tile in pixels.
 pub(crate) const TILE: u32 = 16;
@@ -77,6 +77,7 @@ impl View {
         };
         words.extend([self.n_splats, self.sh_degree, mode, self.n_triangles]);
         words.extend([c.near.to_bits(), c.lambda.min(f32::MAX).to_bits(), self.pair_capacity, self.band_degree]);
+        words.extend([c.pixel_filter.variance.to_bits(), u32::from(c.pixel_filter.normalized), 0, 0]);
         words.try_into().expect("the struct has VIEW_WORDS words")
     }
 }

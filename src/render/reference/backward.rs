@@ -41,23 +41,23 @@ struct MapGradients {
 /// If `cotangent` is not of the camera's size.
 #[must_use]
 pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Parameters {
-    backward_with_statistics(scene, camera, cotangent).0
+    backward_parameters(scene, camera, &Parameters::of(scene), cotangent).0
 }
 
-/// [`backward`], and what density control wants to know of every splat.
+/// [`backward`] of a scene with other parameters of the same shape, and what density control wants to know of every splat.
 ///
 /// # Panics
-/// If `cotangent` is not of the camera's size.
+/// If the shapes differ or `cotangent` is not of the camera's size.
 #[must_use]
-pub fn backward_with_statistics(
+pub fn backward_parameters(
     scene: &HybridScene,
     camera: &Camera,
+    parameters: &Parameters,
     cotangent: &Image,
 ) -> (Parameters, Vec<ScreenStatistics>) {
-    let parameters = Parameters::of(scene);
-    let view = View::new(scene, camera, &parameters);
+    let view = View::new(scene, camera, parameters);
     let mut splats = vec![ProjectedGradient::ZERO; view.splats.len()];
-    let maps = mesh::maps(scene, &parameters);
+    let maps = mesh::maps(scene, parameters);
     let mut texels: Vec<_> = maps.iter().map(MapGradients::zeros_like).collect();
     let mut positions = parameters.zeros_like().positions;
     let background = DVec3::from(scene.composition.background.map(f64::from));
@@ -97,7 +97,7 @@ pub fn backward_with_statistics(
     let mut statistics = vec![ScreenStatistics { center: DVec2::ZERO, weight: 0.0 }; scene.splats.len()];
     for ((splat, _), gradient) in view.splats.iter().zip(&splats) {
         statistics[splat.index] = ScreenStatistics { center: gradient.center, weight: gradient.weight };
-        splat_backward(scene, camera, &parameters, splat, gradient, &mut result);
+        splat_backward(scene, camera, parameters, splat, gradient, &mut result);
     }
     for (i, (mesh, levels)) in scene.meshes.iter().zip(texels).enumerate() {
         result.base[i] = mesh::pull_down(mesh.atlas().base(), levels.base);
@@ -161,19 +161,30 @@ fn splat_backward(
     result: &mut Parameters,
 ) {
     let i = splat.index;
-    result.opacity_logits[i] = gradient.opacity * splat.opacity * (1.0 - splat.opacity);
+    // All factors of the opacity have a logarithm, of which the opacity itself is the derivative.
+    let d_log_opacity = gradient.opacity * splat.opacity;
+    result.opacity_logits[i] = d_log_opacity * (1.0 - contract::sigmoid(parameters.opacity_logits[i]));
 
-    // Covariance: Σ' = M Σ3 Mᵀ + kI with M = J W, Σ3 = N Nᵀ, N = R diag(s).
-    let d_covariance = DMat3::from_mat2(-1.0 * splat.conic * gradient.conic * splat.conic);
-    let d_covariance = DMat3 { z_axis: DVec3::ZERO, ..d_covariance };
+    // Covariance: Σ' = Σ2 + kI with Σ2 = M Σ3 Mᵀ, M = J W, Σ3 = N Nᵀ, N = R diag(s).
+    let mut d_covariance = -1.0 * splat.conic * gradient.conic * splat.conic;
+    let filter = scene.composition.pixel_filter;
+    if filter.normalized {
+        // Of √(det Σ2 / det Σ').
+        let projected = splat.covariance - f64::from(filter.variance) * DMat2::IDENTITY;
+        d_covariance += 0.5 * d_log_opacity * (projected.inverse() - splat.conic);
+    }
+    let d_covariance = DMat3 { z_axis: DVec3::ZERO, ..DMat3::from_mat2(d_covariance) };
     let t = camera.to_camera(parameters.means[i]);
     let m = jacobian(camera, t) * camera.rotation();
-    let (r, s) = (rotation(parameters.rotations[i]), parameters.log_scales[i].exp());
+    let (s, _) = contract::smoothed(parameters.log_scales[i], parameters.smoothing[i]);
+    let r = rotation(parameters.rotations[i]);
     let n = r * DMat3::from_diagonal(s);
     let d_n = 2.0 * m.transpose() * d_covariance * m * n;
     let d_jacobian = 2.0 * d_covariance * m * n * n.transpose() * camera.rotation().transpose();
     for j in 0..3 {
-        result.log_scales[i][j] = s[j] * d_n.col(j).dot(r.col(j));
+        // Of the splat's own variance in that of the smoothed one; the rest is in the factor Π s/s̃ of the opacity.
+        let own = (parameters.log_scales[i][j].exp() / s[j]).powi(2);
+        result.log_scales[i][j] = own * s[j] * d_n.col(j).dot(r.col(j)) + (1.0 - own) * d_log_opacity;
     }
     result.rotations[i] = rotation_backward(parameters.rotations[i], d_n * DMat3::from_diagonal(s));
 

@@ -17,6 +17,9 @@ pub struct Parameters {
     pub log_scales: Vec<DVec3>,
     /// Opacity logits, `[N]`.
     pub opacity_logits: Vec<f64>,
+    /// Standard deviations of the Gaussians that the splats are smoothed with ([`smoothed`](crate::render::contract::smoothed)), `[N]`; 0 in a scene, whose
+    /// splats are as they are. Training chooses them and does not differentiate by them.
+    pub smoothing: Vec<f64>,
     /// SH coefficients, `[N·(d+1)²]` RGB, splat-major.
     pub sh: Vec<DVec3>,
     /// Per mesh: level 0 of the base texture, `[height·width·4]`.
@@ -60,6 +63,7 @@ impl Parameters {
             rotations: splats.rotations().iter().map(|q| [q.w, q.x, q.y, q.z].map(f64::from)).collect(),
             log_scales: splats.log_scales().iter().map(|s| s.as_dvec3()).collect(),
             opacity_logits: splats.opacity_logits().iter().copied().map(f64::from).collect(),
+            smoothing: vec![0.0; splats.len()],
             sh: splats.sh().iter().map(|c| DVec3::from(c.map(f64::from))).collect(),
             base: scene.meshes.iter().map(|m| texels(m.atlas().base())).collect(),
             bands: scene.meshes.iter().map(bands).collect(),
@@ -76,6 +80,7 @@ impl Parameters {
             rotations: vec![[0.0; 4]; self.rotations.len()],
             log_scales: vec![DVec3::ZERO; self.log_scales.len()],
             opacity_logits: vec![0.0; self.opacity_logits.len()],
+            smoothing: vec![0.0; self.smoothing.len()],
             sh: vec![DVec3::ZERO; self.sh.len()],
             base: zeros(&self.base),
             bands: zeros(&self.bands),
@@ -101,16 +106,23 @@ impl Parameters {
     }
 }
 
-/// Derivative of Σ `cotangent`·image with respect to one parameter by central differences of step `h`.
+/// Derivative of Σ `cotangent`·image with respect to one of the parameters that a scene is rendered with, by central differences of step `h`.
 ///
 /// Owes nothing to the closed forms of [`super::backward`]; meaningful where ±`h` crosses no threshold.
 ///
 /// # Panics
 /// If there is no such parameter, or `cotangent` is not of the camera's size.
 #[must_use]
-pub fn finite_difference(scene: &HybridScene, camera: &Camera, cotangent: &Image, parameter: Parameter, h: f64) -> f64 {
+pub fn finite_difference(
+    scene: &HybridScene,
+    camera: &Camera,
+    parameters: &Parameters,
+    cotangent: &Image,
+    parameter: Parameter,
+    h: f64,
+) -> f64 {
     let at_offset = |offset: f64| {
-        let mut parameters = Parameters::of(scene);
+        let mut parameters = parameters.clone();
         *parameters.at(parameter) += offset;
         render_parameters(scene, camera, &parameters).dot(cotangent)
     };

@@ -5,7 +5,7 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::render::testing::{random_scene, smooth_scene};
-use crate::scene::{Atlas, Composition, Intrinsics, Mesh, OrderMode, Splats, Texture};
+use crate::scene::{Atlas, Composition, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture};
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
 
@@ -307,13 +307,13 @@ fn no_layer_is_missed() {
 }
 
 /// Checks `backward` against central differences: every parameter of a splat, forty texels of each texture.
-fn check_gradients(scene: &HybridScene, camera: &Camera) {
+fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters) {
     let cotangent = random_cotangent(camera, 17);
     let margins = render_with_margins(scene, camera).1;
     let away = Margin { alpha: 1e-3, order: 1e-4, edge: 0.0, stop: 1e-2 };
     assert!(!margins.iter().any(|m| m.is_within(&away)), "the scene is not away from all thresholds");
 
-    let mut gradient = backward(scene, camera, &cotangent);
+    let mut gradient = backward_parameters(scene, camera, parameters, &cotangent).0;
     let n = scene.splats.len();
     let splats = 0..n;
     let mut classes: Vec<(&str, Vec<Parameter>)> = vec![
@@ -334,8 +334,8 @@ fn check_gradients(scene: &HybridScene, camera: &Camera) {
     }
     for (class, chosen) in classes {
         assert!(!chosen.is_empty(), "no {class}");
-        let pairs: Vec<(f64, f64)> =
-            chosen.iter().map(|&p| (*gradient.at(p), finite_difference(scene, camera, &cotangent, p, 1e-4))).collect();
+        let difference = |p| finite_difference(scene, camera, parameters, &cotangent, p, 1e-4);
+        let pairs: Vec<(f64, f64)> = chosen.iter().map(|&p| (*gradient.at(p), difference(p))).collect();
         let scale = pairs.iter().map(|(_, b)| b.abs()).fold(0.0, f64::max);
         let worst = pairs.iter().map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / scale;
         eprintln!("{class}: {} parameters, relative error {worst:.1e}", pairs.len());
@@ -351,8 +351,44 @@ fn gradients_are_finite_differences() {
         let hits = mesh::trace(&scene, &camera, &Parameters::of(&scene).positions);
         let levels = hits.into_iter().flatten().flat_map(|hit| hit.base).map(|tap| tap.level);
         assert!(layers == 1 || levels.max() >= Some(2), "coarse mips are not tested");
-        check_gradients(&scene, &camera);
+        check_gradients(&scene, &camera, &Parameters::of(&scene));
     }
+}
+
+/// With filters about as wide as the splats, so that what they do to opacities weighs as much as the rest.
+#[test]
+fn gradients_through_filters_are_finite_differences() {
+    for (variance, deviation) in [(20.0, 0.0), (0.1, 0.2), (20.0, 0.2)] {
+        let (mut scene, camera) = smooth_scene(11, 2, OrderMode::Stable);
+        scene.composition.pixel_filter = PixelFilter { variance, normalized: true };
+        let mut parameters = Parameters::of(&scene);
+        for (smoothing, mean) in parameters.smoothing.iter_mut().zip(&parameters.means) {
+            *smoothing = deviation * camera.to_camera(*mean).z;
+        }
+        check_gradients(&scene, &camera, &parameters);
+    }
+}
+
+/// Filters spread what a splat adds to a picture and keep its sum; smoothing is in space what the pixel filter is in the picture.
+#[test]
+fn normalized_filters_keep_the_sum() {
+    let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
+    let mut parameters = Parameters::of(&scene);
+    parameters.log_scales[0] -= 2.0;
+    let sum = |scene: &HybridScene, parameters: &Parameters| {
+        let splat = project(scene, &camera, parameters, 0).unwrap();
+        splat.opacity * splat.covariance.determinant().sqrt()
+    };
+    scene.composition.pixel_filter = PixelFilter { variance: 0.0, normalized: false };
+    let exact = sum(&scene, &parameters);
+    scene.composition.pixel_filter = PixelFilter::MIP;
+    assert!((sum(&scene, &parameters) / exact - 1.0).abs() < 1e-12);
+    scene.composition.pixel_filter = PixelFilter::DILATION;
+    assert!(sum(&scene, &parameters) > 1.001 * exact);
+    let (scale, opacity) = contract::smoothed(parameters.log_scales[0], 0.05);
+    let variance = (2.0 * parameters.log_scales[0]).exp() + 0.0025;
+    assert!((scale * scale - variance).abs().max_element() < 1e-15);
+    assert!((opacity * scale.element_product() - parameters.log_scales[0].exp().element_product()).abs() < 1e-15);
 }
 
 /// Sides that are odd make textures of one mip level, whose choice has no derivative. A step of 1e-6 moves no edge across
@@ -373,12 +409,13 @@ fn vertex_gradients_are_finite_differences() {
             })
             .collect();
         let cotangent = random_cotangent(&camera, 18);
+        let parameters = Parameters::of(&scene);
         let mut gradient = backward(&scene, &camera, &cotangent);
         let (mut worst, mut scale) = (0.0_f64, 0.0_f64);
         for (m, mesh) in scene.meshes.iter().enumerate() {
             for parameter in (0..mesh.positions().len()).flat_map(|v| (0..3).map(move |k| Parameter::Position(m, v, k)))
             {
-                let expected = finite_difference(&scene, &camera, &cotangent, parameter, 1e-6);
+                let expected = finite_difference(&scene, &camera, &parameters, &cotangent, parameter, 1e-6);
                 worst = worst.max((*gradient.at(parameter) - expected).abs());
                 scale = scale.max(expected.abs());
             }
@@ -395,7 +432,7 @@ fn screen_statistics_are_those_of_the_image() {
     let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
     scene.meshes.clear();
     let cotangent = random_cotangent(&camera, 5);
-    let statistics = backward_with_statistics(&scene, &camera, &cotangent).1;
+    let statistics = backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent).1;
     let shifted = |cx: f64, cy: f64| {
         let k = camera.intrinsics();
         let k = Intrinsics { cx: k.cx + cx, cy: k.cy + cy, ..*k };
@@ -424,7 +461,7 @@ fn gradients_beyond_the_jacobian_limits() {
     scene.splats = Splats::new(means, s.rotations().to_vec(), log_scales, logits, 3, s.sh().to_vec()).unwrap();
     let t = camera.to_camera(far);
     assert!(clamped(&camera, t).cmpne(t.truncate()).all(), "both axes are clamped");
-    check_gradients(&scene, &camera);
+    check_gradients(&scene, &camera, &Parameters::of(&scene));
 }
 
 #[test]

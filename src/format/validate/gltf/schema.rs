@@ -29,11 +29,12 @@ macro_rules! hybrid_schemas {
     };
 }
 
-const HYBRID_SCHEMAS: [&str; 13] = hybrid_schemas![
+const HYBRID_SCHEMAS: [&str; 14] = hybrid_schemas![
     "KHR_gaussian_splatting.EXT_gaussian_splatting_hybrid",
     "binding",
     "deformationField",
     "deformationHeads",
+    "footprint",
     "glTF.EXT_gaussian_splatting_hybrid",
     "hexplaneLevel",
     "material.EXT_gaussian_splatting_hybrid",

@@ -45,6 +45,12 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_TYPE", "EXT_gaussian_splatting_hybrid/lambda", |f| contract(f)["lambda"] = json!("none")),
     ("SCHEMA_VALUE", "EXT_gaussian_splatting_hybrid/layers", |f| contract(f)["layers"] = json!(3)),
     ("SCHEMA_RANGE", "EXT_gaussian_splatting_hybrid/near", |f| contract(f)["near"] = json!(0)),
+    ("SCHEMA_RANGE", "EXT_gaussian_splatting_hybrid/footprint/variance", |f| {
+        contract(f)["footprint"] = json!({ "variance": -0.1 });
+    }),
+    ("SCHEMA_TYPE", "EXT_gaussian_splatting_hybrid/footprint/normalized", |f| {
+        contract(f)["footprint"] = json!({ "normalized": 1 });
+    }),
     ("SCHEMA_LENGTH", "EXT_gaussian_splatting_hybrid/background", |f| contract(f)["background"] = json!([0, 0])),
     ("SCHEMA_REQUIRED", "/scenes/0/extensions/EXT_gaussian_splatting_hybrid", |f| {
         drop(contract(f).as_object_mut().unwrap().remove("colorSpace"));
