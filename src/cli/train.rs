@@ -84,6 +84,10 @@ pub(super) struct Args {
     /// Continue from SCENE.glb.checkpoint; give the other options as before
     #[arg(long, help_heading = OPTIMISATION)]
     resume: bool,
+    /// Filter splats as Mip-Splatting does (Yu et al. 2024), so that the scene can be seen from nearer and farther than the
+    /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
+    #[arg(long, help_heading = OPTIMISATION)]
+    antialias: bool,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
     #[arg(long, help_heading = OPTIMISATION)]
     visible_only: bool,
@@ -203,6 +207,7 @@ impl Args {
             max_floats: self.max_floats,
             visible_only: self.visible_only,
             dense_texels: self.dense_texels,
+            antialias: self.antialias,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,
             seed: self.seed,

@@ -54,12 +54,14 @@ pub struct DensityReport {
     pub added: usize,
 }
 
-/// Limits every opacity to 0.01 and forgets the Adam moments of all opacities. (METHODS 2.8, every 3000 iterations of
+/// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (METHODS 2.8, every 3000 iterations of
 /// INRIA's strategy: what is not needed does not come back and is pruned.)
 pub fn reset_opacity(state: &mut SplatState) {
-    let most = logit(0.01);
-    for row in state.geometry.chunks_exact_mut(GEOMETRY_FLOATS) {
-        row[OPACITY] = row[OPACITY].min(most);
+    for i in 0..state.len() {
+        let most = 0.01 / state.smoothing_factor(i);
+        if state.opacity(i) > most {
+            state.row_mut(i)[OPACITY] = logit(most);
+        }
     }
     for moments in [&mut state.geometry_m, &mut state.geometry_v] {
         for row in moments.chunks_exact_mut(GEOMETRY_FLOATS) {
@@ -92,7 +94,7 @@ fn normal3(rng: &mut Pcg64) -> glam::Vec3 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::optimize::state::{LOG_SCALE, ROTATION};
+    use crate::optimize::state::{LOG_SCALE, ROTATION, SMOOTHING};
 
     /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, unequal SH, and moments that are nowhere zero.
     pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
@@ -116,10 +118,13 @@ pub(super) mod tests {
     fn reset_limits_opacity_and_forgets_only_its_moments() {
         let mut s = state(3, 0);
         s.row_mut(1)[OPACITY] = logit(0.004);
+        s.row_mut(2)[SMOOTHING] = 0.01;
         let before = s.clone();
         reset_opacity(&mut s);
         assert!((s.opacity(0) - 0.01).abs() < 1e-6);
         assert_eq!(s.opacity(1), before.opacity(1));
+        // As large as what smooths it: √2 as wide along each axis.
+        assert!((s.opacity(2) - 0.01 * 8.0_f32.sqrt()).abs() < 1e-6);
         for i in 0..3 {
             for c in 0..GEOMETRY_FLOATS {
                 let at = i * GEOMETRY_FLOATS + c;

@@ -36,6 +36,9 @@ pub struct TrainOptions {
     /// ends. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained
     /// together.
     pub surface_iterations: Option<u32>,
+    /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
+    /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).
+    pub antialias: bool,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -90,6 +93,7 @@ impl Default for TrainOptions {
             iterations: 30_000,
             warmup: 9_000,
             surface_iterations: None,
+            antialias: false,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,

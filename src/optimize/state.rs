@@ -5,7 +5,10 @@ use std::ops::Range;
 use glam::{Quat, Vec3};
 
 use crate::{
-    render::gpu::splats::{GEOMETRY, pack_geometry},
+    render::{
+        contract,
+        gpu::splats::{GEOMETRY, pack_geometry},
+    },
     scene::{SceneError, Splats, sh},
 };
 
@@ -19,6 +22,11 @@ pub const OPACITY: usize = 3;
 pub const ROTATION: Range<usize> = 4..8;
 /// Columns of the log-scale.
 pub const LOG_SCALE: Range<usize> = 8..11;
+/// Column of the standard deviation of the Gaussian that the splat is smoothed with; 0 for none.
+pub const SMOOTHING: usize = 11;
+
+/// Logit of what is left of a splat that is smoothed to nothing: far below what any picture shows.
+const LEAST_LOGIT: f64 = -100.0;
 
 /// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
 ///
@@ -28,7 +36,8 @@ pub const LOG_SCALE: Range<usize> = 8..11;
 pub struct SplatState {
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u32,
-    /// `[N·12]`: mean x, y, z; opacity logit; quaternion w, x, y, z, not normalised; log-scale x, y, z; 0.
+    /// `[N·12]`: mean x, y, z; opacity logit; quaternion w, x, y, z, not normalised; log-scale x, y, z; deviation
+    /// of what it is smoothed with.
     pub geometry: Vec<f32>,
     /// `[N·(d+1)²·3]`: RGB of coefficient 0, RGB of coefficient 1, …
     pub sh: Vec<f32>,
@@ -60,17 +69,18 @@ impl SplatState {
         }
     }
 
-    /// The splats without their moments; quaternions are normalised.
+    /// The splats without their moments, smoothed; quaternions are normalised.
     ///
     /// # Errors
     /// If a parameter is not finite, a quaternion is zero, or the arrays do not fit together.
     pub fn to_splats(&self) -> Result<Splats, SceneError> {
         let rows = || self.geometry.chunks_exact(GEOMETRY_FLOATS);
+        let (log_scales, opacity_logits) = rows().map(smoothed).unzip();
         Splats::new(
             rows().map(|r| Vec3::from_slice(&r[MEAN])).collect(),
             rows().map(|r| Quat::from_xyzw(r[5], r[6], r[7], r[4])).collect(),
-            rows().map(|r| Vec3::from_slice(&r[LOG_SCALE])).collect(),
-            rows().map(|r| r[OPACITY]).collect(),
+            log_scales,
+            opacity_logits,
             self.sh_degree,
             self.sh.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
         )
@@ -175,6 +185,16 @@ impl SplatState {
         sigmoid(self.row(i)[OPACITY])
     }
 
+    /// What smoothing leaves of the opacity of splat `i`, 0 to 1.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn smoothing_factor(&self, i: usize) -> f32 {
+        let row = self.row(i);
+        contract::smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
+    }
+
     /// Largest standard deviation of splat `i`, world units.
     ///
     /// # Panics
@@ -198,6 +218,7 @@ impl SplatState {
                     c if MEAN.contains(&c) => "means",
                     OPACITY => "opacity logits",
                     c if ROTATION.contains(&c) => "rotations",
+                    SMOOTHING => "smoothing",
                     _ => "log-scales",
                 };
                 let group = if kind == "parameters" { group } else { kind };
@@ -210,6 +231,17 @@ impl SplatState {
         }
         None
     }
+}
+
+/// Log-scales and opacity logit of a row after smoothing.
+fn smoothed(row: &[f32]) -> (Vec3, f32) {
+    let log_scale = Vec3::from_slice(&row[LOG_SCALE]);
+    if row[SMOOTHING] == 0.0 {
+        return (log_scale, row[OPACITY]);
+    }
+    let (scale, factor) = contract::smoothed(log_scale.as_dvec3(), row[SMOOTHING].into());
+    let opacity = contract::sigmoid(row[OPACITY].into()) * factor;
+    (scale.ln().as_vec3(), (opacity / (1.0 - opacity)).ln().max(LEAST_LOGIT) as f32)
 }
 
 /// 1/(1+e⁻ˣ).
@@ -252,6 +284,31 @@ mod tests {
             assert!((a - b).abs() < 1e-6);
         }
         assert!(again.geometry_m.iter().chain(&again.sh_v).all(|&v| v == 0.0));
+    }
+
+    /// A smoothed splat looks as it did while training: in the reference, which knows both.
+    #[test]
+    fn smoothing_is_kept_in_scales_and_opacities() {
+        let mut smooth = state(1, 1);
+        smooth.row_mut(0)[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -30.0]);
+        smooth.row_mut(0)[SMOOTHING] = 0.02;
+        let splats = smooth.to_splats().unwrap();
+        let variance = |log_scale: f32| (2.0 * f64::from(log_scale)).exp();
+        for (now, before) in splats.log_scales()[0].to_array().into_iter().zip([-4.0, -5.0, -30.0]) {
+            assert!((variance(now) / (variance(before) + 0.02 * 0.02) - 1.0).abs() < 1e-5);
+        }
+        let integral = |scales: Vec3, opacity: f32| f64::from(opacity) * f64::from(scales.element_sum()).exp();
+        let (after, before) = (
+            integral(splats.log_scales()[0], sigmoid(splats.opacity_logits()[0])),
+            integral(Vec3::new(-4.0, -5.0, -30.0), smooth.opacity(0)),
+        );
+        assert!((after / before - 1.0).abs() < 1e-4, "{after:e} {before:e}");
+        assert!(
+            (f64::from(smooth.smoothing_factor(0)) * 0.5 / f64::from(sigmoid(splats.opacity_logits()[0])) - 1.0).abs()
+                < 1e-5
+        );
+        smooth.row_mut(0)[LOG_SCALE].fill(-200.0);
+        assert!(smooth.to_splats().is_ok(), "nothing is left of it, and that is a number");
     }
 
     #[test]

@@ -40,7 +40,7 @@ use crate::{
         training::{SplatArrays, Step, Training},
         vertices::{VertexState, VertexStep},
     },
-    scene::{Camera, Composition, HybridScene, Mesh, Splats, sh},
+    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, sh},
 };
 
 /// Decoded photographs are kept up to this many bytes.
@@ -51,6 +51,8 @@ const REPORT_EVERY: u32 = 10;
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (METHODS 2.2), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
+/// Iterations between measurements of how far splats are smoothed, and of the last ones in which that stays (METHODS 3).
+const SMOOTH_EVERY: u32 = 100;
 /// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (METHODS 2.7): a
 /// texel is seen by few views, and all of them would otherwise be explained by its bands.
 const BAND_RATE_DIVISOR: f32 = 5.0;
@@ -293,7 +295,12 @@ impl<'a> Run<'a> {
     }
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
-        Ok(Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight, self.truth_alpha)?)
+        let mut training =
+            Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight, self.truth_alpha)?;
+        if self.options.antialias {
+            training.smooth_for(&self.train_cameras)?;
+        }
+        Ok(training)
     }
 
     fn initial_splats(&self, beside: &[Mesh]) -> Result<Splats, TrainError> {
@@ -314,6 +321,7 @@ impl<'a> Run<'a> {
             layers: self.options.layers,
             background: if self.options.background == Background::White { [1.0; 3] } else { [0.0; 3] },
             near: NEAR.min(0.05 * self.extent),
+            pixel_filter: if self.options.antialias { PixelFilter::MIP } else { PixelFilter::DILATION },
             ..Composition::default()
         }
     }
@@ -369,8 +377,9 @@ impl<'a> Run<'a> {
             };
             training.free_vertices(&scene.meshes, &state)?;
         }
-        if let Some(saved) = saved {
-            epoch = saved.restore(training)?;
+        match saved {
+            Some(saved) => epoch = saved.restore(training)?,
+            None => training.smooth(),
         }
         let max_splats = self.max_splats(&scene.meshes);
         let epoch_length = self.train.len() as u32;
@@ -384,6 +393,9 @@ impl<'a> Run<'a> {
             }
             if phase != Phase::Warmup {
                 self.control_density(training, &plan, &mut epoch, max_splats, done)?;
+                if is_due(done, SMOOTH_EVERY) && plan.iterations - done >= SMOOTH_EVERY {
+                    training.smooth();
+                }
             }
             if phase == Phase::Joint {
                 self.joint_seconds += begin.elapsed().as_secs_f64();
@@ -527,6 +539,7 @@ impl<'a> Run<'a> {
             density::reset_opacity(&mut state);
         }
         training.write_splats(&arrays(state))?;
+        training.smooth();
         Ok(())
     }
 

@@ -117,13 +117,21 @@ fn without_any_splats_the_maps_are_trained() {
     }
 }
 
+/// With filters, too, which the file has in scales, opacities and its footprint.
 #[test]
 fn the_file_shows_what_the_trainer_showed() {
-    let options = options();
+    file_shows_what_trainer_showed(&options());
+    file_shows_what_trainer_showed(&TrainOptions { antialias: true, ..options() });
+}
+
+fn file_shows_what_trainer_showed(options: &TrainOptions) {
     let folder = tempfile::tempdir().unwrap();
-    with_run(&options, |run, training, scene| {
+    with_run(options, |run, training, scene| {
         run.run_phase(training, scene, Phase::Warmup, None).unwrap();
         let outcome = run.run_phase(training, scene, Phase::Joint, None).unwrap();
+        let smoothing =
+            training.read_splats().unwrap().geometry[0].iter().skip(11).step_by(12).fold(0.0, |a: f32, &b| a.max(b));
+        assert_eq!(smoothing > 0.0, options.antialias);
         let trained = run.finish(training, scene, outcome).unwrap();
         let path = folder.path().join("scene.glb");
         gltf::write_glb(&path, &trained.scene, &[], None).unwrap();

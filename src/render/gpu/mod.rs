@@ -19,6 +19,7 @@ mod pipeline;
 mod renderer;
 mod scan;
 mod shader;
+mod smoothing;
 mod sort;
 pub(crate) mod splats;
 pub(crate) mod status;

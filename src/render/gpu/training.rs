@@ -7,6 +7,7 @@ use super::{
     loss::{Loss, LossValues, TruthAlpha},
     pipeline::Pipeline,
     renderer::Picture,
+    smoothing::Smoothing,
     splats::{GEOMETRY, SplatBuffers},
     status::{ListCheck, Status},
     texels::TexelStep,
@@ -52,6 +53,7 @@ pub(crate) struct Training<'g> {
     loss: Loss,
     adam: SplatAdam,
     moments: [Buffer; 4],
+    smoothing: Option<Smoothing>,
     timer: Option<Timer>,
 }
 
@@ -73,8 +75,21 @@ impl<'g> Training<'g> {
         let (adam, moments) = new_adam(gpu, &pipeline)?;
         let list_check = new_list_check(gpu, &pipeline);
         let size = (width, height);
-        let timer = None;
-        Ok(Self { gpu, pipeline, truth, size, ssim_weight, truth_alpha, list_check, loss, adam, moments, timer })
+        let (smoothing, timer) = (None, None);
+        Ok(Self {
+            gpu,
+            pipeline,
+            truth,
+            size,
+            ssim_weight,
+            truth_alpha,
+            list_check,
+            loss,
+            adam,
+            moments,
+            smoothing,
+            timer,
+        })
     }
 
     /// Renders the view, differentiates the loss and moves the parameters, unless lists were too short for the view:
@@ -109,6 +124,19 @@ impl<'g> Training<'g> {
         }
         frame.submit();
         Ok(())
+    }
+
+    /// From now on [`Self::smooth`] smooths splats as far as these views, the training views, cannot tell.
+    pub(crate) fn smooth_for(&mut self, cameras: &[Camera]) -> Result<(), GpuError> {
+        self.smoothing = Some(Smoothing::new(self.gpu, cameras, self.pipeline.composition.near)?);
+        Ok(())
+    }
+
+    /// Measures how far the splats are smoothed, by where they are now; nothing without [`Self::smooth_for`]. Does not wait.
+    pub(crate) fn smooth(&self) {
+        if let Some(smoothing) = &self.smoothing {
+            smoothing.run(self.gpu, &self.pipeline.splats.geometry, self.pipeline.n_splats);
+        }
     }
 
     /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.

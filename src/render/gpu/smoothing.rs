@@ -1,0 +1,122 @@
+//! How far splats are smoothed while they are trained (`shaders/filter_splats.wgsl`).
+
+use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use crate::scene::Camera;
+
+/// Threads per workgroup.
+const THREADS: usize = 256;
+/// Words of a view.
+const VIEW: usize = 20;
+/// Part of the image's size around it within which means count as seen (METHODS 3).
+const MARGIN: f64 = 0.15;
+
+/// Mip-Splatting's 3-D filter for the views that splats are trained on.
+pub(crate) struct Smoothing {
+    measure: Kernel,
+    complete: Kernel,
+    uniform: Buffer,
+    views: Buffer,
+    largest: Buffer,
+    n_views: usize,
+    near: f32,
+}
+
+impl Smoothing {
+    /// For these views, in which nothing up to depth `near` is seen.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn new(gpu: &Gpu, cameras: &[Camera], near: f32) -> Result<Self, GpuError> {
+        let words: Vec<f32> = cameras.iter().flat_map(view_words).collect();
+        let kernel = |entry| Kernel::new(gpu, "filter_splats.wgsl", entry, &gpu.defines());
+        Ok(Self {
+            measure: kernel("measure"),
+            complete: kernel("complete"),
+            uniform: gpu.uniform("smoothing", 4)?,
+            views: gpu.storage_with("training views", if words.is_empty() { &[0.0; VIEW] } else { &words })?,
+            largest: gpu.storage("largest deviation", 1)?,
+            n_views: cameras.len(),
+            near,
+        })
+    }
+
+    /// Sets the deviations of the first `n_splats` splats of a geometry buffer. Does not wait.
+    pub(crate) fn run(&self, gpu: &Gpu, geometry: &Buffer, n_splats: usize) {
+        gpu.write(&self.uniform, 0, &[n_splats as u32, self.n_views as u32, self.near.to_bits(), 0]);
+        let mut frame = Frame::new(gpu);
+        frame.clear(&self.largest);
+        for kernel in [&self.measure, &self.complete] {
+            let buffers = [&self.uniform, &self.views, geometry, &self.largest];
+            frame.dispatch(kernel, &kernel.bind(gpu, &buffers), groups(n_splats, THREADS));
+        }
+        frame.submit();
+    }
+}
+
+/// As `Sampler` in the shader.
+fn view_words(camera: &Camera) -> [f32; VIEW] {
+    let (k, r, t) = (camera.intrinsics(), camera.rotation(), camera.translation());
+    let row = |i: usize| [r.row(i).x, r.row(i).y, r.row(i).z, t[i]];
+    let (w, h) = (f64::from(k.width), f64::from(k.height));
+    let low = [(-MARGIN * w - k.cx) / k.fx, (-MARGIN * h - k.cy) / k.fy];
+    let high = [((1.0 + MARGIN) * w - k.cx) / k.fx, ((1.0 + MARGIN) * h - k.cy) / k.fy];
+    let rest = [low[0], low[1], high[0], high[1], k.fx.max(k.fy), 0.0, 0.0, 0.0];
+    let mut words = [0.0; VIEW];
+    for (word, value) in words.iter_mut().zip([row(0), row(1), row(2)].concat().into_iter().chain(rest)) {
+        *word = value as f32;
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3, Quat, Vec3};
+
+    use super::*;
+    use crate::render::gpu::splats::SplatBuffers;
+    use crate::scene::{Intrinsics, Splats};
+
+    /// Looks along +z from (0, 0, −`distance`).
+    fn camera(distance: f64, focal: f64) -> Camera {
+        let k = Intrinsics { width: 100, height: 80, fx: focal, fy: 0.5 * focal, cx: 40.0, cy: 40.0 };
+        Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, distance)).unwrap()
+    }
+
+    #[test]
+    fn the_finest_view_that_sees_a_splat_decides() {
+        let gpu = Gpu::open(None).unwrap();
+        let smoothing = Smoothing::new(&gpu, &[camera(4.0, 100.0), camera(1.0, 50.0)], 0.2).unwrap();
+        // In the middle of both; far to the right of the second; seen by none; behind the second; at the margin's edge of the
+        // second, 0.15·100 px beyond its right side, and just beyond.
+        let edge = (115.0 - 40.0) / 50.0;
+        let means = [
+            [0.0, 0.0, 1.0],
+            [2.5, 0.0, 0.0],
+            [0.0, 99.0, 1.0],
+            [0.0, 0.0, -2.0],
+            [2.0 * edge - 1e-4, 0.0, 1.0],
+            [2.0 * edge + 1e-4, 0.0, 1.0],
+        ];
+        let n = means.len();
+        let splats = Splats::new(
+            means.map(Vec3::from).to_vec(),
+            vec![Quat::IDENTITY; n],
+            vec![Vec3::ZERO; n],
+            vec![0.0; n],
+            0,
+            vec![[0.0; 3]; n],
+        )
+        .unwrap();
+        let buffers = SplatBuffers::new(&gpu, n, 0).unwrap();
+        buffers.write(&gpu, &splats);
+        smoothing.run(&gpu, &buffers.geometry, n);
+        let geometry: Vec<f32> = gpu.read(&buffers.geometry, 12 * n).unwrap();
+        // Depth over focal length, in the finer view of those that see it.
+        let pixel = [2.0 / 50.0, 4.0 / 100.0, 5.0 / 100.0, 2.0 / 100.0, 2.0 / 50.0, 5.0 / 100.0];
+        for (i, pixel) in pixel.into_iter().enumerate() {
+            let found = geometry[12 * i + 11];
+            assert!((found / (0.2_f32.sqrt() * pixel) - 1.0).abs() < 1e-5, "splat {i}: {found}, pixel {pixel}");
+            assert_eq!(geometry[12 * i..][..3], means[i], "the rest stays");
+        }
+    }
+}
