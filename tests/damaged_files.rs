@@ -62,7 +62,9 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
         }
         _ => {
             let strict = format::read_file(&path, &ReadOptions::default()).map(drop);
-            let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true }).map(drop);
+            let lenient =
+                format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true, time: None })
+                    .map(drop);
             assert!(strict.is_err() || lenient.is_ok());
             let taken = strict.is_ok();
             let others = [
@@ -71,7 +73,13 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
                 format::mesh_import::read(&path).map(drop),
                 format::read_cameras(&path, &Sampling::default()).map(drop),
             ];
-            (taken, [strict, lenient].into_iter().chain(others).map(|read| read.map_err(of_format)).collect())
+            // Only these are posed.
+            let options = ReadOptions { time: Some(0.3), ..ReadOptions::default() };
+            let posed = ["glb", "gltf"].contains(&reader).then(|| format::read_file(&path, &options).map(drop));
+            (
+                taken,
+                [strict, lenient].into_iter().chain(posed).chain(others).map(|read| read.map_err(of_format)).collect(),
+            )
         }
     };
     let peak = MEMORY.peak_usage().saturating_sub(before);

@@ -194,8 +194,10 @@ impl FileArgs {
             Err(e @ PathError::NoRadius) => bail!("{}: {e} (--radius R)", self.source.display()),
             frames => frames.with_context(|| self.source.display().to_string())?,
         };
-        let cameras = frames.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera)).collect();
-        self.write(CameraFile { cameras, fps: Some(shot.fps), ..source })
+        let named = frames.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera));
+        let cameras: Vec<_> = named.collect();
+        let times = (0..cameras.len()).map(|i| i as f64 / shot.fps).collect();
+        self.write(CameraFile { cameras, fps: Some(shot.fps), times, ..source })
     }
 
     fn write(&self, file: CameraFile) -> Result<()> {

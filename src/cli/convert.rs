@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::edits::{EditArgs, Edited, Step};
 use super::output;
-use super::shared::MessageArgs;
+use super::shared::{self, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -20,6 +20,7 @@ Examples:
   centaur convert garden.glb garden.usdz
   centaur convert garden.glb mitsuba/garden.xml
   centaur convert garden.glb garden.blend.py
+  centaur convert head.glb smile/head.xml --time 1.5
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
 
@@ -46,6 +47,10 @@ pub(super) struct Args {
     /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene
     #[arg(long)]
     strict: bool,
+    /// Pose a scene that moves as its animations have it at this time; without it, it is taken as it rests. Animations,
+    /// skins, morph targets and bindings end there
+    #[arg(long, value_name = "SECONDS", value_parser = shared::seconds, allow_hyphen_values = true)]
+    time: Option<f64>,
     /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
@@ -138,7 +143,8 @@ fn is_gltf(path: &Path) -> bool {
 /// All inputs as one scene in the frame of captures, and what is to be said about them.
 fn read(args: &Args, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
     let one = args.inputs.len() == 1;
-    let options = ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(&args.output) };
+    let options =
+        ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(&args.output), time: args.time };
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
     let mut document = None;
     for file in &args.inputs {

@@ -1,7 +1,10 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, ensure};
-use centaur::format::{self, Channel, DEFAULT_FPS, ExrCompression, ExrHeader, ReadOptions, SampleType, read_file};
+use anyhow::{Context as _, Result, bail, ensure};
+use centaur::format::gltf::Source;
+use centaur::format::{
+    self, CameraFile, Channel, DEFAULT_FPS, ExrCompression, ExrHeader, ReadOptions, SampleType, Sampling, read_file,
+};
 use centaur::metrics::to_rgb8;
 use centaur::render::contract::{ImageModel, ShDirection};
 use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Renderer};
@@ -22,6 +25,8 @@ Examples:
   centaur render garden.glb --cameras shot/transforms.json --format exr -o frames
   centaur render garden.glb --cameras orbit.glb -o frames --video orbit.mp4
   centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 --max-side 1280 -o frames
+  centaur render head.glb --time 1.5 -o smile
+  centaur render head.glb --camera front --time 0..4 --fps 25 -o frames --video talk.mp4
   centaur render garden.glb --layers --exr-type half -o layers
   centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
 
@@ -49,6 +54,12 @@ pub(super) struct Args {
     cameras: PathBuf,
     #[command(flatten)]
     sampling: SamplingArgs,
+    /// What a glTF scene that moves is rendered at: a time, or all frames of a span from a camera that keeps still
+    ///
+    /// Without it, the frames of a camera that moves show the scene as its animations have it at their times, and other pictures
+    /// show it as it rests.
+    #[arg(long, value_name = "SECONDS|START..END", value_parser = When::parse, allow_hyphen_values = true)]
+    time: Option<When>,
     /// Folder for the pictures, named after the cameras
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -167,37 +178,56 @@ pub(super) fn run(args: &Args) -> Result<()> {
         "--video is made of PNG pictures: leave --format exr and --layers away"
     );
     output::check_folder(&args.output)?;
-    let file = read_file(&args.scene, &ReadOptions::default())?;
-    let source = if args.cameras == Path::new("embedded") {
-        ensure!(!file.cameras.is_empty(), "{}: holds no cameras: say --cameras PATH", args.scene.display());
-        &args.scene
-    } else {
-        &args.cameras
+    let at = if let Some(When::At(time)) = args.time { Some(time) } else { None };
+    let file = read_file(&args.scene, &ReadOptions { time: at, ..ReadOptions::default() })?;
+    let sampling = Sampling { time: at, ..args.sampling.sampling() };
+    let is_embedded = args.cameras == Path::new("embedded");
+    let source = if is_embedded { &args.scene } else { &args.cameras };
+    let shot = match &file.source {
+        _ if is_embedded && file.cameras.is_empty() => {
+            bail!("{}: holds no cameras: say --cameras PATH", args.scene.display())
+        }
+        Some(document) if is_embedded => args.loading.cameras_of(document, source, &sampling)?,
+        _ => args.loading.cameras(source, &sampling)?,
     };
-    let shot = args.loading.cameras(source, &args.sampling.sampling())?.in_frame(file.y_up);
-    let (scene, cameras) = (file.scene, shot.cameras);
+    let mut shot = shot.in_frame(file.y_up);
+    let moving = file.source.as_ref().filter(|document| document.moves());
+    if let Some(When::Span(start, end)) = args.time {
+        let known = sampling.fps.or(moving.and_then(Source::fps));
+        shot = span(shot, [start, end], known.unwrap_or(DEFAULT_FPS))?;
+    }
+    // Where nothing says when a picture is taken, the scene rests.
+    let times = moving.map_or_else(Vec::new, |_| shot.times.clone());
+    let (rest, cameras) = (file.scene, shot.cameras);
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &cameras))?;
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    let mut renderer = AnyRenderer::new(&gpu, &scene, &poses, &args.look)?;
+    let mut renderer = AnyRenderer::new(&gpu, &rest, &poses, &args.look)?;
     shared::make_folder(&args.output)?;
     let format = args.format.unwrap_or(if args.look.layers { Format::Exr } else { Format::Png });
     let extension = if format == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
     let bar = output::bar(&args.messages, cameras.len() as u64);
-    for ((name, camera), path) in cameras.iter().zip(&written) {
+    let composition = rest.composition;
+    for (i, ((name, camera), path)) in cameras.iter().zip(&written).enumerate() {
+        if let (Some(document), Some(&time)) = (moving, times.get(i)) {
+            let posed = document.at(&rest, time).with_context(|| args.scene.display().to_string())?;
+            // One on the GPU at a time.
+            drop(renderer);
+            renderer = AnyRenderer::new(&gpu, &posed, &poses, &args.look)?;
+        }
         match renderer.render(camera).with_context(|| name.clone())? {
             Rendered::Parts(picture) if args.look.layers => {
-                write_layers(path, picture, camera, &scene.composition, &args.look)?;
+                write_layers(path, picture, camera, &composition, &args.look)?;
             }
             Rendered::Parts(picture) => {
-                let rgb = picture.over(scene.composition.background).into_flattened();
+                let rgb = picture.over(composition.background).into_flattened();
                 let image = Rgb32FImage::from_raw(picture.width, picture.height, rgb);
                 let image = image.context("a picture has width·height pixels of 3 floats")?;
-                write_frame(path, image, format, camera, &scene.composition, &args.look)?;
+                write_frame(path, image, format, camera, &composition, &args.look)?;
             }
-            Rendered::Whole(image) => write_frame(path, image, format, camera, &scene.composition, &args.look)?,
+            Rendered::Whole(image) => write_frame(path, image, format, camera, &composition, &args.look)?,
         }
         bar.inc(1);
     }
@@ -219,6 +249,49 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", source.display())));
     output::print(&lines.join("\n"))
+}
+
+/// When a scene that moves is rendered, in seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum When {
+    At(f64),
+    Span(f64, f64),
+}
+
+impl When {
+    fn parse(text: &str) -> Result<Self, String> {
+        match text.split_once("..") {
+            None => shared::seconds(text).map(Self::At),
+            Some((start, end)) => {
+                let (start, end) = (shared::seconds(start)?, shared::seconds(end)?);
+                if start <= end {
+                    Ok(Self::Span(start, end))
+                } else {
+                    Err("expected a start before the end".to_owned())
+                }
+            }
+        }
+    }
+}
+
+/// Most frames of a span: an hour at 30 a second is 108,000.
+const MAX_FRAMES: f64 = 120_000.0;
+
+/// One camera that keeps still, at all frames from the first time to the second.
+fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile> {
+    ensure!(
+        shot.times.is_empty(),
+        "--time START..END: expected a camera that keeps still, found one that moves at times of its own; --camera says which"
+    );
+    let [(_, camera)] = &shot.cameras[..] else {
+        bail!("--time START..END: expected one camera, found {}; --camera says which", shot.cameras.len());
+    };
+    let last = ((end - start) * fps + 0.01).floor();
+    ensure!(last < MAX_FRAMES, "--time START..END: expected at most {MAX_FRAMES} frames, found {}", last + 1.0);
+    let count = last as usize + 1;
+    let cameras = (0..count).map(|i| (format!("frame_{i:05}"), *camera)).collect();
+    let times = (0..count).map(|i| start + i as f64 / fps).collect();
+    Ok(CameraFile { cameras, fps: Some(fps), times, ..shot })
 }
 
 /// The fast renderer where it draws what is asked for.

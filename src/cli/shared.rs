@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
+use centaur::format::gltf::Source;
 use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::{Gpu, Picture};
 use image::Rgb32FImage;
@@ -43,6 +44,11 @@ impl CaptureArgs {
         LoadOptions { downscale, images: self.images.clone(), masks: self.masks }
     }
 
+    /// Cameras of a scene that has been read from a glTF at `path`.
+    pub(super) fn cameras_of(&self, source: &Source, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        Ok(resized(source.cameras(path, sampling)?, sampling, &self.options()))
+    }
+
     /// Cameras of a capture, a scene or a path, with or without photographs.
     pub(super) fn cameras(&self, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile> {
         read_cameras(path, sampling, &self.options())
@@ -62,8 +68,13 @@ pub(super) struct SamplingArgs {
 
 impl SamplingArgs {
     pub(super) fn sampling(&self) -> Sampling<'_> {
-        Sampling { fps: self.fps, only: self.camera.as_deref() }
+        Sampling { fps: self.fps, only: self.camera.as_deref(), time: None }
     }
+}
+
+/// A time.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|t: &f64| t.is_finite()).ok_or_else(|| "expected a number of seconds".to_owned())
 }
 
 /// Frames a second.
@@ -76,20 +87,25 @@ pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadOptions) -> Result<CameraFile> {
     let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     if !(is_json || path.is_dir()) {
-        let mut file = format::read_cameras(path, sampling)?;
-        for (_, camera) in &mut file.cameras {
-            let (width, height) = options.downscale.size(camera.intrinsics().width, camera.intrinsics().height);
-            *camera = camera.resized(width, height);
-        }
-        file.fps = file.fps.or(sampling.fps);
-        return Ok(file);
+        return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
     let Cameras { mut cameras, fps } = capture::cameras(path, options)?;
     if let Some(only) = sampling.only {
         cameras.retain(|(name, _)| name == only);
         ensure!(!cameras.is_empty(), "{}: expected a camera called {only}, found none", path.display());
     }
-    Ok(CameraFile { cameras, fps: sampling.fps.or(fps), y_up: None, notes: vec![] })
+    let fps = sampling.fps.or(fps);
+    let times = fps.map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
+    Ok(CameraFile { cameras, fps, y_up: None, times, notes: vec![] })
+}
+
+fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions) -> CameraFile {
+    for (_, camera) in &mut file.cameras {
+        let (width, height) = options.downscale.size(camera.intrinsics().width, camera.intrinsics().height);
+        *camera = camera.resized(width, height);
+    }
+    file.fps = file.fps.or(sampling.fps);
+    file
 }
 
 /// How much is said, and to whom.

@@ -232,6 +232,14 @@ fn tree(f: &mut fmt::Formatter<'_>, document: &gltf::Document) -> fmt::Result {
     if let Some(more) = document.nodes.len().checked_sub(MAX_NODES).filter(|&n| n > 0) {
         write!(f, "\n│ … and {more} more nodes")?;
     }
+    for clip in &document.animations {
+        let (name, [start, end]) = (clip.name.as_deref().unwrap_or("(no name)"), clip.range);
+        write!(f, "\n├ animation: {name}, {:.3} s", end - start)?;
+        if start != 0.0 {
+            write!(f, " from {start:.3} s")?;
+        }
+        write!(f, ", {} channels", clip.channels)?;
+    }
     if !document.remainder.is_empty() {
         write!(f, "\n├ beside the scene: {}", document.remainder.join(", "))?;
     }

@@ -8,7 +8,7 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 
 use super::error::{Fault, FormatError, Location, read_file};
-use super::gltf::{Asset, Pose, placements, triangles};
+use super::gltf::{Asset, Motion, Poses, placements, triangles};
 use super::ply::table;
 
 /// A mesh without maps.
@@ -138,10 +138,10 @@ impl Soup {
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
     let mut soup = Soup { faces: Some(Location::Pointer("/meshes".to_owned())), ..Soup::default() };
-    let pose = Pose::rest(&asset.document)?;
+    let mut poses = Poses::new(&asset.document, &Motion::default())?;
     for (node, transform) in placements(&asset.document)? {
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-            let Some(t) = triangles::read(asset, &pose, (&node, transform), &primitive, 0)? else { continue };
+            let Some(t) = triangles::read(asset, &mut poses, (&node, transform), &primitive, 0)? else { continue };
             let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| t.map(|v| uvs[v as usize])).collect());
             let mesh = node.mesh().map_or(0, |m| m.index());
             let place = Location::Pointer(format!("/meshes/{mesh}/primitives/{}", primitive.index()));

@@ -43,7 +43,7 @@ pub use validate::{Finding, Severity, Validation, validate};
 use crate::scene::HybridScene;
 
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Gltf,
     Ksplat,

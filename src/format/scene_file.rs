@@ -49,6 +49,8 @@ pub struct ReadOptions {
     /// Keep the bytes of a glTF in [`SceneFile::source`], so that [`write_scene`] can write its document again. Doubles the
     /// memory.
     pub keep_document: bool,
+    /// Pose the scene and its cameras as the animations of a glTF have them at this time, in seconds; `None`: as they rest.
+    pub time: Option<f64>,
 }
 
 /// What is written besides the scene.
@@ -75,8 +77,13 @@ pub const EXPORTABLE: &[&str] = &["xml", "blend.py"];
 /// # Errors
 /// As [`super::read_scene`].
 pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
-    Ok(match kind(path)? {
-        Kind::Gltf => gltf::read_with(path, options.keep_document)?,
+    let kind = kind(path)?;
+    if options.time.is_some() && kind != Kind::Gltf {
+        let expected = "a .glb or .gltf, whose animations can be evaluated at a time";
+        return Err(Fault::whole(expected, kind.name()).in_file(path));
+    }
+    Ok(match kind {
+        Kind::Gltf => gltf::read_with(path, options)?,
         Kind::Ksplat => SceneFile::of_splats(ksplat::read(path)?),
         Kind::Ply => {
             let ply::PlySplats { splats, attributes, dropped } = ply::read_with(path, options)?;
@@ -125,11 +132,16 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
             return Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() });
         }
         "xml" | "py" if extension == "xml" || name.ends_with(blender::SUFFIX) => {
-            let write = if extension == "xml" { mitsuba::write } else { blender::write };
-            let report = write(path, scene, options.cameras)?;
-            let loss = Loss { attributes: names(options.attributes), ..report.loss };
-            let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
-            return Ok(WriteReport { loss, ..report });
+            let source = options.source;
+            let (report, keeps_motion) = if extension == "xml" {
+                (mitsuba::write(path, scene, options.cameras)?, false)
+            } else {
+                let moving = source.and_then(|source| source.moving(scene));
+                (blender::write(path, scene, options.cameras, moving)?, moving.is_some())
+            };
+            // What is lost is what pictures lack: nobody reads a scene back from here.
+            let motion = source.filter(|_| !keeps_motion).map_or_else(Vec::new, gltf::Source::motion);
+            return Ok(WriteReport { loss: Loss { document: motion, ..report.loss }, ..report });
         }
         "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
         "ply" => {

@@ -9,6 +9,8 @@ pub mod color;
 mod composition;
 mod mesh;
 mod morton;
+pub(crate) mod placement;
+pub mod rig;
 pub mod sh;
 mod splats;
 

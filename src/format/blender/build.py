@@ -20,17 +20,21 @@ def build(folder, options):
     # What the handler needs to go on in a saved .blend.
     decode = SCENE["composition"]["colorSpace"] == "srgb" and options.space == "linear"
     root["centaur"] = json.dumps({"construction": options.construction, "decode": decode, "near": SCENE["composition"]["near"],
+                                  "low_pass": SCENE["composition"]["lowPass"],
                                   "sh_direction": options.sh_direction, "triangles": options.triangles})
     if SCENE["splats"]:
         splats = read_splats(os.path.join(folder, SCENE["splats"]))
         warn_of_size(len(splats), options.construction)
         carrier(collection, root, splats)
     for index, files in enumerate(SCENE["meshes"]):
-        add_mesh(collection, root, folder, f"{name} mesh {index}", files, decode)
+        add_mesh(collection, root, folder, f"{name} mesh {index}", files, decode)["index"] = index
     for index, camera in enumerate(SCENE["cameras"]):
         add_camera(collection, root, camera)["index"] = index
-    if options.path and len(SCENE["cameras"]) > 1:
+    has_path = bool(options.path) and len(SCENE["cameras"]) > 1
+    if has_path:
         add_path(collection, root, options.path)
+    if SCENE["motion"]:
+        add_motion(collection, root, read_motion(folder), has_path)
     return collection
 
 
@@ -72,7 +76,7 @@ def set_attribute(mesh, name, values, domain="POINT"):
 
 def get_attribute(mesh, name, width):
     attribute = mesh.attributes[name]
-    values = np.empty(len(mesh.vertices) * width, np.float32)
+    values = np.empty(len(mesh.vertices) * width, np.int32 if attribute.data_type == "INT" else np.float32)
     attribute.data.foreach_get({"FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}.get(attribute.data_type, "value"), values)
     return values.reshape(-1, width)
 
@@ -129,7 +133,7 @@ def add_mesh(collection, root, folder, name, files, decode):
     # Blender's v points up.
     uv = np.stack([vertices["s"], 1 - vertices["t"].astype(np.float64)], 1)[corners]
     mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.astype(np.float32).ravel())
-    for label, values in zip(("face_normal", "gradient_u", "gradient_v"), planes(points[corners], uv)):
+    for label, values in zip(PLANES, planes(points[corners], uv)):
         set_attribute(mesh, label, values, "FACE")
     maps = []
     for file in files["maps"]:
@@ -139,7 +143,12 @@ def add_mesh(collection, root, folder, name, files, decode):
             raise ScriptError(f"{os.path.join(folder, file)}: cannot read; it lies beside the script where `centaur convert` wrote it")
         maps.append(mip_levels(image, "RGB" if maps else "RGBA"))
     mesh.materials.append(mesh_material(name, maps, decode, SCENE["composition"]["near"]))
-    attach(collection, root, name, mesh).lightgroup = "mesh"
+    thing = attach(collection, root, name, mesh)
+    thing.lightgroup = thing["centaur"] = "mesh"
+    return thing
+
+
+PLANES = ("face_normal", "gradient_u", "gradient_v")
 
 
 def planes(corners, uv):
@@ -191,18 +200,21 @@ def refresh(force=False, depsgraph=None):
         return
     view = current_view(scene, root, settings["near"], depsgraph)
     set_focal_lengths(view.fx, view.fy)
+    update_planes(root, depsgraph)
     data = next((c for c in root.children if c.get("centaur") == "splat data"), None)
     if data is None:
         return
-    state = json.dumps([settings, [view.width, view.height, view.fx, view.fy, view.cx, view.cy],
+    splats = followed(carried(data.data), root, data.data, depsgraph)
+    state = json.dumps([settings, zlib.crc32(splats.mean.tobytes() + splats.rotation.tobytes()),
+                        [view.width, view.height, view.fx, view.fy, view.cx, view.cy],
                         view.rotation.tolist(), view.translation.tolist()])
     thing = next((c for c in root.children if c.get("centaur") == "splats"), None)
     if thing is not None and thing.get("built for") == state and not force:
         return
-    splats, construction = carried(data.data), settings["construction"]
+    construction = settings["construction"]
     decode, sh_direction = settings["decode"], settings["sh_direction"]
     if construction == "ewa":
-        triangles = ewa(splats, view, decode)
+        triangles = ewa(splats, view, decode, settings["low_pass"])
         layers = deepest(triangles, view)
         if layers > 1000:
             say(f"up to about {layers} splats lie behind one another; Cycles goes through 1024 surfaces and leaves out the rest")

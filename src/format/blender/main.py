@@ -13,6 +13,9 @@ constructions of splats:
   shell  the ray model without a camera: an ellipsoid per splat, in the order in which rays enter them. Approximate
          (about 41 dB against cap); for moving around.
 
+What the scene's animations move is moved: bones of an armature, shape keys, objects and cameras have keys at every frame, and
+splats that are bound to triangles follow them as `ewa` and `cap` follow the camera.
+
 When the camera moves, `ewa` and `cap` have to be built again. That happens at every change of the frame and before every
 render, by the text `centaur.py` that is stored in a saved .blend; Blender runs it when it opens the file if "Auto Run
 Python Scripts" is on in its preferences, else press Run in the text editor. In between, the viewport shows the splats
@@ -30,6 +33,7 @@ EXAMPLES = """\
 examples:
   python NAME.blend.py --save scene.blend
   python NAME.blend.py --render out.exr --camera 3 --construction cap --layers
+  python NAME.blend.py --render frames/out.png --frame all
   python NAME.blend.py --path 24 --camera path --render frames/out.png
   blender --background --python NAME.blend.py -- --save scene.blend"""
 
@@ -52,10 +56,14 @@ def parse(arguments):
         "and shell: from the camera to the mean, or of the pixel's ray (default: mean)")
     add("--triangles", type=int, default=2 * MILLION, metavar="N", help="most that patches of cap are made of; more order "
         "splats that are close to each other more exactly (default: 2000000)")
+    add("--frame", default="1", metavar="N|all", help="frame of an animation that is rendered, from 1, which is its first key; `all` "
+        "renders each, to FILE_0001.exr and so on (default: 1)")
     add("--path", type=int, metavar="FRAMES", help="add a camera that moves through all others, FRAMES from one to the next")
     options = parser.parse_args(arguments)
     if options.path is not None and options.path < 1:
         parser.error("--path: expected at least 1 frame")
+    if options.frame != "all" and not (options.frame.isdigit() and int(options.frame) > 0):
+        parser.error(f"--frame: expected a number from 1, or `all`, found {options.frame}")
     if options.render and not options.render.lower().endswith((".exr", ".png")):
         parser.error(f"--render: expected a name that ends in .exr or .png, found {options.render}")
     return options
@@ -175,7 +183,8 @@ def run(options):
     settle(settings["decode"])
     cameras = chosen(options, root)
     look_through(cameras[0])
-    bpy.context.view_layer.update()
+    scene = bpy.context.scene
+    scene.frame_set(1 if options.frame == "all" else int(options.frame))
     refresh()
     show(options, root)
     listen()
@@ -191,9 +200,12 @@ def run(options):
         return
     stem, extension = os.path.splitext(options.render)
     save = lambda path: write_picture(path, render_picture(options.layers), settings["decode"])
-    if options.camera == "path":
-        for frame in range(bpy.context.scene.frame_start, bpy.context.scene.frame_end + 1):
-            bpy.context.scene.frame_set(frame)
+    if options.camera == "path" or options.frame == "all":
+        if len(cameras) > 1:
+            raise ScriptError("--frame all: expected one camera, by --camera N or path")
+        for frame in range(scene.frame_start, scene.frame_end + 1):
+            scene.frame_set(frame)
+            refresh()
             save(f"{stem}_{frame:04}{extension}")
         return
     for index, camera in enumerate(cameras):

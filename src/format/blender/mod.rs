@@ -10,31 +10,36 @@
 //! | `splats.py` | splats as triangles whose order along rays is that of an image model; numpy alone |
 //! | `materials.py` | node graphs |
 //! | `build.py` | collection, meshes, splats and what they are made from when the camera moves |
+//! | `motion.py` | bones, shape keys and keys of whatever moves; splats that follow |
 //! | `cameras.py` | our cameras to Blender's and back |
 //! | `pictures.py` | settings of Cycles, layers, EXR and PNG |
 //! | `main.py` | the command |
 //!
 //! `docs/dcc.md` says what is exact.
 
+mod motion;
 #[cfg(test)]
 mod tests;
 
 use std::path::Path;
 
+use glam::DMat4;
 use serde_json::{Value, json};
 
 use super::exchange::{self, Beside};
-use super::{FormatError, WriteReport, atomic_write};
+use super::gltf::moving::Moving;
+use super::{FormatError, Loss, WriteReport, atomic_write};
 use crate::scene::{Camera, ColorSpace, HybridScene, OrderMode};
 
 /// What names of scripts end with.
 pub(super) const SUFFIX: &str = ".blend.py";
 
-const PARTS: [&str; 7] = [
+const PARTS: [&str; 8] = [
     include_str!("head.py"),
     include_str!("splats.py"),
     include_str!("materials.py"),
     include_str!("build.py"),
+    include_str!("motion.py"),
     include_str!("cameras.py"),
     include_str!("pictures.py"),
     include_str!("main.py"),
@@ -51,17 +56,31 @@ pub(super) fn write(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
+    moving: Option<(&Moving, DMat4)>,
 ) -> Result<WriteReport, FormatError> {
     let stem = exchange::stem(path, SUFFIX);
-    let beside = exchange::write(path, &stem, scene)?;
-    let script = script(&described(&stem, scene, cameras, &beside));
+    let mut beside = exchange::write(path, &stem, scene)?;
+    let mut motion = Value::Null;
+    if let Some(moving) = moving {
+        beside.add(format!("{stem}_motion.npz"), |name| {
+            let (told, bytes) = motion::write(&path.with_file_name(name), scene, cameras, moving)?;
+            motion = told;
+            motion["file"] = json!(name);
+            Ok(bytes)
+        })?;
+    }
+    let script = script(&described(&stem, scene, cameras, &beside, &motion));
     atomic_write(path, script.as_bytes())?;
-    Ok(WriteReport {
-        bytes: beside.bytes + script.len() as u64,
-        beside: beside.files,
-        notes: notes(scene),
-        ..WriteReport::default()
-    })
+    let loss = Loss { composition: loses_rule(scene), ..Loss::default() };
+    Ok(WriteReport { bytes: beside.bytes + script.len() as u64, beside: beside.files, notes: notes(scene), loss })
+}
+
+/// Whether Cycles may show what the rule of blending does not: in the order of depths at each pixel it is `direct`, and all
+/// surfaces count.
+fn loses_rule(scene: &HybridScene) -> bool {
+    let triangles: usize = scene.meshes.iter().map(|mesh| mesh.triangles().len()).sum();
+    let in_order = scene.splats.is_empty() || scene.composition.mode == OrderMode::Direct;
+    !scene.meshes.is_empty() && (!in_order || triangles > scene.composition.layers as usize)
 }
 
 fn script(scene: &Value) -> String {
@@ -75,13 +94,14 @@ fn script(scene: &Value) -> String {
     )
 }
 
-fn described(stem: &str, scene: &HybridScene, cameras: &[(String, Camera)], beside: &Beside) -> Value {
+fn described(stem: &str, scene: &HybridScene, cameras: &[(String, Camera)], beside: &Beside, motion: &Value) -> Value {
     let rule = &scene.composition;
     let meshes = beside.meshes.iter().map(|m| json!({ "surface": m.surface, "maps": m.maps }));
     json!({
         "name": stem,
         "splats": beside.splats,
         "meshes": meshes.collect::<Vec<_>>(),
+        "motion": motion,
         "cameras": cameras.iter().map(|(name, camera)| described_camera(name, camera)).collect::<Vec<_>>(),
         "composition": {
             "colorSpace": match rule.color_space {
@@ -90,6 +110,7 @@ fn described(stem: &str, scene: &HybridScene, cameras: &[(String, Camera)], besi
             },
             "background": rule.background,
             "near": rule.near,
+            "lowPass": [rule.pixel_filter.variance, f32::from(u8::from(rule.pixel_filter.normalized))],
         },
     })
 }

@@ -1,7 +1,7 @@
 # ---------------------------------------------------------------------------------------------------------------------
 # Splats as triangles. Only numpy; all in the frame of the scene, cameras in OpenCV axes (x right, y down, z forward).
 
-ALPHA_CAP, ALPHA_CUT, LOW_PASS, JACOBIAN_MARGIN = 0.99, 1 / 255, 0.3, 0.3
+ALPHA_CAP, ALPHA_CUT, JACOBIAN_MARGIN = 0.99, 1 / 255, 0.3
 
 
 class ScriptError(Exception):
@@ -154,10 +154,11 @@ def separated(depth):
     return np.exp(np.maximum.accumulate(log - ramp) + ramp)
 
 
-def ewa(splats, view, decode):
+def ewa(splats, view, decode, low_pass):
     """The raster model: a quad per splat in the plane at its depth, so that they are hit in the order of their means.
 
-    Attribute `ewa` holds the offset from the mean in standard deviations of the projected Gaussian, and opacity.
+    Attribute `ewa` holds the offset from the mean in standard deviations of the projected Gaussian, and opacity. `low_pass` is
+    the variance that projections are widened by, in square pixels, and whether splats keep their integral.
     """
     p = view.to_camera(splats.mean)
     kept = (p[:, 2] > view.near) & (splats.opacity >= ALPHA_CUT)
@@ -172,7 +173,11 @@ def ewa(splats, view, decode):
     jacobian = np.stack([np.stack([view.fx / z, zero, -view.fx * xh / z**2], -1),
                          np.stack([zero, view.fy / z, -view.fy * yh / z**2], -1)], 1)
     spread = jacobian @ view.rotation @ (splats.axes() * splats.scale[:, None])
-    covariance = spread @ spread.transpose(0, 2, 1) + LOW_PASS * np.eye(2)
+    narrow = spread @ spread.transpose(0, 2, 1)
+    covariance = narrow + low_pass[0] * np.eye(2)
+    if low_pass[1]:
+        kept_part = np.sqrt(np.maximum(np.linalg.det(narrow), 0) / np.linalg.det(covariance))
+        splats = Splats(splats.mean, splats.rotation, splats.scale, splats.opacity * kept_part, splats.sh)
     variance, direction = np.linalg.eigh(covariance)
     half = direction * (reach(splats.opacity)[:, None] * np.sqrt(variance))[:, None]
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -180,7 +185,8 @@ def ewa(splats, view, decode):
     pixels = center[:, None] + np.einsum("nij,kj->nki", half, signs)
     # What lies outside the picture is left out; the order of faces, back to front, is the one in which EEVEE draws.
     low, high = pixels.min(1), pixels.max(1)
-    seen = np.flatnonzero((high >= 0).all(1) & (low[:, 0] <= view.width) & (low[:, 1] <= view.height))[::-1]
+    seen = (high >= 0).all(1) & (low[:, 0] <= view.width) & (low[:, 1] <= view.height)
+    seen = np.flatnonzero(seen & (splats.opacity >= ALPHA_CUT))[::-1]
     depth = separated(z)[seen]
     splats, pixels = splats[seen], pixels[seen]
     corners = np.stack([(pixels[..., 0] - view.cx) / view.fx, (pixels[..., 1] - view.cy) / view.fy,
@@ -251,15 +257,24 @@ def cap(splats, view, decode, sh_direction, budget):
     triangles in all allow. The material computes alpha from the ray, whatever the facets.
     """
     ahead = view.to_camera(splats.mean)[:, 2]
+    twins, rank, most = twins_of(splats)
     toward = np.einsum("nij,nj->ni", whitening(splats), view.center - splats.mean)
     distance = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)
-    limit = reach(splats.opacity)
+    limit = reach(most)
     kept = (splats.opacity >= ALPHA_CUT) & (ahead > view.near)
     order = np.flatnonzero(kept)[np.argsort(-ahead[kept], kind="stable")]
-    splats, toward, distance = splats[order], toward[order], distance[order]
+    splats, toward, distance, limit = splats[order], toward[order], distance[order], limit[order]
+    twins, apart = twins[order], 1 + TWINS_APART * rank[order]
+    parts = []
+    around = limit > 0.9 * distance
+    if around.any():
+        parts.append(screens(splats[around], view, decode, sh_direction, limit[around], apart[around], budget // 2))
+        rest = ~around
+        splats, toward, distance, limit, twins, apart = (a[rest] for a in (splats, toward, distance, limit, twins, apart))
+        budget -= len(parts[0].faces)
     # Angles a as asinh(tan a): alike where they are small; where the camera is within a splat, depths, which go with cos a,
     # fall evenly in their logarithms. Facets of side h lie up to h²/8 beside the surface, relative to the distance.
-    sine = np.minimum(limit[order] / distance, 1 - 1e-9)
+    sine = np.minimum(limit / distance, 1 - 1e-9)
     angle = np.arcsinh(sine / np.sqrt(1 - sine**2))
     for error in 10.0 ** np.arange(-6, 0, 0.1):
         count = np.clip(np.ceil(angle / np.sqrt(8 * error)), 1, 32).astype(int)
@@ -270,8 +285,7 @@ def cap(splats, view, decode, sh_direction, budget):
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     up = np.cross(axis, side)
     # Every patch is turned differently: edges of many on one line would meet the same ray.
-    turn = 2.399963 * np.arange(len(splats))
-    parts = []
+    turn = 2.399963 * twins
     for k in np.unique(count):
         these = count == k
         radii, angles, faces = rings(int(k))
@@ -282,8 +296,57 @@ def cap(splats, view, decode, sh_direction, budget):
         across, along = d * np.sin(theta) * np.cos(theta), d * np.sin(theta) ** 2
         local = (across * np.cos(phi))[..., None] * side[these][:, None] + (across * np.sin(phi))[..., None] * up[these][:, None]
         local += along[..., None] * axis[these][:, None]
-        parts.append(instanced(local, faces, splats[these], view, decode, sh_direction))
+        part = instanced(local, faces, splats[these], view, decode, sh_direction)
+        away = np.repeat(apart[these], len(radii))[:, None]
+        part.points = view.center + (part.points - view.center) * away
+        parts.append(part)
     return joined(parts) if parts else instanced(np.zeros((0, 1, 3)), np.zeros((0, 3), int), splats, view, decode, sh_direction)
+
+
+TWINS_APART = 1e-5  # relative to the distance: twice the gap at which Cycles tells surfaces apart, and room for rounding
+
+
+def twins_of(splats):
+    """Of splats of one place and shape, which have no order by depth: a number for each such shape, the rank of a splat among
+    those of its shape, and their highest opacity. They get the same patch, one behind the other in the order of the splats."""
+    shape = np.concatenate([splats.mean, splats.rotation, splats.scale], 1)
+    _, number = np.unique(shape, axis=0, return_inverse=True)
+    number = number.ravel()
+    order = np.argsort(number, kind="stable")
+    first = np.concatenate([[True], np.diff(number[order]) > 0]) if len(order) else np.zeros(0, bool)
+    rank = np.empty(len(number), int)
+    rank[order] = np.arange(len(number)) - np.maximum.accumulate(np.where(first, np.arange(len(number)), 0))
+    most = np.zeros(len(number))
+    np.maximum.at(most, number, splats.opacity)
+    return number, rank, most[number]
+
+
+def screens(splats, view, decode, sh_direction, limit, apart, budget):
+    """As `cap` for splats that the camera is in or nearly in: patches over the picture, of quads a few pixels wide."""
+    margin, parts = 2, []
+    for step in (1, 1.5, 2, 3, 4, 6, 8, 12, 16):
+        # No corner and no edge of a facet at the centre of a pixel.
+        u, v = (np.arange(-margin, side + margin + step, step) + shift for side, shift in ((view.width, 0.27), (view.height, 0.39)))
+        if 2 * len(u) * len(v) * len(splats) <= budget:
+            break
+    x, y = np.meshgrid((u - view.cx) / view.fx, (v - view.cy) / view.fy)
+    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ view.rotation
+    corner = np.arange(len(u) * len(v)).reshape(len(v), len(u))
+    cells = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(-1, 4)
+    whiten = whitening(splats)
+    for i in range(len(splats)):
+        o, d = whiten[i] @ (view.center - splats.mean[i]), rays @ whiten[i].T
+        t = -(d @ o) / (d * d).sum(1)
+        squared = ((o + t[:, None] * d) ** 2).sum(1)
+        # The material leaves out what is not there.
+        seen = ((squared[cells].min(1) <= (1.1 * limit[i]) ** 2) & (t[cells].max(1) > 0.9 * view.near))
+        used, faces = np.unique(cells[seen], return_inverse=True)
+        faces = faces.reshape(-1, 4)
+        points = view.center + rays[used] * (np.maximum(t[used], 0.5 * view.near) * apart[i])[:, None]
+        attributes = ray_attributes(splats[i:i + 1], view, decode, sh_direction)
+        parts.append(Triangles(points, np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]]),
+                               {name: np.repeat(a, len(points), 0) for name, a in attributes.items()}))
+    return joined(parts)
 
 
 def shell(splats, view, decode, sh_direction):

@@ -7,7 +7,7 @@ use crate::scene::Splats;
 fn written(scene: &HybridScene, cameras: &[(String, Camera)]) -> (String, WriteReport) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a scene.Blend.py");
-    let report = write(&path, scene, cameras).unwrap();
+    let report = write(&path, scene, cameras, None).unwrap();
     for name in &report.beside {
         assert!(name.starts_with("a_scene_") && folder.path().join(name).is_file(), "{name}");
     }
@@ -76,6 +76,6 @@ fn many_splats_are_worth_a_warning() {
 #[test]
 fn what_cannot_be_written_is_an_error() {
     let scene = random_scene(2, 0, 0, 4);
-    let error = write(Path::new("/nowhere/a.blend.py"), &scene, &[]).unwrap_err().to_string();
+    let error = write(Path::new("/nowhere/a.blend.py"), &scene, &[], None).unwrap_err().to_string();
     assert!(error.starts_with("/nowhere/"), "{error}");
 }

@@ -30,6 +30,8 @@ pub struct CameraFile {
     /// True if they are in a world with y up, as those of glTF and USD; false if they are in the frame of the capture, half a turn
     /// about x away; `None` if nobody says, and they are in the frame of what they are shown with.
     pub y_up: Option<bool>,
+    /// When each of them is seen, in seconds on the clock of the file; empty if they are no frames of a shot.
+    pub times: Vec<f64>,
     /// What could not be taken over exactly, one sentence each.
     pub notes: Vec<String>,
 }
@@ -41,6 +43,8 @@ pub struct Sampling<'a> {
     pub fps: Option<f64>,
     /// Only the camera of this name; `None`: all that move, or all where none does.
     pub only: Option<&'a str>,
+    /// All as they are at this time, in seconds, none of them moving; `None`: frame by frame.
+    pub time: Option<f64>,
 }
 
 /// Frames a second where nothing else is stated.
@@ -124,6 +128,8 @@ pub fn write_cameras_with_scene(path: &Path, scene: &Path, file: &CameraFile) ->
 pub(super) struct Found {
     pub(super) name: String,
     pub(super) frames: Vec<Camera>,
+    /// When the first frame is, in seconds.
+    pub(super) start: f64,
     /// Frames a second; `None` if it does not move.
     pub(super) fps: Option<f64>,
 }
@@ -156,8 +162,9 @@ pub(super) fn chosen(
     }
     let fps = kept.iter().find_map(|camera| camera.fps);
     let one = kept.len() == 1;
-    let mut cameras = vec![];
-    for Found { name, frames, fps } in kept {
+    let (mut cameras, mut times) = (vec![], vec![]);
+    for Found { name, frames, start, fps } in kept {
+        times.extend(fps.into_iter().flat_map(|fps| (0..frames.len()).map(move |i| start + i as f64 / fps)));
         let of_frame = |i: usize| match fps {
             None => name.clone(),
             Some(_) if one => format!("frame_{i:05}"),
@@ -165,7 +172,7 @@ pub(super) fn chosen(
         };
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
-    Ok(CameraFile { cameras, fps, y_up: Some(y_up), notes })
+    Ok(CameraFile { cameras, fps, y_up: Some(y_up), times, notes })
 }
 
 /// How many frames there are from `start` to `end`, in seconds, both included. The end counts if it is a hundredth of a frame

@@ -36,7 +36,8 @@ fn read(path: &Path) -> CameraFile {
 fn what_is_written_is_read() {
     let folder = tempfile::tempdir().unwrap();
     for (frames, fps) in [(1, 24.0), (2, 30.0), (37, 29.97), (300, 60.0)] {
-        let file = CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), y_up: Some(false), notes: vec![] };
+        let file =
+            CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), y_up: Some(false), times: vec![], notes: vec![] };
         for (name, tolerance) in [("a.glb", 1e-5), ("a.gltf", 1e-5), ("a.usda", 1e-12)] {
             let path = folder.path().join(name);
             let bytes = write_cameras(&path, &file).unwrap();
@@ -54,7 +55,7 @@ fn what_is_written_is_read() {
                 assert!(faults.findings.is_empty(), "{:?}", faults.findings);
             }
             // Twice as many frames a second are twice as many, but for the last.
-            let twice = read_cameras(&path, &Sampling { fps: Some(2.0 * fps), only: None }).unwrap();
+            let twice = read_cameras(&path, &Sampling { fps: Some(2.0 * fps), only: None, time: None }).unwrap();
             assert!(frames == 1 || twice.cameras.len() == 2 * frames - 1, "{name}: {}", twice.cameras.len());
         }
         for name in ["a.json", "model"] {
@@ -71,7 +72,7 @@ fn what_is_written_is_read() {
 #[test]
 fn lenses_may_differ() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: Some(false), notes: vec![] };
+    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: Some(false), times: vec![], notes: vec![] };
     let at = |name: &str| {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -91,7 +92,7 @@ fn lenses_may_differ() {
 #[test]
 fn frames_of_reference_are_kept_where_files_have_one() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: Some(true), notes: vec![] };
+    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: Some(true), times: vec![], notes: vec![] };
     for name in ["a.glb", "a.usda"] {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -174,7 +175,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
         |sampler: u32, node: u32, path: &str| json!({ "sampler": sampler, "target": { "node": node, "path": path } });
     let channels = [channel(0, 0, "rotation"), channel(1, 0, "scale"), channel(2, 1, "translation")];
     let path = gltf_with(folder.path(), &floats, &samplers, &json!(channels));
-    let sampling = Sampling { fps: Some(2.0), only: Some("moving") };
+    let sampling = Sampling { fps: Some(2.0), only: Some("moving"), time: None };
     let found = read_cameras(&path, &sampling).unwrap();
     assert_eq!((found.fps, found.y_up, found.cameras.len()), (Some(2.0), Some(true), 5));
     let cubic = [0.0, 0.625 + 0.5625, 2.5, 4.0 * 0.84375 + 4.0 * 0.046875, 4.0];
@@ -189,17 +190,17 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     let both = read_cameras(&path, &Sampling::default()).unwrap();
     assert_eq!((both.cameras.len(), both.fps), (2 * 61, Some(DEFAULT_FPS)));
     assert!(both.cameras[60].0 == "moving_00060" && both.cameras[61].0 == "resting_00000");
-    let error = read_cameras(&path, &Sampling { only: Some("third"), fps: None }).unwrap_err().to_string();
+    let error = read_cameras(&path, &Sampling { only: Some("third"), fps: None, time: None }).unwrap_err().to_string();
     assert!(error.ends_with("expected a camera called third, found moving, resting"), "{error}");
 
     // Where one moves, those that rest are left out.
     let alone = gltf_with(folder.path(), &floats, &samplers, &json!([channel(2, 1, "translation")]));
     let found = read_cameras(&alone, &sampling).unwrap();
     assert_eq!(found.cameras.len(), 5);
-    let found = read_cameras(&alone, &Sampling { fps: Some(1.0), only: None }).unwrap();
+    let found = read_cameras(&alone, &Sampling { fps: Some(1.0), only: None, time: None }).unwrap();
     assert_eq!(found.cameras.len(), 3);
     assert_eq!(found.notes.last().unwrap(), "cameras that do not move: left out (1)");
-    let resting = read_cameras(&alone, &Sampling { fps: None, only: Some("resting") }).unwrap();
+    let resting = read_cameras(&alone, &Sampling { fps: None, only: Some("resting"), time: None }).unwrap();
     assert_eq!((resting.cameras.len(), resting.fps), (1, None));
 }
 
@@ -210,7 +211,7 @@ fn animations_that_are_none_are_refused() {
         let samplers = json!([{ "input": 0, "output": 1 }]);
         let channels = json!([{ "sampler": 0, "target": { "node": 1, "path": "rotation" } }]);
         let path = gltf_with(folder.path(), &[("SCALAR", times), ("VEC4", values)], &samplers, &channels);
-        read_cameras(&path, &Sampling { fps: Some(fps), only: None }).map_err(|e| e.to_string())
+        read_cameras(&path, &Sampling { fps: Some(fps), only: None, time: None }).map_err(|e| e.to_string())
     };
     let is = |found: Result<CameraFile, String>, end: &str| {
         let message = found.unwrap_err();
@@ -262,7 +263,7 @@ def Camera "resting" { }
 "#;
     std::fs::write(&path, layer).unwrap();
     for (fps, frames) in [(None, 21), (Some(5.0), 11), (Some(20.0), 41)] {
-        let found = read_cameras(&path, &Sampling { fps, only: None }).unwrap();
+        let found = read_cameras(&path, &Sampling { fps, only: None, time: None }).unwrap();
         assert_eq!((found.cameras.len(), found.fps, found.y_up), (frames, fps.or(Some(10.0)), Some(true)));
         for (i, (_, camera)) in found.cameras.iter().enumerate() {
             let part = i as f64 / (frames - 1) as f64;
@@ -322,7 +323,8 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     theirs.as_object_mut().unwrap().remove("animations");
     std::fs::write(at("theirs.gltf"), theirs.to_string()).unwrap();
     for (name, y_up, others) in [("ours.glb", false, 1), ("theirs.gltf", true, 2)] {
-        let file = CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up: Some(y_up), notes: vec![] };
+        let file =
+            CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up: Some(y_up), times: vec![], notes: vec![] };
         write_cameras_with_scene(&at("with.glb"), &at(name), &file).unwrap();
         let back = read(&at("with.glb"));
         assert_eq!((back.fps, back.y_up), (Some(25.0), Some(y_up)), "{name}");
@@ -335,7 +337,7 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
         assert_eq!(faults.errors, 0, "{name}: {:?}", faults.findings);
     }
     let error = |out: &str, scene: &str| {
-        let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: None, notes: vec![] };
+        let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: None, times: vec![], notes: vec![] };
         write_cameras_with_scene(&at(out), &at(scene), &file).unwrap_err().to_string()
     };
     assert!(error("a.json", "ours.glb").contains("expected a name that ends in .glb or .gltf"));

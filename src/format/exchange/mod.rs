@@ -12,7 +12,7 @@
 //! blending. The first row of a picture is the top one, which v = 0 belongs to. Coefficient 00 may be of another size than
 //! the rest. One picture per coefficient, because most programs take the first four channels of an EXR for RGBA.
 
-mod surface;
+pub(super) mod surface;
 #[cfg(test)]
 mod tests;
 

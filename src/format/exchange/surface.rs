@@ -14,6 +14,7 @@ use crate::scene::Mesh;
 /// UV that corners have there; vertices of no triangle are left out. Returns the file's size.
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<u64, FormatError> {
     let (vertices, triangles) = split(mesh);
+    let vertices: Vec<(Vec3, Vec2)> = vertices.into_iter().map(|(v, uv)| (mesh.positions()[v as usize], uv)).collect();
     atomic_write_with(path, |out| {
         let properties: String = ["x", "y", "z", "s", "t"].map(|name| format!("property float {name}\n")).concat();
         write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}", vertices.len())?;
@@ -28,15 +29,20 @@ pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<u64, FormatError> {
     })
 }
 
-/// One vertex per pair of a position and a UV that corners have, in the order of first use.
-fn split(mesh: &Mesh) -> (Vec<(Vec3, Vec2)>, Vec<[u32; 3]>) {
+/// The vertex of the mesh that each vertex of the file is a copy of.
+pub(in crate::format) fn copied(mesh: &Mesh) -> Vec<usize> {
+    split(mesh).0.into_iter().map(|(vertex, _)| vertex as usize).collect()
+}
+
+/// One vertex per pair of a vertex and a UV that corners have, in the order of first use.
+fn split(mesh: &Mesh) -> (Vec<(u32, Vec2)>, Vec<[u32; 3]>) {
     let mut vertices = vec![];
     let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
     let triangles = mesh.triangles().iter().zip(mesh.corner_uvs()).map(|(corners, uvs)| {
         std::array::from_fn(|c| {
             let (position, uv) = (corners[c], uvs[c]);
             *known.entry((position, uv.to_array().map(f32::to_bits))).or_insert_with(|| {
-                vertices.push((mesh.positions()[position as usize], uv));
+                vertices.push((position, uv));
                 vertices.len() as u32 - 1
             })
         })

@@ -4,7 +4,6 @@ use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
 
 use super::extension::{EXTRAS, ExactCamera};
-use super::lift::Asset;
 use crate::format::placed::{Similarity, similarity};
 use crate::scene::{Camera, Intrinsics};
 
@@ -16,8 +15,12 @@ const MAX_SIDE: u32 = 1 << 16;
 const MAX_PIXELS: u64 = 1 << 28;
 
 /// A camera and what had to be assumed about it; on failure, the reason.
-pub(super) fn read(asset: &Asset, index: usize, transform: DMat4) -> Result<(Camera, Option<String>), String> {
-    let camera = asset.document.as_json().cameras.get(index).ok_or("no such camera")?;
+pub(super) fn read(
+    document: &gltf::Document,
+    index: usize,
+    transform: DMat4,
+) -> Result<(Camera, Option<String>), String> {
+    let camera = document.as_json().cameras.get(index).ok_or("no such camera")?;
     let Similarity { rotation, translation, .. } =
         similarity(transform).ok_or("its node shears, mirrors or stretches")?;
     let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();

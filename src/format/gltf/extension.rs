@@ -205,12 +205,50 @@ fn is_zero(n: &u32) -> bool {
 }
 
 /// `mesh.primitive.extensions.EXT_gaussian_splatting_hybrid` of a triangle primitive.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct Surface {
     /// Accessor: for each glTF vertex, the vertex of the surface (before it was split at UV seams).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) surface_vertices: Option<usize>,
+    /// Accessor: key times of `translations`, in seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) times: Option<usize>,
+    /// Accessor: what is added to POSITION at each of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) translations: Option<usize>,
+    /// `LINEAR` or `STEP`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) interpolation: Option<String>,
+}
+
+/// `KHR_gaussian_splatting.extensions.EXT_gaussian_splatting_hybrid`.
+#[derive(Deserialize)]
+pub(crate) struct SplatExtension {
+    pub(crate) binding: Option<BindingObject>,
+}
+
+/// What its splats follow.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct BindingObject {
+    pub(crate) node: usize,
+    #[serde(default)]
+    pub(crate) primitive: usize,
+    pub(crate) triangle_count: usize,
+    pub(crate) geometry_digest: Option<String>,
+    pub(crate) triangles: usize,
+    pub(crate) translations: usize,
+    pub(crate) rotations: usize,
+    pub(crate) scales: usize,
+    #[serde(default = "edge_normal")]
+    pub(crate) frame: String,
+    #[serde(default = "node")]
+    pub(crate) spherical_harmonics_frame: String,
+}
+
+fn edge_normal() -> String {
+    "edgeNormal".to_owned()
 }
 
 /// `camera.extras.centaur`: what a glTF camera cannot say.

@@ -1,17 +1,21 @@
-//! Triangle primitives as meshes of a scene. Primitives of one material become one mesh: they share its maps.
+//! Triangle primitives as meshes of a scene. Primitives of one material become one mesh: they share its maps; those that an
+//! animation moves stay alone.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::{DMat4, Vec2, Vec3};
 
+use super::binding::{Bindable, wanted};
 use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
 use super::material::{self, BaseColour, Maps};
-use super::pose::Pose;
+use super::motion::Motion;
+use super::pose::Poses;
 use super::triangles::{self, Triangles};
 use super::vertex_color;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::{Similarity, similarity, turned};
+use crate::scene::rig::Form;
 use crate::scene::{Atlas, ColorSpace, Mesh, Texture};
 
 /// Bytes of maps that a byte of images and buffers may become, above what any file may: four floats for each of the
@@ -22,7 +26,11 @@ const ALWAYS: u64 = 1 << 30;
 /// Meshes under construction.
 pub(super) struct Meshes<'a> {
     asset: &'a Asset,
-    pose: Pose,
+    motion: &'a Motion,
+    poses: Poses,
+    /// Primitives at nodes that splats are bound to, and what has been read of them.
+    wanted: HashSet<(usize, usize)>,
+    bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
     maps: HashMap<Option<usize>, Maps>,
     /// Bytes of all maps, and bytes of the different images that they come from.
@@ -41,14 +49,29 @@ struct Group {
     material: Option<usize>,
     /// In place of the material's.
     atlas: Option<Atlas>,
+    /// Before it is posed, if an animation moves it.
+    form: Option<Form>,
+}
+
+/// All meshes, and what may move them.
+pub(super) struct Finished {
+    pub(super) meshes: Vec<Mesh>,
+    /// One per mesh; `None`: it keeps still.
+    pub(super) forms: Vec<Option<Form>>,
+    pub(super) poses: Poses,
+    /// By node and primitive, those that splats are bound to.
+    pub(super) bindable: HashMap<(usize, usize), Bindable>,
 }
 
 impl<'a> Meshes<'a> {
-    pub(super) fn new(asset: &'a Asset, space: ColorSpace) -> Result<Self, Fault> {
-        let pose = Pose::rest(&asset.document)?;
+    pub(super) fn new(asset: &'a Asset, motion: &'a Motion, space: ColorSpace) -> Result<Self, Fault> {
+        let poses = Poses::new(&asset.document, motion)?;
         Ok(Self {
             asset,
-            pose,
+            motion,
+            poses,
+            wanted: wanted(asset),
+            bindable: HashMap::new(),
             space,
             maps: HashMap::new(),
             map_bytes: 0,
@@ -77,8 +100,10 @@ impl<'a> Meshes<'a> {
             self.maps.insert(material.index(), maps);
         }
         let maps = &self.maps[&material.index()];
-        let read = triangles::read(self.asset, &self.pose, (node, transform), primitive, maps.uv.set)?;
-        let Some(Triangles { mut positions, mut triangles, uvs }) = read else { return Ok(None) };
+        let read = triangles::read(self.asset, &mut self.poses, (node, transform), primitive, maps.uv.set)?;
+        let Some(Triangles { mut positions, mut triangles, uvs, mut form, is_mirrored }) = read else {
+            return Ok(None);
+        };
         if triangles.is_empty() {
             notes.push(format!("{at}: a mesh without triangles is left out"));
             return Ok(Some(0));
@@ -111,18 +136,34 @@ impl<'a> Meshes<'a> {
             };
             group.atlas = Some(turned(&maps.atlas, rotation).map_err(|e| Fault::from(e).under(&at))?);
         }
+        let moves = self.poses.animates(&form, self.motion);
+        let id = (node.index(), primitive.index());
+        let undeformed = self.wanted.contains(&id).then(|| undeformed(&form, &triangles, is_mirrored));
         if let Some(source) = surface_vertices(self.asset, node, primitive, &positions)? {
             // The surface's own vertices come back in their own order.
             let count = source.iter().max().map_or(0, |&v| v as usize + 1);
-            let mut own = vec![Vec3::ZERO; count];
-            source.iter().zip(&positions).for_each(|(&v, &p)| own[v as usize] = p);
+            let (mut own, mut copies) = (vec![Vec3::ZERO; count], vec![0; count]);
+            for (copy, (&v, &p)) in source.iter().zip(&positions).enumerate() {
+                (own[v as usize], copies[v as usize]) = (p, copy);
+            }
             triangles.iter_mut().for_each(|t| *t = t.map(|v| source[v as usize]));
             positions = own;
+            if moves {
+                form = form.gather(&copies);
+            }
         }
         let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
-        (group.positions, group.triangles) = (positions, triangles);
         let bytes = bytes + group.atlas.as_ref().map_or(0, |a| a.floats() as u64 * 4);
-        self.join(group).map_err(|fault| fault.under(&at))?;
+        let bytes = bytes + if moves { form.bytes() } else { 0 };
+        let corners = undeformed.is_some().then(|| triangles.clone());
+        (group.positions, group.triangles) = (positions, triangles);
+        group.form = moves.then_some(form);
+        let (surface, first) = self.join(group).map_err(|fault| fault.under(&at))?;
+        if let (Some(stored), Some(corners)) = (undeformed, corners) {
+            let unmirrored = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
+            let corners = corners.into_iter().map(|t| unmirrored(t).map(|v| v + first)).collect();
+            self.bindable.insert(id, Bindable { surface, moves, corners, stored });
+        }
         Ok(Some(bytes))
     }
 
@@ -140,15 +181,17 @@ impl<'a> Meshes<'a> {
         Ok(())
     }
 
-    fn join(&mut self, group: Group) -> Result<(), Fault> {
-        if group.atlas.is_some() {
+    /// Returns the group, and the first vertex in it.
+    fn join(&mut self, group: Group) -> Result<(usize, u32), Fault> {
+        let next = self.groups.len();
+        if group.atlas.is_some() || group.form.is_some() {
             self.groups.push(group);
-            return Ok(());
+            return Ok((next, 0));
         }
-        let index = *self.shared.entry(group.material).or_insert(self.groups.len());
+        let index = *self.shared.entry(group.material).or_insert(next);
         let Some(all) = self.groups.get_mut(index) else {
             self.groups.push(group);
-            return Ok(());
+            return Ok((next, 0));
         };
         let first =
             u32::try_from(all.positions.len()).ok().filter(|&n| n.checked_add(group.positions.len() as u32).is_some());
@@ -156,11 +199,16 @@ impl<'a> Meshes<'a> {
         all.positions.extend(group.positions);
         all.triangles.extend(group.triangles.iter().map(|t| t.map(|v| v + first)));
         all.corner_uvs.extend(group.corner_uvs);
-        Ok(())
+        Ok((index, first))
     }
 
-    pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Vec<Mesh>, Fault> {
-        let mut meshes = vec![];
+    /// The bone that a node is.
+    pub(super) fn bone(&mut self, node: usize) -> usize {
+        self.poses.bone(node)
+    }
+
+    pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Finished, Fault> {
+        let (mut meshes, mut forms) = (vec![], vec![]);
         for mut group in self.groups {
             let maps = &self.maps[&group.material];
             let atlas = match group.atlas {
@@ -178,9 +226,16 @@ impl<'a> Meshes<'a> {
             let material = || group.material.map_or("/meshes".to_owned(), |i| format!("/materials/{i}"));
             let mesh = Mesh::new(group.positions, group.triangles, group.corner_uvs, atlas);
             meshes.push(mesh.map_err(|e| Fault::from(e).under(material()))?);
+            forms.push(group.form);
         }
-        Ok(meshes)
+        Ok(Finished { meshes, forms, poses: self.poses, bindable: self.bindable })
     }
+}
+
+/// Undeformed corners of triangles, in the order in which the file has them.
+fn undeformed(form: &Form, triangles: &[[u32; 3]], is_mirrored: bool) -> Vec<[Vec3; 3]> {
+    let order = if is_mirrored { [0, 2, 1] } else { [0, 1, 2] };
+    triangles.iter().map(|t| order.map(|c| form.base[t[c] as usize])).collect()
 }
 
 /// Maps with the colours of vertices; `None` beside a texture, unless they all are the same.

@@ -5,6 +5,7 @@
 //! shows the splats; Centaur reads back exactly what it wrote.
 
 mod accessor;
+pub(super) mod binding;
 mod camera;
 mod container;
 #[cfg(test)]
@@ -17,6 +18,9 @@ mod material;
 mod meshes;
 pub(super) mod meshopt;
 mod motion;
+pub(super) mod moving;
+#[cfg(test)]
+mod moving_tests;
 mod pose;
 mod read;
 mod remainder;
@@ -40,9 +44,13 @@ mod write;
 
 use std::path::Path;
 
+use glam::DMat4;
+
 pub(super) use image::{Texels, decode};
 pub(super) use lift::{Asset, UNDERSTOOD};
-pub(super) use pose::Pose;
+pub use motion::Clip;
+pub(super) use motion::Motion;
+pub(super) use pose::Poses;
 pub(super) use read::scene as scene_of;
 pub(super) use sizes::bytes_by_part;
 pub use source::Source;
@@ -53,7 +61,7 @@ pub(super) use uri::resolve;
 
 use super::cameras::{CameraFile, DEFAULT_FPS, Sampling};
 use super::error::Fault;
-use super::{FormatError, SceneFile};
+use super::{FormatError, ReadOptions, SceneFile};
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
 /// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
@@ -99,7 +107,9 @@ pub(super) fn write_over(
 /// | of glTF | becomes |
 /// |---|---|
 /// | node transforms | part of positions, splats and cameras; harmonics turn along |
-/// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights |
+/// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
+/// | animations | what [`Source::at`] poses the scene by |
+/// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored |
 /// | materials | the hybrid extension's maps, else the base colour, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps |
 /// | `COLOR_0` of a mesh without a texture | a map |
 /// | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |
@@ -109,23 +119,34 @@ pub(super) fn write_over(
 /// If the file cannot be read, is not valid glTF 2.0, requires an extension that is not understood here, or holds
 /// splats that cannot be represented (another kernel, a node that shears them, values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
-    read_with(path, false)
+    read_with(path, &ReadOptions::default())
 }
 
-/// As [`read`]; keeps the document for [`super::write_scene`] on demand, which doubles the memory.
+/// As [`read`]; keeps the document for [`super::write_scene`] on demand, which doubles the memory, and poses the scene.
 ///
 /// # Errors
 /// As [`read`].
-pub(super) fn read_with(path: &Path, keep: bool) -> Result<SceneFile, FormatError> {
+pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
     let asset = Asset::open(path)?;
-    let file = read::scene(&asset).map_err(|fault| fault.in_file(path))?;
-    let source = Source::new(asset, &file.scene, &file.cameras, keep);
+    let (mut file, mut moving) = read::scene_and_motion(&asset).map_err(|fault| fault.in_file(path))?;
+    let mut keep = options.keep_document;
+    if let Some(time) = options.time {
+        file.cameras = moving.cameras_at(time).map_err(|fault| fault.in_file(path))?;
+        let posed = moving.scene(&file.scene, DMat4::IDENTITY, time);
+        file.scene = posed.map_err(|e| Fault::from(e).in_file(path))?;
+        // What is posed does not move, and is not what the document says.
+        keep &= moving.is_still();
+        moving = moving.stopped();
+    }
+    let source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
     Ok(SceneFile { source: Some(source), ..file })
 }
 
 /// Reads cameras alone, those that are animated frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
-    motion::cameras(&Asset::open(path)?, sampling).map_err(|fault| fault.in_file(path))
+    let asset = Asset::open(path)?;
+    let motion = Motion::read(&asset).map_err(|fault| fault.in_file(path))?;
+    motion::cameras(&asset.document, &motion, sampling).map_err(|fault| fault.in_file(path))
 }
 
 /// Writes cameras, which are in the frame of the capture, as one that moves.
@@ -139,7 +160,7 @@ pub(super) fn write_cameras(path: &Path, cameras: &[(String, Camera)], fps: f64)
 
 /// Writes the document of a glTF again, with cameras added as one that moves.
 pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
-    let file = read_with(scene, true)?;
+    let file = read_with(scene, &ReadOptions { keep_document: true, ..ReadOptions::default() })?;
     let Some(source) = &file.source else {
         return Err(Fault::whole("a glTF document", "another file").in_file(scene));
     };

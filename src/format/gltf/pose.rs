@@ -1,146 +1,318 @@
-//! The pose in which a scene rests: skins by their joints' own transforms, morph targets by their default weights. It is
-//! what viewers show before an animation starts, and what the static mesh is made of.
+//! Poses of a document: bones and weights that its surfaces and splats hang on, as they rest and at a time. As they rest,
+//! skins are posed by their joints' own transforms, morph targets by their default weights: what viewers show before an
+//! animation starts, and what the static scene is made of.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
-use glam::{DMat4, DVec3, DVec4, Vec3};
+use glam::{DMat4, Vec3};
 
+use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
-use super::transform::placements;
-use crate::format::error::Fault;
+use super::motion::{Motion, in_between};
+use super::transform::{placements, placements_by};
+use crate::format::error::{Fault, from_value};
+use crate::scene::rig::{Carrier, Form, Pose, Target};
 
-/// Where the nodes of the scene are.
-pub(in crate::format) struct Pose {
+/// All bones and weights that have been asked for.
+#[derive(Clone, Debug)]
+pub(in crate::format) struct Poses {
+    bones: Vec<Bone>,
+    weights: Vec<Weight>,
+    of_node: HashMap<usize, usize>,
+    of_skin: HashMap<usize, Vec<usize>>,
+    /// Nodes of the scene where they rest.
     global: HashMap<usize, DMat4>,
+    /// Nodes that an animation moves, by themselves or by one above.
+    moving: HashSet<usize>,
+    rest: Pose,
 }
 
-/// Joints of a vertex, four at a time, and their weights.
-type Influences = Vec<(Vec<[f32; 4]>, Vec<[f32; 4]>)>;
+#[derive(Clone, Debug)]
+enum Bone {
+    Node(usize),
+    Joint { node: usize, inverse_bind: DMat4 },
+}
 
-impl Pose {
+#[derive(Clone, Debug)]
+enum Weight {
+    /// Of a node's morph target; what it is where nothing animates it.
+    Target { node: usize, target: usize, rest: f32 },
+    /// Of the translations of the extension at one of its key times.
+    Key { times: Vec<f32>, key: usize, is_step: bool },
+}
+
+impl Poses {
     /// As [`placements`], with which it fails alike.
-    pub(in crate::format) fn rest(document: &gltf::Document) -> Result<Self, Fault> {
-        let global = placements(document)?.into_iter().map(|(node, global)| (node.index(), global)).collect();
-        Ok(Self { global })
+    pub(in crate::format) fn new(document: &gltf::Document, motion: &Motion) -> Result<Self, Fault> {
+        let (mut global, mut moving) = (HashMap::new(), HashSet::new());
+        for (node, transform) in placements(document)? {
+            global.insert(node.index(), transform);
+            if motion.has_transform(node.index()) {
+                moving.insert(node.index());
+            }
+            if moving.contains(&node.index()) {
+                moving.extend(node.children().map(|child| child.index()));
+            }
+        }
+        Ok(Self {
+            bones: vec![],
+            weights: vec![],
+            of_node: HashMap::new(),
+            of_skin: HashMap::new(),
+            global,
+            moving,
+            rest: Pose::default(),
+        })
     }
 
-    /// Positions of `primitive`, of the mesh of `node`, in the scene.
-    pub(super) fn positions(
-        &self,
+    /// The pose of what has been asked for where it rests.
+    pub(in crate::format) fn rest(&self) -> &Pose {
+        &self.rest
+    }
+
+    /// The pose at a time, in seconds.
+    pub(super) fn at(&self, document: &gltf::Document, motion: &Motion, time: f64) -> Result<Pose, Fault> {
+        let placed = placements_by(document, |node| motion.local(node, time))?;
+        let global: HashMap<usize, DMat4> = placed.into_iter().map(|(node, global)| (node.index(), global)).collect();
+        let of = |node: &usize| global.get(node).copied().unwrap_or_default();
+        let bones = self.bones.iter().map(|bone| match bone {
+            Bone::Node(node) => of(node),
+            Bone::Joint { node, inverse_bind } => of(node) * *inverse_bind,
+        });
+        let weights = self.weights.iter().map(|weight| match weight {
+            Weight::Target { node, target, rest } => motion.weight(*node, *target, time).unwrap_or(*rest),
+            Weight::Key { times, key, is_step } => weight_of_key(times, *key, *is_step, time),
+        });
+        Ok(Pose { bones: bones.collect(), weights: weights.collect() })
+    }
+
+    /// The nodes that bones are.
+    pub(super) fn nodes(&self) -> impl Iterator<Item = usize> {
+        self.bones.iter().map(|bone| match bone {
+            Bone::Node(node) | Bone::Joint { node, .. } => *node,
+        })
+    }
+
+    /// Where a joint is in the space of what it carries.
+    pub(super) fn bind(&self, bone: usize) -> Option<DMat4> {
+        match self.bones.get(bone)? {
+            Bone::Joint { inverse_bind, .. } => Some(inverse_bind.inverse()).filter(DMat4::is_finite),
+            Bone::Node(_) => None,
+        }
+    }
+
+    /// Of every joint of a skin the joint of it that is next above, in a tree that says what is `above` a node.
+    pub(super) fn parents(&self, above: &HashMap<usize, usize>) -> Vec<Option<usize>> {
+        let mut parents = vec![None; self.bones.len()];
+        for bones in self.of_skin.values() {
+            let node = |bone: usize| match &self.bones[bone] {
+                Bone::Node(node) | Bone::Joint { node, .. } => *node,
+            };
+            let by_node: HashMap<usize, usize> = bones.iter().map(|&bone| (node(bone), bone)).collect();
+            for &bone in bones {
+                let mut upwards = std::iter::successors(above.get(&node(bone)), |n| above.get(n));
+                parents[bone] = upwards.find_map(|n| by_node.get(n)).copied();
+            }
+        }
+        parents
+    }
+
+    /// Whether an animation moves a node.
+    pub(super) fn moves(&self, node: usize) -> bool {
+        self.moving.contains(&node)
+    }
+
+    /// Whether an animation moves what is made of a form.
+    pub(super) fn animates(&self, form: &Form, motion: &Motion) -> bool {
+        let moves = |bone: usize| match &self.bones[bone] {
+            Bone::Node(node) | Bone::Joint { node, .. } => self.moves(*node),
+        };
+        let is_carried = match &form.carrier {
+            Carrier::Bone(bone) => moves(*bone),
+            Carrier::Skin { bones, .. } => {
+                let used: HashSet<u32> = bones.iter().copied().collect();
+                used.into_iter().any(|bone| moves(bone as usize))
+            }
+        };
+        is_carried
+            || form.targets.iter().any(|target| match &self.weights[target.weight] {
+                Weight::Target { node, .. } => motion.has_weights(*node),
+                Weight::Key { times, .. } => times.len() > 1,
+            })
+    }
+
+    /// The bone that a node is.
+    pub(super) fn bone(&mut self, node: usize) -> usize {
+        if let Some(&bone) = self.of_node.get(&node) {
+            return bone;
+        }
+        let bone = self.add_bone(Bone::Node(node), self.global.get(&node).copied().unwrap_or_default());
+        self.of_node.insert(node, bone);
+        bone
+    }
+
+    fn add_bone(&mut self, bone: Bone, rest: DMat4) -> usize {
+        self.bones.push(bone);
+        self.rest.bones.push(rest);
+        self.bones.len() - 1
+    }
+
+    fn add_weight(&mut self, weight: Weight, rest: f32) -> usize {
+        self.weights.push(weight);
+        self.rest.weights.push(rest);
+        self.weights.len() - 1
+    }
+
+    /// `primitive`, of the mesh of `node`, whose vertices are `stored`, before it is posed.
+    pub(super) fn form(
+        &mut self,
         asset: &Asset,
         node: &gltf::Node<'_>,
         primitive: &gltf::Primitive<'_>,
         stored: Vec<Vec3>,
-    ) -> Result<Vec<Vec3>, Fault> {
-        let mut positions = stored;
+    ) -> Result<Form, Fault> {
         let mesh = node.mesh().map_or(0, |m| m.index());
         let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
+        let vertices = stored.len();
+        let carrier = match node.skin() {
+            Some(skin) => {
+                let joints = self.joints(asset, &skin)?;
+                skin_of(asset, &joints, (mesh, primitive.index()), vertices)?
+            }
+            // The transform of a skinned mesh's own node has no effect (glTF 2.0, 3.7.3.3).
+            None => Carrier::Bone(self.bone(node.index())),
+        };
+        let mut targets = vec![];
         let weights = node.weights().or(node.mesh().and_then(|m| m.weights())).unwrap_or_default();
-        for (i, (target, &weight)) in primitive.morph_targets().zip(weights).enumerate() {
-            let Some(accessor) = target.positions().filter(|_| weight != 0.0) else { continue };
+        for (i, target) in primitive.morph_targets().enumerate() {
+            let Some(accessor) = target.positions() else { continue };
             let deltas = asset.floats::<3>(accessor.index())?;
-            if deltas.len() != positions.len() {
-                let expected = format!("{} elements, as in POSITION", positions.len());
+            if deltas.len() != vertices {
+                let expected = format!("{vertices} elements, as in POSITION");
                 return Err(Fault::pointer(format!("{at}/targets/{i}/POSITION"), expected, deltas.len().to_string()));
             }
-            positions.iter_mut().zip(deltas).for_each(|(p, d)| *p += weight * Vec3::from(d));
+            let rest = weights.get(i).copied().unwrap_or(0.0);
+            let weight = self.add_weight(Weight::Target { node: node.index(), target: i, rest }, rest);
+            targets.push(Target { weight, deltas: deltas.into_iter().map(Vec3::from).collect() });
         }
-        if let Some(skin) = node.skin() {
-            return self.skinned(asset, &skin, (mesh, primitive.index()), &positions);
-        }
-        let transform = self.global.get(&node.index()).copied().unwrap_or_default();
-        if transform != DMat4::IDENTITY {
-            positions.iter_mut().for_each(|p| *p = transform.transform_point3(p.as_dvec3()).as_vec3());
-        }
-        Ok(positions)
+        targets.extend(self.translations(asset, primitive, vertices, &at)?);
+        Ok(Form { base: stored, targets, carrier })
     }
 
-    /// Linear blend skinning; the transform of the mesh's own node has no effect (glTF 2.0, 3.7.3.3).
-    fn skinned(
-        &self,
+    /// The extension's vertex positions over time, as a morph target per key.
+    fn translations(
+        &mut self,
         asset: &Asset,
-        skin: &gltf::Skin<'_>,
-        id: (usize, usize),
-        positions: &[Vec3],
-    ) -> Result<Vec<Vec3>, Fault> {
-        let at_skin = format!("/skins/{}", skin.index());
-        let at = format!("/meshes/{}/primitives/{}/attributes", id.0, id.1);
+        primitive: &gltf::Primitive<'_>,
+        vertices: usize,
+        at: &str,
+    ) -> Result<Vec<Target>, Fault> {
+        let Some(value) = primitive.extension_value(HYBRID) else { return Ok(vec![]) };
+        let at = format!("{at}/extensions/{HYBRID}");
+        let surface: Surface = from_value(value, &at, &format!("a mesh primitive of {HYBRID}"))?;
+        let (Some(times), Some(translations)) = (surface.times, surface.translations) else { return Ok(vec![]) };
+        let times: Vec<f32> = asset.floats::<1>(times)?.into_iter().map(|[t]| t).collect();
+        let deltas = asset.floats::<3>(translations)?;
+        let grows = times.windows(2).all(|w| w[0] < w[1]) && times.iter().all(|t| t.is_finite());
+        if times.is_empty() || !grows || Some(deltas.len()) != vertices.checked_mul(times.len()) {
+            let expected = format!("times that grow, and {vertices} translations for each");
+            return Err(Fault::pointer(at, expected, format!("{} and {} translations", times.len(), deltas.len())));
+        }
+        let is_step = surface.interpolation.as_deref() == Some("STEP");
+        let keys = deltas.chunks_exact(vertices.max(1)).enumerate().map(|(key, deltas)| {
+            let rest = weight_of_key(&times, key, is_step, 0.0);
+            let weight = self.add_weight(Weight::Key { times: times.clone(), key, is_step }, rest);
+            Target { weight, deltas: deltas.iter().copied().map(Vec3::from).collect() }
+        });
+        Ok(keys.collect())
+    }
+
+    /// The bones that the joints of a skin are.
+    fn joints(&mut self, asset: &Asset, skin: &gltf::Skin<'_>) -> Result<Vec<usize>, Fault> {
+        if let Some(known) = self.of_skin.get(&skin.index()) {
+            return Ok(known.clone());
+        }
+        let at = format!("/skins/{}", skin.index());
         let joints: Vec<usize> = skin.joints().map(|j| j.index()).collect();
         let inverse_bind = match skin.inverse_bind_matrices() {
             None => vec![DMat4::IDENTITY; joints.len()],
             Some(accessor) => asset.matrices(accessor.index())?,
         };
         if inverse_bind.len() < joints.len() {
-            let at = format!("{at_skin}/inverseBindMatrices");
-            return Err(Fault::pointer(
-                at,
-                format!("{} matrices, one a joint", joints.len()),
-                inverse_bind.len().to_string(),
-            ));
+            let at = format!("{at}/inverseBindMatrices");
+            let expected = format!("{} matrices, one a joint", joints.len());
+            return Err(Fault::pointer(at, expected, inverse_bind.len().to_string()));
         }
-        let mut matrices = vec![];
-        for (joint, inverse) in joints.iter().zip(inverse_bind) {
-            let global = self.global.get(joint).ok_or_else(|| {
-                Fault::pointer(
-                    format!("{at_skin}/joints"),
-                    "joints in the scene of their mesh",
-                    format!("node {joint}"),
-                )
+        let mut bones = vec![];
+        for (&node, inverse_bind) in joints.iter().zip(inverse_bind) {
+            let global = self.global.get(&node).copied().ok_or_else(|| {
+                let expected = "joints in the scene of their mesh";
+                Fault::pointer(format!("{at}/joints"), expected, format!("node {node}"))
             })?;
-            matrices.push(*global * inverse);
+            bones.push(self.add_bone(Bone::Joint { node, inverse_bind }, global * inverse_bind));
         }
-        let influences = influences(asset, id, positions.len(), &at)?;
-        let mut posed = Vec::with_capacity(positions.len());
-        for (v, p) in positions.iter().enumerate() {
-            let (mut sum, mut total) = (DVec3::ZERO, 0.0);
-            for (joints, weights) in &influences {
-                for (&joint, &weight) in joints[v].iter().zip(&weights[v]).filter(|(_, w)| **w != 0.0) {
-                    let matrix = matrices.get(joint as usize).ok_or_else(|| {
-                        let expected = format!("joints below {}", matrices.len());
-                        Fault::pointer(format!("{at}/JOINTS_0"), expected, format!("{joint} at vertex {v}"))
-                    })?;
-                    sum += f64::from(weight) * (*matrix * DVec4::from((p.as_dvec3(), 1.0))).truncate();
-                    total += f64::from(weight);
-                }
-            }
-            if total.is_nan() || total <= 0.0 {
-                return Err(Fault::pointer(
-                    format!("{at}/WEIGHTS_0"),
-                    "weights that add up to 1",
-                    format!("{total} at vertex {v}"),
-                ));
-            }
-            // Quantised weights add up to 1 but for their rounding.
-            posed.push((sum / total).as_vec3());
-        }
-        Ok(posed)
+        self.of_skin.insert(skin.index(), bones.clone());
+        Ok(bones)
+    }
+}
+
+/// How much the translations of a key count at a time.
+fn weight_of_key(times: &[f32], key: usize, is_step: bool, time: f64) -> f32 {
+    let (start, u) = in_between(times.len(), |i| f64::from(times[i]), time);
+    let u = if is_step { 0.0 } else { u };
+    match key {
+        _ if key == start => (1.0 - u) as f32,
+        _ if key == start + 1 => u as f32,
+        _ => 0.0,
     }
 }
 
 /// Sets of joints that are read: 32 a vertex.
 const MAX_SETS: usize = 8;
 
-/// All sets `JOINTS_n`, `WEIGHTS_n`.
-fn influences(asset: &Asset, id: (usize, usize), count: usize, at: &str) -> Result<Influences, Fault> {
+/// All sets `JOINTS_n`, `WEIGHTS_n` of a primitive.
+fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) -> Result<Carrier, Fault> {
+    let at = format!("/meshes/{}/primitives/{}/attributes", id.0, id.1);
     let attributes = asset.attributes.get(&id);
-    let find = |name: &str| attributes.and_then(|a| a.get(name)).copied();
+    let find = |name: String| attributes.and_then(|a| a.get(&name)).copied();
     let mut sets = vec![];
-    while let (Some(joints), Some(weights)) =
-        (find(&format!("JOINTS_{}", sets.len())), find(&format!("WEIGHTS_{}", sets.len())))
+    while sets.len() < MAX_SETS
+        && let n = sets.len()
+        && let (Some(joints), Some(weights)) = (find(format!("JOINTS_{n}")), find(format!("WEIGHTS_{n}")))
     {
         let set = (asset.floats::<4>(joints)?, asset.floats::<4>(weights)?);
-        if set.0.len() != count || set.1.len() != count {
-            let expected = format!("{count} elements, as in POSITION");
+        if set.0.len() != vertices || set.1.len() != vertices {
+            let expected = format!("{vertices} elements, as in POSITION");
             let found = format!("{} and {}", set.0.len(), set.1.len());
-            return Err(Fault::pointer(format!("{at}/JOINTS_{}", sets.len()), expected, found));
+            return Err(Fault::pointer(format!("{at}/JOINTS_{n}"), expected, found));
         }
         sets.push(set);
-        if sets.len() == MAX_SETS {
-            break;
-        }
     }
     if sets.is_empty() {
         return Err(Fault::pointer(at, "JOINTS_0 and WEIGHTS_0, as its node has a skin", "no such pair"));
     }
-    Ok(sets)
+    let width = 4 * sets.len();
+    let (mut all_bones, mut all_weights) = (Vec::with_capacity(vertices * width), Vec::with_capacity(vertices * width));
+    for v in 0..vertices {
+        let mut total = 0.0;
+        for (&joint, &weight) in sets.iter().flat_map(|(joints, weights)| joints[v].iter().zip(&weights[v])) {
+            // What a joint without weight is called does not matter.
+            let bone = match bones.get(joint as usize) {
+                Some(&bone) => bone,
+                None if weight == 0.0 => bones.first().copied().unwrap_or_default(),
+                None => {
+                    let expected = format!("joints below {}", bones.len());
+                    return Err(Fault::pointer(format!("{at}/JOINTS_0"), expected, format!("{joint} at vertex {v}")));
+                }
+            };
+            total += f64::from(weight);
+            all_bones.push(bone as u32);
+            all_weights.push(weight);
+        }
+        if total.is_nan() || total <= 0.0 {
+            let found = format!("{total} at vertex {v}");
+            return Err(Fault::pointer(format!("{at}/WEIGHTS_0"), "weights that add up to 1", found));
+        }
+    }
+    Ok(Carrier::Skin { width, bones: all_bones, weights: all_weights })
 }

@@ -1,43 +1,62 @@
 //! From an opened asset to a hybrid scene.
 
+use std::ops::Range;
+
+use glam::DMat4;
 use serde_json::Value;
 
-use super::camera;
-use super::extension::{HYBRID, KHR_SPLATS, SceneContract, parse_color_space};
+use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SceneContract, SplatExtension, parse_color_space};
 use super::lift::Asset;
-use super::meshes::Meshes;
-use super::splats;
+use super::meshes::{Finished, Meshes};
+use super::motion::Motion;
+use super::moving::Moving;
 use super::transform::{is_ours, placements};
+use super::{binding, camera, splats};
 use crate::format::SceneFile;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::join;
-use crate::scene::{ColorSpace, Composition, HybridScene, sh};
+use crate::scene::rig::{Followers, Leader, Rig};
+use crate::scene::{Camera, ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
 /// Bytes of geometry that a byte of the file may become, above what any small file may. Meshes at many nodes and accessors
 /// in many meshes multiply it; real files stay far below.
 const MAX_RATIO: u64 = 512;
 const ALWAYS: u64 = 1 << 26;
 
+/// A scene as it rests.
 pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
+    scene_and_motion(asset).map(|(file, _)| file)
+}
+
+/// Cameras with their names.
+type Cameras = Vec<(String, Camera)>;
+
+/// A scene as it rests, and what moves it.
+pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fault> {
     asset.check_required()?;
     let mut notes = vec![];
     let composition = composition(asset)?;
     let space = composition.color_space;
-    let (mut parts, mut meshes, mut cameras) = (vec![], Meshes::new(asset, space)?, vec![]);
+    let motion = Motion::read(asset)?;
+    let (mut parts, mut meshes, mut hung) = (vec![], Meshes::new(asset, &motion, space)?, vec![]);
     let stored: usize = asset.buffers.iter().chain(asset.plain_views.values()).map(Vec::len).sum();
     let most = (stored + asset.json_bytes) as u64 * MAX_RATIO + ALWAYS;
-    let mut bytes = 0u64;
-    for (node, transform) in placements(&asset.document)? {
+    let (mut bytes, mut count) = (0u64, 0);
+    let placed = placements(&asset.document)?;
+    for (node, transform) in &placed {
         let at_node = format!("/nodes/{}", node.index());
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
             let mesh = node.mesh().map_or(0, |m| m.index());
             if let Some(khr) = primitive.extension_value(KHR_SPLATS) {
                 let id = (mesh, primitive.index());
-                let part = splats::read(asset, id, &primitive, khr, (node.index(), transform), space, &mut notes)?;
-                bytes =
-                    bytes.saturating_add(part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64));
+                let part = splats::read(asset, id, &primitive, khr, (node.index(), *transform), space, &mut notes)?;
+                bytes = bytes.saturating_add(bytes_of(&part));
+                let these = count..count + part.means.len();
+                count = these.end;
+                let object = binding::object(khr, id)?;
+                hung.push(Hung { splats: these, node: node.index(), transform: *transform, object });
                 parts.push((format!("/meshes/{mesh}/primitives/{}", id.1), part));
-            } else if let Some(added) = meshes.add((&node, transform), &primitive, &mut notes)? {
+            } else if let Some(added) = meshes.add((node, *transform), &primitive, &mut notes)? {
                 bytes = bytes.saturating_add(added);
             } else {
                 notes.push(format!("{at_node}: a primitive that is neither triangles nor splats is left out"));
@@ -47,29 +66,76 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
                 return Err(Fault::pointer(at_node, expected, "more, by repeated use of meshes"));
             }
         }
-        if let Some(camera) = node.camera() {
-            let name = node.name().or(camera.name()).map_or_else(|| format!("camera_{}", cameras.len()), str::to_owned);
-            match camera::read(asset, camera.index(), transform) {
-                Ok((camera, None)) => cameras.push((name, camera)),
-                Ok((camera, Some(note))) => {
-                    notes.push(format!("{at_node}: {note}"));
-                    cameras.push((name, camera));
+    }
+    let bones: Vec<usize> = hung.iter().map(|hung| meshes.bone(hung.node)).collect();
+    let finished = meshes.finish(&mut notes)?;
+    let followers: Vec<Followers> = hung
+        .into_iter()
+        .zip(bones)
+        .filter_map(|(hung, bone)| hung.follows(asset, &finished, bone, &mut notes))
+        .collect();
+    let Finished { meshes, forms, poses, .. } = finished;
+    let cameras = cameras(&asset.document, &placed, &mut notes);
+    let scene = HybridScene { splats: join(parts)?, meshes, composition };
+    let moves = !followers.is_empty() || forms.iter().any(Option::is_some);
+    let rig = if moves { Some(Rig::new(forms, followers, poses.rest().clone())?) } else { None };
+    let moving = Moving::new(asset.document.clone(), motion, rig.map(|rig| (poses, rig)));
+    let y_up = !is_ours(&asset.document);
+    Ok((SceneFile { scene, cameras, notes, y_up, attributes: vec![], dropped: 0, source: None }, moving))
+}
+
+/// Splats of a primitive at a node.
+struct Hung {
+    splats: Range<usize>,
+    node: usize,
+    transform: DMat4,
+    object: Option<(String, SplatExtension)>,
+}
+
+impl Hung {
+    /// What they follow; `None` if they keep still.
+    fn follows(self, asset: &Asset, read: &Finished, bone: usize, notes: &mut Vec<String>) -> Option<Followers> {
+        let Self { splats, node, transform, object } = self;
+        if let Some((at, SplatExtension { binding: Some(object), .. })) = &object {
+            let BindingObject { node, primitive, .. } = *object;
+            let bound = match read.bindable.get(&(node, primitive)) {
+                Some(to) if !to.moves => return None,
+                Some(to) => binding::read(asset, object, splats.len(), to, bone, transform),
+                None => {
+                    Err(format!("expected triangles at node {node}, primitive {primitive}, found none in the scene"))
                 }
-                Err(reason) => notes.push(format!("{at_node}: camera left out: {reason}")),
+            };
+            match bound {
+                Ok(binding) => return Some(Followers { splats, leader: Leader::Triangles(binding) }),
+                Err(reason) => notes.push(format!("{at}/binding: ignored: {reason}")),
             }
         }
+        read.poses.moves(node).then_some(Followers { splats, leader: Leader::Bone(bone) })
     }
-    let meshes = meshes.finish(&mut notes)?;
-    let scene = HybridScene { splats: join(parts)?, meshes, composition };
-    Ok(SceneFile {
-        scene,
-        cameras,
-        notes,
-        y_up: !is_ours(&asset.document),
-        attributes: vec![],
-        dropped: 0,
-        source: None,
-    })
+}
+
+fn bytes_of(part: &SplatArrays) -> u64 {
+    part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64)
+}
+
+pub(super) fn cameras(
+    document: &gltf::Document,
+    placed: &[(gltf::Node<'_>, DMat4)],
+    notes: &mut Vec<String>,
+) -> Cameras {
+    let mut cameras = vec![];
+    for (node, transform) in placed {
+        let Some(optics) = node.camera() else { continue };
+        let name = node.name().or(optics.name()).map_or_else(|| format!("camera_{}", cameras.len()), str::to_owned);
+        match camera::read(document, optics.index(), *transform) {
+            Ok((camera, note)) => {
+                notes.extend(note.map(|note| format!("/nodes/{}: {note}", node.index())));
+                cameras.push((name, camera));
+            }
+            Err(reason) => notes.push(format!("/nodes/{}: camera left out: {reason}", node.index())),
+        }
+    }
+    cameras
 }
 
 /// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras otherwise.

@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+use std::path::Path;
+use std::sync::Arc;
 
 use glam::{DMat4, Vec2};
 use rayon::prelude::*;
@@ -10,11 +12,15 @@ use serde_json::{Map, Value, json};
 use super::container::Bin;
 use super::extension::{HYBRID, MOVED_NODE, SceneContract};
 use super::lift::Asset;
+use super::motion::Clip;
+use super::moving::Moving;
 use super::remainder::remainder;
 use super::transform::{FLIP, is_ours};
 use super::{meshopt, uri};
+use crate::format::cameras::{CameraFile, Sampling};
+use crate::format::error::FormatError;
 use crate::format::placed::similarity;
-use crate::scene::{Camera, Composition, HybridScene};
+use crate::scene::{Camera, Composition, HybridScene, SceneError};
 
 /// The glTF document that a scene was read from. A scene holds what is rendered; animations, skins, morph targets, lights,
 /// materials in full, names, extras and extensions that nobody here knows are in the document alone.
@@ -43,6 +49,7 @@ pub struct Source {
     composition: Composition,
     splats_and_meshes: u64,
     cameras: u64,
+    moving: Arc<Moving>,
 }
 
 /// The bytes that a document refers to.
@@ -55,7 +62,13 @@ struct Content {
 
 impl Source {
     /// Takes the document of a scene that has just been read; with its bytes if it is to be written again.
-    pub(super) fn new(asset: Asset, scene: &HybridScene, cameras: &[(String, Camera)], keep: bool) -> Self {
+    pub(super) fn new(
+        asset: Asset,
+        scene: &HybridScene,
+        cameras: &[(String, Camera)],
+        moving: Moving,
+        keep: bool,
+    ) -> Self {
         let is_ours = is_ours(&asset.document);
         let remainder = remainder(&asset.root, is_ours);
         let Asset { root, buffers, folder, .. } = asset;
@@ -73,9 +86,60 @@ impl Source {
             moved: DMat4::IDENTITY,
             is_ours,
             composition: scene.composition,
-            splats_and_meshes: if keep { fingerprint(scene) } else { 0 },
+            splats_and_meshes: if keep || !moving.is_still() { fingerprint(scene) } else { 0 },
             cameras: fingerprint_of_cameras(cameras),
+            moving: Arc::new(moving),
         }
+    }
+
+    /// Whether animations of the document move anything of the scene besides cameras.
+    #[must_use]
+    pub fn moves(&self) -> bool {
+        self.moving.rig().is_some()
+    }
+
+    /// The animations of the document.
+    #[must_use]
+    pub fn clips(&self) -> &[Clip] {
+        self.moving.clips()
+    }
+
+    /// First and last key of all of them, in seconds.
+    #[must_use]
+    pub fn range(&self) -> [f64; 2] {
+        self.moving.range()
+    }
+
+    /// Frames a second, if the document states them.
+    #[must_use]
+    pub fn fps(&self) -> Option<f64> {
+        self.moving.fps()
+    }
+
+    /// The cameras, as [`crate::format::read_cameras`] reads them from `path`, of which this is the document.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn cameras(&self, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
+        self.moving.cameras(sampling).map_err(|fault| fault.in_file(path))
+    }
+
+    /// `scene`, which was read from this document, at a time in seconds, with all its animations played together: nodes,
+    /// skins, morph targets, and splats with the triangles or nodes that they hang on. What no animation has moved keeps its
+    /// bits.
+    ///
+    /// # Errors
+    /// If the scene has been changed since in another way than [`Source::follow`] knows, or something of it is somewhere that
+    /// it cannot be shown at: a node that shears splats, numbers that are not finite.
+    pub fn at(&self, scene: &HybridScene, time: f64) -> Result<HybridScene, SceneError> {
+        self.moving.scene(scene, self.moved, time)
+    }
+
+    /// What moves a scene, or its cameras, that still is what was read but for being moved, and by what it was moved.
+    pub(in crate::format) fn moving(&self, scene: &HybridScene) -> Option<(&Moving, DMat4)> {
+        let holds =
+            !self.moving.is_still() && similarity(self.moved).is_some() && self.splats_and_meshes == fingerprint(scene);
+        holds.then_some((&*self.moving, self.moved))
     }
 
     /// What of the document a scene does not hold, a few words each: `2 animations`, `the extension KHR_lights_punctual`.
@@ -85,11 +149,18 @@ impl Source {
         &self.remainder
     }
 
+    /// What of [`Source::remainder`] moves things.
+    #[must_use]
+    pub fn motion(&self) -> Vec<String> {
+        let count = self.root.get("animations").and_then(Value::as_array).map_or(0, Vec::len);
+        self.remainder.iter().filter(|part| count > 0 && is_motion(part)).cloned().collect()
+    }
+
     /// Follows a scene that was read from this document and has been moved by `by`, column vectors, to become `scene` with
     /// `cameras`.
     pub fn follow(&mut self, by: DMat4, scene: &HybridScene, cameras: &[(String, Camera)]) {
         self.moved = by * self.moved;
-        if self.content.is_some() {
+        if self.content.is_some() || !self.moving.is_still() {
             self.splats_and_meshes = fingerprint(scene);
         }
         self.cameras = fingerprint_of_cameras(cameras);
@@ -305,6 +376,11 @@ fn merge(object: &mut Value, new: &Value) {
     if let (Some(object), Some(new)) = (object.as_object_mut(), new.as_object()) {
         object.extend(new.clone());
     }
+}
+
+/// Whether a part of a remainder has to do with motion.
+fn is_motion(part: &str) -> bool {
+    ["animation", "skin", "morph target", "bindings of splats", "deformation"].iter().any(|word| part.contains(word))
 }
 
 /// A hash of all arrays of a scene.

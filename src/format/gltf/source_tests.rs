@@ -12,7 +12,7 @@ use super::*;
 use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
 
-const KEEP: ReadOptions = ReadOptions { drop_invalid: false, keep_document: true };
+const KEEP: ReadOptions = ReadOptions { drop_invalid: false, keep_document: true, time: None };
 
 /// A triangle with everything that a scene cannot hold.
 fn rich() -> (Builder, Value) {
@@ -244,8 +244,8 @@ fn files_beside_the_document_are_taken_in() {
 fn without_its_bytes_a_document_does_not_stand() {
     let (b, document) = rich();
     let asset = Asset::parse(b.file(&document), PathBuf::new()).map_err(|_| ()).unwrap();
-    let file = read::scene(&asset).map_err(|_| ()).unwrap();
-    let source = Source::new(asset, &file.scene, &file.cameras, false);
+    let (file, moving) = read::scene_and_motion(&asset).map_err(|_| ()).unwrap();
+    let source = Source::new(asset, &file.scene, &file.cameras, moving, false);
     assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
 }
 
@@ -253,8 +253,9 @@ fn without_its_bytes_a_document_does_not_stand() {
 fn exercise(bytes: Vec<u8>, folder: &Path) {
     let Ok(asset) = Asset::parse(bytes, PathBuf::new()) else { return };
     let _ = (bytes_by_part(&asset, 0), describe(&asset));
-    let Ok(file) = read::scene(&asset) else { return };
-    let source = Source::new(asset, &file.scene, &file.cameras, true);
+    let Ok((file, moving)) = read::scene_and_motion(&asset) else { return };
+    let source = Source::new(asset, &file.scene, &file.cameras, moving, true);
+    let _ = source.at(&file.scene, 0.3);
     let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
     for name in ["a.glb", "a.gltf"] {
         let _ = write_scene(&folder.join(name), &file.scene, &options);

@@ -16,6 +16,14 @@ pub(super) const FLIP: DMat4 =
 /// Every node that the default scene (else the first) reaches, in document order, with its global transform. In a file
 /// of ours the transform is in the frame of the capture, elsewhere in glTF's.
 pub(in crate::format) fn placements(document: &gltf::Document) -> Result<Vec<(gltf::Node<'_>, DMat4)>, Fault> {
+    placements_by(document, local)
+}
+
+/// The same where `local` says where a node puts what is in it.
+pub(super) fn placements_by<'a>(
+    document: &'a gltf::Document,
+    local: impl Fn(&gltf::Node<'a>) -> DMat4,
+) -> Result<Vec<(gltf::Node<'a>, DMat4)>, Fault> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else { return Ok(vec![]) };
     let nodes: Vec<gltf::Node<'_>> = document.nodes().collect();
     let mut stack: Vec<(usize, DMat4)> = vec![];

@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use super::extension::{KHR_SPLATS, SPZ};
 use super::lift::Asset;
+use super::motion::{Clip, Motion};
 use super::remainder::remainder;
 use super::transform::{is_ours, placements};
 use crate::format::error::Fault;
@@ -19,6 +20,8 @@ pub struct Document {
     pub generator: Option<String>,
     /// Nodes of the scene, every one after its parent.
     pub nodes: Vec<Node>,
+    /// What can be played, in order.
+    pub animations: Vec<Clip>,
     /// How many there are of every kind: `meshes`, `materials`, `animations` …
     pub counts: BTreeMap<&'static str, usize>,
     /// What a scene cannot hold of it, see [`super::Source::remainder`].
@@ -107,7 +110,8 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let length = |kind: &str| asset.root.get(kind).and_then(Value::as_array).map_or(0, Vec::len);
     let counts = kinds.into_iter().map(|kind| (kind, length(kind))).filter(|(_, n)| *n > 0).collect();
     let generator = asset.root.pointer("/asset/generator").and_then(Value::as_str).map(str::to_owned);
-    Ok(Document { generator, nodes, counts, remainder: remainder(&asset.root, is_ours(&asset.document)) })
+    let animations = Motion::read(asset).map_or_else(|_| vec![], |motion| motion.clips().to_vec());
+    Ok(Document { generator, nodes, animations, counts, remainder: remainder(&asset.root, is_ours(&asset.document)) })
 }
 
 fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Primitive {

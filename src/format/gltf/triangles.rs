@@ -4,8 +4,9 @@ use glam::{DMat4, Vec2, Vec3};
 use gltf::mesh::Mode;
 
 use super::lift::Asset;
-use super::pose::Pose;
+use super::pose::Poses;
 use crate::format::error::Fault;
+use crate::scene::rig::Form;
 
 /// Geometry of one primitive at one node.
 pub(in crate::format) struct Triangles {
@@ -13,13 +14,17 @@ pub(in crate::format) struct Triangles {
     pub(in crate::format) triangles: Vec<[u32; 3]>,
     /// A set of texture coordinates, one a vertex.
     pub(in crate::format) uvs: Option<Vec<Vec2>>,
+    /// What the positions are where it rests.
+    pub(super) form: Form,
+    /// Whether the second and the third corner of every triangle have changed places, as the node mirrors.
+    pub(super) is_mirrored: bool,
 }
 
 /// Reads `primitive` of the mesh of `node`, whose global transform is `transform`, with texture coordinates
 /// `TEXCOORD_<uv_set>`; `None` if it has no triangles.
 pub(in crate::format) fn read(
     asset: &Asset,
-    pose: &Pose,
+    poses: &mut Poses,
     (node, transform): (&gltf::Node<'_>, DMat4),
     primitive: &gltf::Primitive<'_>,
     uv_set: u32,
@@ -29,7 +34,8 @@ pub(in crate::format) fn read(
     let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
     let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
     let stored = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
-    let positions = pose.positions(asset, node, primitive, stored)?;
+    let form = poses.form(asset, node, primitive, stored)?;
+    let positions = form.positions(poses.rest());
     let count = u32::try_from(positions.len())
         .map_err(|_| Fault::pointer(&at, "fewer than 2³² vertices", positions.len().to_string()))?;
     let indices = match primitive.indices() {
@@ -49,7 +55,8 @@ pub(in crate::format) fn read(
         Mode::TriangleFan => indices.windows(2).skip(1).map(|w| [indices[0], w[0], w[1]]).collect(),
         _ => indices.as_chunks().0.to_vec(),
     };
-    if node.skin().is_none() && transform.determinant() < 0.0 {
+    let is_mirrored = node.skin().is_none() && transform.determinant() < 0.0;
+    if is_mirrored {
         triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
     let uvs = match primitive.get(&gltf::Semantic::TexCoords(uv_set)) {
@@ -63,5 +70,5 @@ pub(in crate::format) fn read(
             found.to_string(),
         ));
     }
-    Ok(Some(Triangles { positions, triangles, uvs }))
+    Ok(Some(Triangles { positions, triangles, uvs, form, is_mirrored }))
 }

@@ -186,7 +186,7 @@ impl<'a> Layout<'a> {
             self.accessor(view, UNSIGNED_INT, "SCALAR", values.len())
         };
         let indices = integers(Some(ELEMENT_ARRAY_BUFFER), split.triangles.as_flattened());
-        let surface = Surface { surface_vertices: Some(integers(None, &split.surface_vertices)) };
+        let surface = Surface { surface_vertices: Some(integers(None, &split.surface_vertices)), ..Surface::default() };
         let material = self.material(mesh.atlas(), space);
         let index = self.meshes.len();
         self.meshes.push(json!({

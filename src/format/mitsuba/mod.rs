@@ -20,7 +20,7 @@ use glam::{DMat3, DMat4, DVec3};
 use self::xml::Element;
 use super::exchange::{self, Beside};
 use super::{FormatError, Loss, WriteReport, atomic_write};
-use crate::scene::{Camera, ColorSpace, Composition, HybridScene};
+use crate::scene::{Camera, ColorSpace, Composition, HybridScene, OrderMode};
 
 /// The plug-ins, as a Python file that also renders, and its name.
 pub const PLUGINS: (&str, &str) = ("hybrid_rf.py", include_str!("hybrid_rf.py"));
@@ -60,8 +60,9 @@ pub(super) fn write(
         beside.add(PLUGINS.0.to_owned(), |name| {
             atomic_write(&path.with_file_name(name), PLUGINS.1.as_bytes()).map(|()| PLUGINS.1.len() as u64)
         })?;
-        // Of the rule, a ray's own order replaces mode and λ.
-        let loss = Loss { composition: is_hybrid(scene), ..Loss::default() };
+        // Of the rule, a ray's own order replaces mode and λ; it is that of `direct`.
+        let composition = is_hybrid(scene) && scene.composition.mode != OrderMode::Direct;
+        let loss = Loss { composition, ..Loss::default() };
         (hybrid(scene, &beside, cameras), beside, loss, hybrid_notes(scene, cameras))
     };
     let text = document.document();

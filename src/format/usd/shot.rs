@@ -30,8 +30,10 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
             continue;
         }
         let (name, at) = (display_name(prim), stage.path(placed.prim));
-        let times = match range(&stage, placed.prim) {
+        let span = range(&stage, placed.prim);
+        let times = match span {
             None => vec![None],
+            Some(_) if sampling.time.is_some() => vec![sampling.time.map(|time| time * codes)],
             Some((start, end)) => {
                 let count = frame_count(start / codes, end / codes, fps).map_err(|fault| fault.under(&at))?;
                 (0..count).map(|i| Some((start + i as f64 * codes / fps).min(end))).collect()
@@ -56,7 +58,10 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
         }
         stage.time = None;
         match frames {
-            Ok(frames) => found.push(Found { name, frames, fps: moves.then_some(fps) }),
+            Ok(frames) => {
+                let start = span.map_or(0.0, |(start, _)| start / codes);
+                found.push(Found { name, frames, start, fps: (moves && sampling.time.is_none()).then_some(fps) });
+            }
             Err(reason) => notes.push(format!("{at}: camera left out: {reason}")),
         }
     }

@@ -8,6 +8,7 @@ use super::hybrid::position_of;
 use super::index;
 use super::scenes::check_unit;
 use super::splats::check_token;
+pub(super) use crate::format::gltf::binding::geometry_digest;
 
 /// Checks `binding` of the splats in `primitive`.
 pub(super) fn check(document: &Document<'_>, primitive: &Value, binding: &Value, at: &str, findings: &mut Findings) {
@@ -82,18 +83,6 @@ fn check_triangles(document: &Document<'_>, bound: &Value, binding: &Value, at: 
         let expected = format!("{digest}, the digest of the triangles of the mesh");
         findings.error("HYBRID_BINDING_DIGEST", format!("{at}/geometryDigest"), expected, declared);
     }
-}
-
-/// `geometryDigest` of triangles with these corners: 64-bit FNV-1a over the positions as little-endian f32.
-pub(super) fn geometry_digest(corners: &[[f32; 3]]) -> String {
-    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-    for &v in corners.as_flattened() {
-        // −0 is 0.
-        for byte in (v + 0.0).to_le_bytes() {
-            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-    format!("{hash:016x}")
 }
 
 /// Whether an accessor holds plain numbers of things.

@@ -1,0 +1,224 @@
+//! What moves, for a script: `STEM_motion.npz`, numpy's arrays, with a row per frame where they change over time.
+//!
+//! | array | shape | what |
+//! |---|---|---|
+//! | `bones`, `bones_rest` | frames × bones × 4 × 4, bones × 4 × 4 | from the space of what hangs on a bone to the scene |
+//! | `binds` | bones × 4 × 4 | of joints of skins, where they are in the space of the surface |
+//! | `weights` | frames × weights | of morph targets |
+//! | `meshI_base` | vertices × 3 | mesh I before it is posed, vertices as in its PLY |
+//! | `meshI_deltas`, `meshI_weights` | targets × vertices × 3, targets | morph targets, and whose weights they have |
+//! | `meshI_joints`, `meshI_influences` | vertices × joints | bones of a skin and their weights; else `meshI_bone` |
+//! | `splat_bones` | splats | the bone that a splat follows, −1: none, −2: a triangle |
+//! | `splat_surfaces`, `splat_corners` | splats, splats × 3 | that triangle |
+//! | `splat_translations`, `splat_rotations`, `splat_scales` | splats × 3, 4, 3 | in its frame; quaternions w, x, y, z |
+//! | `splat_harmonics`, `splat_undeformed` | splats, splats × 4 | the bone that view dependence turns with; −1: the triangle, from this frame |
+//! | `cameras` | frames × cameras × 12 | rotation, by rows, and translation, world to camera |
+
+use std::collections::HashMap;
+use std::io::Write as _;
+use std::path::Path;
+
+use glam::{DMat4, DQuat};
+use serde_json::{Value, json};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+use crate::format::cameras::{DEFAULT_FPS, frame_count};
+use crate::format::error::Fault;
+use crate::format::exchange::surface::copied;
+use crate::format::gltf::moving::Moving;
+use crate::format::placed::similarity;
+use crate::format::{FormatError, atomic_write};
+use crate::scene::rig::{Carrier, Harmonics, Leader, Pose, Rig};
+use crate::scene::{Camera, HybridScene};
+
+/// Writes the arrays to `path`. Returns what the script is told of them, and their size; `moved` is what the scene was moved by
+/// since it was read.
+pub(super) fn write(
+    path: &Path,
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+    (moving, moved): (&Moving, DMat4),
+) -> Result<(Value, u64), FormatError> {
+    let failed = |fault: Fault| fault.in_file(path);
+    let [start, end] = moving.range();
+    let fps = moving.fps().unwrap_or(DEFAULT_FPS);
+    let frames = frame_count(start, end, fps).map_err(failed)?;
+    let time = |frame: usize| start + frame as f64 / fps;
+    let poses: Vec<Pose> = (0..frames)
+        .map(|frame| moving.pose(time(frame)))
+        .collect::<Result<_, _>>()
+        .map_err(|e| failed(Fault::from(e)))?;
+    let mut arrays = Arrays::default();
+    if let Some(rig) = moving.rig() {
+        arrays.rig(rig, scene, &poses, moved, moving);
+    }
+    let mut moves_cameras = false;
+    let mut rows = vec![];
+    for frame in 0..frames {
+        let at = moving.cameras_at(time(frame)).map_err(failed)?;
+        // A camera may have been left out since: then nobody knows which.
+        if at.len() != cameras.len() {
+            rows.clear();
+            break;
+        }
+        for ((_, now), (_, rest)) in at.iter().zip(cameras) {
+            let row = row(now, moved);
+            let differs = row.iter().zip(row_of(rest)).any(|(a, b)| (a - b).abs() > 1e-9 * (1.0 + b.abs()));
+            moves_cameras |= differs;
+            rows.extend(row);
+        }
+    }
+    if moves_cameras {
+        arrays.add("cameras", &[frames, cameras.len(), 12], &rows);
+    }
+    let surfaces = moving.rig().map_or(&[][..], Rig::surfaces);
+    let meshes: Vec<usize> = (0..surfaces.len()).filter(|&i| surfaces[i].is_some()).collect();
+    let bytes = arrays.zipped().map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
+    atomic_write(path, &bytes)?;
+    let told = json!({
+        "fps": fps, "frames": frames, "start": start, "meshes": meshes, "names": moving.bone_names(),
+        "parents": moving.bone_parents(), "cameras": moves_cameras,
+        "splats": moving.rig().is_some_and(|rig| !rig.followers().is_empty()),
+    });
+    Ok((told, bytes.len() as u64))
+}
+
+/// A camera after the scene has been moved.
+fn row(camera: &Camera, moved: DMat4) -> [f64; 12] {
+    let Some(by) = similarity(moved).filter(|_| moved != DMat4::IDENTITY) else { return row_of(camera) };
+    let rotation = camera.rotation() * glam::DMat3::from_quat(by.rotation.inverse());
+    let translation = by.scale * camera.translation() - rotation * by.translation;
+    Camera::new(*camera.intrinsics(), rotation, translation).map_or_else(|_| row_of(camera), |camera| row_of(&camera))
+}
+
+fn row_of(camera: &Camera) -> [f64; 12] {
+    let (r, t) = (camera.rotation().transpose().to_cols_array(), camera.translation().to_array());
+    std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] })
+}
+
+/// Arrays by name, as .npy.
+#[derive(Default)]
+struct Arrays(Vec<(String, Vec<u8>)>);
+
+/// What numpy calls a type, and its bytes.
+trait Number: Copy {
+    const KIND: &'static str;
+    fn append(self, bytes: &mut Vec<u8>);
+}
+
+macro_rules! number {
+    ($type:ty, $kind:literal) => {
+        impl Number for $type {
+            const KIND: &'static str = $kind;
+            fn append(self, bytes: &mut Vec<u8>) {
+                bytes.extend_from_slice(&self.to_le_bytes());
+            }
+        }
+    };
+}
+number!(f32, "<f4");
+number!(f64, "<f8");
+number!(i32, "<i4");
+
+impl Arrays {
+    fn add<T: Number>(&mut self, name: &str, shape: &[usize], values: &[T]) {
+        let sides: String = shape.iter().map(|n| format!("{n},")).collect();
+        let mut header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({sides}), }}", T::KIND);
+        // With its magic, version and length it ends at a multiple of 64 bytes, in a line feed.
+        let padded = (10 + header.len() + 1).next_multiple_of(64);
+        header.extend(std::iter::repeat_n(' ', padded - 11 - header.len()));
+        header.push('\n');
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend_from_slice(&(header.len() as u16).to_le_bytes());
+        bytes.extend_from_slice(header.as_bytes());
+        values.iter().for_each(|v| v.append(&mut bytes));
+        self.0.push((format!("{name}.npy"), bytes));
+    }
+
+    fn rig(&mut self, rig: &Rig, scene: &HybridScene, poses: &[Pose], moved: DMat4, moving: &Moving) {
+        let count = rig.rest().bones.len();
+        let rows = |matrix: DMat4| matrix.transpose().to_cols_array();
+        let bones = |pose: &Pose| pose.bones.iter().flat_map(|bone| rows(moved * *bone)).collect::<Vec<_>>();
+        self.add("bones", &[poses.len(), count, 4, 4], &poses.iter().flat_map(bones).collect::<Vec<_>>());
+        self.add("bones_rest", &[count, 4, 4], &bones(rig.rest()));
+        let binds: Vec<f64> = (0..count).flat_map(|b| rows(moving.bind(b).unwrap_or(DMat4::IDENTITY))).collect();
+        self.add("binds", &[count, 4, 4], &binds);
+        let weights: Vec<f32> = poses.iter().flat_map(|pose| pose.weights.iter().copied()).collect();
+        self.add("weights", &[poses.len(), rig.rest().weights.len()], &weights);
+        for (i, form) in rig.surfaces().iter().enumerate() {
+            let Some(form) = form else { continue };
+            let form = form.gather(&copied(&scene.meshes[i]));
+            let (n, name) = (form.base.len(), |what: &str| format!("mesh{i}_{what}"));
+            self.add(&name("base"), &[n, 3], bytemuck::cast_slice::<_, f32>(&form.base));
+            let deltas: Vec<f32> = form.targets.iter().flat_map(|t| bytemuck::cast_slice(&t.deltas).to_vec()).collect();
+            self.add(&name("deltas"), &[form.targets.len(), n, 3], &deltas);
+            let weights: Vec<i32> = form.targets.iter().map(|t| t.weight as i32).collect();
+            self.add(&name("weights"), &[weights.len()], &weights);
+            match &form.carrier {
+                Carrier::Bone(bone) => self.add(&name("bone"), &[1], &[*bone as i32]),
+                Carrier::Skin { width, bones, weights } => {
+                    let bones: Vec<i32> = bones.iter().map(|b| *b as i32).collect();
+                    self.add(&name("joints"), &[n, *width], &bones);
+                    self.add(&name("influences"), &[n, *width], weights);
+                }
+            }
+        }
+        if !rig.followers().is_empty() {
+            self.splats(rig, scene, moved);
+        }
+    }
+
+    fn splats(&mut self, rig: &Rig, scene: &HybridScene, moved: DMat4) {
+        let n = scene.splats.len();
+        let unmoved = similarity(moved).map_or(DQuat::IDENTITY, |s| s.rotation.inverse());
+        let (mut bones, mut surfaces, mut harmonics) = (vec![-1; n], vec![-1; n], vec![-1; n]);
+        let (mut corners, mut translations, mut scales) = (vec![[0; 3]; n], vec![[0.0f32; 3]; n], vec![[0.0f32; 3]; n]);
+        let (mut rotations, mut undeformed) = (vec![[1.0f32, 0.0, 0.0, 0.0]; n], vec![[1.0f64, 0.0, 0.0, 0.0]; n]);
+        for part in rig.followers() {
+            match &part.leader {
+                Leader::Bone(bone) => {
+                    bones[part.splats.clone()].fill(*bone as i32);
+                    harmonics[part.splats.clone()].fill(*bone as i32);
+                }
+                Leader::Triangles(binding) => {
+                    let copies: HashMap<usize, usize> =
+                        copied(&scene.meshes[binding.surface]).into_iter().enumerate().map(|(i, v)| (v, i)).collect();
+                    for (j, i) in part.splats.clone().enumerate() {
+                        (bones[i], surfaces[i]) = (-2, binding.surface as i32);
+                        corners[i] = binding.corners[j].map(|v| copies.get(&(v as usize)).map_or(0, |&i| i as i32));
+                        translations[i] = binding.translations[j].to_array();
+                        let q = binding.rotations[j];
+                        rotations[i] = [q.w, q.x, q.y, q.z];
+                        scales[i] = binding.scales[j].to_array();
+                        match &binding.harmonics {
+                            Harmonics::Bone(bone) => harmonics[i] = *bone as i32,
+                            Harmonics::Triangles(turns) => {
+                                let q = turns[j] * unmoved;
+                                undeformed[i] = [q.w, q.x, q.y, q.z];
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        self.add("splat_bones", &[n], &bones);
+        self.add("splat_surfaces", &[n], &surfaces);
+        self.add("splat_corners", &[n, 3], corners.as_flattened());
+        self.add("splat_translations", &[n, 3], translations.as_flattened());
+        self.add("splat_rotations", &[n, 4], rotations.as_flattened());
+        self.add("splat_scales", &[n, 3], scales.as_flattened());
+        self.add("splat_harmonics", &[n], &harmonics);
+        self.add("splat_undeformed", &[n, 4], undeformed.as_flattened());
+    }
+
+    fn zipped(self) -> std::io::Result<Vec<u8>> {
+        let mut zip = ZipWriter::new(std::io::Cursor::new(vec![]));
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
+        for (name, bytes) in self.0 {
+            zip.start_file(name, options).map_err(std::io::Error::other)?;
+            zip.write_all(&bytes)?;
+        }
+        Ok(zip.finish().map_err(std::io::Error::other)?.into_inner())
+    }
+}

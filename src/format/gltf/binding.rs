@@ -1,0 +1,120 @@
+//! Splats that are bound to triangles, by the extension.
+
+use glam::{DMat4, DQuat, Quat, Vec3};
+use serde_json::Value;
+
+use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SplatExtension};
+use super::lift::Asset;
+use crate::format::error::{Fault, from_value};
+use crate::format::placed::similarity;
+use crate::scene::rig::{Binding, Frame, Harmonics};
+
+/// A triangle primitive at a node, as splats are bound to it.
+pub(super) struct Bindable {
+    /// The mesh of the scene that it has become, and whether that moves.
+    pub(super) surface: usize,
+    pub(super) moves: bool,
+    /// Of every triangle, in the file's order, vertices of that mesh and undeformed positions.
+    pub(super) corners: Vec<[u32; 3]>,
+    pub(super) stored: Vec<[Vec3; 3]>,
+}
+
+/// Where the extension's object is in a primitive's `KHR_gaussian_splatting`, and what it says.
+pub(super) fn object(khr: &Value, id: (usize, usize)) -> Result<Option<(String, SplatExtension)>, Fault> {
+    let Some(value) = khr.get("extensions").and_then(|e| e.get(HYBRID)) else { return Ok(None) };
+    let at = format!("/meshes/{}/primitives/{}/extensions/{KHR_SPLATS}/extensions/{HYBRID}", id.0, id.1);
+    let object = from_value(value, &at, &format!("an object of {HYBRID}"))?;
+    Ok(Some((at, object)))
+}
+
+/// Pairs of node and primitive that any splats are bound to.
+pub(super) fn wanted(asset: &Asset) -> std::collections::HashSet<(usize, usize)> {
+    let primitives = asset.document.meshes().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
+    let objects = primitives.filter_map(|(m, p)| {
+        let (_, found) = object(p.extension_value(KHR_SPLATS)?, (m, p.index())).ok()??;
+        Some((found.binding.as_ref()?.node, found.binding?.primitive))
+    });
+    objects.collect()
+}
+
+/// What `count` splats follow: `Err` says why the binding is to be ignored. `harmonics_bone` is that of the node of the splats,
+/// and `turn` its rotation where it rests.
+pub(super) fn read(
+    asset: &Asset,
+    object: &BindingObject,
+    count: usize,
+    to: &Bindable,
+    harmonics_bone: usize,
+    turn: DMat4,
+) -> Result<Binding, String> {
+    let said = |fault: Fault| {
+        let (location, expected, found) = fault.into_parts();
+        format!("{location}expected {expected}, found {found}")
+    };
+    if object.frame != "edgeNormal" {
+        return Err(format!("expected a frame edgeNormal, found `{}`", object.frame));
+    }
+    let triangles = to.corners.len();
+    if object.triangle_count != triangles {
+        return Err(format!("expected a binding of {triangles} triangles, found one of {}", object.triangle_count));
+    }
+    if let Some(declared) = &object.geometry_digest {
+        let corners: Vec<[f32; 3]> = to.stored.iter().flatten().map(Vec3::to_array).collect();
+        let digest = geometry_digest(&corners);
+        if *declared != digest {
+            return Err(format!("expected geometryDigest {digest}, of the triangles, found {declared}"));
+        }
+    }
+    let which = asset.indices(object.triangles).map_err(said)?;
+    let translations = asset.floats::<3>(object.translations).map_err(said)?;
+    let rotations = asset.floats::<4>(object.rotations).map_err(said)?;
+    let scales = asset.floats::<3>(object.scales).map_err(said)?;
+    for found in [which.len(), translations.len(), rotations.len(), scales.len()] {
+        if found != count {
+            return Err(format!("expected {count} elements, one per splat, found {found}"));
+        }
+    }
+    if let Some(bad) = which.iter().find(|&&t| t as usize >= triangles) {
+        return Err(format!("expected triangles below {triangles}, found {bad}"));
+    }
+    let is_finite =
+        translations.iter().chain(&scales).flatten().chain(rotations.iter().flatten()).all(|v| v.is_finite());
+    let is_turned = rotations.iter().all(|q| q.iter().any(|c| *c != 0.0));
+    if !is_finite || !is_turned || scales.iter().flatten().any(|s| *s < 0.0) {
+        return Err(
+            "expected finite numbers, rotations that are not zero, scales of at least 0, found others".to_owned()
+        );
+    }
+    let harmonics = match &object.spherical_harmonics_frame[..] {
+        "node" => Harmonics::Bone(harmonics_bone),
+        "triangle" => {
+            let unturned = similarity(turn).map_or(DQuat::IDENTITY, |s| s.rotation.inverse());
+            let undeformed = |&t: &u32| {
+                let frame = Frame::of(to.stored[t as usize].map(Vec3::as_dvec3));
+                frame.map_or(DQuat::IDENTITY, |f| DQuat::from_mat3(&f.axes.transpose())) * unturned
+            };
+            Harmonics::Triangles(which.iter().map(undeformed).collect())
+        }
+        other => return Err(format!("expected sphericalHarmonicsFrame node or triangle, found `{other}`")),
+    };
+    Ok(Binding {
+        surface: to.surface,
+        corners: which.iter().map(|&t| to.corners[t as usize]).collect(),
+        translations: translations.into_iter().map(Vec3::from).collect(),
+        rotations: rotations.into_iter().map(Quat::from_array).collect(),
+        scales: scales.into_iter().map(Vec3::from).collect(),
+        harmonics,
+    })
+}
+
+/// `geometryDigest` of triangles with these corners: 64-bit FNV-1a over the positions as little-endian f32.
+pub(in crate::format) fn geometry_digest(corners: &[[f32; 3]]) -> String {
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for &v in corners.as_flattened() {
+        // −0 is 0.
+        for byte in (v + 0.0).to_le_bytes() {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+    format!("{hash:016x}")
+}

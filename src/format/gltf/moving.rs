@@ -1,0 +1,110 @@
+//! What of a document is played: animations, the rig of the scene that they move, and cameras.
+
+use std::collections::HashMap;
+
+use glam::DMat4;
+
+use super::motion::{self, Clip, Motion};
+use super::pose::Poses;
+use super::read;
+use super::transform::placements_by;
+use crate::format::cameras::{CameraFile, Sampling};
+use crate::format::error::Fault;
+use crate::scene::rig::{Pose, Rig};
+use crate::scene::{Camera, HybridScene, SceneError};
+
+/// What moves a scene and its cameras.
+#[derive(Clone, Debug)]
+pub(in crate::format) struct Moving {
+    document: gltf::Document,
+    motion: Motion,
+    /// Bones and weights of the rig by nodes; `None` if nothing but cameras moves.
+    rig: Option<(Poses, Rig)>,
+}
+
+impl Moving {
+    pub(super) fn new(document: gltf::Document, motion: Motion, rig: Option<(Poses, Rig)>) -> Self {
+        Self { document, motion, rig }
+    }
+
+    /// Whether there is nothing to be played.
+    pub(in crate::format) fn is_still(&self) -> bool {
+        self.rig.is_none() && self.motion.clips().is_empty()
+    }
+
+    /// The same document with nothing that moves.
+    pub(super) fn stopped(self) -> Self {
+        Self { motion: Motion::default(), rig: None, ..self }
+    }
+
+    pub(in crate::format) fn rig(&self) -> Option<&Rig> {
+        self.rig.as_ref().map(|(_, rig)| rig)
+    }
+
+    /// Bones and weights of the rig at a time, in seconds.
+    pub(in crate::format) fn pose(&self, time: f64) -> Result<Pose, SceneError> {
+        let pose = self.rig.as_ref().map(|(poses, _)| poses.at(&self.document, &self.motion, time));
+        pose.unwrap_or_else(|| Ok(Pose::default())).map_err(|fault| at_time(fault, time))
+    }
+
+    /// The scene at a time; `rest` is as it was read, and then moved by `moved`.
+    pub(super) fn scene(&self, rest: &HybridScene, moved: DMat4, time: f64) -> Result<HybridScene, SceneError> {
+        let Some((_, rig)) = &self.rig else { return Ok(rest.clone()) };
+        let posed = rig.pose(rest, &self.pose(time)?, moved);
+        posed.map_err(|e| SceneError { field: format!("at {time} s: {}", e.field), ..e })
+    }
+
+    /// The cameras, those that move frame by frame.
+    pub(in crate::format) fn cameras(&self, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
+        motion::cameras(&self.document, &self.motion, sampling)
+    }
+
+    /// The cameras at a time, in seconds.
+    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<Vec<(String, Camera)>, Fault> {
+        let placed = placements_by(&self.document, |node| self.motion.local(node, time))?;
+        Ok(read::cameras(&self.document, &placed, &mut vec![]))
+    }
+
+    /// What the bones of the rig are called: as the nodes that they are.
+    pub(in crate::format) fn bone_names(&self) -> Vec<String> {
+        let named: HashMap<usize, &str> = self.document.nodes().filter_map(|n| Some((n.index(), n.name()?))).collect();
+        let of = |node: usize| named.get(&node).map_or_else(|| format!("node {node}"), |name| (*name).to_owned());
+        self.poses().map_or_else(Vec::new, |poses| poses.nodes().map(of).collect())
+    }
+
+    /// Per bone, the joint of the same skin that is next above it.
+    pub(in crate::format) fn bone_parents(&self) -> Vec<Option<usize>> {
+        let above: HashMap<usize, usize> =
+            self.document.nodes().flat_map(|n| n.children().map(move |c| (c.index(), n.index()))).collect();
+        self.poses().map_or_else(Vec::new, |poses| poses.parents(&above))
+    }
+
+    /// Where a joint of a skin is in the space of the surface; `None` of other bones.
+    pub(in crate::format) fn bind(&self, bone: usize) -> Option<DMat4> {
+        self.poses()?.bind(bone)
+    }
+
+    fn poses(&self) -> Option<&Poses> {
+        self.rig.as_ref().map(|(poses, _)| poses)
+    }
+
+    /// Frames a second, if the document states them.
+    pub(in crate::format) fn fps(&self) -> Option<f64> {
+        self.motion.fps()
+    }
+
+    /// First and last key of all animations.
+    pub(in crate::format) fn range(&self) -> [f64; 2] {
+        let ranges = self.clips().iter().map(|clip| clip.range);
+        ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]).unwrap_or_default()
+    }
+
+    pub(super) fn clips(&self) -> &[Clip] {
+        self.motion.clips()
+    }
+}
+
+fn at_time(fault: Fault, time: f64) -> SceneError {
+    let (location, expected, found) = fault.into_parts();
+    SceneError { field: format!("at {time} s: {}", location.to_string().trim_end_matches([':', ' '])), expected, found }
+}

@@ -1,0 +1,344 @@
+//! Documents that move, beside what glTF's formulas give by hand.
+
+use glam::{DMat3, DQuat, DVec3, Mat4, Quat, Vec3};
+use serde_json::{Value, json};
+
+use super::binding::geometry_digest;
+use super::core_tests::{Builder, near, triangle};
+use super::extension::{HYBRID, KHR_SPLATS};
+use super::*;
+use crate::edit::Similarity;
+use crate::format::{WriteOptions, inspect, read_file, write_scene};
+
+/// A file on disk, as everything here is read by path.
+struct File {
+    _folder: tempfile::TempDir,
+    path: std::path::PathBuf,
+}
+
+impl File {
+    fn new(b: &Builder, document: &Value) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.gltf");
+        std::fs::write(&path, b.file(document)).unwrap();
+        Self { _folder: folder, path }
+    }
+
+    fn rest(&self) -> SceneFile {
+        read(&self.path).unwrap()
+    }
+
+    /// Read at a time, which must be what the source of the scene at rest says as well.
+    #[track_caller]
+    fn at(&self, time: f64) -> SceneFile {
+        let posed = read_file(&self.path, &ReadOptions { time: Some(time), ..ReadOptions::default() }).unwrap();
+        let rest = self.rest();
+        assert_eq!(rest.source.unwrap().at(&rest.scene, time).unwrap(), posed.scene);
+        posed
+    }
+
+    #[track_caller]
+    fn positions(&self, time: f64, expected: &[[f32; 3]]) {
+        let file = self.at(time);
+        near(bytemuck::cast_slice(file.scene.meshes[0].positions()), expected.as_flattened(), 2e-6);
+    }
+}
+
+/// An animation with one sampler a channel: (node, path, times, output, interpolation).
+fn animation(b: &mut Builder, channels: &[(usize, &str, &[f32], usize, &str)]) -> Value {
+    let samplers: Vec<Value> = channels
+        .iter()
+        .map(|(_, _, times, output, interpolation)| {
+            let times: Vec<[f32; 1]> = times.iter().map(|t| [*t]).collect();
+            json!({ "input": b.floats(&times), "output": output, "interpolation": interpolation })
+        })
+        .collect();
+    let targets = channels.iter().enumerate();
+    let targets: Vec<Value> = targets
+        .map(|(i, (node, path, ..))| json!({ "sampler": i, "target": { "node": node, "path": path } }))
+        .collect();
+    json!({ "name": "nod", "samplers": samplers, "channels": targets })
+}
+
+#[test]
+fn nodes_carry_meshes_by_every_interpolation() {
+    let (mut b, attributes) = triangle();
+    let slide = b.floats(&[[0.0f32, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
+    // Cubic: tangents 0, so that u = 1/4 gives 3u² − 2u³ = 5/32 of the way from 1 to 2.
+    let grow = b.floats(&[[0.0f32; 3], [1.0; 3], [0.0; 3], [0.0; 3], [2.0; 3], [0.0; 3]]);
+    let clip = animation(
+        &mut b,
+        &[
+            (1, "translation", &[1.0, 3.0], slide, "LINEAR"),
+            (0, "rotation", &[0.0, 2.0], turn, "STEP"),
+            (1, "scale", &[0.0, 4.0], grow, "CUBICSPLINE"),
+        ],
+    );
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+        "nodes": [{ "children": [1] }, { "mesh": 0 }],
+        "animations": [clip],
+    });
+    let file = File::new(&b, &document);
+    let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    file.positions(-1.0, &corners);
+    let s = 1.0 + 5.0 / 32.0;
+    file.positions(1.0, &[[0.0; 3], [s, 0.0, 0.0], [0.0, s, 0.0]]);
+    // At 2 s: 1.5 times as large, shifted by 1, then turned by a quarter: (x, y) to (−y, x).
+    file.positions(2.0, &[[0.0, 1.0, 0.0], [0.0, 2.5, 0.0], [-1.5, 1.0, 0.0]]);
+    file.positions(9.0, &[[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [-2.0, 2.0, 0.0]]);
+    assert!(file.rest().source.unwrap().moves());
+    let summary = inspect(&file.path).unwrap();
+    let clips = &summary.document.as_ref().unwrap().animations;
+    assert_eq!(
+        (clips.len(), clips[0].name.as_deref(), clips[0].range, clips[0].channels),
+        (1, Some("nod"), [0.0, 4.0], 3)
+    );
+    assert!(summary.to_string().contains("├ animation: nod, 4.000 s, 3 channels"), "{summary}");
+}
+
+#[test]
+fn weights_and_joints_move_a_skin() {
+    let (mut b, mut attributes) = triangle();
+    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]));
+    let weights = [[1.0f32, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
+    attributes["WEIGHTS_0"] = json!(b.floats(&weights));
+    let (up, out) = (b.floats(&[[0.0f32, 0.0, 1.0]; 3]), b.floats(&[[0.0f32; 3], [0.0; 3], [1.0, 0.0, 0.0]]));
+    let mut bind = Mat4::IDENTITY;
+    bind.w_axis.x = -1.0;
+    let inverse = b.floats(&[bind.to_cols_array(), Mat4::IDENTITY.to_cols_array()]);
+    // Two targets, three keys; the middle one at 1 s.
+    let keys = b.floats(&[[0.0f32], [0.0], [1.0], [0.5], [1.0], [0.5]]);
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
+    let clip = animation(
+        &mut b,
+        &[(0, "weights", &[0.0, 1.0, 2.0], keys, "LINEAR"), (2, "rotation", &[0.0, 1.0], turn, "LINEAR")],
+    );
+    let document = json!({
+        "meshes": [{
+            "primitives": [{ "attributes": attributes, "targets": [{ "POSITION": up }, { "POSITION": out }] }],
+            "weights": [0.25, 0],
+        }],
+        "skins": [{ "joints": [1, 2], "inverseBindMatrices": inverse }],
+        "nodes": [
+            { "mesh": 0, "skin": 0, "translation": [100, 100, 100], "children": [1, 2] },
+            { "translation": [-100, -100, -100] }, { "translation": [-100, -98, -100] },
+        ],
+        "animations": [clip],
+    });
+    let file = File::new(&b, &document);
+    let rest = [[-1.0, 0.0, 0.25], [1.0, 2.0, 0.25], [-0.5, 2.0, 0.25]];
+    near(bytemuck::cast_slice(file.rest().scene.meshes[0].positions()), rest.as_flattened(), 0.0);
+    // 0.5 s: weights (0.5, 0.25), joint 1 turned by 45°. Vertex 1 (1, 0, ½) turns to (h, h, ½), and up by 2; vertex 2
+    // (¼, 1, ½) is at (−¾, 1, ½) by joint 0, and at (h/4 − h, h/4 + h + 2, ½) by joint 1.
+    let h = half;
+    let expected = [[-1.0, 0.0, 0.5], [h, h + 2.0, 0.5], [(-0.75 - 0.75 * h) / 2.0, (3.0 + 1.25 * h) / 2.0, 0.5]];
+    file.positions(0.5, &expected);
+    file.positions(1.5, &[[-1.0, 0.0, 1.0], [0.0, 3.0, 1.0], [(-0.5 - 1.0) / 2.0, (1.0 + 2.5) / 2.0, 1.0]]);
+}
+
+#[test]
+fn translations_of_the_extension_come_after_morph_targets() {
+    let (mut b, attributes) = triangle();
+    let times = b.floats(&[[0.0f32], [1.0], [3.0]]);
+    let mut all = [[0.0f32; 3]; 9];
+    all[0] = [0.0, 0.0, 5.0];
+    all[4] = [1.0, 0.0, 0.0];
+    all[7] = [0.0, 4.0, 0.0];
+    let translations = b.floats(&all);
+    for (interpolation, moved) in [("LINEAR", [1.5, 1.0, 0.0]), ("STEP", [2.0, 0.0, 0.0])] {
+        let own = json!({ "times": times, "translations": translations, "interpolation": interpolation });
+        let document = json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "extensions": { HYBRID: own } }] }],
+            "extensionsUsed": [HYBRID],
+        });
+        let file = File::new(&b, &document);
+        // Nothing is played: the time is 0.
+        assert_eq!(file.rest().scene.meshes[0].positions()[0], Vec3::new(0.0, 0.0, 5.0));
+        let (a, b) = (file.at(1.0).scene, file.at(1.5).scene);
+        assert_eq!(a.meshes[0].positions()[1], Vec3::new(2.0, 0.0, 0.0));
+        let expected = if interpolation == "LINEAR" { [1.75, 1.0, 0.0] } else { moved };
+        near(&b.meshes[0].positions()[1].to_array(), &expected, 1e-6);
+    }
+}
+
+/// Two splats on a triangle that turns and one that hangs on a node of its own; `harmonics` is the frame of the bound ones.
+fn bound(harmonics: &str, damage: impl Fn(&mut Value)) -> File {
+    let (mut b, attributes) = triangle();
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
+    let lift = b.floats(&[[0.0f32, 0.0, 0.0], [0.0, 0.0, 2.0]]);
+    let mut splats = |means: &[[f32; 3]]| {
+        let n = means.len();
+        let mut splats = json!({
+            "POSITION": b.floats(means),
+            format!("{KHR_SPLATS}:ROTATION"): b.floats(&vec![[0.0f32, 0.0, 0.0, 1.0]; n]),
+            format!("{KHR_SPLATS}:SCALE"): b.floats(&vec![[0.1f32, 0.2, 0.3]; n]),
+            format!("{KHR_SPLATS}:OPACITY"): b.floats(&vec![[0.7f32]; n]),
+        });
+        for (l, m) in [(0, 0), (1, 0), (1, 1), (1, 2)] {
+            let values = vec![[0.1 + l as f32, 0.2 * m as f32, -0.3]; n];
+            splats[format!("{KHR_SPLATS}:SH_DEGREE_{l}_COEF_{m}")] = json!(b.floats(&values));
+        }
+        splats
+    };
+    // Frame of the triangle: columns x, z, −y, k = 1, c = (1/3, 1/3, 0). The splat is 0.5 above it.
+    let attached = splats(&[[1.0 / 3.0, 1.0 / 3.0, 0.5]]);
+    let free = splats(&[[1.0, 0.0, 0.0]]);
+    // Its axes in that frame: q(R)⁻¹, a quarter turn about x.
+    let binding = json!({
+        "node": 0, "triangleCount": 1,
+        "geometryDigest": geometry_digest(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+        "triangles": b.accessor(5125, "SCALAR", 1, &[0; 4]),
+        "translations": b.floats(&[[0.0f32, 0.5, 0.0]]),
+        "rotations": b.floats(&[[-half, 0.0, 0.0, half]]),
+        "scales": b.floats(&[[0.1f32, 0.2, 0.3]]),
+        "sphericalHarmonicsFrame": harmonics,
+    });
+    let clip = animation(
+        &mut b,
+        &[(0, "rotation", &[0.0, 1.0], turn, "LINEAR"), (2, "translation", &[0.0, 1.0], lift, "LINEAR")],
+    );
+    let khr = |extensions: Value| {
+        let space = "srgb_rec709_display";
+        json!({ KHR_SPLATS: { "kernel": "ellipse", "colorSpace": space, "extensions": extensions } })
+    };
+    let primitive = |attributes: &Value, extensions: Value| json!({ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": khr(extensions) }] });
+    let mut document = json!({
+        "meshes": [
+            { "primitives": [{ "attributes": attributes }] },
+            primitive(&attached, json!({ HYBRID: { "binding": binding } })),
+            primitive(&free, json!({})),
+        ],
+        "scenes": [{ "nodes": [0, 1, 2] }],
+        "nodes": [{ "mesh": 0 }, { "mesh": 1 }, { "mesh": 2 }],
+        "animations": [clip],
+        "extensionsUsed": [KHR_SPLATS, HYBRID],
+    });
+    damage(&mut document);
+    File::new(&b, &document)
+}
+
+#[test]
+fn splats_follow_their_triangle_or_their_node() {
+    for (harmonics, turns) in [("triangle", true), ("node", false)] {
+        let file = bound(harmonics, |_| ());
+        let rest = file.rest();
+        assert!(!rest.notes.iter().any(|note| note.contains("binding")), "{:?}", rest.notes);
+        // Where nothing has moved yet every bit is as it was.
+        assert_eq!(file.at(0.0).scene, rest.scene);
+        let posed = file.at(1.0).scene.splats;
+        // Turned by a quarter about z: the triangle's centre is at (−1/3, 1/3), and the splat above it.
+        near(&posed.means()[0].to_array(), &[-1.0 / 3.0, 1.0 / 3.0, 0.5], 1e-6);
+        near(&posed.means()[1].to_array(), &[1.0, 0.0, 2.0], 1e-6);
+        let expected = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2).as_quat();
+        assert!(posed.rotations()[0].dot(expected).abs() > 1.0 - 1e-6, "{}", posed.rotations()[0]);
+        assert_eq!(posed.rotations()[1], Quat::IDENTITY);
+        near(&posed.log_scales()[0].to_array(), &rest.scene.splats.log_scales()[0].to_array(), 1e-6);
+        // Band 1 is y, z, x with factors −, +, −: turned by a quarter, what pointed along x points along y.
+        let [y, z, x] = [1, 2, 3].map(|k| rest.scene.splats.sh_of(0)[k]);
+        let found = posed.sh_of(0);
+        let expected = if turns { [x, z, y.map(|v| -v)] } else { [y, z, x] };
+        for (found, expected) in found[1..].iter().zip(expected) {
+            near(found, &expected, 1e-6);
+        }
+        assert_eq!(posed.sh_of(1), rest.scene.splats.sh_of(1));
+    }
+}
+
+#[test]
+fn bindings_that_do_not_hold_are_ignored_and_said() {
+    let object =
+        "/meshes/1/primitives/0/extensions/KHR_gaussian_splatting/extensions/EXT_gaussian_splatting_hybrid/binding";
+    let with = |key: &str, value: Value| {
+        let file = bound("node", |document| document.pointer_mut(object).unwrap()[key] = value.clone());
+        let rest = file.rest();
+        assert_eq!(file.at(1.0).scene.splats.means()[0], rest.scene.splats.means()[0], "{key}");
+        rest.notes.join("; ")
+    };
+    assert!(
+        with("triangleCount", json!(2)).contains("binding: ignored: expected a binding of 1 triangles, found one of 2")
+    );
+    assert!(with("geometryDigest", json!("0123456789abcdef")).contains("found 0123456789abcdef"));
+    assert!(with("node", json!(2)).contains("expected triangles at node 2"));
+    assert!(with("frame", json!("other")).contains("found `other`"));
+    assert!(with("sphericalHarmonicsFrame", json!("other")).contains("found `other`"));
+    assert!(with("translations", json!(0)).contains("expected 1 elements, one per splat, found 3"));
+    assert!(with("scales", json!(99)).contains("/accessors"));
+}
+
+#[test]
+fn cameras_are_where_they_are_at_the_time() {
+    let file = bound("node", |document| {
+        document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 1, "znear": 0.1 } }]);
+        document["nodes"][2]["camera"] = json!(0);
+    });
+    let at = |time: f64| file.at(time).cameras[0].1.center();
+    assert!(at(0.5).abs_diff_eq(DVec3::new(0.0, 0.0, 1.0), 1e-9) && at(7.0).abs_diff_eq(DVec3::Z * 2.0, 1e-9));
+    let source = file.rest().source.unwrap();
+    let still = source.cameras(&file.path, &Sampling { time: Some(0.5), ..Sampling::default() }).unwrap();
+    assert_eq!((still.cameras.len(), still.fps, &still.times[..]), (1, None, &[][..]));
+    assert!(still.cameras[0].1.center().abs_diff_eq(DVec3::Z, 1e-9));
+    let shot = source.cameras(&file.path, &Sampling { fps: Some(4.0), ..Sampling::default() }).unwrap();
+    assert_eq!(shot.times, [0.0, 0.25, 0.5, 0.75, 1.0]);
+}
+
+#[test]
+fn a_pose_is_no_document() {
+    let file = bound("triangle", |_| ());
+    let posed = file.at(0.5);
+    let source = posed.source.as_ref().unwrap();
+    assert!(!source.moves() && !source.stands(&posed.scene, &posed.cameras));
+    let out = file.path.with_file_name("out.glb");
+    let options = WriteOptions { cameras: &posed.cameras, source: Some(source), ..WriteOptions::default() };
+    let report = write_scene(&out, &posed.scene, &options).unwrap();
+    let lost = report.loss.to_string();
+    assert!(lost.contains("1 animation") && lost.contains("bindings of splats"), "{lost}");
+    let back = read(&out).unwrap();
+    assert!(!back.source.unwrap().moves());
+    assert_eq!(back.scene.splats.means().len(), 2);
+    // As it rests it goes on as it was, animation and all.
+    let mut rest = read_file(&file.path, &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
+    // Half a turn about x to the frame that scenes are written in, and larger on the way.
+    let turn = Similarity::new(2.0, DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::ZERO).unwrap();
+    let mut source = rest.source.take().unwrap();
+    let moved = turn.scene(rest.scene).unwrap();
+    source.follow(turn.matrix(), &moved, &rest.cameras);
+    let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
+    let report = write_scene(&out, &moved, &options).unwrap();
+    assert!(report.loss.is_none(), "{}", report.loss);
+    let time = ReadOptions { time: Some(0.5), ..ReadOptions::default() };
+    let back = read_file(&out, &time).unwrap().scene;
+    let larger = Similarity::new(2.0, DMat3::IDENTITY, DVec3::ZERO).unwrap().scene(posed.scene).unwrap();
+    near(bytemuck::cast_slice(back.splats.means()), bytemuck::cast_slice(larger.splats.means()), 1e-6);
+    near(back.splats.sh().as_flattened(), larger.splats.sh().as_flattened(), 1e-6);
+    near(bytemuck::cast_slice(back.splats.log_scales()), bytemuck::cast_slice(larger.splats.log_scales()), 1e-6);
+    // And the document says of the scene that was moved what it shows.
+    let posed = source.at(&moved, 0.5).unwrap();
+    let upright = Similarity::new(1.0, DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::ZERO).unwrap();
+    let posed = upright.scene(posed).unwrap().splats;
+    near(bytemuck::cast_slice(posed.means()), bytemuck::cast_slice(larger.splats.means()), 1e-6);
+    near(posed.sh().as_flattened(), larger.splats.sh().as_flattened(), 1e-6);
+}
+
+#[test]
+fn what_cannot_be_shown_says_when() {
+    let file = bound("node", |document| document["nodes"][2]["scale"] = json!([1, 1, 1]));
+    let rest = file.rest();
+    let source = rest.source.unwrap();
+    let other = bound("node", |_| ()).rest().scene;
+    assert!(source.at(&other, 1.0).is_ok());
+    let fewer = HybridScene { meshes: vec![], ..other };
+    let error = source.at(&fewer, 1.25).unwrap_err().to_string();
+    assert_eq!(error, "at 1.25 s: meshes: expected 1 elements, found 0");
+    let ply = file.path.with_file_name("a.ply");
+    write_scene(&ply, &rest.scene, &WriteOptions::default()).unwrap();
+    let error = read_file(&ply, &ReadOptions { time: Some(1.0), ..ReadOptions::default() }).unwrap_err().to_string();
+    assert!(
+        error.ends_with("expected a .glb or .gltf, whose animations can be evaluated at a time, found PLY"),
+        "{error}"
+    );
+}

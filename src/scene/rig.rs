@@ -1,0 +1,437 @@
+//! What moves a scene: morph targets and bones under its surfaces, and splats that follow bones or triangles.
+//!
+//! A rig knows nothing of time, nor of where poses come from: glTF animations are one source (`format::gltf`), a tracked
+//! head of parametric shape would be another. It holds the scene's geometry before any pose; a [`Pose`] says where bones are
+//! and how much targets count.
+//!
+//! ```text
+//! p = base + Σ weightₜ · deltaₜ                            morph targets
+//! v = bone · p,   or   Σ wⱼ · boneⱼ · p / Σ wⱼ            one bone, or linear blend skinning
+//! mean, rotation, scale = k·R·t + c,  q(R)·q,  k·s         a splat on the triangle of frame (R, k, c), see [`Frame`]
+//! ```
+
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Quat, Vec3};
+use rayon::prelude::*;
+
+use super::placement::{Similarity, place, similarity, turn, turned};
+use super::{HybridScene, Mesh, SceneError, SplatArrays, check_len};
+
+/// A moment of a rig.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// Per bone, from the space in which what hangs on it is stored to the scene, column vectors. Of a joint of a skin:
+    /// its global transform times its inverse bind matrix.
+    pub bones: Vec<DMat4>,
+    /// Per weight of morph targets.
+    pub weights: Vec<f32>,
+}
+
+/// The geometry of a scene before it is posed, and what hangs on what.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rig {
+    /// One per mesh of the scene; `None`: it keeps still.
+    surfaces: Vec<Option<Form>>,
+    /// Splats that move; the others keep still.
+    followers: Vec<Followers>,
+    rest: Pose,
+}
+
+/// A surface before it is posed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Form {
+    /// Position of every vertex, in the space of its bones.
+    pub base: Vec<Vec3>,
+    /// What may be added to them.
+    pub targets: Vec<Target>,
+    /// What takes them to the scene.
+    pub carrier: Carrier,
+}
+
+/// A morph target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    /// Index in [`Pose::weights`].
+    pub weight: usize,
+    /// What a weight of 1 adds to each vertex.
+    pub deltas: Vec<Vec3>,
+}
+
+/// What takes vertices to the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Carrier {
+    /// All of them one bone.
+    Bone(usize),
+    /// Linear blend skinning. Weights of a vertex add up to more than 0; what they add up to is divided by.
+    Skin {
+        /// Bones per vertex.
+        width: usize,
+        /// `[vertices · width]`
+        bones: Vec<u32>,
+        /// `[vertices · width]`
+        weights: Vec<f32>,
+    },
+}
+
+impl Default for Carrier {
+    fn default() -> Self {
+        Self::Bone(0)
+    }
+}
+
+/// Consecutive splats that move.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Followers {
+    /// Which splats of the scene.
+    pub splats: Range<usize>,
+    /// What they follow.
+    pub leader: Leader,
+}
+
+/// What splats follow.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Leader {
+    /// A bone, as they are in the rest pose.
+    Bone(usize),
+    /// Triangles, one a splat.
+    Triangles(Binding),
+}
+
+/// Splats in the frames of triangles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Binding {
+    /// The mesh that the triangles are of.
+    pub surface: usize,
+    /// Three of its vertices per splat.
+    pub corners: Vec<[u32; 3]>,
+    /// Means in the frame of the triangle.
+    pub translations: Vec<Vec3>,
+    /// Orientations relative to it.
+    pub rotations: Vec<Quat>,
+    /// Linear scales relative to its size.
+    pub scales: Vec<Vec3>,
+    /// What their view dependence turns with.
+    pub harmonics: Harmonics,
+}
+
+/// What the view dependence of bound splats turns with.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Harmonics {
+    /// A bone.
+    Bone(usize),
+    /// The triangle: per splat, what turns the frame of the scene in the rest pose to that of the undeformed triangle.
+    Triangles(Vec<DQuat>),
+}
+
+/// What a triangle defines as a frame (S. Qian et al., `GaussianAvatars`, CVPR 2024; the extension's `edgeNormal`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Columns: along the first edge, the normal, and across both.
+    pub axes: DMat3,
+    /// Mean of the first edge and the height above it.
+    pub size: f64,
+    /// Mean of the corners.
+    pub center: DVec3,
+}
+
+impl Frame {
+    /// Of corners in their order; `None` if they are on a line.
+    #[must_use]
+    pub fn of(corners: [DVec3; 3]) -> Option<Self> {
+        let [v0, v1, v2] = corners;
+        let (e, u) = (v1 - v0, v2 - v0);
+        let a0 = e.try_normalize()?;
+        let a1 = a0.cross(u).try_normalize()?;
+        let a2 = a0.cross(a1);
+        let axes = DMat3::from_cols(a0, a1, a2);
+        Some(Self { axes, size: 0.5 * (e.length() + a2.dot(u).abs()), center: (v0 + v1 + v2) / 3.0 })
+    }
+}
+
+/// Logit of splats that are not drawn, far below the least opacity that is.
+const HIDDEN: f32 = -100.0;
+
+impl Rig {
+    /// * `surfaces`: one per mesh of the scene.
+    /// * `rest`: the pose in which the scene is as it is stored.
+    ///
+    /// # Errors
+    /// If lengths differ or an index is out of range.
+    pub fn new(surfaces: Vec<Option<Form>>, followers: Vec<Followers>, rest: Pose) -> Result<Self, SceneError> {
+        let below = |what: &str, index: usize, count: usize| {
+            let fault = || SceneError::new(what, format!("an index below {count}"), index.to_string());
+            if index < count { Ok(()) } else { Err(fault()) }
+        };
+        let (bones, weights) = (rest.bones.len(), rest.weights.len());
+        for form in surfaces.iter().flatten() {
+            let vertices = form.base.len();
+            for target in &form.targets {
+                check_len("deltas", target.deltas.len(), vertices)?;
+                below("weight", target.weight, weights)?;
+            }
+            match &form.carrier {
+                Carrier::Bone(bone) => below("bone", *bone, bones)?,
+                Carrier::Skin { width, bones: joints, weights } => {
+                    check_len("bones of a skin", joints.len(), vertices * width)?;
+                    check_len("weights of a skin", weights.len(), vertices * width)?;
+                    joints.iter().try_for_each(|&b| below("bone", b as usize, bones))?;
+                }
+            }
+        }
+        for part in &followers {
+            match &part.leader {
+                Leader::Bone(bone) => below("bone", *bone, bones)?,
+                Leader::Triangles(binding) => {
+                    let n = part.splats.len();
+                    below("surface", binding.surface, surfaces.len())?;
+                    check_len("corners", binding.corners.len(), n)?;
+                    check_len("translations", binding.translations.len(), n)?;
+                    check_len("rotations", binding.rotations.len(), n)?;
+                    check_len("scales", binding.scales.len(), n)?;
+                    match &binding.harmonics {
+                        Harmonics::Bone(bone) => below("bone", *bone, bones)?,
+                        Harmonics::Triangles(turns) => check_len("harmonics", turns.len(), n)?,
+                    }
+                }
+            }
+        }
+        Ok(Self { surfaces, followers, rest })
+    }
+
+    /// One per mesh; `None` keeps still.
+    #[must_use]
+    pub fn surfaces(&self) -> &[Option<Form>] {
+        &self.surfaces
+    }
+
+    /// Splats that move.
+    #[must_use]
+    pub fn followers(&self) -> &[Followers] {
+        &self.followers
+    }
+
+    /// The pose in which the scene is as it is stored.
+    #[must_use]
+    pub fn rest(&self) -> &Pose {
+        &self.rest
+    }
+
+    /// The scene in a pose; `scene` is that in the rest pose, after it has been moved by `moved`, a similarity. What `pose`
+    /// leaves where it rests keeps its bits.
+    ///
+    /// # Errors
+    /// If the scene or the pose is not that of this rig, or bones are where splats cannot follow them: sheared, mirrored or
+    /// scaled unevenly.
+    pub fn pose(&self, scene: &HybridScene, pose: &Pose, moved: DMat4) -> Result<HybridScene, SceneError> {
+        check_len("bones", pose.bones.len(), self.rest.bones.len())?;
+        check_len("weights", pose.weights.len(), self.rest.weights.len())?;
+        check_len("meshes", scene.meshes.len(), self.surfaces.len())?;
+        let meshes = self.surfaces.iter().zip(&scene.meshes).map(|(form, mesh)| match form {
+            Some(form) if form.moves(pose, &self.rest) => self.posed(form, mesh, pose, moved),
+            _ => Ok(mesh.clone()),
+        });
+        let meshes = meshes.collect::<Result<Vec<_>, _>>()?;
+        let mut splats = scene.splats.clone().into_arrays();
+        for Followers { splats: these, leader } in &self.followers {
+            if these.end > splats.means.len() {
+                return Err(SceneError::new(
+                    "splats",
+                    format!("at least {}", these.end),
+                    splats.means.len().to_string(),
+                ));
+            }
+            match leader {
+                Leader::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved)?,
+                Leader::Triangles(binding) => {
+                    let surfaces = (&scene.meshes[binding.surface], &meshes[binding.surface]);
+                    self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, moved)?;
+                }
+            }
+        }
+        Ok(HybridScene { splats: splats.check()?, meshes, composition: scene.composition })
+    }
+
+    fn posed(&self, form: &Form, mesh: &Mesh, pose: &Pose, moved: DMat4) -> Result<Mesh, SceneError> {
+        check_len("positions", mesh.positions().len(), form.base.len())?;
+        let mut atlas = mesh.atlas().clone();
+        if let Carrier::Bone(bone) = form.carrier
+            && atlas.sh_degree() > 0
+        {
+            let Some(Similarity { rotation, .. }) = self.since_rest(bone, pose, moved).and_then(similarity) else {
+                return Err(no_similarity("a mesh with view-dependent colour"));
+            };
+            atlas = turned(&atlas, rotation)?;
+        }
+        let mut positions = form.positions(pose);
+        if moved != DMat4::IDENTITY {
+            positions.par_iter_mut().for_each(|p| *p = moved.transform_point3(p.as_dvec3()).as_vec3());
+        }
+        Mesh::new(positions, mesh.triangles().to_vec(), mesh.corner_uvs().to_vec(), atlas)
+    }
+
+    /// What takes a thing on a bone from where it rests to where it is; `None` if the bone has no extent where it rests.
+    fn since_rest(&self, bone: usize, pose: &Pose, moved: DMat4) -> Option<DMat4> {
+        let (now, rest) = (pose.bones[bone], self.rest.bones[bone]);
+        if now == rest {
+            return Some(DMat4::IDENTITY);
+        }
+        let inverse = (moved * rest).inverse();
+        inverse.is_finite().then(|| moved * now * inverse)
+    }
+
+    fn follow_bone(
+        &self,
+        splats: &mut SplatArrays,
+        these: Range<usize>,
+        bone: usize,
+        pose: &Pose,
+        moved: DMat4,
+    ) -> Result<(), SceneError> {
+        // Scaled to nothing, as things are made to disappear.
+        if pose.bones[bone].determinant() == 0.0 {
+            splats.opacity_logits[these].fill(HIDDEN);
+            return Ok(());
+        }
+        let transform = self.since_rest(bone, pose, moved);
+        let placed = transform.is_some_and(|transform| place(splats, these, transform));
+        if placed { Ok(()) } else { Err(no_similarity("splats")) }
+    }
+
+    fn follow_triangles(
+        &self,
+        splats: &mut SplatArrays,
+        first: usize,
+        binding: &Binding,
+        (rest, now): (&Mesh, &Mesh),
+        pose: &Pose,
+        moved: DMat4,
+    ) -> Result<(), SceneError> {
+        let bone_turn = match binding.harmonics {
+            Harmonics::Bone(bone) => {
+                let turn = self.since_rest(bone, pose, moved).and_then(similarity);
+                turn.ok_or_else(|| no_similarity("bound splats"))?.rotation
+            }
+            Harmonics::Triangles(_) => DQuat::IDENTITY,
+        };
+        let unmoved = similarity(moved).map_or(DQuat::IDENTITY, |s| s.rotation.inverse());
+        for (j, &corners) in binding.corners.iter().enumerate() {
+            let i = first + j;
+            let at = |mesh: &Mesh| corners.map(|v| mesh.positions().get(v as usize).copied());
+            let places = at(now);
+            let turned_by = if places == at(rest) {
+                bone_turn
+            } else {
+                let corners = places.map(|p| p.unwrap_or_default().as_dvec3());
+                let Some(frame) = Frame::of(corners) else {
+                    splats.opacity_logits[i] = HIDDEN;
+                    continue;
+                };
+                let rotation = DQuat::from_mat3(&frame.axes);
+                let mean = frame.size * (frame.axes * binding.translations[j].as_dvec3()) + frame.center;
+                splats.means[i] = mean.as_vec3();
+                splats.rotations[i] = (rotation * binding.rotations[j].as_dquat()).normalize().as_quat();
+                let log_scale = (frame.size * binding.scales[j].as_dvec3()).to_array().map(f64::ln);
+                splats.log_scales[i] = DVec3::from(log_scale).max(DVec3::splat(LEAST_LOG_SCALE)).as_vec3();
+                match &binding.harmonics {
+                    Harmonics::Bone(_) => bone_turn,
+                    Harmonics::Triangles(turns) => rotation * turns[j] * unmoved,
+                }
+            };
+            turn(splats, i..i + 1, turned_by);
+        }
+        Ok(())
+    }
+}
+
+/// Of scales of 0, whose logarithm is not finite: that of the least normal f32.
+const LEAST_LOG_SCALE: f64 = -87.336_544;
+
+fn no_similarity(what: &str) -> SceneError {
+    let expected = "bones that turn, shift and scale evenly";
+    SceneError::new(what, expected, "another transform")
+}
+
+impl Form {
+    /// Whether anything that it hangs on is elsewhere than in the other pose.
+    fn moves(&self, pose: &Pose, other: &Pose) -> bool {
+        let differs = |bone: usize| pose.bones[bone] != other.bones[bone];
+        let is_carried = match &self.carrier {
+            Carrier::Bone(bone) => differs(*bone),
+            Carrier::Skin { bones, .. } => {
+                let any: Vec<bool> = (0..pose.bones.len()).map(differs).collect();
+                any.contains(&true) && bones.iter().any(|&b| any[b as usize])
+            }
+        };
+        is_carried || self.targets.iter().any(|t| pose.weights[t.weight].to_bits() != other.weights[t.weight].to_bits())
+    }
+
+    /// Positions in the scene, `[V]`.
+    ///
+    /// # Panics
+    /// If the pose has fewer bones or weights than this refers to.
+    #[must_use]
+    pub fn positions(&self, pose: &Pose) -> Vec<Vec3> {
+        let mut positions = self.base.clone();
+        for target in &self.targets {
+            let weight = pose.weights[target.weight];
+            if weight != 0.0 {
+                positions.par_iter_mut().zip(&target.deltas).for_each(|(p, d)| *p += weight * *d);
+            }
+        }
+        match &self.carrier {
+            Carrier::Bone(bone) => {
+                let bone = pose.bones[*bone];
+                if bone != DMat4::IDENTITY {
+                    positions.par_iter_mut().for_each(|p| *p = bone.transform_point3(p.as_dvec3()).as_vec3());
+                }
+            }
+            Carrier::Skin { width, bones, weights } => {
+                let influences = bones.par_chunks_exact(*width).zip(weights.par_chunks_exact(*width));
+                positions.par_iter_mut().zip(influences).for_each(|(p, (bones, weights))| {
+                    let (mut sum, mut total) = (DVec3::ZERO, 0.0);
+                    for (&bone, &weight) in bones.iter().zip(weights).filter(|(_, w)| **w != 0.0) {
+                        sum += f64::from(weight)
+                            * (pose.bones[bone as usize] * DVec4::from((p.as_dvec3(), 1.0))).truncate();
+                        total += f64::from(weight);
+                    }
+                    // Quantised weights add up to 1 but for their rounding.
+                    *p = (sum / total).as_vec3();
+                });
+            }
+        }
+        positions
+    }
+
+    /// What it takes in memory.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        let width = if let Carrier::Skin { width, .. } = self.carrier { width } else { 0 };
+        (self.base.len() * (12 * (1 + self.targets.len()) + 8 * width)) as u64
+    }
+
+    /// The same with only these vertices, in this order.
+    #[must_use]
+    pub fn gather(&self, vertices: &[usize]) -> Self {
+        fn pick<T: Copy>(values: &[T], width: usize, vertices: &[usize]) -> Vec<T> {
+            vertices.iter().flat_map(|&v| values[v * width..(v + 1) * width].iter().copied()).collect()
+        }
+        let targets = self.targets.iter();
+        let carrier = match &self.carrier {
+            Carrier::Bone(bone) => Carrier::Bone(*bone),
+            Carrier::Skin { width, bones, weights } => Carrier::Skin {
+                width: *width,
+                bones: pick(bones, *width, vertices),
+                weights: pick(weights, *width, vertices),
+            },
+        };
+        Self {
+            base: pick(&self.base, 1, vertices),
+            targets: targets.map(|t| Target { weight: t.weight, deltas: pick(&t.deltas, 1, vertices) }).collect(),
+            carrier,
+        }
+    }
+}

@@ -1,0 +1,246 @@
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use glam::Vec2;
+
+use super::*;
+use crate::scene::{Atlas, Composition, Splats, Texture, sh};
+
+fn mesh(positions: &[Vec3], degree: u32) -> Mesh {
+    let base = Texture::new(1, 1, 4, vec![0.1, 0.2, 0.3, 0.4]).unwrap();
+    let channels = 3 * (sh::coefficients(degree) as u32 - 1);
+    let bands = (degree > 0)
+        .then(|| Texture::new(1, 1, channels, (0..channels).map(|c| 0.1 * c as f32 - 0.3).collect()).unwrap());
+    let triangles: Vec<[u32; 3]> = (2..positions.len() as u32).map(|v| [0, v - 1, v]).collect();
+    let uvs = vec![[Vec2::ZERO; 3]; triangles.len()];
+    Mesh::new(positions.to_vec(), triangles, uvs, Atlas::new(base, bands).unwrap()).unwrap()
+}
+
+fn one_splat(mean: Vec3, rotation: Quat, scale: f32) -> Splats {
+    let harmonics = (0..16).map(|k| [0.1 * k as f32 - 0.7, 0.3, 0.05 * k as f32]).collect();
+    let log_scale = Vec3::new(scale, 2.0 * scale, 0.5 * scale).map(f32::ln);
+    Splats::new(vec![mean], vec![rotation], vec![log_scale], vec![1.5], 3, harmonics).unwrap()
+}
+
+fn scene(splats: Splats, meshes: Vec<Mesh>) -> HybridScene {
+    HybridScene { splats, meshes, composition: Composition::default() }
+}
+
+fn similarity_of(scale: f64, rotation: DQuat, translation: DVec3) -> DMat4 {
+    DMat4::from_scale_rotation_translation(DVec3::splat(scale), rotation, translation)
+}
+
+const CORNERS: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::new(0.25, 0.5, 0.0)];
+
+/// A triangle and a splat on it, both of one bone and one morph target.
+fn bound(harmonics: Harmonics) -> (HybridScene, Rig) {
+    let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
+    let (translation, rotation, scale) =
+        (Vec3::new(0.1, 0.3, -0.2), Quat::from_euler(glam::EulerRot::XYZ, 0.3, -0.5, 1.1), 0.2);
+    let mean = (frame.size * (frame.axes * translation.as_dvec3()) + frame.center).as_vec3();
+    let placed = (DQuat::from_mat3(&frame.axes) * rotation.as_dquat()).as_quat();
+    let splats = one_splat(mean, placed, scale * frame.size as f32);
+    let binding = Binding {
+        surface: 0,
+        corners: vec![[0, 1, 2]],
+        translations: vec![translation],
+        rotations: vec![rotation],
+        scales: vec![Vec3::new(1.0, 2.0, 0.5) * scale],
+        harmonics,
+    };
+    let form = Form {
+        base: CORNERS.to_vec(),
+        targets: vec![Target { weight: 0, deltas: vec![Vec3::ZERO, Vec3::ZERO, Vec3::Y] }],
+        carrier: Carrier::Bone(0),
+    };
+    let rest = Pose { bones: vec![DMat4::IDENTITY; 2], weights: vec![0.0] };
+    let followers = vec![Followers { splats: 0..1, leader: Leader::Triangles(binding) }];
+    (scene(splats, vec![mesh(&CORNERS, 0)]), Rig::new(vec![Some(form)], followers, rest).unwrap())
+}
+
+#[track_caller]
+fn near(a: impl Into<DVec3>, b: impl Into<DVec3>, tolerance: f64) {
+    let (a, b) = (a.into(), b.into());
+    assert!(a.abs_diff_eq(b, tolerance), "{a}, expected {b}");
+}
+
+/// Difference of two scenes' splats, as what they are: means, covariances and colours.
+#[track_caller]
+fn same_splats(a: &Splats, b: &Splats, tolerance: f32) {
+    for i in 0..a.len() {
+        near(a.means()[i].as_dvec3(), b.means()[i].as_dvec3(), f64::from(tolerance));
+        near(a.log_scales()[i].as_dvec3(), b.log_scales()[i].as_dvec3(), f64::from(tolerance));
+        assert!(a.rotations()[i].dot(b.rotations()[i]).abs() > 1.0 - tolerance * tolerance - 1e-6);
+        for (x, y) in a.sh_of(i).iter().flatten().zip(b.sh_of(i).iter().flatten()) {
+            assert!((x - y).abs() <= tolerance, "{x} {y}");
+        }
+    }
+}
+
+#[test]
+fn a_triangles_frame_is_that_of_the_extension() {
+    // The check that its text gives.
+    let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
+    assert_eq!(frame.axes, DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
+    assert_eq!(frame.size, 0.75);
+    near(frame.center, DVec3::new(0.416_666_667, 0.166_666_667, 0.0), 1e-9);
+    assert_eq!(Frame::of([DVec3::ZERO, DVec3::ZERO, DVec3::Y]), None);
+    assert_eq!(Frame::of([DVec3::ZERO, DVec3::X, DVec3::X * 3.0]), None);
+}
+
+#[test]
+fn skins_blend_linearly_after_morph_targets() {
+    let form = Form {
+        base: vec![Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 2.0, 0.0)],
+        targets: vec![
+            Target { weight: 1, deltas: vec![Vec3::Z, Vec3::Z] },
+            Target { weight: 0, deltas: vec![Vec3::X, Vec3::ZERO] },
+        ],
+        // Weights need not add up to 1; one of 0 names no bone.
+        carrier: Carrier::Skin { width: 2, bones: vec![0, 1, 1, 0], weights: vec![0.5, 1.5, 0.25, 0.0] },
+    };
+    let turn = similarity_of(2.0, DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2), DVec3::new(0.0, 0.0, 1.0));
+    let pose = Pose { bones: vec![DMat4::from_translation(DVec3::new(0.0, 4.0, 0.0)), turn], weights: vec![3.0, 0.5] };
+    // Vertex 0 is (1 + 3, 0, 0.5); bone 0 takes it to (4, 4, 0.5), bone 1 to (0, 8, 2): a quarter and three quarters.
+    // Vertex 1 is (0, 2, 0.5), taken to (−4, 0, 2).
+    let found = form.positions(&pose);
+    near(found[0].as_dvec3(), DVec3::new(1.0, 7.0, 1.625), 1e-6);
+    near(found[1].as_dvec3(), DVec3::new(-4.0, 0.0, 2.0), 1e-6);
+    let gathered = form.gather(&[1, 1, 0]).positions(&pose);
+    assert_eq!(gathered, [found[1], found[1], found[0]]);
+}
+
+#[test]
+fn what_rests_keeps_its_bits() {
+    let (rest, rig) = bound(Harmonics::Triangles(vec![DQuat::IDENTITY]));
+    assert_eq!(rig.pose(&rest, rig.rest(), DMat4::IDENTITY).unwrap(), rest);
+    // And where the scene as a whole has been moved.
+    let moved = similarity_of(1.7, DQuat::from_rotation_x(0.3), DVec3::ONE);
+    assert_eq!(rig.pose(&rest, rig.rest(), moved).unwrap(), rest);
+}
+
+#[test]
+fn bound_splats_move_as_their_triangle_does() {
+    let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
+    let undeformed = vec![DQuat::from_mat3(&frame.axes.transpose())];
+    let (rest, rig) = bound(Harmonics::Triangles(undeformed));
+    let transform = similarity_of(1.9, DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.4, -0.8), DVec3::new(3., -1., 2.));
+    let pose = Pose { bones: vec![transform, DMat4::IDENTITY], weights: vec![0.0] };
+    let posed = rig.pose(&rest, &pose, DMat4::IDENTITY).unwrap();
+    // All of it, as if somebody had moved the scene.
+    let mut expected = rest.splats.clone().into_arrays();
+    assert!(place(&mut expected, 0..1, transform));
+    same_splats(&posed.splats, &expected.check().unwrap(), 3e-6);
+    near(posed.meshes[0].positions()[1].as_dvec3(), transform.transform_point3(DVec3::X), 1e-6);
+
+    // A target that raises a corner stretches the frame: by hand, v₂ = (0.25, 1.5, 0), k = (1 + 1.5)/2.
+    let pose = Pose { weights: vec![1.0], ..rig.rest().clone() };
+    let posed = rig.pose(&rest, &pose, DMat4::IDENTITY).unwrap();
+    // R·t = (0.1, 0.2, 0.3), for columns x, z, −y; c = (1.25, 1.5, 0)/3.
+    near(posed.splats.means()[0].as_dvec3(), DVec3::new(0.125 + 1.25 / 3.0, 0.25 + 0.5, 0.375), 1e-6);
+    let scales = Vec3::new(1.0, 2.0, 0.5) * 0.2 * 1.25;
+    near(posed.splats.log_scales()[0].as_dvec3(), scales.map(f32::ln).as_dvec3(), 1e-6);
+    // It has not turned, so that orientation and colours stay.
+    assert!(posed.splats.rotations()[0].dot(rest.splats.rotations()[0]).abs() > 1.0 - 1e-6);
+    for (a, b) in posed.splats.sh().iter().flatten().zip(rest.splats.sh().iter().flatten()) {
+        assert!((a - b).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn harmonics_turn_with_what_they_are_said_to() {
+    // With a bone that keeps still colours do, whatever the triangle does.
+    let (rest, rig) = bound(Harmonics::Bone(1));
+    let turn = DMat4::from_quat(DQuat::from_rotation_y(1.0));
+    let posed = rig.pose(&rest, &Pose { bones: vec![turn, DMat4::IDENTITY], weights: vec![0.0] }, DMat4::IDENTITY);
+    assert_eq!(posed.unwrap().splats.sh(), rest.splats.sh());
+    // With one that turns they do, though the triangle keeps still.
+    let posed = rig.pose(&rest, &Pose { bones: vec![DMat4::IDENTITY, turn], weights: vec![0.0] }, DMat4::IDENTITY);
+    let posed = posed.unwrap().splats;
+    let mut expected = rest.splats.sh().to_vec();
+    sh::Rotation::new(DMat3::from_rotation_y(1.0)).apply(&mut expected[1..]);
+    for (a, b) in posed.sh().iter().flatten().zip(expected.iter().flatten()) {
+        assert!((a - b).abs() < 1e-6);
+    }
+    assert_eq!((posed.means(), posed.rotations()), (rest.splats.means(), rest.splats.rotations()));
+}
+
+#[test]
+fn a_scene_that_was_moved_is_posed_where_it_is() {
+    let moved = similarity_of(0.4, DQuat::from_euler(glam::EulerRot::YXZ, -1.0, 0.7, 0.2), DVec3::new(-5.0, 1.0, 0.3));
+    let bone = similarity_of(1.2, DQuat::from_rotation_x(1.4), DVec3::new(0.5, 0.0, 1.0));
+    let pose = Pose { bones: vec![bone, DMat4::from_quat(DQuat::from_rotation_z(0.6))], weights: vec![0.7] };
+    let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
+    let by = |rest: &HybridScene| {
+        let mut splats = rest.splats.clone().into_arrays();
+        assert!(place(&mut splats, 0..1, moved));
+        let positions: Vec<Vec3> =
+            rest.meshes[0].positions().iter().map(|p| moved.transform_point3(p.as_dvec3()).as_vec3()).collect();
+        scene(splats.check().unwrap(), vec![mesh(&positions, 0)])
+    };
+    for harmonics in [Harmonics::Bone(1), Harmonics::Triangles(vec![DQuat::from_mat3(&frame.axes.transpose())])] {
+        let (rest, rig) = bound(harmonics);
+        let then_moved = by(&rig.pose(&rest, &pose, DMat4::IDENTITY).unwrap());
+        let then_posed = rig.pose(&by(&rest), &pose, moved).unwrap();
+        same_splats(&then_moved.splats, &then_posed.splats, 5e-6);
+        for (a, b) in then_moved.meshes[0].positions().iter().zip(then_posed.meshes[0].positions()) {
+            near(a.as_dvec3(), b.as_dvec3(), 2e-6);
+        }
+    }
+}
+
+#[test]
+fn splats_on_a_bone_and_maps_turn_with_it() {
+    let splats = one_splat(Vec3::new(1.0, 2.0, 3.0), Quat::from_rotation_x(0.2), 0.3);
+    let rest_bone = similarity_of(2.0, DQuat::from_rotation_z(0.3), DVec3::X);
+    let form = Form { base: CORNERS.to_vec(), targets: vec![], carrier: Carrier::Bone(0) };
+    let rest = Pose { bones: vec![rest_bone], weights: vec![] };
+    let scene = scene(splats, vec![mesh(&form.positions(&rest), 2)]);
+    let followers = vec![Followers { splats: 0..1, leader: Leader::Bone(0) }];
+    let rig = Rig::new(vec![Some(form)], followers, rest).unwrap();
+    let by = similarity_of(0.5, DQuat::from_rotation_y(0.9), DVec3::Z);
+    let posed = rig.pose(&scene, &Pose { bones: vec![by * rest_bone], weights: vec![] }, DMat4::IDENTITY).unwrap();
+    let mut expected = scene.splats.clone().into_arrays();
+    assert!(place(&mut expected, 0..1, by));
+    same_splats(&posed.splats, &expected.check().unwrap(), 2e-6);
+    let expected = turned(scene.meshes[0].atlas(), DQuat::from_rotation_y(0.9)).unwrap();
+    let texels = |atlas: &Atlas| atlas.bands().unwrap().texels().to_vec();
+    for (a, b) in texels(posed.meshes[0].atlas()).iter().zip(texels(&expected)) {
+        assert!((a - b).abs() < 1e-6);
+    }
+    // Scaled to nothing they are not there; sheared, they cannot be shown.
+    let nothing = Pose { bones: vec![DMat4::from_scale(DVec3::splat(0.0))], weights: vec![] };
+    let shear = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0))], weights: vec![] };
+    let hidden = Rig::new(vec![None], rig.followers().to_vec(), rig.rest().clone()).unwrap();
+    assert_eq!(hidden.pose(&scene, &nothing, DMat4::IDENTITY).unwrap().splats.opacity_logits(), [HIDDEN]);
+    let error = hidden.pose(&scene, &shear, DMat4::IDENTITY).unwrap_err().to_string();
+    assert_eq!(error, "splats: expected bones that turn, shift and scale evenly, found another transform");
+}
+
+#[test]
+fn a_splat_on_a_triangle_without_area_is_not_drawn() {
+    let (rest, rig) = bound(Harmonics::Bone(1));
+    let flat = Pose { weights: vec![-0.5], ..rig.rest().clone() };
+    let posed = rig.pose(&rest, &flat, DMat4::IDENTITY).unwrap();
+    assert_eq!(posed.splats.opacity_logits(), [HIDDEN]);
+}
+
+#[test]
+fn what_does_not_fit_together_is_refused() {
+    let (rest, rig) = bound(Harmonics::Bone(1));
+    let with = |change: &dyn Fn(&mut Form, &mut Followers)| {
+        let (mut form, mut followers) = (rig.surfaces()[0].clone().unwrap(), rig.followers()[0].clone());
+        change(&mut form, &mut followers);
+        Rig::new(vec![Some(form)], vec![followers], rig.rest().clone()).map(|_| ()).map_err(|e| e.to_string())
+    };
+    assert_eq!(with(&|_, _| ()), Ok(()));
+    assert_eq!(with(&|f, _| f.carrier = Carrier::Bone(2)), Err("bone: expected an index below 2, found 2".to_owned()));
+    assert!(with(&|f, _| f.targets[0].weight = 1).unwrap_err().starts_with("weight:"));
+    assert!(with(&|f, _| f.targets[0].deltas.push(Vec3::X)).unwrap_err().starts_with("deltas:"));
+    assert!(with(&|_, f| f.splats = 0..2).unwrap_err().starts_with("corners:"));
+    assert!(with(&|_, f| f.leader = Leader::Bone(7)).unwrap_err().starts_with("bone:"));
+    assert!(rig.pose(&rest, &Pose::default(), DMat4::IDENTITY).is_err());
+    let none = scene(Splats::empty(3), rest.meshes.clone());
+    assert!(rig.pose(&none, rig.rest(), DMat4::IDENTITY).is_err());
+    let less = scene(rest.splats.clone(), vec![]);
+    assert!(rig.pose(&less, rig.rest(), DMat4::IDENTITY).is_err());
+}

@@ -1,0 +1,151 @@
+//! Scenes that move, as a user meets them: inspected, converted at a time, rendered while they move.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod common;
+
+use std::path::Path;
+
+use centaur::format::gltf;
+use common::stderr;
+use glam::Vec3;
+use serde_json::{Value, json};
+
+/// A triangle that slides by 2 along x in a second, on a node that is there twice, and a camera that keeps still.
+fn write_slide(folder: &Path) {
+    let positions: [f32; 9] = [-1.0, -1.0, -4.0, 1.0, -1.0, -4.0, 0.0, 1.0, -4.0];
+    let (times, slide): ([f32; 2], [f32; 6]) = ([0.0, 1.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    let bytes: Vec<u8> = positions.iter().chain(&times).chain(&slide).flat_map(|v| v.to_le_bytes()).collect();
+    std::fs::write(folder.join("a.bin"), &bytes).unwrap();
+    let view = |offset: usize, length: usize| json!({ "buffer": 0, "byteOffset": offset, "byteLength": length });
+    let accessor = |view: usize, kind: &str, count: usize| json!({ "bufferView": view, "componentType": 5126, "type": kind, "count": count, "min": [-1, -1, -4], "max": [2, 1, 0] });
+    let optics = json!({ "width": 32, "height": 24, "fx": 30, "fy": 30, "cx": 16, "cy": 12 });
+    let document = json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0, 1] }],
+        "nodes": [{ "mesh": 0 }, { "name": "front", "camera": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "material": 0 }] }],
+        "materials": [{ "doubleSided": true, "extensions": { "KHR_materials_unlit": {} } }],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 0.8, "aspectRatio": 1.25, "znear": 0.1 } }],
+        "animations": [{
+            "name": "slide", "samplers": [{ "input": 1, "output": 2 }],
+            "channels": [{ "sampler": 0, "target": { "node": 0, "path": "translation" } }],
+        }],
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "accessors": [accessor(0, "VEC3", 3), accessor(1, "SCALAR", 2), accessor(2, "VEC3", 2)],
+        "bufferViews": [view(0, 36), view(36, 8), view(44, 24)],
+        "buffers": [{ "byteLength": bytes.len(), "uri": "a.bin" }],
+    });
+    let mut document = document;
+    document["accessors"][1]["min"] = json!([0]);
+    document["accessors"][1]["max"] = json!([1]);
+    let pose = json!({ "rotation": [1, 0, 0, 0, -1, 0, 0, 0, -1], "translation": [0, 0, 0] });
+    let mut extras = optics;
+    extras.as_object_mut().unwrap().extend(pose.as_object().unwrap().clone());
+    document["cameras"][0]["extras"] = json!({ "centaur": extras });
+    std::fs::write(folder.join("a.gltf"), document.to_string()).unwrap();
+}
+
+fn run(folder: &Path, args: &str) -> String {
+    let output = common::centaur(folder).args(args.split(' ')).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{args}: {}", stderr(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn failure(folder: &Path, args: &str) -> String {
+    common::failure(folder, common::centaur(folder).args(args.split(' ')))
+}
+
+fn as_json(folder: &Path, args: &str) -> Value {
+    serde_json::from_str(&run(folder, &format!("{args} --json"))).unwrap()
+}
+
+#[test]
+fn animations_are_named_with_their_lengths() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    assert!(run(folder.path(), "inspect a.gltf").contains("├ animation: slide, 1.000 s, 1 channels"));
+    let clip = &as_json(folder.path(), "inspect a.gltf")["document"]["animations"][0];
+    assert_eq!(*clip, json!({ "name": "slide", "range": [0.0, 1.0], "channels": 1 }));
+}
+
+#[test]
+fn a_pose_is_baked_and_what_moved_it_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let lost = as_json(folder.path(), "convert a.gltf posed.glb --time 0.75")["loss"]["document"].clone();
+    assert_eq!(lost[0], "1 animation", "{lost}");
+    let posed = gltf::read(&folder.path().join("posed.glb")).unwrap();
+    // y down, where it was y up.
+    assert_eq!(posed.scene.meshes[0].positions()[2], Vec3::new(1.5, -1.0, 4.0));
+    assert!(posed.source.unwrap().clips().is_empty());
+    // The document as it is has lost nothing.
+    assert_eq!(as_json(folder.path(), "convert a.gltf whole.glb --strict")["lossless"], true);
+    let whole = gltf::read(&folder.path().join("whole.glb")).unwrap();
+    assert!(whole.source.unwrap().moves());
+
+    // Mitsuba holds one pose; Blender moves.
+    let lost = as_json(folder.path(), "convert a.gltf a.xml")["loss"]["document"].clone();
+    assert_eq!(lost, json!(["1 animation"]));
+    assert_eq!(
+        failure(folder.path(), "convert a.gltf a.xml --strict"),
+        "error: a.xml: --strict: a .xml would lose 1 animation"
+    );
+    let outcome = as_json(folder.path(), "convert a.gltf a.blend.py --strict");
+    assert!(outcome["beside"].as_array().unwrap().contains(&json!("a_motion.npz")), "{outcome}");
+    let script = std::fs::read_to_string(folder.path().join("a.blend.py")).unwrap();
+    assert!(script.contains(r#""frames":31"#) && script.contains(r#""meshes":[0]"#));
+    let arrays = std::fs::read(folder.path().join("a_motion.npz")).unwrap();
+    assert!(arrays.starts_with(b"PK"));
+    // What was changed otherwise than by moving it keeps still, and says so.
+    let outcome = as_json(folder.path(), "convert a.gltf b.blend.py --scale 2 --rotate 10,20,30");
+    assert!(outcome["loss"]["document"].as_array().unwrap().is_empty(), "{outcome}");
+    let outcome = as_json(folder.path(), "convert a.gltf c.blend.py --keep-box -9,-9,-9,9,9,9 --time 0.5");
+    assert_eq!(outcome["loss"]["document"], json!(["1 animation"]));
+    assert!(!folder.path().join("c_motion.npz").exists());
+}
+
+#[test]
+fn exact_exports_are_not_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    run(folder.path(), "convert a.gltf posed.glb --time 0.5");
+    for name in ["posed.xml", "posed.blend.py"] {
+        assert!(run(folder.path(), &format!("convert posed.glb {name} --strict")).contains("lost: nothing"));
+    }
+}
+
+#[test]
+fn pictures_are_of_their_time() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let bright = |name: &str| {
+        let picture = image::open(folder.path().join(name)).unwrap().into_luma8();
+        let lit: Vec<u32> = picture.enumerate_pixels().filter(|(_, _, p)| p.0[0] > 128).map(|(x, ..)| x).collect();
+        lit.iter().map(|x| f64::from(*x)).sum::<f64>() / lit.len() as f64
+    };
+    run(folder.path(), "render a.gltf -o rest --quiet");
+    run(folder.path(), "render a.gltf -o at --time 0.5 --quiet");
+    // fx is 30, the triangle 4 away and 1 further right.
+    assert!((bright("at/front.png") - bright("rest/front.png") - 7.5).abs() < 0.6);
+    run(folder.path(), "render a.gltf -o span --time 0..0.5 --fps 4 --quiet");
+    assert_eq!(common::tree(&folder.path().join("span")).len(), 3);
+    assert_eq!(bright("span/frame_00000.png"), bright("rest/front.png"));
+    assert_eq!(bright("span/frame_00002.png"), bright("at/front.png"));
+    // A path of cameras without a scene of its own plays the scene at its frames.
+    run(folder.path(), "cameras orbit a.gltf -o path.json --frames 3 --fps 4 --focus 0,0,-4 --radius 4");
+    run(folder.path(), "render a.gltf --cameras path.json -o moving --quiet");
+    run(folder.path(), "render a.gltf --cameras path.json -o still --time 0 --quiet");
+    let same = |frame: &str| {
+        let read = |run: &str| std::fs::read(folder.path().join(run).join(frame)).unwrap();
+        read("moving") == read("still")
+    };
+    assert!(same("frame_00000.png") && !same("frame_00002.png"));
+    let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
+    assert!(error.contains("expected a camera that keeps still"), "{error}");
+    std::fs::write(folder.path().join("p.ply"), "ply\n").unwrap();
+    let error = failure(folder.path(), "convert p.ply b.glb --time 1");
+    assert!(
+        error.contains("expected a .glb or .gltf, whose animations can be evaluated at a time, found PLY"),
+        "{error}"
+    );
+}
