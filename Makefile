@@ -155,6 +155,14 @@ crosscheck: system $(CROSSCHECK)/installed $(CROSSCHECK_BLENDERS:%=.venv-blender
 	$(if $(findstring --quick,$(CROSSCHECK_FLAGS)),,$(CENTAUR) train demo -o target/crosscheck/trained.glb $(COARSE))
 	$(CROSSCHECK)/bin/python tests/crosscheck/crosscheck.py --centaur "$(CENTAUR)" --scenes target/crosscheck --out out/crosscheck \
 		$(CROSSCHECK_BLENDERS:%=--blender-python .venv-blender-%/bin/python) $(CROSSCHECK_FLAGS)
+	@for version in $(CROSSCHECK_BLENDERS); do \
+		.venv-blender-$$version/bin/python tests/crosscheck/check_motion.py "$(CENTAUR)" target/crosscheck/motion $(MOVING) || exit 1; \
+	done
+
+# Scenes whose vertices are compared with those in Blender while they move; the samples are Khronos'.
+SAMPLES := $(CENTAUR_DATA)/meshes_gltf_samples
+MOVING = target/crosscheck/head.glb $(wildcard $(SAMPLES)/Fox/glTF-Binary/Fox.glb $(SAMPLES)/RiggedFigure/glTF-Binary/RiggedFigure.glb \
+	$(SAMPLES)/MorphStressTest/glTF-Binary/MorphStressTest.glb $(SAMPLES)/SimpleSkin/glTF/SimpleSkin.gltf $(SAMPLES)/SimpleMorph/glTF/SimpleMorph.gltf)
 
 # What crosscheck-quick installs, so that a machine without PyPI can be told from a picture that differs.
 crosscheck-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))/installed

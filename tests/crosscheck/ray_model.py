@@ -14,7 +14,7 @@ from composition import KHR, View, contract_of, mesh_layers, rotations, scale_an
 
 
 def splats_of(asset):
-    """Means, matrices that whiten, opacities and SH coefficients of all splats, and the turn of their frame."""
+    """Means, matrices that whiten, opacities and SH coefficients of all splats, and the turn of their frame, [3, 3] or one each."""
     for node, matrix in asset.nodes():
         for primitive in asset.json["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []:
             if KHR not in primitive.get("extensions", {}):
@@ -23,7 +23,8 @@ def splats_of(asset):
             scale, turn = scale_and_rotation(matrix)
             names = [f"{KHR}:SH_DEGREE_{l}_COEF_{m}" for l in range(4) for m in range(2 * l + 1)]
             sh = np.stack([get(n) for n in names if n in primitive["attributes"]], 1)
-            axes = turn @ rotations(get(f"{KHR}:ROTATION"))
+            turn, node_turn = primitive.get("turn", turn), turn
+            axes = node_turn @ rotations(get(f"{KHR}:ROTATION"))
             whiten = axes.transpose(0, 2, 1) / (scale * get(f"{KHR}:SCALE"))[:, :, None]
             return get("POSITION") @ matrix[:3, :3].T + matrix[:3, 3], whiten, get(f"{KHR}:OPACITY"), sh, turn
     return None
@@ -49,7 +50,7 @@ def render(asset, camera=0, by_mean=True):
     offset = view.center - mean
     o = np.einsum("nij,nj->ni", whiten, offset)
     towards = -offset / np.linalg.norm(offset, axis=1, keepdims=True)
-    seen = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis(towards @ turn)[:, : sh.shape[1]], sh))
+    seen = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis((towards[:, None] @ turn)[:, 0])[:, : sh.shape[1]], sh))
     rows = max(1, 3_000_000 // (view.w * max(1, len(mean))))
     for j in range(0, view.h, rows):
         part = np.s_[j : min(j + rows, view.h)]

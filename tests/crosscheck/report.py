@@ -27,7 +27,7 @@ def decibels(figures):
 
 def line(row):
     """A comparison in a line of text."""
-    verdict = ("why " if row.get("explained") else "pass") if row["passes"] else "MISS"
+    verdict = "pass" if row["passes"] else "MISS"
     start = f"{verdict}  {row['scene']}/{row['camera']}  {row['program']} ~ {row['model']}: "
     if "error" in row:
         return start + row["error"]
@@ -35,8 +35,7 @@ def line(row):
     text += f", alpha {decibels(row['alpha'])}"
     if "layers" in row:
         text += "".join(f", {name} {decibels(f)}" for name, f in row["layers"].items()) + f", sum {row['sum_error']:.0e}"
-    reason = f"; {row['explained']}" if row.get("explained") else ""
-    return start + text + f", {row['seconds']['theirs']} s{reason}"
+    return start + text + f", {row['seconds']['theirs']} s"
 
 
 STYLE = """
@@ -53,7 +52,7 @@ def cells(row):
         return [*place, row["error"]]
     layers = row.get("layers", {})
     return [
-        *place, decibels(row), f"{row['gate']} dB" + (f" ({row['explained']})" if row["explained"] else ""), f"{row['max']:.1e}", f"{row['mean']:.1e}", str(row["above_1e-2"]), decibels(row["alpha"]),
+        *place, decibels(row), f"{row['gate']} dB", f"{row['max']:.1e}", f"{row['mean']:.1e}", str(row["above_1e-2"]), decibels(row["alpha"]),
         *(decibels(layers[name]) if name in layers else "" for name in ("splats", "mesh")),
         f"{row['sum_error']:.0e}" if layers else "", str(row["seconds"]["theirs"]),
     ]  # fmt: skip

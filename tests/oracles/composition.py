@@ -33,7 +33,7 @@ class Asset:
         a = self.json["accessors"][index]
         view = self.json["bufferViews"][a["bufferView"]]
         kind = np.dtype({5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[a["componentType"]])
-        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[a["type"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[a["type"]]
         start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
         stride = view.get("byteStride", width * kind.itemsize)
         values = np.ndarray((a["count"], width), kind, self.bin, start, (stride, kind.itemsize)).astype(np.float64)

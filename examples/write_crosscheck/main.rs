@@ -3,12 +3,14 @@
 //! Each puts one thing in front of a renderer that renderers differ in. Cameras are chosen so that no edge of a surface passes
 //! through the centre of a pixel, and that no texel is smaller than a pixel, where filters differ.
 
+mod head;
+
 use std::error::Error;
 use std::path::Path;
 
 use centaur::format::{self, WriteOptions};
 use centaur::scene::{
-    Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh,
+    Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture, sh,
 };
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
@@ -75,6 +77,14 @@ fn main() -> Result<()> {
         ),
         // Pairs in one place, as density control leaves them.
         ("twins", Cloud { twins: true, ..Cloud::default() }, quads()?, layers(2), vec![View::default()]),
+        // Splats smaller than pixels, which keep their integral.
+        (
+            "filtered",
+            Cloud { count: 300, sizes: [0.002, 0.04], ..Cloud::default() },
+            quads()?,
+            Composition { pixel_filter: PixelFilter::MIP, ..layers(4) },
+            vec![View::default()],
+        ),
         (
             "hybrid10k",
             Cloud { count: 10_000, sizes: [0.01, 0.05], ..Cloud::default() },
@@ -97,7 +107,7 @@ fn main() -> Result<()> {
         let path = Path::new(&folder).join(format!("{name}.glb"));
         format::write_scene(&path, &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() })?;
     }
-    Ok(())
+    head::write(Path::new(&folder))
 }
 
 /// Order is by the depths at each pixel, as other programs have it.
