@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use centaur::format::{read_scene, sog};
+use centaur::format::{NotedSplats, read_scene, sog};
 use centaur::scene::Splats;
 
 fn data(path: &str) -> PathBuf {
@@ -79,7 +79,7 @@ fn all_levels_of_detail_lie_in_their_bounds() {
 #[test]
 #[ignore = "needs shared data"]
 fn an_index_of_levels_of_which_two_are_missing() {
-    let (splats, notes) = sog::read_noted(&data("playbot/lod-meta.json")).unwrap();
+    let NotedSplats { splats, notes, .. } = sog::read_noted(&data("playbot/lod-meta.json")).unwrap();
     assert_eq!((splats.len(), notes.len()), (125_000, 1), "{notes:?}");
     let alone = sog::read(&data("playbot/2_0/meta.json")).unwrap();
     assert_eq!(splats.means(), alone.means(), "level 2 is one file");

@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use centaur::format::{Loss, ksplat, ply, splat, spz};
+use centaur::format::{Loss, NotedSplats, ksplat, ply, splat, spz};
 use centaur::scene::{Splats, sh};
 use glam::Vec3;
 
@@ -94,7 +94,8 @@ fn spz_of_three_programs() {
         }
     }
 
-    let (splats, notes) = spz::read_noted(&data("oracle_adobe_usd_plugins/spz/tests/SanitySplats.spz")).unwrap();
+    let NotedSplats { splats, notes, .. } =
+        spz::read_noted(&data("oracle_adobe_usd_plugins/spz/tests/SanitySplats.spz")).unwrap();
     assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (10, 3, 0));
     assert_eq!(splats.means()[4], Vec3::new(0.0, -0.800_048_8, -0.800_048_8));
 }

@@ -81,7 +81,7 @@ fn both_read_the_same_from_what_is_written_here() {
     }
     for version in [spz::Version::V2, spz::Version::V3, spz::Version::V4] {
         let file = at("a.spz");
-        spz::write(&file, &splats, &spz::Options { version, sh_bits: [8, 8] }).unwrap();
+        spz::write(&file, &splats, &spz::Options { version, sh_bits: [8, 8], ..Default::default() }).unwrap();
         assert_same(&format!("{version:?}"), &turned(&read_by_them(&file)), &spz::read(&file).unwrap(), 1e-3);
     }
 }

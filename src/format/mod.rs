@@ -40,7 +40,7 @@ pub use loss::{Loss, SplatError, WriteReport};
 pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};
 
-use crate::scene::HybridScene;
+use crate::scene::{HybridScene, PixelFilter, Splats};
 
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -66,6 +66,24 @@ impl Kind {
             Self::Spz => "SPZ",
             Self::Usd => "USD",
         }
+    }
+}
+
+/// Splats of a format that says something more of them.
+#[derive(Clone, Debug)]
+pub struct NotedSplats {
+    /// The splats.
+    pub splats: Splats,
+    /// What they were trained to be seen with: [`PixelFilter::NORMALIZED_DILATION`] where the file says *antialiased*.
+    pub pixel_filter: PixelFilter,
+    /// What could not be taken over, one sentence each.
+    pub notes: Vec<String>,
+}
+
+impl NotedSplats {
+    fn new(splats: Splats, antialiased: bool, notes: Vec<String>) -> Self {
+        let pixel_filter = if antialiased { PixelFilter::NORMALIZED_DILATION } else { PixelFilter::DILATION };
+        Self { splats, pixel_filter, notes }
     }
 }
 

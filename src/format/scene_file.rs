@@ -8,10 +8,10 @@ use super::error::Fault;
 use super::ply::Attribute;
 use super::record::Record;
 use super::{
-    FormatError, Kind, Loss, SplatError, WriteReport, activation, blender, gltf, kind, ksplat, mitsuba, ply, sog,
-    splat, spz, usd,
+    FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, gltf, kind, ksplat, mitsuba,
+    ply, sog, splat, spz, usd,
 };
-use crate::scene::{Camera, Composition, HybridScene, Splats};
+use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats};
 
 /// What a file says about a scene.
 #[derive(Clone, Debug)]
@@ -34,6 +34,12 @@ pub struct SceneFile {
 }
 
 impl SceneFile {
+    fn noted(NotedSplats { splats, pixel_filter, notes }: NotedSplats) -> Self {
+        let mut file = Self { notes, ..Self::of_splats(splats) };
+        file.scene.composition.pixel_filter = pixel_filter;
+        file
+    }
+
     fn of_splats(splats: Splats) -> Self {
         let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
         Self { scene, cameras: vec![], notes: vec![], y_up: false, attributes: vec![], dropped: 0, source: None }
@@ -89,18 +95,12 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
             let ply::PlySplats { splats, attributes, dropped } = ply::read_with(path, options)?;
             SceneFile { attributes, dropped, ..SceneFile::of_splats(splats) }
         }
-        Kind::Sog => {
-            let (splats, notes) = sog::read_noted(path)?;
-            SceneFile { notes, ..SceneFile::of_splats(splats) }
-        }
+        Kind::Sog => SceneFile::noted(sog::read_noted(path)?),
         Kind::Splat => {
             let (splats, dropped) = splat::read_with(path, options.drop_invalid)?;
             SceneFile { dropped, ..SceneFile::of_splats(splats) }
         }
-        Kind::Spz => {
-            let (splats, notes) = spz::read_noted(path)?;
-            SceneFile { notes, ..SceneFile::of_splats(splats) }
-        }
+        Kind::Spz => SceneFile::noted(spz::read_noted(path)?),
         Kind::Usd => usd::read(path)?,
     })
 }
@@ -112,7 +112,7 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
 pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
-    let splats = &scene.splats;
+    let (splats, antialiased) = (&scene.splats, scene.composition.pixel_filter.normalized);
     let report = match extension {
         "glb" | "gltf" => {
             let (bytes, loss) = match options.source {
@@ -146,20 +146,24 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
         "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
         "ply" => {
             let bytes = ply::write_with(path, splats, options.attributes)?;
-            let loss = beside_splats(scene, options, Loss::default());
+            let loss = beside_splats(scene, options, PixelFilter::DILATION, Loss::default());
             return Ok(WriteReport { bytes, loss, ..WriteReport::default() });
         }
-        "sog" => sog::write(path, splats)?,
+        "sog" => sog::write_with(path, splats, antialiased)?,
         "splat" => splat::write(path, splats)?,
         "ksplat" => ksplat::write(path, splats, ksplat::Level::default())?,
-        "spz" => spz::write(path, splats, &options.spz)?,
+        "spz" => spz::write(path, splats, &spz::Options { antialiased, ..options.spz })?,
         _ => {
             let wanted: Vec<String> = WRITABLE.iter().chain(EXPORTABLE).map(|e| format!(".{e}")).collect();
             let fault = Fault::whole(format!("a name that ends in {}", wanted.join(", ")), format!("`.{extension}`"));
             return Err(fault.in_file(path));
         }
     };
-    let loss = Loss { attributes: names(options.attributes), ..beside_splats(scene, options, report.loss) };
+    let stated = match extension {
+        "sog" | "spz" if antialiased => PixelFilter::NORMALIZED_DILATION,
+        _ => PixelFilter::DILATION,
+    };
+    let loss = Loss { attributes: names(options.attributes), ..beside_splats(scene, options, stated, report.loss) };
     Ok(WriteReport { loss, ..report })
 }
 
@@ -180,8 +184,8 @@ fn of_linear_values(splats: &Splats) -> Loss {
 
 /// Adds what formats of splats alone leave out. Without meshes only the background, the near plane, the colour space
 /// and the pixel filter are left of the rule of blending; that these formats cannot state them matters where they are not the usual ones.
-fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, loss: Loss) -> Loss {
-    let usual = Composition::default();
+fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, stated_filter: PixelFilter, loss: Loss) -> Loss {
+    let usual = Composition { pixel_filter: stated_filter, ..Composition::default() };
     let is = &scene.composition;
     let stated = |c: &Composition| (c.background, c.near, c.color_space, c.pixel_filter);
     let plain = stated(is) == stated(&usual);
@@ -240,6 +244,17 @@ mod tests {
         let loss = write("a.glb", &scene).unwrap();
         assert!(loss.is_rounding() && !loss.is_none(), "{loss}");
         assert!(write("a.ply", &scene).unwrap().is_none());
+        scene.composition.pixel_filter = PixelFilter::NORMALIZED_DILATION;
+        for (name, is_lost) in
+            [("a.spz", false), ("a.sog", false), ("a.ply", true), ("a.splat", true), ("a.glb", false)]
+        {
+            assert_eq!(write(name, &scene).unwrap().composition, is_lost, "{name}");
+            let back = read_file(&folder.path().join(name), &ReadOptions::default()).unwrap().scene.composition;
+            assert_eq!(back.pixel_filter != scene.composition.pixel_filter, is_lost, "{name}");
+        }
+        scene.composition.pixel_filter = PixelFilter::MIP;
+        assert!(write("a.spz", &scene).unwrap().composition, "its variance");
+        scene.composition.pixel_filter = PixelFilter::default();
         scene.composition.background = [1.0; 3];
         assert!(!write("a.ply", &scene).unwrap().is_rounding());
         let error = write("a.txt", &scene).unwrap_err().to_string();

@@ -11,7 +11,7 @@ use super::extension::{
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::place;
-use crate::format::{activation, spz};
+use crate::format::{NotedSplats, activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
 /// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, below a node of this transform.
@@ -79,11 +79,14 @@ fn decompress(
         let at = format!("{at}/bufferView");
         Fault::pointer(at, format!("a bufferView below {views}"), stream.buffer_view.to_string())
     })?;
-    let (splats, found) = spz::parse(asset.view_bytes(&view)?).map_err(|fault| {
+    let NotedSplats { splats, pixel_filter, notes: found } = spz::parse(asset.view_bytes(&view)?).map_err(|fault| {
         let (location, expected, found) = fault.into_parts();
         Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
     })?;
-    notes.extend(found.into_iter().map(|note| format!("{at}: {note}")));
+    let antialiased =
+        "trained with anti-aliasing, which glTF says of the scene: small splats look too strong".to_owned();
+    let found = found.into_iter().chain(pixel_filter.normalized.then_some(antialiased));
+    notes.extend(found.map(|note| format!("{at}: {note}")));
     let declared = primitive.get(&gltf::Semantic::Positions).map_or(splats.len(), |a| a.count());
     if declared != splats.len() {
         return Err(Fault::pointer(at, format!("{declared} splats, as in POSITION"), splats.len().to_string()));

@@ -20,12 +20,19 @@ pub(super) struct Meta {
     pub(super) asset: Option<serde_json::Value>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) count: Option<u64>,
+    /// Version 2: splats are to keep their integral over a picture.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub(super) antialias: bool,
     pub(super) means: Field,
     pub(super) scales: Field,
     pub(super) quats: Field,
     pub(super) sh0: Field,
     #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
     pub(super) sh_n: Option<Field>,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// An attribute: its images, and what their bytes mean.

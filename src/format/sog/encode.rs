@@ -21,7 +21,7 @@ pub(super) struct Encoded {
     pub(super) order: Vec<usize>,
 }
 
-pub(super) fn encode(splats: &Splats) -> Result<Encoded, Fault> {
+pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault> {
     let n = splats.len();
     if n > MAX_SIDE * MAX_SIDE {
         return Err(Fault::whole(format!("at most {} splats", MAX_SIDE * MAX_SIDE), n.to_string()));
@@ -89,6 +89,7 @@ pub(super) fn encode(splats: &Splats) -> Result<Encoded, Fault> {
         version: Some(2),
         asset: Some(json!({ "generator": concat!("Centaur ", env!("CARGO_PKG_VERSION")) })),
         count: Some(n as u64),
+        antialias,
         means: Field {
             mins: Some(Numbers::Many(mins.to_vec())),
             maxs: Some(Numbers::Many(maxs.to_vec())),

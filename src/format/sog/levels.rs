@@ -7,6 +7,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::files::{FileSet, folder_of, inside};
+use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file};
 use crate::format::record::{Columns, Record};
 use crate::scene::Splats;
@@ -40,7 +41,7 @@ struct Part {
 }
 
 /// The splats of every leaf of the tree at the finest level whose file is there, and a sentence on what is missing.
-pub(super) fn read(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
+pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     let text = read_file(path)?;
     let index: Index =
         from_json(&text, 0, "the `lod-meta.json` of a streamed SOG").map_err(|fault| fault.in_file(path))?;
@@ -49,19 +50,21 @@ pub(super) fn read(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
     let (mut parts, mut coarser) = (vec![], 0);
     collect(&index.tree, "/tree", &there, &mut parts, &mut coarser).map_err(|fault| fault.in_file(path))?;
 
-    let mut sources = vec![];
+    let (mut sources, mut antialiased) = (vec![], false);
     for (file, meta) in there.iter().enumerate() {
         let mut own: Vec<Part> = parts.iter().filter(|part| part.file == file).copied().collect();
         own.sort_by_key(|part| part.offset);
         if let Some(meta) = meta.as_ref().filter(|_| !own.is_empty()) {
-            let splats = set_of(meta)?;
+            let (splats, antialias) = set_of(meta)?;
+            antialiased |= antialias;
             check_parts(&own, splats.len(), file).map_err(|fault| fault.in_file(path))?;
             sources.push((splats, own));
         }
     }
     if let Some(name) = &index.environment {
         let fault = |(expected, found): (String, String)| Fault::pointer("/environment", expected, found).in_file(path);
-        let splats = set_of(&inside(folder, name).map_err(fault)?)?;
+        let (splats, antialias) = set_of(&inside(folder, name).map_err(fault)?)?;
+        antialiased |= antialias;
         let all = Part { file: 0, offset: 0, count: splats.len() };
         sources.push((splats, vec![all]));
     }
@@ -74,11 +77,12 @@ pub(super) fn read(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
     let notes = (coarser > 0).then(|| {
         format!("the files of the finest level are missing for {coarser} part(s) of the scene; coarser ones are read")
     });
-    Ok((columns.finish().map_err(|fault| fault.under("/tree").in_file(path))?, notes.into_iter().collect()))
+    let splats = columns.finish().map_err(|fault| fault.under("/tree").in_file(path))?;
+    Ok(NotedSplats::new(splats, antialiased, notes.into_iter().collect()))
 }
 
 /// The splats of one folder or bundle, never of another index: a circle of them would have no end.
-fn set_of(path: &Path) -> Result<Splats, FormatError> {
+fn set_of(path: &Path) -> Result<(Splats, bool), FormatError> {
     FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
 }
 
@@ -151,10 +155,10 @@ mod tests {
     fn the_finest_level_that_is_there() {
         let folder = tempfile::tempdir().unwrap();
         let path = written(folder.path());
-        let (splats, notes) = read(&path).unwrap();
+        let NotedSplats { splats, notes, .. } = read(&path).unwrap();
         assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (9 + 2, 2, 0));
         std::fs::remove_file(folder.path().join("0_0/meta.json")).unwrap();
-        let (splats, notes) = read(&path).unwrap();
+        let NotedSplats { splats, notes, .. } = read(&path).unwrap();
         assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (4 + 2, 2, 1));
         assert!(notes[0].contains("for 2 part(s)"), "{notes:?}");
         std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();

@@ -21,6 +21,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::files::FileSet;
+use super::NotedSplats;
 use super::error::{Fault, FormatError};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::record::Record;
@@ -36,19 +37,19 @@ use crate::scene::Splats;
 /// size than the number of splats calls for, refers to more than its palettes hold, or declares more splats than files
 /// of its size can describe.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_noted(path).map(|(splats, _)| splats)
+    read_noted(path).map(|read| read.splats)
 }
 
-/// As [`read`], with a sentence on levels of detail that are missing.
+/// As [`read`], with the pixel filter, and a sentence on levels of detail that are missing.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_noted(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
+pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
     if path.file_name().is_some_and(|name| name == levels::INDEX) {
         return levels::read(path);
     }
-    let splats = FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))?;
-    Ok((splats, vec![]))
+    let (splats, antialiased) = FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))?;
+    Ok(NotedSplats::new(splats, antialiased, vec![]))
 }
 
 /// True if the file's name alone says that it is SOG.
@@ -57,11 +58,13 @@ pub(super) fn is_named(path: &Path) -> bool {
 }
 
 impl FileSet {
-    fn splats(&mut self) -> Result<Splats, Fault> {
+    /// And whether the file says *antialias*.
+    fn splats(&mut self) -> Result<(Splats, bool), Fault> {
         let meta = self.meta()?;
         let scheme = decode::Scheme::parse(&meta, self.bytes()).map_err(|fault| self.in_meta(fault))?;
         let images = scheme.fetch(self)?;
-        scheme.decoder(&images).and_then(|decoder| decoder.splats()).map_err(|fault| self.in_meta(fault))
+        let splats = scheme.decoder(&images).and_then(|decoder| decoder.splats());
+        Ok((splats.map_err(|fault| self.in_meta(fault))?, meta.antialias))
     }
 }
 
@@ -71,7 +74,16 @@ impl FileSet {
 /// # Errors
 /// If a file cannot be written, or there are more splats than an image has texels (16384²).
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
-    let encoded = encode::encode(splats).map_err(|fault| fault.in_file(path))?;
+    write_with(path, splats, false)
+}
+
+/// As [`write()`]; `antialiased` is stated in the file: whether splats are to keep their integral over a picture
+/// (`PixelFilter::normalized`).
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_with(path: &Path, splats: &Splats, antialiased: bool) -> Result<WriteReport, FormatError> {
+    let encoded = encode::encode(splats, antialiased).map_err(|fault| fault.in_file(path))?;
     let written = decode::Scheme::parse(&encoded.meta, u64::MAX).map_err(|fault| fault.in_file(path))?;
     let written = written.decoder(&encoded.images).map_err(|fault| fault.in_file(path))?;
     let errors = encoded.order.par_iter().enumerate().map(|(i, &source)| {

@@ -20,7 +20,7 @@ const GZIP: [u8; 2] = [0x1f, 0x8b];
 const LEGACY_HEADER: usize = 16;
 const HEADER: usize = 32;
 const TOC_ENTRY: usize = 16;
-const ANTIALIASED: u8 = 1;
+pub(super) const ANTIALIASED: u8 = 1;
 const HAS_EXTENSIONS: u8 = 2;
 /// `SPZ_ADOBE_coordinate_system`.
 const COORDINATE_SYSTEM: u32 = 0xADBE_0003;
@@ -226,9 +226,6 @@ fn finish(header: Header, streams: [Vec<u8>; STREAMS], extensions: &[u8]) -> Res
             }
             _ => notes.push(format!("the extension {kind:#010x} ({length} bytes) is not known and left out")),
         }
-    }
-    if header.flags & ANTIALIASED != 0 {
-        notes.push("trained with anti-aliasing, which is left out: small splats will look too strong".to_owned());
     }
     Ok(Packed { header, frame, streams, notes })
 }

@@ -24,13 +24,13 @@ mod packed;
 
 use std::path::Path;
 
-use self::container::{Header, Packed, STREAMS, Writer};
+use self::container::{ANTIALIASED, Header, Packed, STREAMS, Writer};
 use self::frame::Frame;
 use super::blocks::in_waves;
 use super::error::{Fault, read_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::record::{Columns, Record};
-use super::{FormatError, atomic_write_with};
+use super::{FormatError, NotedSplats, atomic_write_with};
 use crate::scene::{Splats, sh};
 
 /// Which layout to write.
@@ -53,11 +53,13 @@ pub struct Options {
     /// Bits of SH coefficients in band 1 and in the higher bands, 1 to 8. Readers do not need to know; fewer bits
     /// compress better. The default of 5 and 4 is that of the format's own library.
     pub sh_bits: [u32; 2],
+    /// Whether the file says that splats are to keep their integral over a picture (`PixelFilter::normalized`).
+    pub antialiased: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { version: Version::default(), sh_bits: [5, 4] }
+        Self { version: Version::default(), sh_bits: [5, 4], antialiased: false }
     }
 }
 
@@ -67,14 +69,14 @@ impl Default for Options {
 /// If the file cannot be read, is not SPZ, is truncated or damaged, or declares more splats than a file of its length can
 /// hold.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_noted(path).map(|(splats, _)| splats)
+    read_noted(path).map(|read| read.splats)
 }
 
-/// As [`read`], with what could not be taken over: SH of degree 4, anti-aliasing, unknown extensions.
+/// As [`read`], with the pixel filter, and what could not be taken over: SH of degree 4, unknown extensions.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_noted(path: &Path) -> Result<(Splats, Vec<String>), FormatError> {
+pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
     parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
@@ -93,7 +95,7 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
         count: splats.len(),
         sh_degree: splats.sh_degree(),
         fractional_bits: packed::fractional_bits(splats.means()),
-        flags: 0,
+        flags: if options.antialiased { ANTIALIASED } else { 0 },
     };
     let sh_bits = options.sh_bits.map(|bits| bits.clamp(1, 8));
     let mut max_error = SplatError::default();
@@ -112,7 +114,7 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
     Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() }, ..WriteReport::default() })
 }
 
-pub(super) fn parse(bytes: &[u8]) -> Result<(Splats, Vec<String>), Fault> {
+pub(super) fn parse(bytes: &[u8]) -> Result<NotedSplats, Fault> {
     let Packed { header, frame, streams, mut notes } = container::decode(bytes)?;
     let sh_degree = header.sh_degree.min(sh::MAX_DEGREE);
     if sh_degree < header.sh_degree {
@@ -121,7 +123,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Splats, Vec<String>), Fault> {
     let mut columns = Columns::with_capacity(header.count, sh_degree);
     let streams = streams.each_ref().map(Vec::as_slice);
     columns.extend(header.count, |i| frame.to_scene(&packed::decode(&header, streams, i)));
-    Ok((columns.finish()?, notes))
+    Ok(NotedSplats::new(columns.finish()?, header.flags & ANTIALIASED != 0, notes))
 }
 
 /// Splats that are packed as one task.

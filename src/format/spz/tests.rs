@@ -4,6 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_splats};
+use crate::scene::PixelFilter;
 
 const VERSIONS: [Version; 3] = [Version::V2, Version::V3, Version::V4];
 
@@ -37,10 +38,11 @@ fn round_trip_stays_within_the_stated_errors() {
     for version in VERSIONS {
         for (degree, sh_bits) in [(0, [5, 4]), (1, [5, 4]), (2, [5, 4]), (3, [5, 4]), (3, [8, 8])] {
             let splats = holdable(3000, degree);
-            let (bytes, report) = written(&splats, &Options { version, sh_bits });
+            let (bytes, report) = written(&splats, &Options { version, sh_bits, antialiased: degree == 2 });
             assert_eq!(bytes.len() as u64, report.bytes);
-            let (back, notes) = parse(&bytes).unwrap();
+            let NotedSplats { splats: back, pixel_filter, notes } = parse(&bytes).unwrap();
             assert!(notes.is_empty());
+            assert_eq!(pixel_filter.normalized, degree == 2, "the flag");
             assert_same_loss(&report.loss, &Loss::of_splats(&splats, &back));
             let e = report.loss.max_error;
             // Coordinates up to 3 have 14 bits behind the point.
@@ -67,12 +69,12 @@ fn extremes_survive() {
         let options = Options { version, ..Options::default() };
         let splats = saturated_splats();
         let (bytes, report) = written(&splats, &options);
-        let (back, _) = parse(&bytes).unwrap();
+        let back = parse(&bytes).unwrap().splats;
         assert_same_loss(&report.loss, &Loss::of_splats(&splats, &back));
         // 10⁶ leaves 3 bits behind the point.
         assert_eq!(back.means(), splats.means());
         assert!(report.loss.max_error.opacity < 1e-6 && report.loss.max_error.sh > 1e3, "{:?}", report.loss);
-        assert_eq!(parse(&written(&Splats::empty(2), &options).0).unwrap().0, Splats::empty(2));
+        assert_eq!(parse(&written(&Splats::empty(2), &options).0).unwrap().splats, Splats::empty(2));
     }
 }
 
@@ -86,12 +88,13 @@ fn notes_name_what_is_not_taken_over() {
     content.extend([0x78, 0x56, 0x34, 0x12, 3, 0, 0, 0, 9, 9, 9]);
     content.extend(0xADBE_0003u32.to_le_bytes().into_iter().chain([4, 0, 0, 0, 6, 0, 0, 0]));
     for bytes in [content.clone(), gzipped(&content)] {
-        let (splats, notes) = parse(&bytes).unwrap();
+        let NotedSplats { splats, pixel_filter, notes } = parse(&bytes).unwrap();
+        assert_eq!(pixel_filter, PixelFilter::NORMALIZED_DILATION);
         assert_eq!(splats.means()[0].to_array(), [1.0, 2.0, 3.0], "right, down, front as it is");
         assert_eq!((splats.sh_degree(), splats.sh_of(0)[1]), (3, [0.0, 1.0 / 128.0, 2.0 / 128.0]));
-        assert_eq!(notes.len(), 3, "{notes:?}");
-        assert!(notes[0].contains("0x12345678 (3 bytes)") && notes[1].contains("anti-aliasing"), "{notes:?}");
-        assert!(notes[2].contains("above degree 3 of 4"), "{notes:?}");
+        assert_eq!(notes.len(), 2, "{notes:?}");
+        assert!(notes[0].contains("0x12345678 (3 bytes)"), "{notes:?}");
+        assert!(notes[1].contains("above degree 3 of 4"), "{notes:?}");
     }
     let last = content.len() - 4;
     content[last] = 17;
