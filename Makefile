@@ -14,6 +14,8 @@ BENCH_FLAGS ?=
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
 ORACLES := .venv-oracles
+ORACLES_LPIPS := .venv-oracles-lpips
+BENCH_RAY := .venv-bench-ray
 ORACLES_USD := .venv-oracles-usd
 ORACLES_COMPOSITION := .venv-oracles-composition
 ORACLES_GLTF := .venv-oracles-gltf
@@ -26,7 +28,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat oracle-lpips bench-ray oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -85,7 +87,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
@@ -96,6 +98,20 @@ oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schem
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
+
+oracle-lpips: $(ORACLES_LPIPS)/installed
+	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py target/oracles/lpips
+	CENTAUR_LPIPS_FIXTURE=$(abspath target/oracles/lpips) cargo test --release --test lpips_oracle -- --ignored --nocapture
+
+bench-ray: $(BENCH_RAY)/installed ## `centaur bench` on two nodes of Ray on this machine (PyPI's ray)
+	cargo build --release --quiet
+	@rm -rf target/bench-ray && mkdir -p target/bench-ray
+	$(BENCH_RAY)/bin/python tests/oracles/check_bench_ray.py "$(CENTAUR)" demo target/bench-ray
+
+$(BENCH_RAY)/installed:
+	$(PYTHON) -m venv $(BENCH_RAY)
+	$(BENCH_RAY)/bin/pip install --quiet --disable-pip-version-check ray==2.60.0
+	touch $@
 
 oracle-colmap: $(ORACLES)/installed
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
@@ -136,6 +152,11 @@ crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and pla
 .venv-blender-%/installed:
 	$(BLENDER_PYTHON) -m venv .venv-blender-$*
 	.venv-blender-$*/bin/pip install --quiet --disable-pip-version-check bpy==$*
+	touch $@
+
+$(ORACLES_LPIPS)/installed: tests/oracles/requirements-lpips.txt
+	$(PYTHON) -m venv $(ORACLES_LPIPS)
+	$(ORACLES_LPIPS)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
 $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt

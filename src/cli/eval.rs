@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{self, Capture, Photo, Split, View};
 use centaur::format::{atomic_write, read_scene};
 use centaur::metrics::{
-    Evaluation, Measured, ViewScore,
+    Evaluation, Lpips, Measured, ViewScore,
     plot::Plot,
     report::{self, Picture, Report},
     side_by_side,
@@ -23,7 +23,7 @@ Examples:
 
 /// Score a scene on the held-out photographs of its capture
 ///
-/// Prints PSNR and SSIM per view and their means, with what the scene costs. Views whose index in the list of file
+/// Prints PSNR, SSIM and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
 /// --max-side, --images and --masks as in training.
 #[derive(clap::Args)]
@@ -38,11 +38,28 @@ pub(super) struct Args {
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     #[command(flatten)]
+    lpips: LpipsArgs,
+    #[command(flatten)]
     adapter: AdapterArgs,
     #[command(flatten)]
     loading: CaptureArgs,
     #[command(flatten)]
     messages: MessageArgs,
+}
+
+/// The network that scores what eyes would.
+#[derive(clap::Args)]
+pub(super) struct LpipsArgs {
+    /// Also score LPIPS, by the weights of VGG-16 or `AlexNet` in this file, which `datasets-scripts/lpips_weights.py` writes
+    #[arg(long, value_name = "FILE.safetensors")]
+    lpips_weights: Option<PathBuf>,
+}
+
+impl LpipsArgs {
+    /// Reads the weights, if there are any.
+    pub(super) fn open(&self) -> Result<Option<Lpips>> {
+        Ok(self.lpips_weights.as_deref().map(Lpips::open).transpose()?)
+    }
 }
 
 /// Frames per second are a mean over this many views, each rendered so many times.
@@ -53,6 +70,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     args.output.as_deref().map_or(Ok(()), output::check_folder)?;
     let scene = read_scene(&args.scene)?;
     let capture = args.loading.open(&args.capture)?;
+    let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
     let evaluation = evaluate(
         &gpu,
@@ -60,6 +78,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         &capture,
         &Job {
             scene_file: &args.scene,
+            lpips: lpips.as_ref(),
             folder: args.output.as_deref(),
             settings: &[],
             plots: &[],
@@ -73,6 +92,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
 pub(super) struct Job<'a> {
     /// The scene as written, for its size.
     pub(super) scene_file: &'a Path,
+    /// Scores LPIPS, if wanted.
+    pub(super) lpips: Option<&'a Lpips>,
     /// Where report, metrics and pictures go, if anywhere.
     pub(super) folder: Option<&'a Path>,
     /// Shown in the report.
@@ -96,7 +117,8 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, job: &
     for (view, picture) in views.into_iter().zip(names) {
         let render = shared::image(renderer.render(&view.camera)?);
         let (truth, render, masked) = comparable(&capture::decode(view)?, render, scene.composition.background);
-        scores.push(ViewScore::new(&view.name, &truth, &render, masked).with_context(|| view.name.clone())?);
+        let score = ViewScore::new(&view.name, &truth, &render, masked, job.lpips);
+        scores.push(score.with_context(|| view.name.clone())?);
         if let Some(folder) = job.folder {
             let sheet = side_by_side(&truth, &render)?;
             let caption = caption(view, &scores[scores.len() - 1]);
@@ -129,7 +151,9 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, job: &
 }
 
 fn caption(view: &View, score: &ViewScore) -> String {
-    format!("{}: {:.2} dB, SSIM {:.4}", view.name, score.psnr, score.ssim_inria)
+    let lpips =
+        score.scores.lpips.map_or_else(String::new, |l| format!(", LPIPS {} {:.4}", l.net.name(), l.normalized));
+    format!("{}: {:.2} dB, SSIM {:.4}{lpips}", view.name, score.scores.psnr, score.scores.ssim_inria)
 }
 
 /// Photograph and render as they are compared: a mask multiplies both (METHODS 8, product black), transparency shows

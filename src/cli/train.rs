@@ -7,7 +7,7 @@ use centaur::capture::Capture;
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
-use centaur::metrics::{Evaluation, plot::Plot};
+use centaur::metrics::{Evaluation, Lpips, plot::Plot};
 use centaur::optimize::{self, Background, Density, MeshSource, Outcome, Session, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
 use centaur::scene::OrderMode;
@@ -45,6 +45,8 @@ pub(super) struct Args {
     /// Folder for report.html, metrics.json and pictures of the held-out views
     #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    lpips: eval::LpipsArgs,
     /// Do not score the held-out views at the end
     #[arg(long)]
     no_eval: bool,
@@ -281,6 +283,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     let capture = args.loading.open(&args.capture)?;
     let mesh = args.mesh(&capture)?;
+    let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
     let options = args.options();
     let stop = stop_on_ctrl_c()?;
@@ -307,8 +310,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     // The scene is complete; what was kept for resuming has served.
     let _ = std::fs::remove_file(args.checkpoint());
-    let evaluation =
-        if args.no_eval { None } else { Some(evaluate(args, &gpu, &capture, &trained, &settings, &plots)?) };
+    let evaluation = if args.no_eval {
+        None
+    } else {
+        Some(evaluate(args, &gpu, &capture, &trained, lpips.as_ref(), &settings, &plots)?)
+    };
     if args.messages.json {
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
@@ -326,11 +332,13 @@ fn evaluate(
     gpu: &Gpu,
     capture: &Capture,
     trained: &Trained,
+    lpips: Option<&Lpips>,
     settings: &[(String, String)],
     plots: &[Plot],
 ) -> Result<Evaluation> {
     let job = Job {
         scene_file: &args.output,
+        lpips,
         folder: args.report.as_deref(),
         settings,
         plots,
@@ -351,7 +359,7 @@ fn with_advice(error: TrainError) -> anyhow::Error {
 }
 
 /// The flag that the trainer polls. A second Ctrl-C does what it does to any program.
-fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
+pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     ctrlc::set_handler(move || {

@@ -3,12 +3,91 @@ use std::fmt;
 use image::Rgb32FImage;
 use serde::Serialize;
 
-use super::{MetricError, psnr, quantised, ssim_inria};
+use super::{Lpips, LpipsScore, MetricError, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
 use crate::scene::HybridScene;
 
-/// How [`ViewScore`]s are taken; belongs next to every table, as numbers of different protocols do not compare.
-pub const PROTOCOL: &str = "held-out views: the capture's own, else every 8th by file name; 8-bit quantised; PSNR per \
-     image, then mean; SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); LPIPS n/a (needs network weights)";
+/// How good a picture is, or the mean of several. By the conventions of METHODS 8, as numbers of different ones do not compare.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Scores {
+    /// dB, on 8-bit-quantised images. Infinite (null in JSON) where they are equal.
+    pub psnr: f64,
+    /// dB, on images as they were rendered.
+    pub psnr_float: f64,
+    /// INRIA's convention (zeros beyond the image), on 8-bit-quantised images.
+    pub ssim_inria: f64,
+    /// Windows inside the image only, on the same; none where an image has no room for one.
+    pub ssim_valid: Option<f64>,
+    /// The image continued by reflection, on the same; none where an image is too small.
+    pub ssim_reflect: Option<f64>,
+    /// On 8-bit-quantised images; none without the network's weights.
+    pub lpips: Option<LpipsScore>,
+}
+
+impl Scores {
+    /// Of a pair of images.
+    ///
+    /// # Errors
+    /// If the sizes differ, the images are empty, or too small for the network of `lpips`.
+    pub fn new(truth: &Rgb32FImage, render: &Rgb32FImage, lpips: Option<&Lpips>) -> Result<Self, MetricError> {
+        let psnr_float = psnr(truth, render)?;
+        let (truth, render) = (quantised(truth), quantised(render));
+        Ok(Self {
+            psnr: psnr(&truth, &render)?,
+            psnr_float,
+            ssim_inria: ssim_inria(&truth, &render)?,
+            ssim_valid: ssim_valid(&truth, &render).ok(),
+            ssim_reflect: ssim_reflect(&truth, &render).ok(),
+            lpips: lpips.map(|lpips| lpips.score(&truth, &render)).transpose()?,
+        })
+    }
+
+    /// None of none; of what some lack there is no mean.
+    fn mean(all: &[Self]) -> Option<Self> {
+        let first = all.first()?;
+        let mean = |score: &dyn Fn(&Self) -> f64| all.iter().map(score).sum::<f64>() / all.len() as f64;
+        let optional = |score: &dyn Fn(&Self) -> Option<f64>| {
+            all.iter().map(score).sum::<Option<f64>>().map(|sum| sum / all.len() as f64)
+        };
+        let lpips = optional(&|s| s.lpips.map(|l| l.normalized)).zip(optional(&|s| s.lpips.map(|l| l.unnormalized)));
+        Some(Self {
+            psnr: mean(&|s| s.psnr),
+            psnr_float: mean(&|s| s.psnr_float),
+            ssim_inria: mean(&|s| s.ssim_inria),
+            ssim_valid: optional(&|s| s.ssim_valid),
+            ssim_reflect: optional(&|s| s.ssim_reflect),
+            lpips: lpips.zip(first.lpips).map(|((normalized, unnormalized), first)| LpipsScore {
+                normalized,
+                unnormalized,
+                ..first
+            }),
+        })
+    }
+
+    /// What tables show, with its name: 8-bit PSNR, INRIA's SSIM and LPIPS if there is one, under both conventions.
+    #[must_use]
+    pub fn columns(&self) -> Vec<(String, String)> {
+        let mut columns = vec![
+            ("PSNR".to_owned(), format!("{:.3}", self.psnr)),
+            ("SSIM".to_owned(), format!("{:.4}", self.ssim_inria)),
+        ];
+        if let Some(l) = &self.lpips {
+            columns.push((format!("LPIPS {}", l.net.name()), format!("{:.4}", l.normalized)));
+            columns.push((format!("LPIPS {} 0…1", l.net.name()), format!("{:.4}", l.unnormalized)));
+        }
+        columns
+    }
+
+    /// How they were taken; belongs next to every table.
+    fn protocol(&self) -> String {
+        let lpips = self.lpips.map_or("n/a (--lpips-weights)".to_owned(), |l| {
+            format!("v0.1 {}, colours −1…1 (0…1: INRIA's script)", l.net.name())
+        });
+        format!(
+            "held-out views: the capture's own, else every 8th by file name; 8-bit quantised; PSNR per image, then mean; \
+             SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); LPIPS {lpips}"
+        )
+    }
+}
 
 /// Scores of one held-out view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -17,29 +96,27 @@ pub struct ViewScore {
     pub name: String,
     /// Width and height in pixels.
     pub size: [u32; 2],
-    /// dB, on 8-bit-quantised images. Infinite (null in JSON) where they are equal.
-    pub psnr: f64,
-    /// INRIA's convention, on 8-bit-quantised images.
-    pub ssim_inria: f64,
+    /// How good it is.
+    #[serde(flatten)]
+    pub scores: Scores,
     /// True if a mask multiplied photograph and render.
     pub masked: bool,
 }
 
 impl ViewScore {
-    /// Quantises both images to 8 bits and scores them. Where the view has a mask, the caller has multiplied both
-    /// images by it and says so in `masked`.
+    /// Scores two images. Where the view has a mask, the caller has multiplied both images by it and says so in `masked`.
     ///
     /// # Errors
-    /// If the sizes differ or the images are empty.
-    pub fn new(name: &str, truth: &Rgb32FImage, render: &Rgb32FImage, masked: bool) -> Result<Self, MetricError> {
-        let (truth, render) = (quantised(truth), quantised(render));
-        Ok(Self {
-            name: name.to_owned(),
-            size: [truth.width(), truth.height()],
-            psnr: psnr(&truth, &render)?,
-            ssim_inria: ssim_inria(&truth, &render)?,
-            masked,
-        })
+    /// As [`Scores::new`].
+    pub fn new(
+        name: &str,
+        truth: &Rgb32FImage,
+        render: &Rgb32FImage,
+        masked: bool,
+        lpips: Option<&Lpips>,
+    ) -> Result<Self, MetricError> {
+        let scores = Scores::new(truth, render, lpips)?;
+        Ok(Self { name: name.to_owned(), size: [truth.width(), truth.height()], scores, masked })
     }
 }
 
@@ -61,10 +138,9 @@ pub struct Measured {
 /// How good a scene is, what it costs, and how both were measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// Mean over views in dB; none without views.
-    pub psnr: Option<f64>,
     /// Mean over views; none without views.
-    pub ssim_inria: Option<f64>,
+    #[serde(flatten)]
+    pub mean: Option<Scores>,
     /// Number of splats.
     pub splats: usize,
     /// Number of mesh triangles.
@@ -76,8 +152,8 @@ pub struct Evaluation {
     /// Times, bytes, adapter.
     #[serde(flatten)]
     pub measured: Measured,
-    /// [`PROTOCOL`].
-    pub protocol: &'static str,
+    /// How scores were taken; empty without views.
+    pub protocol: String,
     /// One score per held-out view.
     pub views: Vec<ViewScore>,
 }
@@ -86,20 +162,17 @@ impl Evaluation {
     /// Counts `scene` and averages `views`.
     #[must_use]
     pub fn new(scene: &HybridScene, views: Vec<ViewScore>, measured: Measured) -> Self {
-        let mean = |score: fn(&ViewScore) -> f64| {
-            (!views.is_empty()).then(|| views.iter().map(score).sum::<f64>() / views.len() as f64)
-        };
+        let mean = Scores::mean(&views.iter().map(|v| v.scores).collect::<Vec<_>>());
         let texels = |t: &crate::scene::Texture| t.width() as usize * t.height() as usize;
         let atlas = |a: &crate::scene::Atlas| texels(a.base()) + a.bands().map_or(0, texels);
         Self {
-            psnr: mean(|v| v.psnr),
-            ssim_inria: mean(|v| v.ssim_inria),
+            mean,
             splats: scene.splats.len(),
             triangles: scene.meshes.iter().map(|m| m.triangles().len()).sum(),
             texels: scene.meshes.iter().map(|m| atlas(m.atlas())).sum(),
             total_floats: scene.total_floats(),
             measured,
-            protocol: PROTOCOL,
+            protocol: mean.map_or_else(String::new, |mean| mean.protocol()),
             views,
         }
     }
@@ -120,7 +193,12 @@ impl Evaluation {
         let mib = |b: u64| format!("{} MiB", thousands(b.div_ceil(1 << 20)));
         rows.extend(m.peak_gpu_bytes.map(|b| ("peak GPU memory", mib(b))));
         rows.push(("adapter", m.adapter.clone()));
-        rows.push(("protocol", self.protocol.to_owned()));
+        if let Some(mean) = &self.mean {
+            rows.push(("PSNR of floats", format!("{:.3} dB", mean.psnr_float)));
+            rows.extend(mean.ssim_valid.map(|s| ("SSIM, inside only", format!("{s:.4}"))));
+            rows.extend(mean.ssim_reflect.map(|s| ("SSIM, reflected", format!("{s:.4}"))));
+            rows.push(("protocol", self.protocol.clone()));
+        }
         rows
     }
 }
@@ -129,15 +207,19 @@ impl Evaluation {
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let width = self.views.iter().map(|v| v.name.chars().count()).max().unwrap_or(0).max(4);
-        writeln!(f, "{:width$}  {:>11}  {:>7}  {:>6}", "view", "size", "PSNR", "SSIM")?;
-        for v in &self.views {
-            let (size, mask) = (format!("{}×{}", v.size[0], v.size[1]), if v.masked { "  masked" } else { "" });
-            writeln!(f, "{:width$}  {size:>11}  {:7.3}  {:6.4}{mask}", v.name, v.psnr, v.ssim_inria)?;
+        let row = |scores: &Scores, cell: fn((String, String)) -> (String, usize)| {
+            scores.columns().into_iter().map(cell).map(|(text, width)| format!("  {text:>width$}")).collect::<String>()
+        };
+        if let Some(mean) = &self.mean {
+            let name = |(name, _): (String, String)| (name.clone(), name.chars().count().max(7));
+            let value = |(name, value): (String, String)| (value, name.chars().count().max(7));
+            writeln!(f, "{:width$}  {:>11}{}", "view", "size", row(mean, name))?;
+            for v in &self.views {
+                let (size, mask) = (format!("{}×{}", v.size[0], v.size[1]), if v.masked { "  masked" } else { "" });
+                writeln!(f, "{:width$}  {size:>11}{}{mask}", v.name, row(&v.scores, value))?;
+            }
+            writeln!(f, "{:width$}  {:>11}{}\n", "mean", "", row(mean, value))?;
         }
-        if let (Some(psnr), Some(ssim)) = (self.psnr, self.ssim_inria) {
-            writeln!(f, "{:width$}  {:>11}  {psnr:7.3}  {ssim:6.4}", "mean", "")?;
-        }
-        writeln!(f)?;
         for (what, figure) in self.figures() {
             writeln!(f, "{what:18}  {figure}")?;
         }
@@ -163,13 +245,14 @@ pub(super) mod tests {
     use image::Rgb;
 
     use super::*;
+    use crate::metrics::LpipsNet;
     use crate::scene::{Composition, Splats};
 
     pub(in crate::metrics) fn example() -> Evaluation {
         let grey = |v| Rgb32FImage::from_pixel(12, 8, Rgb([v; 3]));
         let views = vec![
-            ViewScore::new("a.jpg", &grey(0.5), &grey(0.6), false).unwrap(),
-            ViewScore::new("b <b>.jpg", &grey(0.5), &grey(0.51), true).unwrap(),
+            ViewScore::new("a.jpg", &grey(0.5), &grey(0.6), false, None).unwrap(),
+            ViewScore::new("b <b>.jpg", &grey(0.5), &grey(0.51), true, None).unwrap(),
         ];
         let scene = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
         let measured =
@@ -182,8 +265,10 @@ pub(super) mod tests {
         let e = example();
         // 0.5 → 128, 0.6 → 153, 0.51 → 130: quantised differences of 25 and 2 levels.
         let db = |levels: f64| -20.0 * (levels / 255.0).log10();
-        assert!((e.views[0].psnr - db(25.0)).abs() < 1e-5 && (e.views[1].psnr - db(2.0)).abs() < 1e-5);
-        assert!((e.psnr.unwrap() - (db(25.0) + db(2.0)) / 2.0).abs() < 1e-5);
+        let [a, b] = [0, 1].map(|i| e.views[i].scores);
+        assert!((a.psnr - db(25.0)).abs() < 1e-5 && (b.psnr - db(2.0)).abs() < 1e-5);
+        assert!((a.psnr_float - 20.0).abs() < 1e-4 && (b.psnr_float - 40.0).abs() < 1e-3);
+        assert!((e.mean.unwrap().psnr - (db(25.0) + db(2.0)) / 2.0).abs() < 1e-5);
     }
 
     #[test]
@@ -194,13 +279,23 @@ pub(super) mod tests {
         assert_eq!(json["file_bytes"], 1_234_567);
         assert_eq!(json["views"][1]["masked"], true);
         assert!(json["seconds_per_iteration"].is_null());
+        assert_eq!(json["psnr"].as_f64(), example().mean.map(|m| m.psnr));
+        assert!(json["ssim_valid"].is_null() && json["ssim_reflect"].is_number(), "8 pixels high");
+        let mut e = example();
+        let lpips = Some(LpipsScore { net: LpipsNet::Vgg, normalized: 0.25, unnormalized: 0.125 });
+        e.views.iter_mut().for_each(|v| v.scores.lpips = lpips);
+        let scene = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
+        let text = Evaluation::new(&scene, e.views, e.measured).to_string();
+        for part in ["LPIPS VGG  LPIPS VGG 0…1", "0.2500         0.1250", "LPIPS v0.1 VGG"] {
+            assert!(text.contains(part), "{text}");
+        }
     }
 
     #[test]
     fn no_views_is_no_mean() {
         let e = Evaluation { views: vec![], ..example() };
         let scene = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
-        assert_eq!(Evaluation::new(&scene, vec![], Measured::default()).psnr, None);
+        assert_eq!(Evaluation::new(&scene, vec![], Measured::default()).mean, None);
         assert!(!e.to_string().contains("a.jpg"));
     }
 }

@@ -4,6 +4,7 @@
 //! on [`quantised`] images, as INRIA's scripts write PNGs and score what they read back.
 
 mod evaluation;
+mod lpips;
 mod picture;
 pub mod plot;
 mod psnr;
@@ -12,7 +13,8 @@ mod ssim;
 
 use image::Rgb32FImage;
 
-pub use evaluation::{Evaluation, Measured, PROTOCOL, ViewScore};
+pub use evaluation::{Evaluation, Measured, Scores, ViewScore};
+pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsRange, LpipsScore};
 pub use picture::side_by_side;
 pub use psnr::{psnr, quantised, to_rgb8};
 pub use ssim::{ssim_inria, ssim_reflect, ssim_valid};

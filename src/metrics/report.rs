@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use image::{ImageError, RgbImage, codecs::jpeg::JpegEncoder};
 
 use super::{
-    Evaluation,
+    Evaluation, Scores,
     plot::{self, Plot},
 };
 
@@ -62,8 +62,8 @@ pub fn html(report: &Report<'_>) -> String {
     let headline = |value: Option<f64>, decimals: usize| value.map_or("n/a".into(), |v| format!("{v:.decimals$}"));
     out += &format!(
         "<p class=\"headline\"><b>{}</b> dB PSNR <b>{}</b> SSIM (INRIA) <b>{}</b> held-out views</p>\n",
-        headline(e.psnr, 2),
-        headline(e.ssim_inria, 4),
+        headline(e.mean.map(|m| m.psnr), 2),
+        headline(e.mean.map(|m| m.ssim_inria), 4),
         e.views.len()
     );
     out += "<section class=\"columns\">\n<div><h2>Views</h2>\n";
@@ -101,20 +101,21 @@ pub fn html(report: &Report<'_>) -> String {
 }
 
 fn write_views(out: &mut String, e: &Evaluation) {
-    *out += "<table><thead><tr><th>view<th>size<th>PSNR<th>SSIM</tr></thead>\n<tbody>\n";
+    let cells = |scores: &Scores| -> String {
+        scores.columns().iter().map(|(_, value)| format!("<td class=\"n\">{value}")).collect()
+    };
+    let names = e.mean.map_or_else(Vec::new, |mean| mean.columns());
+    let names: String = names.iter().map(|(name, _)| format!("<th>{name}")).collect();
+    let _ = writeln!(out, "<table><thead><tr><th>view<th>size{names}</tr></thead>\n<tbody>");
     for v in &e.views {
         let mask = if v.masked { " <small>masked</small>" } else { "" };
         let name = escaped(&v.name);
         let [w, h] = v.size;
-        let _ = writeln!(
-            out,
-            "<tr><td>{name}{mask}<td class=\"n\">{w}×{h}<td class=\"n\">{:.3}<td class=\"n\">{:.4}</tr>",
-            v.psnr, v.ssim_inria
-        );
+        let _ = writeln!(out, "<tr><td>{name}{mask}<td class=\"n\">{w}×{h}{}</tr>", cells(&v.scores));
     }
     *out += "</tbody>\n";
-    if let (Some(psnr), Some(ssim)) = (e.psnr, e.ssim_inria) {
-        let _ = writeln!(out, "<tfoot><tr><td>mean<td><td class=\"n\">{psnr:.3}<td class=\"n\">{ssim:.4}</tr></tfoot>");
+    if let Some(mean) = &e.mean {
+        let _ = writeln!(out, "<tfoot><tr><td>mean<td>{}</tr></tfoot>", cells(mean));
     }
     *out += "</table>\n";
 }
