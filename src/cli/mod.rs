@@ -1,5 +1,6 @@
 //! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
 
+mod bench;
 mod cameras;
 mod convert;
 mod devices;
@@ -39,6 +40,7 @@ enum Command {
     Inspect(inspect::Args),
     Validate(validate::Args),
     Mesh(mesh::Args),
+    Bench(Box<bench::Args>),
     Devices(devices::Args),
 }
 
@@ -53,6 +55,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Inspect(args) => inspect::run(&args),
         Command::Validate(args) => validate::run(&args),
         Command::Mesh(args) => mesh::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Devices(args) => devices::run(&args),
     };
     match result {

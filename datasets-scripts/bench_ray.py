@@ -1,0 +1,66 @@
+"""Runs the jobs of `centaur bench` on a Ray cluster, one task each, and makes the table.
+
+  pip install ray
+  python bench_ray.py [--address ADDRESS] [--gpus 1] [--cpus 4] DATASET -o OUT [options of centaur bench]
+
+All nodes must see DATASET and OUT under the same paths and have `centaur` (or what --program says). A task that is lost with its
+node is started again and goes on from its checkpoint; jobs that are done are not done again.
+"""
+
+import argparse
+import shlex
+import subprocess
+import sys
+
+
+def open_jobs(program, options):
+    """A command for each job that is not done."""
+    listed = subprocess.run([*program, "bench", *with_option(options, "--list")], stdout=subprocess.PIPE, text=True)
+    if listed.returncode:
+        raise SystemExit(listed.returncode)
+    # The first word is the program as `centaur` was called; others may call it otherwise.
+    return [[*program, *shlex.split(line)[1:]] for line in listed.stdout.splitlines()]
+
+
+def with_option(options, option):
+    """Before the flags of `centaur train`."""
+    end = options.index("--") if "--" in options else len(options)
+    return [*options[:end], option, *options[end:]]
+
+
+def run(command):
+    """Exit status of a job and the last line it said."""
+    done = subprocess.run([*command[:2], "--quiet", *command[2:]], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.PIPE, text=True)
+    return done.returncode, (done.stderr.strip().splitlines() or [""])[-1]
+
+
+def main(arguments):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--program", default="centaur", help="how to call it (default: centaur)")
+    parser.add_argument("--address", help="of the cluster (default: that of the environment, else this machine alone)")
+    parser.add_argument("--gpus", type=float, default=1, help="of a job; parts share a GPU, 0 for none (default: 1)")
+    parser.add_argument("--cpus", type=float, default=2, help="of a job (default: 2)")
+    args, options = parser.parse_known_args(arguments)
+    program = shlex.split(args.program)
+    jobs = open_jobs(program, options)
+    try:
+        import ray
+    except ImportError:
+        raise SystemExit("ray is missing: pip install ray")
+    ray.init(address=args.address, log_to_driver=False)
+    task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
+    names = {task.remote(job): job[job.index("--only") + 1] for job in jobs}
+    failed, pending = 0, list(names)
+    while pending:
+        (ready,), pending = ray.wait(pending, num_returns=1)
+        status, message = ray.get(ready)
+        failed += status != 0
+        print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]}: {'done' if status == 0 else message}", flush=True)
+    if failed:
+        raise SystemExit(f"{failed} of {len(jobs)} jobs failed")
+    raise SystemExit(subprocess.run([*program, "bench", *with_option(options, "--table")]).returncode)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
