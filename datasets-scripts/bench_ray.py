@@ -18,21 +18,14 @@ def open_jobs(program, options):
     listed = subprocess.run([*program, "bench", *with_option(options, "--list")], stdout=subprocess.PIPE, text=True)
     if listed.returncode:
         raise SystemExit(listed.returncode)
-    # The first word is the program as `centaur` was called; others may call it otherwise.
-    return [[*program, *shlex.split(line)[1:]] for line in listed.stdout.splitlines()]
+    # A line begins with the program's own path, which other nodes may have elsewhere, and `bench`.
+    return [[*program, "bench", "--quiet", *shlex.split(line)[2:]] for line in listed.stdout.splitlines()]
 
 
 def with_option(options, option):
     """Before the flags of `centaur train`."""
     end = options.index("--") if "--" in options else len(options)
     return [*options[:end], option, *options[end:]]
-
-
-def run(command):
-    """Exit status of a job and the last line it said."""
-    done = subprocess.run([*command[:2], "--quiet", *command[2:]], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                          stderr=subprocess.PIPE, text=True)
-    return done.returncode, (done.stderr.strip().splitlines() or [""])[-1]
 
 
 def main(arguments):
@@ -49,14 +42,20 @@ def main(arguments):
     except ImportError:
         raise SystemExit("ray is missing: pip install ray")
     ray.init(address=args.address, log_to_driver=False)
+
+    def run(command):
+        """Exit status of a job, the last line it said, and where. A function within, so that nodes need not have this file."""
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        return done.returncode, (done.stderr.strip().splitlines() or [""])[-1], ray.get_runtime_context().get_node_id()[:8]
+
     task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
     names = {task.remote(job): job[job.index("--only") + 1] for job in jobs}
     failed, pending = 0, list(names)
     while pending:
         (ready,), pending = ray.wait(pending, num_returns=1)
-        status, message = ray.get(ready)
+        status, message, node = ray.get(ready)
         failed += status != 0
-        print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]}: {'done' if status == 0 else message}", flush=True)
+        print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]} on node {node}: {'done' if status == 0 else message}", flush=True)
     if failed:
         raise SystemExit(f"{failed} of {len(jobs)} jobs failed")
     raise SystemExit(subprocess.run([*program, "bench", *with_option(options, "--table")]).returncode)

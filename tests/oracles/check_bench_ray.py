@@ -10,6 +10,7 @@ import os
 import pathlib
 import sys
 
+import ray
 from ray.cluster_utils import Cluster
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2] / "datasets-scripts"))
@@ -35,11 +36,13 @@ def main():
         except SystemExit as end:
             assert end.code == 0, end.code
     print(said.getvalue())
-    assert "4/4" in said.getvalue()
+    nodes = {line.split(" on node ")[1] for line in said.getvalue().splitlines()}
+    assert "4/4" in said.getvalue() and len(nodes) == 2, nodes
     table = json.loads((out / "table.json").read_text())
     assert [len(v["rows"]) for v in table["variants"]] == [2, 2]
     assert all(row["psnr"] > 5 for v in table["variants"] for row in v["rows"])
     assert bench_ray.open_jobs(program.split(), options) == [], "what is done is done"
+    ray.shutdown()
     cluster.shutdown()
     print("two nodes, four jobs: agreed")
 
