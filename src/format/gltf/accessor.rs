@@ -1,36 +1,70 @@
 //! Reads accessors with every bound checked; the `gltf` crate's own iterators panic on ranges that do not fit.
 
+use std::borrow::Cow;
+use std::ops::Range;
+
 use glam::DMat4;
 use gltf::accessor::sparse::IndexType;
 use gltf::accessor::{DataType, Dimensions};
 
+use super::buffer::Buffer;
 use super::lift::Asset;
+use crate::format::blocks::BLOCK_BYTES;
 use crate::format::error::Fault;
 
-/// A run of elements in a buffer view: element `i` starts at `i·stride`.
+/// A run of elements: element `i` starts at `start + i·stride`.
 struct Elements<'a> {
-    bytes: &'a [u8],
+    bytes: Bytes<'a>,
+    start: usize,
     count: usize,
     stride: usize,
+    size: usize,
     kind: DataType,
     normalized: bool,
+    at: &'a str,
+}
+
+/// Where they lie; all of them are there.
+enum Bytes<'a> {
+    /// A view that was decompressed.
+    Plain(&'a [u8]),
+    Buffer(&'a Buffer),
 }
 
 impl Elements<'_> {
-    fn float<const N: usize>(&self, i: usize) -> [f32; N] {
-        let size = self.kind.size();
-        std::array::from_fn(|c| component(&self.bytes[i * self.stride + c * size..], self.kind, self.normalized))
+    /// What `of` makes of the bytes of each element, of which some are in memory at a time.
+    fn map<T>(&self, of: impl Fn(&[u8]) -> T) -> Result<Vec<T>, Fault> {
+        let mut values = Vec::with_capacity(self.count);
+        let per_block = (BLOCK_BYTES / self.stride).max(1);
+        for first in (0..self.count).step_by(per_block) {
+            let rows = per_block.min(self.count - first);
+            let start = self.start + first * self.stride;
+            let range = start..start + (rows - 1) * self.stride + self.size;
+            let block = match self.bytes {
+                Bytes::Plain(bytes) => Cow::Borrowed(&bytes[range]),
+                Bytes::Buffer(buffer) => {
+                    buffer.read(range).map_err(|e| Fault::pointer(self.at, "readable content", e.to_string()))?
+                }
+            };
+            values.extend(block.chunks(self.stride).map(&of));
+        }
+        Ok(values)
     }
 
-    /// The first component of element `i`; 0 for types that are not unsigned integers, which callers exclude.
-    fn index(&self, i: usize) -> u32 {
-        let b = &self.bytes[i * self.stride..];
-        match self.kind {
+    fn floats<const N: usize>(&self) -> Result<Vec<[f32; N]>, Fault> {
+        let (kind, size, normalized) = (self.kind, self.kind.size(), self.normalized);
+        self.map(|row| std::array::from_fn(|c| component(&row[c * size..], kind, normalized)))
+    }
+
+    /// First components; 0 for types that are not unsigned integers, which callers exclude.
+    fn indices(&self) -> Result<Vec<u32>, Fault> {
+        let kind = self.kind;
+        self.map(|b| match kind {
             DataType::U8 => u32::from(b[0]),
             DataType::U16 => u32::from(u16::from_le_bytes([b[0], b[1]])),
             DataType::U32 => u32::from_le_bytes([b[0], b[1], b[2], b[3]]),
             DataType::I8 | DataType::I16 | DataType::F32 => 0,
-        }
+        })
     }
 }
 
@@ -41,15 +75,11 @@ impl Asset {
         let at = format!("/accessors/{}", accessor.index());
         let (count, kind, normalized) = (accessor.count(), accessor.data_type(), accessor.normalized());
         let mut values = match accessor.view().filter(|view| self.has_view(view)) {
-            Some(view) => {
-                let base = self.elements(&view, accessor.offset(), count, N, (kind, normalized), &at)?;
-                (0..count).map(|i| base.float(i)).collect()
-            }
+            Some(view) => self.elements(&view, accessor.offset(), count, N, (kind, normalized), &at)?.floats()?,
             None => {
                 // All zero but for the sparse elements. Such an accessor goes with others that are stored in full, so
                 // a count above the number of bytes in the file is a lie.
-                let bytes: usize = self.buffers.iter().chain(self.plain_views.values()).map(Vec::len).sum();
-                if accessor.sparse().is_none() || count > bytes {
+                if accessor.sparse().is_none() || count > self.stored_bytes() {
                     return Err(Fault::pointer(at, "an accessor with a bufferView", "one without"));
                 }
                 vec![[0.0; N]; count]
@@ -64,15 +94,15 @@ impl Asset {
                 IndexType::U32 => DataType::U32,
             };
             let n = sparse.count();
-            let indices = self.elements(&indices.view(), indices.offset(), n, 1, (index_kind, false), &at)?;
+            let indices =
+                self.elements(&indices.view(), indices.offset(), n, 1, (index_kind, false), &at)?.indices()?;
             let (view, offset) = (replacements.view(), replacements.offset());
-            let replacements = self.elements(&view, offset, n, N, (kind, normalized), &at)?;
-            for i in 0..n {
-                let index = indices.index(i);
+            let replacements = self.elements(&view, offset, n, N, (kind, normalized), &at)?.floats()?;
+            for (index, value) in indices.into_iter().zip(replacements) {
                 let slot = values.get_mut(index as usize);
                 let slot =
                     slot.ok_or_else(|| Fault::pointer(&at, format!("indices below {count}"), index.to_string()))?;
-                *slot = replacements.float(i);
+                *slot = value;
             }
         }
         Ok(values)
@@ -89,7 +119,7 @@ impl Asset {
         };
         let layout = (DataType::F32, false);
         let elements = self.elements(&view, accessor.offset(), accessor.count(), 16, layout, &at)?;
-        Ok((0..elements.count).map(|i| DMat4::from_cols_array(&elements.float::<16>(i).map(f64::from))).collect())
+        Ok(elements.floats::<16>()?.iter().map(|m| DMat4::from_cols_array(&m.map(f64::from))).collect())
     }
 
     /// Elements of a SCALAR unsigned integer accessor.
@@ -104,8 +134,12 @@ impl Asset {
         let (Some(view), None) = (view, accessor.sparse()) else {
             return Err(Fault::pointer(at, "indices stored in full", "a sparse or empty accessor"));
         };
-        let elements = self.elements(&view, accessor.offset(), accessor.count(), 1, (kind, false), &at)?;
-        Ok((0..elements.count).map(|i| elements.index(i)).collect())
+        self.elements(&view, accessor.offset(), accessor.count(), 1, (kind, false), &at)?.indices()
+    }
+
+    /// Length of all that the document refers to.
+    pub(super) fn stored_bytes(&self) -> usize {
+        self.buffers.iter().map(Buffer::len).chain(self.plain_views.values().map(Vec::len)).sum()
     }
 
     /// Accessor `index`, known to have `components` components.
@@ -123,15 +157,15 @@ impl Asset {
         Ok(accessor)
     }
 
-    fn elements(
-        &self,
+    fn elements<'a>(
+        &'a self,
         view: &gltf::buffer::View<'_>,
         offset: usize,
         count: usize,
         components: usize,
         (kind, normalized): (DataType, bool),
-        at: &str,
-    ) -> Result<Elements<'_>, Fault> {
+        at: &'a str,
+    ) -> Result<Elements<'a>, Fault> {
         let size = components * kind.size();
         let stride = view.stride().unwrap_or(size);
         if stride < size {
@@ -141,24 +175,37 @@ impl Asset {
             0 => Some(0),
             n => (n - 1).checked_mul(stride).and_then(|b| b.checked_add(size)),
         };
-        let bytes = self.view_bytes(view)?.get(offset..).unwrap_or_default();
-        if needed.is_none_or(|n| n > bytes.len()) {
+        let (bytes, range) = self.place(view)?;
+        let length = range.len().saturating_sub(offset);
+        if needed.is_none_or(|n| n > length) {
             let expected = format!("{count} elements of {size} bytes, {stride} apart");
-            return Err(Fault::pointer(format!("{at}/count"), expected, format!("{} bytes", bytes.len())));
+            return Err(Fault::pointer(format!("{at}/count"), expected, format!("{length} bytes")));
         }
-        Ok(Elements { bytes, count, stride, kind, normalized })
+        Ok(Elements { bytes, start: range.start.saturating_add(offset), count, stride, size, kind, normalized, at })
     }
 
     /// The bytes of a buffer view, decompressed.
-    pub(super) fn view_bytes(&self, view: &gltf::buffer::View<'_>) -> Result<&[u8], Fault> {
-        if let Some(plain) = self.plain_views.get(&view.index()) {
-            return Ok(plain);
+    pub(super) fn view_bytes(&self, view: &gltf::buffer::View<'_>) -> Result<Cow<'_, [u8]>, Fault> {
+        match self.place(view)? {
+            (Bytes::Plain(bytes), range) => Ok(Cow::Borrowed(&bytes[range])),
+            (Bytes::Buffer(buffer), range) => buffer.read(range).map_err(|e| {
+                Fault::pointer(format!("/bufferViews/{}", view.index()), "readable content", e.to_string())
+            }),
         }
-        let buffer = self.buffers.get(view.buffer().index()).map_or(&[][..], Vec::as_slice);
-        let end = view.offset().checked_add(view.length());
-        end.and_then(|end| buffer.get(view.offset()..end)).ok_or_else(|| {
+    }
+
+    /// Where the bytes of a buffer view lie, which are all there.
+    fn place(&self, view: &gltf::buffer::View<'_>) -> Result<(Bytes<'_>, Range<usize>), Fault> {
+        if let Some(plain) = self.plain_views.get(&view.index()) {
+            return Ok((Bytes::Plain(plain), 0..plain.len()));
+        }
+        let buffer = self.buffers.get(view.buffer().index());
+        let length = buffer.map_or(0, Buffer::len);
+        let end = view.offset().checked_add(view.length()).filter(|&end| end <= length);
+        let place = buffer.zip(end).map(|(buffer, end)| (Bytes::Buffer(buffer), view.offset()..end));
+        place.ok_or_else(|| {
             let expected = format!("{} bytes at offset {}", view.length(), view.offset());
-            Fault::pointer(format!("/bufferViews/{}", view.index()), expected, format!("{} bytes", buffer.len()))
+            Fault::pointer(format!("/bufferViews/{}", view.index()), expected, format!("{length} bytes"))
         })
     }
 }

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use super::buffer::Buffer;
 use super::{glb, uri};
 use crate::format::atomic_write_with;
 use crate::format::blocks::{BLOCK_BYTES, in_waves};
@@ -23,6 +24,8 @@ pub(super) struct Bin<'a> {
 enum Piece<'a> {
     Bytes(Cow<'a, [u8]>),
     Rows(Rows<'a>),
+    /// The first bytes of what was read.
+    Copy(&'a Buffer, usize),
 }
 
 /// Rows that are made as they are written, so that a large scene is not held a second time.
@@ -55,6 +58,11 @@ impl<'a> Bin<'a> {
         self.place(piece.len(), Piece::Bytes(piece))
     }
 
+    /// Appends the first `length` bytes of a buffer; returns where they begin.
+    pub(super) fn push_copy(&mut self, buffer: &'a Buffer, length: usize) -> usize {
+        self.place(length, Piece::Copy(buffer, length))
+    }
+
     /// Appends `count` rows of `stride` bytes each, of which `row` appends the one of an index; returns where they begin.
     pub(super) fn push_rows(
         &mut self,
@@ -84,23 +92,41 @@ impl<'a> Bin<'a> {
         self.pieces.iter().try_for_each(|piece| match piece {
             Piece::Bytes(bytes) => out.write_all(bytes),
             Piece::Rows(rows) => rows.write(out),
+            Piece::Copy(buffer, length) => buffer.copy(*length, out),
         })
     }
+}
+
+/// The text of a document before and after the content of buffer 0 in its data URI.
+fn around_content(document: &mut Value) -> (String, String) {
+    // A mark that nothing else in the document has.
+    for mark in 0u64.. {
+        let mark = format!("(content {mark})");
+        document["buffers"][0]["uri"] = json!(format!("data:application/octet-stream;base64,{mark}"));
+        let text = document.to_string();
+        let mut places = text.match_indices(&mark).map(|(at, _)| at);
+        if let (Some(at), None) = (places.next(), places.next()) {
+            return (text[..at].to_owned(), text[at + mark.len()..].to_owned());
+        }
+    }
+    unreachable!("a document is finite")
 }
 
 /// Writes to `path`; returns the file's size. `buffers[0]` of the document must be what `bin` holds.
 pub(super) fn write(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
     let is_text = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf"));
     if is_text {
-        if bin.len() > 0 {
-            let mut text = "data:application/octet-stream;base64,".to_owned();
-            // Base64 takes three bytes at a time, wherever pieces end.
-            let mut bytes = Vec::with_capacity(bin.len());
-            bin.write(&mut bytes).map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
-            uri::encode_base64(&bytes, &mut text);
-            document["buffers"][0]["uri"] = json!(text);
+        if bin.len() == 0 {
+            return atomic_write_with(path, |file| Ok(serde_json::to_writer(file, &document)?));
         }
-        return atomic_write_with(path, |file| Ok(serde_json::to_writer(file, &document)?));
+        let (before, after) = around_content(&mut document);
+        return atomic_write_with(path, |file| {
+            file.write_all(before.as_bytes())?;
+            let mut encoder = uri::Base64::new(&mut *file);
+            bin.write(&mut encoder)?;
+            encoder.finish()?;
+            file.write_all(after.as_bytes())
+        });
     }
     let text = document.to_string().into_bytes();
     let headers = glb::headers(text.len(), bin.len()).ok_or_else(|| {

@@ -59,8 +59,7 @@ impl Builder {
 
     /// The file, with `rest` in place of what it has by default: one node with mesh 0.
     pub(super) fn file(&self, rest: &Value) -> Vec<u8> {
-        let mut text = String::from("data:application/octet-stream;base64,");
-        uri::encode_base64(&self.bytes, &mut text);
+        let text = format!("data:application/octet-stream;base64,{}", uri::encode_base64(&self.bytes));
         let mut document = json!({
             "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
             "bufferViews": self.views, "accessors": self.accessors,
@@ -72,7 +71,7 @@ impl Builder {
 
     #[expect(clippy::needless_pass_by_value, reason = "documents are written where they are read")]
     pub(super) fn read(&self, rest: Value) -> Result<SceneFile, String> {
-        let asset = Asset::parse(self.file(&rest), PathBuf::new());
+        let asset = Asset::parse(&self.file(&rest), PathBuf::new());
         asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
     }
 }

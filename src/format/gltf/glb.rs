@@ -1,60 +1,71 @@
 //! The GLB container: a 12-byte header, a JSON chunk, a binary chunk.
 
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
+
 use crate::format::error::Fault;
 
 pub(super) const MAGIC: &[u8; 4] = b"glTF";
 const JSON: u32 = 0x4E4F_534A;
 const BIN: u32 = 0x004E_4942;
 
+/// Where the JSON stands, always.
+pub(super) const JSON_OFFSET: usize = 20;
+
 /// What a GLB file holds.
-pub(super) struct Chunks<'a> {
-    pub(super) json: &'a [u8],
-    /// Offset of `json` in the file.
-    pub(super) json_offset: usize,
-    pub(super) bin: Option<&'a [u8]>,
-    /// Offset of `bin` in the file.
-    pub(super) bin_offset: usize,
+pub(super) struct Chunks {
+    pub(super) json: Vec<u8>,
+    /// Place of the binary chunk in the file.
+    pub(super) bin: Option<Range<usize>>,
 }
 
-pub(super) fn split(bytes: &[u8]) -> Result<Chunks<'_>, Fault> {
-    let u32_at = |offset: usize| -> Result<u32, Fault> {
-        let word = bytes.get(offset..).and_then(|b| b.first_chunk::<4>());
-        word.map(|b| u32::from_le_bytes(*b))
-            .ok_or_else(|| Fault::byte(offset, "4 more bytes of the GLB container", "the end of the file"))
+/// Takes a file apart, of which the binary chunk is left where it is.
+pub(super) fn split(file: &mut (impl Read + Seek)) -> Result<Chunks, Fault> {
+    let file_length = file.seek(SeekFrom::End(0)).map_err(|e| Fault::unreadable(0, &e))? as usize;
+    let mut read = |offset: usize, size: usize| -> Result<Vec<u8>, Fault> {
+        // Ranges have been compared with the file's length.
+        let mut bytes = vec![0; size];
+        let read = file.seek(SeekFrom::Start(offset as u64)).and_then(|_| file.read_exact(&mut bytes));
+        read.map_err(|e| Fault::unreadable(offset as u64, &e)).map(|()| bytes)
     };
-    if !bytes.starts_with(MAGIC) {
+    let mut u32_at = |offset: usize| -> Result<u32, Fault> {
+        if offset.saturating_add(4) > file_length {
+            return Err(Fault::byte(offset, "4 more bytes of the GLB container", "the end of the file"));
+        }
+        Ok(u32::from_le_bytes(read(offset, 4)?.try_into().unwrap_or_default()))
+    };
+    if u32_at(0)? != u32::from_le_bytes(*MAGIC) {
         return Err(Fault::byte(0, "the GLB magic `glTF`", "something else"));
     }
-    if u32_at(4)? != 2 {
-        return Err(Fault::byte(4, "GLB version 2", u32_at(4)?.to_string()));
+    let version = u32_at(4)?;
+    if version != 2 {
+        return Err(Fault::byte(4, "GLB version 2", version.to_string()));
     }
     let length = u32_at(8)? as usize;
-    if length > bytes.len() {
-        return Err(Fault::byte(8, format!("a file of {length} bytes"), format!("{} bytes", bytes.len())));
+    if length > file_length {
+        return Err(Fault::byte(8, format!("a file of {length} bytes"), format!("{file_length} bytes")));
     }
-    let chunk = |offset: usize| -> Result<(u32, &[u8]), Fault> {
+    let mut chunk = |offset: usize| -> Result<(u32, Range<usize>), Fault> {
         let size = u32_at(offset)? as usize;
         let start = offset + 8;
-        let data = start.checked_add(size).filter(|&end| end <= length).and_then(|end| bytes.get(start..end));
         let left = length.saturating_sub(start);
-        let data =
-            data.ok_or_else(|| Fault::byte(offset, format!("a chunk of at most {left} bytes"), size.to_string()))?;
-        Ok((u32_at(offset + 4)?, data))
+        if size > left {
+            return Err(Fault::byte(offset, format!("a chunk of at most {left} bytes"), size.to_string()));
+        }
+        Ok((u32_at(offset + 4)?, start..start + size))
     };
     let (kind, json) = chunk(12)?;
     if kind != JSON {
         return Err(Fault::byte(16, "a JSON chunk first", format!("chunk type {kind:#010x}")));
     }
-    let mut offset = 20 + json.len();
+    let (mut offset, mut bin) = (json.end, None);
     // Chunks of other types are to be ignored.
-    while offset + 8 <= length {
+    while bin.is_none() && offset + 8 <= length {
         let (kind, data) = chunk(offset)?;
-        if kind == BIN {
-            return Ok(Chunks { json, json_offset: 20, bin: Some(data), bin_offset: offset + 8 });
-        }
-        offset += 8 + data.len();
+        offset = data.end;
+        bin = Some(data).filter(|_| kind == BIN);
     }
-    Ok(Chunks { json, json_offset: 20, bin: None, bin_offset: 0 })
+    Ok(Chunks { json: read(json.start, json.len())?, bin })
 }
 
 /// The container's bytes before a JSON chunk and a binary chunk of these lengths, both to be padded to multiples of 4;

@@ -39,7 +39,7 @@ impl Asset {
         let at = format!("/images/{source}");
         let view = image.buffer_view.as_ref().and_then(|v| self.document.views().nth(v.value()));
         let encoded = match (view, &image.uri) {
-            (Some(view), _) => self.view_bytes(&view)?.to_vec(),
+            (Some(view), _) => self.view_bytes(&view)?.into_owned(),
             (None, Some(uri)) => resolve(uri, &self.folder)
                 .map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?,
             (None, None) => return Err(Fault::pointer(at, "a bufferView or a uri", "neither")),
@@ -113,7 +113,7 @@ mod tests {
         std::fs::write(folder.path().join("a.jpg"), jpeg).unwrap();
         let json =
             br#"{ "asset": { "version": "2.0" }, "images": [{ "uri": "a.jpg" }], "textures": [{ "source": 0 }] }"#;
-        let asset = Asset::parse(json.to_vec(), folder.path().to_owned()).map_err(|_| ()).unwrap();
+        let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
         let message = asset.texels(0).err().unwrap().in_file(Path::new("f")).to_string();
         assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 196608 bytes"), "{message}");
     }

@@ -6,12 +6,17 @@
 //! an extension has: they get a buffer view beyond those of the file.
 
 use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::Read as _;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
 
+use super::buffer::Buffer;
 use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
-use super::uri::resolve;
+use super::uri::open;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
 
@@ -32,7 +37,7 @@ pub(in crate::format) struct Asset {
     /// Length of the JSON text.
     pub(in crate::format) json_bytes: usize,
     /// One per glTF buffer, at least as long as declared; empty where all views of it are stored compressed.
-    pub(super) buffers: Vec<Vec<u8>>,
+    pub(super) buffers: Vec<Buffer>,
     /// Buffer views that are stored compressed, decompressed.
     pub(super) plain_views: HashMap<usize, Vec<u8>>,
     /// Folder of the file: images and buffers may lie in it.
@@ -59,32 +64,49 @@ pub(in crate::format) const UNDERSTOOD: [&str; 9] = [
 impl Asset {
     /// Opens a `.glb` or `.gltf` file with all its buffers.
     pub(in crate::format) fn open(path: &Path) -> Result<Self, FormatError> {
-        let bytes = read_file(path)?;
+        let read = |source| FormatError::Read { file: path.to_owned(), source };
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        Self::parse(bytes, folder).map_err(|fault| fault.in_file(path))
+        let mut file = File::open(path).map_err(read)?;
+        let mut start = vec![];
+        file.by_ref().take(glb::MAGIC.len() as u64).read_to_end(&mut start).map_err(read)?;
+        let opened = if start == glb::MAGIC {
+            glb::split(&mut file).and_then(|glb::Chunks { json, bin }| {
+                let file = Arc::new(Mutex::new(file));
+                let section =
+                    |range: Range<usize>| Buffer::File { file, start: range.start as u64, length: range.len() };
+                Self::of_json(json, glb::JSON_OFFSET, bin.map(section), folder)
+            })
+        } else {
+            Self::of_json(read_file(path)?, 0, None, folder)
+        };
+        opened.map_err(|fault| fault.in_file(path))
     }
 
-    pub(super) fn parse(mut bytes: Vec<u8>, folder: PathBuf) -> Result<Self, Fault> {
-        let mut bin = None;
-        let (mut root, json_bytes) = if bytes.starts_with(glb::MAGIC) {
-            let chunks = glb::split(&bytes)?;
-            bin = chunks.bin.map(|data| chunks.bin_offset..chunks.bin_offset + data.len());
-            (from_json(chunks.json, chunks.json_offset, "glTF JSON")?, chunks.json.len())
-        } else {
-            (from_json(&bytes, 0, "glTF JSON")?, bytes.len())
-        };
+    /// As [`Self::open`], of a file in memory.
+    #[cfg(test)]
+    pub(super) fn parse(bytes: &[u8], folder: PathBuf) -> Result<Self, Fault> {
+        if !bytes.starts_with(glb::MAGIC) {
+            return Self::of_json(bytes.to_vec(), 0, None, folder);
+        }
+        let glb::Chunks { json, bin } = glb::split(&mut std::io::Cursor::new(bytes))?;
+        Self::of_json(json, glb::JSON_OFFSET, bin.map(|range| bytes[range].to_vec().into()), folder)
+    }
+
+    fn of_json(json: Vec<u8>, offset: usize, bin: Option<Buffer>, folder: PathBuf) -> Result<Self, Fault> {
+        let json_bytes = json.len();
+        let mut root: Value = from_json(&json, offset, "glTF JSON")?;
+        // It may hold all buffers.
+        drop(json);
         let extensions_used = strings(&root, "extensionsUsed");
         let extensions_required = strings(&root, "extensionsRequired");
-        // The binary chunk keeps its place in memory.
-        let bin = bin.map(|range| {
-            bytes.truncate(range.end);
-            bytes.drain(..range.start);
-            bytes
-        });
         let buffers = load_buffers(&mut root, bin, &folder)?;
         let (document, attributes) = core(&root)?;
-        let plain_views =
-            meshopt::decompress(&root, |i| buffers.get(i).map(Vec::as_slice)).collect::<Result<HashMap<_, _>, _>>()?;
+        let in_memory = |i: usize| match buffers.get(i) {
+            Some(Buffer::Memory(bytes)) => Some(bytes.as_slice()),
+            // Those of documents with compressed views are loaded.
+            Some(Buffer::File { .. }) | None => None,
+        };
+        let plain_views = meshopt::decompress(&root, in_memory).collect::<Result<HashMap<_, _>, _>>()?;
         Ok(Self {
             document,
             root,
@@ -241,7 +263,7 @@ fn is_core(name: &str) -> bool {
 }
 
 /// The content of every buffer; takes their URIs out of the JSON.
-fn load_buffers(root: &mut Value, bin: Option<Vec<u8>>, folder: &Path) -> Result<Vec<Vec<u8>>, Fault> {
+fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<Vec<Buffer>, Fault> {
     // The plain form of a view that is stored compressed is not needed, and often not there.
     let is_needed = |root: &Value, buffer: usize| {
         let mut views = root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
@@ -256,23 +278,27 @@ fn load_buffers(root: &mut Value, bin: Option<Vec<u8>>, folder: &Path) -> Result
         let at = format!("/buffers/{i}");
         let length = root["buffers"][i].get("byteLength").and_then(Value::as_u64);
         let length = length.ok_or_else(|| Fault::pointer(format!("{at}/byteLength"), "a number of bytes", "none"))?;
-        let uri = root["buffers"][i].get("uri").and_then(Value::as_str);
-        let data = match (uri, bin.take().filter(|_| i == 0)) {
+        let chunk = bin.take().filter(|_| i == 0);
+        if chunk.is_none() && has_compressed && !is_needed(root, i) {
+            buffers.push(vec![].into());
+            continue;
+        }
+        let uri = root["buffers"][i].as_object_mut().and_then(|buffer| buffer.remove("uri"));
+        let data = match (uri.as_ref().and_then(Value::as_str), chunk) {
             (None, Some(bin)) => bin,
-            (_, None) if has_compressed && !is_needed(root, i) => {
-                buffers.push(vec![]);
-                continue;
-            }
             (None, None) => return Err(Fault::pointer(at, "a uri or a GLB binary chunk", "neither")),
-            (Some(uri), _) => resolve(uri, folder)
-                .map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?,
+            (Some(uri), _) => {
+                open(uri, folder).map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?
+            }
+        };
+        let data = if has_compressed {
+            data.loaded().map_err(|e| Fault::pointer(&at, format!("{length} bytes"), e.to_string()))?
+        } else {
+            data
         };
         if (data.len() as u64) < length {
             let expected = format!("{length} bytes");
             return Err(Fault::pointer(format!("{at}/byteLength"), expected, format!("{} bytes", data.len())));
-        }
-        if let Some(buffer) = root["buffers"][i].as_object_mut() {
-            buffer.remove("uri");
         }
         buffers.push(data);
     }

@@ -6,6 +6,7 @@
 
 mod accessor;
 pub(super) mod binding;
+mod buffer;
 mod camera;
 mod container;
 #[cfg(test)]
@@ -122,7 +123,8 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     read_with(path, &ReadOptions::default())
 }
 
-/// As [`read`]; keeps the document for [`super::write_scene`] on demand, which doubles the memory, and poses the scene.
+/// As [`read`]; keeps the document for [`super::write_scene`] on demand, its buffers where they are in the file, and poses the
+/// scene.
 ///
 /// # Errors
 /// As [`read`].

@@ -39,7 +39,7 @@ pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fau
     let space = composition.color_space;
     let motion = Motion::read(asset)?;
     let (mut parts, mut meshes, mut hung) = (vec![], Meshes::new(asset, &motion, space)?, vec![]);
-    let stored: usize = asset.buffers.iter().chain(asset.plain_views.values()).map(Vec::len).sum();
+    let stored = asset.stored_bytes();
     let most = (stored + asset.json_bytes) as u64 * MAX_RATIO + ALWAYS;
     let (mut bytes, mut count) = (0u64, 0);
     let placed = placements(&asset.document)?;

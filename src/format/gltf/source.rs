@@ -9,6 +9,7 @@ use glam::{DMat4, Vec2};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
+use super::buffer::Buffer;
 use super::container::Bin;
 use super::extension::{HYBRID, MOVED_NODE, SceneContract};
 use super::lift::Asset;
@@ -55,7 +56,7 @@ pub struct Source {
 /// The bytes that a document refers to.
 #[derive(Clone, Debug)]
 struct Content {
-    buffers: Vec<Vec<u8>>,
+    buffers: Vec<Buffer>,
     /// Images outside buffers, by index.
     images: HashMap<usize, Vec<u8>>,
 }
@@ -266,7 +267,7 @@ impl Content {
                 places.push((usize::from(has_bin) + placeholders.len(), 0));
                 placeholders.push(buffer.clone());
             } else {
-                places.push((0, bin.push(&content[..length.min(content.len())])));
+                places.push((0, bin.push_copy(content, length.min(content.len()))));
             }
         }
         for view in root.get_mut("bufferViews").and_then(Value::as_array_mut).into_iter().flatten() {

@@ -6,6 +6,7 @@ use glam::{DMat4, DQuat, DVec3};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
+use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
 use super::tests::{fuzzed_values, leaves};
 use super::*;
@@ -63,7 +64,8 @@ fn turned() -> DMat4 {
 /// JSON and binary chunk of a file in either container.
 fn opened(path: &Path) -> (Value, Vec<Vec<u8>>) {
     let asset = Asset::open(path).unwrap();
-    (asset.root, asset.buffers)
+    let content = |buffer: &Buffer| buffer.read(0..buffer.len()).unwrap().into_owned();
+    (asset.root, asset.buffers.iter().map(content).collect())
 }
 
 #[test]
@@ -243,14 +245,14 @@ fn files_beside_the_document_are_taken_in() {
 #[test]
 fn without_its_bytes_a_document_does_not_stand() {
     let (b, document) = rich();
-    let asset = Asset::parse(b.file(&document), PathBuf::new()).map_err(|_| ()).unwrap();
+    let asset = Asset::parse(&b.file(&document), PathBuf::new()).map_err(|_| ()).unwrap();
     let (file, moving) = read::scene_and_motion(&asset).map_err(|_| ()).unwrap();
     let source = Source::new(asset, &file.scene, &file.cameras, moving, false);
     assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
 }
 
 /// Reads, describes and writes what may be damaged.
-fn exercise(bytes: Vec<u8>, folder: &Path) {
+fn exercise(bytes: &[u8], folder: &Path) {
     let Ok(asset) = Asset::parse(bytes, PathBuf::new()) else { return };
     let _ = (bytes_by_part(&asset, 0), describe(&asset));
     let Ok((file, moving)) = read::scene_and_motion(&asset) else { return };
@@ -273,7 +275,7 @@ proptest! {
         leaves(&document, "", &mut found);
         let pointer: &String = at.get(&found);
         *document.pointer_mut(pointer).unwrap() = value;
-        exercise(document.to_string().into_bytes(), folder.path());
+        exercise(&document.to_string().into_bytes(), folder.path());
     }
 
     #[test]
@@ -284,6 +286,6 @@ proptest! {
         let mut bytes = std::fs::read(file).unwrap();
         let at = at.index(bytes.len());
         bytes[at] = byte;
-        exercise(bytes, folder.path());
+        exercise(&bytes, folder.path());
     }
 }

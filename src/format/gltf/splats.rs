@@ -79,10 +79,11 @@ fn decompress(
         let at = format!("{at}/bufferView");
         Fault::pointer(at, format!("a bufferView below {views}"), stream.buffer_view.to_string())
     })?;
-    let NotedSplats { splats, pixel_filter, notes: found } = spz::parse(asset.view_bytes(&view)?).map_err(|fault| {
-        let (location, expected, found) = fault.into_parts();
-        Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
-    })?;
+    let NotedSplats { splats, pixel_filter, notes: found } =
+        spz::parse(&asset.view_bytes(&view)?).map_err(|fault| {
+            let (location, expected, found) = fault.into_parts();
+            Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
+        })?;
     let antialiased =
         "trained with anti-aliasing, which glTF says of the scene: small splats look too strong".to_owned();
     let found = found.into_iter().chain(pixel_filter.normalized.then_some(antialiased));

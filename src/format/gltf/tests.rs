@@ -20,17 +20,23 @@ fn bytes_of(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<u8> {
 }
 
 fn read_bytes(bytes: &[u8]) -> Result<SceneFile, String> {
-    let asset = Asset::parse(bytes.to_vec(), PathBuf::new());
+    let asset = Asset::parse(bytes, PathBuf::new());
     asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
+}
+
+/// The chunks of a GLB.
+fn split(glb: &[u8]) -> (Vec<u8>, &[u8]) {
+    let glb::Chunks { json, bin } = glb::split(&mut std::io::Cursor::new(glb)).map_err(|_| ()).unwrap();
+    (json, &glb[bin.unwrap_or_default()])
 }
 
 /// The JSON of a GLB, and the same file with other JSON.
 fn json_of(glb: &[u8]) -> Value {
-    serde_json::from_slice(glb::split(glb).map_err(|_| ()).unwrap().json).unwrap()
+    serde_json::from_slice(&split(glb).0).unwrap()
 }
 
 fn with_json(glb: &[u8], json: &Value) -> Vec<u8> {
-    let bin = glb::split(glb).map_err(|_| ()).unwrap().bin.unwrap_or_default();
+    let bin = split(glb).1;
     let mut text = json.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let [header, bin_header] = glb::headers(text.len(), bin.len()).unwrap();
@@ -201,7 +207,7 @@ fn plain_materials_become_maps() {
 #[test]
 fn fallback_colour_is_linear_light() {
     let glb = bytes_of(&random_scene(9, 0, 0, 2), &[]);
-    let asset = Asset::parse(glb, PathBuf::new()).map_err(|_| ()).unwrap();
+    let asset = Asset::parse(&glb, PathBuf::new()).map_err(|_| ()).unwrap();
     let attributes = &asset.attributes[&(0, 0)];
     let colours = asset.floats::<4>(attributes["COLOR_0"]).map_err(|_| ()).unwrap();
     let dc = asset.floats::<3>(attributes["KHR_gaussian_splatting:SH_DEGREE_0_COEF_0"]).map_err(|_| ()).unwrap();
@@ -323,7 +329,7 @@ fn text_gltf_with_a_data_uri_and_with_an_external_buffer() {
     let scene = random_scene(3, 1, 1, 3);
     let glb = bytes_of(&scene, &[]);
     let mut json = json_of(&glb);
-    let bin = glb::split(&glb).map_err(|_| ()).unwrap().bin.unwrap().to_vec();
+    let bin = split(&glb).1;
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("scene data.bin"), bin).unwrap();
     json["buffers"][0]["uri"] = json!("scene%20data.bin");
@@ -389,7 +395,7 @@ proptest! {
         *json.pointer_mut(pointer).unwrap() = value;
         let damaged = with_json(&glb, &json);
         let _ = read_bytes(&damaged);
-        if let Ok(asset) = Asset::parse(damaged.clone(), PathBuf::new()) {
+        if let Ok(asset) = Asset::parse(&damaged, PathBuf::new()) {
             let _ = bytes_by_part(&asset, 0);
         }
     }

@@ -45,7 +45,7 @@ use std::path::Path;
 use self::document::Layer;
 use self::package::{Opened, located};
 use super::cameras::{CameraFile, Sampling};
-use super::error::{Fault, read_file};
+use super::error::Fault;
 use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange};
 use crate::scene::{Camera, HybridScene};
 
@@ -56,12 +56,9 @@ use crate::scene::{Camera, HybridScene};
 /// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that shears them,
 /// values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
-    let read = |file| -> Result<SceneFile, Fault> {
-        let Opened { layer, mut place, member } = package::open(file, path)?;
-        let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
-        scene.map_err(|fault| located(fault, member.as_ref()))
-    };
-    read(read_file(path)?).map_err(|fault| fault.in_file(path))
+    let Opened { layer, mut place, member } = package::open(path)?;
+    let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
+    scene.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
 /// A layer of either form.
@@ -105,12 +102,9 @@ pub fn write(
 
 /// Reads cameras alone, those that move frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
-    let read = |file| -> Result<CameraFile, Fault> {
-        let Opened { layer, member, .. } = package::open(file, path)?;
-        let cameras = document(layer).and_then(|layer| shot::read(layer, sampling));
-        cameras.map_err(|fault| located(fault, member.as_ref()))
-    };
-    read(read_file(path)?).map_err(|fault| fault.in_file(path))
+    let Opened { layer, member, .. } = package::open(path)?;
+    let cameras = document(layer).and_then(|layer| shot::read(layer, sampling));
+    cameras.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
 /// Writes cameras, which are in the frame of the capture, as one that moves.

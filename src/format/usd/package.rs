@@ -1,13 +1,15 @@
 //! Where the files of a layer are: beside it, or in the same `.usdz`.
 
-use std::io::{Cursor, Read as _, Seek, Write};
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, Read as _, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::maps::Mismatch;
-use crate::format::error::Fault;
+use crate::format::FormatError;
+use crate::format::error::{Fault, open_file, read_file};
 use crate::format::gltf::resolve;
 
 /// Data of a member begin at a multiple of this (the specification of USDZ), so that they can be mapped.
@@ -16,10 +18,16 @@ const ALIGNMENT: u16 = 64;
 /// Largest member: USDZ has no Zip64.
 const MAX_MEMBER: u64 = u32::MAX as u64;
 
+type Archive = ZipArchive<BufReader<File>>;
+
 /// What an asset path is relative to.
 pub(super) enum Place {
     Folder(PathBuf),
-    Package { archive: Box<ZipArchive<Cursor<Vec<u8>>>>, folder: String },
+    /// The package stays open; what is in it is read when it is asked for.
+    Package {
+        archive: Box<Archive>,
+        folder: String,
+    },
 }
 
 impl Place {
@@ -44,14 +52,14 @@ impl Place {
     }
 }
 
-fn member(archive: &mut ZipArchive<Cursor<Vec<u8>>>, name: &str) -> Result<Vec<u8>, Mismatch> {
+fn member(archive: &mut Archive, name: &str) -> Result<Vec<u8>, Mismatch> {
     let unreadable = |reason: String| ("a readable file".to_owned(), format!("`{name}` ({reason})"));
     let index = archive.index_for_name(name).ok_or_else(|| unreadable("not in the package".to_owned()))?;
     stored(archive, index)
 }
 
 /// Members are not compressed, so that the package bounds what is read.
-fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, index: usize) -> Result<Vec<u8>, Mismatch> {
+fn stored(archive: &mut Archive, index: usize) -> Result<Vec<u8>, Mismatch> {
     let unreadable = |e: zip::result::ZipError| ("a readable file".to_owned(), e.to_string());
     let mut member = archive.by_index(index).map_err(unreadable)?;
     if member.compression() != CompressionMethod::Stored {
@@ -79,14 +87,20 @@ pub(super) fn located(fault: Fault, member: Option<&String>) -> Fault {
     }
 }
 
-/// The layer at `path`, whose content is `file`, and where its files are.
-pub(super) fn open(file: Vec<u8>, path: &Path) -> Result<Opened, Fault> {
-    if !file.starts_with(b"PK\x03\x04") {
-        let place = Place::Folder(path.parent().unwrap_or(Path::new("")).to_owned());
-        return Ok(Opened { layer: file, place, member: None });
+/// The layer at `path`, and where its files are.
+pub(super) fn open(path: &Path) -> Result<Opened, FormatError> {
+    let mut file = open_file(path)?;
+    let start = file.fill_buf().map_err(|source| FormatError::Read { file: path.to_owned(), source })?;
+    if start.starts_with(b"PK\x03\x04") {
+        return package(file).map_err(|fault| fault.in_file(path));
     }
-    let end = file.len();
-    let archive = ZipArchive::new(Cursor::new(file));
+    let place = Place::Folder(path.parent().unwrap_or(Path::new("")).to_owned());
+    Ok(Opened { layer: read_file(path)?, place, member: None })
+}
+
+fn package(mut file: BufReader<File>) -> Result<Opened, Fault> {
+    let end = file.seek(SeekFrom::End(0)).map_err(|e| Fault::unreadable(0, &e))? as usize;
+    let archive = ZipArchive::new(file);
     let mut archive = archive.map_err(|e| Fault::byte(end, "the directory of a zip before", e.to_string()))?;
     let directory = archive.central_directory_start() as usize;
     let unlisted = |e: zip::result::ZipError| Fault::byte(directory, "the directory of a zip", e.to_string());
