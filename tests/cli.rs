@@ -129,3 +129,20 @@ fn validation_tells_by_its_exit_code() {
     assert_eq!(json["findings"][0]["location"]["pointer"], "/asset");
     assert_eq!((&json["errors"], &json["findings"][1]["code"]), (&2.into(), &"INDEX_RANGE".into()));
 }
+
+#[test]
+fn a_ply_of_something_else_is_inspected() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+        property list uchar int vertex_indices\nend_header\n0 0 0\n1 nan 0\n-1 2 0.5\n3 0 1 2\n";
+    std::fs::write(folder.path().join("mesh.ply"), text).unwrap();
+    let output = common::centaur(folder.path()).args(["inspect", "mesh.ply"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("├ vertex: 3 rows of x, y, z, [-1.000 0.000 0.000] to [0.000 2.000 0.500]"), "{said}");
+    assert!(said.contains("├ face: 1 rows of vertex_indices[]\n") && said.contains("warning: no splats"), "{said}");
+    // What is meant for splats, and is none, is an error.
+    std::fs::write(folder.path().join("bad.ply"), text.replace("float z", "float z\nproperty float f_dc_0")).unwrap();
+    let line = common::failure(folder.path(), common::centaur(folder.path()).args(["inspect", "bad.ply"]));
+    assert!(line.starts_with("error: bad.ply: byte "), "{line}");
+}

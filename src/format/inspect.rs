@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{self, Asset, bytes_by_part, scene_of};
-use super::{FormatError, Kind, ReadOptions, kind, read_file, usd};
+use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
@@ -34,6 +34,8 @@ pub struct Summary {
     pub composition: Option<CompositionSummary>,
     /// The tree of a glTF.
     pub document: Option<gltf::Document>,
+    /// The tables of a PLY.
+    pub tables: Vec<ply::Table>,
     /// `extensionsUsed`.
     pub extensions_used: Vec<String>,
     /// `extensionsRequired`.
@@ -135,6 +137,20 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 ..summary(path, bytes, &file.scene)
             })
         }
+        Kind::Ply => {
+            let (tables, is_of_splats) = ply::tables(path)?;
+            let (scene, warnings) = if is_of_splats {
+                let file = read_file(path, &ReadOptions::default())?;
+                (file.scene, file.notes)
+            } else {
+                let none =
+                    HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
+                (none, vec!["no splats: neither the INRIA nor the packed layout".to_owned()])
+            };
+            let part = if is_of_splats { "splats" } else { "tables" };
+            let bytes_by_part = BTreeMap::from([(part, bytes)]);
+            Ok(Summary { format: Kind::Ply.name(), warnings, tables, bytes_by_part, ..summary(path, bytes, &scene) })
+        }
         kind => {
             let file = read_file(path, &ReadOptions::default())?;
             Ok(Summary { format: kind.name(), warnings: file.notes, ..summary(path, bytes, &file.scene) })
@@ -154,6 +170,7 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
         cameras: 0,
         composition: None,
         document: None,
+        tables: vec![],
         extensions_used: vec![],
         extensions_required: vec![],
         warnings: vec![],
@@ -197,8 +214,9 @@ fn composition(c: &Composition) -> CompositionSummary {
     }
 }
 
-/// Nodes printed at most; `--json` has all.
+/// Nodes printed at most, and properties of a table; `--json` has all.
 const MAX_NODES: usize = 100;
+const MAX_PROPERTIES: usize = 12;
 
 fn tree(f: &mut fmt::Formatter<'_>, document: &gltf::Document) -> fmt::Result {
     let counts: Vec<String> = document.counts.iter().map(|(kind, n)| format!("{n} {kind}")).collect();
@@ -276,6 +294,16 @@ impl fmt::Display for Summary {
         }
         if let Some(document) = &self.document {
             tree(f, document)?;
+        }
+        for table in &self.tables {
+            let (shown, more) = table.properties.split_at(table.properties.len().min(MAX_PROPERTIES));
+            write!(f, "\n├ {}: {} rows of {}", table.name, table.rows, shown.join(", "))?;
+            if !more.is_empty() {
+                write!(f, " and {} more", more.len())?;
+            }
+            if let Some(bounds) = table.bounds {
+                write!(f, ", {}", span(bounds))?;
+            }
         }
         if !self.extensions_used.is_empty() {
             write!(f, "\n├ extensions: {}", self.extensions_used.join(", "))?;

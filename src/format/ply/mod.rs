@@ -9,6 +9,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Quat, Vec3};
+use serde::Serialize;
 
 pub use self::attribute::Attribute;
 use self::table::{Column, Element};
@@ -118,6 +119,52 @@ pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
     parse_points(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
+/// A table of a PLY.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Table {
+    /// `vertex`, `face`, …
+    pub name: String,
+    /// How many rows its header declares.
+    pub rows: usize,
+    /// Names of its properties; of lists with their type: `vertex_indices[]`.
+    pub properties: Vec<String>,
+    /// Lowest and highest `x y z`, of points that are finite.
+    pub bounds: Option<[[f32; 3]; 2]>,
+}
+
+/// The tables of a PLY, and whether they are those of splats, be they readable or not.
+pub(super) fn tables(path: &Path) -> Result<(Vec<Table>, bool), FormatError> {
+    let located = |fault: Fault| fault.in_file(path);
+    let (header, mut body) = table::open(open_file(path)?).map_err(located)?;
+    let is_of_splats = header.element("vertex").is_some_and(|vertex| vertex.scalar("f_dc_0").is_some())
+        || compressed::is_compressed(&header);
+    let mut tables = vec![];
+    for element in header.elements() {
+        let mut table = element.describe();
+        // Those of splats are told from the splats.
+        if let Some(xyz) = element.scalars(["x", "y", "z"]).ok().filter(|_| !is_of_splats) {
+            let none = || (Vec3::INFINITY, Vec3::NEG_INFINITY);
+            let (low, high) = body
+                .rows(
+                    &header,
+                    &table.name,
+                    |_| none(),
+                    |(low, high), row| {
+                        let p = Vec3::from(xyz.map(|column| row.values[column] as f32));
+                        if p.is_finite() {
+                            (*low, *high) = (low.min(p), high.max(p));
+                        }
+                        Ok(())
+                    },
+                )
+                .map_err(located)?;
+            table.bounds = low.is_finite().then(|| [low.to_array(), high.to_array()]);
+        }
+        tables.push(table);
+    }
+    Ok((tables, is_of_splats))
+}
+
 pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, Fault> {
     parse(file, false).map(|file| file.splats)
 }
@@ -209,7 +256,7 @@ fn parse_points(file: impl BufRead + Seek) -> Result<Vec<(DVec3, [u8; 3])>, Faul
         let position = DVec3::new(row.values[x], row.values[y], row.values[z]);
         if !position.is_finite() {
             let expected = format!("finite numbers in vertex {}", points.len());
-            return Err(Fault::byte(row.at, expected, position.to_string()));
+            return Err(Fault::byte(row.at, expected, format!("{:?}", position.to_array())));
         }
         // A float-to-integer cast saturates, and takes NaN to 0.
         let rgb = colours.map_or([128; 3], |columns| columns.map(|c| (row.values[c] * scale).round() as u8));

@@ -5,6 +5,7 @@ mod rows;
 use std::io::{self, BufRead, Read as _, Seek, SeekFrom};
 
 pub(crate) use self::rows::Body;
+use super::Table;
 use crate::format::error::{Fault, shown};
 
 /// Longest header that is read. One of a thousand properties takes 30 kB.
@@ -117,6 +118,14 @@ impl Scalar {
 }
 
 impl Element {
+    /// What the header says of it; names in one line.
+    pub(super) fn describe(&self) -> Table {
+        let name = |name: &str| name.chars().take(60).collect::<String>();
+        let property = |p: &Property| format!("{}{}", name(&p.name), if p.list_length.is_some() { "[]" } else { "" });
+        let properties = self.properties.iter().map(property).collect();
+        Table { name: name(&self.name), rows: self.count, properties, bounds: None }
+    }
+
     /// Column of the scalar property `name`.
     pub(crate) fn scalar(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && p.list_length.is_none())
@@ -257,6 +266,10 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
 }
 
 impl Header {
+    pub(crate) fn elements(&self) -> &[Element] {
+        &self.elements
+    }
+
     /// The first table of this name.
     pub(crate) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)

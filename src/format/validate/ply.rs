@@ -17,11 +17,13 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         Ok(ply) => ply,
         Err(fault) => return findings.fault("PLY_HEADER", fault),
     };
-    let Some(vertex) = ply.element("vertex") else {
-        return findings.error("PLY_ELEMENT", Location::File, "the element `vertex`", "none");
+    let vertex = match ply.required("vertex") {
+        Ok(vertex) => vertex,
+        Err(fault) => return findings.fault("PLY_ELEMENT", fault),
     };
+    let declared = || Location::Byte(vertex.at as u64);
     if let Some(name) = ply.repeated_property() {
-        findings.error("PLY_PROPERTY_TWICE", Location::File, "each property once", format!("`{name}` twice"));
+        findings.error("PLY_PROPERTY_TWICE", declared(), "each property once", format!("`{name}` twice"));
     }
     match body.bytes_after_rows(&ply) {
         Ok(0) => {}
@@ -37,17 +39,17 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     }
     if !["opacity", "scale_0", "rot_0", "f_dc_0"].iter().any(|name| vertex.scalar(name).is_some()) {
         let expected = "splats in the INRIA or the packed layout";
-        return findings.warning("PLY_CONTENT", Location::File, expected, "a PLY of something else");
+        return findings.warning("PLY_CONTENT", declared(), expected, "a PLY of something else");
     }
     let required = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0"];
     let required = required.into_iter().chain(["rot_1", "rot_2", "rot_3"]);
     let missing: Vec<&str> = required.filter(|name| vertex.scalar(name).is_none()).collect();
     if !missing.is_empty() {
-        return findings.error("PLY_PROPERTY_MISSING", Location::File, missing.join(", "), "none of these");
+        return findings.error("PLY_PROPERTY_MISSING", declared(), missing.join(", "), "none of these");
     }
     let rest = (0..90).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
     if !(0..=sh::MAX_DEGREE).any(|d| rest == 3 * (sh::coefficients(d) - 1)) {
-        findings.error("PLY_SH_COUNT", Location::File, "0, 9, 24 or 45 properties `f_rest_0`, …", rest);
+        findings.error("PLY_SH_COUNT", declared(), "0, 9, 24 or 45 properties `f_rest_0`, …", rest);
     }
     check_values(&ply, &mut body, findings);
 }
@@ -63,8 +65,15 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
     };
     let names = vertex.scalar_names();
     let mut row_number = 0usize;
-    let mut not_finite: Vec<Offenders> = names.iter().map(|_| Offenders::default()).collect();
-    let (mut zero, mut unnormalised) = (Offenders::default(), Offenders::default());
+    let mut not_finite: Vec<(Offenders, usize)> = names.iter().map(|_| Default::default()).collect();
+    let (mut zero, mut unnormalised) = ((Offenders::default(), 0), (Offenders::default(), 0));
+    // Where the first one stands is noted with it.
+    let note = |(offenders, at): &mut (Offenders, usize), row_at: usize, what: &dyn Fn() -> String| {
+        offenders.note(|| {
+            *at = row_at;
+            what()
+        });
+    };
     let (mut linear_opacities, mut linear_scales, mut saturated) = (0usize, 0usize, 0usize);
     let walked = body.rows(
         ply,
@@ -77,14 +86,14 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
                 let is_meant =
                     (*column == opacity && v.is_infinite()) || (scales.contains(column) && v == f64::NEG_INFINITY);
                 if !v.is_finite() && !is_meant {
-                    offenders.note(|| format!("{v} in row {row_number} of `{name}`"));
+                    note(offenders, row.at, &|| format!("{v} in row {row_number} of `{name}`"));
                 }
             }
             let norm = rotation.map(|c| row.values[c] * row.values[c]).iter().sum::<f64>().sqrt();
             if norm == 0.0 {
-                zero.note(|| format!("row {row_number}"));
+                note(&mut zero, row.at, &|| format!("row {row_number}"));
             } else if (norm - 1.0).abs() > 0.01 {
-                unnormalised.note(|| format!("norm {norm:.4} in row {row_number}"));
+                note(&mut unnormalised, row.at, &|| format!("norm {norm:.4} in row {row_number}"));
             }
             linear_opacities += usize::from((0.0..=1.0).contains(&row.values[opacity]));
             linear_scales += usize::from(scales.iter().all(|&c| row.values[c] >= 0.0));
@@ -97,16 +106,17 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
         findings.fault("PLY_ROWS", fault);
     }
     let n = row_number;
-    for offenders in not_finite {
+    for (offenders, at) in not_finite {
         if let Some(found) = offenders.summary(n) {
-            findings.error("PLY_NOT_FINITE", Location::File, "finite numbers", found);
+            findings.error("PLY_NOT_FINITE", Location::Byte(at as u64), "finite numbers", found);
         }
     }
-    if let Some(found) = zero.summary(n) {
-        findings.error("PLY_ROTATION_ZERO", Location::File, "quaternions other than 0", found);
+    if let Some(found) = zero.0.summary(n) {
+        findings.error("PLY_ROTATION_ZERO", Location::Byte(zero.1 as u64), "quaternions other than 0", found);
     }
-    if let Some(found) = unnormalised.summary(n) {
-        findings.warning("PLY_ROTATION_NORM", Location::File, "unit quaternions (readers normalise them)", found);
+    if let Some(found) = unnormalised.0.summary(n) {
+        let at = Location::Byte(unnormalised.1 as u64);
+        findings.warning("PLY_ROTATION_NORM", at, "unit quaternions (readers normalise them)", found);
     }
     // A handful of splats may be like that by chance.
     if n >= 100 && linear_opacities == n {
@@ -191,7 +201,9 @@ mod tests {
         let mut file = written(3);
         let body = file.len() - 3 * COLUMNS * 4;
         file[body + 4 * COLUMNS..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
-        assert_eq!(findings(&file)[0].found, "1 of 3, the first: NaN in row 1 of `x`");
+        let found = &findings(&file)[0];
+        assert_eq!(found.found, "1 of 3, the first: NaN in row 1 of `x`");
+        assert_eq!(found.location, Location::Byte((body + 4 * COLUMNS) as u64));
     }
 
     #[test]
