@@ -143,7 +143,7 @@ pub(super) fn points(bytes: &[u8], path: &Path) -> Result<PointRecords, CaptureE
         file.u64("point id")?;
         let position = DVec3::from(file.f64s("position")?);
         if !position.is_finite() {
-            return Err(file.invalid(at, "point", "finite numbers", position.to_string()));
+            return Err(file.invalid(at, "point", "finite numbers", format!("{:?}", position.to_array())));
         }
         let rgb = file.take("colour")?;
         file.f64s::<1>("reprojection error")?;

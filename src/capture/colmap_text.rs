@@ -112,7 +112,7 @@ pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureErr
         line.number::<u64>("a point id")?;
         let position = DVec3::from(line.numbers("a position")?);
         if !position.is_finite() {
-            return Err(line.invalid("finite numbers", &position.to_string()));
+            return Err(line.invalid("finite numbers", &format!("{:?}", position.to_array())));
         }
         let rgb = line.numbers("a colour of 0 to 255")?;
         // After the reprojection error, pairs of an image's number and that of one of its 2-D points.

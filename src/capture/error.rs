@@ -80,7 +80,14 @@ impl CaptureError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Invalid { path: path.into(), place: place.into(), expected: expected.into(), found: found.into() }
+        // Numbers of 300 digits, and what decoders quote.
+        const MOST: usize = 200;
+        let mut found: String = found.into();
+        if let Some((cut, _)) = found.char_indices().nth(MOST) {
+            found.truncate(cut);
+            found.push('…');
+        }
+        Self::Invalid { path: path.into(), place: place.into(), expected: expected.into(), found }
     }
 
     /// JSON that is no such thing, or not what it should be.

@@ -54,7 +54,11 @@ impl Camera {
             return Err(SceneError::new("principal point", "finite numbers", format!("{}, {}", k.cx, k.cy)));
         }
         if !(rotation.is_finite() && translation.is_finite()) {
-            return Err(SceneError::new("pose", "finite numbers", format!("{rotation} {translation}")));
+            return Err(SceneError::new(
+                "pose",
+                "finite numbers",
+                format!("{:?}, {:?}", rotation.to_cols_array(), translation.to_array()),
+            ));
         }
         let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
         let lengths = [x, y, z].map(DVec3::length);
