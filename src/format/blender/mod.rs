@@ -78,9 +78,14 @@ pub(super) fn write(
 /// Whether Cycles may show what the rule of blending does not: in the order of depths at each pixel it is `direct`, and all
 /// surfaces count.
 fn loses_rule(scene: &HybridScene) -> bool {
-    let triangles: usize = scene.meshes.iter().map(|mesh| mesh.triangles().len()).sum();
     let in_order = scene.splats.is_empty() || scene.composition.mode == OrderMode::Direct;
-    !scene.meshes.is_empty() && (!in_order || triangles > scene.composition.layers as usize)
+    !scene.meshes.is_empty() && (!in_order || has_more_surfaces(scene))
+}
+
+/// Whether a ray may meet more surfaces than count.
+fn has_more_surfaces(scene: &HybridScene) -> bool {
+    let triangles: usize = scene.meshes.iter().map(|mesh| mesh.triangles().len()).sum();
+    triangles > scene.composition.layers as usize
 }
 
 fn script(scene: &Value) -> String {
@@ -133,7 +138,7 @@ fn notes(scene: &HybridScene) -> Vec<String> {
         notes
             .push(format!("Blender orders splats and surfaces by depth at each pixel, as mode `direct`, not `{mode}`"));
     }
-    if !scene.meshes.is_empty() {
+    if has_more_surfaces(scene) {
         notes.push(format!("Blender shows all surfaces along a ray, not the nearest {}", rule.layers));
     }
     if splats > MANY {

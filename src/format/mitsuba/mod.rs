@@ -80,7 +80,7 @@ fn hybrid_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String
     if !scene.splats.is_empty() {
         notes.push("Mitsuba shows the image model `ray`; training used `ewa`".to_owned());
     }
-    if is_hybrid(scene) {
+    if is_hybrid(scene) && scene.composition.mode != OrderMode::Direct {
         let mode = scene.composition.mode.name();
         notes.push(format!("splats and surfaces are in the order of depth along every ray, not by the mode `{mode}`"));
     }
