@@ -10,6 +10,7 @@ export XDG_RUNTIME_DIR ?= /tmp
 DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
+ABLATION_FLAGS ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
@@ -28,7 +29,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-lpips bench-ray oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat oracle-lpips bench-ray ablations oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -240,6 +241,9 @@ $(CENTAUR_GSPLAT_FIXTURE): tests/oracles/gsplat_oracle.py $(ORACLES)/installed $
 
 captures: system ## hybrid against splats alone at equal floats, two seeds, on the demo and the captures in CENTAUR_DATA
 	scripts/captures.sh
+
+ablations: system ## what each choice of the hybrid is worth, on the demo and the captures in CENTAUR_DATA (ABLATION_FLAGS="--scenes demo")
+	scripts/ablations.sh $(ABLATION_FLAGS)
 
 bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
 	cargo bench --bench stages -- $(BENCH_FLAGS)

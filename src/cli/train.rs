@@ -31,8 +31,9 @@ Examples:
 /// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
 /// photograph is held out and scored at the end. Ctrl-C stops after the current iteration and leaves a checkpoint
 /// for --resume; a second Ctrl-C stops at once.
+// A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, args_override_self = true)]
 pub(super) struct Args {
     /// Folder with photographs and poses, or a transforms*.json
     capture: PathBuf,

@@ -209,6 +209,8 @@ mod tests {
             "0,7",
             "--",
             "--antialias",
+            "--max-splats",
+            "9",
         ];
         let args = args(folder.path(), &more);
         let all = all(&args).unwrap();
@@ -216,9 +218,13 @@ mod tests {
         assert_eq!(names[..4], ["hybrid/garden-0", "hybrid/garden-7", "splats/garden-0", "splats/garden-7"]);
         assert_eq!(names.len(), 12);
         let line = |i: usize| all[i].command().join(" ");
-        assert!(line(3).ends_with("--seed 7 --downscale 4 --antialias --no-mesh --max-splats 500"), "{}", line(3));
+        assert!(
+            line(3).ends_with("--seed 7 --downscale 4 --antialias --max-splats 9 --no-mesh --max-splats 500"),
+            "{}",
+            line(3)
+        );
         assert!(line(3).contains("-o out/splats/garden-7.glb --report out/splats/garden-7 "), "{}", line(3));
-        assert!(line(4).ends_with("mine-0 --json --quiet --seed 0 --antialias"), "{}", line(4));
+        assert!(line(4).ends_with("mine-0 --json --quiet --seed 0 --antialias --max-splats 9"), "{}", line(4));
         assert!(line(8).contains("--downscale 2"), "{}", line(8));
         all.iter().for_each(|job| job.check().unwrap());
         // Shards are disjoint and together everything.

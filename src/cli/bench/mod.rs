@@ -44,7 +44,7 @@ pub(super) struct Args {
     /// Only these scenes [default: all]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     scenes: Vec<String>,
-    /// A way to train, with flags of `centaur train`; may be given several times [default: `default`, without flags]
+    /// A way to train, with flags of `centaur train`, which replace those after `--`; may be given several times [default: `default`, without flags]
     #[arg(long = "variant", value_name = "NAME[=FLAGS]", value_parser = jobs::variant, allow_hyphen_values = true)]
     variants: Vec<Variant>,
     /// Seeds of every scene and variant

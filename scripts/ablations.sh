@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# What each choice of the hybrid is worth, at equal floats: `ablations.sh [options of centaur bench]`, such as `--scenes demo` or `--jobs 2`.
+# On the demo capture and on those of $CENTAUR_DATA; about 2 minutes a run on 2 cores without a GPU. The table goes to out/ablations.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+scenes=target/ablations
+mkdir -p $scenes
+ln -sfn "$PWD/demo" $scenes/demo
+for name in banana16 skull66; do
+    [ ! -d "${CENTAUR_DATA:-/none}/capture_$name" ] || ln -sfn "$CENTAUR_DATA/capture_$name" $scenes/$name
+done
+# The first is what the others change; --warmup 0 leaves maps as they are made and every triangle in place.
+cargo run --release --quiet -- bench $scenes -o out/ablations "$@" \
+    --variant hybrid \
+    --variant splats=--no-mesh \
+    --variant direct="--mode direct" \
+    --variant surface-consistent="--mode surface-consistent" \
+    --variant layers-2="--layers 2" \
+    --variant layers-4="--layers 4" \
+    --variant lambda-0="--lambda 0" \
+    --variant lambda-0-1="--lambda 0.1" \
+    --variant lambda-inf="--lambda inf" \
+    --variant texture-128="--texture-size 128" \
+    --variant texture-256="--texture-size 256" \
+    --variant warmup-0="--warmup 0" \
+    --variant warmup-200="--warmup 200" \
+    --variant surface-of-splats="--surface splats" \
+    --variant inria="--density inria" \
+    --variant antialias=--antialias \
+    --variant splats-antialias="--no-mesh --antialias" \
+    -- --iterations 1000 --surface-iterations 600 --warmup 600 --layers 1 --triangles 6000 --texture-size 512 --max-side 356 --max-floats 1000000
