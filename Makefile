@@ -95,7 +95,7 @@ oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schem
 	@mkdir -p target/oracles
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
 	$(CENTAUR) train demo -o target/oracles/trained.glb $(COARSE)
-	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb target/oracles/trained.glb
+	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb --trained target/oracles/trained.glb
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture

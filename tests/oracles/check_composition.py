@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Compares `centaur render` with composition.py, a second implementation of EXT_gaussian_splatting_hybrid.
 
-    python check_composition.py CENTAUR SCENE.glb…      # CENTAUR: path of the program, or a command: "cargo run --"
+    python check_composition.py CENTAUR SCENE.glb… [--trained SCENE.glb…]      # CENTAUR: path of the program, or a command: "cargo run --"
 
 Each scene of Centaur's, and a harder one made of it, is rendered from its first camera in all modes with 1, 2 and 4
 layers, by that script and by the program CENTAUR, to which it is given as a copy with the scene object changed. Exit 1
-if an image differs by more than LIMIT on average: a tenth of what the extension's README allows for a claim of
-*composition*, and less than images of two modes differ by.
+if an image differs by MOST in any value, or by more than LIMIT on average: a tenth of what the extension's README allows for a claim of
+*composition*, and less than images of two modes differ by. A trained scene has many splats behind each other in every pixel, some
+of which pass a threshold of the text (a part of 1/255, a transmittance of 10⁻⁴) by less than single precision tells: there, up to
+CUT_OFFS of the values may differ by more than MOST, none by FAR.
 """
 import itertools
 import json
@@ -23,6 +25,9 @@ import OpenEXR
 from composition import EXT, KHR, Asset, View, contract_of, project_splats, render
 
 LIMIT = 1e-4
+MOST = 1e-3
+CUT_OFFS = 5e-4  # measured: 1 value of 28,224
+FAR = 1e-2
 MODES = ["stable", "surfaceConsistent", "direct"]
 
 
@@ -77,7 +82,7 @@ def centaur_render(program, asset):
     return np.where(image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 0) ** (1 / 2.4) - 0.055)
 
 
-def compare(name, asset, program):
+def compare(name, asset, program, trained):
     """Whether all modes, numbers of layers and a finite and the infinite λ are within the limits; and the images."""
     ok, images = True, {}
     depths = project_splats(asset, View(asset), 0.0)[0]
@@ -89,21 +94,24 @@ def compare(name, asset, program):
             contract["lambda"] = float(np.float32(share * np.ptp(depths)))
         image = images[mode, layers, share] = render(asset)
         difference = abs(image - centaur_render(program, asset))
-        far = int((difference > 1e-2).sum())
-        within = difference.mean() < LIMIT and far < difference.size / 500
+        apart = int((difference >= MOST).sum())
+        within = difference.mean() < LIMIT and difference.max() < (FAR if trained else MOST) and apart <= CUT_OFFS * difference.size
         ok &= within
         print(f"{name:18} {mode:18} L {layers} λ {contract.get('lambda', np.inf):<6.2g} mean {difference.mean():.1e}  "
-              f"max {difference.max():.1e}  above 0.01: {far} of {difference.size}{'' if within else '  FAILED'}", flush=True)
+              f"max {difference.max():.1e}  above {MOST}: {apart} of {difference.size}{'' if within else '  FAILED'}", flush=True)
     return ok, images
 
 
 def main():
     program, paths = shlex.split(sys.argv[1]), sys.argv[2:]
-    ok, apart = True, {}
+    ok, apart, trained = True, {}, False
     for path in paths:
+        if path == "--trained":
+            trained = True
+            continue
         name = os.path.basename(path)
-        ok &= compare(name, Asset(path), program)[0]
-        within, images = compare(f"{name} crowded", crowded(path), program)
+        ok &= compare(name, Asset(path), program, trained)[0]
+        within, images = compare(f"{name} crowded", crowded(path), program, trained)
         ok &= within
         for a, b in itertools.combinations(images, 2):
             if a[2] == b[2] and (a[0] == b[0]) != (a[1] == b[1]):
