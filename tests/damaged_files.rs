@@ -3,6 +3,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[path = "../fuzz/src/lib.rs"]
+#[allow(unreachable_pub, reason = "public in its own crate")]
+mod fuzz;
 mod samples;
 
 use std::path::Path;
@@ -334,6 +337,32 @@ fn messages_name_the_place() {
     assert!(others.is_empty(), "{others:#?}");
     let broken = said_of("splat", "scene.splat", &1.0f32.to_le_bytes(), &nan);
     assert!(broken.starts_with("scene.splat: byte 0: expected finite numbers, found NaN in means[0]"), "{broken}");
+}
+
+/// What `make fuzz` runs does not fall behind what it reads with.
+#[test]
+fn fuzz_targets_take_the_samples() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    for Sample { reader, files } in samples() {
+        let packed = || {
+            let (last, others) = files.split_last().unwrap();
+            let length = |bytes: &[u8]| u16::try_from(bytes.len()).unwrap().to_le_bytes();
+            let others = others.iter().flat_map(|(_, bytes)| length(bytes).into_iter().chain(bytes.iter().copied()));
+            others.chain(last.1.iter().copied()).collect::<Vec<u8>>()
+        };
+        let (name, bytes) = &files[0];
+        match (reader, &files[..]) {
+            ("colmap_text" | "colmap_binary" | "transforms", [_]) => fuzz::capture([name], &packed()),
+            ("colmap_text" | "colmap_binary" | "transforms", [_, (b, _), (c, _)]) => {
+                fuzz::capture([name, b, c], &packed());
+            }
+            ("checkpoint", _) => fuzz::checkpoint(bytes),
+            ("obj" | "mesh_ply", _) => fuzz::mesh(name, bytes),
+            ("glb" | "gltf", _) => fuzz::scene_and_mesh(name, bytes),
+            (_, [_]) => fuzz::splats(name, bytes),
+            (_, _) => panic!("{reader}: {} files", files.len()),
+        }
+    }
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! What all targets do: put the bytes into a file in memory, and read it in every way in which the program would.
+//! What all targets do: put the bytes into a file in memory, and read it in every way in which the program would. Also a module of
+//! `tests/damaged_files.rs`, so that it is compiled and run where nobody fuzzes.
 //! That a file is refused is fine; a panic, a hang, or memory beyond the limits of `make fuzz` is a finding.
 
 use std::path::{Path, PathBuf};
@@ -27,8 +28,10 @@ fn put(name: &str, bytes: &[u8]) -> PathBuf {
 pub fn splats(name: &str, bytes: &[u8]) {
     let path = put(name, bytes);
     let strict = format::read_file(&path, &ReadOptions::default());
-    let lenient = format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true });
+    let options = ReadOptions { drop_invalid: true, keep_document: true, ..ReadOptions::default() };
+    let lenient = format::read_file(&path, &options);
     assert!(strict.is_err() || lenient.is_ok(), "refused when invalid splats may be dropped, but not otherwise");
+    let _ = format::read_file(&path, &ReadOptions { time: Some(0.3), ..ReadOptions::default() });
     let _ = format::inspect(&path);
     let _ = format::validate(&path);
     let _ = format::read_cameras(&path, &Sampling::default());
