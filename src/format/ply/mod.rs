@@ -138,29 +138,25 @@ pub(super) fn tables(path: &Path) -> Result<(Vec<Table>, bool), FormatError> {
     let (header, mut body) = table::open(open_file(path)?).map_err(located)?;
     let is_of_splats = header.element("vertex").is_some_and(|vertex| vertex.scalar("f_dc_0").is_some())
         || compressed::is_compressed(&header);
-    let mut tables = vec![];
-    for element in header.elements() {
-        let mut table = element.describe();
-        // Those of splats are told from the splats.
-        if let Some(xyz) = element.scalars(["x", "y", "z"]).ok().filter(|_| !is_of_splats) {
-            let none = || (Vec3::INFINITY, Vec3::NEG_INFINITY);
-            let (low, high) = body
-                .rows(
-                    &header,
-                    &table.name,
-                    |_| none(),
-                    |(low, high), row| {
-                        let p = Vec3::from(xyz.map(|column| row.values[column] as f32));
-                        if p.is_finite() {
-                            (*low, *high) = (low.min(p), high.max(p));
-                        }
-                        Ok(())
-                    },
-                )
-                .map_err(located)?;
+    let mut tables: Vec<Table> = header.elements().iter().map(Element::describe).collect();
+    // Those of splats are told from the splats.
+    if !is_of_splats {
+        body.rewind().map_err(located)?;
+        for (element, table) in header.elements().iter().zip(&mut tables) {
+            let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+            let passed = match element.scalars(["x", "y", "z"]) {
+                Err(_) => body.pass(element),
+                Ok(xyz) => body.next_rows(element, |row| {
+                    let p = Vec3::from(xyz.map(|column| row.values[column] as f32));
+                    if p.is_finite() {
+                        (low, high) = (low.min(p), high.max(p));
+                    }
+                    Ok(())
+                }),
+            };
+            passed.map_err(located)?;
             table.bounds = low.is_finite().then(|| [low.to_array(), high.to_array()]);
         }
-        tables.push(table);
     }
     Ok((tables, is_of_splats))
 }
@@ -298,6 +294,19 @@ mod tests {
             }
         }
         assert_eq!(parse_splats(Cursor::new(written(&Splats::empty(2)))).unwrap(), Splats::empty(2));
+    }
+
+    #[test]
+    fn tables_of_one_name_are_read_as_they_follow() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nelement vertex 2\n\
+                    property float x\nproperty float y\nproperty float z\nelement note 0\nend_header\n7 8\n1 2 3\n4 5 -6\n";
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        std::fs::write(&path, text).unwrap();
+        let (found, is_of_splats) = tables(&path).unwrap();
+        let bounds: Vec<_> = found.iter().map(|table| table.bounds).collect();
+        assert_eq!(bounds, [None, Some([[1.0, 2.0, -6.0], [4.0, 5.0, 3.0]]), None]);
+        assert!(!is_of_splats);
     }
 
     #[test]

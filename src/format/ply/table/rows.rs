@@ -38,11 +38,8 @@ impl<R: BufRead + Seek> Body<R> {
 
     /// Walks over all rows of all elements without looking at values. Returns the number of bytes after the last row.
     pub(crate) fn bytes_after_rows(&mut self, header: &Header) -> Result<u64, Fault> {
-        self.go_to(self.start)?;
-        for element in &header.elements {
-            self.check_fits(element)?;
-            self.skip(element)?;
-        }
+        self.rewind()?;
+        header.elements.iter().try_for_each(|element| self.pass(element))?;
         let rest = self.length - self.offset;
         if self.encoding == Encoding::Ascii {
             self.next_token()?;
@@ -63,12 +60,38 @@ impl<R: BufRead + Seek> Body<R> {
     ) -> Result<S, Fault> {
         let element = self.go_to_element(header, name)?;
         let mut state = reserve(element.count);
-        let mut row = Row::default();
-        for _ in 0..element.count {
-            self.row(element, &mut row)?;
-            visit(&mut state, &row)?;
-        }
+        self.next_rows(element, |row| visit(&mut state, row))?;
         Ok(state)
+    }
+
+    /// Goes to the rows of the first table.
+    pub(crate) fn rewind(&mut self) -> Result<(), Fault> {
+        self.go_to(self.start)
+    }
+
+    /// Calls `visit` with each row of `element`, which is the next.
+    pub(crate) fn next_rows(
+        &mut self,
+        element: &Element,
+        mut visit: impl FnMut(&Row) -> Result<(), Fault>,
+    ) -> Result<(), Fault> {
+        self.check_fits(element)?;
+        let mut row = Row::default();
+        (0..element.count).try_for_each(|_| {
+            self.row(element, &mut row)?;
+            visit(&row)
+        })
+    }
+
+    /// Goes past the rows of `element`, which is the next.
+    pub(crate) fn pass(&mut self, element: &Element) -> Result<(), Fault> {
+        self.check_fits(element)?;
+        if self.is_fixed(element) {
+            // Cannot overflow or run past the end: `check_fits` has looked.
+            return self.go_to(self.offset + (element.count * element.stride) as u64);
+        }
+        let mut row = Row::default();
+        (0..element.count).try_for_each(|_| self.row(element, &mut row))
     }
 
     /// As [`Self::rows`] without lists, and many rows at a time: `visit` gets the scalars of consecutive rows, packed, to
@@ -96,13 +119,14 @@ impl<R: BufRead + Seek> Body<R> {
     }
 
     fn go_to_element<'h>(&mut self, header: &'h Header, name: &str) -> Result<&'h Element, Fault> {
-        self.go_to(self.start)?;
+        self.rewind()?;
         for element in &header.elements {
-            self.check_fits(element)?;
             if element.name == name {
+                // What makes room for the rows relies on this.
+                self.check_fits(element)?;
                 return Ok(element);
             }
-            self.skip(element)?;
+            self.pass(element)?;
         }
         header.required(name)
     }
@@ -158,15 +182,6 @@ impl<R: BufRead + Seek> Body<R> {
     /// Whether rows are as long as each other, and [`Element::stride`] bytes.
     fn is_fixed(&self, element: &Element) -> bool {
         self.encoding != Encoding::Ascii && element.properties.iter().all(|p| p.list_length.is_none())
-    }
-
-    fn skip(&mut self, element: &Element) -> Result<(), Fault> {
-        if self.is_fixed(element) {
-            // Cannot overflow or run past the end: `check_fits` has looked.
-            return self.go_to(self.offset + (element.count * element.stride) as u64);
-        }
-        let mut row = Row::default();
-        (0..element.count).try_for_each(|_| self.row(element, &mut row))
     }
 
     /// Replaces `bytes` by the scalars of the next `rows` rows, little endian.
