@@ -96,12 +96,16 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
     assert!(script.contains(r#""frames":31"#) && script.contains(r#""meshes":[0]"#));
     let arrays = std::fs::read(folder.path().join("a_motion.npz")).unwrap();
     assert!(arrays.starts_with(b"PK"));
-    // What was changed otherwise than by moving it keeps still, and says so.
+    // Moved as a whole it moves on.
     let outcome = as_json(folder.path(), "convert a.gltf b.blend.py --scale 2 --rotate 10,20,30");
     assert!(outcome["loss"]["document"].as_array().unwrap().is_empty(), "{outcome}");
-    let outcome = as_json(folder.path(), "convert a.gltf c.blend.py --keep-box -9,-9,-9,9,9,9 --time 0.5");
-    assert_eq!(outcome["loss"]["document"], json!(["1 animation"]));
-    assert!(!folder.path().join("c_motion.npz").exists());
+    assert!(folder.path().join("b_motion.npz").exists());
+    // What was changed otherwise keeps still, as does one moment of it, and both say so.
+    for (name, how) in [("c", "--axes gltf:unity"), ("d", "--time 0.5")] {
+        let outcome = as_json(folder.path(), &format!("convert a.gltf {name}.blend.py {how}"));
+        assert_eq!(outcome["loss"]["document"], json!(["1 animation"]), "{how}");
+        assert!(!folder.path().join(format!("{name}_motion.npz")).exists());
+    }
 }
 
 #[test]
@@ -118,6 +122,7 @@ fn exact_exports_are_not_refused() {
 fn pictures_are_of_their_time() {
     let folder = tempfile::tempdir().unwrap();
     write_slide(folder.path());
+    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
     let bright = |name: &str| {
         let picture = image::open(folder.path().join(name)).unwrap().into_luma8();
         let lit: Vec<u32> = picture.enumerate_pixels().filter(|(_, _, p)| p.0[0] > 128).map(|(x, ..)| x).collect();
@@ -131,6 +136,14 @@ fn pictures_are_of_their_time() {
     assert_eq!(common::tree(&folder.path().join("span")).len(), 3);
     assert_eq!(bright("span/frame_00000.png"), bright("rest/front.png"));
     assert_eq!(bright("span/frame_00002.png"), bright("at/front.png"));
+    // A camera that slides along sees it where it was.
+    let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
+    let mut document: Value = serde_json::from_str(&text).unwrap();
+    let along = json!({ "sampler": 0, "target": { "node": 1, "path": "translation" } });
+    document["animations"][0]["channels"].as_array_mut().unwrap().push(along);
+    std::fs::write(folder.path().join("along.gltf"), document.to_string()).unwrap();
+    run(folder.path(), "render along.gltf -o along --time 0.5 --quiet");
+    assert_eq!(read("along/front.png"), read("rest/front.png"));
     // A path of cameras without a scene of its own plays the scene at its frames.
     run(folder.path(), "cameras orbit a.gltf -o path.json --frames 3 --fps 4 --focus 0,0,-4 --radius 4");
     run(folder.path(), "render a.gltf --cameras path.json -o moving --quiet");
@@ -142,6 +155,11 @@ fn pictures_are_of_their_time() {
     assert!(same("frame_00000.png") && !same("frame_00002.png"));
     let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
     assert!(error.contains("expected a camera that keeps still"), "{error}");
+    run(folder.path(), "convert a.gltf still.glb --time 0");
+    let error = failure(folder.path(), "render still.glb -o no --time 0..1");
+    assert!(error.ends_with("--time START..END: expected a scene that moves, found one that rests"), "{error}");
+    let said = as_json(folder.path(), "render still.glb -o still --time 1")["notes"].to_string();
+    assert!(said.contains("it is at 1 s as it rests"), "{said}");
     std::fs::write(folder.path().join("p.ply"), "ply\n").unwrap();
     let error = failure(folder.path(), "convert p.ply b.glb --time 1");
     assert!(

@@ -193,16 +193,23 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mut shot = shot.in_frame(file.y_up);
     let moving = file.source.as_ref().filter(|document| document.moves());
     if let Some(When::Span(start, end)) = args.time {
+        ensure!(
+            moving.is_some(),
+            "{}: --time START..END: expected a scene that moves, found one that rests",
+            args.scene.display()
+        );
         let known = sampling.fps.or(moving.and_then(Source::fps));
         shot = span(shot, [start, end], known.unwrap_or(DEFAULT_FPS))?;
     }
     // Where nothing says when a picture is taken, the scene rests.
     let times = moving.map_or_else(Vec::new, |_| shot.times.clone());
     let (rest, cameras) = (file.scene, shot.cameras);
+    // Of the scene; of cameras in the same file both say the same.
+    let notes: Vec<String> =
+        file.notes.iter().filter(|note| !(is_embedded && shot.notes.contains(note))).cloned().collect();
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &cameras))?;
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    let mut renderer = AnyRenderer::new(&gpu, &rest, &poses, &args.look)?;
     shared::make_folder(&args.output)?;
     let format = args.format.unwrap_or(if args.look.layers { Format::Exr } else { Format::Png });
     let extension = if format == Format::Png { "png" } else { "exr" };
@@ -210,14 +217,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
     let bar = output::bar(&args.messages, cameras.len() as u64);
     let composition = rest.composition;
+    let mut kept: Option<AnyRenderer<'_>> = None;
     for (i, ((name, camera), path)) in cameras.iter().zip(&written).enumerate() {
-        if let (Some(document), Some(&time)) = (moving, times.get(i)) {
-            let posed = document.at(&rest, time).with_context(|| args.scene.display().to_string())?;
+        let mut renderer = match (moving.zip(times.get(i)), kept.take()) {
+            (None, Some(same)) => same,
+            (None, None) => AnyRenderer::new(&gpu, &rest, &poses, &args.look)?,
             // One on the GPU at a time.
-            drop(renderer);
-            renderer = AnyRenderer::new(&gpu, &posed, &poses, &args.look)?;
-        }
-        match renderer.render(camera).with_context(|| name.clone())? {
+            (Some((document, &time)), before) => {
+                drop(before);
+                let posed = document.at(&rest, time).with_context(|| args.scene.display().to_string())?;
+                AnyRenderer::new(&gpu, &posed, &poses, &args.look)?
+            }
+        };
+        let rendered = renderer.render(camera).with_context(|| name.clone())?;
+        kept = Some(renderer);
+        match rendered {
             Rendered::Parts(picture) if args.look.layers => {
                 write_layers(path, picture, camera, &composition, &args.look)?;
             }
@@ -237,7 +251,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         video::write(path, &written, fps)?;
     }
     if args.messages.json {
-        let mut outcome = serde_json::json!({ "pictures": written, "adapter": gpu.adapter(), "notes": shot.notes });
+        let both: Vec<&String> = notes.iter().chain(&shot.notes).collect();
+        let mut outcome = serde_json::json!({ "pictures": written, "adapter": gpu.adapter(), "notes": both });
         if let Some(path) = &args.video {
             outcome["video"] = serde_json::json!(path);
         }
@@ -247,6 +262,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(path) = &args.video {
         lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), written.len() as f64 / fps));
     }
+    lines.extend(notes.iter().map(|note| format!("note: {}: {note}", args.scene.display())));
     lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", source.display())));
     output::print(&lines.join("\n"))
 }

@@ -84,7 +84,7 @@ impl fmt::Display for Location {
 }
 
 /// [`FormatError::Content`] before the file's name is known: what the parsers return.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Fault {
     location: Location,
     expected: String,

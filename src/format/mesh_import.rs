@@ -138,10 +138,14 @@ impl Soup {
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
     let mut soup = Soup { faces: Some(Location::Pointer("/meshes".to_owned())), ..Soup::default() };
-    let mut poses = Poses::new(&asset.document, &Motion::default())?;
+    // As it rests.
+    let motion = Motion::default();
+    let mut poses = Poses::new(&asset.document, &motion)?;
     for (node, transform) in placements(&asset.document)? {
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-            let Some(t) = triangles::read(asset, &mut poses, (&node, transform), &primitive, 0)? else { continue };
+            let Some(t) = triangles::read((asset, &motion), &mut poses, (&node, transform), &primitive, 0)? else {
+                continue;
+            };
             let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| t.map(|v| uvs[v as usize])).collect());
             let mesh = node.mesh().map_or(0, |m| m.index());
             let place = Location::Pointer(format!("/meshes/{mesh}/primitives/{}", primitive.index()));

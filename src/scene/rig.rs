@@ -39,10 +39,12 @@ pub struct Rig {
     /// Splats that move; the others keep still.
     followers: Vec<Followers>,
     rest: Pose,
+    /// One per bone.
+    names: Vec<String>,
 }
 
 /// A surface before it is posed.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Form {
     /// Position of every vertex, in the space of its bones.
     pub base: Vec<Vec3>,
@@ -75,12 +77,6 @@ pub enum Carrier {
         /// `[vertices · width]`
         weights: Vec<f32>,
     },
-}
-
-impl Default for Carrier {
-    fn default() -> Self {
-        Self::Bone(0)
-    }
 }
 
 /// Consecutive splats that move.
@@ -158,48 +154,28 @@ const HIDDEN: f32 = -100.0;
 impl Rig {
     /// * `surfaces`: one per mesh of the scene.
     /// * `rest`: the pose in which the scene is as it is stored.
+    /// * `names`: what bones are called, for messages and for programs that show them.
     ///
     /// # Errors
-    /// If lengths differ or an index is out of range.
-    pub fn new(surfaces: Vec<Option<Form>>, followers: Vec<Followers>, rest: Pose) -> Result<Self, SceneError> {
-        let below = |what: &str, index: usize, count: usize| {
-            let fault = || SceneError::new(what, format!("an index below {count}"), index.to_string());
-            if index < count { Ok(()) } else { Err(fault()) }
-        };
-        let (bones, weights) = (rest.bones.len(), rest.weights.len());
-        for form in surfaces.iter().flatten() {
-            let vertices = form.base.len();
-            for target in &form.targets {
-                check_len("deltas", target.deltas.len(), vertices)?;
-                below("weight", target.weight, weights)?;
+    /// If lengths differ, an index is out of range, or nothing weighs a vertex of a skin.
+    pub fn new(
+        surfaces: Vec<Option<Form>>,
+        followers: Vec<Followers>,
+        rest: Pose,
+        names: Vec<String>,
+    ) -> Result<Self, SceneError> {
+        check_len("names of bones", names.len(), rest.bones.len())?;
+        surfaces.iter().flatten().try_for_each(|form| form.check(&rest))?;
+        for Followers { splats, leader } in &followers {
+            if splats.start > splats.end {
+                return Err(SceneError::new("splats", "a range", format!("{} to {}", splats.start, splats.end)));
             }
-            match &form.carrier {
-                Carrier::Bone(bone) => below("bone", *bone, bones)?,
-                Carrier::Skin { width, bones: joints, weights } => {
-                    check_len("bones of a skin", joints.len(), vertices * width)?;
-                    check_len("weights of a skin", weights.len(), vertices * width)?;
-                    joints.iter().try_for_each(|&b| below("bone", b as usize, bones))?;
-                }
+            match leader {
+                Leader::Bone(bone) => below("bone", *bone, rest.bones.len())?,
+                Leader::Triangles(binding) => binding.check(splats.len(), &surfaces, &rest)?,
             }
         }
-        for part in &followers {
-            match &part.leader {
-                Leader::Bone(bone) => below("bone", *bone, bones)?,
-                Leader::Triangles(binding) => {
-                    let n = part.splats.len();
-                    below("surface", binding.surface, surfaces.len())?;
-                    check_len("corners", binding.corners.len(), n)?;
-                    check_len("translations", binding.translations.len(), n)?;
-                    check_len("rotations", binding.rotations.len(), n)?;
-                    check_len("scales", binding.scales.len(), n)?;
-                    match &binding.harmonics {
-                        Harmonics::Bone(bone) => below("bone", *bone, bones)?,
-                        Harmonics::Triangles(turns) => check_len("harmonics", turns.len(), n)?,
-                    }
-                }
-            }
-        }
-        Ok(Self { surfaces, followers, rest })
+        Ok(Self { surfaces, followers, rest, names })
     }
 
     /// One per mesh; `None` keeps still.
@@ -220,13 +196,22 @@ impl Rig {
         &self.rest
     }
 
+    /// What bones are called, one each.
+    #[must_use]
+    pub fn bone_names(&self) -> &[String] {
+        &self.names
+    }
+
     /// The scene in a pose; `scene` is that in the rest pose, after it has been moved by `moved`, a similarity. What `pose`
     /// leaves where it rests keeps its bits.
     ///
     /// # Errors
-    /// If the scene or the pose is not that of this rig, or bones are where splats cannot follow them: sheared, mirrored or
-    /// scaled unevenly.
+    /// If the scene or the pose is not that of this rig, `moved` is no similarity, or bones are where splats cannot follow them:
+    /// sheared, mirrored or scaled unevenly. What a bone scales to nothing is not drawn.
     pub fn pose(&self, scene: &HybridScene, pose: &Pose, moved: DMat4) -> Result<HybridScene, SceneError> {
+        let Some(by) = similarity(moved) else {
+            return Err(SceneError::new("moved", "a rotation, a shift and an even scale", "another transform"));
+        };
         check_len("bones", pose.bones.len(), self.rest.bones.len())?;
         check_len("weights", pose.weights.len(), self.rest.weights.len())?;
         check_len("meshes", scene.meshes.len(), self.surfaces.len())?;
@@ -238,17 +223,15 @@ impl Rig {
         let mut splats = scene.splats.clone().into_arrays();
         for Followers { splats: these, leader } in &self.followers {
             if these.end > splats.means.len() {
-                return Err(SceneError::new(
-                    "splats",
-                    format!("at least {}", these.end),
-                    splats.means.len().to_string(),
-                ));
+                let found = splats.means.len().to_string();
+                return Err(SceneError::new("splats", format!("at least {}", these.end), found));
             }
             match leader {
                 Leader::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved)?,
                 Leader::Triangles(binding) => {
                     let surfaces = (&scene.meshes[binding.surface], &meshes[binding.surface]);
-                    self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, moved)?;
+                    let unmoved = by.rotation.inverse();
+                    self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, (moved, unmoved))?;
                 }
             }
         }
@@ -261,10 +244,9 @@ impl Rig {
         if let Carrier::Bone(bone) = form.carrier
             && atlas.sh_degree() > 0
         {
-            let Some(Similarity { rotation, .. }) = self.since_rest(bone, pose, moved).and_then(similarity) else {
-                return Err(no_similarity("a mesh with view-dependent colour"));
-            };
-            atlas = turned(&atlas, rotation)?;
+            if let Since::Moved(_, Similarity { rotation, .. }) = self.since_rest(bone, pose, moved)? {
+                atlas = turned(&atlas, rotation)?;
+            }
         }
         let mut positions = form.positions(pose);
         if moved != DMat4::IDENTITY {
@@ -273,14 +255,22 @@ impl Rig {
         Mesh::new(positions, mesh.triangles().to_vec(), mesh.corner_uvs().to_vec(), atlas)
     }
 
-    /// What takes a thing on a bone from where it rests to where it is; `None` if the bone has no extent where it rests.
-    fn since_rest(&self, bone: usize, pose: &Pose, moved: DMat4) -> Option<DMat4> {
+    /// What a pose does to a thing on a bone.
+    fn since_rest(&self, bone: usize, pose: &Pose, moved: DMat4) -> Result<Since, SceneError> {
         let (now, rest) = (pose.bones[bone], self.rest.bones[bone]);
         if now == rest {
-            return Some(DMat4::IDENTITY);
+            return Ok(Since::Rested);
         }
-        let inverse = (moved * rest).inverse();
-        inverse.is_finite().then(|| moved * now * inverse)
+        if DMat3::from_mat4(now) == DMat3::ZERO {
+            return Ok(Since::Gone);
+        }
+        let transform = moved * now * (moved * rest).inverse();
+        // Of a bone without extent where it rests nothing can be told: the inverse is not finite.
+        let since = Some(transform).filter(DMat4::is_finite).and_then(similarity);
+        since.map(|since| Since::Moved(transform, since)).ok_or_else(|| {
+            let expected = "a bone that turns, shifts and scales evenly what hangs on it";
+            SceneError::new(format!("bone {}", self.names[bone]), expected, "another transform")
+        })
     }
 
     fn follow_bone(
@@ -291,14 +281,14 @@ impl Rig {
         pose: &Pose,
         moved: DMat4,
     ) -> Result<(), SceneError> {
-        // Scaled to nothing, as things are made to disappear.
-        if pose.bones[bone].determinant() == 0.0 {
-            splats.opacity_logits[these].fill(HIDDEN);
-            return Ok(());
+        match self.since_rest(bone, pose, moved)? {
+            Since::Rested => {}
+            Since::Gone => splats.opacity_logits[these].fill(HIDDEN),
+            Since::Moved(transform, _) => {
+                place(splats, these, transform);
+            }
         }
-        let transform = self.since_rest(bone, pose, moved);
-        let placed = transform.is_some_and(|transform| place(splats, these, transform));
-        if placed { Ok(()) } else { Err(no_similarity("splats")) }
+        Ok(())
     }
 
     fn follow_triangles(
@@ -308,16 +298,15 @@ impl Rig {
         binding: &Binding,
         (rest, now): (&Mesh, &Mesh),
         pose: &Pose,
-        moved: DMat4,
+        (moved, unmoved): (DMat4, DQuat),
     ) -> Result<(), SceneError> {
         let bone_turn = match binding.harmonics {
-            Harmonics::Bone(bone) => {
-                let turn = self.since_rest(bone, pose, moved).and_then(similarity);
-                turn.ok_or_else(|| no_similarity("bound splats"))?.rotation
-            }
+            Harmonics::Bone(bone) => match self.since_rest(bone, pose, moved)? {
+                Since::Moved(_, Similarity { rotation, .. }) => rotation,
+                Since::Rested | Since::Gone => DQuat::IDENTITY,
+            },
             Harmonics::Triangles(_) => DQuat::IDENTITY,
         };
-        let unmoved = similarity(moved).map_or(DQuat::IDENTITY, |s| s.rotation.inverse());
         for (j, &corners) in binding.corners.iter().enumerate() {
             let i = first + j;
             let at = |mesh: &Mesh| corners.map(|v| mesh.positions().get(v as usize).copied());
@@ -350,12 +339,66 @@ impl Rig {
 /// Of scales of 0, whose logarithm is not finite: that of the least normal f32.
 const LEAST_LOG_SCALE: f64 = -87.336_544;
 
-fn no_similarity(what: &str) -> SceneError {
-    let expected = "bones that turn, shift and scale evenly";
-    SceneError::new(what, expected, "another transform")
+/// What a pose does to what hangs on a bone.
+enum Since {
+    /// It is where it rests.
+    Rested,
+    /// This takes it there.
+    Moved(DMat4, Similarity),
+    /// It is scaled to nothing, as things are made to disappear.
+    Gone,
+}
+
+fn below(what: &str, index: usize, count: usize) -> Result<(), SceneError> {
+    let fault = || SceneError::new(what, format!("an index below {count}"), index.to_string());
+    if index < count { Ok(()) } else { Err(fault()) }
+}
+
+impl Binding {
+    /// Error unless it binds this many splats to one of these surfaces.
+    fn check(&self, splats: usize, surfaces: &[Option<Form>], rest: &Pose) -> Result<(), SceneError> {
+        below("surface", self.surface, surfaces.len())?;
+        check_len("corners", self.corners.len(), splats)?;
+        if let Some(form) = &surfaces[self.surface] {
+            self.corners.iter().flatten().try_for_each(|&v| below("corner", v as usize, form.base.len()))?;
+        }
+        check_len("translations", self.translations.len(), splats)?;
+        check_len("rotations", self.rotations.len(), splats)?;
+        check_len("scales", self.scales.len(), splats)?;
+        match &self.harmonics {
+            Harmonics::Bone(bone) => below("bone", *bone, rest.bones.len()),
+            Harmonics::Triangles(turns) => check_len("harmonics", turns.len(), splats),
+        }
+    }
 }
 
 impl Form {
+    /// Error unless it is one of a rig with this pose.
+    fn check(&self, rest: &Pose) -> Result<(), SceneError> {
+        let vertices = self.base.len();
+        for target in &self.targets {
+            check_len("deltas", target.deltas.len(), vertices)?;
+            below("weight", target.weight, rest.weights.len())?;
+        }
+        let (width, bones, weights) = match &self.carrier {
+            Carrier::Bone(bone) => return below("bone", *bone, rest.bones.len()),
+            Carrier::Skin { width, bones, weights } => (*width, bones, weights),
+        };
+        // Also where there are no vertices: nobody wants to divide by it.
+        let count = vertices.checked_mul(width.max(1)).filter(|_| width > 0);
+        let count = count.ok_or_else(|| SceneError::new("bones per vertex", "at least 1", width.to_string()))?;
+        check_len("bones of a skin", bones.len(), count)?;
+        check_len("weights of a skin", weights.len(), count)?;
+        bones.iter().try_for_each(|&bone| below("bone", bone as usize, rest.bones.len()))?;
+        let total = |weights: &[f32]| weights.iter().map(|w| f64::from(*w)).sum::<f64>();
+        let weightless =
+            weights.chunks_exact(width).position(|weights| total(weights).is_nan() || total(weights) <= 0.0);
+        weightless.map_or(Ok(()), |v| {
+            let found = total(&weights[v * width..(v + 1) * width]).to_string();
+            Err(SceneError::new(format!("weights of vertex {v}"), "a sum above 0", found))
+        })
+    }
+
     /// Whether anything that it hangs on is elsewhere than in the other pose.
     fn moves(&self, pose: &Pose, other: &Pose) -> bool {
         let differs = |bone: usize| pose.bones[bone] != other.bones[bone];

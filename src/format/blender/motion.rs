@@ -56,7 +56,7 @@ pub(super) fn write(
     let mut moves_cameras = false;
     let mut rows = vec![];
     for frame in 0..frames {
-        let at = moving.cameras_at(time(frame)).map_err(failed)?;
+        let (at, _) = moving.cameras_at(time(frame)).map_err(failed)?;
         // A camera may have been left out since: then nobody knows which.
         if at.len() != cameras.len() {
             rows.clear();
@@ -77,7 +77,7 @@ pub(super) fn write(
     let bytes = arrays.zipped().map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
     atomic_write(path, &bytes)?;
     let told = json!({
-        "fps": fps, "frames": frames, "start": start, "meshes": meshes, "names": moving.bone_names(),
+        "fps": fps, "frames": frames, "start": start, "meshes": meshes, "names": moving.rig().map_or(&[][..], Rig::bone_names),
         "parents": moving.bone_parents(), "cameras": moves_cameras,
         "splats": moving.rig().is_some_and(|rig| !rig.followers().is_empty()),
     });

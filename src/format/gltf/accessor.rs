@@ -82,6 +82,7 @@ impl Asset {
                 if accessor.sparse().is_none() || count > self.stored_bytes() {
                     return Err(Fault::pointer(at, "an accessor with a bufferView", "one without"));
                 }
+                self.spend((count * N * 4) as u64, &at)?;
                 vec![[0.0; N]; count]
             }
         };
@@ -137,11 +138,6 @@ impl Asset {
         self.elements(&view, accessor.offset(), accessor.count(), 1, (kind, false), &at)?.indices()
     }
 
-    /// Length of all that the document refers to.
-    pub(super) fn stored_bytes(&self) -> usize {
-        self.buffers.iter().map(Buffer::len).chain(self.plain_views.values().map(Vec::len)).sum()
-    }
-
     /// Accessor `index`, known to have `components` components.
     fn accessor(&self, index: usize, components: usize) -> Result<gltf::Accessor<'_>, Fault> {
         let accessor = self.document.accessors().nth(index).ok_or_else(|| {
@@ -181,6 +177,7 @@ impl Asset {
             let expected = format!("{count} elements of {size} bytes, {stride} apart");
             return Err(Fault::pointer(format!("{at}/count"), expected, format!("{length} bytes")));
         }
+        self.spend((count as u64).saturating_mul(components as u64 * 4), at)?;
         Ok(Elements { bytes, start: range.start.saturating_add(offset), count, stride, size, kind, normalized, at })
     }
 

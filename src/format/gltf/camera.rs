@@ -14,6 +14,12 @@ const DEFAULT_HEIGHT: u32 = 1080;
 const MAX_SIDE: u32 = 1 << 16;
 const MAX_PIXELS: u64 = 1 << 28;
 
+/// What a camera at a node is called; `nth` of those that are read, from 0, if nobody says.
+pub(super) fn name(node: &gltf::Node<'_>, nth: usize) -> String {
+    let name = node.name().or(node.camera().and_then(|camera| camera.name()));
+    name.map_or_else(|| format!("camera_{nth}"), str::to_owned)
+}
+
 /// A camera and what had to be assumed about it; on failure, the reason.
 pub(super) fn read(
     document: &gltf::Document,

@@ -10,6 +10,7 @@ use std::fs::File;
 use std::io::Read as _;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
@@ -42,7 +43,16 @@ pub(in crate::format) struct Asset {
     pub(super) plain_views: HashMap<usize, Vec<u8>>,
     /// Folder of the file: images and buffers may lie in it.
     pub(super) folder: PathBuf,
+    /// Bytes of arrays that have been made of it, see [`Asset::spend`].
+    spent: AtomicU64,
+    /// The most that may be.
+    most: u64,
 }
+
+/// Bytes of arrays that a byte of the file may become, above what any small file may. Accessors in many places and meshes at many
+/// nodes multiply it; real files stay far below.
+const MAX_RATIO: u64 = 512;
+const ALWAYS: u64 = 1 << 26;
 
 /// What channels of animations move.
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
@@ -107,7 +117,7 @@ impl Asset {
             Some(Buffer::File { .. }) | None => None,
         };
         let plain_views = meshopt::decompress(&root, in_memory).collect::<Result<HashMap<_, _>, _>>()?;
-        Ok(Self {
+        let mut asset = Self {
             document,
             root,
             attributes,
@@ -117,7 +127,31 @@ impl Asset {
             buffers,
             plain_views,
             folder,
-        })
+            spent: AtomicU64::new(0),
+            most: 0,
+        };
+        asset.most = (asset.stored_bytes() + json_bytes) as u64 * MAX_RATIO + ALWAYS;
+        Ok(asset)
+    }
+
+    /// Length of all that the document refers to.
+    pub(super) fn stored_bytes(&self) -> usize {
+        self.buffers.iter().map(Buffer::len).chain(self.plain_views.values().map(Vec::len)).sum()
+    }
+
+    /// Counts bytes that something at `at` takes in memory, before or after it has been made; what is made at once is at most
+    /// in proportion to the file.
+    ///
+    /// # Errors
+    /// If all that has been counted is out of proportion.
+    pub(in crate::format) fn spend(&self, bytes: u64, at: &str) -> Result<(), Fault> {
+        let add = |spent: u64| Some(spent.saturating_add(bytes));
+        let spent = self.spent.fetch_update(Ordering::Relaxed, Ordering::Relaxed, add).unwrap_or_default();
+        if spent.saturating_add(bytes) <= self.most {
+            return Ok(());
+        }
+        let expected = format!("at most {} bytes of arrays from a file of this size", self.most);
+        Err(Fault::pointer(at, expected, "more, by repeated use"))
     }
 
     /// Whether a buffer view is one of the file.

@@ -82,13 +82,13 @@ impl<'a> Meshes<'a> {
         })
     }
 
-    /// Takes in one primitive; false if it has no triangles by its mode. Returns what it takes in memory, in bytes.
+    /// Takes in one primitive; false if it has no triangles by its mode.
     pub(super) fn add(
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
         primitive: &gltf::Primitive<'_>,
         notes: &mut Vec<String>,
-    ) -> Result<Option<u64>, Fault> {
+    ) -> Result<bool, Fault> {
         let at = format!("/nodes/{}", node.index());
         let material = primitive.material();
         if !self.maps.contains_key(&material.index()) {
@@ -101,13 +101,14 @@ impl<'a> Meshes<'a> {
             self.maps.insert(material.index(), maps);
         }
         let maps = &self.maps[&material.index()];
-        let read = triangles::read(self.asset, &mut self.poses, (node, transform), primitive, maps.uv.set)?;
+        let read =
+            triangles::read((self.asset, self.motion), &mut self.poses, (node, transform), primitive, maps.uv.set)?;
         let Some(Triangles { mut positions, mut triangles, uvs, mut form, is_mirrored }) = read else {
-            return Ok(None);
+            return Ok(false);
         };
         if triangles.is_empty() {
             notes.push(format!("{at}: a mesh without triangles is left out"));
-            return Ok(Some(0));
+            return Ok(true);
         }
         let mut group = Group { material: material.index(), ..Group::default() };
         group.corner_uvs = match &uvs {
@@ -155,7 +156,7 @@ impl<'a> Meshes<'a> {
         }
         let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
         let bytes = bytes + group.atlas.as_ref().map_or(0, |a| a.floats() as u64 * 4);
-        let bytes = bytes + if moves { form.bytes() } else { 0 };
+        self.asset.spend(bytes + if moves { form.bytes() } else { 0 }, &at)?;
         let corners = undeformed.is_some().then(|| triangles.clone());
         (group.positions, group.triangles) = (positions, triangles);
         group.form = moves.then_some(form);
@@ -165,7 +166,7 @@ impl<'a> Meshes<'a> {
             let corners = corners.into_iter().map(|t| unmirrored(t).map(|v| v + first)).collect();
             self.bindable.insert(id, Bindable { surface, moves, corners, stored });
         }
-        Ok(Some(bytes))
+        Ok(true)
     }
 
     /// Refuses maps that are many because many materials share an image.
@@ -201,11 +202,6 @@ impl<'a> Meshes<'a> {
         all.triangles.extend(group.triangles.iter().map(|t| t.map(|v| v + first)));
         all.corner_uvs.extend(group.corner_uvs);
         Ok((index, first))
-    }
-
-    /// The bone that a node is.
-    pub(super) fn bone(&mut self, node: usize) -> usize {
-        self.poses.bone(node)
     }
 
     pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Finished, Fault> {

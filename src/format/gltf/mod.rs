@@ -130,15 +130,25 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
 /// As [`read`].
 pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
     let asset = Asset::open(path)?;
-    let (mut file, mut moving) = read::scene_and_motion(&asset).map_err(|fault| fault.in_file(path))?;
+    let located = |fault: Fault| fault.in_file(path);
+    let (mut file, mut moving) = read::scene_and_motion(&asset).map_err(located)?;
     let mut keep = options.keep_document;
     if let Some(time) = options.time {
-        file.cameras = moving.cameras_at(time).map_err(|fault| fault.in_file(path))?;
+        let (cameras, notes) = moving.cameras_at(time).map_err(located)?;
+        file.cameras = cameras;
+        notes.into_iter().for_each(|note| {
+            if !file.notes.contains(&note) {
+                file.notes.push(note)
+            }
+        });
+        if moving.is_still() {
+            file.notes.push(format!("/animations: there are none: it is at {time} s as it rests"));
+        }
         let posed = moving.scene(&file.scene, DMat4::IDENTITY, time);
-        file.scene = posed.map_err(|e| Fault::from(e).in_file(path))?;
+        file.scene = posed.map_err(|e| located(e.into()))?;
         // What is posed does not move, and is not what the document says.
         keep &= moving.is_still();
-        moving = moving.stopped();
+        moving = moving.stopped(time);
     }
     let source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
     Ok(SceneFile { source: Some(source), ..file })
@@ -147,7 +157,8 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile,
 /// Reads cameras alone, those that are animated frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let asset = Asset::open(path)?;
-    let motion = Motion::read(&asset).map_err(|fault| fault.in_file(path))?;
+    let motion = Motion::read(&asset);
+    motion.check().map_err(|fault| fault.in_file(path))?;
     motion::cameras(&asset.document, &motion, sampling).map_err(|fault| fault.in_file(path))
 }
 

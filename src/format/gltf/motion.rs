@@ -2,8 +2,9 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::sync::Arc;
 
-use glam::{DMat4, DQuat, DVec3, DVec4};
+use glam::{DMat4, DQuat, DVec4};
 use gltf::animation::{Interpolation, Property};
 use gltf::json::validation::Checked;
 use serde::Serialize;
@@ -13,7 +14,7 @@ use super::camera;
 use super::extension::EXTRAS;
 use super::lift::Asset;
 use super::shot::FPS;
-use super::transform::{FLIP, is_ours, local, placements, placements_by};
+use super::transform::{FLIP, is_ours, local, placements, placements_by, unit};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Sampling, chosen, frame_count};
 use crate::format::error::Fault;
 use crate::scene::Camera;
@@ -38,7 +39,7 @@ pub(super) fn cameras(
     let (mut found, mut notes) = (vec![], vec![]);
     for (node, transform) in &placed {
         let Some(optics) = node.camera() else { continue };
-        let name = node.name().or(optics.name()).map_or_else(|| format!("camera_{}", found.len()), str::to_owned);
+        let name = camera::name(node, found.len());
         let at = format!("/nodes/{}", node.index());
         // From the node upwards.
         let chain: Vec<usize> =
@@ -83,6 +84,10 @@ pub(in crate::format) struct Motion {
     fps: Option<f64>,
     /// What there is to be played, in order.
     clips: Vec<Clip>,
+    /// What is wrong with channels that are not among the tracks.
+    faults: Vec<Fault>,
+    /// How many channels move what one before them moves.
+    overruled: usize,
 }
 
 /// An animation of a document.
@@ -104,52 +109,66 @@ enum Part {
     Weights,
 }
 
-/// Keys of one of these.
+/// Keys of one of these. Channels share what accessors hold.
 #[derive(Clone, Debug)]
 struct Track {
     /// Seconds, growing; at least one.
-    times: Vec<f64>,
+    times: Arc<[f32]>,
     /// `width` numbers a key, or three times as many: tangent before it, value, tangent after it.
-    values: Vec<f64>,
+    values: Arc<[f32]>,
     width: usize,
     interpolation: Interpolation,
 }
 
 impl Motion {
-    /// Of all animations together; of two that move the same, the first.
-    pub(super) fn read(asset: &Asset) -> Result<Self, Fault> {
+    /// Of all animations together; of channels that move the same, the first. Those that are malformed are left out, see
+    /// [`Motion::check`].
+    pub(super) fn read(asset: &Asset) -> Self {
         let mut motion = Self::default();
-        let json = asset.document.as_json();
-        for (a, animation) in json.animations.iter().enumerate() {
-            let mut range: Option<[f64; 2]> = None;
+        let mut arrays = Arrays { asset, times: HashMap::new(), values: HashMap::new() };
+        for (a, animation) in asset.document.as_json().animations.iter().enumerate() {
+            let (mut range, mut channels): (Option<[f64; 2]>, usize) = (None, 0);
             for (c, channel) in animation.channels.iter().enumerate() {
-                let at = format!("/animations/{a}/channels/{c}");
-                // The crate checks no index of a target.
-                let (node, sampler) = (channel.target.node.value(), animation.samplers.get(channel.sampler.value()));
-                let (Some(sampler), Checked::Valid(property), true) =
-                    (sampler, channel.target.path, node < json.nodes.len())
-                else {
-                    return Err(Fault::pointer(at, "a sampler, and a node that has what it moves", "another channel"));
+                let (target, track) = match arrays.track(animation, channel, &format!("/animations/{a}/channels/{c}")) {
+                    Ok(read) => read,
+                    Err(fault) => {
+                        motion.faults.push(fault);
+                        continue;
+                    }
                 };
-                let part = match property {
-                    Property::Translation => Part::Translation,
-                    Property::Rotation => Part::Rotation,
-                    Property::Scale => Part::Scale,
-                    Property::MorphTargetWeights => Part::Weights,
-                };
-                let track = Track::read(asset, sampler, part, &at)?;
                 let [first, last] = track.range();
                 range = Some(range.map_or([first, last], |[a, b]| [a.min(first), b.max(last)]));
-                if let Entry::Vacant(slot) = motion.tracks.entry((node, part)) {
-                    slot.insert(track);
+                channels += 1;
+                match motion.tracks.entry(target) {
+                    Entry::Vacant(slot) => drop(slot.insert(track)),
+                    Entry::Occupied(_) => motion.overruled += 1,
                 }
             }
-            let (name, channels) = (animation.name.clone(), animation.channels.len());
-            motion.clips.extend(range.map(|range| Clip { name, range, channels }));
+            motion.clips.extend(range.map(|range| Clip { name: animation.name.clone(), range, channels }));
             let stated = asset.root.pointer(&format!("/animations/{a}/extras/{EXTRAS}/{FPS}"));
             motion.fps = motion.fps.or(stated.and_then(Value::as_f64).filter(|fps| *fps > 0.0));
         }
-        Ok(motion)
+        motion
+    }
+
+    /// Error if anything is wrong with an animation: what is asked for at a time cannot be told.
+    pub(super) fn check(&self) -> Result<(), Fault> {
+        self.faults.first().map_or(Ok(()), |fault| Err(fault.clone()))
+    }
+
+    /// What is not played, a sentence each.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let fault = self.faults.first().map(|fault| {
+            let (location, expected, found) = fault.clone().into_parts();
+            let others =
+                if self.faults.len() > 1 { format!(", and {} more", self.faults.len() - 1) } else { String::new() };
+            format!("{location}not played{others}: expected {expected}, found {found}")
+        });
+        let overruled = (self.overruled > 0).then(|| {
+            let all = "animations are played together; of channels that move the same, the first";
+            format!("/animations: {all}: {} left out", self.overruled)
+        });
+        fault.into_iter().chain(overruled).collect()
     }
 
     pub(super) fn fps(&self) -> Option<f64> {
@@ -178,23 +197,22 @@ impl Motion {
 
     /// Weight of a node's morph target at a time, if it is animated.
     pub(super) fn weight(&self, node: usize, target: usize, time: f64) -> Option<f32> {
-        let track = self.tracks.get(&(node, Part::Weights))?;
-        Some(track.at(time, Part::Weights).get(target).map_or(0.0, |w| *w as f32))
+        let track = self.tracks.get(&(node, Part::Weights)).filter(|track| target < track.width)?;
+        let [weight] = track.at(time, target);
+        Some(weight as f32)
     }
 
     /// Where a node puts what is in it, at a time.
     pub(super) fn local(&self, node: &gltf::Node<'_>, time: f64) -> DMat4 {
-        let at = |part| self.tracks.get(&(node.index(), part)).map(|track: &Track| track.at(time, part));
-        let [translation, rotation, scale] = TRANSFORM.map(at);
+        let [translation, rotation, scale] = TRANSFORM.map(|part| self.tracks.get(&(node.index(), part)));
         if translation.is_none() && rotation.is_none() && scale.is_none() {
             return local(node);
         }
         let (t, r, s) = node.transform().decomposed();
-        let rotation = rotation.map_or_else(|| DVec4::from_array(r.map(f64::from)), |v| DVec4::from_slice(&v));
         DMat4::from_scale_rotation_translation(
-            scale.map_or_else(|| DVec3::from(s.map(f64::from)), |v| DVec3::from_slice(&v)),
-            DQuat::from_vec4(rotation).normalize(),
-            translation.map_or_else(|| DVec3::from(t.map(f64::from)), |v| DVec3::from_slice(&v)),
+            scale.map_or_else(|| s.map(f64::from), |track| track.at(time, 0)).into(),
+            rotation.map_or_else(|| unit(DVec4::from(r.map(f64::from))), |track| track.rotation(time)),
+            translation.map_or_else(|| t.map(f64::from), |track| track.at(time, 0)).into(),
         )
     }
 }
@@ -226,71 +244,139 @@ pub(super) fn in_between(count: usize, key: impl Fn(usize) -> f64, time: f64) ->
     (start, (time - key(start)) / (key(low) - key(start)))
 }
 
-impl Track {
-    fn read(asset: &Asset, sampler: &gltf::json::animation::Sampler, part: Part, at: &str) -> Result<Self, Fault> {
-        let times: Vec<f64> = asset.floats::<1>(sampler.input.value())?.iter().map(|[t]| f64::from(*t)).collect();
-        if times.is_empty() || !times.iter().all(|t| t.is_finite()) || times.windows(2).any(|w| w[0] >= w[1]) {
-            return Err(Fault::pointer(at, "key times that grow", "others"));
-        }
-        let output = sampler.output.value();
-        let numbers = match part {
-            Part::Rotation => asset.floats::<4>(output)?.into_flattened(),
-            Part::Translation | Part::Scale => asset.floats::<3>(output)?.into_flattened(),
-            Part::Weights => asset.floats::<1>(output)?.into_flattened(),
+/// What channels refer to, each read once.
+struct Arrays<'a> {
+    asset: &'a Asset,
+    times: HashMap<usize, Arc<[f32]>>,
+    /// By accessor and components of its elements.
+    values: HashMap<(usize, usize), Arc<[f32]>>,
+}
+
+impl Arrays<'_> {
+    /// What a channel moves, and by what.
+    fn track(
+        &mut self,
+        animation: &gltf::json::Animation,
+        channel: &gltf::json::animation::Channel,
+        at: &str,
+    ) -> Result<((usize, Part), Track), Fault> {
+        // Asset::open has looked at these, and the crate.
+        let (which, samplers) = (channel.sampler.value(), &animation.samplers);
+        let sampler = samplers.get(which).ok_or_else(|| {
+            Fault::pointer(format!("{at}/sampler"), format!("a sampler below {}", samplers.len()), which.to_string())
+        })?;
+        let index = channel.target.node.value();
+        let node = self.asset.document.nodes().nth(index).ok_or_else(|| {
+            let nodes = self.asset.document.nodes().len();
+            Fault::pointer(format!("{at}/target/node"), format!("a node below {nodes}"), index.to_string())
+        })?;
+        let (Checked::Valid(path), Checked::Valid(interpolation)) = (channel.target.path, sampler.interpolation) else {
+            return Err(Fault::pointer(at, "a path and an interpolation of glTF 2.0", "another"));
         };
-        let values: Vec<f64> = numbers.into_iter().map(f64::from).collect();
-        let Checked::Valid(interpolation) = sampler.interpolation else {
-            return Err(Fault::pointer(at, "LINEAR, STEP or CUBICSPLINE", "another interpolation"));
+        // All primitives of a mesh have as many targets (glTF 2.0, 3.7.2.2).
+        let targets = || node.mesh().and_then(|m| m.primitives().next()).map_or(0, |p| p.morph_targets().len());
+        let (part, width) = match path {
+            Property::Translation => (Part::Translation, 3),
+            Property::Rotation => (Part::Rotation, 4),
+            Property::Scale => (Part::Scale, 3),
+            Property::MorphTargetWeights => (Part::Weights, targets()),
         };
+        let times = self.times(sampler.input.value())?;
+        let values = self.values(sampler.output.value(), part)?;
         let keys = times.len() * if interpolation == Interpolation::CubicSpline { 3 } else { 1 };
-        let width = match part {
+        if Some(values.len()) != keys.checked_mul(width) {
+            let expected = format!("{keys} times {width} numbers");
+            return Err(Fault::pointer(at, expected, values.len().to_string()));
+        }
+        Ok(((index, part), Track { times, values, width, interpolation }))
+    }
+
+    fn times(&mut self, accessor: usize) -> Result<Arc<[f32]>, Fault> {
+        if let Some(known) = self.times.get(&accessor) {
+            return Ok(Arc::clone(known));
+        }
+        let at = format!("/accessors/{accessor}");
+        let times: Arc<[f32]> = self.asset.floats::<1>(accessor)?.into_flattened().into();
+        if let Some(bad) = times.iter().find(|t| !t.is_finite()) {
+            return Err(Fault::pointer(at, "finite key times", bad.to_string()));
+        }
+        if let Some(pair) = times.windows(2).find(|pair| pair[0] >= pair[1]) {
+            return Err(Fault::pointer(at, "key times that grow", format!("{} after {}", pair[1], pair[0])));
+        }
+        if times.is_empty() {
+            return Err(Fault::pointer(at, "at least one key time", "none"));
+        }
+        self.times.insert(accessor, Arc::clone(&times));
+        Ok(times)
+    }
+
+    fn values(&mut self, accessor: usize, part: Part) -> Result<Arc<[f32]>, Fault> {
+        let components = match part {
             Part::Rotation => 4,
             Part::Translation | Part::Scale => 3,
-            // As many as there are targets.
-            Part::Weights => (values.len() / keys).max(1),
+            Part::Weights => 1,
         };
-        let expected = keys * width;
-        if values.len() != expected || !values.iter().all(|v| v.is_finite()) {
-            let found = format!("{} of which some may not be finite", values.len() / width);
-            return Err(Fault::pointer(at, format!("{keys} finite values"), found));
+        if let Some(known) = self.values.get(&(accessor, components)) {
+            return Ok(Arc::clone(known));
         }
-        Ok(Self { times, values, width, interpolation })
+        let values = match components {
+            4 => self.asset.floats::<4>(accessor)?.into_flattened(),
+            3 => self.asset.floats::<3>(accessor)?.into_flattened(),
+            _ => self.asset.floats::<1>(accessor)?.into_flattened(),
+        };
+        let values: Arc<[f32]> = values.into();
+        if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
+            return Err(Fault::pointer(format!("/accessors/{accessor}"), "finite numbers", bad.to_string()));
+        }
+        self.values.insert((accessor, components), Arc::clone(&values));
+        Ok(values)
     }
+}
 
+impl Track {
     fn range(&self) -> [f64; 2] {
-        [self.times[0], self.times[self.times.len() - 1]]
+        [self.times[0], self.times[self.times.len() - 1]].map(f64::from)
     }
 
-    /// Held before the first key and after the last.
-    fn at(&self, time: f64, part: Part) -> Vec<f64> {
-        let row = |i: usize| &self.values[i * self.width..(i + 1) * self.width];
+    fn in_between(&self, time: f64) -> (usize, f64) {
+        in_between(self.times.len(), |i| f64::from(self.times[i]), time)
+    }
+
+    /// `N` numbers from `first` on of row `i`.
+    fn row<const N: usize>(&self, i: usize, first: usize) -> [f64; N] {
+        std::array::from_fn(|c| f64::from(self.values[i * self.width + first + c]))
+    }
+
+    /// `N` numbers from `first` on, at a time. Those of the first key are held before it, those of the last after it.
+    fn at<const N: usize>(&self, time: f64, first: usize) -> [f64; N] {
+        let row = |i: usize| self.row::<N>(i, first);
         let is_cubic = self.interpolation == Interpolation::CubicSpline;
         let value = |key: usize| row(if is_cubic { 3 * key + 1 } else { key });
-        let (start, u) = in_between(self.times.len(), |i| self.times[i], time);
-        if u == 0.0 {
-            return value(start).to_vec();
+        let (start, u) = self.in_between(time);
+        let a = value(start);
+        if u == 0.0 || self.interpolation == Interpolation::Step {
+            return a;
         }
-        let (a, b) = (value(start), value(start + 1));
-        let each = |f: &dyn Fn(usize) -> f64| (0..self.width).map(f).collect();
-        match self.interpolation {
-            Interpolation::Step => a.to_vec(),
-            Interpolation::Linear if part == Part::Rotation => {
-                let [a, b] = [a, b].map(|q| DQuat::from_vec4(DVec4::from_slice(q)).normalize());
-                let q = if a.is_finite() && b.is_finite() { a.slerp(b, u) } else { DQuat::IDENTITY };
-                q.to_array().to_vec()
-            }
-            Interpolation::Linear => each(&|c| a[c] * (1.0 - u) + b[c] * u),
-            Interpolation::CubicSpline => {
-                let length = self.times[start + 1] - self.times[start];
-                let (out, into) = (row(3 * start + 2), row(3 * (start + 1)));
-                let (u2, u3) = (u * u, u * u * u);
-                each(&|c| {
-                    a[c] * (2.0 * u3 - 3.0 * u2 + 1.0)
-                        + length * out[c] * (u3 - 2.0 * u2 + u)
-                        + b[c] * (3.0 * u2 - 2.0 * u3)
-                        + length * into[c] * (u3 - u2)
-                })
-            }
+        let b = value(start + 1);
+        if !is_cubic {
+            return std::array::from_fn(|c| a[c] * (1.0 - u) + b[c] * u);
         }
+        let length = f64::from(self.times[start + 1]) - f64::from(self.times[start]);
+        let (out, into) = (row(3 * start + 2), row(3 * (start + 1)));
+        let (u2, u3) = (u * u, u * u * u);
+        std::array::from_fn(|c| {
+            a[c] * (2.0 * u3 - 3.0 * u2 + 1.0)
+                + length * out[c] * (u3 - 2.0 * u2 + u)
+                + b[c] * (3.0 * u2 - 2.0 * u3)
+                + length * into[c] * (u3 - u2)
+        })
+    }
+
+    fn rotation(&self, time: f64) -> DQuat {
+        let (start, u) = self.in_between(time);
+        if u == 0.0 || self.interpolation != Interpolation::Linear {
+            return unit(self.at(time, 0).into());
+        }
+        unit(self.row(start, 0).into()).slerp(unit(self.row(start + 1, 0).into()), u)
     }
 }

@@ -1,7 +1,5 @@
 //! What of a document is played: animations, the rig of the scene that they move, and cameras.
 
-use std::collections::HashMap;
-
 use glam::DMat4;
 
 use super::motion::{self, Clip, Motion};
@@ -20,21 +18,23 @@ pub(in crate::format) struct Moving {
     motion: Motion,
     /// Bones and weights of the rig by nodes; `None` if nothing but cameras moves.
     rig: Option<(Poses, Rig)>,
+    /// The time at which all of it has been stopped.
+    stopped: Option<f64>,
 }
 
 impl Moving {
     pub(super) fn new(document: gltf::Document, motion: Motion, rig: Option<(Poses, Rig)>) -> Self {
-        Self { document, motion, rig }
+        Self { document, motion, rig, stopped: None }
     }
 
     /// Whether there is nothing to be played.
     pub(in crate::format) fn is_still(&self) -> bool {
-        self.rig.is_none() && self.motion.clips().is_empty()
+        self.rig.is_none() && self.clips().is_empty()
     }
 
-    /// The same document with nothing that moves.
-    pub(super) fn stopped(self) -> Self {
-        Self { motion: Motion::default(), rig: None, ..self }
+    /// The same with everything where it is at a time, in seconds, whenever it is looked at.
+    pub(super) fn stopped(self, time: f64) -> Self {
+        Self { rig: None, stopped: Some(time), ..self }
     }
 
     pub(in crate::format) fn rig(&self) -> Option<&Rig> {
@@ -43,8 +43,9 @@ impl Moving {
 
     /// Bones and weights of the rig at a time, in seconds.
     pub(in crate::format) fn pose(&self, time: f64) -> Result<Pose, SceneError> {
-        let pose = self.rig.as_ref().map(|(poses, _)| poses.at(&self.document, &self.motion, time));
-        pose.unwrap_or_else(|| Ok(Pose::default())).map_err(|fault| at_time(fault, time))
+        let Some((poses, _)) = &self.rig else { return Ok(Pose::default()) };
+        let pose = self.motion.check().and_then(|()| poses.at(&self.document, &self.motion, time));
+        pose.map_err(|fault| at_time(fault, time))
     }
 
     /// The scene at a time; `rest` is as it was read, and then moved by `moved`.
@@ -56,27 +57,21 @@ impl Moving {
 
     /// The cameras, those that move frame by frame.
     pub(in crate::format) fn cameras(&self, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
-        motion::cameras(&self.document, &self.motion, sampling)
+        self.motion.check()?;
+        motion::cameras(&self.document, &self.motion, &Sampling { time: self.stopped.or(sampling.time), ..*sampling })
     }
 
-    /// The cameras at a time, in seconds.
-    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<Vec<(String, Camera)>, Fault> {
+    /// The cameras at a time, in seconds, and what is to be said of them.
+    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<(Vec<(String, Camera)>, Vec<String>), Fault> {
+        self.motion.check()?;
+        let (time, mut notes) = (self.stopped.unwrap_or(time), vec![]);
         let placed = placements_by(&self.document, |node| self.motion.local(node, time))?;
-        Ok(read::cameras(&self.document, &placed, &mut vec![]))
-    }
-
-    /// What the bones of the rig are called: as the nodes that they are.
-    pub(in crate::format) fn bone_names(&self) -> Vec<String> {
-        let named: HashMap<usize, &str> = self.document.nodes().filter_map(|n| Some((n.index(), n.name()?))).collect();
-        let of = |node: usize| named.get(&node).map_or_else(|| format!("node {node}"), |name| (*name).to_owned());
-        self.poses().map_or_else(Vec::new, |poses| poses.nodes().map(of).collect())
+        Ok((read::cameras(&self.document, &placed, &mut notes), notes))
     }
 
     /// Per bone, the joint of the same skin that is next above it.
     pub(in crate::format) fn bone_parents(&self) -> Vec<Option<usize>> {
-        let above: HashMap<usize, usize> =
-            self.document.nodes().flat_map(|n| n.children().map(move |c| (c.index(), n.index()))).collect();
-        self.poses().map_or_else(Vec::new, |poses| poses.parents(&above))
+        self.poses().map_or_else(Vec::new, Poses::parents)
     }
 
     /// Where a joint of a skin is in the space of the surface; `None` of other bones.
@@ -100,7 +95,7 @@ impl Moving {
     }
 
     pub(super) fn clips(&self) -> &[Clip] {
-        self.motion.clips()
+        if self.stopped.is_none() { self.motion.clips() } else { &[] }
     }
 }
 

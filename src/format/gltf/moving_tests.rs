@@ -287,6 +287,155 @@ fn cameras_are_where_they_are_at_the_time() {
 }
 
 #[test]
+fn what_is_stopped_has_its_cameras_where_they_are() {
+    let file = bound("node", |document| {
+        document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 1, "znear": 0.1 } }]);
+        document["nodes"][2]["camera"] = json!(0);
+    });
+    let source = file.at(0.5).source.unwrap();
+    for time in [None, Some(0.9)] {
+        let shot = source.cameras(&file.path, &Sampling { time, ..Sampling::default() }).unwrap();
+        assert_eq!((shot.cameras.len(), shot.times.len()), (1, 0));
+        assert!(shot.cameras[0].1.center().abs_diff_eq(DVec3::Z, 1e-9), "{}", shot.cameras[0].1.center());
+    }
+}
+
+#[test]
+fn bones_are_of_what_moves_and_have_the_names_of_nodes() {
+    let file = bound("node", |document| {
+        // The second splat keeps still, and so does another triangle.
+        document["animations"][0]["channels"].as_array_mut().unwrap().pop();
+        document["nodes"].as_array_mut().unwrap().push(json!({ "mesh": 0, "name": "still" }));
+        document["scenes"][0]["nodes"] = json!([3, 0, 1, 2]);
+        document["nodes"][0]["name"] = json!("arm");
+    });
+    let rest = file.rest();
+    let source = rest.source.unwrap();
+    let (moving, _) = source.moving(&rest.scene).unwrap();
+    let rig = moving.rig().unwrap();
+    // That of the triangle, and that of the splats, with whose frame their harmonics would turn.
+    assert_eq!(rig.bone_names(), ["arm", "node 1"]);
+    assert_eq!((rig.followers().len(), rig.rest().weights.len()), (1, 0));
+    file.at(1.0);
+}
+
+#[test]
+fn joints_end_where_the_scene_ends() {
+    let (mut b, mut attributes) = triangle();
+    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]));
+    attributes["WEIGHTS_0"] = json!(b.floats(&[[0.5f32, 0.5, 0.0, 0.0]; 3]));
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
+    let clip = animation(&mut b, &[(2, "rotation", &[0.0, 1.0], turn, "LINEAR")]);
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+        "skins": [{ "joints": [1, 2] }],
+        "scenes": [{ "nodes": [0] }],
+        // Nodes 3 and 4 are in no scene, and each below the other.
+        "nodes": [{ "mesh": 0, "skin": 0, "children": [1] }, { "children": [2] }, {}, { "children": [0, 4] }, { "children": [3] }],
+        "animations": [clip],
+    });
+    let rest = File::new(&b, &document).rest();
+    let source = rest.source.unwrap();
+    let (moving, _) = source.moving(&rest.scene).unwrap();
+    assert_eq!(moving.bone_parents(), [None, Some(0)]);
+}
+
+#[test]
+fn bindings_are_read_where_the_triangle_keeps_still() {
+    let still = |damage: &dyn Fn(&mut Value)| {
+        bound("node", |document| {
+            // Node 1, that of the splats, turns instead of the triangle.
+            document["animations"][0]["channels"][0]["target"]["node"] = json!(1);
+            damage(document);
+        })
+    };
+    let file = still(&|_| ());
+    let (rest, posed) = (file.rest().scene.splats, file.at(1.0).scene.splats);
+    assert_eq!((rest.means()[0], rest.rotations()[0]), (posed.means()[0], posed.rotations()[0]));
+    let [y, z, x] = [1, 2, 3].map(|k| rest.sh_of(0)[k]);
+    for (found, expected) in posed.sh_of(0)[1..].iter().zip([x, z, y.map(|v| -v)]) {
+        near(found, &expected, 1e-6);
+    }
+    let file = still(&|document| {
+        let at =
+            "/meshes/1/primitives/0/extensions/KHR_gaussian_splatting/extensions/EXT_gaussian_splatting_hybrid/binding";
+        document.pointer_mut(at).unwrap()["triangleCount"] = json!(7);
+        document["animations"][0]["channels"].as_array_mut().unwrap().remove(0);
+    });
+    let notes = file.rest().notes.join("; ");
+    assert!(notes.contains("binding: ignored: expected a binding of 1 triangles, found one of 7"), "{notes}");
+}
+
+#[test]
+fn animations_that_are_broken_are_left_out_unless_a_time_is_asked_for() {
+    let broken = |damage: &dyn Fn(&mut Value)| {
+        let file = bound("node", |document| damage(&mut document["animations"][0]));
+        let rest = file.rest();
+        let options = ReadOptions { time: Some(0.5), ..ReadOptions::default() };
+        let error = read_file(&file.path, &options).unwrap_err().to_string();
+        assert!(read_cameras(&file.path, &Sampling::default()).is_err());
+        // The other channel moves on, and says at what it cannot be evaluated.
+        let source = rest.source.unwrap();
+        assert!(source.moves() && source.at(&rest.scene, 0.5).unwrap_err().to_string().starts_with("at 0.5 s: /"));
+        let note = rest.notes.iter().find(|note| note.contains("not played")).unwrap().clone();
+        (note, error)
+    };
+    let (note, error) = broken(&|clip| clip["samplers"][0]["interpolation"] = json!("CUBICSPLINE"));
+    assert_eq!(note, "/animations/0/channels/0: not played: expected 6 times 4 numbers, found 8");
+    assert!(error.ends_with("/animations/0/channels/0: expected 6 times 4 numbers, found 8"), "{error}");
+    let (note, _) = broken(&|clip| clip["channels"][0]["target"]["path"] = json!("weights"));
+    assert!(note.contains("/accessors/"), "{note}");
+}
+
+#[test]
+fn weights_are_as_many_as_targets_and_times_grow() {
+    let (mut b, attributes) = triangle();
+    let up = b.floats(&[[0.0f32, 0.0, 1.0]; 3]);
+    let two = b.floats(&[[0.0f32], [0.0], [1.0], [1.0]]);
+    let clip = animation(&mut b, &[(0, "weights", &[0.0, 1.0], two, "LINEAR")]);
+    let late = animation(&mut b, &[(0, "translation", &[0.0, 2.5, 2.0], up, "LINEAR")]);
+    let first = animation(&mut b, &[(0, "scale", &[0.0, 1.0, 2.0], up, "LINEAR")]);
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes, "targets": [{ "POSITION": up }] }] }],
+        "nodes": [{ "mesh": 0 }],
+        "animations": [clip, late, first, first],
+    });
+    let notes = File::new(&b, &document).rest().notes;
+    assert_eq!(notes[0], "/animations/0/channels/0: not played, and 1 more: expected 2 times 1 numbers, found 4");
+    assert!(notes[1].ends_with("of channels that move the same, the first: 1 left out"), "{}", notes[1]);
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes }] }], "nodes": [{ "mesh": 0 }], "animations": [late],
+    });
+    let notes = File::new(&b, &document).rest().notes;
+    assert!(notes[0].ends_with("not played: expected key times that grow, found 2 after 2.5"), "{}", notes[0]);
+}
+
+#[test]
+fn a_quaternion_of_zeros_turns_nothing() {
+    let (mut b, attributes) = triangle();
+    for interpolation in ["STEP", "LINEAR"] {
+        let turn = b.floats(&[[0.0f32; 4], [0.0; 4]]);
+        let clip = animation(&mut b, &[(0, "rotation", &[0.0, 1.0], turn, interpolation)]);
+        let document = json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+            "nodes": [{ "mesh": 0, "rotation": [0, 0, 1, 0] }], "animations": [clip],
+        });
+        for time in [0.0, 0.5, 1.0] {
+            File::new(&b, &document).positions(time, &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        }
+    }
+}
+
+#[test]
+fn what_does_not_move_says_so() {
+    let file = bound("node", |document| {
+        document.as_object_mut().unwrap().remove("animations");
+    });
+    assert!(file.at(2.0).notes.contains(&"/animations: there are none: it is at 2 s as it rests".to_owned()));
+}
+
+#[test]
 fn a_pose_is_no_document() {
     let file = bound("triangle", |_| ());
     let posed = file.at(0.5);
@@ -326,7 +475,7 @@ fn a_pose_is_no_document() {
 
 #[test]
 fn what_cannot_be_shown_says_when() {
-    let file = bound("node", |document| document["nodes"][2]["scale"] = json!([1, 1, 1]));
+    let file = bound("node", |_| ());
     let rest = file.rest();
     let source = rest.source.unwrap();
     let other = bound("node", |_| ()).rest().scene;
@@ -334,6 +483,16 @@ fn what_cannot_be_shown_says_when() {
     let fewer = HybridScene { meshes: vec![], ..other };
     let error = source.at(&fewer, 1.25).unwrap_err().to_string();
     assert_eq!(error, "at 1.25 s: meshes: expected 1 elements, found 0");
+    // A node that grows along one axis shears what turns on it.
+    let sheared = bound("node", |document| {
+        document["animations"][0]["channels"][1]["target"]["path"] = json!("scale");
+        document["nodes"][2]["name"] = json!("hair");
+    });
+    let rest = sheared.rest();
+    let error = rest.source.unwrap().at(&rest.scene, 0.5).unwrap_err().to_string();
+    let expected = "a bone that turns, shifts and scales evenly what hangs on it";
+    assert_eq!(error, format!("at 0.5 s: bone hair: expected {expected}, found another transform"));
+    let rest = file.rest();
     let ply = file.path.with_file_name("a.ply");
     write_scene(&ply, &rest.scene, &WriteOptions::default()).unwrap();
     let error = read_file(&ply, &ReadOptions { time: Some(1.0), ..ReadOptions::default() }).unwrap_err().to_string();

@@ -3,6 +3,7 @@
 //! animation starts, and what the static scene is made of.
 
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 use glam::{DMat4, Vec3};
 
@@ -11,7 +12,7 @@ use super::lift::Asset;
 use super::motion::{Motion, in_between};
 use super::transform::{placements, placements_by};
 use crate::format::error::{Fault, from_value};
-use crate::scene::rig::{Carrier, Form, Pose, Target};
+use crate::scene::rig::{Binding, Carrier, Followers, Form, Harmonics, Leader, Pose, Target};
 
 /// All bones and weights that have been asked for.
 #[derive(Clone, Debug)]
@@ -22,6 +23,8 @@ pub(in crate::format) struct Poses {
     of_skin: HashMap<usize, Vec<usize>>,
     /// Nodes of the scene where they rest.
     global: HashMap<usize, DMat4>,
+    /// The node above a node of the scene.
+    above: HashMap<usize, usize>,
     /// Nodes that an animation moves, by themselves or by one above.
     moving: HashSet<usize>,
     rest: Pose,
@@ -38,20 +41,56 @@ enum Weight {
     /// Of a node's morph target; what it is where nothing animates it.
     Target { node: usize, target: usize, rest: f32 },
     /// Of the translations of the extension at one of its key times.
-    Key { times: Vec<f32>, key: usize, is_step: bool },
+    Key { times: Arc<[f32]>, key: usize, is_step: bool },
+}
+
+impl Bone {
+    fn node(&self) -> usize {
+        match self {
+            Self::Node(node) | Self::Joint { node, .. } => *node,
+        }
+    }
+}
+
+/// Which of some things are kept.
+struct Kept(Vec<bool>);
+
+impl Kept {
+    fn none_of(count: usize) -> Self {
+        Self(vec![false; count])
+    }
+
+    fn keep(&mut self, i: usize) {
+        self.0[i] = true;
+    }
+
+    fn retain<T>(&self, things: &mut Vec<T>) {
+        let mut kept = self.0.iter();
+        things.retain(|_| kept.next() == Some(&true));
+    }
+
+    /// New numbers of those that are kept.
+    fn numbers(&self) -> Vec<usize> {
+        let mut next = 0;
+        let number = |&kept: &bool| {
+            next += usize::from(kept);
+            next.saturating_sub(1)
+        };
+        self.0.iter().map(number).collect()
+    }
 }
 
 impl Poses {
     /// As [`placements`], with which it fails alike.
     pub(in crate::format) fn new(document: &gltf::Document, motion: &Motion) -> Result<Self, Fault> {
-        let (mut global, mut moving) = (HashMap::new(), HashSet::new());
+        let (mut global, mut above, mut moving) = (HashMap::new(), HashMap::new(), HashSet::new());
+        // Parents come before their children.
         for (node, transform) in placements(document)? {
-            global.insert(node.index(), transform);
-            if motion.has_transform(node.index()) {
-                moving.insert(node.index());
-            }
-            if moving.contains(&node.index()) {
-                moving.extend(node.children().map(|child| child.index()));
+            let index = node.index();
+            global.insert(index, transform);
+            above.extend(node.children().map(|child| (child.index(), index)));
+            if motion.has_transform(index) || above.get(&index).is_some_and(|parent| moving.contains(parent)) {
+                moving.insert(index);
             }
         }
         Ok(Self {
@@ -60,6 +99,7 @@ impl Poses {
             of_node: HashMap::new(),
             of_skin: HashMap::new(),
             global,
+            above,
             moving,
             rest: Pose::default(),
         })
@@ -86,11 +126,11 @@ impl Poses {
         Ok(Pose { bones: bones.collect(), weights: weights.collect() })
     }
 
-    /// The nodes that bones are.
-    pub(super) fn nodes(&self) -> impl Iterator<Item = usize> {
-        self.bones.iter().map(|bone| match bone {
-            Bone::Node(node) | Bone::Joint { node, .. } => *node,
-        })
+    /// What bones are called: as the nodes that they are.
+    pub(super) fn names(&self, document: &gltf::Document) -> Vec<String> {
+        let named: HashMap<usize, &str> = document.nodes().filter_map(|n| Some((n.index(), n.name()?))).collect();
+        let of = |node: usize| named.get(&node).map_or_else(|| format!("node {node}"), |name| (*name).to_owned());
+        self.bones.iter().map(|bone| of(bone.node())).collect()
     }
 
     /// Where a joint is in the space of what it carries.
@@ -101,20 +141,60 @@ impl Poses {
         }
     }
 
-    /// Of every joint of a skin the joint of it that is next above, in a tree that says what is `above` a node.
-    pub(super) fn parents(&self, above: &HashMap<usize, usize>) -> Vec<Option<usize>> {
+    /// Of every joint of a skin the joint of it that is next above.
+    pub(super) fn parents(&self) -> Vec<Option<usize>> {
         let mut parents = vec![None; self.bones.len()];
         for bones in self.of_skin.values() {
-            let node = |bone: usize| match &self.bones[bone] {
-                Bone::Node(node) | Bone::Joint { node, .. } => *node,
-            };
-            let by_node: HashMap<usize, usize> = bones.iter().map(|&bone| (node(bone), bone)).collect();
+            let by_node: HashMap<usize, usize> = bones.iter().map(|&bone| (self.bones[bone].node(), bone)).collect();
             for &bone in bones {
-                let mut upwards = std::iter::successors(above.get(&node(bone)), |n| above.get(n));
+                let mut upwards =
+                    std::iter::successors(self.above.get(&self.bones[bone].node()), |n| self.above.get(n));
                 parents[bone] = upwards.find_map(|n| by_node.get(n)).copied();
             }
         }
         parents
+    }
+
+    /// Leaves only what these hang on, by new numbers; of skins all joints, so that they stay whole.
+    pub(super) fn compact(&mut self, forms: &mut [Option<Form>], followers: &mut [Followers]) {
+        let (mut bones, mut weights) = (Kept::none_of(self.bones.len()), Kept::none_of(self.weights.len()));
+        for form in forms.iter().flatten() {
+            form.targets.iter().for_each(|target| weights.keep(target.weight));
+            match &form.carrier {
+                Carrier::Bone(bone) => bones.keep(*bone),
+                Carrier::Skin { bones: joints, .. } => joints.iter().for_each(|&bone| bones.keep(bone as usize)),
+            }
+        }
+        for part in &*followers {
+            match &part.leader {
+                Leader::Bone(bone) | Leader::Triangles(Binding { harmonics: Harmonics::Bone(bone), .. }) => {
+                    bones.keep(*bone);
+                }
+                Leader::Triangles(_) => {}
+            }
+        }
+        self.of_skin.retain(|_, joints| joints.iter().any(|&bone| bones.0[bone]));
+        self.of_skin.values().flatten().for_each(|&bone| bones.keep(bone));
+        self.of_node.clear();
+        let (bone, weight) = (bones.numbers(), weights.numbers());
+        bones.retain(&mut self.bones);
+        bones.retain(&mut self.rest.bones);
+        weights.retain(&mut self.weights);
+        weights.retain(&mut self.rest.weights);
+        self.of_skin.values_mut().flatten().for_each(|joint| *joint = bone[*joint]);
+        for form in forms.iter_mut().flatten() {
+            form.targets.iter_mut().for_each(|target| target.weight = weight[target.weight]);
+            match &mut form.carrier {
+                Carrier::Bone(b) => *b = bone[*b],
+                Carrier::Skin { bones: joints, .. } => joints.iter_mut().for_each(|b| *b = bone[*b as usize] as u32),
+            }
+        }
+        for part in followers {
+            match &mut part.leader {
+                Leader::Bone(b) | Leader::Triangles(Binding { harmonics: Harmonics::Bone(b), .. }) => *b = bone[*b],
+                Leader::Triangles(_) => {}
+            }
+        }
     }
 
     /// Whether an animation moves a node.
@@ -124,9 +204,7 @@ impl Poses {
 
     /// Whether an animation moves what is made of a form.
     pub(super) fn animates(&self, form: &Form, motion: &Motion) -> bool {
-        let moves = |bone: usize| match &self.bones[bone] {
-            Bone::Node(node) | Bone::Joint { node, .. } => self.moves(*node),
-        };
+        let moves = |bone: usize| self.moves(self.bones[bone].node());
         let is_carried = match &form.carrier {
             Carrier::Bone(bone) => moves(*bone),
             Carrier::Skin { bones, .. } => {
@@ -166,7 +244,7 @@ impl Poses {
     /// `primitive`, of the mesh of `node`, whose vertices are `stored`, before it is posed.
     pub(super) fn form(
         &mut self,
-        asset: &Asset,
+        (asset, motion): (&Asset, &Motion),
         node: &gltf::Node<'_>,
         primitive: &gltf::Primitive<'_>,
         stored: Vec<Vec3>,
@@ -185,13 +263,17 @@ impl Poses {
         let mut targets = vec![];
         let weights = node.weights().or(node.mesh().and_then(|m| m.weights())).unwrap_or_default();
         for (i, target) in primitive.morph_targets().enumerate() {
+            let rest = weights.get(i).copied().unwrap_or(0.0);
             let Some(accessor) = target.positions() else { continue };
+            // What nothing ever weighs need not be held.
+            if rest == 0.0 && !motion.has_weights(node.index()) {
+                continue;
+            }
             let deltas = asset.floats::<3>(accessor.index())?;
             if deltas.len() != vertices {
                 let expected = format!("{vertices} elements, as in POSITION");
                 return Err(Fault::pointer(format!("{at}/targets/{i}/POSITION"), expected, deltas.len().to_string()));
             }
-            let rest = weights.get(i).copied().unwrap_or(0.0);
             let weight = self.add_weight(Weight::Target { node: node.index(), target: i, rest }, rest);
             targets.push(Target { weight, deltas: deltas.into_iter().map(Vec3::from).collect() });
         }
@@ -211,7 +293,7 @@ impl Poses {
         let at = format!("{at}/extensions/{HYBRID}");
         let surface: Surface = from_value(value, &at, &format!("a mesh primitive of {HYBRID}"))?;
         let (Some(times), Some(translations)) = (surface.times, surface.translations) else { return Ok(vec![]) };
-        let times: Vec<f32> = asset.floats::<1>(times)?.into_iter().map(|[t]| t).collect();
+        let times: Arc<[f32]> = asset.floats::<1>(times)?.into_flattened().into();
         let deltas = asset.floats::<3>(translations)?;
         let grows = times.windows(2).all(|w| w[0] < w[1]) && times.iter().all(|t| t.is_finite());
         if times.is_empty() || !grows || Some(deltas.len()) != vertices.checked_mul(times.len()) {
@@ -221,7 +303,7 @@ impl Poses {
         let is_step = surface.interpolation.as_deref() == Some("STEP");
         let keys = deltas.chunks_exact(vertices.max(1)).enumerate().map(|(key, deltas)| {
             let rest = weight_of_key(&times, key, is_step, 0.0);
-            let weight = self.add_weight(Weight::Key { times: times.clone(), key, is_step }, rest);
+            let weight = self.add_weight(Weight::Key { times: Arc::clone(&times), key, is_step }, rest);
             Target { weight, deltas: deltas.iter().copied().map(Vec3::from).collect() }
         });
         Ok(keys.collect())
@@ -292,26 +374,31 @@ fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) 
         return Err(Fault::pointer(at, "JOINTS_0 and WEIGHTS_0, as its node has a skin", "no such pair"));
     }
     let width = 4 * sets.len();
+    asset.spend((vertices * width * 8) as u64, &at)?;
     let (mut all_bones, mut all_weights) = (Vec::with_capacity(vertices * width), Vec::with_capacity(vertices * width));
     for v in 0..vertices {
         let mut total = 0.0;
-        for (&joint, &weight) in sets.iter().flat_map(|(joints, weights)| joints[v].iter().zip(&weights[v])) {
-            // What a joint without weight is called does not matter.
-            let bone = match bones.get(joint as usize) {
-                Some(&bone) => bone,
-                None if weight == 0.0 => bones.first().copied().unwrap_or_default(),
-                None => {
-                    let expected = format!("joints below {}", bones.len());
-                    return Err(Fault::pointer(format!("{at}/JOINTS_0"), expected, format!("{joint} at vertex {v}")));
-                }
-            };
-            total += f64::from(weight);
-            all_bones.push(bone as u32);
-            all_weights.push(weight);
+        for (n, (joints, weights)) in sets.iter().enumerate() {
+            for (&joint, &weight) in joints[v].iter().zip(&weights[v]) {
+                // What a joint without weight is called does not matter.
+                let bone = match bones.get(joint as usize) {
+                    Some(&bone) => bone,
+                    None if weight == 0.0 => bones.first().copied().unwrap_or_default(),
+                    None => {
+                        let expected = format!("joints below {}", bones.len());
+                        let found = format!("{joint} at vertex {v}");
+                        return Err(Fault::pointer(format!("{at}/JOINTS_{n}"), expected, found));
+                    }
+                };
+                total += f64::from(weight);
+                all_bones.push(bone as u32);
+                all_weights.push(weight);
+            }
         }
         if total.is_nan() || total <= 0.0 {
             let found = format!("{total} at vertex {v}");
-            return Err(Fault::pointer(format!("{at}/WEIGHTS_0"), "weights that add up to 1", found));
+            let sets = if sets.len() > 1 { format!("WEIGHTS_0 to {}", sets.len() - 1) } else { "WEIGHTS_0".to_owned() };
+            return Err(Fault::pointer(format!("{at}/WEIGHTS_0"), format!("{sets} that add up to 1"), found));
         }
     }
     Ok(Carrier::Skin { width, bones: all_bones, weights: all_weights })

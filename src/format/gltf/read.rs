@@ -18,11 +18,6 @@ use crate::format::placed::join;
 use crate::scene::rig::{Followers, Leader, Rig};
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
-/// Bytes of geometry that a byte of the file may become, above what any small file may. Meshes at many nodes and accessors
-/// in many meshes multiply it; real files stay far below.
-const MAX_RATIO: u64 = 512;
-const ALWAYS: u64 = 1 << 26;
-
 /// A scene as it rests.
 pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
     scene_and_motion(asset).map(|(file, _)| file)
@@ -37,11 +32,10 @@ pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fau
     let mut notes = vec![];
     let composition = composition(asset)?;
     let space = composition.color_space;
-    let motion = Motion::read(asset)?;
+    let motion = Motion::read(asset);
+    notes.extend(motion.notes());
     let (mut parts, mut meshes, mut hung) = (vec![], Meshes::new(asset, &motion, space)?, vec![]);
-    let stored = asset.stored_bytes();
-    let most = (stored + asset.json_bytes) as u64 * MAX_RATIO + ALWAYS;
-    let (mut bytes, mut count) = (0u64, 0);
+    let mut count = 0;
     let placed = placements(&asset.document)?;
     for (node, transform) in &placed {
         let at_node = format!("/nodes/{}", node.index());
@@ -50,35 +44,30 @@ pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fau
             if let Some(khr) = primitive.extension_value(KHR_SPLATS) {
                 let id = (mesh, primitive.index());
                 let part = splats::read(asset, id, &primitive, khr, (node.index(), *transform), space, &mut notes)?;
-                bytes = bytes.saturating_add(bytes_of(&part));
+                asset.spend(bytes_of(&part), &at_node)?;
                 let these = count..count + part.means.len();
                 count = these.end;
                 let object = binding::object(khr, id)?;
                 hung.push(Hung { splats: these, node: node.index(), transform: *transform, object });
                 parts.push((format!("/meshes/{mesh}/primitives/{}", id.1), part));
-            } else if let Some(added) = meshes.add((node, *transform), &primitive, &mut notes)? {
-                bytes = bytes.saturating_add(added);
-            } else {
+            } else if !meshes.add((node, *transform), &primitive, &mut notes)? {
                 notes.push(format!("{at_node}: a primitive that is neither triangles nor splats is left out"));
-            }
-            if bytes > most {
-                let expected = format!("a scene of at most {most} bytes from a file of this size");
-                return Err(Fault::pointer(at_node, expected, "more, by repeated use of meshes"));
             }
         }
     }
-    let bones: Vec<usize> = hung.iter().map(|hung| meshes.bone(hung.node)).collect();
-    let finished = meshes.finish(&mut notes)?;
-    let followers: Vec<Followers> = hung
-        .into_iter()
-        .zip(bones)
-        .filter_map(|(hung, bone)| hung.follows(asset, &finished, bone, &mut notes))
-        .collect();
-    let Finished { meshes, forms, poses, .. } = finished;
+    let mut read = meshes.finish(&mut notes)?;
+    let follows = |hung: Hung| hung.follows(asset, &mut read, &mut notes);
+    let mut followers: Vec<Followers> = hung.into_iter().filter_map(follows).collect();
+    let Finished { meshes, mut forms, mut poses, .. } = read;
+    poses.compact(&mut forms, &mut followers);
     let cameras = cameras(&asset.document, &placed, &mut notes);
     let scene = HybridScene { splats: join(parts)?, meshes, composition };
     let moves = !followers.is_empty() || forms.iter().any(Option::is_some);
-    let rig = if moves { Some(Rig::new(forms, followers, poses.rest().clone())?) } else { None };
+    let rig = if moves {
+        Some(Rig::new(forms, followers, poses.rest().clone(), poses.names(&asset.document))?)
+    } else {
+        None
+    };
     let moving = Moving::new(asset.document.clone(), motion, rig.map(|rig| (poses, rig)));
     let y_up = !is_ours(&asset.document);
     Ok((SceneFile { scene, cameras, notes, y_up, attributes: vec![], dropped: 0, source: None }, moving))
@@ -94,23 +83,25 @@ struct Hung {
 
 impl Hung {
     /// What they follow; `None` if they keep still.
-    fn follows(self, asset: &Asset, read: &Finished, bone: usize, notes: &mut Vec<String>) -> Option<Followers> {
+    fn follows(self, asset: &Asset, read: &mut Finished, notes: &mut Vec<String>) -> Option<Followers> {
         let Self { splats, node, transform, object } = self;
+        let moves = read.poses.moves(node);
         if let Some((at, SplatExtension { binding: Some(object), .. })) = &object {
-            let BindingObject { node, primitive, .. } = *object;
-            let bound = match read.bindable.get(&(node, primitive)) {
-                Some(to) if !to.moves => return None,
-                Some(to) => binding::read(asset, object, splats.len(), to, bone, transform),
-                None => {
-                    Err(format!("expected triangles at node {node}, primitive {primitive}, found none in the scene"))
-                }
-            };
-            match bound {
-                Ok(binding) => return Some(Followers { splats, leader: Leader::Triangles(binding) }),
+            let to = read.bindable.get(&(object.node, object.primitive));
+            let bound = to.ok_or_else(|| {
+                let BindingObject { node, primitive, .. } = object;
+                format!("expected triangles at node {node}, primitive {primitive}, found none in the scene")
+            });
+            // Also where nothing of it moves: a fault is to be told.
+            match bound.and_then(|to| {
+                let binding = binding::read(asset, object, splats.len(), to, read.poses.bone(node), transform)?;
+                Ok((to.moves || moves).then_some(binding))
+            }) {
+                Ok(binding) => return Some(Followers { splats, leader: Leader::Triangles(binding?) }),
                 Err(reason) => notes.push(format!("{at}/binding: ignored: {reason}")),
             }
         }
-        read.poses.moves(node).then_some(Followers { splats, leader: Leader::Bone(bone) })
+        moves.then(|| Followers { splats, leader: Leader::Bone(read.poses.bone(node)) })
     }
 }
 
@@ -126,7 +117,7 @@ pub(super) fn cameras(
     let mut cameras = vec![];
     for (node, transform) in placed {
         let Some(optics) = node.camera() else { continue };
-        let name = node.name().or(optics.name()).map_or_else(|| format!("camera_{}", cameras.len()), str::to_owned);
+        let name = camera::name(node, cameras.len());
         match camera::read(document, optics.index(), *transform) {
             Ok((camera, note)) => {
                 notes.extend(note.map(|note| format!("/nodes/{}: {note}", node.index())));

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use glam::{DMat4, DQuat, DVec3};
+use glam::{DMat4, DQuat, DVec3, DVec4};
 use gltf::scene::Transform;
 
 use super::extension::{EXTRAS, ROOT_NODE};
@@ -66,8 +66,13 @@ pub(super) fn local(node: &gltf::Node<'_>) -> DMat4 {
         Transform::Matrix { matrix } => DMat4::from_cols_array_2d(&matrix.map(|column| column.map(f64::from))),
         Transform::Decomposed { translation, rotation, scale } => DMat4::from_scale_rotation_translation(
             DVec3::from(scale.map(f64::from)),
-            DQuat::from_array(rotation.map(f64::from)).normalize(),
+            unit(DVec4::from(rotation.map(f64::from))),
             DVec3::from(translation.map(f64::from)),
         ),
     }
+}
+
+/// The rotation that a quaternion says, of any length; none if it is zero.
+pub(super) fn unit(q: DVec4) -> DQuat {
+    DQuat::from_vec4(q.try_normalize().unwrap_or(DVec4::W))
 }

@@ -4,6 +4,7 @@ use glam::{DMat4, Vec2, Vec3};
 use gltf::mesh::Mode;
 
 use super::lift::Asset;
+use super::motion::Motion;
 use super::pose::Poses;
 use crate::format::error::Fault;
 use crate::scene::rig::Form;
@@ -23,7 +24,7 @@ pub(in crate::format) struct Triangles {
 /// Reads `primitive` of the mesh of `node`, whose global transform is `transform`, with texture coordinates
 /// `TEXCOORD_<uv_set>`; `None` if it has no triangles.
 pub(in crate::format) fn read(
-    asset: &Asset,
+    (asset, motion): (&Asset, &Motion),
     poses: &mut Poses,
     (node, transform): (&gltf::Node<'_>, DMat4),
     primitive: &gltf::Primitive<'_>,
@@ -34,7 +35,7 @@ pub(in crate::format) fn read(
     let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
     let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
     let stored = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
-    let form = poses.form(asset, node, primitive, stored)?;
+    let form = poses.form((asset, motion), node, primitive, stored)?;
     let positions = form.positions(poses.rest());
     let count = u32::try_from(positions.len())
         .map_err(|_| Fault::pointer(&at, "fewer than 2³² vertices", positions.len().to_string()))?;

@@ -29,6 +29,10 @@ fn similarity_of(scale: f64, rotation: DQuat, translation: DVec3) -> DMat4 {
     DMat4::from_scale_rotation_translation(DVec3::splat(scale), rotation, translation)
 }
 
+fn names(pose: &Pose) -> Vec<String> {
+    (0..pose.bones.len()).map(|i| format!("joint {i}")).collect()
+}
+
 const CORNERS: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::new(0.25, 0.5, 0.0)];
 
 /// A triangle and a splat on it, both of one bone and one morph target.
@@ -54,7 +58,7 @@ fn bound(harmonics: Harmonics) -> (HybridScene, Rig) {
     };
     let rest = Pose { bones: vec![DMat4::IDENTITY; 2], weights: vec![0.0] };
     let followers = vec![Followers { splats: 0..1, leader: Leader::Triangles(binding) }];
-    (scene(splats, vec![mesh(&CORNERS, 0)]), Rig::new(vec![Some(form)], followers, rest).unwrap())
+    (scene(splats, vec![mesh(&CORNERS, 0)]), Rig::new(vec![Some(form)], followers, rest.clone(), names(&rest)).unwrap())
 }
 
 #[track_caller]
@@ -196,7 +200,7 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     let rest = Pose { bones: vec![rest_bone], weights: vec![] };
     let scene = scene(splats, vec![mesh(&form.positions(&rest), 2)]);
     let followers = vec![Followers { splats: 0..1, leader: Leader::Bone(0) }];
-    let rig = Rig::new(vec![Some(form)], followers, rest).unwrap();
+    let rig = Rig::new(vec![Some(form)], followers, rest.clone(), names(&rest)).unwrap();
     let by = similarity_of(0.5, DQuat::from_rotation_y(0.9), DVec3::Z);
     let posed = rig.pose(&scene, &Pose { bones: vec![by * rest_bone], weights: vec![] }, DMat4::IDENTITY).unwrap();
     let mut expected = scene.splats.clone().into_arrays();
@@ -210,10 +214,21 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     // Scaled to nothing they are not there; sheared, they cannot be shown.
     let nothing = Pose { bones: vec![DMat4::from_scale(DVec3::splat(0.0))], weights: vec![] };
     let shear = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0))], weights: vec![] };
-    let hidden = Rig::new(vec![None], rig.followers().to_vec(), rig.rest().clone()).unwrap();
+    let hidden = Rig::new(vec![None], rig.followers().to_vec(), rig.rest().clone(), names(rig.rest())).unwrap();
     assert_eq!(hidden.pose(&scene, &nothing, DMat4::IDENTITY).unwrap().splats.opacity_logits(), [HIDDEN]);
     let error = hidden.pose(&scene, &shear, DMat4::IDENTITY).unwrap_err().to_string();
-    assert_eq!(error, "splats: expected bones that turn, shift and scale evenly, found another transform");
+    assert_eq!(
+        error,
+        "bone joint 0: expected a bone that turns, shifts and scales evenly what hangs on it, found another transform"
+    );
+    // As do maps with view dependence on it.
+    let only_mesh = Rig::new(rig.surfaces().to_vec(), vec![], rig.rest().clone(), names(rig.rest())).unwrap();
+    let gone = only_mesh.pose(&scene, &nothing, DMat4::IDENTITY).unwrap();
+    assert!(gone.meshes[0].positions().iter().all(|p| *p == Vec3::ZERO) && gone.splats == scene.splats);
+    assert!(only_mesh.pose(&scene, &shear, DMat4::IDENTITY).is_err());
+    // And what is scaled to a plane is no longer what a splat can be.
+    let plane = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))], weights: vec![] };
+    assert!(hidden.pose(&scene, &plane, DMat4::IDENTITY).is_err());
 }
 
 #[test]
@@ -230,7 +245,8 @@ fn what_does_not_fit_together_is_refused() {
     let with = |change: &dyn Fn(&mut Form, &mut Followers)| {
         let (mut form, mut followers) = (rig.surfaces()[0].clone().unwrap(), rig.followers()[0].clone());
         change(&mut form, &mut followers);
-        Rig::new(vec![Some(form)], vec![followers], rig.rest().clone()).map(|_| ()).map_err(|e| e.to_string())
+        let built = Rig::new(vec![Some(form)], vec![followers], rig.rest().clone(), names(rig.rest()));
+        built.map(|_| ()).map_err(|e| e.to_string())
     };
     assert_eq!(with(&|_, _| ()), Ok(()));
     assert_eq!(with(&|f, _| f.carrier = Carrier::Bone(2)), Err("bone: expected an index below 2, found 2".to_owned()));
@@ -238,6 +254,25 @@ fn what_does_not_fit_together_is_refused() {
     assert!(with(&|f, _| f.targets[0].deltas.push(Vec3::X)).unwrap_err().starts_with("deltas:"));
     assert!(with(&|_, f| f.splats = 0..2).unwrap_err().starts_with("corners:"));
     assert!(with(&|_, f| f.leader = Leader::Bone(7)).unwrap_err().starts_with("bone:"));
+    let skin =
+        |width: usize, weights: &[f32]| Carrier::Skin { width, bones: vec![0; 3 * width], weights: weights.to_vec() };
+    assert_eq!(with(&|f, _| f.carrier = skin(1, &[0.5; 3])), Ok(()));
+    assert!(with(&|f, _| f.carrier = skin(0, &[])).unwrap_err().starts_with("bones per vertex: expected at least 1"));
+    assert!(with(&|f, _| f.carrier = skin(2, &[0.5; 3])).unwrap_err().starts_with("weights of a skin:"));
+    let error = with(&|f, _| f.carrier = skin(1, &[1.0, 0.0, 1.0])).unwrap_err();
+    assert_eq!(error, "weights of vertex 1: expected a sum above 0, found 0");
+    #[expect(clippy::reversed_empty_ranges, reason = "what is to be refused")]
+    let backwards = with(&|_, f| (f.splats, f.leader) = (1..0, Leader::Bone(0)));
+    assert_eq!(backwards, Err("splats: expected a range, found 1 to 0".to_owned()));
+    let corners = |corners: [u32; 3]| {
+        with(&|_, f| {
+            let Leader::Triangles(binding) = &mut f.leader else { unreachable!() };
+            binding.corners[0] = corners;
+        })
+    };
+    assert_eq!(corners([0, 2, 3]), Err("corner: expected an index below 3, found 3".to_owned()));
+    let sheared = DMat4::from_scale(DVec3::new(1.0, 2.0, 1.0));
+    assert!(rig.pose(&rest, rig.rest(), sheared).unwrap_err().to_string().starts_with("moved:"));
     assert!(rig.pose(&rest, &Pose::default(), DMat4::IDENTITY).is_err());
     let none = scene(Splats::empty(3), rest.meshes.clone());
     assert!(rig.pose(&none, rig.rest(), DMat4::IDENTITY).is_err());
