@@ -38,8 +38,9 @@ pub enum CaptureError {
     },
     /// A camera model for which no pinhole image can be made.
     #[error(
-        "{}: {place}: expected a camera model with a pinhole image, found camera model {model}; undistort the capture with COLMAP first",
-        .path.display()
+        "{}: {place}: expected a camera model with a pinhole image, found camera model {}; undistort the capture with COLMAP first",
+        .path.display(),
+        .model.chars().take(60).collect::<String>().escape_debug()
     )]
     UnsupportedModel {
         /// The file that names it.

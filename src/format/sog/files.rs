@@ -9,7 +9,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::decode::Meta;
 use super::encode::Encoded;
-use crate::format::error::{Fault, FormatError, from_json, read_file};
+use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::{atomic_write, atomic_write_with};
 
 pub(super) const META: &str = "meta.json";
@@ -119,8 +119,8 @@ fn folder_bytes(folder: &Path) -> u64 {
 
 /// The path of a file in `folder` or below it; neither names nor symbolic links may lead out.
 pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, String)> {
-    let refused = || ("a path inside the folder".to_owned(), format!("`{name}`"));
-    let unreadable = |e: std::io::Error| ("a readable file".to_owned(), format!("`{name}` ({e})"));
+    let refused = || ("a path inside the folder".to_owned(), shown(name.as_bytes()));
+    let unreadable = |e: std::io::Error| ("a readable file".to_owned(), format!("{} ({e})", shown(name.as_bytes())));
     let plain = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
     if !plain || name.is_empty() || name.contains(['\\', ':']) {
         return Err(refused());

@@ -1,14 +1,14 @@
 //! Streamed SOG: `lod-meta.json`, a tree of space over folders of splats in several levels of detail. Described at
 //! <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/>.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 use serde::Deserialize;
 
 use super::files::{FileSet, folder_of, inside};
 use crate::format::NotedSplats;
-use crate::format::error::{Fault, FormatError, from_json, read_file};
+use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::record::{Columns, Record};
 use crate::scene::Splats;
 
@@ -50,16 +50,21 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     let (mut parts, mut coarser) = (vec![], 0);
     collect(&index.tree, "/tree", &there, &mut parts, &mut coarser).map_err(|fault| fault.in_file(path))?;
 
+    let mut by_file: BTreeMap<usize, Vec<Part>> = BTreeMap::new();
+    parts.into_iter().for_each(|part| by_file.entry(part.file).or_default().push(part));
     let (mut sources, mut antialiased) = (vec![], false);
-    for (file, meta) in there.iter().enumerate() {
-        let mut own: Vec<Part> = parts.iter().filter(|part| part.file == file).copied().collect();
-        own.sort_by_key(|part| part.offset);
-        if let Some(meta) = meta.as_ref().filter(|_| !own.is_empty()) {
-            let (splats, antialias) = set_of(meta)?;
-            antialiased |= antialias;
-            check_parts(&own, splats.len(), file).map_err(|fault| fault.in_file(path))?;
-            sources.push((splats, own));
+    let mut taken = HashSet::new();
+    for (file, mut own) in by_file {
+        let Some(meta) = &there[file] else { continue };
+        if !taken.insert(meta) {
+            let (at, found) = (format!("/filenames/{file}"), shown(index.filenames[file].as_bytes()));
+            return Err(Fault::pointer(at, "each file once", format!("{found} again")).in_file(path));
         }
+        own.sort_by_key(|part| part.offset);
+        let (splats, antialias) = set_of(meta)?;
+        antialiased |= antialias;
+        check_parts(&own, splats.len(), file).map_err(|fault| fault.in_file(path))?;
+        sources.push((splats, own));
     }
     if let Some(name) = &index.environment {
         let fault = |(expected, found): (String, String)| Fault::pointer("/environment", expected, found).in_file(path);
@@ -169,13 +174,16 @@ mod tests {
     fn parts_and_paths_are_checked() {
         let folder = tempfile::tempdir().unwrap();
         let path = written(folder.path());
-        let index: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let mut index: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        index["filenames"].as_array_mut().unwrap().push(json!("0_0/meta.json"));
         let message = |pointer: &str, value: Value| {
             let mut index = index.clone();
             *index.pointer_mut(pointer).unwrap() = value;
             std::fs::write(&path, index.to_string()).unwrap();
             read(&path).unwrap_err().to_string()
         };
+        let twice = message("/tree/children/1/lods/0", json!({ "file": 2, "offset": 0, "count": 1 }));
+        assert!(twice.contains("/filenames/2: expected each file once, found `0_0/meta.json` again"), "{twice}");
         let overlap = message("/tree/children/1/lods/0/offset", json!(5));
         assert!(
             overlap.ends_with("/tree: expected separate parts of the 9 splats of file 0, found 3 from 5"),
