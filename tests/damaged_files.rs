@@ -79,7 +79,8 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
             ];
             // Only these are posed.
             let options = ReadOptions { time: Some(0.3), ..ReadOptions::default() };
-            let posed = ["glb", "gltf"].contains(&reader).then(|| format::read_file(&path, &options).map(drop));
+            let posed =
+                ["glb", "gltf", "gltf_and_bin"].contains(&reader).then(|| format::read_file(&path, &options).map(drop));
             (
                 taken,
                 [strict, lenient].into_iter().chain(posed).chain(others).map(|read| read.map_err(of_format)).collect(),
@@ -360,17 +361,77 @@ fn fuzz_targets_take_the_samples() {
             let others = others.iter().flat_map(|(_, bytes)| length(bytes).into_iter().chain(bytes.iter().copied()));
             others.chain(last.1.iter().copied()).collect::<Vec<u8>>()
         };
+        let names: Vec<&str> = files.iter().map(|(name, _)| *name).collect();
         let (name, bytes) = &files[0];
-        match (reader, &files[..]) {
-            ("colmap_text" | "colmap_binary" | "transforms", [_]) => fuzz::capture([name], &packed()),
-            ("colmap_text" | "colmap_binary" | "transforms", [_, (b, _), (c, _)]) => {
-                fuzz::capture([name, b, c], &packed());
-            }
-            ("checkpoint", _) => fuzz::checkpoint(bytes),
-            ("obj" | "mesh_ply", _) => fuzz::mesh(name, bytes),
-            ("glb" | "gltf", _) => fuzz::scene_and_mesh(name, bytes),
-            (_, [_]) => fuzz::splats(name, bytes),
-            (_, _) => panic!("{reader}: {} files", files.len()),
+        let taken = match reader {
+            "colmap_text" | "colmap_binary" | "transforms" => fuzz::capture(&names, &packed()),
+            "gltf_and_bin" | "streamed_sog" => fuzz::scene_of_files(&names, &packed()),
+            "checkpoint" => fuzz::checkpoint(bytes),
+            "obj" | "mesh_ply" => fuzz::mesh(name, bytes),
+            "glb" | "gltf" | "usda" | "usdc" | "usdz" => fuzz::scene_and_mesh(name, bytes),
+            _ => fuzz::splats(name, bytes),
+        };
+        assert!(taken, "{reader}");
+        let targets = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/fuzz_targets");
+        assert!(targets.join(format!("{reader}.rs")).is_file(), "{reader}");
+    }
+}
+
+/// Documents in which a few bytes are named again and again: what is named is held once, or not at all, and within the time that
+/// reading it once takes.
+#[test]
+fn what_is_named_often_is_held_once() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = folder();
+    // One triangle; then 10,000 numbers that grow, and 10,000 times the translations of three vertices.
+    let keys = 10_000;
+    let mut bin: Vec<u8> =
+        [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    bin.extend((0..keys).flat_map(|i| (i as f32).to_le_bytes()));
+    bin.extend((0..9 * keys).flat_map(|i| (i as f32 * 1e-6).to_le_bytes()));
+    std::fs::write(folder.path().join("a.bin"), &bin).unwrap();
+    let document = |primitive: serde_json::Value, animation: serde_json::Value| {
+        let accessor = |view: usize, kind: &str, count: usize| serde_json::json!({ "bufferView": view, "componentType": 5126, "type": kind, "count": count, "min": [0.0, 0.0, 0.0], "max": [1.0, 1.0, 0.0] });
+        let mut document = serde_json::json!({
+            "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+            "meshes": [{ "primitives": [primitive] }], "animations": [animation],
+            "accessors": [accessor(0, "VEC3", 3), accessor(1, "SCALAR", keys), accessor(2, "VEC3", 3 * keys), accessor(2, "VEC3", keys)],
+            "bufferViews": [
+                { "buffer": 0, "byteLength": 36 }, { "buffer": 0, "byteOffset": 36, "byteLength": 4 * keys },
+                { "buffer": 0, "byteOffset": 36 + 4 * keys, "byteLength": 36 * keys },
+            ],
+            "buffers": [{ "uri": "a.bin", "byteLength": bin.len() }],
+        });
+        document["accessors"][1]["min"] = serde_json::json!([0.0]);
+        document["accessors"][1]["max"] = serde_json::json!([keys as f32 - 1.0]);
+        document
+    };
+    let still = serde_json::json!({ "attributes": { "POSITION": 0 } });
+    let slide = serde_json::json!({ "input": 1, "output": 3 });
+    let channel = serde_json::json!({ "sampler": 0, "target": { "node": 0, "path": "translation" } });
+    let channels = serde_json::json!({ "samplers": [slide], "channels": vec![channel.clone(); 20_000] });
+    let one = serde_json::json!({ "samplers": [slide], "channels": [channel] });
+    let own = serde_json::json!({ "times": 1, "translations": 2 });
+    let deformed =
+        serde_json::json!({ "attributes": { "POSITION": 0 }, "extensions": { "EXT_gaussian_splatting_hybrid": own } });
+    let targets = vec![serde_json::json!({ "POSITION": 0 }); 20_000];
+    let targets = serde_json::json!({ "attributes": { "POSITION": 0 }, "targets": targets });
+    for (name, document) in [
+        ("channels", document(still, channels)),
+        ("keys", document(deformed, one.clone())),
+        ("targets", document(targets, one)),
+    ] {
+        let text = document.to_string();
+        let path = folder.path().join("a.gltf");
+        std::fs::write(&path, &text).unwrap();
+        let before = MEMORY.current_usage();
+        for time in [None, Some(0.3)] {
+            MEMORY.reset_peak_usage();
+            let read = format::read_file(&path, &ReadOptions { time, ..ReadOptions::default() });
+            assert_eq!(read.unwrap().scene.meshes[0].positions().len(), 3, "{name}");
+            let peak = MEMORY.peak_usage().saturating_sub(before);
+            let most = MOST_PER_BYTE * (text.len() + bin.len()) + MOST_BESIDES;
+            assert!(peak <= most, "{name}: {peak} bytes of memory for a file of {}", text.len() + bin.len());
         }
     }
 }

@@ -1,3 +1,5 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| centaur_fuzz::splats("scene.sog", bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    centaur_fuzz::splats("scene.sog", bytes);
+});

@@ -18,65 +18,84 @@ fn folder() -> &'static Path {
     FOLDER.get_or_init(made).path()
 }
 
-fn put(name: &str, bytes: &[u8]) -> PathBuf {
-    let path = folder().join(name);
+fn put(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
+    let path = folder.join(name);
     std::fs::write(&path, bytes).expect("a file in a temporary folder");
     path
 }
 
-/// A scene: read strictly and leniently, summed up, checked; its cameras by themselves.
-pub fn splats(name: &str, bytes: &[u8]) {
-    let path = put(name, bytes);
-    let strict = format::read_file(&path, &ReadOptions::default());
+/// Puts files that stand one after the other, each but the last preceded by its length in two bytes, into a folder of their own.
+fn unpack(names: &[&str], bytes: &[u8]) -> Option<PathBuf> {
+    let folder = folder().join(format!("with-{}", names[0]));
+    std::fs::create_dir_all(&folder).expect("a folder in a temporary folder");
+    let (last, others) = names.split_last()?;
+    let mut rest = bytes;
+    for name in others {
+        let (length, after) = rest.split_first_chunk()?;
+        let (own, after) = after.split_at(usize::from(u16::from_le_bytes(*length)).min(after.len()));
+        put(&folder, name, own);
+        rest = after;
+    }
+    put(&folder, last, rest);
+    Some(folder)
+}
+
+fn read_scene(path: &Path) -> bool {
+    let strict = format::read_file(path, &ReadOptions::default());
     let options = ReadOptions { drop_invalid: true, keep_document: true, ..ReadOptions::default() };
-    let lenient = format::read_file(&path, &options);
+    let lenient = format::read_file(path, &options);
     assert!(strict.is_err() || lenient.is_ok(), "refused when invalid splats may be dropped, but not otherwise");
-    let _ = format::read_file(&path, &ReadOptions { time: Some(0.3), ..ReadOptions::default() });
-    let _ = format::inspect(&path);
-    let _ = format::validate(&path);
-    let _ = format::read_cameras(&path, &Sampling::default());
+    let _ = format::read_file(path, &ReadOptions { time: Some(0.3), ..ReadOptions::default() });
+    let _ = format::inspect(path);
+    let _ = format::validate(path);
+    let _ = format::read_cameras(path, &Sampling::default());
+    strict.is_ok()
+}
+
+/// A scene: read strictly and leniently, at a time, summed up, checked; its cameras by themselves. Here and below: whether it
+/// was taken.
+pub fn splats(name: &str, bytes: &[u8]) -> bool {
+    read_scene(&put(folder(), name, bytes))
 }
 
 /// A mesh alone.
-pub fn mesh(name: &str, bytes: &[u8]) {
-    let _ = format::mesh_import::read(&put(name, bytes));
+pub fn mesh(name: &str, bytes: &[u8]) -> bool {
+    format::mesh_import::read(&put(folder(), name, bytes)).is_ok()
 }
 
-/// A glTF, which may be both.
-pub fn scene_and_mesh(name: &str, bytes: &[u8]) {
-    splats(name, bytes);
-    mesh(name, bytes);
+/// A glTF or USD, which may be both.
+pub fn scene_and_mesh(name: &str, bytes: &[u8]) -> bool {
+    let is_scene = splats(name, bytes);
+    mesh(name, bytes) || is_scene
+}
+
+/// As [`scene_and_mesh`], of several files, of which the first refers to the others.
+pub fn scene_of_files(names: &[&str], bytes: &[u8]) -> bool {
+    let Some(folder) = unpack(names, bytes) else { return false };
+    let path = folder.join(names[0]);
+    let is_scene = read_scene(&path);
+    format::mesh_import::read(&path).is_ok() || is_scene
 }
 
 /// A grey photograph of 1×1.
 const PHOTOGRAPH: &[u8] = b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x00\x00\x00\x00:~\x9bU\x00\x00\x00\x0aIDATx\xdach\x00\x00\x00\x82\x00\x81\xdaE\x08;\x00\x00\x00\x00IEND\xaeB`\x82";
 
-/// A capture of photographs `a.png` and `b.png`. The bytes are the files one after the other, each but the last preceded by its length
-/// in two bytes.
-pub fn capture<const N: usize>(names: [&str; N], bytes: &[u8]) {
-    let mut rest = bytes;
-    for (i, name) in names.into_iter().enumerate() {
-        let mut own = rest;
-        if i + 1 < N {
-            let Some((length, after)) = rest.split_first_chunk() else { return };
-            let length = usize::from(u16::from_le_bytes(*length)).min(after.len());
-            (own, rest) = after.split_at(length);
-        }
-        put(name, own);
-    }
-    static PHOTOGRAPHS: OnceLock<()> = OnceLock::new();
-    PHOTOGRAPHS.get_or_init(|| {
-        let images = folder().join("images");
+/// A capture of photographs `a.png` and `b.png`.
+pub fn capture(names: &[&str], bytes: &[u8]) -> bool {
+    let Some(folder) = unpack(names, bytes) else { return false };
+    let images = folder.join("images");
+    if !images.is_dir() {
         std::fs::create_dir(&images).expect("a folder in a temporary folder");
         for name in ["a.png", "b.png"] {
-            std::fs::write(images.join(name), PHOTOGRAPH).expect("a file in a temporary folder");
+            put(&images, name, PHOTOGRAPH);
         }
-    });
-    let _ = centaur::capture::open(folder(), &Default::default());
-    let _ = centaur::capture::cameras(folder(), &Default::default());
+    }
+    let opened = centaur::capture::open(&folder, &Default::default()).is_ok();
+    // A path is no capture.
+    centaur::capture::cameras(&folder, &Default::default()).is_ok() || opened
 }
 
 /// A checkpoint.
-pub fn checkpoint(bytes: &[u8]) {
-    let _ = centaur::optimize::checkpoint::Checkpoint::read(&put("scene.checkpoint", bytes));
+pub fn checkpoint(bytes: &[u8]) -> bool {
+    centaur::optimize::checkpoint::Checkpoint::read(&put(folder(), "scene.checkpoint", bytes)).is_ok()
 }

@@ -2,9 +2,11 @@
 
 #![allow(dead_code, reason = "not every program uses everything")]
 
+mod moving;
+
 use std::path::Path;
 
-use centaur::format::{self, CameraFile, WriteOptions, ksplat, spz};
+use centaur::format::{self, CameraFile, ReadOptions, WriteOptions, ksplat, sog, spz};
 use centaur::optimize::checkpoint::Checkpoint;
 use centaur::optimize::state::SplatState;
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
@@ -49,6 +51,11 @@ const CAMERA_PATH: &str = r#"{"camera_type":"perspective","render_height":4,"ren
 {"camera_to_world":[0,0,1,7,1,0,0,8,0,1,0,9,0,0,0,1],"fov":90,"aspect":2},
 {"camera_to_world":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1],"fov":60.5,"aspect":2}]}"#;
 
+/// Two parts in two levels of detail, as the other files have them.
+const LEVELS: &str = r#"{"lodLevels":2,"filenames":["fine.sog","coarse.sog"],"tree":{"children":[
+{"lods":{"0":{"file":0,"offset":0,"count":6},"1":{"file":1,"offset":0,"count":3}}},
+{"lods":{"0":{"file":0,"offset":6,"count":3},"1":{"file":1,"offset":3,"count":1}}}]}}"#;
+
 /// All of them.
 pub(crate) fn samples() -> Vec<Sample> {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -87,6 +94,25 @@ pub(crate) fn samples() -> Vec<Sample> {
         add(reader, vec![(name, written(folder.path(), name, write))]);
     }
     add("gltf", vec![("scene.gltf", GLTF.into())]);
+    let (document, bin) = moving::document("scene.bin");
+    let moving = vec![("scene.gltf", document.to_string().into_bytes()), ("scene.bin", bin)];
+    add("glb", vec![("scene.glb", as_glb(folder.path(), &moving))]);
+    add("gltf_and_bin", moving);
+    for bytes in [
+        &include_bytes!("../data/meshopt/ext_quantized.glb")[..],
+        include_bytes!("../data/meshopt/khr_float.glb"),
+        include_bytes!("../data/meshopt/transform_high.glb"),
+    ] {
+        add("glb", vec![("scene.glb", bytes.to_vec())]);
+    }
+    for bytes in [&include_bytes!("../data/usd/moving.usdc")[..], include_bytes!("../data/usd/types.usdc")] {
+        add("usdc", vec![("scene.usdc", bytes.to_vec())]);
+    }
+    let part = |name: &'static str, count: usize| {
+        let write = |path: &Path| sog::write(path, &self::scene(count, 1).splats).map(drop);
+        (name, written(folder.path(), name, write))
+    };
+    add("streamed_sog", vec![("lod-meta.json", LEVELS.into()), part("fine.sog", 9), part("coarse.sog", 4)]);
     add("obj", vec![("mesh.obj", OBJ.into())]);
     add("mesh_ply", vec![("mesh.ply", MESH_PLY.into())]);
     add(
@@ -104,6 +130,18 @@ pub(crate) fn samples() -> Vec<Sample> {
     let bytes = written(folder.path(), "scene.checkpoint", |path| checkpoint.write(path));
     add("checkpoint", vec![("scene.checkpoint", bytes)]);
     samples
+}
+
+/// The same document in one file.
+fn as_glb(folder: &Path, files: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    for (name, content) in files {
+        std::fs::write(folder.join(name), content).expect("a file in a temporary folder");
+    }
+    let options = ReadOptions { keep_document: true, ..ReadOptions::default() };
+    let file = format::read_file(&folder.join(files[0].0), &options).expect("a valid document");
+    let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+    let write = |path: &Path| format::write_scene(path, &file.scene, &options).map(drop);
+    written(folder, "whole.glb", write)
 }
 
 fn written<E: std::fmt::Debug>(folder: &Path, name: &str, write: impl FnOnce(&Path) -> Result<(), E>) -> Vec<u8> {
