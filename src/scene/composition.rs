@@ -114,7 +114,7 @@ impl Composition {
         }
         let variance = self.pixel_filter.variance;
         if !(variance >= 0.0 && variance.is_finite()) {
-            return Err(SceneError::new("variance of the pixel filter", "a number ≥ 0", variance.to_string()));
+            return Err(SceneError::new("pixel_filter.variance", "a number ≥ 0", variance.to_string()));
         }
         if !self.background.iter().all(|c| c.is_finite()) {
             return Err(SceneError::new("background", "finite numbers", format!("{:?}", self.background)));

@@ -316,7 +316,10 @@ impl SceneContract {
             near: self.near.unwrap_or(near),
             pixel_filter: PixelFilter { variance: self.footprint.variance, normalized: self.footprint.normalized },
         };
-        composition.validate().map_err(|e| Fault::pointer(format!("{at}/{}", e.field), e.expected, e.found))?;
+        composition.validate().map_err(|e| {
+            let field = e.field.replace("pixel_filter.", "footprint/");
+            Fault::pointer(format!("{at}/{field}"), e.expected, e.found)
+        })?;
         Ok(composition)
     }
 }

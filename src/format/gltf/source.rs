@@ -226,8 +226,10 @@ impl Source {
         let Some(scene) = root.get_mut("scenes").and_then(|s| s.get_mut(self.scene())) else { return };
         let new = json!(SceneContract::new(composition));
         let object = object_at(object_at(scene, "extensions"), HYBRID);
-        // Absent is infinite.
-        object.as_object_mut().map(|o| o.remove("lambda"));
+        // Absent is infinite, and the usual footprint.
+        for key in ["lambda", "footprint"] {
+            object.as_object_mut().map(|o| o.remove(key));
+        }
         merge(object, &new);
         if !root.get("extensionsUsed").and_then(Value::as_array).is_some_and(|used| used.iter().any(|n| n == HYBRID)) {
             push(root, "extensionsUsed", json!(HYBRID));
