@@ -79,16 +79,17 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
                 return camera_path(&text, file, options);
             }
             let read = transforms::parse(&text, file, root, *held_out, (options, false))?;
+            if let (Some(found), None) = (read.1, fps) {
+                fps = Some(rate(found, file)?);
+            }
             frames.extend(read.0);
-            fps = fps.or(read.1);
         }
         (frames, fps, first.clone())
     };
     for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
         frame.name = format!("frame_{i:05}");
     }
-    let camera = |frame: Frame| camera(frame, &list, options);
-    let mut cameras = frames.into_par_iter().map(camera).collect::<Result<Vec<_>, _>>()?;
+    let mut cameras = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
     cameras.sort_by(|a, b| natural(&a.0, &b.0));
     finish(cameras, fps, &list)
 }
@@ -102,20 +103,25 @@ fn finish(cameras: Vec<(String, Camera)>, fps: Option<f64>, list: &Path) -> Resu
             "none",
         ));
     }
-    if let Some(found) = fps.filter(|fps| !(*fps > 0.0 && fps.is_finite())) {
-        return Err(CaptureError::invalid(list, "/fps", "a positive number", found.to_string()));
-    }
     Ok(Cameras { cameras, fps })
+}
+
+/// Frames a second that a file states.
+fn rate(found: f64, file: &Path) -> Result<f64, CaptureError> {
+    if found > 0.0 && found.is_finite() {
+        return Ok(found);
+    }
+    Err(CaptureError::invalid(file, "/fps", "a positive number", found.to_string()))
 }
 
 fn is_json(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json")
 }
 
-fn camera(frame: Frame, list: &Path, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
-    let invalid = |expected: &str, found: &str| CaptureError::invalid(list, frame.place(), expected, found);
+fn camera(frame: Frame, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
+    let invalid = |expected: &str, found: &str| CaptureError::invalid(&frame.list, frame.place(), expected, found);
     if frame.image.is_file() {
-        return views::view(frame, list, options).map(|view| (view.name, view.camera));
+        return views::view(frame, options).map(|view| (view.name, view.camera));
     }
     if let Some(folder) = &options.images {
         return Err(invalid(&format!("its image in {folder}"), "no such file"));
@@ -124,9 +130,9 @@ fn camera(frame: Frame, list: &Path, options: &LoadOptions) -> Result<(String, C
         return Err(invalid("its image, or its size as w and h", "neither"));
     }
     let camera = Camera::new(frame.lens.intrinsics, frame.rotation, frame.translation)
-        .map_err(|e| CaptureError::scene(list, &frame.place(), e))?;
+        .map_err(|e| CaptureError::scene(&frame.list, &frame.place(), e))?;
     let place = frame.place();
-    sized(frame.name, &camera, list, &place, options)
+    sized(frame.name, &camera, &frame.list, &place, options)
 }
 
 /// At the size that is asked for.
@@ -167,7 +173,8 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
             .map_err(|e| CaptureError::scene(path, &format!("/camera_path/{i}"), e))?;
         sized(name, &camera, path, &format!("/camera_path/{i}"), options)
     };
-    finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, file.fps, path)
+    let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
+    finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, fps, path)
 }
 
 /// Order of names in which `frame_2` is before `frame_10`.
@@ -232,6 +239,21 @@ mod tests {
             error(&format!(r#"{{ {lens}, "frames": [] }}"#))
                 .ends_with("/frames: expected at least 1 camera, found none")
         );
+        // Of two files, the one that is at fault is named.
+        let folder = tempfile::tempdir().unwrap();
+        let write = |part: &str, frame: &str| {
+            let path = folder.path().join(format!("transforms_{part}.json"));
+            std::fs::write(path, format!(r#"{{ {lens}, "frames": [{frame}] }}"#)).unwrap();
+        };
+        write("train", &frame("a.png"));
+        for (fault, said) in [
+            (frame("b.png").replace("[1, 0, 0, 4]", "[2, 0, 0, 4]"), "/frames/0, image b.png: pose"),
+            (frame("b.png").replace("{ ", r#"{ "w": 1e9, "#), "/frames/0, image b.png"),
+        ] {
+            write("test", &fault);
+            let error = cameras(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+            assert!(error.contains(&format!("transforms_test.json: {said}")), "{error}");
+        }
         let still = error(&format!(r#"{{ "fps": 0, "w": 4, "h": 4, "fl_x": 3, "frames": {frames} }}"#));
         assert!(still.ends_with("/fps: expected a positive number, found 0"), "{still}");
     }

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -166,6 +167,7 @@ fn frames(
     images_folder: &Path,
 ) -> Result<Vec<Frame>, CaptureError> {
     let mut frames = Vec::with_capacity(images.len());
+    let list: Arc<Path> = path.into();
     for image in images {
         let place = format!("{}, image {}", image.at, image.name);
         let Some(lens) = cameras.get(&image.camera) else {
@@ -181,6 +183,7 @@ fn frames(
         frames.push(Frame {
             image: images_folder.join(inside(path, &image.at, &image.name)?),
             name: image.name,
+            list: list.clone(),
             at: image.at,
             mask: None,
             lens: *lens,

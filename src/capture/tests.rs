@@ -288,6 +288,29 @@ struct ModelCase {
 
 /// Values by pycolmap: `tests/oracles/check_colmap_models.py`.
 #[test]
+fn of_two_files_the_one_at_fault_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    for name in ["a.png", "b.png"] {
+        RgbImage::new(8, 6).save(root.join(name)).unwrap();
+    }
+    let file = |name: &str, x: f64| {
+        format!(
+            r#"{{ "fl_x": 8, "frames": [{{ "file_path": "{name}", "transform_matrix": [[{x},0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }}] }}"#
+        )
+    };
+    std::fs::write(root.join("transforms_train.json"), file("a.png", 1.0)).unwrap();
+    for (test, said) in [
+        (file("b.png", 3.0), "transforms_test.json: /frames/0, image b.png: pose"),
+        (file("a.png", 1.0), "transforms_test.json: /frames/0: expected unique names, found a.png twice"),
+    ] {
+        std::fs::write(root.join("transforms_test.json"), test).unwrap();
+        let error = message(root, &full());
+        assert!(error.contains(said), "{error}");
+    }
+}
+
+#[test]
 fn camera_models_project_as_in_colmap() {
     let cases: Vec<ModelCase> = serde_json::from_str(include_str!("../../tests/data/colmap_models.json")).unwrap();
     assert_eq!(cases.len(), 17, "all models but EQUIRECTANGULAR");

@@ -1,6 +1,7 @@
 //! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes (METHODS 1).
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -103,6 +104,7 @@ pub(super) fn parse(
         serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a transforms.json with frames", &e))?;
     let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty();
     let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
+    let list: Arc<Path> = path.into();
     let frames = file
         .frames
         .par_iter()
@@ -129,6 +131,7 @@ pub(super) fn parse(
                 lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
                 name: name.to_owned(),
+                list: list.clone(),
                 at,
                 image,
                 mask,

@@ -2,6 +2,7 @@
 //! all formats.
 
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -14,7 +15,9 @@ use crate::scene::Camera;
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
     pub(super) name: String,
-    /// Where it stands in its file: `line 7`, `byte 120`, `/frames/3`.
+    /// The file that lists it.
+    pub(super) list: Arc<Path>,
+    /// Where it stands there: `line 7`, `byte 120`, `/frames/3`.
     pub(super) at: String,
     pub(super) image: PathBuf,
     /// A mask that the files name.
@@ -56,7 +59,7 @@ pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
     (ratio(a) / ratio(b) - 1.0).abs() <= 0.01
 }
 
-/// Checks frames and turns them into views sorted by name. `list` is the file or folder they were read from.
+/// Checks frames and turns them into views sorted by name. `list` is the file that the capture is named by where there are none.
 pub(super) fn assemble(
     mut frames: Vec<Frame>,
     list: &Path,
@@ -68,7 +71,12 @@ pub(super) fn assemble(
     }
     frames.sort_by(|a, b| a.name.cmp(&b.name));
     if let Some(pair) = frames.windows(2).find(|pair| pair[0].name == pair[1].name) {
-        return Err(CaptureError::invalid(list, &pair[1].at, "unique names", format!("{} twice", pair[0].name)));
+        return Err(CaptureError::invalid(
+            &pair[1].list,
+            &pair[1].at,
+            "unique names",
+            format!("{} twice", pair[0].name),
+        ));
     }
     all_exist(
         root,
@@ -89,7 +97,7 @@ pub(super) fn assemble(
             all_exist(&folder, "masks", found)?;
         }
     }
-    frames.into_par_iter().map(|frame| view(frame, list, options)).collect()
+    frames.into_par_iter().map(|frame| view(frame, options)).collect()
 }
 
 /// Error unless everything exists.
@@ -123,9 +131,9 @@ fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
 }
 
 /// Looks at the image's header and settles size, orientation and camera.
-pub(super) fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<View, CaptureError> {
+pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureError> {
     let place = frame.place();
-    let Frame { name, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, sees } = frame;
+    let Frame { name, list, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, sees } = frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
     // Poses are those of the upright picture, unless only the stored one fits: COLMAP reads files without turning.
@@ -139,7 +147,7 @@ pub(super) fn view(frame: Frame, list: &Path, options: &LoadOptions) -> Result<V
         })?;
     let lens = lens.resized(width, height);
     let camera =
-        Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(list, &place, e))?;
+        Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(&list, &place, e))?;
     let size = options.downscale.size(width, height);
     let mask = mask.filter(|_| options.masks);
     let source = ImageSource { image, mask, orientation, lens, size, held_out };
