@@ -4,9 +4,11 @@ use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
 
+use crate::format::FormatError;
 use crate::format::blocks::BLOCK_BYTES;
 
 /// The bytes of a glTF buffer.
@@ -15,18 +17,77 @@ pub(in crate::format) enum Buffer {
     Memory(Vec<u8>),
     /// So many bytes of an open file from `start` on.
     File {
-        file: Arc<Mutex<File>>,
+        input: Arc<Input>,
         start: u64,
         length: usize,
     },
 }
 
+/// A file that stays open, and what it was when it was opened.
+#[derive(Debug)]
+pub(in crate::format) struct Input {
+    path: PathBuf,
+    file: Mutex<File>,
+    length: u64,
+    modified: Option<SystemTime>,
+}
+
+/// Why bytes of an input cannot be had; within the [`io::Error`]s of [`Buffer::read`], whoever passes them on.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+struct Unreadable {
+    path: PathBuf,
+    source: io::Error,
+}
+
+/// The error of writing `file` from buffers: if it is one of reading them, their file is named.
+pub(super) fn of_writing(error: FormatError) -> FormatError {
+    match error {
+        FormatError::Write { file, source } => match source.downcast::<Unreadable>() {
+            Ok(Unreadable { path, source }) => FormatError::Read { file: path, source },
+            Err(source) => FormatError::Write { file, source },
+        },
+        other => other,
+    }
+}
+
+impl Input {
+    pub(super) fn open(path: &Path) -> io::Result<Self> {
+        let file = File::open(path)?;
+        let metadata = file.metadata()?;
+        let (length, modified) = (metadata.len(), metadata.modified().ok());
+        Ok(Self { path: path.to_owned(), file: Mutex::new(file), length, modified })
+    }
+
+    /// To be read by one alone.
+    pub(super) fn file(&mut self) -> &mut File {
+        self.file.get_mut().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A range of it, which must lie within.
+    pub(super) fn section(self, range: Range<usize>) -> Buffer {
+        Buffer::File { input: Arc::new(self), start: range.start as u64, length: range.len() }
+    }
+
+    /// The bytes from `start` on, unless the file has been written into since it was opened.
+    fn read(&self, start: u64, bytes: &mut [u8]) -> io::Result<()> {
+        // A thread that panicked has left the file where it does not matter.
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.read_exact(bytes));
+        let now = file.metadata()?;
+        if (now.len(), now.modified().ok()) != (self.length, self.modified) {
+            return Err(io::Error::other("it was changed while it was in use"));
+        }
+        read
+    }
+}
+
 impl Buffer {
     /// A whole file.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
-        let length = usize::try_from(file.metadata()?.len()).map_err(io::Error::other)?;
-        Ok(Self::File { file: Arc::new(Mutex::new(file)), start: 0, length })
+        let input = Input::open(path)?;
+        let length = usize::try_from(input.length).map_err(io::Error::other)?;
+        Ok(input.section(0..length))
     }
 
     pub(super) fn len(&self) -> usize {
@@ -46,23 +107,21 @@ impl Buffer {
         let range = range.start.min(end)..end;
         match self {
             Self::Memory(bytes) => Ok(Cow::Borrowed(&bytes[range])),
-            Self::File { file, start, .. } => {
+            Self::File { input, start, .. } => {
                 let mut bytes = vec![0; range.len()];
-                // A thread that panicked has left the file where it does not matter.
-                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
-                file.seek(SeekFrom::Start(start + range.start as u64))?;
-                file.read_exact(&mut bytes)?;
+                let read = input.read(start + range.start as u64, &mut bytes);
+                read.map_err(|source| io::Error::other(Unreadable { path: input.path.clone(), source }))?;
                 Ok(Cow::Owned(bytes))
             }
         }
     }
 
-    /// The same in memory.
-    pub(super) fn loaded(self) -> io::Result<Self> {
-        Ok(match self {
-            Self::Memory(bytes) => Self::Memory(bytes),
-            Self::File { length, .. } => Self::Memory(self.read(0..length)?.into_owned()),
-        })
+    /// All of it in memory.
+    pub(super) fn into_bytes(self) -> io::Result<Vec<u8>> {
+        match self {
+            Self::Memory(bytes) => Ok(bytes),
+            Self::File { length, .. } => Ok(self.read(0..length)?.into_owned()),
+        }
     }
 
     /// Writes the first `length` bytes.
@@ -88,8 +147,7 @@ mod tests {
         let bytes: Vec<u8> = (0..=255).cycle().take(BLOCK_BYTES + 77).collect();
         std::fs::write(&path, &bytes).unwrap();
         let memory = Buffer::from(bytes[3..].to_vec());
-        let Buffer::File { file, length, .. } = Buffer::open(&path).unwrap() else { panic!("not left in the file") };
-        let file = Buffer::File { file, start: 3, length: length - 3 };
+        let file = Input::open(&path).unwrap().section(3..bytes.len());
         assert_eq!(file.len(), memory.len());
         for range in [0..5, 100..100, BLOCK_BYTES..usize::MAX, 5_000_000..6_000_000] {
             assert_eq!(file.read(range.clone()).unwrap(), memory.read(range).unwrap());
@@ -100,10 +158,36 @@ mod tests {
             memory.copy(length, &mut b).unwrap();
             assert!(a == b && a == bytes[3..3 + length]);
         }
-        assert!(matches!(file.loaded().unwrap(), Buffer::Memory(loaded) if loaded == bytes[3..]));
-        // What has become shorter under our hands is an error.
+        assert!(file.into_bytes().unwrap() == bytes[3..]);
+    }
+
+    #[test]
+    fn a_file_that_changes_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("b.bin");
+        let at = |seconds| SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds);
+        let write = |bytes: &[u8], seconds: u64| {
+            std::fs::write(&path, bytes).unwrap();
+            File::options().write(true).open(&path).unwrap().set_modified(at(seconds)).unwrap();
+        };
+        let expected = format!("{}: it was changed while it was in use", path.display());
+        // Shorter, longer, and as long as it was.
+        for bytes in [&[1, 2, 3][..], &[0; 12], &[2; 9]] {
+            write(&[1; 9], 100);
+            let open = Buffer::open(&path).unwrap();
+            assert_eq!(open.read(0..9).unwrap(), [1; 9].as_slice());
+            write(bytes, 200);
+            let error = open.read(0..2).unwrap_err();
+            assert_eq!(error.to_string(), expected);
+            let file = folder.path().join("out.glb");
+            let error = of_writing(FormatError::Write { file, source: error }).to_string();
+            assert_eq!(error, expected.replace("b.bin: ", "b.bin: cannot read: "));
+        }
+        // What takes its place is another file.
+        write(&[1; 9], 100);
         let open = Buffer::open(&path).unwrap();
-        std::fs::write(&path, [1, 2, 3]).unwrap();
-        assert!(open.read(0..9).is_err());
+        std::fs::write(folder.path().join("new"), [3]).unwrap();
+        std::fs::rename(folder.path().join("new"), &path).unwrap();
+        assert_eq!(open.read(0..9).unwrap(), [1; 9].as_slice());
     }
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::buffer::Buffer;
+use super::buffer::{self, Buffer};
 use super::{glb, uri};
 use crate::format::atomic_write_with;
 use crate::format::blocks::{BLOCK_BYTES, in_waves};
@@ -113,7 +113,11 @@ fn around_content(document: &mut Value) -> (String, String) {
 }
 
 /// Writes to `path`; returns the file's size. `buffers[0]` of the document must be what `bin` holds.
-pub(super) fn write(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
+pub(super) fn write(path: &Path, document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
+    written(path, document, bin).map_err(buffer::of_writing)
+}
+
+fn written(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
     let is_text = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf"));
     if is_text {
         if bin.len() == 0 {

@@ -1,21 +1,19 @@
 //! Opens a glTF file: takes out of the JSON what the `gltf` crate cannot hold, gives the rest (the core: nodes, meshes,
-//! materials, accessors, cameras) to it, loads the buffers and decompresses buffer views.
+//! materials, accessors, cameras) to it, finds the buffers, which stay in their files, and decompresses buffer views, of whose
+//! documents buffers are loaded.
 //!
 //! The crate collapses all attributes with a `:` in the name into one key and refuses extensions that it does not know
 //! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, whose data
 //! an extension has: they get a buffer view beyond those of the file.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::Read as _;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
 
-use super::buffer::Buffer;
+use super::buffer::{Buffer, Input};
 use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
 use super::uri::open;
 use super::{glb, meshopt};
@@ -76,15 +74,12 @@ impl Asset {
     pub(in crate::format) fn open(path: &Path) -> Result<Self, FormatError> {
         let read = |source| FormatError::Read { file: path.to_owned(), source };
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        let mut file = File::open(path).map_err(read)?;
+        let mut input = Input::open(path).map_err(read)?;
         let mut start = vec![];
-        file.by_ref().take(glb::MAGIC.len() as u64).read_to_end(&mut start).map_err(read)?;
+        input.file().take(glb::MAGIC.len() as u64).read_to_end(&mut start).map_err(read)?;
         let opened = if start == glb::MAGIC {
-            glb::split(&mut file).and_then(|glb::Chunks { json, bin }| {
-                let file = Arc::new(Mutex::new(file));
-                let section =
-                    |range: Range<usize>| Buffer::File { file, start: range.start as u64, length: range.len() };
-                Self::of_json(json, glb::JSON_OFFSET, bin.map(section), folder)
+            glb::split(input.file()).and_then(|glb::Chunks { json, bin }| {
+                Self::of_json(json, glb::JSON_OFFSET, bin.map(|range| input.section(range)), folder)
             })
         } else {
             Self::of_json(read_file(path)?, 0, None, folder)
@@ -326,7 +321,7 @@ fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<
             }
         };
         let data = if has_compressed {
-            data.loaded().map_err(|e| Fault::pointer(&at, format!("{length} bytes"), e.to_string()))?
+            data.into_bytes().map_err(|e| Fault::pointer(&at, format!("{length} bytes"), e.to_string()))?.into()
         } else {
             data
         };

@@ -12,6 +12,7 @@ use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
+use crate::scene::PixelFilter;
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, keep_document: true, time: None };
 
@@ -202,6 +203,26 @@ fn cameras_and_the_rule_change_within_the_document() {
     let again = read_file(&at("out.glb"), &KEEP).unwrap();
     assert_eq!((again.scene.composition, again.cameras.len()), (scene.composition, 0));
     assert_eq!(json["animations"], document["animations"]);
+
+    // What the document states of the rule and the new rule does not is gone from it.
+    scene.composition.pixel_filter = PixelFilter { variance: 0.5, normalized: true };
+    write_scene(&at("wide.glb"), &scene, &options).unwrap();
+    let wide = read_file(&at("wide.glb"), &KEEP).unwrap();
+    assert_eq!(wide.scene.composition, scene.composition);
+    scene.composition = Composition { near: scene.composition.near, ..Composition::default() };
+    let options = WriteOptions { source: wide.source.as_ref(), ..WriteOptions::default() };
+    write_scene(&at("usual.glb"), &scene, &options).unwrap();
+    let usual = read_file(&at("usual.glb"), &KEEP).unwrap();
+    assert_eq!(usual.scene.composition, scene.composition);
+
+    let (mut json, _) = opened(&at("wide.glb"));
+    json["scenes"][0]["extensions"][extension::HYBRID]["footprint"]["variance"] = json!(-1.0);
+    json["buffers"][0]["uri"] = json!(format!("data:;base64,{}", uri::encode_base64(&vec![0; 4096])));
+    std::fs::write(at("damaged.gltf"), json.to_string()).unwrap();
+    let error = read_file(&at("damaged.gltf"), &KEEP).unwrap_err().to_string();
+    let place =
+        format!("/scenes/0/extensions/{}/footprint/variance: expected a number ≥ 0, found -1", extension::HYBRID);
+    assert!(error.ends_with(&place), "{error}");
 }
 
 #[test]
@@ -240,6 +261,25 @@ fn files_beside_the_document_are_taken_in() {
     let start = view["byteOffset"].as_u64().unwrap() as usize;
     assert_eq!(buffers[0][start..start + picture.len()], picture);
     assert_eq!(read(&out).unwrap().scene.meshes, file.scene.meshes);
+}
+
+#[test]
+fn a_document_whose_file_was_written_into_is_an_error_of_that_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_scene(&at("in.glb"), &random_scene(20, 1, 1, 4), &WriteOptions::default()).unwrap();
+    for out in ["out.glb", "out.gltf"] {
+        let file = read_file(&at("in.glb"), &KEEP).unwrap();
+        let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
+        let mut bytes = std::fs::read(at("in.glb")).unwrap();
+        bytes.extend([0; 4]);
+        std::fs::write(at("in.glb"), &bytes).unwrap();
+        let error = write_scene(&at(out), &file.scene, &options).unwrap_err().to_string();
+        let named = format!("{}: cannot read: it was changed while it was in use", at("in.glb").display());
+        assert!(error == named && !at(out).exists(), "{error}");
+        bytes.truncate(bytes.len() - 4);
+        std::fs::write(at("in.glb"), &bytes).unwrap();
+    }
 }
 
 #[test]

@@ -7,11 +7,7 @@ use super::buffer::Buffer;
 
 /// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
 pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
-    let whole = open(uri, folder)?.loaded().map_err(|e| ("a readable file".to_owned(), format!("`{uri}` ({e})")))?;
-    match whole {
-        Buffer::Memory(bytes) => Ok(bytes),
-        Buffer::File { .. } => Ok(vec![]),
-    }
+    open(uri, folder)?.into_bytes().map_err(|e| ("a readable file".to_owned(), format!("`{uri}` ({e})")))
 }
 
 /// As [`resolve`]; the file is left where it is.
