@@ -2,7 +2,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::capture::LoadOptions;
-use centaur::format::{CameraFile, DEFAULT_FPS, Sampling, WRITABLE_CAMERAS, write_cameras, write_cameras_with_scene};
+use centaur::format::{
+    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, write_cameras, write_cameras_with_scene,
+};
 use centaur::path::{self, Around, PathError, Shot, Spline};
 use centaur::scene::Camera;
 use clap::Subcommand;
@@ -112,7 +114,7 @@ struct FileArgs {
 #[command(next_help_heading = "Shot")]
 struct ShotArgs {
     /// Number of frames
-    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=36_000))]
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: u32,
     /// Frames a second
     #[arg(long, value_name = "N", default_value_t = DEFAULT_FPS, value_parser = frame_rate)]

@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::format::cameras::{DEFAULT_FPS, frame_count};
+use crate::format::cameras::{DEFAULT_FPS, Frames};
 use crate::format::error::Fault;
 use crate::format::exchange::surface::copied;
 use crate::format::gltf::moving::Moving;
@@ -43,7 +43,7 @@ pub(super) fn write(
     let failed = |fault: Fault| fault.in_file(path);
     let [start, end] = moving.range();
     let fps = moving.fps().unwrap_or(DEFAULT_FPS);
-    let frames = frame_count(start, end, fps).map_err(failed)?;
+    let frames = Frames::default().take(start, end, fps).map_err(failed)?;
     let time = |frame: usize| start + frame as f64 / fps;
     let poses: Vec<Pose> = (0..frames)
         .map(|frame| moving.pose(time(frame)))

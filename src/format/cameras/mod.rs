@@ -50,8 +50,9 @@ pub struct Sampling<'a> {
 /// Frames a second where nothing else is stated.
 pub const DEFAULT_FPS: f64 = 30.0;
 
-/// Longest shot, 20 minutes at 30 frames a second: two keys in a small file ask for all of them.
-const MAX_FRAMES: f64 = 36_000.0;
+/// Most frames of a shot, and of all cameras of a file together: 20 minutes at 30 frames a second. Two keys in a small file ask for
+/// all of them.
+pub const MAX_FRAMES: usize = 36_000;
 
 /// What a camera that moves is called in files that we write.
 pub(super) const NAME: &str = "path";
@@ -134,7 +135,7 @@ pub(super) struct Found {
     pub(super) fps: Option<f64>,
 }
 
-/// What `sampling` asks for, of all that a file has; `others` are names of cameras that are no pinholes.
+/// What `sampling` asks for, of the cameras of a file that are pinholes. Of those that it does not ask for, the first frame will do.
 pub(super) fn chosen(
     found: Vec<Found>,
     sampling: &Sampling<'_>,
@@ -175,17 +176,30 @@ pub(super) fn chosen(
     Ok(CameraFile { cameras, fps, y_up: Some(y_up), times, notes })
 }
 
-/// How many frames there are from `start` to `end`, in seconds, both included. The end counts if it is a hundredth of a frame
-/// late: times are often of single precision.
-pub(super) fn frame_count(start: f64, end: f64, fps: f64) -> Result<usize, Fault> {
+/// How many frames there are from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or
+/// `end` is before `start`. The end counts if it is a hundredth of a frame late: times are often of single precision.
+#[must_use]
+pub fn frame_count(start: f64, end: f64, fps: f64) -> Option<usize> {
     let last = ((end - start) * fps + 0.01).floor();
-    if (0.0..MAX_FRAMES).contains(&last) {
-        return Ok(last as usize + 1);
+    (0.0..MAX_FRAMES as f64).contains(&last).then(|| last as usize + 1)
+}
+
+/// How many frames of a file's cameras have been read, of [`MAX_FRAMES`].
+#[derive(Default)]
+pub(super) struct Frames(usize);
+
+impl Frames {
+    /// As [`frame_count`], of a further camera.
+    pub(super) fn take(&mut self, start: f64, end: f64, fps: f64) -> Result<usize, Fault> {
+        let count = frame_count(start, end, fps).filter(|count| self.0 + count <= MAX_FRAMES);
+        let count = count.ok_or_else(|| {
+            let before = if self.0 > 0 { format!(" after {} of other cameras", self.0) } else { String::new() };
+            let found = format!("{} seconds at {fps} a second{before}", end - start);
+            Fault::whole(format!("a shot of at most {MAX_FRAMES} frames, of all cameras together"), found)
+        })?;
+        self.0 += count;
+        Ok(count)
     }
-    Err(Fault::whole(
-        format!("a shot of at most {MAX_FRAMES} frames"),
-        format!("{} seconds at {fps} a second", end - start),
-    ))
 }
 
 /// Names of pictures: relative paths in their folder, each once.

@@ -166,7 +166,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
         ("VEC3", &[1.0, 1.0, 1.0, 2.0, 2.0, 2.0]),
         ("VEC3", &[9., 9., 9., 0., 0., 0., 2., 0., 0., 0., 0., 0., 4., 0., 0., 9., 9., 9.]),
     ];
-    let samplers = json!([
+    let cubic_samplers = json!([
         { "input": 0, "output": 1 },
         { "input": 2, "output": 3, "interpolation": "STEP" },
         { "input": 0, "output": 4, "interpolation": "CUBICSPLINE" },
@@ -174,7 +174,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     let channel =
         |sampler: u32, node: u32, path: &str| json!({ "sampler": sampler, "target": { "node": node, "path": path } });
     let channels = [channel(0, 0, "rotation"), channel(1, 0, "scale"), channel(2, 1, "translation")];
-    let path = gltf_with(folder.path(), &floats, &samplers, &json!(channels));
+    let path = gltf_with(folder.path(), &floats, &cubic_samplers, &json!(channels));
     let sampling = Sampling { fps: Some(2.0), only: Some("moving"), time: None };
     let found = read_cameras(&path, &sampling).unwrap();
     assert_eq!((found.fps, found.y_up, found.cameras.len()), (Some(2.0), Some(true), 5));
@@ -193,8 +193,21 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     let error = read_cameras(&path, &Sampling { only: Some("third"), fps: None, time: None }).unwrap_err().to_string();
     assert!(error.ends_with("expected a camera called third, found moving, resting"), "{error}");
 
+    // All frames of a file count together, but for those of cameras that are not asked for.
+    let long: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 700.0]), ("VEC4", &TURN)];
+    let (samplers, turn) = (json!([{ "input": 0, "output": 1 }]), json!([channel(0, 0, "rotation")]));
+    let path = gltf_with(folder.path(), &long, &samplers, &turn);
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    let expected = "/nodes/2: expected a shot of at most 36000 frames, of all cameras together, found 700 seconds at 30 a second \
+                    after 21001 of other cameras";
+    assert!(error.ends_with(expected), "{error}");
+    for only in ["moving", "resting"] {
+        let found = read_cameras(&path, &Sampling { only: Some(only), ..Sampling::default() }).unwrap();
+        assert_eq!(found.cameras.len(), 21001, "{only}");
+    }
+
     // Where one moves, those that rest are left out.
-    let alone = gltf_with(folder.path(), &floats, &samplers, &json!([channel(2, 1, "translation")]));
+    let alone = gltf_with(folder.path(), &floats, &cubic_samplers, &json!([channel(2, 1, "translation")]));
     let found = read_cameras(&alone, &sampling).unwrap();
     assert_eq!(found.cameras.len(), 5);
     let found = read_cameras(&alone, &Sampling { fps: Some(1.0), only: None, time: None }).unwrap();
@@ -202,6 +215,23 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     assert_eq!(found.notes.last().unwrap(), "cameras that do not move: left out (1)");
     let resting = read_cameras(&alone, &Sampling { fps: None, only: Some("resting"), time: None }).unwrap();
     assert_eq!((resting.cameras.len(), resting.fps), (1, None));
+}
+
+#[test]
+fn frames_are_counted_with_both_ends() {
+    for (start, end, fps, expected) in [
+        (0.0, 0.0, 30.0, Some(1)),
+        (1.0, 2.0, 24.0, Some(25)),
+        (0.0, f64::from(0.1f32 * 7.0), 10.0, Some(8)),
+        (0.0, 35_999.0, 1.0, Some(MAX_FRAMES)),
+        (0.0, 36_000.0, 1.0, None),
+        (0.0, f64::MAX, 1.0, None),
+        (f64::MIN, f64::MAX, 1e3, None),
+        (1.0, 0.0, 30.0, None),
+        (0.0, f64::NAN, 30.0, None),
+    ] {
+        assert_eq!(frame_count(start, end, fps), expected, "{start} to {end}");
+    }
 }
 
 #[test]
@@ -289,6 +319,26 @@ def Camera "resting" { }
     std::fs::write(&path, layer.replace("25: 90", "1e12: 90")).unwrap();
     let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
     assert!(error.contains("expected a shot of at most 36000 frames"), "{error}");
+
+    // All frames of a file count together, but for those of cameras that are not asked for.
+    let rig = layer.replace("25: 90", "25000: 90");
+    let two = rig.replace("def Xform \"rig\" {", "def Xform \"rig\" {\n    def Camera \"other\" { }");
+    std::fs::write(&path, two).unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(
+        error.contains("/rig/shot: expected a shot of at most 36000 frames") && error.contains("after 24996"),
+        "{error}"
+    );
+    let found = read_cameras(&path, &Sampling { only: Some("shot"), ..Sampling::default() }).unwrap();
+    assert_eq!(found.cameras.len(), 24996);
+    // What is left out is said where nothing else is found, whatever else there is to be noted.
+    let sheared = layer
+        .replace("float xformOp:rotateZ", "float3 xformOp:scale = (1, 2, 3)\n    float xformOp:rotateZ")
+        .replace("[\"xformOp:rotateZ\"]", "[\"xformOp:rotateZ\", \"xformOp:scale\"]")
+        .replace("def Camera \"resting\" { }", "");
+    std::fs::write(&path, sheared.replace("metersPerUnit = 0.01", "")).unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(error.contains("expected a camera, found /rig/shot: camera left out: its transform shears"), "{error}");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use super::extension::EXTRAS;
 use super::lift::Asset;
 use super::shot::FPS;
 use super::transform::{FLIP, is_ours, local, placements, placements_by, unit};
-use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Sampling, chosen, frame_count};
+use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, Sampling, chosen};
 use crate::format::error::Fault;
 use crate::scene::Camera;
 
@@ -36,7 +36,7 @@ pub(super) fn cameras(
     }
     let is_ours = is_ours(document);
     let frame = if is_ours { FLIP } else { DMat4::IDENTITY };
-    let (mut found, mut notes) = (vec![], vec![]);
+    let (mut found, mut notes, mut taken) = (vec![], vec![], Frames::default());
     for (node, transform) in &placed {
         let Some(optics) = node.camera() else { continue };
         let name = camera::name(node, found.len());
@@ -55,7 +55,9 @@ pub(super) fn cameras(
             continue;
         };
         let fps = sampling.fps.or(motion.fps).unwrap_or(DEFAULT_FPS);
-        let count = frame_count(start, end, fps).map_err(|fault| fault.under(&at))?;
+        let is_wanted = sampling.only.is_none_or(|only| only == name);
+        let count = if is_wanted { taken.take(start, end, fps) } else { Ok(1) };
+        let count = count.map_err(|fault| fault.under(&at))?;
         let frames = (0..count).map(|i| -> Result<(Camera, Option<String>), String> {
             let time = start + i as f64 / fps;
             let in_world = chain.iter().fold(DMat4::IDENTITY, |below, &n| motion.local(&nodes[n], time) * below);

@@ -6,7 +6,7 @@ use super::document::{Field, Layer, Prim, PropertyKind, Value};
 use super::stage::Stage;
 use super::to_scene::{Counts, display_name, is_ours, place_all, units};
 use super::{frame, from_scene, views, xform};
-use crate::format::cameras::{CameraFile, Found, NAME, Sampling, chosen, frame_count};
+use crate::format::cameras::{CameraFile, Found, Frames, NAME, Sampling, chosen};
 use crate::format::error::Fault;
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
@@ -19,7 +19,7 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
     let rate = |name: &str| layer.field(name).and_then(Value::as_number).filter(|v| *v > 0.0 && v.is_finite());
     let codes = rate("timeCodesPerSecond").or(rate("framesPerSecond")).unwrap_or(DEFAULT_RATE);
     let fps = sampling.fps.or(rate("framesPerSecond")).unwrap_or(codes);
-    let (mut found, mut notes) = (vec![], vec![]);
+    let (mut found, mut notes, mut left_out, mut taken) = (vec![], vec![], vec![], Frames::default());
     let to_world = units(&layer, &mut notes)?;
     let mut stage = Stage::new(&layer);
     let is_ours = is_ours(&stage);
@@ -35,7 +35,9 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
             None => vec![None],
             Some(_) if sampling.time.is_some() => vec![sampling.time.map(|time| time * codes)],
             Some((start, end)) => {
-                let count = frame_count(start / codes, end / codes, fps).map_err(|fault| fault.under(&at))?;
+                let is_wanted = sampling.only.is_none_or(|only| only == name);
+                let count = if is_wanted { taken.take(start / codes, end / codes, fps) } else { Ok(1) };
+                let count = count.map_err(|fault| fault.under(&at))?;
                 (0..count).map(|i| Some((start + i as f64 * codes / fps).min(end))).collect()
             }
         };
@@ -62,12 +64,13 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
                 let start = span.map_or(0.0, |(start, _)| start / codes);
                 found.push(Found { name, frames, start, fps: (moves && sampling.time.is_none()).then_some(fps) });
             }
-            Err(reason) => notes.push(format!("{at}: camera left out: {reason}")),
+            Err(reason) => left_out.push(format!("{at}: camera left out: {reason}")),
         }
     }
-    if let (true, Some(reason)) = (found.is_empty(), notes.iter().find(|note| note.contains("left out"))) {
+    if let (true, Some(reason)) = (found.is_empty(), left_out.first()) {
         return Err(Fault::pointer("/", "a camera", reason.clone()));
     }
+    notes.append(&mut left_out);
     chosen(found, sampling, !is_ours, notes).map_err(|fault| fault.under("/"))
 }
 

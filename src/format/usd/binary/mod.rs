@@ -20,7 +20,7 @@ use crate::format::error::Fault;
 /// What a file begins with.
 pub(in crate::format::usd) const MAGIC: &[u8] = b"PXR-USDC";
 
-/// Values that a file of so many bytes may hold, all its arrays together. Compressed, an array of equal numbers takes a
+/// Numbers of 8 bytes that what is made of a file of so many bytes may take, all its values together. Compressed, an array of equal numbers takes a
 /// thousandth of this, but nobody's whole file is made of those.
 fn most_values(bytes: usize) -> usize {
     (1 << 16) + bytes.saturating_mul(32)
@@ -43,7 +43,7 @@ struct Crate<'a> {
     /// Indices of fields, sets ended by [`END`].
     sets: Vec<u32>,
     paths: Vec<PathNode>,
-    /// Values that may still be made.
+    /// Numbers of 8 bytes that values may still take.
     budget: usize,
 }
 
@@ -158,9 +158,9 @@ impl<'a> Crate<'a> {
         Cursor::new(self.file, offset)
     }
 
-    /// Takes note of values that are made. Many fields can name one long array.
-    fn spend(&mut self, values: usize) -> Result<(), Fault> {
-        let left = self.budget.checked_sub(values);
+    /// Takes note of what values take that are made. Many fields can name one long array or text.
+    fn spend(&mut self, numbers: usize) -> Result<(), Fault> {
+        let left = self.budget.checked_sub(numbers);
         self.budget =
             left.ok_or_else(|| Fault::whole(format!("at most {} values", most_values(self.file.len())), "more"))?;
         Ok(())

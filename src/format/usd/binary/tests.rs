@@ -4,7 +4,8 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
-use super::parse;
+use super::values::Rep;
+use super::{Crate, most_values, parse};
 use crate::format::usd::document::{Layer, Prim, PropertyKind, Value};
 
 const TEXT: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/usd/types.usda"));
@@ -72,6 +73,41 @@ fn what_is_no_layer_is_refused() {
     astray[16..24].fill(0xff);
     let message = format!("f: byte 16: expected offsets within {} bytes, found 18446744073709551615", BINARY.len());
     assert_eq!(refusal(&astray), message);
+}
+
+#[test]
+fn many_names_of_one_long_text_are_refused() {
+    const COUNT: u64 = 1000;
+    // An animated attribute at 0: where its times are said to be; then how many values, and that each is token 0.
+    let inlined = |kind: u64| kind << 48 | 1 << 62;
+    let times_at = 8 * (4 + COUNT);
+    let mut words = vec![8, 48 << 48 | times_at, 8, COUNT];
+    words.extend((0..COUNT).map(|_| inlined(11)));
+    words.push(COUNT);
+    words.extend((0..COUNT).map(|i| (i as f64).to_bits()));
+    // And a list of as many.
+    let list_at = 8 * words.len() as u64;
+    words.push(COUNT);
+    words.extend((0..COUNT / 2).map(|_| 0));
+    let file: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+    let of = |length: usize| Crate {
+        file: &file,
+        version: [0, 8],
+        fields_at: 0,
+        tokens: vec!["a".repeat(length)],
+        strings: vec![],
+        fields: vec![],
+        sets: vec![],
+        paths: vec![],
+        budget: most_values(file.len()),
+    };
+    let short = of(9).samples(Rep(46 << 48)).unwrap();
+    assert_eq!((short.len(), &short[7]), (1000, &(7.0, Value::Text("a".repeat(9)))));
+    assert!(of(9).value(Rep(41 << 48 | list_at)).unwrap().is_some());
+    for error in [of(100_000).samples(Rep(46 << 48)).err(), of(100_000).value(Rep(41 << 48 | list_at)).err()] {
+        let error = error.unwrap().in_file(Path::new("f")).to_string();
+        assert!(error.ends_with("values, found more"), "{error}");
+    }
 }
 
 proptest! {

@@ -8,6 +8,10 @@ use super::cursor::Cursor;
 use crate::format::error::Fault;
 use crate::format::usd::document::Value;
 
+/// What a value in a list or of a time takes besides its numbers or its text, in numbers of 8 bytes: itself, its time, and the least
+/// that memory is given out by.
+const PER_VALUE: usize = size_of::<(f64, Value)>() / 8 + 4;
+
 /// Arrays shorter than this are never compressed.
 const MIN_COMPRESSED: usize = 16;
 
@@ -101,9 +105,11 @@ impl Crate<'_> {
         }
         let index = u32::from_le_bytes(rep.inlined());
         Ok(Some(match (rep.kind(), rep.is_array()) {
-            (10, false) => Value::Text(self.string(index)?),
-            (11, false) => Value::Text(self.token(index)?),
-            (12, false) => Value::Asset(self.token(index)?),
+            (10..=12, false) => {
+                let text = if rep.kind() == 10 { self.string(index)? } else { self.token(index)? };
+                self.spend(text.len() / 8)?;
+                if rep.kind() == 12 { Value::Asset(text) } else { Value::Text(text) }
+            }
             (10..=12, true) if rep.payload() == 0 => Value::List(vec![]),
             (kind @ 10..=12, true) => {
                 let mut cursor = self.at(rep.payload())?;
@@ -159,8 +165,7 @@ impl Crate<'_> {
             if i >= 2 && value.is_array() {
                 break;
             }
-            // As many numbers as the largest of what is no array, a matrix, has.
-            self.spend(16)?;
+            self.spend(PER_VALUE + numeric(value.kind()).map_or(0, |(_, width, _)| width))?;
             samples.extend(self.value(value)?.map(|value| (time, value)));
         }
         Ok(samples)
@@ -171,7 +176,7 @@ impl Crate<'_> {
         for &index in indices {
             let value = of(self, index)?;
             // Many entries can name one long text.
-            self.spend(1 + value.as_text().map_or(0, str::len))?;
+            self.spend(PER_VALUE + value.as_text().map_or(0, str::len) / 8)?;
             values.push(value);
         }
         Ok(Value::List(values))
