@@ -1,11 +1,11 @@
 //! Arguments that several commands have.
 
-use std::collections::HashSet;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
 use centaur::format::gltf::Source;
+pub(super) use centaur::format::picture_names;
 use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::{Gpu, Picture};
 use image::Rgb32FImage;
@@ -143,39 +143,4 @@ pub(super) fn image(picture: Picture) -> Rgb32FImage {
 /// Makes the folder if need be; [`super::output::check_folder`] has looked at its parent.
 pub(super) fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).with_context(|| format!("{}: cannot make the folder", path.display()))
-}
-
-/// File names for pictures of views, each one once: `left/0001.jpg` becomes `left_0001.png`.
-pub(super) fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) -> Vec<String> {
-    let mut taken = HashSet::new();
-    let mut unique = |stem: String| {
-        let candidates = (2..).map(|n| format!("{stem}_{n}"));
-        let name = std::iter::once(stem.clone()).chain(candidates).find(|name| taken.insert(name.to_lowercase()));
-        format!("{}.{extension}", name.unwrap_or(stem))
-    };
-    views.map(|view| unique(safe_stem(view))).collect()
-}
-
-/// A view's name without suffix and without anything that a file system may take for more than a letter.
-fn safe_stem(view: &str) -> String {
-    let stem = Path::new(view).with_extension("");
-    let safe: String = (stem.to_string_lossy().chars())
-        .map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' })
-        .collect();
-    match safe.trim_start_matches('.') {
-        "" => "view".to_owned(),
-        name => name.to_owned(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn picture_names_are_unique_and_stay_in_their_folder() {
-        let views = ["left/0001.jpg", "left_0001.PNG", "../../etc/passwd", "IMG 12.tar.JPG", ".."];
-        let names = picture_names(views.into_iter(), "png");
-        assert_eq!(names, ["left_0001.png", "left_0001_2.png", "_.._etc_passwd.png", "IMG_12.tar.png", "view.png"]);
-    }
 }

@@ -31,8 +31,8 @@ use std::path::Path;
 
 pub use atomic::{atomic_write, atomic_write_with};
 pub use cameras::{
-    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, frame_count, read_cameras, write_cameras,
-    write_cameras_with_scene,
+    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, frame_count, picture_names, read_cameras,
+    write_cameras, write_cameras_with_scene,
 };
 pub use error::{FormatError, Location};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};

@@ -2,19 +2,22 @@
 
 use std::fmt::Write as _;
 use std::path::Path;
+use std::{fs, io};
 
 use glam::DQuat;
 
+use super::captures::{NO_POINTS, spare_in};
 use super::picture_names;
-use crate::format::{FormatError, atomic_write};
+use crate::format::FormatError;
 use crate::scene::{Camera, Intrinsics};
 
 pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, FormatError> {
-    let model = folder.join("sparse").join("0");
-    std::fs::create_dir_all(&model).map_err(|source| FormatError::Write { file: model.clone(), source })?;
+    spare_in(folder)?;
     let mut lenses: Vec<Intrinsics> = vec![];
     let mut images = String::from("# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; world to camera\n");
-    for (i, ((_, camera), name)) in cameras.iter().zip(picture_names(cameras)).enumerate() {
+    for (i, ((_, camera), name)) in
+        cameras.iter().zip(picture_names(cameras.iter().map(|(name, _)| &name[..]), "png")).enumerate()
+    {
         let lens = lenses.iter().rposition(|k| k == camera.intrinsics()).unwrap_or_else(|| {
             lenses.push(*camera.intrinsics());
             lenses.len() - 1
@@ -29,11 +32,26 @@ pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, 
         writeln!(text, "{} PINHOLE {} {} {} {} {} {}", i + 1, k.width, k.height, k.fx, k.fy, k.cx, k.cy)
             .expect("writing to a string cannot fail");
     }
-    let files = [("cameras.txt", text), ("images.txt", images), ("points3D.txt", "# No points\n".to_owned())];
-    let mut bytes = 0;
-    for (name, text) in files {
-        atomic_write(&model.join(name), text.as_bytes())?;
-        bytes += text.len() as u64;
+    let files = [("cameras.txt", &text[..]), ("images.txt", &images), ("points3D.txt", NO_POINTS)];
+    place(folder, &files).map_err(|source| FormatError::Write { file: folder.join("sparse/0"), source })?;
+    Ok(files.iter().map(|(_, text)| text.len() as u64).sum())
+}
+
+/// Puts a model into `sparse/0` when all of it is written.
+fn place(folder: &Path, files: &[(&str, &str)]) -> io::Result<()> {
+    let sparse = folder.join("sparse");
+    fs::create_dir_all(&sparse)?;
+    let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder)?;
+    let [model, new, former] = [sparse.join("0"), staging.path().join("new"), staging.path().join("former")];
+    fs::create_dir(&new)?;
+    files.iter().try_for_each(|(name, text)| fs::write(new.join(name), text))?;
+    let replaces = model.exists();
+    if replaces {
+        fs::rename(&model, &former)?;
     }
-    Ok(bytes)
+    let placed = fs::rename(&new, &model);
+    if placed.is_err() && replaces {
+        fs::rename(&former, &model)?;
+    }
+    placed
 }

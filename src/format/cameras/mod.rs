@@ -7,12 +7,14 @@
 //! | `.json` | by `capture::cameras` | `transforms.json` of nerfstudio: camera→world, OpenGL axes (x right, y up, z backwards) |
 //! | a folder | by `capture::cameras` | a COLMAP model as text in `sparse/0`: world→camera, OpenCV axes |
 
+mod captures;
 mod colmap;
 #[cfg(test)]
 mod tests;
 mod transforms;
 
-use std::path::{Component, Path};
+use std::collections::HashSet;
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
@@ -98,7 +100,7 @@ pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, 
 /// is made. Returns the bytes written.
 ///
 /// # Errors
-/// If a file cannot be written.
+/// If a file cannot be written, or a COLMAP model or `transforms*.json` would replace or hide a capture that is already there.
 pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError> {
     let fps = file.fps.unwrap_or(DEFAULT_FPS);
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
@@ -202,27 +204,25 @@ impl Frames {
     }
 }
 
-/// Names of pictures: relative paths in their folder, each once.
-pub(super) fn picture_names(cameras: &[(String, Camera)]) -> Vec<String> {
-    let mut taken = std::collections::HashSet::new();
-    let mut unique = |name: &str| {
-        let path = Path::new(name);
-        let is_inside = path.components().all(|part| matches!(part, Component::Normal(_))) && !name.is_empty();
-        let is_plain = is_inside && !name.contains(|c: char| c.is_control() || c.is_whitespace() || c == '\\');
-        let safe = if is_plain {
-            name.to_owned()
-        } else {
-            let safe = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' };
-            format!("_{}", name.chars().map(safe).collect::<String>().trim_matches('.'))
-        };
-        let is_picture = [".png", ".jpg", ".jpeg"].iter().any(|suffix| safe.to_lowercase().ends_with(suffix));
-        let (stem, suffix) = match safe.rfind('.').filter(|_| is_picture) {
-            Some(dot) => (&safe[..dot], &safe[dot..]),
-            None => (&safe[..], ".png"),
-        };
-        let numbered = (2..).map(|n| format!("{stem}_{n}{suffix}"));
-        let mut candidates = std::iter::once(format!("{stem}{suffix}")).chain(numbered);
-        candidates.find(|name| taken.insert(name.clone())).unwrap_or_default()
+/// File names for pictures of views, each one once whatever the case of its letters: `left/0001.jpg` becomes `left_0001.png`.
+pub fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) -> Vec<String> {
+    let mut taken = HashSet::new();
+    let mut unique = |stem: String| {
+        let candidates = (2..).map(|n| format!("{stem}_{n}"));
+        let name = std::iter::once(stem.clone()).chain(candidates).find(|name| taken.insert(name.to_lowercase()));
+        format!("{}.{extension}", name.unwrap_or(stem))
     };
-    cameras.iter().map(|(name, _)| unique(name)).collect()
+    views.map(|view| unique(safe_stem(view))).collect()
+}
+
+/// A view's name without suffix and without anything that a file system may take for more than a letter.
+fn safe_stem(view: &str) -> String {
+    let stem = Path::new(view).with_extension("");
+    let safe: String = (stem.to_string_lossy().chars())
+        .map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' })
+        .collect();
+    match safe.trim_start_matches('.') {
+        "" => "view".to_owned(),
+        name => name.to_owned(),
+    }
 }

@@ -108,15 +108,76 @@ fn frames_of_reference_are_kept_where_files_have_one() {
 
 #[test]
 fn names_of_pictures_are_safe_and_unique() {
-    let camera = shot(1, 0.0)[0].1;
-    let names = ["a", "a.png", "left/b.JPG", "../c.jpg", "d e", "", "x.001"].map(|name| (name.to_owned(), camera));
-    let expected = ["a.png", "a_2.png", "left/b.JPG", "_.._c.jpg", "_d_e.png", "_.png", "x.001.png"];
-    let found = picture_names(&names);
-    assert!(
-        found.iter().zip(expected).all(|(found, expected)| found == expected || expected == "_.._c.jpg"),
-        "{found:?}"
-    );
-    assert!(!found[3].contains("..") || !found[3].contains('/'));
+    let names = |views: &[&str]| picture_names(views.iter().copied(), "png");
+    let found = names(&["left/0001.jpg", "left_0001.PNG", "LEFT/0001", "../../etc/passwd", "IMG 12.tar.JPG", "..", ""]);
+    let expected = ["left_0001", "left_0001_2", "LEFT_0001_3", "_.._etc_passwd", "IMG_12.tar", "view", "view_2"];
+    assert_eq!(found, expected.map(|stem| format!("{stem}.png")));
+    // They are the names in files of cameras.
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (shot(1, 0.0)[0].1, shot(2, 0.0)[1].1);
+    let cameras = vec![("left/0001.jpg".to_owned(), first), ("left_0001.PNG".to_owned(), second)];
+    let file = CameraFile { cameras, fps: None, y_up: None, times: vec![], notes: vec![] };
+    for name in ["a.json", "model"] {
+        write_cameras(&folder.path().join(name), &file).unwrap();
+        let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();
+        let read: Vec<&str> = back.cameras.iter().map(|(name, _)| &name[..]).collect();
+        assert_eq!(read, expected[..2].iter().map(|stem| format!("{stem}.png")).collect::<Vec<_>>(), "{name}");
+    }
+}
+
+#[test]
+fn captures_are_neither_replaced_nor_hidden() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let file = CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), y_up: None, times: vec![], notes: vec![] };
+    let write = |name: &str| write_cameras(&root.join(name), &file).map_err(|e| e.to_string());
+    let refused = |name: &str, held: &str| {
+        let path = root.join(name).display().to_string();
+        let expected = format!(
+            "{path}: expected a folder without a capture, which the cameras would replace or hide, found `{held}`"
+        );
+        assert_eq!(write(name), Err(expected));
+    };
+    let touch = |name: &str, text: &str| {
+        std::fs::create_dir_all(root.join(name).parent().unwrap()).unwrap();
+        std::fs::write(root.join(name), text).unwrap();
+    };
+    // Every place that a capture is found in.
+    for (capture, held) in [
+        ("a/sparse/0/cameras.bin", "sparse"),
+        ("b/sparse/cameras.txt", "sparse"),
+        ("c/colmap/sparse/0/images.bin", "colmap"),
+        ("d/frames.bin", "frames.bin"),
+        ("e/transforms.json", "transforms.json"),
+        ("f/transforms_train.json", "transforms_train.json"),
+        ("g/sparse/1/cameras.bin", "sparse"),
+    ] {
+        touch(capture, "{}");
+        refused(&capture[..1], held);
+        refused(&format!("{}/transforms.json", &capture[..1]), held);
+        assert_eq!(std::fs::read_to_string(root.join(capture)).unwrap(), "{}");
+    }
+    refused("f/transforms_train.json", "transforms_train.json");
+    // Photographs alone are what a model would be of; a file beside them hides nothing.
+    touch("h/images/a.png", "");
+    refused("h", "images");
+    write("h/transforms.json").unwrap();
+    write("a/shot.json").unwrap();
+    // What we have written is written again, and nothing else is left.
+    for _ in 0..2 {
+        write("new").unwrap();
+        write("h/transforms.json").unwrap();
+    }
+    let listed = |name: &str| {
+        let mut names: Vec<_> = std::fs::read_dir(root.join(name)).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(listed("new"), ["sparse"]);
+    assert_eq!(listed("new/sparse"), ["0"]);
+    assert_eq!(listed("new/sparse/0"), ["cameras.txt", "images.txt", "points3D.txt"]);
+    touch("new/sparse/0/points3D.txt", "1 0 0 0 9 9 9 0.1\n");
+    refused("new", "sparse");
 }
 
 /// A glTF whose camera, node 1, is moved by `channels` of an animation of the accessors `floats` (type and values).

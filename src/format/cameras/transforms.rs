@@ -4,16 +4,19 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
+use super::captures::{GENERATOR, spare};
 use super::picture_names;
 use crate::format::{FormatError, atomic_write};
 use crate::scene::{Camera, Intrinsics};
 
 /// Intrinsics stand once for all frames where these share them. Pictures need not exist; rendered into the folder of the file
-/// under their names they make it a dataset.
+/// they have the names that stand in it, and make it a dataset.
 pub(super) fn write(path: &Path, cameras: &[(String, Camera)], fps: Option<f64>) -> Result<u64, FormatError> {
+    spare(path)?;
     let shared = cameras.first().map(|(_, first)| first.intrinsics());
     let shared = shared.filter(|k| cameras.iter().all(|(_, camera)| camera.intrinsics() == *k));
     let mut document = Map::new();
+    document.insert("generator".to_owned(), json!(GENERATOR));
     document.insert("camera_model".to_owned(), json!("PINHOLE"));
     if let Some(fps) = fps {
         document.insert("fps".to_owned(), json!(fps));
@@ -32,7 +35,8 @@ pub(super) fn write(path: &Path, cameras: &[(String, Camera)], fps: Option<f64>)
         frame.insert("transform_matrix".to_owned(), json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]));
         Value::Object(frame)
     };
-    let frames: Vec<Value> = picture_names(cameras).into_iter().zip(cameras).map(frame).collect();
+    let names = picture_names(cameras.iter().map(|(name, _)| &name[..]), "png");
+    let frames: Vec<Value> = names.into_iter().zip(cameras).map(frame).collect();
     document.insert("frames".to_owned(), Value::Array(frames));
     let text = serde_json::to_vec_pretty(&Value::Object(document)).unwrap_or_default();
     atomic_write(path, &text)?;

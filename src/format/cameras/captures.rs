@@ -1,0 +1,71 @@
+//! What a path must not be written over: captures, which lie in folders under the same names.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::format::FormatError;
+use crate::format::error::Fault;
+
+/// What a `transforms.json` of ours says that it was written by.
+pub(super) const GENERATOR: &str = "centaur cameras";
+
+/// The `points3D.txt` of a model of ours.
+pub(super) const NO_POINTS: &str = "# No points: a path of `centaur cameras`\n";
+
+/// Refuses a folder for a COLMAP model that holds anything of a capture but an earlier model of ours.
+pub(super) fn spare_in(folder: &Path) -> Result<(), FormatError> {
+    refuse(folder, part_of_capture(folder, &["images"]))
+}
+
+/// Refuses to put a `transforms*.json` in the place of one that is not ours, or where it would be read instead of a capture.
+pub(super) fn spare(path: &Path) -> Result<(), FormatError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if !is_transforms(&name) || is_our_transforms(path) {
+        return Ok(());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    refuse(path, if path.exists() { Some(name) } else { part_of_capture(folder, &[]) })
+}
+
+fn refuse(target: &Path, found: Option<String>) -> Result<(), FormatError> {
+    let fault =
+        |name| Fault::whole("a folder without a capture, which the cameras would replace or hide", format!("`{name}`"));
+    found.map_or(Ok(()), |name| Err(fault(name).in_file(target)))
+}
+
+/// The first by name of what a folder holds of a capture; `besides` counts too.
+fn part_of_capture(folder: &Path, besides: &[&str]) -> Option<String> {
+    let mut names = entries(folder);
+    names.sort_unstable();
+    names.into_iter().find(|name| match &name[..] {
+        "sparse" => !is_our_model(&folder.join(name)),
+        "colmap" | "cameras.bin" | "cameras.txt" | "frames.bin" | "frames.txt" => true,
+        other => besides.contains(&other) || is_transforms(other) && !is_our_transforms(&folder.join(other)),
+    })
+}
+
+/// Names of what is in a folder; none if it is none.
+fn entries(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+}
+
+fn is_transforms(name: &str) -> bool {
+    name.starts_with("transforms") && Path::new(name).extension().is_some_and(|e| e == "json")
+}
+
+fn is_our_transforms(path: &Path) -> bool {
+    #[derive(Deserialize)]
+    struct Probe {
+        generator: String,
+    }
+    let text = std::fs::read(path).unwrap_or_default();
+    serde_json::from_slice::<Probe>(&text).is_ok_and(|probe| probe.generator == GENERATOR)
+}
+
+/// Whether a folder `sparse` holds a model of ours and nothing else, or nothing.
+fn is_our_model(sparse: &Path) -> bool {
+    let points = || std::fs::read(sparse.join("0/points3D.txt")).unwrap_or_default();
+    entries(sparse).iter().all(|name| name == "0" && points() == NO_POINTS.as_bytes())
+}
