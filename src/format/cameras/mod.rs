@@ -106,13 +106,14 @@ pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError>
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match &extension[..] {
         "json" => transforms::write(path, &file.cameras, file.fps),
-        "glb" | "gltf" => gltf::write_cameras(path, &file.clone().in_frame(false).cameras, fps),
+        "glb" | "gltf" => gltf::write_cameras(path, file),
         "usda" => usd::write_cameras(path, &file.clone().in_frame(false).cameras, fps),
         _ => colmap::write(path, &file.cameras),
     }
 }
 
-/// As [`write_cameras`], with all that is in the `.glb` or `.gltf` at `scene`, whose document is written again as it is.
+/// As [`write_cameras`], with all that is in the `.glb` or `.gltf` at `scene`, whose document is written again as it is, but for
+/// cameras that were written so before.
 ///
 /// # Errors
 /// If `path` has another extension than these, `scene` cannot be read or is something else, or the file cannot be written.

@@ -422,36 +422,58 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let scene = random_scene(20, 1, 2, 4);
-    write_scene(
-        &at("ours.glb"),
-        &scene,
-        &WriteOptions { cameras: &[("front".to_owned(), camera())], ..WriteOptions::default() },
-    )
-    .unwrap();
+    let cameras = [("front".to_owned(), camera())];
+    write_scene(&at("ours.gltf"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
+    let ours: serde_json::Value = serde_json::from_slice(&std::fs::read(at("ours.gltf")).unwrap()).unwrap();
     // Without our mark the same data are another's, y up.
-    let text = gltf_with(folder.path(), &[("SCALAR", &[0.0])], &json!([]), &json!([]));
-    let mut theirs: serde_json::Value = serde_json::from_slice(&std::fs::read(text).unwrap()).unwrap();
-    theirs.as_object_mut().unwrap().remove("animations");
+    let mut theirs = ours.clone();
+    let root = ours["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
+    theirs["nodes"][root]["name"] = json!("world");
     std::fs::write(at("theirs.gltf"), theirs.to_string()).unwrap();
-    for (name, y_up, others) in [("ours.glb", false, 1), ("theirs.gltf", true, 2)] {
+    // As a scene that was moved is written.
+    let mut moved = ours.clone();
+    let nodes = moved["nodes"].as_array_mut().unwrap();
+    nodes.push(json!({ "name": "moved", "translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2], "children": [root] }));
+    moved["scenes"][0]["nodes"] = json!([nodes.len() - 1]);
+    std::fs::write(at("moved.gltf"), moved.to_string()).unwrap();
+    for (name, y_up) in [("ours.gltf", false), ("theirs.gltf", true), ("moved.gltf", false)] {
+        let before = read_file(&at(name), &ReadOptions::default()).unwrap();
+        assert_eq!((before.y_up, before.cameras.len()), (y_up, 1), "{name}");
         let file =
             CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up: Some(y_up), times: vec![], notes: vec![] };
-        write_cameras_with_scene(&at("with.glb"), &at(name), &file).unwrap();
-        let back = read(&at("with.glb"));
-        assert_eq!((back.fps, back.y_up), (Some(25.0), Some(y_up)), "{name}");
-        assert!(back.notes.last().unwrap().starts_with("cameras that do not move: left out"), "{name}");
-        assert!(largest_difference(&file.cameras, &back.cameras) < 1e-5, "{name}");
-        let whole = read_file(&at("with.glb"), &ReadOptions::default()).unwrap();
-        assert_eq!(whole.cameras.len(), others + 1, "{name}");
-        assert_eq!(whole.scene, read_file(&at(name), &ReadOptions::default()).unwrap().scene, "{name}");
-        let faults = validate(&at("with.glb")).unwrap();
-        assert_eq!(faults.errors, 0, "{name}: {:?}", faults.findings);
+        // A path takes the place of the one before: another path, one whose lenses differ, fewer of these.
+        let paths = [shot(9, 0.0), shot(7, 0.0), shot(7, 1.5), shot(3, 1.5), shot(7, 0.0)];
+        let mut from = at(name);
+        for cameras in paths {
+            let file = CameraFile { cameras, ..file.clone() };
+            let count =
+                if file.cameras[0].1.intrinsics() == file.cameras[1].1.intrinsics() { 1 } else { file.cameras.len() };
+            write_cameras_with_scene(&at("with.gltf"), &from, &file).unwrap();
+            from = at("with.gltf");
+            let whole = read_file(&from, &ReadOptions::default()).unwrap();
+            assert_eq!((whole.cameras.len(), whole.y_up), (1 + count, y_up), "{name}");
+            assert_eq!(whole.scene, before.scene, "{name}");
+            let back = read(&from);
+            let frames = if count == 1 {
+                assert!(back.notes.last().unwrap().starts_with("cameras that do not move: left out"), "{name}");
+                assert_eq!(back.fps, Some(25.0), "{name}");
+                &back.cameras[..]
+            } else {
+                &back.cameras[1..]
+            };
+            assert!(largest_difference(&file.cameras, frames) < 2e-5, "{name}");
+            let faults = validate(&from).unwrap();
+            assert_eq!(faults.errors, 0, "{name}: {:?}", faults.findings);
+        }
+        let stated = CameraFile { y_up: None, ..file.clone() };
+        write_cameras_with_scene(&at("with.glb"), &at(name), &stated).unwrap();
+        assert!(largest_difference(&file.cameras, &read(&at("with.glb")).cameras) < 2e-5, "{name}");
     }
     let error = |out: &str, scene: &str| {
         let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: None, times: vec![], notes: vec![] };
         write_cameras_with_scene(&at(out), &at(scene), &file).unwrap_err().to_string()
     };
-    assert!(error("a.json", "ours.glb").contains("expected a name that ends in .glb or .gltf"));
+    assert!(error("a.json", "ours.gltf").contains("expected a name that ends in .glb or .gltf"));
     std::fs::write(at("a.ply"), "ply").unwrap();
     assert!(error("a.glb", "a.ply").ends_with("expected a .glb or .gltf, to which cameras can be added, found PLY"));
 }

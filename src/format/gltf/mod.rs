@@ -60,7 +60,7 @@ pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
 pub(super) use uri::resolve;
 
-use super::cameras::{CameraFile, DEFAULT_FPS, Sampling};
+use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;
 use super::{FormatError, ReadOptions, SceneFile};
 use crate::scene::{Camera, Composition, HybridScene, Splats};
@@ -162,24 +162,22 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<Camer
     motion::cameras(&asset.document, &motion, sampling).map_err(|fault| fault.in_file(path))
 }
 
-/// Writes cameras, which are in the frame of the capture, as one that moves.
-pub(super) fn write_cameras(path: &Path, cameras: &[(String, Camera)], fps: f64) -> Result<u64, FormatError> {
+/// Writes cameras as one that moves, in a document of the capture's frame.
+pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
     let composition = Composition::default();
     let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
     let (mut document, mut bin) = write::layout(&nothing, &[], None);
-    shot::append(&mut document, &mut bin, cameras, fps, composition.near);
+    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(false), composition.near);
     container::write(path, document, &bin)
 }
 
-/// Writes the document of a glTF again, with cameras added as one that moves.
+/// Writes the document of a glTF again, with cameras added as one that moves, in the place of those that were added before.
 pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
     let file = read_with(scene, &ReadOptions { keep_document: true, ..ReadOptions::default() })?;
     let Some(source) = &file.source else {
         return Err(Fault::whole("a glTF document", "another file").in_file(scene));
     };
-    let (mut document, mut bin) = source.document(&file.scene, &file.cameras);
-    let shown = cameras.clone().in_frame(file.y_up);
-    let near = file.scene.composition.near;
-    shot::append(&mut document, &mut bin, &shown.cameras, shown.fps.unwrap_or(DEFAULT_FPS), near);
+    let (mut document, mut bin) = source.as_read();
+    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(file.y_up), file.scene.composition.near);
     container::write(path, document, &bin)
 }

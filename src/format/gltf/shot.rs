@@ -4,25 +4,52 @@ use glam::DQuat;
 use serde_json::{Value, json};
 
 use super::container::Bin;
-use super::extension::{EXTRAS, ROOT_NODE};
+use super::extension::EXTRAS;
 use super::write::{FLOAT, camera_and_node, node_rotation};
-use crate::format::cameras::NAME;
+use crate::format::cameras::{CameraFile, DEFAULT_FPS, NAME};
 use crate::scene::Camera;
 
 /// Where an animation of ours says how many frames it has a second.
 pub(super) const FPS: &str = "framesPerSecond";
 
-/// Adds cameras: one with a linear animation whose keys are the frames; where intrinsics differ, which glTF does not animate,
-/// as many as there are. They are in the frame of what hangs below our root node, or in glTF's if there is none.
-pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, cameras: &[(String, Camera)], fps: f64, near: f32) {
-    let Some((_, first)) = cameras.first() else { return };
-    if cameras.iter().all(|(_, camera)| camera.intrinsics() == first.intrinsics()) {
-        let node = add_camera(document, NAME, first, near);
-        let animation = animation(document, bin, cameras, fps, node);
+/// Marks the nodes of these cameras, so that a later path takes their place.
+const MARK: &str = "path";
+
+/// Adds cameras at the top of the scene, in the place of those that were added so before: one with a linear animation whose keys are
+/// the frames; where intrinsics differ, which glTF does not animate, as many as there are. `shown` is in the frame of the document's
+/// scene, which is the capture's below a root node of ours. Bytes of a former path stay in the buffer.
+pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile, near: f32) {
+    // What is above our root node, or above a scene that was moved, has the axes of glTF.
+    let placed = shown.clone().in_frame(true).cameras;
+    let Some((_, first)) = shown.cameras.first() else { return };
+    let mut vacant = take_out(document).into_iter();
+    let mut add = |document: &mut Value, name: &str, i: usize| {
+        let index = document.get("cameras").and_then(Value::as_array).map_or(0, Vec::len);
+        let (optics, _) = camera_and_node(name, &shown.cameras[i].1, near, index);
+        let (_, mut node) = camera_and_node(name, &placed[i].1, near, index);
+        node["extras"] = json!({ EXTRAS: { MARK: true } });
+        push(document, "cameras", optics);
+        let at = match vacant.next() {
+            Some(at) => {
+                document["nodes"][at] = node;
+                at
+            }
+            None => push(document, "nodes", node),
+        };
+        let scene = document.get("scene").and_then(Value::as_u64).unwrap_or(0) as usize;
+        match document.get_mut("scenes").and_then(|scenes| scenes.get_mut(scene)) {
+            Some(scene) => push(scene, "nodes", json!(at)),
+            None => push(document, "scenes", json!({ "nodes": [at] })),
+        };
+        at
+    };
+    if shown.cameras.iter().all(|(_, camera)| camera.intrinsics() == first.intrinsics()) {
+        let node = add(document, NAME, 0);
+        let animation = animation(document, bin, &placed, shown.fps.unwrap_or(DEFAULT_FPS), node);
         push(document, "animations", animation);
     } else {
-        for (name, camera) in cameras {
-            add_camera(document, name, camera, near);
+        for (i, (name, _)) in shown.cameras.iter().enumerate() {
+            add(document, name, i);
         }
     }
     if bin.len() > 0 {
@@ -33,26 +60,44 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, cameras: &[(String
     }
 }
 
-/// Marks our root node.
-const OURS: &str = "/extras/centaur";
+/// Takes a path of ours out of a document. Returns its nodes, which are empty and in no list, as others are known by their index.
+fn take_out(document: &mut Value) -> Vec<usize> {
+    let of_ours = |object: &Value, key: &str| object.pointer(&format!("/extras/{EXTRAS}/{key}")).is_some();
+    let mut nodes = vec![];
+    for (i, node) in items(document, "nodes").iter_mut().enumerate() {
+        if of_ours(node, MARK) {
+            nodes.push((i, node.get("camera").and_then(Value::as_u64)));
+            *node = json!({});
+        }
+    }
+    let is_gone = |index: &Value| nodes.iter().any(|(i, _)| index.as_u64() == Some(*i as u64));
+    for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
+        items(document, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
+    }
+    let is_gone = |index: u64| nodes.iter().any(|(_, camera)| *camera == Some(index));
+    retain(document, "cameras", |i, _| !is_gone(i as u64));
+    for node in items(document, "nodes") {
+        if let Some(camera) = node.get("camera").and_then(Value::as_u64) {
+            node["camera"] = json!(camera - (0..camera).filter(|i| is_gone(*i)).count() as u64);
+        }
+    }
+    retain(document, "animations", |_, animation| !of_ours(animation, FPS));
+    nodes.into_iter().map(|(i, _)| i).collect()
+}
 
-/// Returns its node.
-fn add_camera(document: &mut Value, name: &str, camera: &Camera, near: f32) -> usize {
-    let index = document.get("cameras").and_then(Value::as_array).map_or(0, Vec::len);
-    let (optics, node) = camera_and_node(name, camera, near, index);
-    push(document, "cameras", optics);
-    let node = push(document, "nodes", node);
-    let is_root = |n: &Value| n.get("name").is_some_and(|name| name == ROOT_NODE) && n.pointer(OURS).is_some();
-    let root = document.get("nodes").and_then(Value::as_array).and_then(|nodes| nodes.iter().position(is_root));
-    let scene = document.get("scene").and_then(Value::as_u64).unwrap_or(0) as usize;
-    match root {
-        Some(root) => push(&mut document["nodes"][root], "children", json!(node)),
-        None => match document.get_mut("scenes").and_then(|scenes| scenes.get_mut(scene)) {
-            Some(scene) => push(scene, "nodes", json!(node)),
-            None => push(document, "scenes", json!({ "nodes": [node] })),
-        },
-    };
-    node
+/// The array of a key.
+fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
+    object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
+}
+
+/// Leaves what is wanted of the array of a key, by index and value, which may not be there if it is empty.
+fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
+    let Some(array) = object.get_mut(key).and_then(Value::as_array_mut) else { return };
+    let mut index = 0..;
+    array.retain(|item| index.next().is_some_and(|i| is_wanted(i, item)));
+    if array.is_empty() {
+        object.as_object_mut().map(|object| object.remove(key));
+    }
 }
 
 fn animation(document: &mut Value, bin: &mut Bin<'_>, cameras: &[(String, Camera)], fps: f64, node: usize) -> Value {

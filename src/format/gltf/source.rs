@@ -191,10 +191,16 @@ impl Source {
         self.root.get("scenes")?.get(self.scene())?.get("extensions")?.get(HYBRID)
     }
 
-    /// The document with the scene's position, rule and cameras, and its one buffer.
-    pub(super) fn document(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> (Value, Bin<'_>) {
+    /// The document as it was read, whatever has become of the scene, and its one buffer.
+    pub(super) fn as_read(&self) -> (Value, Bin<'_>) {
         let mut root = self.root.clone();
         let bin = self.content.as_ref().map(|content| content.merge(&mut root)).unwrap_or_default();
+        (root, bin)
+    }
+
+    /// The document with the position, rule and cameras of the scene, which is in the frame of the capture, and its one buffer.
+    pub(super) fn document(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> (Value, Bin<'_>) {
+        let (mut root, bin) = self.as_read();
         self.place(&mut root);
         if cameras.is_empty() && self.cameras != fingerprint_of_cameras(cameras) {
             remove_cameras(&mut root);
