@@ -14,7 +14,7 @@ Examples:
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// A .glb, .gltf, .usda, .usdc or .usdz, or splats: .ply, .spz, .sog (or a SOG folder's meta.json), .splat, .ksplat
+    /// A .glb, .gltf, .usda, .usdc or .usdz, any .ply, or splats: .spz, .sog (or a SOG folder's meta.json), .splat, .ksplat
     file: PathBuf,
     /// Print one JSON object instead of text
     #[arg(long)]

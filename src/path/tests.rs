@@ -57,7 +57,7 @@ fn options_change_an_orbit_as_they_say() {
     let shot = Shot { frames: 5, size: Some([200, 100]), fov_y: Some(PI / 2.0) };
     for camera in orbit(&ring(), &around, &shot).unwrap() {
         let offset = camera.center() - FOCUS;
-        assert!((offset.dot(UP) + 2.0).abs() < 1e-9 && (offset - UP * offset.dot(UP)).length() - 6.0 < 1e-9);
+        assert!((offset.dot(UP) + 2.0).abs() < 1e-9 && ((offset - UP * offset.dot(UP)).length() - 6.0).abs() < 1e-9);
         assert!(forward(&camera).abs_diff_eq(-offset.normalize(), 1e-9));
         let k = camera.intrinsics();
         assert!(k.width == 200 && k.height == 100 && (k.fy - 50.0).abs() < 1e-9 && (k.fx - 60.0).abs() < 1e-9);
