@@ -60,26 +60,30 @@ pub(super) fn write(
 ) -> Result<WriteReport, FormatError> {
     let stem = exchange::stem(path, SUFFIX);
     let mut beside = exchange::write(path, &stem, scene)?;
-    let mut motion = Value::Null;
+    let (mut motion, mut notes) = (Value::Null, notes(scene));
     if let Some(moving) = moving {
         beside.add(format!("{stem}_motion.npz"), |name| {
-            let (told, bytes) = motion::write(&path.with_file_name(name), scene, cameras, moving)?;
-            motion = told;
+            let mut written = motion::write(&path.with_file_name(name), scene, cameras, moving)?;
+            motion = written.told;
             motion["file"] = json!(name);
-            Ok(bytes)
+            notes.append(&mut written.notes);
+            Ok(written.bytes)
         })?;
     }
     let script = script(&described(&stem, scene, cameras, &beside, &motion));
     atomic_write(path, script.as_bytes())?;
     let loss = Loss { composition: loses_rule(scene), ..Loss::default() };
-    Ok(WriteReport { bytes: beside.bytes + script.len() as u64, beside: beside.files, notes: notes(scene), loss })
+    Ok(WriteReport { bytes: beside.bytes + script.len() as u64, beside: beside.files, notes, loss })
 }
 
-/// Whether Cycles may show what the rule of blending does not: in the order of depths at each pixel it is `direct`, and all
-/// surfaces count.
+/// Whether Cycles may show what the rule of blending does not: all surfaces count, in another order.
 fn loses_rule(scene: &HybridScene) -> bool {
-    let in_order = scene.splats.is_empty() || scene.composition.mode == OrderMode::Direct;
-    !scene.meshes.is_empty() && (!in_order || has_more_surfaces(scene))
+    loses_order(scene) || has_more_surfaces(scene)
+}
+
+/// Whether splats and surfaces are not to be in the order of depths at each pixel.
+fn loses_order(scene: &HybridScene) -> bool {
+    !scene.splats.is_empty() && !scene.meshes.is_empty() && scene.composition.mode != OrderMode::Direct
 }
 
 /// Whether a ray may meet more surfaces than count.
@@ -133,7 +137,7 @@ fn described_camera(name: &str, camera: &Camera) -> Value {
 fn notes(scene: &HybridScene) -> Vec<String> {
     let (rule, splats) = (&scene.composition, scene.splats.len());
     let mut notes = vec![];
-    if splats > 0 && !scene.meshes.is_empty() && rule.mode != OrderMode::Direct {
+    if loses_order(scene) {
         let mode = rule.mode.name();
         notes
             .push(format!("Blender orders splats and surfaces by depth at each pixel, as mode `direct`, not `{mode}`"));

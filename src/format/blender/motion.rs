@@ -30,47 +30,42 @@ use crate::format::gltf::moving::Moving;
 use crate::format::placed::similarity;
 use crate::format::{FormatError, atomic_write};
 use crate::scene::rig::{Carrier, Harmonics, Leader, Pose, Rig};
-use crate::scene::{Camera, HybridScene};
+use crate::scene::{Camera, HybridScene, SceneError};
 
-/// Writes the arrays to `path`. Returns what the script is told of them, and their size; `moved` is what the scene was moved by
-/// since it was read.
+/// Numbers that change with the frame at most, 512 MB of them; Blender makes of each a key, of five times the size.
+const MOST_NUMBERS: usize = 1 << 26;
+
+/// What was written.
+pub(super) struct Written {
+    /// What the script is told of it.
+    pub(super) told: Value,
+    pub(super) bytes: u64,
+    /// What does not move as it should, one sentence each.
+    pub(super) notes: Vec<String>,
+}
+
+/// Writes the arrays to `path`; `moved` is what the scene was moved by since it was read.
 pub(super) fn write(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
     (moving, moved): (&Moving, DMat4),
-) -> Result<(Value, u64), FormatError> {
+) -> Result<Written, FormatError> {
     let failed = |fault: Fault| fault.in_file(path);
     let [start, end] = moving.range();
     let fps = moving.fps().unwrap_or(DEFAULT_FPS);
     let frames = Frames::default().take(start, end, fps).map_err(failed)?;
-    let time = |frame: usize| start + frame as f64 / fps;
-    let poses: Vec<Pose> = (0..frames)
-        .map(|frame| moving.pose(time(frame)))
-        .collect::<Result<_, _>>()
-        .map_err(|e| failed(Fault::from(e)))?;
+    let numbers = moving.rig().map_or(0, |rig| 16 * rig.rest().bones.len() + rig.rest().weights.len());
+    bounded(frames, numbers + 12 * cameras.len()).map_err(failed)?;
+    let times: Vec<f64> = (0..frames).map(|frame| start + frame as f64 / fps).collect();
     let mut arrays = Arrays::default();
     if let Some(rig) = moving.rig() {
-        arrays.rig(rig, scene, &poses, moved, moving);
+        arrays.rig(rig, scene, &times, moved, moving).map_err(|e| failed(Fault::from(e)))?;
     }
-    let mut moves_cameras = false;
-    let mut rows = vec![];
-    for frame in 0..frames {
-        let (at, _) = moving.cameras_at(time(frame)).map_err(failed)?;
-        // A camera may have been left out since: then nobody knows which.
-        if at.len() != cameras.len() {
-            rows.clear();
-            break;
-        }
-        for ((_, now), (_, rest)) in at.iter().zip(cameras) {
-            let row = row(now, moved);
-            let differs = row.iter().zip(row_of(rest)).any(|(a, b)| (a - b).abs() > 1e-9 * (1.0 + b.abs()));
-            moves_cameras |= differs;
-            rows.extend(row);
-        }
-    }
-    if moves_cameras {
-        arrays.add("cameras", &[frames, cameras.len(), 12], &rows);
+    let mut notes = vec![];
+    let rows = camera_rows(moving, cameras, &times, moved, &mut notes).map_err(failed)?;
+    if let Some(rows) = &rows {
+        arrays.add("cameras", &[frames, cameras.len(), 12], rows);
     }
     let surfaces = moving.rig().map_or(&[][..], Rig::surfaces);
     let meshes: Vec<usize> = (0..surfaces.len()).filter(|&i| surfaces[i].is_some()).collect();
@@ -78,10 +73,46 @@ pub(super) fn write(
     atomic_write(path, &bytes)?;
     let told = json!({
         "fps": fps, "frames": frames, "start": start, "meshes": meshes, "names": moving.rig().map_or(&[][..], Rig::bone_names),
-        "parents": moving.bone_parents(), "cameras": moves_cameras,
+        "parents": moving.bone_parents(), "cameras": rows.is_some(),
         "splats": moving.rig().is_some_and(|rig| !rig.followers().is_empty()),
     });
-    Ok((told, bytes.len() as u64))
+    Ok(Written { told, bytes: bytes.len() as u64, notes })
+}
+
+/// Refuses more than [`MOST_NUMBERS`].
+pub(super) fn bounded(frames: usize, per_frame: usize) -> Result<(), Fault> {
+    let numbers = frames.saturating_mul(per_frame);
+    if numbers <= MOST_NUMBERS {
+        return Ok(());
+    }
+    let expected = format!("bones, weights and cameras of at most {MOST_NUMBERS} numbers over time");
+    Err(Fault::whole(expected, format!("{per_frame} in each of {frames} frames; a pose at one time has room")))
+}
+
+/// The rows of all cameras, frame by frame; `None` if none moves, or if one is not there all the time: which it is nobody knows.
+fn camera_rows(
+    moving: &Moving,
+    cameras: &[(String, Camera)],
+    times: &[f64],
+    moved: DMat4,
+    notes: &mut Vec<String>,
+) -> Result<Option<Vec<f64>>, Fault> {
+    let (mut rows, mut moves) = (vec![], false);
+    // Without cameras there is nothing to be said of them.
+    for time in times.iter().filter(|_| !cameras.is_empty()) {
+        let (now, _) = moving.cameras_at(*time)?;
+        if !now.iter().map(|(name, _)| name).eq(cameras.iter().map(|(name, _)| name)) {
+            let found = format!("at {time} s there are {} of {}", now.len(), cameras.len());
+            notes.push(format!("cameras keep still: {found}, as one that shears, mirrors or stretches is left out"));
+            return Ok(None);
+        }
+        for ((_, now), (_, rest)) in now.iter().zip(cameras) {
+            let row = row(now, moved);
+            moves |= row.iter().zip(row_of(rest)).any(|(a, b)| (a - b).abs() > 1e-9 * (1.0 + b.abs()));
+            rows.extend(row);
+        }
+    }
+    Ok(moves.then_some(rows))
 }
 
 /// A camera after the scene has been moved.
@@ -136,16 +167,29 @@ impl Arrays {
         self.0.push((format!("{name}.npy"), bytes));
     }
 
-    fn rig(&mut self, rig: &Rig, scene: &HybridScene, poses: &[Pose], moved: DMat4, moving: &Moving) {
-        let count = rig.rest().bones.len();
+    fn rig(
+        &mut self,
+        rig: &Rig,
+        scene: &HybridScene,
+        times: &[f64],
+        moved: DMat4,
+        moving: &Moving,
+    ) -> Result<(), SceneError> {
+        let (frames, count, targets) = (times.len(), rig.rest().bones.len(), rig.rest().weights.len());
         let rows = |matrix: DMat4| matrix.transpose().to_cols_array();
-        let bones = |pose: &Pose| pose.bones.iter().flat_map(|bone| rows(moved * *bone)).collect::<Vec<_>>();
-        self.add("bones", &[poses.len(), count, 4, 4], &poses.iter().flat_map(bones).collect::<Vec<_>>());
-        self.add("bones_rest", &[count, 4, 4], &bones(rig.rest()));
+        let of_pose = |pose: &Pose| pose.bones.iter().flat_map(|bone| rows(moved * *bone)).collect::<Vec<_>>();
+        let (mut bones, mut weights) = (Vec::with_capacity(frames * count * 16), Vec::with_capacity(frames * targets));
+        for time in times {
+            let pose = moving.pose(*time)?;
+            bones.extend(of_pose(&pose));
+            weights.extend_from_slice(&pose.weights);
+        }
+        self.add("bones", &[frames, count, 4, 4], &bones);
+        self.add("weights", &[frames, targets], &weights);
+        drop((bones, weights));
+        self.add("bones_rest", &[count, 4, 4], &of_pose(rig.rest()));
         let binds: Vec<f64> = (0..count).flat_map(|b| rows(moving.bind(b).unwrap_or(DMat4::IDENTITY))).collect();
         self.add("binds", &[count, 4, 4], &binds);
-        let weights: Vec<f32> = poses.iter().flat_map(|pose| pose.weights.iter().copied()).collect();
-        self.add("weights", &[poses.len(), rig.rest().weights.len()], &weights);
         for (i, form) in rig.surfaces().iter().enumerate() {
             let Some(form) = form else { continue };
             let form = form.gather(&copied(&scene.meshes[i]));
@@ -167,6 +211,7 @@ impl Arrays {
         if !rig.followers().is_empty() {
             self.splats(rig, scene, moved);
         }
+        Ok(())
     }
 
     fn splats(&mut self, rig: &Rig, scene: &HybridScene, moved: DMat4) {

@@ -1,7 +1,11 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+use glam::{DMat3, DVec3};
+
 use super::*;
+use crate::format::cameras::{CameraFile, write_cameras_with_scene};
 use crate::format::test_scenes::{camera, random_scene};
+use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
 use crate::scene::Splats;
 
 fn written(scene: &HybridScene, cameras: &[(String, Camera)]) -> (String, WriteReport) {
@@ -78,4 +82,76 @@ fn what_cannot_be_written_is_an_error() {
     let scene = random_scene(2, 0, 0, 4);
     let error = write(Path::new("/nowhere/a.blend.py"), &scene, &[], None).unwrap_err().to_string();
     assert!(error.starts_with("/nowhere/"), "{error}");
+}
+
+/// A scene with a camera that keeps still and one that moves, written to a script: what that is told of motion, its notes, and the
+/// rows of cameras (frames, cameras, 12 numbers), if there are any. `change` changes the glTF that it is made of.
+fn keyed(centers: &[DVec3], change: impl Fn(&mut Value)) -> (Value, Vec<String>, Option<Vec<f64>>) {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let front = [("front".to_owned(), camera())];
+    write_scene(&at("a.glb"), &random_scene(5, 0, 1, 4), &WriteOptions { cameras: &front, ..WriteOptions::default() })
+        .unwrap();
+    let at_center = |c: &DVec3| (String::new(), Camera::new(*camera().intrinsics(), DMat3::IDENTITY, -*c).unwrap());
+    let cameras = centers.iter().map(at_center).collect();
+    let path = CameraFile { cameras, fps: Some(5.0), y_up: Some(false), times: vec![], notes: vec![] };
+    write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &path).unwrap();
+    let mut document: Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
+    change(&mut document);
+    std::fs::write(at("b.gltf"), document.to_string()).unwrap();
+    let file = read_file(&at("b.gltf"), &ReadOptions::default()).unwrap();
+    let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+    let report = write_scene(&at("b.blend.py"), &file.scene, &options).unwrap();
+    let told = told(&std::fs::read_to_string(at("b.blend.py")).unwrap());
+    let mut arrays = zip::ZipArchive::new(std::fs::File::open(at("b_motion.npz")).unwrap()).unwrap();
+    let rows = arrays.by_name("cameras.npy").ok().map(|mut member| {
+        let mut bytes = vec![];
+        std::io::copy(&mut member, &mut bytes).unwrap();
+        let start = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+        let shape = format!("'descr': '<f8', 'fortran_order': False, 'shape': ({},2,12,)", centers.len());
+        assert!(String::from_utf8_lossy(&bytes[..start]).contains(&shape));
+        bytes[start..].as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+    });
+    (told["motion"].clone(), report.notes, rows)
+}
+
+#[test]
+fn cameras_that_move_have_keys() {
+    let centers = [DVec3::new(1.0, -1.0, -1.0), DVec3::new(1.0, -2.0, -1.0), DVec3::new(3.0, 0.0, -2.0)];
+    let (told, notes, rows) = keyed(&centers, |_| {});
+    assert_eq!((&told["cameras"], &told["frames"], &told["fps"]), (&json!(true), &json!(3), &json!(5.0)));
+    assert!(!notes.iter().any(|note| note.contains("cameras")), "{notes:?}");
+    let rows = rows.unwrap();
+    for (frame, center) in centers.iter().enumerate() {
+        let [still, moving] = [0, 1].map(|i| &rows[(2 * frame + i) * 12..][..12]);
+        let rotation = camera().rotation().transpose().to_cols_array();
+        let expected = rotation.into_iter().chain(camera().translation().to_array());
+        assert!(still.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{still:?}");
+        let expected = DMat3::IDENTITY.to_cols_array().into_iter().chain((-*center).to_array());
+        assert!(moving.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{moving:?}");
+    }
+}
+
+#[test]
+fn a_camera_that_drops_out_leaves_all_still_and_is_noted() {
+    // Where it is at each frame also scales it, by as much along all axes in the first alone.
+    let centers = [DVec3::new(1.0, -1.0, -1.0), DVec3::new(1.0, -2.0, -1.0), DVec3::new(3.0, 0.0, -2.0)];
+    let (told, notes, rows) = keyed(&centers, |document| {
+        let animation = &mut document["animations"][0];
+        let mut channel = animation["channels"][0].clone();
+        assert_eq!(channel["target"]["path"], "translation");
+        channel["target"]["path"] = json!("scale");
+        animation["channels"].as_array_mut().unwrap().push(channel);
+    });
+    assert_eq!((&told["cameras"], &told["frames"], rows), (&json!(false), &json!(3), None));
+    assert!(notes.last().unwrap().starts_with("cameras keep still: at 0.2 s there are 1 of 2, "), "{notes:?}");
+}
+
+#[test]
+fn motion_has_a_limit() {
+    assert!(motion::bounded(36_000, 1864).is_ok());
+    let error = motion::bounded(36_000, 1865).unwrap_err().in_file(Path::new("a.blend.py")).to_string();
+    let expected = "a.blend.py: expected bones, weights and cameras of at most 67108864 numbers over time, found 1865 in each of 36000 \
+                    frames; a pose at one time has room";
+    assert_eq!(error, expected);
 }
