@@ -82,7 +82,7 @@ def step_import(glb, picture):
 
 
 def step_reopen(blend, folder):
-    """Opens a saved .blend, renders two frames of its path, moves the camera, renders a still."""
+    """Opens a saved .blend, renders two frames of its path, moves the camera, renders a still, and again when splats have changed."""
     import bpy
     bpy.ops.wm.open_mainfile(filepath=blend, use_scripts=True)
     scene = bpy.context.scene
@@ -99,7 +99,12 @@ def step_reopen(blend, folder):
     states.append(shown())
     bpy.ops.render.render(write_still=True)
     unchanged = shown() == states[-1]
-    names = sorted(a.name for a in next(o for o in bpy.data.objects if o.get("centaur") == "splat data").data.attributes)
+    attributes = next(o for o in bpy.data.objects if o.get("centaur") == "splat data").data.attributes
+    names = sorted(a.name for a in attributes)
+    for name, values in (("scale", "vector"), ("radiance:base", "color"), ("radiance:sh_0", "vector")):
+        getattr(attributes[name].data[0], values)[0] *= 1.5
+        bpy.ops.render.render(write_still=True)
+        states.append(shown())
     for handlers in (bpy.app.handlers.frame_change_post, bpy.app.handlers.render_init):
         handlers.clear()  # Python does not end while they are registered
     return {"states": len(set(states)), "unchanged": unchanged, "attributes": names}
@@ -154,9 +159,16 @@ def check_blend(centaur, glb, folder):
          "--render", folder / "path.exr"])
     alone = folder / "alone"
     alone.mkdir(exist_ok=True)
+    # Nothing moves but along the path: one frame, and for one camera.
+    run([sys.executable, script, "--frame", "all", "--render", folder / "still.png"])
+    assert [p.name for p in folder.glob("still_*")] == ["still_0001.png"]
+    for path in folder.glob("still_*"):
+        path.unlink()
+    error = run([sys.executable, script, "--frame", "all", "--camera", "all", "--save", folder / "none.blend"], expect=1).stderr
+    assert "--frame all: expected one camera" in error and not (folder / "none.blend").exists(), error
     blend = (folder / "scene.blend").rename(alone / "scene.blend")
     found = inside("reopen", blend, alone)
-    assert found["states"] == 3 and found["unchanged"], found
+    assert found["states"] == 6 and found["unchanged"], found
     for name in ("radiance:base", "radiance:sh_0", "scale", "rotation"):
         assert name in found["attributes"], found
     worst = min(inside("compare", folder / f"path_{f:04}.exr", alone / f"frame_{f:04}.exr")["psnr"] for f in (2, 3))

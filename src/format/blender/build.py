@@ -205,7 +205,10 @@ def refresh(force=False, depsgraph=None):
     if data is None:
         return
     splats = followed(carried(data.data), root, data.data, depsgraph)
-    state = json.dumps([settings, zlib.crc32(splats.mean.tobytes() + splats.rotation.tobytes()),
+    content = 0
+    for values in (splats.mean, splats.rotation, splats.scale, splats.opacity, splats.sh):
+        content = zlib.crc32(np.ascontiguousarray(values), content)
+    state = json.dumps([settings, content,
                         [view.width, view.height, view.fx, view.fy, view.cx, view.cy],
                         view.rotation.tolist(), view.translation.tolist()])
     thing = next((c for c in root.children if c.get("centaur") == "splats"), None)

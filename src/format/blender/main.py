@@ -57,7 +57,7 @@ def parse(arguments):
     add("--triangles", type=int, default=2 * MILLION, metavar="N", help="most that patches of cap are made of; more order "
         "splats that are close to each other more exactly (default: 2000000)")
     add("--frame", default="1", metavar="N|all", help="frame of an animation that is rendered, from 1, which is its first key; `all` "
-        "renders each, to FILE_0001.exr and so on (default: 1)")
+        "renders each, to FILE_0001.exr and so on, where nothing moves one (default: 1)")
     add("--path", type=int, metavar="FRAMES", help="add a camera that moves through all others, FRAMES from one to the next")
     options = parser.parse_args(arguments)
     if options.path is not None and options.path < 1:
@@ -146,21 +146,29 @@ def overview(root):
         "rotation": np.eye(3).tolist(), "translation": (-middle + [0, 0, distance]).tolist()})
 
 
+def check(options):
+    """Refuses what cannot be done, before anything is."""
+    for path in filter(None, (options.save, options.render)):
+        writable(path)
+    count = len(SCENE["cameras"])
+    if options.camera == "path":
+        if not options.path or count < 2:
+            raise ScriptError("--camera path: expected --path and two cameras or more")
+    elif options.camera == "all":
+        if options.frame == "all" and count > 1:
+            raise ScriptError("--frame all: expected one camera, by --camera N or path")
+    elif count and not (options.camera.isdigit() and int(options.camera) < count):
+        raise ScriptError(f"--camera: expected 0 to {count - 1}, `all` or `path`, found {options.camera}")
+
+
 def chosen(options, root):
     """The cameras to render; the first is made active."""
-    cameras = scene_cameras(root)
     if options.camera == "path":
-        path = next((c for c in root.children if c.get("centaur") == "path"), None)
-        if path is None:
-            raise ScriptError("--camera path: expected --path and two cameras or more")
-        return [path]
+        return [next(c for c in root.children if c.get("centaur") == "path")]
+    cameras = scene_cameras(root)
     if not cameras:
         return [overview(root)]
-    if options.camera == "all":
-        return cameras
-    if not options.camera.isdigit() or int(options.camera) >= len(cameras):
-        raise ScriptError(f"--camera: expected 0 to {len(cameras) - 1}, `all` or `path`, found {options.camera}")
-    return [cameras[int(options.camera)]]
+    return cameras if options.camera == "all" else [cameras[int(options.camera)]]
 
 
 def show(options, root):
@@ -173,8 +181,7 @@ def show(options, root):
 
 
 def run(options):
-    for path in filter(None, (options.save, options.render)):
-        writable(path)
+    check(options)
     if bpy.app.background and not bpy.data.filepath:
         bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.save_version = 0
@@ -201,9 +208,8 @@ def run(options):
     stem, extension = os.path.splitext(options.render)
     save = lambda path: write_picture(path, render_picture(options.layers), settings["decode"])
     if options.camera == "path" or options.frame == "all":
-        if len(cameras) > 1:
-            raise ScriptError("--frame all: expected one camera, by --camera N or path")
-        for frame in range(scene.frame_start, scene.frame_end + 1):
+        moves = SCENE["motion"] or options.camera == "path"
+        for frame in range(scene.frame_start, scene.frame_end + 1) if moves else [1]:
             scene.frame_set(frame)
             refresh()
             save(f"{stem}_{frame:04}{extension}")

@@ -267,7 +267,7 @@ def followed(splats, root, data, depsgraph):
         get = lambda name, width: get_attribute(data, f"follow:{name}", width)[these].astype(np.float64)
         mean[these] = size[:, None] * np.einsum("nij,nj->ni", frame, get("translations", 3)) + (v0 + v1 + v2) / 3
         axes[these] = frame @ matrices_of(get("rotations", 4))
-        scale[these] = np.maximum(size[:, None] * get("scales", 3), 1e-38)
+        scale[these] = np.maximum(size[:, None] * get("scales", 3), np.finfo(np.float32).tiny)
         opacity[these[flat]] = 0
         own = harmonics[these] < 0
         turn[these[own]] = (frame @ matrices_of(get("undeformed", 4)))[own]
