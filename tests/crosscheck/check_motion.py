@@ -19,7 +19,9 @@ LIMIT = 1e-5
 def surfaces(script):
     """Vertices of every mesh beside a script: x y z s t of 32 bits each."""
     found = []
-    for path in sorted(script.parent.glob(script.name.removesuffix(".blend.py") + "_mesh*.ply")):
+    stem = script.name.removesuffix(".blend.py") + "_mesh"
+    number = lambda path: int(path.stem.removeprefix(stem))
+    for path in sorted(script.parent.glob(f"{stem}*.ply"), key=number):
         header, data = path.read_bytes().split(b"end_header\n", 1)
         count = int(header.split(b"element vertex ")[1].split()[0])
         found.append(np.frombuffer(data, "<f4", 5 * count).reshape(-1, 5)[:, :3].astype(np.float64))
@@ -44,6 +46,8 @@ def in_blender():
 
 def main():
     centaur, folder, *scenes = sys.argv[1:]
+    if not scenes:
+        sys.exit("check_motion.py: expected scenes, found none")
     centaur, folder = shlex.split(centaur), pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     run = lambda *command: subprocess.run([str(c) for c in command], check=True, stdout=subprocess.DEVNULL)
