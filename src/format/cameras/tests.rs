@@ -321,10 +321,10 @@ fn animations_that_are_none_are_refused() {
         let message = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
         assert!(message.ends_with(&format!("a.gltf: /animations/0/channels/0/{said}")), "{message}");
     }
-    is(error(&[1.0, 1.0], &TURN, 1.0), "/animations/0/channels/0: expected key times that grow");
-    is(error(&[0.0, f32::NAN], &TURN, 1.0), "expected key times that grow");
-    is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "expected 3 finite values");
-    is(error(&[0.0, 1.0], &[f32::NAN; 8], 1.0), "expected 2 finite values");
+    is(error(&[1.0, 1.0], &TURN, 1.0), "/accessors/0: expected key times that grow, found 1 after 1");
+    is(error(&[0.0, f32::NAN], &TURN, 1.0), "/accessors/0: expected finite key times, found NaN");
+    is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "/animations/0/channels/0: expected 3 times 4 numbers, found 8");
+    is(error(&[0.0, 1.0], &[f32::NAN; 8], 1.0), "/accessors/1: expected finite numbers, found NaN");
     is(error(&[0.0, 1e9], &TURN, 1e9), "expected a shot of at most 36000 frames");
     let without = error(&[0.0, 1.0], &[0.0; 8], 1.0).unwrap();
     assert_eq!(without.notes[0], "/nodes/1: camera left out: its node shears, mirrors or stretches, at 0 s");
