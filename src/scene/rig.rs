@@ -243,10 +243,9 @@ impl Rig {
         let mut atlas = mesh.atlas().clone();
         if let Carrier::Bone(bone) = form.carrier
             && atlas.sh_degree() > 0
+            && let Since::Moved(_, Similarity { rotation, .. }) = self.since_rest(bone, pose, moved)?
         {
-            if let Since::Moved(_, Similarity { rotation, .. }) = self.since_rest(bone, pose, moved)? {
-                atlas = turned(&atlas, rotation)?;
-            }
+            atlas = turned(&atlas, rotation)?;
         }
         let mut positions = form.positions(pose);
         if moved != DMat4::IDENTITY {

@@ -138,7 +138,7 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile,
         file.cameras = cameras;
         notes.into_iter().for_each(|note| {
             if !file.notes.contains(&note) {
-                file.notes.push(note)
+                file.notes.push(note);
             }
         });
         if moving.is_still() {
