@@ -88,9 +88,10 @@ impl Moving {
         self.motion.fps()
     }
 
-    /// First and last key of all animations.
+    /// First and last key of all animations and deformations.
     pub(in crate::format) fn range(&self) -> [f64; 2] {
-        let ranges = self.clips().iter().map(|clip| clip.range);
+        let deformations = self.poses().into_iter().flat_map(Poses::ranges);
+        let ranges = self.clips().iter().map(|clip| clip.range).chain(deformations);
         ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]).unwrap_or_default()
     }
 

@@ -156,6 +156,7 @@ fn translations_of_the_extension_come_after_morph_targets() {
             "extensionsUsed": [HYBRID],
         });
         let file = File::new(&b, &document);
+        assert_eq!(file.rest().source.unwrap().range(), [0.0, 3.0]);
         // Nothing is played: the time is 0.
         assert_eq!(file.rest().scene.meshes[0].positions()[0], Vec3::new(0.0, 0.0, 5.0));
         let (a, b) = (file.at(1.0).scene, file.at(1.5).scene);

@@ -133,6 +133,14 @@ impl Poses {
         self.bones.iter().map(|bone| of(bone.node())).collect()
     }
 
+    /// First and last key of what moves without an animation.
+    pub(super) fn ranges(&self) -> impl Iterator<Item = [f64; 2]> {
+        self.weights.iter().filter_map(|weight| match weight {
+            Weight::Key { times, .. } => Some([*times.first()?, *times.last()?].map(f64::from)),
+            Weight::Target { .. } => None,
+        })
+    }
+
     /// Where a joint is in the space of what it carries.
     pub(super) fn bind(&self, bone: usize) -> Option<DMat4> {
         match self.bones.get(bone)? {
