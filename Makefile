@@ -144,6 +144,7 @@ oracle-usd: $(ORACLES_USD)/installed
 BLENDERS ?= 4.5.15 5.0.1
 BLENDER_PYTHON ?= python3.11
 crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and plain import of a .glb in Blender (PyPI's bpy; Python 3.11, 2.4 GB)
+	@mkdir -p target/oracles
 	cargo build --release --quiet
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
 	@for version in $(BLENDERS); do \
