@@ -32,7 +32,9 @@ OUT is, by its name:
   .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn about x, as in scenes of
                  Centaur, so that both fit in Blender. Exact intrinsics are in `extras`
   .usda          one Camera with time samples, y up likewise, frame i at time code i
-  a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in the world of SOURCE";
+  a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in the world of SOURCE
+
+A capture is neither replaced nor hidden: a folder that holds one is refused for COLMAP and for transforms*.json.";
 
 /// Make camera paths from posed cameras, and convert them between formats
 ///

@@ -53,7 +53,7 @@ pub struct ReadOptions {
     /// of refusing the file. Of `.ply` and `.splat`; quantised formats cannot hold such splats, and glTF forbids them.
     pub drop_invalid: bool,
     /// Keep the document of a glTF in [`SceneFile::source`], so that [`write_scene`] can write it again. Its buffers stay in the
-    /// file, which is kept open: it may be replaced meanwhile, but not written into.
+    /// file, which is kept open: it may be replaced meanwhile, but writing into it is an error when it is used.
     pub keep_document: bool,
     /// Pose the scene and its cameras as the animations of a glTF have them at this time, in seconds; `None`: as they rest.
     pub time: Option<f64>,
