@@ -326,8 +326,14 @@ fn animations_that_are_none_are_refused() {
     is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "/animations/0/channels/0: expected 3 times 4 numbers, found 8");
     is(error(&[0.0, 1.0], &[f32::NAN; 8], 1.0), "/accessors/1: expected finite numbers, found NaN");
     is(error(&[0.0, 1e9], &TURN, 1e9), "expected a shot of at most 36000 frames");
-    let without = error(&[0.0, 1.0], &[0.0; 8], 1.0).unwrap();
-    assert_eq!(without.notes[0], "/nodes/1: camera left out: its node shears, mirrors or stretches, at 0 s");
+    // A quaternion of zero turns nothing.
+    assert_eq!(error(&[0.0, 1.0], &[0.0; 8], 1.0).unwrap().cameras.len(), 2);
+    let floats: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 1.0]), ("VEC3", &[1.0, 1.0, 1.0, 1.0, 2.0, 1.0])];
+    let channels = json!([{ "sampler": 0, "target": { "node": 1, "path": "scale" } }]);
+    let path = gltf_with(folder.path(), &floats, &json!([{ "input": 0, "output": 1 }]), &channels);
+    let without = read_cameras(&path, &Sampling { fps: Some(2.0), ..Sampling::default() }).unwrap();
+    assert_eq!(without.notes[0], "/nodes/1: camera left out: its node shears, mirrors or stretches, at 0.5 s");
+    assert_eq!(without.cameras.len(), 1);
 }
 
 #[test]
