@@ -9,7 +9,7 @@ use super::transform::placements_by;
 use crate::format::cameras::{CameraFile, Sampling};
 use crate::format::error::Fault;
 use crate::scene::rig::{Pose, Rig};
-use crate::scene::{Camera, HybridScene, SceneError};
+use crate::scene::{HybridScene, SceneError};
 
 /// What moves a scene and its cameras.
 #[derive(Clone, Debug)]
@@ -62,7 +62,7 @@ impl Moving {
     }
 
     /// The cameras at a time, in seconds, and what is to be said of them.
-    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<(Vec<(String, Camera)>, Vec<String>), Fault> {
+    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<(read::Cameras, Vec<String>), Fault> {
         self.motion.check()?;
         let (time, mut notes) = (self.stopped.unwrap_or(time), vec![]);
         let placed = placements_by(&self.document, |node| self.motion.local(node, time))?;

@@ -24,7 +24,7 @@ pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
 }
 
 /// Cameras with their names.
-type Cameras = Vec<(String, Camera)>;
+pub(super) type Cameras = Vec<(String, Camera)>;
 
 /// A scene as it rests, and what moves it.
 pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fault> {
