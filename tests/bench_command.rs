@@ -3,23 +3,22 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::path::Path;
+#[cfg(target_os = "linux")]
+use std::process::Stdio;
 use std::process::{Command, Output};
 
 const COARSE: &str = "--max-side 48 --iterations 20 --surface-iterations 10 --warmup 10 --triangles 500 --texture-size 64 --max-splats 2000";
 
-fn bench(folder: &Path, more: &[&str]) -> Output {
+fn centaur(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_centaur"));
-    command.current_dir(folder).args([
-        "bench",
-        "scenes",
-        "-o",
-        "out",
-        "--variant",
-        "hybrid",
-        "--variant",
-        "splats=--no-mesh",
-    ]);
-    command.args(more).arg("--").args(COARSE.split_whitespace()).output().unwrap()
+    command.current_dir(folder);
+    command
+}
+
+fn bench(folder: &Path, more: &[&str], flags: &str) -> Output {
+    let mut command = centaur(folder);
+    command.args(["bench", "scenes", "-o", "out", "--variant", "hybrid", "--variant", "splats=--no-mesh"]);
+    command.args(more).arg("--").args(flags.split(' ')).output().unwrap()
 }
 
 fn said(output: &Output) -> (String, String) {
@@ -37,21 +36,25 @@ fn a_data_set_is_trained_once_and_tabled() {
         std::os::unix::fs::symlink(Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), at("scenes").join(scene))
             .unwrap();
     }
-    let refused = bench(folder.path(), &["--scenes", "three"]);
+    let refused = bench(folder.path(), &["--scenes", "three"], COARSE);
     assert_eq!(refused.status.code(), Some(1));
     assert_eq!(said(&refused).1, "error: scenes: expected a scene `three`, found one, two\n");
 
-    let (list, _) = said(&bench(folder.path(), &["--list"]));
+    let (list, _) = said(&bench(folder.path(), &["--list"], COARSE));
     assert_eq!(list.lines().count(), 4);
+    let (part, _) = said(&bench(folder.path(), &["--list", "--shard", "1/2"], COARSE));
+    assert_eq!(part.lines().collect::<Vec<_>>(), list.lines().skip(1).step_by(2).collect::<Vec<_>>());
     assert!(!at("out").exists(), "a list does nothing");
 
     // One job, as a scheduler would do it; then the rest.
     let job = list.lines().find(|line| line.contains("splats/two-0")).unwrap();
-    let one = Command::new("sh").args(["-c", job]).current_dir(folder.path()).output().unwrap();
+    std::fs::write(at("list"), format!("{job}\n")).unwrap();
+    let each = "tr '\\n' '\\0' < list | xargs -0 -n 1 -P 4 sh -c";
+    let one = Command::new("sh").args(["-c", each]).current_dir(folder.path()).output().unwrap();
     assert!(one.status.success(), "{:?}", said(&one));
     assert!(said(&one).0.contains("| splats | two | 1 |") && !said(&one).0.contains("hybrid"), "{:?}", said(&one));
     let written = at("out/splats/two-0.glb").metadata().unwrap().modified().unwrap();
-    let rest = bench(folder.path(), &["--jobs", "2"]);
+    let rest = bench(folder.path(), &["--jobs", "2"], COARSE);
     let (table, _) = said(&rest);
     assert!(rest.status.success(), "{:?}", said(&rest));
     for row in ["| hybrid | one | 1 |", "| hybrid | two | 1 |", "| **splats** | **mean** | 2 |"] {
@@ -60,14 +63,104 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert_eq!(std::fs::read_to_string(at("out/table.md")).unwrap(), table);
     assert_eq!(at("out/splats/two-0.glb").metadata().unwrap().modified().unwrap(), written, "it was trained again");
     assert!(at("out/hybrid/one-0/report.html").is_file());
-    assert_eq!(said(&bench(folder.path(), &["--list"])).0, "");
+    assert_eq!(said(&bench(folder.path(), &["--list"], COARSE)).0, "");
 
-    // A job that fails is named with its reason; what is done stays.
+    // Results of other flags are neither taken for these nor trained over.
+    let other = bench(folder.path(), &["--list"], "--max-side 32");
+    let message = said(&other).1;
+    assert!(
+        message
+            .starts_with("error: out/hybrid/one-0.json: expected a result of the flags `--max-side 32`, found `--max-"),
+        "{message}"
+    );
+    let other = bench(folder.path(), &["--protocol", "a"], COARSE);
+    assert_eq!(said(&other).1, "error: out/hybrid/one-0.json: expected a result of --protocol a, found none\n");
+
+    // A part of the jobs may be none of them, before anything is done and after.
+    for out in ["out", "nowhere"] {
+        let empty = centaur(folder.path())
+            .args(["bench", "scenes", "-o", out, "--shard", "7/8", "--"])
+            .args(COARSE.split(' '))
+            .output();
+        let empty = empty.unwrap();
+        assert!(empty.status.success(), "{:?}", said(&empty));
+    }
+
+    // A job that fails is named with its reason; what is done stays, and is tabled.
     std::fs::remove_file(at("out/hybrid/one-0.json")).unwrap();
     std::fs::remove_file(at("scenes/one")).unwrap();
     std::fs::create_dir_all(at("scenes/one/sparse/0")).unwrap();
-    let failed = bench(folder.path(), &[]);
+    std::fs::remove_file(at("out/table.md")).unwrap();
+    let failed = bench(folder.path(), &["--quiet"], COARSE);
     assert_eq!(failed.status.code(), Some(1));
-    assert!(said(&failed).1.starts_with("error: 1 of 1 jobs failed, first hybrid/one-0: "), "{:?}", said(&failed));
-    assert!(said(&bench(folder.path(), &["--table"])).0.contains("| hybrid | two | 1 |"));
+    let (table, messages) = said(&failed);
+    let lines: Vec<&str> = messages.lines().collect();
+    assert!(lines[0].starts_with("hybrid/one-0: ") && lines[0].ends_with("(exit status: 1)"), "{messages}");
+    assert_eq!(lines[1], format!("error: 1 of 1 jobs failed, first {}", lines[0]));
+    assert!(table.contains("| hybrid | two | 1 |") && at("out/table.md").is_file());
+    // The table needs nothing but results.
+    std::fs::remove_dir_all(at("scenes")).unwrap();
+    let alone = centaur(folder.path()).args(["bench", "scenes", "-o", "out", "--table"]).output().unwrap();
+    assert_eq!(said(&alone).0, table);
+}
+
+/// A runner of a training that does not end.
+#[cfg(target_os = "linux")]
+fn endless(folder: &Path) -> std::process::Child {
+    let flags = "--no-mesh --max-side 64 --iterations 1000000 --max-splats 1000 --checkpoint-every 20 --eval-every 0";
+    let mut command = centaur(folder);
+    command.args(["bench", "scenes", "-o", "out", "--quiet", "--"]).args(flags.split(' '));
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+#[cfg(target_os = "linux")]
+fn wait_for(what: &str, is_so: impl Fn() -> bool) {
+    for _ in 0..1200 {
+        if is_so() {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+    panic!("{what}: not after two minutes");
+}
+
+/// Trainings in `folder` that run.
+#[cfg(target_os = "linux")]
+fn trainings(folder: &Path) -> usize {
+    let listed = Command::new("ps").args(["-eo", "pid=,stat=,args="]).output().unwrap();
+    let capture = folder.canonicalize().unwrap();
+    let is_ours = |line: &&str| {
+        let mut words = line.split_whitespace();
+        let (pid, state) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+        let own = std::fs::read_link(format!("/proc/{pid}/cwd")).is_ok_and(|cwd| cwd == capture);
+        own && !state.starts_with('Z') && line.contains(" train ")
+    };
+    said(&listed).0.lines().filter(is_ours).count()
+}
+
+/// Neither an interruption that only this process gets nor its end leaves a training behind, and no two train the same.
+#[test]
+#[cfg(target_os = "linux")]
+fn no_training_is_left_behind_or_done_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("scenes")).unwrap();
+    std::os::unix::fs::symlink(Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), at("scenes/one")).unwrap();
+    let checkpoint = at("out/default/one-0.glb.checkpoint");
+    for signal in ["-INT", "-KILL"] {
+        let runner = endless(folder.path());
+        wait_for("a training", || trainings(folder.path()) == 1);
+        wait_for("a checkpoint", || checkpoint.is_file());
+        let second = endless(folder.path()).wait_with_output().unwrap();
+        assert!(second.status.success(), "{:?}", said(&second));
+        assert!(said(&second).1.contains("another runner"), "{:?}", said(&second));
+        let before = checkpoint.metadata().unwrap().modified().unwrap();
+        assert!(Command::new("kill").args([signal, &runner.id().to_string()]).status().unwrap().success());
+        let ended = runner.wait_with_output().unwrap();
+        if signal == "-INT" {
+            assert_eq!(said(&ended).1, "error: stopped; the same command goes on\n");
+        }
+        wait_for("the end of the training", || trainings(folder.path()) == 0);
+        assert!(checkpoint.metadata().unwrap().modified().unwrap() >= before, "{signal}: nothing was saved");
+    }
 }

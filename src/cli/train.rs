@@ -87,6 +87,9 @@ pub(super) struct Args {
     /// Continue from SCENE.glb.checkpoint; give the other options as before
     #[arg(long, help_heading = OPTIMISATION)]
     resume: bool,
+    /// Stop, as by Ctrl-C, when standard input ends: `centaur bench` holds its other end, whichever way it goes
+    #[arg(long, hide = true)]
+    stop_at_eof: bool,
     /// Filter splats as Mip-Splatting does (Yu et al. 2024), so that the scene can be seen from nearer and farther than the
     /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
     #[arg(long, help_heading = OPTIMISATION)]
@@ -288,6 +291,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let gpu = args.adapter.open()?;
     let options = args.options();
     let stop = stop_on_ctrl_c()?;
+    if args.stop_at_eof {
+        let flag = Arc::clone(&stop);
+        std::thread::spawn(move || {
+            // However it ends.
+            let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+            flag.store(true, Ordering::Relaxed);
+        });
+    }
     let mut reporter = Reporter::new(&args.messages);
     let session = Session {
         gpu: &gpu,
@@ -363,11 +374,14 @@ fn with_advice(error: TrainError) -> anyhow::Error {
 pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
+    // The flag itself may have been set otherwise.
+    let is_second = AtomicBool::new(false);
     ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::Relaxed) {
+        if is_second.swap(true, Ordering::Relaxed) {
             // 128 + SIGINT, as shells have it.
             std::process::exit(130);
         }
+        flag.store(true, Ordering::Relaxed);
     })
     .context("cannot handle Ctrl-C")?;
     Ok(stop)

@@ -1,11 +1,15 @@
 //! What there is to do.
 
+use std::ffi::OsString;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Parser as _, ValueEnum};
+use serde::{Deserialize, Serialize};
 
 use super::Args;
+use super::record::Made;
 
 /// Scenes of Mip-NeRF 360 and by what their pictures are divided.
 pub(super) const MIPNERF360: [(&str, u32); 9] = [
@@ -21,13 +25,19 @@ pub(super) const MIPNERF360: [(&str, u32); 9] = [
 ];
 
 /// Where the smaller pictures of Mip-NeRF 360 come from. Scores of different protocols do not compare: B is about 0.5 dB higher.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Protocol {
     /// The smaller pictures that the data set brings, compressed twice (INRIA)
     A,
     /// The full pictures, scaled down on loading (Mip-Splatting, HERA)
     B,
+}
+
+impl fmt::Display for Protocol {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if *self == Self::A { "a" } else { "b" })
+    }
 }
 
 /// A way to train.
@@ -51,7 +61,9 @@ pub(super) struct Job {
     pub(super) variant: String,
     pub(super) seed: u64,
     capture: PathBuf,
-    flags: Vec<String>,
+    pub(super) protocol: Option<Protocol>,
+    /// The user's.
+    pub(super) flags: Vec<String>,
     /// Written when the job is done.
     pub(super) result: PathBuf,
 }
@@ -86,13 +98,15 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     for (i, variant) in variants.iter().enumerate() {
         ensure!(variants[..i].iter().all(|v| v.name != variant.name), "--variant {}: given twice", variant.name);
     }
+    for (i, seed) in args.seeds.iter().enumerate() {
+        ensure!(!args.seeds[..i].contains(seed), "--seeds: {seed} given twice");
+    }
     let wanted = scenes.into_iter().filter(|name| args.scenes.is_empty() || args.scenes.contains(name));
     Ok(wanted
         .flat_map(|scene| {
             let capture = args.dataset.join(&scene);
-            let size = size_of(&scene, args.protocol);
             variants.iter().flat_map(move |variant| {
-                let flags = [size.clone(), args.flags.clone(), variant.flags.clone()].concat();
+                let flags = [args.flags.clone(), variant.flags.clone()].concat();
                 let (scene, capture) = (scene.clone(), capture.clone());
                 args.seeds.iter().map(move |&seed| Job {
                     result: args.output.join(&variant.name).join(format!("{scene}-{seed}.json")),
@@ -100,6 +114,7 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
                     seed,
                     scene: scene.clone(),
                     capture: capture.clone(),
+                    protocol: args.protocol,
                     flags: flags.clone(),
                 })
             })
@@ -123,25 +138,56 @@ impl Job {
         format!("{}/{}-{}", self.variant, self.scene, self.seed)
     }
 
-    /// Arguments of this program.
-    pub(super) fn command(&self) -> Vec<String> {
-        let (scene, report) = (self.result.with_extension("glb"), self.result.with_extension(""));
-        let path = |path: &Path| path.to_string_lossy().into_owned();
-        let fixed = ["--json", "--quiet", "--seed"].map(str::to_owned);
-        let mut command = vec!["train".to_owned(), path(&self.capture), "-o".to_owned(), path(&scene)];
-        command.extend(["--report".to_owned(), path(&report)]);
-        command.extend(fixed);
-        command.push(self.seed.to_string());
-        command.extend(self.flags.clone());
-        if Path::new(&format!("{}.checkpoint", scene.display())).is_file() {
-            command.push("--resume".to_owned());
-        }
+    /// Arguments with which this program trains. Those that every job has come last, where nothing replaces them.
+    pub(super) fn command(&self) -> Vec<OsString> {
+        let scene = self.result.with_extension("glb");
+        let mut checkpoint = scene.clone().into_os_string();
+        checkpoint.push(".checkpoint");
+        let resume = Path::new(&checkpoint).is_file().then(|| "--resume".to_owned());
+        let size = self.protocol.map_or(vec![], |protocol| size_of(&self.scene, protocol));
+        let mut command = vec!["train".into(), self.capture.clone().into_os_string()];
+        command.extend(size.into_iter().chain(self.flags.iter().cloned()).map(OsString::from));
+        command.extend(["-o".into(), scene.into_os_string()]);
+        command.extend(["--report".into(), self.result.with_extension("").into_os_string()]);
+        command.extend(["--seed".into(), self.seed.to_string().into()]);
+        command.extend(["--json", "--quiet", "--stop-at-eof"].map(OsString::from));
+        command.extend(resume.map(OsString::from));
         command
+    }
+
+    /// Arguments with which this program does this job alone.
+    pub(super) fn listed(&self, args: &Args) -> Vec<OsString> {
+        let mut words = vec!["bench".into(), args.dataset.clone().into_os_string()];
+        words.extend(["-o".into(), args.output.clone().into_os_string()]);
+        if let Some(variant) = args.variants.iter().find(|v| v.name == self.variant) {
+            words.extend(["--variant".into(), format!("{}={}", variant.name, variant.flags.join(" ")).into()]);
+        }
+        words.extend(["--seeds".into(), self.seed.to_string().into()]);
+        if let Some(protocol) = self.protocol {
+            words.extend(["--protocol".into(), protocol.to_string().into()]);
+        }
+        words.extend(["--only".into(), self.name().into()]);
+        if !args.flags.is_empty() {
+            words.extend(std::iter::once("--".to_owned()).chain(args.flags.iter().cloned()).map(OsString::from));
+        }
+        words
+    }
+
+    /// For the result.
+    pub(super) fn made(&self, at_a_time: usize) -> Made {
+        Made {
+            variant: self.variant.clone(),
+            scene: self.scene.clone(),
+            seed: self.seed,
+            flags: self.flags.clone(),
+            protocol: self.protocol,
+            at_a_time,
+        }
     }
 
     /// Whether `centaur train` takes the flags.
     pub(super) fn check(&self) -> Result<()> {
-        let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".to_owned()).chain(self.command()));
+        let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".into()).chain(self.command()));
         parsed
             .map(drop)
             .map_err(|e| anyhow::anyhow!("{}", e.to_string().lines().next().unwrap_or_default().to_owned()))
@@ -179,6 +225,8 @@ fn size_of(scene: &str, protocol: Protocol) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsStr;
+
     use super::*;
     use crate::cli::{Cli, Command};
 
@@ -207,6 +255,8 @@ mod tests {
             "splats=--no-mesh --max-splats 500",
             "--seeds",
             "0,7",
+            "--protocol",
+            "b",
             "--",
             "--antialias",
             "--max-splats",
@@ -217,15 +267,26 @@ mod tests {
         let names: Vec<String> = all.iter().map(Job::name).collect();
         assert_eq!(names[..4], ["hybrid/garden-0", "hybrid/garden-7", "splats/garden-0", "splats/garden-7"]);
         assert_eq!(names.len(), 12);
-        let line = |i: usize| all[i].command().join(" ");
-        assert!(
-            line(3).ends_with("--seed 7 --downscale 4 --antialias --max-splats 9 --no-mesh --max-splats 500"),
-            "{}",
-            line(3)
-        );
-        assert!(line(3).contains("-o out/splats/garden-7.glb --report out/splats/garden-7 "), "{}", line(3));
-        assert!(line(4).ends_with("mine-0 --json --quiet --seed 0 --antialias --max-splats 9"), "{}", line(4));
+        let joined = |words: Vec<OsString>| words.join(OsStr::new(" ")).into_string().unwrap();
+        let line = |i: usize| joined(all[i].command());
+        // Flags of jobs, and then those that no flag replaces.
+        let expected = "garden --downscale 4 --antialias --max-splats 9 --no-mesh --max-splats 500 -o out/splats/garden-7.glb \
+                        --report out/splats/garden-7 --seed 7 --json --quiet --stop-at-eof";
+        assert!(line(3).ends_with(expected), "{}", line(3));
+        assert!(line(4).contains("mine --antialias --max-splats 9 -o "), "{}", line(4));
         assert!(line(8).contains("--downscale 2"), "{}", line(8));
+        let free = Args { protocol: None, ..*self::args(folder.path(), &more) };
+        assert!(super::all(&free).unwrap().iter().all(|job| !joined(job.command()).contains("downscale")));
+        // What is listed is that job alone, whichever others this command was given.
+        for job in &all {
+            let words = std::iter::once("centaur".into()).chain(job.listed(&args));
+            let Command::Bench(again) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
+            let again = super::all(&again)
+                .and_then(|jobs| chosen(&jobs, &again).map(|jobs| jobs.into_iter().cloned().collect::<Vec<_>>()));
+            let again = again.unwrap();
+            assert_eq!(again.len(), 1);
+            assert_eq!((again[0].name(), again[0].command()), (job.name(), job.command()));
+        }
         all.iter().for_each(|job| job.check().unwrap());
         // Shards are disjoint and together everything.
         let mut shared: Vec<String> = (0..5)
@@ -253,6 +314,7 @@ mod tests {
         assert!(error(&["--scenes", "house"]).ends_with("expected a scene `house`, found garden"));
         assert!(error(&["--only", "x/garden-0"]).starts_with("--only x/garden-0: expected one of the 1 jobs"));
         assert!(error(&["--variant", "a", "--variant", "a=--no-mesh"]).contains("given twice"));
+        assert_eq!(error(&["--seeds", "1,0,1"]), "--seeds: 1 given twice");
         let flag = error(&["--", "--no-messh"]);
         assert!(flag.starts_with("flags of default/garden-0: ") && flag.contains("--no-messh"), "{flag}");
         let empty = tempfile::tempdir().unwrap();

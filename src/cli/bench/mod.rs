@@ -1,19 +1,19 @@
 //! A data set: its captures trained and scored as independent jobs, on this machine or by any scheduler, and one table.
 
 mod jobs;
+mod record;
 mod table;
+mod work;
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::ffi::OsStr;
+use std::io::{self, Write as _};
+use std::path::PathBuf;
 
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use centaur::format::atomic_write;
-use serde_json::Value;
 
 use self::jobs::{Job, Protocol, Shard, Variant};
+use self::record::Record;
 use super::output;
 use super::shared::{self, MessageArgs};
 
@@ -25,14 +25,15 @@ Examples:
 
 Elsewhere, with the same DATASET and OUT:
   sbatch --array=0-8 --wrap 'centaur bench data/mipnerf360 -o out/m360 --shard $SLURM_ARRAY_TASK_ID/9'
-  centaur bench data/mipnerf360 -o out/m360 --list | xargs -P 4 -I{} sh -c '{}'
+  centaur bench data/mipnerf360 -o out/m360 --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
   python datasets-scripts/bench_ray.py data/mipnerf360 -o out/m360        # on a Ray cluster";
 
 /// Train and score every capture of a data set, and put the results beside published ones
 ///
 /// Every folder in DATASET that holds a capture is a scene; every scene, variant and seed is a job of its own: OUT/VARIANT/SCENE-SEED.json is
-/// there once it is done, and what is there is not done again. Ctrl-C leaves checkpoints, from which the same command goes on.
-/// OUT/table.md has the scenes and their means, beside published rows where all scenes of a known set are there.
+/// there once it is done, and what is there is not done again, nor what another runner is at. Results of other flags are refused.
+/// Ctrl-C leaves checkpoints, from which the same command goes on. OUT/table.md has all results in OUT and their means over the scenes
+/// that every variant has, beside published rows where these are those of a known set at the sizes of a protocol.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -50,19 +51,19 @@ pub(super) struct Args {
     /// Seeds of every scene and variant
     #[arg(long, value_name = "N,N…", value_delimiter = ',', default_value = "0")]
     seeds: Vec<u64>,
-    /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are
-    #[arg(long, value_enum, default_value_t = Protocol::B)]
-    protocol: Protocol,
-    /// Jobs at a time
+    /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are [default: all are]
+    #[arg(long, value_enum)]
+    protocol: Option<Protocol>,
+    /// Jobs at a time; of several, the table has no times
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
     /// Only every N-th job, from the I-th on, counted from 0: for arrays of Slurm
     #[arg(long, value_name = "I/N", value_parser = jobs::shard)]
     shard: Option<Shard>,
-    /// Only this job, as --list names it; may be given several times
+    /// Only this job; may be given several times
     #[arg(long, value_name = "VARIANT/SCENE-SEED")]
     only: Vec<String>,
-    /// Print a command for each job that is not done, and do none
+    /// Print a command, quoted for a shell, for each job that is not done, and do none
     #[arg(long, conflicts_with = "table")]
     list: bool,
     /// Make the table of what is done, and do nothing else
@@ -76,120 +77,80 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
+    let before = record::all(&args.output)?;
+    if args.table {
+        ensure!(!before.is_empty(), "{}: expected results of jobs, found none", args.output.display());
+        return write_table(args, &before);
+    }
     let all = jobs::all(args)?;
     let mine = jobs::chosen(&all, args)?;
+    record::check(&before, &all)?;
     let open: Vec<&Job> = mine.into_iter().filter(|job| !job.result.is_file()).collect();
     if args.list {
-        return list(&open);
+        return open.iter().try_for_each(|job| list(job, args));
     }
-    if !args.table {
-        // A misspelt flag is found now and not after hours.
-        open.iter().try_for_each(|job| job.check())?;
-        shared::make_folder(&args.output)?;
-        let failed = work(&open, args)?;
-        if let Some((job, reason)) = failed.first() {
-            bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());
-        }
+    // A misspelt flag is found now and not after hours.
+    open.iter().try_for_each(|job| job.check())?;
+    shared::make_folder(&args.output)?;
+    let failed = work::work(&open, args)?;
+    let done = record::all(&args.output)?;
+    // A shard may be empty, and be the first.
+    if !done.is_empty() {
+        write_table(args, &done)?;
     }
-    let done = all.iter().filter_map(|job| read(&job.result).transpose().map(|value| value.map(|v| (job, v))));
-    let done: Vec<(&Job, Value)> = done.collect::<Result<_>>()?;
-    ensure!(!done.is_empty(), "{}: expected results of jobs, found none", args.output.display());
-    let table = table::Table::new(&done, args.protocol);
+    if let Some((job, reason)) = failed.first() {
+        bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());
+    }
+    Ok(())
+}
+
+fn write_table(args: &Args, done: &[Record]) -> Result<()> {
+    let table = table::Table::new(done, &args.output)?;
     atomic_write(&args.output.join("table.md"), table.to_string().as_bytes())?;
     atomic_write(&args.output.join("table.json"), &serde_json::to_vec_pretty(&table)?)?;
     if args.messages.json { output::print_json(&table) } else { output::print(table.to_string().trim_end()) }
 }
 
-/// This command again, for one job each.
-fn list(open: &[&Job]) -> Result<()> {
-    let own: Vec<String> = std::env::args().collect();
-    let (options, flags) = own.split_at(own.iter().position(|a| a == "--").unwrap_or(own.len()));
-    for job in open {
-        let mut command: Vec<&str> = options.iter().map(String::as_str).filter(|a| *a != "--list").collect();
-        let name = job.name();
-        command.extend(["--only", &name]);
-        command.extend(flags.iter().map(String::as_str));
-        output::print(&command.into_iter().map(quoted).collect::<Vec<_>>().join(" "))?;
+/// Prints this command again, for one job.
+fn list(job: &Job, args: &Args) -> Result<()> {
+    let program = std::env::args_os().next().unwrap_or_else(|| "centaur".into());
+    let mut line = vec![];
+    for word in std::iter::once(program).chain(job.listed(args)) {
+        if !line.is_empty() {
+            line.push(b' ');
+        }
+        line.extend(quoted(&word));
     }
-    Ok(())
+    line.push(b'\n');
+    Ok(io::stdout().lock().write_all(&line)?)
 }
 
 /// For a shell.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
+fn quoted(word: &OsStr) -> Vec<u8> {
+    let bytes = word.as_encoded_bytes();
+    let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@%".contains(c);
+    if !bytes.is_empty() && bytes.iter().all(plain) {
+        return bytes.to_vec();
     }
+    let escaped = bytes.split(|c| *c == b'\'').collect::<Vec<_>>().join(&br"'\''"[..]);
+    [b"'", &escaped[..], b"'"].concat()
 }
 
-/// Does the jobs and returns those that failed, with reasons.
-fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, String)>> {
-    let stop = super::train::stop_on_ctrl_c()?;
-    let bar = output::bar(&args.messages, open.len() as u64);
-    bar.set_style(indicatif::ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
-    let (queue, failed) = (Mutex::new(open.iter()), Mutex::new(vec![]));
-    let interrupted = AtomicBool::new(false);
-    std::thread::scope(|scope| {
-        for _ in 0..args.jobs {
-            scope.spawn(|| {
-                while !stop.load(Ordering::Relaxed) {
-                    let next = queue.lock().map_or(None, |mut queue| queue.next());
-                    let Some(&job) = next else { break };
-                    bar.set_message(job.name());
-                    let start = Instant::now();
-                    match train(job) {
-                        Ok(true) => {
-                            let minutes = start.elapsed().as_secs_f64() / 60.0;
-                            bar.println(format!("{}: {minutes:.1} min", job.name()));
-                        }
-                        Ok(false) => interrupted.store(true, Ordering::Relaxed),
-                        Err(reason) => {
-                            bar.println(format!("{}: {reason:#}", job.name()));
-                            if let Ok(mut failed) = failed.lock() {
-                                failed.push((job, format!("{reason:#}")));
-                            }
-                        }
-                    }
-                    bar.inc(1);
-                }
-            });
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_quoted_for_a_shell() {
+        for (word, expected) in
+            [("a/b-0", "a/b-0"), ("", "''"), ("a b", "'a b'"), ("it's", r"'it'\''s'"), ("$x", "'$x'")]
+        {
+            assert_eq!(quoted(OsStr::new(word)), expected.as_bytes());
         }
-    });
-    bar.finish_and_clear();
-    if stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed) {
-        bail!("stopped; the same command goes on");
-    }
-    Ok(failed.into_inner().unwrap_or_default())
-}
-
-/// One training in a process of its own, whose memory is gone with it; false if it was interrupted.
-fn train(job: &Job) -> Result<bool> {
-    job.result
-        .parent()
-        .map_or(Ok(()), |folder| std::fs::create_dir_all(folder).with_context(|| folder.display().to_string()))?;
-    let mut command = Command::new(std::env::current_exe().context("cannot find this program")?);
-    command.args(job.command()).stdin(Stdio::null());
-    let output = command.output().context("cannot start a training")?;
-    let messages = String::from_utf8_lossy(&output.stderr);
-    if !output.status.success() {
-        let last = messages.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no message");
-        return Err(anyhow!("{}", last.trim_start_matches("error: ").to_owned()));
-    }
-    let result: Value = serde_json::from_slice(&output.stdout).context("a training printed no JSON")?;
-    if result["outcome"] != "finished" {
-        return Ok(false);
-    }
-    atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
-    Ok(true)
-}
-
-/// What a job left, if it is done.
-fn read(result: &Path) -> Result<Option<Value>> {
-    match std::fs::read(result) {
-        Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes).with_context(|| result.display().to_string())?)),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(e) => Err(e).with_context(|| result.display().to_string()),
+        #[cfg(unix)]
+        {
+            use std::os::unix::ffi::OsStrExt as _;
+            assert_eq!(quoted(OsStr::from_bytes(b"caf\xe9")), b"'caf\xe9'");
+        }
     }
 }

@@ -1,11 +1,14 @@
 //! What came of it, beside what others have published.
 
+use std::collections::BTreeSet;
 use std::fmt;
+use std::path::Path;
 
+use anyhow::{Result, bail};
 use serde::Serialize;
-use serde_json::Value;
 
-use super::jobs::{Job, MIPNERF360, Protocol};
+use super::jobs::{MIPNERF360, Protocol};
+use super::record::Record;
 
 /// Means over the nine scenes of Mip-NeRF 360: PSNR, SSIM, LPIPS of VGG. Under protocol B as the papers of Mip-Splatting and
 /// HERA print them (LPIPS of colours 0…1), under A by `NerfBaselines` (colours −1…1). METHODS 10.2.
@@ -34,21 +37,34 @@ struct Row {
     /// Runs that it is the mean of.
     runs: usize,
     psnr: Option<f64>,
-    ssim_inria: Option<f64>,
-    /// Network and distances, colours −1…1 and 0…1.
-    lpips: Option<(String, f64, f64)>,
+    /// Of windows inside the picture under protocol A, as `NerfBaselines` has it; else INRIA's.
+    ssim: Option<f64>,
+    lpips: Option<Lpips>,
     splats: Option<f64>,
     total_floats: Option<f64>,
     file_bytes: Option<f64>,
+    /// None of jobs that shared the machine.
     seconds_per_iteration: Option<f64>,
+    /// None of jobs that shared the machine.
     fps: Option<f64>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct Lpips {
+    net: String,
+    /// Colours from −1 to 1.
+    normalized: f64,
+    /// Colours from 0 to 1.
+    unnormalized: f64,
 }
 
 #[derive(Clone, Debug, Serialize)]
 struct Section {
     variant: String,
+    flags: Vec<String>,
     rows: Vec<Row>,
-    mean: Row,
+    /// Of the scenes that all variants have, if there are any.
+    mean: Option<Row>,
 }
 
 /// What others print of the same scenes.
@@ -57,92 +73,134 @@ struct Published {
     method: &'static str,
     psnr: f64,
     ssim: f64,
-    lpips: f64,
+    /// None where ours is not of the same network.
+    lpips: Option<f64>,
 }
 
 /// Results by variant and scene.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Table {
-    protocol: Protocol,
+    protocol: Option<Protocol>,
     scores: String,
+    adapters: BTreeSet<String>,
+    /// Scenes that all variants have.
+    common: BTreeSet<String>,
     variants: Vec<Section>,
     published: Vec<Published>,
 }
 
 impl Table {
-    /// Of jobs with what `centaur train --json` said of them.
-    pub(super) fn new(done: &[(&Job, Value)], protocol: Protocol) -> Self {
-        let mut names: Vec<&str> = done.iter().map(|(job, _)| job.variant.as_str()).collect();
-        let mut seen = std::collections::HashSet::new();
-        names.retain(|name| seen.insert(*name));
-        let sections: Vec<Section> = names.into_iter().map(|name| Section::new(name, done)).collect();
-        let is_complete = |section: &Section| {
-            section.rows.len() == MIPNERF360.len()
-                && MIPNERF360.iter().all(|(name, _)| section.rows.iter().any(|row| row.scene == *name))
-        };
-        let rows: &[(&str, [f64; 3])] = if protocol == Protocol::A { &PUBLISHED_A } else { &PUBLISHED_B };
-        let published = if sections.iter().any(is_complete) { rows } else { &[] };
-        Self {
-            protocol,
-            scores: done.iter().find_map(|(_, v)| v["evaluation"]["protocol"].as_str()).unwrap_or_default().to_owned(),
-            published: published
-                .iter()
-                .map(|&(method, [psnr, ssim, lpips])| Published { method, psnr, ssim, lpips })
-                .collect(),
-            variants: sections,
+    /// Of the results in `folder`.
+    ///
+    /// # Errors
+    /// If they are of several protocols, or those of a variant of several flags.
+    pub(super) fn new(done: &[Record], folder: &Path) -> Result<Self> {
+        let folder = folder.display();
+        let protocol = done.first().and_then(|record| record.made.protocol);
+        if let Some(other) = done.iter().find(|record| record.made.protocol != protocol) {
+            bail!("{folder}: expected results of one protocol, found another in {}", other.file.display());
         }
+        let names: BTreeSet<&str> = done.iter().map(|record| record.made.variant.as_str()).collect();
+        let of = |name: &str| done.iter().filter(|r| r.made.variant == name).collect::<Vec<&Record>>();
+        let scenes = |records: &[&Record]| records.iter().map(|r| r.made.scene.clone()).collect::<BTreeSet<String>>();
+        let shared = |a: BTreeSet<String>, b: BTreeSet<String>| a.intersection(&b).cloned().collect();
+        let common = names.iter().map(|name| scenes(&of(name))).reduce(shared).unwrap_or_default();
+        let mut variants = vec![];
+        for name in names {
+            let own = of(name);
+            if let Some(other) = own.iter().find(|record| record.made.flags != own[0].made.flags) {
+                bail!(
+                    "{folder}: expected results of `{name}` of the same flags, found others in {}",
+                    other.file.display()
+                );
+            }
+            variants.push(Section::new(name, &own, &common));
+        }
+        let is_known_set =
+            common.len() == MIPNERF360.len() && MIPNERF360.iter().all(|(name, _)| common.contains(*name));
+        let rows: &[(&str, [f64; 3])] = match protocol {
+            Some(Protocol::A) if is_known_set => &PUBLISHED_A,
+            Some(Protocol::B) if is_known_set => &PUBLISHED_B,
+            _ => &[],
+        };
+        let has_vgg =
+            variants.iter().any(|v| v.mean.as_ref().and_then(|m| m.lpips.as_ref()).is_some_and(|l| l.net == "vgg"));
+        let published = |&(method, [psnr, ssim, lpips]): &(&'static str, [f64; 3])| Published {
+            method,
+            psnr,
+            ssim,
+            lpips: has_vgg.then_some(lpips),
+        };
+        let word = |record: &Record, name: &str| record.result["evaluation"][name].as_str().map(str::to_owned);
+        Ok(Self {
+            protocol,
+            scores: done.iter().find_map(|record| word(record, "protocol")).unwrap_or_default(),
+            adapters: done.iter().filter_map(|record| word(record, "adapter")).collect(),
+            published: rows.iter().map(published).collect(),
+            common,
+            variants,
+        })
     }
 }
 
 impl Section {
-    fn new(variant: &str, done: &[(&Job, Value)]) -> Self {
-        let own: Vec<&(&Job, Value)> = done.iter().filter(|(job, _)| job.variant == variant).collect();
-        let mut scenes: Vec<&str> = own.iter().map(|(job, _)| job.scene.as_str()).collect();
-        scenes.sort_unstable();
-        scenes.dedup();
+    fn new(variant: &str, own: &[&Record], common: &BTreeSet<String>) -> Self {
+        let scenes: BTreeSet<&str> = own.iter().map(|record| record.made.scene.as_str()).collect();
         let row = |scene: &str| {
-            let runs = own.iter().filter(|(job, _)| job.scene == scene).map(|(_, value)| Row::of(scene, value));
+            let runs = own.iter().filter(|record| record.made.scene == scene).map(|record| Row::of(record));
             Row::mean(scene, &runs.collect::<Vec<_>>())
         };
         let rows: Vec<Row> = scenes.into_iter().map(row).collect();
-        Self { variant: variant.to_owned(), mean: Row::mean("mean", &rows), rows }
+        let shared: Vec<Row> = rows.iter().filter(|row| common.contains(&row.scene)).cloned().collect();
+        let name =
+            if shared.len() == rows.len() { "mean".to_owned() } else { format!("mean of {} common", shared.len()) };
+        let mean = (!shared.is_empty()).then(|| Row::mean(&name, &shared));
+        Self { variant: variant.to_owned(), flags: own.first().map_or(vec![], |r| r.made.flags.clone()), rows, mean }
     }
 }
 
 impl Row {
-    fn of(scene: &str, result: &Value) -> Self {
-        let e = &result["evaluation"];
+    fn of(record: &Record) -> Self {
+        let e = &record.result["evaluation"];
         let number = |name: &str| e[name].as_f64();
+        let time = |name: &str| number(name).filter(|_| record.made.at_a_time == 1);
         let lpips = &e["lpips"];
-        let net = lpips["net"].as_str().map(str::to_owned);
         let distances = lpips["normalized"].as_f64().zip(lpips["unnormalized"].as_f64());
+        let lpips = distances.zip(lpips["net"].as_str()).map(|((normalized, unnormalized), net)| Lpips {
+            net: net.to_owned(),
+            normalized,
+            unnormalized,
+        });
         Self {
-            scene: scene.to_owned(),
+            scene: record.made.scene.clone(),
             runs: 1,
             psnr: number("psnr"),
-            ssim_inria: number("ssim_inria"),
-            lpips: net.zip(distances).map(|(net, (a, b))| (net, a, b)),
+            ssim: number(if record.made.protocol == Some(Protocol::A) { "ssim_valid" } else { "ssim_inria" }),
+            lpips,
             splats: number("splats"),
             total_floats: number("total_floats"),
             file_bytes: number("file_bytes"),
-            seconds_per_iteration: number("seconds_per_iteration"),
-            fps: number("fps"),
+            seconds_per_iteration: time("seconds_per_iteration"),
+            fps: time("fps"),
         }
     }
 
-    /// Of numbers that all rows have.
+    /// Of numbers that all rows have, and of distances by one network.
     fn mean(scene: &str, rows: &[Self]) -> Self {
         let mean = |value: &dyn Fn(&Self) -> Option<f64>| {
             rows.iter().map(value).sum::<Option<f64>>().filter(|_| !rows.is_empty()).map(|sum| sum / rows.len() as f64)
         };
-        let net = rows.first().and_then(|row| row.lpips.as_ref().map(|l| l.0.clone()));
-        let distances = mean(&|r| r.lpips.as_ref().map(|l| l.1)).zip(mean(&|r| r.lpips.as_ref().map(|l| l.2)));
+        let net = rows.first().and_then(|row| Some(row.lpips.as_ref()?.net.clone()));
+        let is_same = |row: &Self| row.lpips.as_ref().map(|l| &l.net) == net.as_ref();
+        let net = net.as_ref().filter(|_| rows.iter().all(is_same)).cloned();
+        let distances =
+            mean(&|r| Some(r.lpips.as_ref()?.normalized)).zip(mean(&|r| Some(r.lpips.as_ref()?.unnormalized)));
         Self {
             scene: scene.to_owned(),
             runs: rows.iter().map(|row| row.runs).sum(),
             psnr: mean(&|r| r.psnr),
-            ssim_inria: mean(&|r| r.ssim_inria),
-            lpips: net.zip(distances).map(|(net, (a, b))| (net, a, b)),
+            ssim: mean(&|r| r.ssim),
+            lpips: net.zip(distances).map(|(net, (normalized, unnormalized))| Lpips { net, normalized, unnormalized }),
             splats: mean(&|r| r.splats),
             total_floats: mean(&|r| r.total_floats),
             file_bytes: mean(&|r| r.file_bytes),
@@ -154,13 +212,14 @@ impl Row {
     fn cells(&self) -> String {
         let number =
             |value: Option<f64>, decimals: usize| value.map_or("–".to_owned(), |v| format!("{v:.decimals$}"));
-        let lpips = |which: fn(&(String, f64, f64)) -> f64| number(self.lpips.as_ref().map(which), 3);
+        let lpips = self.lpips.as_ref();
         [
             self.runs.to_string(),
             number(self.psnr, 2),
-            number(self.ssim_inria, 3),
-            lpips(|l| l.1),
-            lpips(|l| l.2),
+            number(self.ssim, 3),
+            lpips.map_or("–", |l| &l.net).to_owned(),
+            number(lpips.map(|l| l.normalized), 3),
+            number(lpips.map(|l| l.unnormalized), 3),
             number(self.splats, 0),
             number(self.total_floats.map(|v| v / 1e6), 2),
             number(self.file_bytes.map(|v| v / 1e6), 1),
@@ -174,28 +233,37 @@ impl Row {
 /// Markdown.
 impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let protocol =
-            if self.protocol == Protocol::A { "A (pictures of the data set)" } else { "B (pictures scaled down here)" };
-        writeln!(f, "Mip-NeRF 360's sizes by protocol {protocol}; {}.\n", self.scores)?;
+        let sizes = match self.protocol {
+            Some(Protocol::A) => {
+                "Mip-NeRF 360's sizes by protocol A (pictures of the data set); SSIM in the table is of windows inside the picture only"
+            }
+            Some(Protocol::B) => "Mip-NeRF 360's sizes by protocol B (pictures scaled down here)",
+            None => "Pictures of the size that the flags say",
+        };
+        writeln!(f, "{sizes}; {}.", self.scores)?;
+        writeln!(f, "Adapter: {}.", self.adapters.iter().map(String::as_str).collect::<Vec<_>>().join("; "))?;
+        for Section { variant, flags, .. } in self.variants.iter().filter(|section| !section.flags.is_empty()) {
+            writeln!(f, "Flags of {variant}: `{}`.", flags.join(" "))?;
+        }
         writeln!(
             f,
-            "| variant | scene | runs | PSNR | SSIM | LPIPS −1…1 | LPIPS 0…1 | splats | M floats | MB | s/iteration | fps |"
+            "\n| variant | scene | runs | PSNR | SSIM | LPIPS by | LPIPS −1…1 | LPIPS 0…1 | splats | M floats | MB | s/iteration | fps |"
         )?;
-        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|")?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for section in &self.variants {
             for row in &section.rows {
                 writeln!(f, "| {} | {} | {} |", section.variant, row.scene, row.cells())?;
             }
-            writeln!(f, "| **{}** | **mean** | {} |", section.variant, section.mean.cells())?;
+            if let Some(mean) = &section.mean {
+                writeln!(f, "| **{}** | **{}** | {} |", section.variant, mean.scene, mean.cells())?;
+            }
         }
         for p in &self.published {
+            let lpips = p.lpips.map_or("–".to_owned(), |lpips| lpips.to_string());
             // Each source has LPIPS by one convention.
-            let (a, b) = if self.protocol == Protocol::A {
-                (p.lpips.to_string(), "–".into())
-            } else {
-                ("–".to_owned(), p.lpips.to_string())
-            };
-            writeln!(f, "| *{}* | published | | {} | {} | {a} | {b} | | | | | |", p.method, p.psnr, p.ssim)?;
+            let (a, b) = if self.protocol == Some(Protocol::A) { (&*lpips, "–") } else { ("–", &*lpips) };
+            let net = if p.lpips.is_some() { "vgg" } else { "–" };
+            writeln!(f, "| *{}* | published | | {} | {} | {net} | {a} | {b} | | | | | |", p.method, p.psnr, p.ssim)?;
         }
         Ok(())
     }
@@ -203,59 +271,102 @@ impl fmt::Display for Table {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser as _;
     use serde_json::json;
 
-    use super::super::jobs;
+    use super::super::record::Made;
     use super::*;
-    use crate::cli::{Cli, Command};
+
+    fn record(variant: &str, scene: &str, seed: u64, psnr: f64) -> Record {
+        let lpips = json!({ "net": "vgg", "normalized": 0.3, "unnormalized": 0.2 });
+        let evaluation = json!({
+            "psnr": psnr, "ssim_inria": 0.8, "ssim_valid": 0.7, "lpips": lpips, "splats": 1000, "fps": 9.5, "protocol": "scored so",
+            "adapter": "this one",
+        });
+        let made = Made {
+            variant: variant.to_owned(),
+            scene: scene.to_owned(),
+            seed,
+            flags: vec!["--flag".to_owned()],
+            protocol: Some(Protocol::B),
+            at_a_time: 1,
+        };
+        Record {
+            file: format!("out/{variant}/{scene}-{seed}.json").into(),
+            made,
+            result: json!({ "evaluation": evaluation }),
+        }
+    }
+
+    fn table(records: &[Record]) -> Table {
+        Table::new(records, Path::new("out")).unwrap()
+    }
 
     #[test]
-    fn seeds_then_scenes_are_averaged_and_sets_that_are_whole_meet_published_rows() {
-        let folder = tempfile::tempdir().unwrap();
-        let result = |psnr: f64| {
-            let lpips = json!({ "net": "vgg", "normalized": 0.3, "unnormalized": 0.2 });
-            json!({ "evaluation": { "psnr": psnr, "ssim_inria": 0.8, "lpips": lpips, "splats": 1000, "protocol": "scored so" } })
-        };
-        let table = |scenes: &[&str]| {
-            let name = folder.path().join(scenes.len().to_string());
-            scenes.iter().for_each(|scene| std::fs::create_dir_all(name.join(scene).join("sparse")).unwrap());
-            let words = [
-                "centaur",
-                "bench",
-                name.to_str().unwrap(),
-                "-o",
-                "out",
-                "--seeds",
-                "0,1",
-                "--variant",
-                "a",
-                "--variant",
-                "b",
-            ];
-            let Command::Bench(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
-            let all = jobs::all(&args).unwrap();
-            let done: Vec<(&Job, Value)> = all
-                .iter()
-                .map(|job| {
-                    let psnr = if job.scene == "room" { 30.0 } else { 26.0 }
-                        + job.seed as f64
-                        + if job.variant == "b" { 0.5 } else { 0.0 };
-                    (job, result(psnr))
-                })
-                .collect();
-            Table::new(&done, Protocol::B)
-        };
-        let two = table(&["room", "garden"]);
-        let text = two.to_string();
-        assert!(text.contains("| a | garden | 2 | 26.50 | 0.800 | 0.300 | 0.200 | 1000 |"), "{text}");
+    fn seeds_then_common_scenes_are_averaged() {
+        let mut records = vec![];
+        for (variant, more) in [("a", 0.0), ("b", 0.5)] {
+            for (scene, psnr) in [("room", 30.0), ("garden", 26.0)] {
+                records.extend((0..2).map(|seed| record(variant, scene, seed, psnr + seed as f64 + more)));
+            }
+        }
+        let text = table(&records).to_string();
+        for part in [
+            "| a | garden | 2 | 26.50 | 0.800 | vgg | 0.300 | 0.200 | 1000 |",
+            "| **a** | **mean** | 4 | 28.50 |",
+            "| **b** | **mean** | 4 | 29.00 |",
+            "protocol B",
+            "scored so",
+            "Adapter: this one.",
+            "Flags of b: `--flag`.",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(!text.contains("HERA"), "{text}");
+        assert_eq!(serde_json::to_value(table(&records)).unwrap()["variants"][1]["mean"]["psnr"], 29.0);
+        // The mean of two scenes is nothing beside that of three.
+        records.push(record("b", "bonsai", 0, 99.0));
+        let text = table(&records).to_string();
         assert!(
-            text.contains("| **a** | **mean** | 4 | 28.50 |") && text.contains("| **b** | **mean** | 4 | 29.00 |"),
+            text.contains("| b | bonsai | 1 | 99.00 |")
+                && text.contains("| **b** | **mean of 2 common** | 4 | 29.00 |"),
             "{text}"
         );
-        assert!(text.contains("protocol B") && text.contains("scored so") && !text.contains("HERA"), "{text}");
-        let nine = table(&MIPNERF360.map(|(name, _)| name));
-        assert!(nine.to_string().contains("| *HERA, filtered* | published | | 27.75 | 0.829 | – | 0.194 |"), "{nine}");
-        assert_eq!(serde_json::to_value(&two).unwrap()["variants"][1]["mean"]["psnr"], 29.0);
+        records.push(record("c", "other", 0, 1.0));
+        assert!(!table(&records).to_string().contains("mean"), "nothing is common");
+    }
+
+    #[test]
+    fn a_set_that_is_whole_meets_published_rows() {
+        let with = |change: &dyn Fn(usize, &mut Record)| {
+            let mut records: Vec<Record> = MIPNERF360.iter().map(|(scene, _)| record("a", scene, 0, 27.0)).collect();
+            records.iter_mut().enumerate().for_each(|(i, record)| change(i, record));
+            table(&records).to_string()
+        };
+        let b = with(&|_, _| {});
+        assert!(b.contains("| *HERA, filtered* | published | | 27.75 | 0.829 | vgg | – | 0.194 |"), "{b}");
+        let a = with(&|_, r| r.made.protocol = Some(Protocol::A));
+        assert!(a.contains("| *2DGS* | published | | 26.815 | 0.796 | vgg | 0.297 | – |"), "{a}");
+        assert!(a.contains("| a | room | 1 | 27.00 | 0.700 |") && a.contains("inside the picture"), "{a}");
+        assert!(!with(&|_, r| r.made.protocol = None).contains("published"), "of any size");
+        let alex = with(&|_, r| r.result["evaluation"]["lpips"]["net"] = json!("alex"));
+        assert!(alex.contains("| *HERA* | published | | 27.61 | 0.828 | – | – | – |"), "{alex}");
+        let mixed = with(&|i, r| r.result["evaluation"]["lpips"]["net"] = json!(if i == 4 { "alex" } else { "vgg" }));
+        assert!(mixed.contains("| **a** | **mean** | 9 | 27.00 | 0.800 | – | – | – |"), "{mixed}");
+        // Jobs beside each other take each other's time.
+        let crowded = with(&|_, r| r.made.at_a_time = 2);
+        assert!(b.contains("| 9.5 |") && !crowded.contains("| 9.5 |"), "{crowded}");
+    }
+
+    #[test]
+    fn what_does_not_compare_is_refused() {
+        let error = |change: fn(&mut Record)| {
+            let mut records = [record("a", "room", 0, 1.0), record("a", "room", 1, 1.0)];
+            change(&mut records[1]);
+            Table::new(&records, Path::new("out")).unwrap_err().to_string()
+        };
+        let protocol = error(|r| r.made.protocol = None);
+        assert_eq!(protocol, "out: expected results of one protocol, found another in out/a/room-1.json");
+        let flags = error(|r| r.made.flags.clear());
+        assert_eq!(flags, "out: expected results of `a` of the same flags, found others in out/a/room-1.json");
     }
 }

@@ -1,0 +1,78 @@
+//! What is done: a file per job, which says what made it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::jobs::{Job, Protocol};
+
+/// How a result was made.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Made {
+    pub(super) variant: String,
+    pub(super) scene: String,
+    pub(super) seed: u64,
+    /// Of `centaur train`, without those that every job has and those of the protocol.
+    pub(super) flags: Vec<String>,
+    pub(super) protocol: Option<Protocol>,
+    /// Jobs that shared the machine. The times of several are no times of one.
+    pub(super) at_a_time: usize,
+}
+
+/// A job that is done.
+#[derive(Clone, Debug)]
+pub(super) struct Record {
+    pub(super) file: PathBuf,
+    pub(super) made: Made,
+    /// What `centaur train --json` said.
+    pub(super) result: Value,
+}
+
+/// All results in a folder, `*/*.json`, by name.
+pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
+    let mut records = vec![];
+    for variant in entries(folder)?.into_iter().filter(|path| path.is_dir()) {
+        for file in entries(&variant)?.into_iter().filter(|path| path.extension().is_some_and(|e| e == "json")) {
+            let name = || file.display().to_string();
+            let result: Value = serde_json::from_slice(&std::fs::read(&file).with_context(name)?).with_context(name)?;
+            if result.get("outcome").is_none() {
+                continue; // Not of a training: `centaur eval` may write here, too.
+            }
+            let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
+            let made = Made::deserialize(made).with_context(name)?;
+            records.push(Record { file, made, result });
+        }
+    }
+    Ok(records)
+}
+
+/// What is in a folder, if there is one, by name.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let listed = match std::fs::read_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(vec![]),
+        listed => listed.and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>, _>>()),
+    };
+    let mut paths = listed.with_context(|| folder.display().to_string())?;
+    paths.sort();
+    Ok(paths)
+}
+
+/// Refuses results that the jobs' own would not compare with: of another protocol, or in a variant of theirs of other flags.
+pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
+    for record in records {
+        let (file, made) = (record.file.display(), &record.made);
+        if let Some(job) = jobs.first().filter(|job| job.protocol != made.protocol) {
+            let name = |p: Option<Protocol>| p.map_or("none".to_owned(), |p| p.to_string());
+            bail!("{file}: expected a result of --protocol {}, found {}", name(job.protocol), name(made.protocol));
+        }
+        if let Some(job) = jobs.iter().find(|job| job.variant == made.variant && job.flags != made.flags) {
+            let (expected, found) = (job.flags.join(" "), made.flags.join(" "));
+            bail!(
+                "{file}: expected a result of the flags `{expected}`, found `{found}`: give the variant another name"
+            );
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,123 @@
+//! Jobs being done: each a training in a process of its own, whose memory is gone with it.
+
+use std::fs::{File, TryLockError};
+use std::io::{self, Write as _};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use centaur::format::atomic_write;
+use indicatif::ProgressStyle;
+use serde_json::Value;
+
+use super::Args;
+use super::jobs::Job;
+use crate::cli::{output, train::stop_on_ctrl_c};
+
+/// How a job ended that did not fail.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    Done,
+    /// By Ctrl-C; there is a checkpoint.
+    Interrupted,
+    /// Another runner does it, or has just done it.
+    Elsewhere,
+}
+
+/// Does the jobs and returns those that failed, with reasons.
+pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, String)>> {
+    let stop = stop_on_ctrl_c()?;
+    let bar = output::bar(&args.messages, open.len() as u64);
+    bar.set_style(ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
+    let at_a_time = open.len().min(args.jobs.into());
+    let (queue, failed) = (Mutex::new(open.iter()), Mutex::new(vec![]));
+    let (interrupted, elsewhere) = (AtomicBool::new(false), AtomicBool::new(false));
+    std::thread::scope(|scope| {
+        for _ in 0..at_a_time {
+            scope.spawn(|| {
+                while !stop.load(Ordering::Relaxed) {
+                    let next = queue.lock().map_or(None, |mut queue| queue.next());
+                    let Some(&job) = next else { break };
+                    bar.set_message(job.name());
+                    let start = Instant::now();
+                    match train(job, at_a_time, &stop) {
+                        Ok(Ended::Done) => {
+                            bar.println(format!("{}: {:.1} min", job.name(), start.elapsed().as_secs_f64() / 60.0));
+                        }
+                        Ok(Ended::Interrupted) => interrupted.store(true, Ordering::Relaxed),
+                        Ok(Ended::Elsewhere) => elsewhere.store(true, Ordering::Relaxed),
+                        Err(reason) => {
+                            let line = format!("{}: {reason:#}", job.name());
+                            // A hidden bar says nothing.
+                            if bar.is_hidden() {
+                                let _ = writeln!(io::stderr(), "{line}");
+                            } else {
+                                bar.println(line);
+                            }
+                            if let Ok(mut failed) = failed.lock() {
+                                failed.push((job, format!("{reason:#}")));
+                            }
+                        }
+                    }
+                    bar.inc(1);
+                }
+            });
+        }
+    });
+    bar.finish_and_clear();
+    if stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed) {
+        bail!("stopped; the same command goes on");
+    }
+    if elsewhere.load(Ordering::Relaxed) {
+        let _ = writeln!(io::stderr(), "note: some jobs are left to another runner, which is at them");
+    }
+    Ok(failed.into_inner().unwrap_or_default())
+}
+
+/// One training, unless somebody else is at it.
+fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
+    if let Some(folder) = job.result.parent() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    // Held by this process, so that one that is killed leaves none behind.
+    let path = job.result.with_extension("lock");
+    let lock = File::create(&path).with_context(|| path.display().to_string())?;
+    match lock.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => return Ok(Ended::Elsewhere),
+        Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
+        Err(TryLockError::Error(e)) => return Err(e).with_context(|| path.display().to_string()),
+    }
+    if job.result.is_file() {
+        return Ok(Ended::Elsewhere);
+    }
+    let mut command = Command::new(std::env::current_exe().context("cannot find this program")?);
+    command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().context("cannot start a training")?;
+    // It stops, with a checkpoint, when this ends: at Ctrl-C, a termination, and where this process is killed.
+    let mut input = child.stdin.take();
+    let waiting = std::thread::spawn(move || child.wait_with_output());
+    while !waiting.is_finished() {
+        if stop.load(Ordering::Relaxed) {
+            drop(input.take());
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let output = waiting.join().map_err(|_| anyhow!("cannot wait"))?.context("cannot wait for a training")?;
+    if !output.status.success() {
+        let messages = String::from_utf8_lossy(&output.stderr);
+        let last = messages.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no message");
+        bail!("{} ({})", last.trim_start_matches("error: "), output.status);
+    }
+    let mut result: Value = serde_json::from_slice(&output.stdout).context("a training printed no JSON")?;
+    if result["outcome"] != "finished" {
+        return Ok(Ended::Interrupted);
+    }
+    result["job"] = serde_json::to_value(job.made(at_a_time))?;
+    atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
+    // Whoever still has it open looks for the result first.
+    let _ = std::fs::remove_file(path);
+    Ok(Ended::Done)
+}
