@@ -196,3 +196,49 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
     assert_eq!(files(), ["scene.glb"]);
     centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
 }
+
+/// What fails after the training does not cost the training.
+#[test]
+fn a_checkpoint_stays_until_all_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let in_the_way = folder.path().join("report/report.html");
+    std::fs::create_dir_all(&in_the_way).unwrap();
+    let demo = demo().display().to_string();
+    let flags = "--no-mesh --max-side 64 --max-splats 500 --iterations 20 --checkpoint-every 10 --quiet --report report -o scene.glb";
+    let run = |more: &[&str]| {
+        common::centaur(folder.path()).args(["train", &demo]).args(flags.split(' ')).args(more).output().unwrap()
+    };
+    let failed = run(&[]);
+    assert_eq!(failed.status.code(), Some(1));
+    assert!(common::stderr(&failed).starts_with("error: scene.glb is written, but not its evaluation"));
+    let checkpoint = folder.path().join("scene.glb.checkpoint");
+    assert!(checkpoint.is_file());
+    std::fs::remove_dir(in_the_way).unwrap();
+    let resumed = run(&["--resume"]);
+    assert!(resumed.status.success() && !checkpoint.exists(), "{}", common::stderr(&resumed));
+}
+
+/// The demo does not say which views see its points.
+#[test]
+fn what_a_surface_was_made_of_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = demo().display().to_string();
+    let flags = "--max-side 64 --max-splats 1000 --iterations 20 --warmup 0 --triangles 500 --texture-size 64 --quiet --json -o scene.glb";
+    for (surface, origin, notes) in
+        [(Some("points"), "guessed_points", 1), (Some("splats"), "splats", 0), (None, "splats", 0)]
+    {
+        let mut command = common::centaur(folder.path());
+        command.args(["train", &demo, "--report", "report"]).args(flags.split(' '));
+        let output = command.args(surface.map(|s| format!("--surface={s}"))).output().unwrap();
+        assert!(output.status.success(), "{}", common::stderr(&output));
+        let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!((outcome["surface"].as_str(), outcome["notes"].as_array().unwrap().len()), (Some(origin), notes));
+        let report = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+        let words = if notes == 1 {
+            "points of the capture, taken for seen where none is nearer"
+        } else {
+            "fused depth of splats"
+        };
+        assert!(report.contains(words), "{surface:?}");
+    }
+}

@@ -76,7 +76,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         &gpu,
         &scene,
         &capture,
-        &Job {
+        &Details {
             scene_file: &args.scene,
             lpips: lpips.as_ref(),
             folder: args.output.as_deref(),
@@ -89,7 +89,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
 }
 
 /// What `evaluate` is told besides scene and capture.
-pub(super) struct Job<'a> {
+pub(super) struct Details<'a> {
     /// The scene as written, for its size.
     pub(super) scene_file: &'a Path,
     /// Scores LPIPS, if wanted.
@@ -104,11 +104,11 @@ pub(super) struct Job<'a> {
     pub(super) seconds_per_iteration: Option<f64>,
 }
 
-/// Renders and scores every held-out view; writes the folder of `job`.
-pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, job: &Job<'_>) -> Result<Evaluation> {
+/// Renders and scores every held-out view; writes the folder of `details`.
+pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, details: &Details<'_>) -> Result<Evaluation> {
     let (_, held_out) = Split::Every8th.split(&capture.views);
     ensure!(!held_out.is_empty(), "{}: expected at least one held-out view, found none", capture.name);
-    job.folder.map_or(Ok(()), shared::make_folder)?;
+    details.folder.map_or(Ok(()), shared::make_folder)?;
     let views: Vec<&View> = held_out.iter().map(|&i| &capture.views[i]).collect();
     let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
@@ -117,9 +117,9 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, job: &
     for (view, picture) in views.into_iter().zip(names) {
         let render = shared::image(renderer.render(&view.camera)?);
         let (truth, render, masked) = comparable(&capture::decode(view)?, render, scene.composition.background);
-        let score = ViewScore::new(&view.name, &truth, &render, masked, job.lpips);
+        let score = ViewScore::new(&view.name, &truth, &render, masked, details.lpips);
         scores.push(score.with_context(|| view.name.clone())?);
-        if let Some(folder) = job.folder {
+        if let Some(folder) = details.folder {
             let sheet = side_by_side(&truth, &render)?;
             let caption = caption(view, &scores[scores.len() - 1]);
             pictures.push(Picture::new(caption, &sheet).with_context(|| view.name.clone())?);
@@ -129,19 +129,19 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, job: &
     let timed = &cameras[..cameras.len().min(TIMED_VIEWS)];
     let seconds = timed.iter().map(|c| renderer.seconds_per_frame(c, TIMED_FRAMES)).sum::<Result<f64, _>>()?;
     let measured = Measured {
-        file_bytes: std::fs::metadata(job.scene_file).map_or(0, |m| m.len()),
-        seconds_per_iteration: job.seconds_per_iteration,
+        file_bytes: std::fs::metadata(details.scene_file).map_or(0, |m| m.len()),
+        seconds_per_iteration: details.seconds_per_iteration,
         fps: Some(timed.len() as f64 / seconds.max(1e-9)),
         peak_gpu_bytes: Some(gpu.peak_bytes()),
         adapter: gpu.adapter().to_owned(),
     };
     let evaluation = Evaluation::new(scene, scores, measured);
-    if let Some(folder) = job.folder {
+    if let Some(folder) = details.folder {
         let page = report::html(&Report {
             title: &capture.name,
             evaluation: &evaluation,
-            settings: job.settings,
-            plots: job.plots,
+            settings: details.settings,
+            plots: details.plots,
             pictures: &pictures,
         });
         atomic_write(&folder.join("report.html"), page.as_bytes())?;

@@ -8,12 +8,14 @@ use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
 use centaur::metrics::{Evaluation, Lpips, plot::Plot};
-use centaur::optimize::{self, Background, Density, MeshSource, Outcome, Session, TrainError, TrainOptions, Trained};
+use centaur::optimize::{
+    self, Background, Density, MeshSource, Outcome, Session, SurfaceOrigin, TrainError, TrainOptions, Trained,
+};
 use centaur::render::gpu::Gpu;
 use centaur::scene::OrderMode;
 use clap::ValueEnum;
 
-use super::eval::{self, Job};
+use super::eval::{self, Details};
 use super::output;
 use super::progress::Reporter;
 use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
@@ -111,7 +113,7 @@ pub(super) struct Args {
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// What the surface is made of [default: points where the capture says which views see them, else splats]
+    /// What the surface is made of [default: points where the capture says of 100 or more to a view that it sees them, else splats]
     #[arg(long, value_enum, value_name = "splats|points", conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
     surface: Option<SurfaceOf>,
     /// Of --iterations, those on splats alone before there is a surface, with which it is compared; the rest trains splats and
@@ -259,7 +261,7 @@ impl Args {
 
     fn mesh(&self, capture: &Capture) -> Result<MeshSource> {
         let Some(file) = &self.mesh else {
-            let says_who_sees = capture.views.iter().all(|v| !v.sees.is_empty());
+            let says_who_sees = median_seen(capture) >= LEAST_SEEN;
             return Ok(match (self.no_mesh, self.surface) {
                 (true, _) => MeshSource::None,
                 (false, Some(SurfaceOf::Splats)) => MeshSource::Splats,
@@ -272,6 +274,16 @@ impl Args {
         let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
         Ok(MeshSource::Given { surface, corner_uvs: mesh.corner_uvs })
     }
+}
+
+/// Points that the median view must be known to see for a surface of points by default: some too few for its triangles to be
+/// more than guesses. Structure from motion finds hundreds.
+const LEAST_SEEN: usize = 100;
+
+fn median_seen(capture: &Capture) -> usize {
+    let mut seen: Vec<usize> = capture.views.iter().map(|v| v.sees.len()).collect();
+    seen.sort_unstable();
+    seen.get(seen.len() / 2).copied().unwrap_or(0)
 }
 
 /// What a surface is made of.
@@ -313,30 +325,58 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if matches!(trained.outcome, Outcome::Interrupted) {
         return report_interruption(args);
     }
-    let settings = settings(&options)?;
+    let mut settings = settings(&options)?;
+    settings.extend(trained.surface.map(|origin| ("surface".to_owned(), in_words(origin).to_owned())));
     let cameras: Vec<_> = capture.views.iter().map(|v| (v.name.clone(), v.camera)).collect();
     let extras = serde_json::json!({ "capture": capture.name, "settings": options });
     gltf::write_glb(&args.output, &trained.scene, &cameras, Some(extras))?;
     if let Some(path) = &args.ply {
         ply::write(path, &trained.scene.splats)?;
     }
-    // The scene is complete; what was kept for resuming has served.
-    let _ = std::fs::remove_file(args.checkpoint());
     let evaluation = if args.no_eval {
         None
     } else {
         Some(evaluate(args, &gpu, &capture, &trained, lpips.as_ref(), &settings, &plots)?)
     };
+    let notes: Vec<String> = note(args, trained.surface).into_iter().collect();
     if args.messages.json {
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
-            "skipped_iterations": trained.skipped_iterations,
+            "skipped_iterations": trained.skipped_iterations, "surface": trained.surface, "notes": notes,
             "settings": options, "evaluation": evaluation,
         });
-        return output::print_json(&outcome);
+        output::print_json(&outcome)?;
+    } else {
+        evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
+        notes.iter().try_for_each(|note| output::print(&format!("note: {note}")))?;
+        output::print(&format!("wrote {}", args.output.display()))?;
     }
-    evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
-    output::print(&format!("wrote {}", args.output.display()))
+    // Everything is written and said; what was kept for resuming has served.
+    let _ = std::fs::remove_file(args.checkpoint());
+    Ok(())
+}
+
+fn in_words(surface: SurfaceOrigin) -> &'static str {
+    match surface {
+        SurfaceOrigin::Given => "given",
+        SurfaceOrigin::Points => "points of the capture",
+        SurfaceOrigin::GuessedPoints => "points of the capture, taken for seen where none is nearer",
+        SurfaceOrigin::Splats => "fused depth of splats",
+    }
+}
+
+/// Where a surface of points was asked for and is less than that.
+fn note(args: &Args, surface: Option<SurfaceOrigin>) -> Option<String> {
+    let note = match (args.surface?, surface?) {
+        (SurfaceOf::Points, SurfaceOrigin::GuessedPoints) => {
+            "does not say which views see its points: for the surface, each was taken for seen where none is nearer"
+        }
+        (SurfaceOf::Points, SurfaceOrigin::Splats) => {
+            "its points make no surface: it was fused from the depth of splats"
+        }
+        _ => return None,
+    };
+    Some(format!("{}: {note}", args.capture.display()))
 }
 
 fn evaluate(
@@ -348,7 +388,7 @@ fn evaluate(
     settings: &[(String, String)],
     plots: &[Plot],
 ) -> Result<Evaluation> {
-    let job = Job {
+    let details = Details {
         scene_file: &args.output,
         lpips,
         folder: args.report.as_deref(),
@@ -356,7 +396,7 @@ fn evaluate(
         plots,
         seconds_per_iteration: Some(trained.seconds_per_iteration),
     };
-    eval::evaluate(gpu, &trained.scene, capture, &job)
+    eval::evaluate(gpu, &trained.scene, capture, &details)
         .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
 }
 

@@ -13,7 +13,7 @@ mod surface;
 
 pub use options::{Background, Density, TrainOptions};
 pub use static_scene::{Outcome, Phase, Progress, Session, Trained, train};
-pub use surface::{MeshSource, from_splats as surface_from_splats};
+pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
 

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::{
-    Phase, TrainError, TrainOptions,
+    Phase, SurfaceOrigin, TrainError, TrainOptions,
     checkpoint::Checkpoint,
     density::mcmc::EpochWeight,
     state::SplatState,
@@ -22,6 +22,8 @@ pub(super) struct Saved {
     pub(super) phase: Phase,
     /// Iterations done in this phase.
     pub(super) iteration: u32,
+    /// What the meshes were made of.
+    pub(super) surface: Option<SurfaceOrigin>,
     pub(super) meshes: Vec<Mesh>,
     splats: SplatState,
     statistics: Vec<f32>,
@@ -44,13 +46,14 @@ impl Saved {
     pub(super) fn capture(
         training: &Training,
         scene: &HybridScene,
-        phase: Phase,
-        iteration: u32,
+        (phase, iteration): (Phase, u32),
+        surface: Option<SurfaceOrigin>,
         epoch: &EpochWeight,
     ) -> Result<Self, TrainError> {
         Ok(Self {
             phase,
             iteration,
+            surface,
             meshes: training.read_meshes(&scene.meshes)?,
             vertices: training.read_vertex_state()?,
             splats: splat_state(training)?,
@@ -98,6 +101,7 @@ impl Saved {
         let meta = json!({
             "phase": self.phase,
             "iteration": self.iteration,
+            "surface": self.surface,
             "options": run.options,
             "input": run.input,
             "lists": self.lists,
@@ -170,6 +174,7 @@ impl Saved {
         Ok(Self {
             phase,
             iteration: serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?,
+            surface: serde_json::from_value(field("surface")?).map_err(|_| damaged("surface"))?,
             meshes,
             splats,
             statistics,

@@ -17,7 +17,7 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Background, Density, MeshSource, TrainError, TrainOptions,
+    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions,
     density::{
         self, Statistics,
         inria::{self, InriaOptions},
@@ -102,6 +102,8 @@ pub enum Outcome {
 pub struct Trained {
     /// The scene as it is.
     pub scene: HybridScene,
+    /// What the surface of its mesh was made of, if it has one.
+    pub surface: Option<SurfaceOrigin>,
     /// Why the run ended.
     pub outcome: Outcome,
     /// All reports of this run.
@@ -159,6 +161,8 @@ struct Run<'a> {
     skipped_iterations: u32,
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
+    /// What the meshes were made of.
+    surface: Option<SurfaceOrigin>,
     /// The last iteration.
     reached: (Phase, u32),
 }
@@ -225,6 +229,7 @@ impl<'a> Run<'a> {
             skipped_iterations: 0,
             reached: (Phase::Surface, 0),
             hands_over: false,
+            surface: None,
         })
     }
 
@@ -241,12 +246,14 @@ impl<'a> Run<'a> {
             self.max_splats(&[]),
             self.texture_size(),
         )?;
+        self.surface = saved.as_ref().and_then(|s| s.surface);
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         self.hands_over = source.is_found();
         let of_points = source == MeshSource::Points;
         let meshes = match (&after_surface, source) {
             (Some(saved), _) => saved.meshes.clone(),
             (None, MeshSource::Given { surface, corner_uvs }) => {
+                self.surface = Some(SurfaceOrigin::Given);
                 vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?]
             }
             (None, _) => vec![],
@@ -409,7 +416,7 @@ impl<'a> Run<'a> {
                 && let Some(path) = &self.session.checkpoint
             {
                 check_finite(training, phase, done)?;
-                Saved::capture(training, scene, phase, done, &epoch)?.write(path, &self.identity)?;
+                Saved::capture(training, scene, (phase, done), self.surface, &epoch)?.write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
@@ -591,6 +598,7 @@ impl<'a> Run<'a> {
         let meshes = training.read_meshes(&scene.meshes)?;
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
         Ok(Trained {
+            surface: self.surface.filter(|_| !scene.meshes.is_empty()),
             scene,
             outcome,
             history: std::mem::take(&mut self.history),

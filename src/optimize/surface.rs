@@ -40,6 +40,20 @@ pub enum MeshSource {
     },
 }
 
+/// What the surface of a trained mesh was made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SurfaceOrigin {
+    /// It was the user's.
+    Given,
+    /// The capture's points, where it says of every training view which of them it sees.
+    Points,
+    /// The capture's points, each taken for seen where no other is nearer ([`geometry::visible_points`]).
+    GuessedPoints,
+    /// The fused depth of splats.
+    Splats,
+}
+
 impl MeshSource {
     /// Whether splats are trained before there is a mesh, and handed over to it.
     pub(super) fn is_found(&self) -> bool {

@@ -3,7 +3,7 @@
 use super::{Run, arrays, splat_state, squared_error};
 use crate::{
     geometry::{self, GeometryError, PointView},
-    optimize::{TrainError, surface},
+    optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{Camera, HybridScene, Mesh},
 };
@@ -17,9 +17,13 @@ impl<'a> Run<'a> {
                 PointView { camera: view.camera, sees: view.sees.clone() }
             };
             let views: Vec<PointView> = self.train.iter().map(view).collect();
+            let is_known = views.iter().all(|view| !view.sees.is_empty());
             let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
             match geometry::surface_from_points(&views, &points, self.options.triangles) {
-                Ok((surface, _)) => return surface::textured(surface, None, self.options, self.texture_size()),
+                Ok((surface, _)) => {
+                    self.surface = Some(if is_known { SurfaceOrigin::Points } else { SurfaceOrigin::GuessedPoints });
+                    return surface::textured(surface, None, self.options, self.texture_size());
+                }
                 Err(GeometryError::EmptySurface { .. }) => {}
                 Err(error) => return Err(error.into()),
             }
@@ -43,6 +47,7 @@ impl<'a> Run<'a> {
             }
             Ok(depth)
         })?;
+        self.surface = Some(SurfaceOrigin::Splats);
         surface::textured(surface, None, self.options, self.texture_size())
     }
 
