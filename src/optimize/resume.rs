@@ -161,9 +161,13 @@ impl Saved {
         };
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
-        let moves = phase == Phase::Warmup && run.input["mesh"] == "splats";
+        // As for `MeshSource::is_found`.
+        let moves = phase == Phase::Warmup && ["splats", "points"].iter().any(|found| run.input["mesh"] == *found);
         if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
             return Err(damaged("vertices"));
+        }
+        if splats.sh_degree != run.options.sh_degree {
+            return Err(damaged("sh_degree"));
         }
         if statistics.len() != 4 * splats.len() {
             return Err(damaged("statistics"));

@@ -240,8 +240,10 @@ fn smoothed(row: &[f32]) -> (Vec3, f32) {
         return (log_scale, row[OPACITY]);
     }
     let (scale, factor) = contract::smoothed(log_scale.as_dvec3(), row[SMOOTHING].into());
-    let opacity = contract::sigmoid(row[OPACITY].into()) * factor;
-    (scale.ln().as_vec3(), (opacity / (1.0 - opacity)).ln().max(LEAST_LOGIT) as f32)
+    // Of factor·σ(x), in a form that neither end of σ rounds away.
+    let logit = factor.ln() - ((-f64::from(row[OPACITY])).exp() + (1.0 - factor)).ln();
+    // Not `max`, which would make a number of NaN.
+    (scale.ln().as_vec3(), if logit < LEAST_LOGIT { LEAST_LOGIT } else { logit } as f32)
 }
 
 /// 1/(1+e⁻ˣ).
@@ -268,8 +270,12 @@ fn retain_rows(rows: &mut Vec<f32>, width: usize, keep: &[bool]) {
 
 #[cfg(test)]
 mod tests {
+    use glam::{DMat3, DVec3};
+
     use super::*;
     use crate::optimize::density::tests::state;
+    use crate::render::reference::{self, Parameters};
+    use crate::scene::{Camera, Composition, HybridScene, Intrinsics};
 
     #[test]
     fn splats_survive_the_round_trip() {
@@ -286,21 +292,38 @@ mod tests {
         assert!(again.geometry_m.iter().chain(&again.sh_v).all(|&v| v == 0.0));
     }
 
-    /// A smoothed splat looks as it did while training: in the reference, which knows both.
     #[test]
     fn smoothing_is_kept_in_scales_and_opacities() {
         let mut smooth = state(1, 1);
-        smooth.row_mut(0)[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -30.0]);
+        smooth.row_mut(0)[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -6.0]);
         smooth.row_mut(0)[SMOOTHING] = 0.02;
         let splats = smooth.to_splats().unwrap();
+        // It looks as it did while training.
+        let raw = {
+            let mut raw = smooth.clone();
+            raw.row_mut(0)[SMOOTHING] = 0.0;
+            raw.to_splats().unwrap()
+        };
+        let k = Intrinsics { width: 32, height: 24, fx: 300.0, fy: 300.0, cx: 16.0, cy: 12.0 };
+        let camera = Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 2.0)).unwrap();
+        let scene = |splats| HybridScene { splats, meshes: vec![], composition: Composition::default() };
+        let raw = scene(raw);
+        let parameters = Parameters { smoothing: vec![f64::from(0.02_f32)], ..Parameters::of(&raw) };
+        let before = reference::render_parameters(&raw, &camera, &parameters);
+        let after = reference::render(&scene(splats.clone()), &camera);
+        let most =
+            before.transmittance.iter().zip(&after.transmittance).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let shown = before.transmittance.iter().map(|t| 1.0 - t).fold(0.0, f64::max);
+        // Scales and logits are stored as f32.
+        assert!(most < 1e-5 * shown && shown > 0.01, "{most:e} of {shown:e}");
         let variance = |log_scale: f32| (2.0 * f64::from(log_scale)).exp();
-        for (now, before) in splats.log_scales()[0].to_array().into_iter().zip([-4.0, -5.0, -30.0]) {
+        for (now, before) in splats.log_scales()[0].to_array().into_iter().zip([-4.0, -5.0, -6.0]) {
             assert!((variance(now) / (variance(before) + 0.02 * 0.02) - 1.0).abs() < 1e-5);
         }
         let integral = |scales: Vec3, opacity: f32| f64::from(opacity) * f64::from(scales.element_sum()).exp();
         let (after, before) = (
             integral(splats.log_scales()[0], sigmoid(splats.opacity_logits()[0])),
-            integral(Vec3::new(-4.0, -5.0, -30.0), smooth.opacity(0)),
+            integral(Vec3::new(-4.0, -5.0, -6.0), smooth.opacity(0)),
         );
         assert!((after / before - 1.0).abs() < 1e-4, "{after:e} {before:e}");
         assert!(
@@ -309,6 +332,13 @@ mod tests {
         );
         smooth.row_mut(0)[LOG_SCALE].fill(-200.0);
         assert!(smooth.to_splats().is_ok(), "nothing is left of it, and that is a number");
+        smooth.row_mut(0)[LOG_SCALE].fill(0.0);
+        smooth.row_mut(0)[OPACITY] = 60.0;
+        smooth.row_mut(0)[SMOOTHING] = 1e-9;
+        assert!((smooth.to_splats().unwrap().opacity_logits()[0] - 60.0).abs() < 1e-3, "smoothed by next to nothing");
+        smooth.row_mut(0)[SMOOTHING] = 0.02;
+        smooth.row_mut(0)[OPACITY] = f32::NAN;
+        assert!(smooth.to_splats().is_err(), "smoothing hides nothing");
     }
 
     #[test]

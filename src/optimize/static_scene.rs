@@ -269,6 +269,7 @@ impl<'a> Run<'a> {
             }
             scene.meshes = vec![self.find_surface(&mut training, of_points)?];
             let state = splat_state(&training)?;
+            finite_splats(&state, self.reached.0, self.reached.1)?;
             scene.splats = state.to_splats()?;
             trained = Some(state);
         }

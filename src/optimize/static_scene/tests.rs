@@ -5,6 +5,7 @@ use crate::{
     capture::{Downscale, LoadOptions},
     format::gltf,
     geometry::Surface,
+    optimize::checkpoint::Checkpoint,
     render::gpu::Renderer,
 };
 
@@ -87,6 +88,50 @@ fn a_nan_is_found_and_named() {
         let error = error_with(geometry, at, value).to_string();
         let expected = format!("iteration 10 (Joint): {group} not finite; the last checkpoint is from before");
         assert_eq!(error, expected);
+    }
+    // Filters do not hide it.
+    with_run(&TrainOptions { density: Density::Inria, antialias: true, ..options() }, |run, training, scene| {
+        training.smooth();
+        let mut arrays = training.read_splats().unwrap();
+        arrays.geometry[0][12 * 8 + 3] = f32::NAN;
+        training.write_splats(&arrays).unwrap();
+        let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "iteration 10 (Joint): opacity logits of splat 8 not finite; the last checkpoint is from before"
+        );
+    });
+}
+
+/// Whatever stands in its arrays, a checkpoint is taken or refused.
+#[test]
+fn damaged_checkpoints_are_refused() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("checkpoint");
+    let options = TrainOptions { surface_iterations: Some(10), warmup: 30, ..options() };
+    for source in [MeshSource::Points, MeshSource::Splats] {
+        let run = |resume: bool| {
+            let stop = AtomicBool::new(false);
+            let progress = &mut |p: &Progress| stop.store(p.phase == Phase::Warmup, Ordering::Relaxed);
+            let session = Session { gpu: &gpu, checkpoint: Some(path.clone()), resume, stop: &stop, progress };
+            train(&capture, source.clone(), &options, session)
+        };
+        assert_eq!(run(false).unwrap().outcome, Outcome::Interrupted);
+        let whole = Checkpoint::read(&path).unwrap();
+        assert_eq!(whole.meta["phase"], "warmup");
+        let names: Vec<String> = whole.tensors.keys().cloned().collect();
+        assert!(names.iter().any(|name| name == "vertices/normals"));
+        for name in names {
+            let mut damaged = whole.clone();
+            damaged.tensors.get_mut(&name).unwrap().pop();
+            damaged.write(&path).unwrap();
+            match run(true) {
+                Err(TrainError::Resume(_)) => {}
+                // An array of none lost nothing.
+                Ok(_) if damaged == whole => {}
+                other => panic!("{source:?}, {name}: {:?}", other.map(|trained| trained.outcome)),
+            }
+        }
     }
 }
 
