@@ -175,6 +175,7 @@ fn main(
             let conic = batch_conic[s];
             let rgb = batch_color[s].xyz;
             let dx = px - center.x;
+            // Near the axis of a needle, terms that cancel may round to more than 0.
             let power_x = -0.5 * conic.x * dx * dx;
             let power_xy = -conic.y * dx;
 //#for l in 0..LAYERS
@@ -185,10 +186,10 @@ fn main(
 //#for j in 0..PER_THREAD
             {
                 let dy = py$j - center.y;
-                let power = power_x + dy * (power_xy - 0.5 * conic.z * dy);
+                let power = min(power_x + dy * (power_xy - 0.5 * conic.z * dy), 0.0);
                 let raw = center.w * exp(power);
                 let alpha = min(ALPHA_CAP, raw);
-                if power <= 0.0 && alpha >= ALPHA_CUT {
+                if alpha >= ALPHA_CUT {
                     var bucket = $pu % BUCKETS;
 //#for l in 0..LAYERS
                     if $pu == MIXED && depth$j_$l < threshold$l { bucket = $lu + 1u; }

@@ -42,9 +42,9 @@ fn main(
         let a = projected[3u * i];
         let conic = projected[3u * i + 1u].xyz;
         let d = pixel - a.xy;
-        let power = -0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) - conic.y * d.x * d.y;
+        let power = min(-0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) - conic.y * d.x * d.y, 0.0);
         let alpha = min(ALPHA_CAP, a.w * exp(power));
-        if power > 0.0 || alpha < ALPHA_CUT { continue; }
+        if alpha < ALPHA_CUT { continue; }
         t *= 1.0 - alpha;
         if t < 0.5 {
             median = max(peak_depth(i, pixel, a.z), view.near);

@@ -1,6 +1,8 @@
 // The 3-D filter of Mip-Splatting (METHODS 3): the standard deviation of the Gaussian with which a splat is smoothed so that it
 // has no detail that no training view could have sampled. √0.2 times the least size of a pixel, z/f, at its mean; views count
 // that have it in front and within 15 % of the image around it. Splats that none sees take the largest of the others'.
+// f is that of the view itself, where METHODS 3 takes the largest of all views: a view of shorter focal length samples more
+// coarsely at the same distance. Captures of one camera are the same by either.
 //
 // One thread per splat, 12 multiply-adds per view; run now and then. 48 bytes read per splat, 4 written.
 
@@ -13,7 +15,7 @@ struct Run {
     unused: u32,
 }
 
-struct Sampler {
+struct TrainingView {
     row_x: vec4f,                       // world→camera
     row_y: vec4f,
     row_z: vec4f,
@@ -23,7 +25,7 @@ struct Sampler {
 }
 
 @group(0) @binding(0) var<uniform> run: Run;
-@group(0) @binding(1) var<storage, read> views: array<Sampler>;
+@group(0) @binding(1) var<storage, read> views: array<TrainingView>;
 @group(0) @binding(2) var<storage, read_write> geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read_write> largest: atomic<u32>;        // bits of the largest deviation
 

@@ -13,7 +13,8 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(2) var<storage, read> sh: array<f32>;
-// 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [conic, radius], [colour, 0].
+// 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [conic, radius], [colour, det
+// of the conic's inverse].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible: array<u32>;
@@ -41,15 +42,19 @@ fn main(
 
     // The outline.
     let level = max(2.0 * log(255.0 * g.opacity), 1e-6) * (1.0 + ROUNDING);
-    let n0 = g.scale * ((x - slope.x * z) * g.rotation);
-    let n1 = g.scale * ((y - slope.y * z) * g.rotation);
+    let n0 = view.focal.x * g.scale * ((x - slope.x * z) * g.rotation);
+    let n1 = view.focal.y * g.scale * ((y - slope.y * z) * g.rotation);
     let n2 = g.scale * (z * g.rotation);
     let depth_variance = level * dot(n2, n2);
     let h = t.z * t.z - depth_variance;
-    let shear = vec2f(dot(n0, n2), dot(n1, n2)) * view.focal;
-    let spread = vec3f(dot(n0, n0), dot(n0, n1), dot(n1, n1)) * vec3f(view.focal.x * view.focal.x, view.focal.x * view.focal.y, view.focal.y * view.focal.y);
+    let shear = vec2f(dot(n0, n2), dot(n1, n2));
+    let spread = vec3f(dot(n0, n0), dot(n0, n1), dot(n1, n1));
     let k = level / h;
     var outline = k * (spread + k * vec3f(shear.x * shear.x, shear.x * shear.y, shear.y * shear.y)) + vec3f(SHARP, 0.0, SHARP);
+    // As in `project`.
+    let across = cross(n0, n1);
+    let sheared = shear.y * n0 - shear.x * n1;
+    var det = k * k * (dot(across, across) + k * dot(sheared, sheared)) + SHARP * (outline.x + outline.z - SHARP);
     let mean = view.focal * slope + view.principal;
     var center = mean - k * shear;
     let reach = max(outline.x, outline.z);
@@ -57,11 +62,11 @@ fn main(
     if !(h > 1e-3 * t.z * t.z) || !(reach < 1e12) || !(max(abs(center.x), abs(center.y)) < 1e7) {
         let side = 2.0 * f32(max(view.size.x, view.size.y));
         outline = vec3f(side * side, 0.0, side * side);
+        det = outline.x * outline.z;
         center = 0.5 * vec2f(view.size);
     }
-    let det = outline.x * outline.z - outline.y * outline.y;
-    let conic = level * vec3f(outline.z, -outline.y, outline.x) / max(det, 1e-12);
-    let e = ellipse(center, conic, g.opacity);
+    let conic = level * vec3f(outline.z, -outline.y, outline.x) / det;
+    let e = ellipse(center, conic, det / (level * level), g.opacity);
     let rows = row_span(e, view.tiles);
     var count = 0u;
     for (var row = rows.x; row < rows.y; row++) {
@@ -92,7 +97,7 @@ fn main(
     let least = max(t.z - (1.0 + ROUNDING) * sqrt(depth_variance) - ROUNDING * t.z, view.near);
     projected[3u * i] = vec4f(center, least, g.opacity);
     projected[3u * i + 1u] = vec4f(conic, max(e.extent.x, e.extent.y));
-    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 0.0);
+    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), e.det);
     tile_count[i] = count;
     visible[i] = 1u;
 }

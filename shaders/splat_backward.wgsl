@@ -112,7 +112,7 @@ fn main(
     g_mean += w0 * g_t.x + w1 * g_t.y + w2 * g_t.z;
 
     // n = Nᵀm, N = R·diag(scale): G_N = m0·g_n0ᵀ + m1·g_n1ᵀ. Smoothing leaves Π s/s̃ of the opacity.
-    let g_log_scale = g.own * (p.n0 * g_n0 + p.n1 * g_n1) + sp * (1.0 - g.own);
+    let g_log_scale = g.own_share * (p.n0 * g_n0 + p.n1 * g_n1) + sp * (1.0 - g.own_share);
     // H = G_N·diag(scale): h_j is its column j.
     let h0 = g.scale.x * (p.m0 * g_n0.x + p.m1 * g_n1.x);
     let h1 = g.scale.y * (p.m0 * g_n0.y + p.m1 * g_n1.y);
@@ -126,7 +126,7 @@ fn main(
     );
     let g_rotation = (g_unit - g.quaternion * dot(g.quaternion, g_unit)) / g.quaternion_length;
 
-    geometry_gradient[3u * i] = vec4f(g_mean, sp * g.clear);
+    geometry_gradient[3u * i] = vec4f(g_mean, sp * g.transparency);
     geometry_gradient[3u * i + 1u] = g_rotation;
     geometry_gradient[3u * i + 2u] = vec4f(g_log_scale, 0.0);
 

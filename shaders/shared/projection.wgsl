@@ -5,11 +5,11 @@ const CLAMP_MARGIN: f32 = 0.3;          // of half the image, for the Jacobian's
 
 struct Gaussian {
     mean: vec3f,
-    opacity: f32,                       // times what smoothing leaves of it
-    clear: f32,                         // 1 − opacity, of the splat itself
+    opacity: f32,                       // smoothed
+    transparency: f32,                  // 1 − opacity before smoothing
     rotation: mat3x3f,                  // columns are the local axes in world space
     scale: vec3f,                       // smoothed
-    own: vec3f,                         // part of its variance that is the splat's own: 1 unless smoothed
+    own_share: vec3f,                   // variance before smoothing over that after: 1 unless smoothed
     quaternion: vec4f,                  // (w, x, y, z), unit
     quaternion_length: f32,
 }
@@ -20,13 +20,14 @@ fn gaussian(a: vec4f, q: vec4f, s: vec4f) -> Gaussian {
     let unit = q / l;
     let opacity = 1.0 / (1.0 + exp(-a.w));
     var scale = exp(s.xyz);
-    var kept = vec3f(1.0);
+    var ratio = vec3f(1.0);             // scale before smoothing over that after
     if s.w > 0.0 {
         let smoothed = sqrt(scale * scale + s.w * s.w);
-        kept = scale / smoothed;
+        ratio = scale / smoothed;
         scale = smoothed;
     }
-    return Gaussian(a.xyz, opacity * kept.x * kept.y * kept.z, 1.0 - opacity, rotation_matrix(unit), scale, kept * kept, unit, l);
+    return Gaussian(
+        a.xyz, opacity * ratio.x * ratio.y * ratio.z, 1.0 - opacity, rotation_matrix(unit), scale, ratio * ratio, unit, l);
 }
 
 struct Projection {
@@ -37,8 +38,8 @@ struct Projection {
     m1: vec3f,
     n0: vec3f,                          // rows of M·R·diag(scale): Σ2 is their Gram matrix
     n1: vec3f,
-    covariance: vec3f,                  // Σ' = Σ2 + filter: xx, xy, yy
-    conic: vec3f,                       // its inverse
+    det: f32,                           // of Σ' = Σ2 + filter, px⁴
+    conic: vec3f,                       // Σ' inverted: xx, xy, yy
     center: vec2f,                      // pixels
     opacity: f32,                       // times what the pixel filter leaves of it
 }
@@ -58,13 +59,14 @@ fn project(v: View, g: Gaussian) -> Projection {
     let n0 = g.scale * (m0 * g.rotation);
     let n1 = g.scale * (m1 * g.rotation);
     let k = v.filter_variance;
-    let covariance = vec3f(dot(n0, n0) + k, dot(n0, n1), dot(n1, n1) + k);
-    let det = covariance.x * covariance.z - covariance.y * covariance.y;
-    let conic = vec3f(covariance.z, -covariance.y, covariance.x) / det;
+    let xx = dot(n0, n0); let xy = dot(n0, n1); let yy = dot(n1, n1);
+    // √det Σ2 is the area that n0 and n1 span. From Σ' itself the determinant of a needle is a difference of products that
+    // agree in all of their digits; here nothing is subtracted.
+    let across = cross(n0, n1);
+    let area2 = dot(across, across);
+    let det = area2 + k * (xx + yy) + k * k;
+    let conic = vec3f(yy + k, -xy, xx + k) / det;
     var opacity = g.opacity;
-    if v.filter_normalized != 0u {
-        // √det Σ2 is the area that n0 and n1 span, which does not cancel for needles as Σ2's own determinant does.
-        opacity *= length(cross(n0, n1)) * inverseSqrt(det);
-    }
-    return Projection(t, clamped, inside, m0, m1, n0, n1, covariance, conic, v.focal * slope + v.principal, opacity);
+    if v.filter_normalized != 0u { opacity *= sqrt(area2 / det); }
+    return Projection(t, clamped, inside, m0, m1, n0, n1, det, conic, v.focal * slope + v.principal, opacity);
 }

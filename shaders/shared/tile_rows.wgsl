@@ -6,14 +6,14 @@ const TILE_EPSILON: f32 = 0.01;         // px; keeps rounding from dropping a ti
 struct Ellipse {
     center: vec2f,
     conic: vec3f,
+    det: f32,                           // of the conic's inverse: that of the conic itself cancels for needles
     level: f32,                         // 2·ln(255·opacity)
     extent: vec2f,                      // half width and height of the bounding box
 }
 
-fn ellipse(center: vec2f, conic: vec3f, opacity: f32) -> Ellipse {
+fn ellipse(center: vec2f, conic: vec3f, det: f32, opacity: f32) -> Ellipse {
     let level = 2.0 * log(max(255.0 * opacity, 1.0));
-    let det = conic.x * conic.z - conic.y * conic.y;
-    return Ellipse(center, conic, level, sqrt(level * vec2f(conic.z, conic.x) / det));
+    return Ellipse(center, conic, det, level, sqrt(level * vec2f(conic.z, conic.x) * det));
 }
 
 // First and one-past-last tile whose pixel centres meet [low, high], within 0..count.
@@ -43,7 +43,6 @@ fn column_span(e: Ellipse, row: u32, tiles: vec2u) -> vec2u {
 
 // Horizontal offset of the ellipse at vertical offset dy, on the side of `sign`.
 fn edge(e: Ellipse, dy: f32, sign: f32) -> f32 {
-    let b = e.conic.y * dy;
-    let root = b * b - e.conic.x * (e.conic.z * dy * dy - e.level);
-    return (-b + sign * sqrt(max(root, 0.0))) / e.conic.x;
+    let root = e.conic.x * e.level - dy * dy / e.det;
+    return (-e.conic.y * dy + sign * sqrt(max(root, 0.0))) / e.conic.x;
 }

@@ -53,7 +53,7 @@ impl Smoothing {
     }
 }
 
-/// As `Sampler` in the shader.
+/// As `TrainingView` in the shader.
 fn view_words(camera: &Camera) -> [f32; VIEW] {
     let (k, r, t) = (camera.intrinsics(), camera.rotation(), camera.translation());
     let row = |i: usize| [r.row(i).x, r.row(i).y, r.row(i).z, t[i]];

@@ -91,6 +91,14 @@ fn smoothed_frame(
 /// f32 depths, alphas and barycentrics resolve decisions down to about this.
 const TOLERANCE: Margin = Margin { alpha: 1e-4, order: 1e-5, edge: 1e-4, stop: 1e-3 };
 
+/// Of a colour, half of what a splat at the cut adds: one that is missed or blended twice shows.
+const MOST: f64 = 2e-3;
+/// Of the mean, some fifty times what is found with lavapipe; an order or a filter that differs adds ten times as much.
+const MEAN: f64 = 1e-4;
+/// Of the gradient of a class of parameters: found are some 1e-6, and 1e-5 is what WGSL grants `exp` and `inverseSqrt` of an adapter; a
+/// term that is left out is worth per cents.
+const GRADIENT: f64 = 1e-3;
+
 /// Mean and largest difference over pixels that no decision is close in, and the number of the others.
 fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, usize) {
     let (expected, margins) = reference::render_with_margins(scene, camera);
@@ -129,7 +137,7 @@ fn images_equal_the_reference() {
              {excused} threshold pixels of {}",
             found.rgb.len()
         );
-        assert!(mean < 1e-4 && most < 2e-3, "scene {seed}: mean {mean:e}, max {most:e}");
+        assert!(mean < MEAN && most < MOST, "scene {seed}: mean {mean:e}, max {most:e}");
         pixels += found.rgb.len();
         all_excused += excused;
     }
@@ -144,7 +152,7 @@ fn folded_dispatches_equal_the_reference() {
         let (scene, camera) = testing::random_scene(seed, 1500, 1, 1, 2, OrderMode::Stable);
         let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
         let (mean, most, _) = compare(&found, &scene, &camera);
-        assert!(mean < 1e-4 && most < 2e-3, "scene {seed}: mean {mean:e}, max {most:e}");
+        assert!(mean < MEAN && most < MOST, "scene {seed}: mean {mean:e}, max {most:e}");
     }
 }
 
@@ -211,7 +219,7 @@ fn gradients_equal_the_reference() {
             eprintln!("atomics {atomics}, subgroups {subgroups}, scene {seed}: {errors:?}");
             assert!(errors.len() >= 5);
             for (name, error) in errors {
-                assert!(error < 1e-3, "scene {seed}, {name}: relative error {error:e}");
+                assert!(error < GRADIENT, "scene {seed}, {name}: relative error {error:e}");
             }
         }
     }
@@ -236,23 +244,23 @@ fn filters_equal_the_reference() {
         let most = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let errors = class_errors(&found.unwrap(), &expected);
         eprintln!("{variance} px², {deviation}: image {most:.1e}, {errors:?}");
-        assert!(most < 1e-4, "{variance} px², {deviation}: {most:e}");
-        assert!(errors.iter().all(|(_, error)| *error < 1e-3), "{variance} px², {deviation}: {errors:?}");
+        // A few wide splats: rounding alone.
+        assert!(most < 1e-5, "{variance} px², {deviation}: {most:e}");
+        assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "{variance} px², {deviation}: {errors:?}");
     }
-    // Splats from far below a pixel to many, and needles.
-    for seed in 0..4 {
+    // Splats from far below a pixel to many, and needles, some with a deviation of some thousand pixels.
+    for seed in 0..8 {
         let (mut scene, camera) = testing::random_scene(seed, 800, 1, 1, 2, OrderMode::Stable);
         let s = scene.splats.into_arrays();
-        let log_scales = s
-            .log_scales
-            .iter()
-            .enumerate()
-            .map(|(i, l)| *l - [0.0, 2.0, 4.0][i % 3] * Vec3::new(1.0, 1.0, (i % 2) as f32));
+        let log_scales = s.log_scales.iter().enumerate().map(|(i, l)| match i % 40 {
+            0 => Vec3::new(l.x, 4.5, l.z - 4.0),
+            _ => *l - [0.0, 2.0, 4.0][i % 3] * Vec3::new(1.0, 1.0, (i % 2) as f32),
+        });
         scene.splats = SplatArrays { log_scales: log_scales.collect(), ..s }.check().unwrap();
-        scene.composition.pixel_filter = PixelFilter::MIP;
+        scene.composition.pixel_filter = [PixelFilter::MIP, PixelFilter::DILATION][seed as usize % 2];
         let (mean, most, _) = compare(&gpu_frame(&gpu, &scene, &camera, None).0, &scene, &camera);
         eprintln!("scene {seed}: mean {mean:.1e}, max {most:.1e}");
-        assert!(mean < 1e-4 && most < 2e-3, "scene {seed}: mean {mean:e}, max {most:e}");
+        assert!(mean < MEAN && most < MOST, "scene {seed}: mean {mean:e}, max {most:e}");
     }
 }
 
@@ -283,7 +291,7 @@ fn vertex_gradients_equal_the_reference() {
             let expected = expected.iter().flatten().zip(normals).map(|(g, n)| g.dot(n));
             let error = relative(found.into_iter().map(f64::from), expected);
             eprintln!("atomics {atomics}, subgroups {subgroups}, scene {seed}: {error:.1e}");
-            assert!(error < 1e-3, "scene {seed}: relative error {error:e}");
+            assert!(error < GRADIENT, "scene {seed}: relative error {error:e}");
         }
     }
 }
