@@ -1,10 +1,13 @@
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use image::Rgb32FImage;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, linalg::general_mat_mul};
 use rayon::prelude::*;
-use safetensors::{Dtype, SafeTensors};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::{MetricError, check_least, check_same_size};
 
@@ -13,6 +16,8 @@ const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 /// Added to the length of a pixel's features before they are divided by it.
 const EPSILON: f32 = 1e-10;
+/// Most bytes of a header: that of VGG has 4000.
+const HEADER: u64 = 1 << 20;
 /// Bytes of the patches that a thread multiplies at a time.
 const PATCHES: usize = 4 << 20;
 
@@ -93,6 +98,8 @@ pub enum LpipsError {
 /// Learned perceptual distance, v0.1 (Zhang et al. 2018): features of a network at five depths, normalised per pixel, their
 /// squared differences weighted per channel and averaged over the image (METHODS 8).
 ///
+/// With VGG a pixel takes 768 bytes while two images are compared (three maps of 64 floats), besides 59 MB of weights.
+///
 /// The weights are not ours to give away; `datasets-scripts/lpips_weights.py` writes the file from the `lpips` package.
 pub struct Lpips {
     net: LpipsNet,
@@ -162,42 +169,30 @@ fn layers(net: LpipsNet) -> Vec<Layer> {
 
 impl Lpips {
     /// Reads weights: a safetensors file of f32 tensors `conv1_1.weight` `[64, 3, 3, 3]`, `conv1_1.bias` `[64]` … `conv5_3` of
-    /// VGG-16, or `conv1` … `conv5` of `AlexNet`, and `lin0.weight` … `lin4.weight`, one per channel of each depth.
+    /// VGG-16, or `conv1` … `conv5` of `AlexNet`, and `lin0.weight` … `lin4.weight`, one per channel of each depth. What else is in
+    /// the file is not read, however long it is.
     ///
     /// # Errors
     /// If the file cannot be read, a tensor is missing, has another shape or type, or holds what is not finite.
     pub fn open(file: &Path) -> Result<Self, LpipsError> {
-        let bytes = std::fs::read(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
-        let fault = |at: &str, expected: String, found: String| LpipsError::Content {
+        let source = File::open(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
+        Self::read(source).map_err(|Fault(at, expected, found)| LpipsError::Content {
             file: file.to_owned(),
-            at: at.to_owned(),
+            at,
             expected,
             found,
-        };
-        let tensors = SafeTensors::deserialize(&bytes)
-            .map_err(|e| fault("header", "a safetensors file".to_owned(), e.to_string()))?;
-        let tensor = |name: &str, shape: &[usize]| -> Result<Vec<f32>, LpipsError> {
-            let expected = || format!("f32 {shape:?}");
-            let tensor = tensors.tensor(name).map_err(|_| fault(name, expected(), "no such tensor".to_owned()))?;
-            // Weights per channel are stored as 1×1 convolutions by some.
-            let holds = tensor.shape().iter().product::<usize>() == shape.iter().product::<usize>()
-                && (tensor.shape() == shape || shape.len() == 1);
-            if tensor.dtype() != Dtype::F32 || !holds {
-                return Err(fault(name, expected(), format!("{:?} {:?}", tensor.dtype(), tensor.shape())));
-            }
-            let values: Vec<f32> = tensor.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            match values.iter().position(|v| !v.is_finite()) {
-                Some(i) => Err(fault(name, "finite numbers".to_owned(), format!("{} at {i}", values[i]))),
-                None => Ok(values),
-            }
-        };
-        let net = if tensors.tensor("conv1_1.weight").is_ok() { LpipsNet::Vgg } else { LpipsNet::Alex };
+        })
+    }
+
+    fn read(source: impl Read + Seek) -> Result<Self, Fault> {
+        let mut weights = Weights::new(source)?;
+        let net = if weights.header.contains_key("conv1_1.weight") { LpipsNet::Vgg } else { LpipsNet::Alex };
         let (mut steps, mut linear, mut channels) = (vec![], vec![], 3);
         for layer in layers(net) {
             steps.push(match layer {
                 Layer::Conv(name, [kernel, stride, padding, outputs]) => {
-                    let stored = tensor(&format!("{name}.weight"), &[outputs, channels, kernel, kernel])?;
-                    let bias = tensor(&format!("{name}.bias"), &[outputs])?;
+                    let stored = weights.tensor(&format!("{name}.weight"), &[outputs, channels, kernel, kernel])?;
+                    let bias = weights.tensor(&format!("{name}.bias"), &[outputs])?;
                     let area = kernel * kernel;
                     let weights = Array2::from_shape_fn((area * channels, outputs), |(row, output)| {
                         stored[(output * channels + row % channels) * area + row / channels]
@@ -207,7 +202,7 @@ impl Lpips {
                 }
                 Layer::Pool(size) => Step::Pool { size },
                 Layer::Tap => {
-                    linear.push(tensor(&format!("lin{}.weight", linear.len()), &[channels])?);
+                    linear.push(weights.tensor(&format!("lin{}.weight", linear.len()), &[channels])?);
                     Step::Tap
                 }
             });
@@ -250,12 +245,79 @@ impl Lpips {
         let (mut linear, mut distances) = (self.linear.iter(), vec![]);
         for step in &self.steps {
             match step {
-                Step::Convolve(convolution) => (a, b) = (convolution.run(&a), convolution.run(&b)),
+                Step::Convolve(convolution) => {
+                    // One after the other: what went into the first is gone before the second is made.
+                    a = convolution.run(&a);
+                    b = convolution.run(&b);
+                }
                 Step::Pool { size } => (a, b) = (a.pooled(*size), b.pooled(*size)),
                 Step::Tap => distances.extend(linear.next().map(|weights| distance(&a, &b, weights))),
             }
         }
         Ok(distances)
+    }
+}
+
+/// Name of a tensor, what should be there, what is.
+struct Fault(String, String, String);
+
+/// A safetensors file of which only what is asked for is read.
+struct Weights<R> {
+    source: R,
+    /// What is said of each tensor, by name.
+    header: BTreeMap<String, Value>,
+    /// Offset of the tensors.
+    start: u64,
+}
+
+#[derive(Deserialize)]
+struct Stored {
+    dtype: String,
+    shape: Vec<usize>,
+    data_offsets: [u64; 2],
+}
+
+impl<R: Read + Seek> Weights<R> {
+    fn new(mut source: R) -> Result<Self, Fault> {
+        let fault = |found: String| Fault("header".to_owned(), "a safetensors file".to_owned(), found);
+        let mut length = [0; 8];
+        source.read_exact(&mut length).map_err(|e| fault(e.to_string()))?;
+        let length = u64::from_le_bytes(length);
+        if length > HEADER {
+            return Err(fault(format!("a header of {length} bytes")));
+        }
+        let mut text = vec![];
+        source.by_ref().take(length).read_to_end(&mut text).map_err(|e| fault(e.to_string()))?;
+        let header = serde_json::from_slice(&text).map_err(|e| fault(e.to_string()))?;
+        Ok(Self { source, header, start: 8 + length })
+    }
+
+    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, Fault> {
+        let fault = |expected: String, found: String| Fault(name.to_owned(), expected, found);
+        let expected = || format!("f32 {shape:?}");
+        let stored = self.header.get(name).ok_or_else(|| fault(expected(), "no such tensor".to_owned()))?;
+        let Stored { dtype, shape: found, data_offsets: [from, to] } = Stored::deserialize(stored)
+            .map_err(|e| fault("dtype, shape and data_offsets".to_owned(), e.to_string()))?;
+        // Weights per channel are stored as 1×1 convolutions by some.
+        let is_per_channel = shape.len() == 1 && found.iter().filter(|n| **n != 1).eq(shape);
+        if dtype != "F32" || (found != shape && !is_per_channel) {
+            return Err(fault(expected(), format!("{dtype} {found:?}")));
+        }
+        let mut values = vec![0.0_f32; shape.iter().product()];
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
+        if to.checked_sub(from) != Some(bytes.len() as u64) {
+            return Err(fault(format!("{} bytes", bytes.len()), format!("bytes {from} to {to}")));
+        }
+        let at = self.start.saturating_add(from);
+        (self.source.seek(SeekFrom::Start(at)))
+            .and_then(|_| self.source.read_exact(bytes))
+            .map_err(|e| fault(format!("{} bytes from byte {at} on", bytes.len()), e.to_string()))?;
+        // The file is little-endian.
+        values.iter_mut().for_each(|v| *v = f32::from_bits(u32::from_le(v.to_bits())));
+        match values.iter().position(|v| !v.is_finite()) {
+            Some(i) => Err(fault("finite numbers".to_owned(), format!("{} at {i}", values[i]))),
+            None => Ok(values),
+        }
     }
 }
 
@@ -344,6 +406,7 @@ mod tests {
     use image::Rgb;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg32;
+    use safetensors::Dtype;
 
     use super::*;
 
@@ -379,12 +442,16 @@ mod tests {
         tensors
     }
 
-    fn opened(tensors: &Tensors) -> Result<Lpips, String> {
-        let file = tempfile::NamedTempFile::new().unwrap();
+    fn bytes_of(tensors: &Tensors) -> Vec<u8> {
         let views = tensors.iter().map(|(name, (shape, bytes))| {
             (name.clone(), safetensors::tensor::TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap())
         });
-        std::fs::write(file.path(), safetensors::serialize(views, None).unwrap()).unwrap();
+        safetensors::serialize(views, None).unwrap()
+    }
+
+    fn opened(tensors: &Tensors) -> Result<Lpips, String> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes_of(tensors)).unwrap();
         let name = file.path().display().to_string();
         Lpips::open(file.path()).map_err(|e| e.to_string().replace(&name, "F"))
     }
@@ -472,5 +539,30 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), b"no weights").unwrap();
         assert!(Lpips::open(file.path()).err().unwrap().to_string().contains("header: expected a safetensors file"));
+    }
+
+    /// A header may say anything.
+    #[test]
+    fn damaged_weights_are_errors_not_panics() {
+        let whole = bytes_of(&random(LpipsNet::Alex, 1));
+        let header = 8 + u64::from_le_bytes(*whole.first_chunk().unwrap()) as usize;
+        let mut rng = Pcg32::seed_from_u64(5);
+        let (mut damaged, mut refused) = (whole.clone(), 0);
+        for case in 0..300 {
+            let at = if case % 4 == 0 { case % 8 } else { rng.random_range(8..header) };
+            // Digits become others, and with them offsets and shapes.
+            damaged[at] = if damaged[at].is_ascii_digit() { b'0' + rng.random_range(0..10) } else { rng.random() };
+            let end = if case % 10 == 9 { rng.random_range(0..whole.len()) } else { whole.len() };
+            refused += usize::from(Lpips::read(std::io::Cursor::new(&damaged[..end])).is_err());
+            damaged[at] = whole[at];
+        }
+        assert!(refused > 200, "{refused}");
+        let far = String::from_utf8(whole[8..header].to_vec()).unwrap().replacen(
+            "\"data_offsets\":[",
+            "\"data_offsets\":[1844674407370955",
+            1,
+        );
+        let far = [&(far.len() as u64).to_le_bytes()[..], far.as_bytes()].concat();
+        assert!(Lpips::read(std::io::Cursor::new(far)).is_err());
     }
 }

@@ -1,0 +1,54 @@
+//! What LPIPS of VGG takes while it compares two pictures, as its documentation has it.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use centaur::metrics::{Lpips, LpipsRange};
+use image::Rgb32FImage;
+use peak_alloc::PeakAlloc;
+use safetensors::{Dtype, tensor::TensorView};
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Weights of zero, which take as long as any.
+fn weights() -> Vec<u8> {
+    let zeros = vec![0; 4 * 512 * 512 * 9];
+    let mut views = vec![];
+    let mut put = |name: String, shape: Vec<usize>| {
+        let bytes = 4 * shape.iter().product::<usize>();
+        views.push((name, TensorView::new(Dtype::F32, shape, &zeros[..bytes]).unwrap()));
+    };
+    let mut channels = 3;
+    for (block, (count, outputs)) in [(2, 64), (2, 128), (3, 256), (3, 512), (3, 512)].into_iter().enumerate() {
+        for i in 1..=count {
+            put(format!("conv{}_{i}.weight", block + 1), vec![outputs, channels, 3, 3]);
+            put(format!("conv{}_{i}.bias", block + 1), vec![outputs]);
+            channels = outputs;
+        }
+        put(format!("lin{block}.weight"), vec![1, outputs, 1, 1]);
+    }
+    safetensors::serialize(views, None).unwrap()
+}
+
+#[test]
+fn a_pixel_takes_768_bytes_and_the_file_only_its_weights() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), weights()).unwrap();
+    // A file may be longer than what is needed of it.
+    file.as_file().set_len(4 << 30).unwrap();
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    let lpips = Lpips::open(file.path()).unwrap();
+    let held = MEMORY.current_usage() - before;
+    // Weights, and once more those of a layer, whose order is changed.
+    let most = MEMORY.peak_usage() - before;
+    assert!(held < 60_000_000 && most < 70_000_000, "{held} bytes, {most} at most");
+
+    let picture = Rgb32FImage::from_pixel(256, 192, image::Rgb([0.5; 3]));
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    lpips.distances(&picture, &picture, LpipsRange::Normalized).unwrap();
+    // Besides the maps: patches of 4 MB a thread, packed for the product.
+    let found = MEMORY.peak_usage() - before - (5 << 20) * rayon::current_num_threads();
+    assert!(found <= 768 * 256 * 192, "{found} bytes, {} a pixel", found / (256 * 192));
+}
