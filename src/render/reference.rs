@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 pub use backward::{ScreenStatistics, backward, backward_parameters};
 pub use layers::{Layers, render_layers};
-pub use margin::{Margin, render_with_margins};
+pub use margin::{Margin, margins, render_with_margins};
 pub use parameters::{Parameter, Parameters, finite_difference};
 
 use super::contract::{self, MAX_LAYERS, SurfaceDepth};

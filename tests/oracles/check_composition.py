@@ -7,7 +7,7 @@ Each scene of Centaur's, and a harder one made of it, is rendered from its first
 layers, by that script and by the program CENTAUR, to which it is given as a copy with the scene object changed. Exit 1
 if an image differs by MOST in any value, or by more than LIMIT on average: a tenth of what the extension's README allows for a claim of
 *composition*, and less than images of two modes differ by. A trained scene has many splats behind each other in every pixel, some
-of which pass a threshold of the text (a part of 1/255, a transmittance of 10⁻⁴) by less than single precision tells: there, up to
+of which pass a threshold of the text (a part of 1/255, a transmittance of 10⁻⁴) by less than single precision tells: there alone,
 CUT_OFFS of the values may differ by more than MOST, none by FAR.
 """
 import itertools
@@ -24,10 +24,10 @@ import OpenEXR
 
 from composition import EXT, KHR, Asset, View, contract_of, project_splats, render
 
-LIMIT = 1e-4
-MOST = 1e-3
-CUT_OFFS = 5e-4  # measured: 1 value of 28,224
-FAR = 1e-2
+LIMIT = 1e-4  # ten times what rounding in single precision adds up to over some tens of layers of splats
+MOST = 1e-3  # the same of the worst value; images of two modes differ by more than 2·LIMIT on average
+CUT_OFFS = 5e-4  # 14 values of 28,224, or five pixels; scenes of several trainings, no two of which are alike, had 1 to 4 values
+FAR = 1e-2  # two and a half times 1/255, which a splat at its threshold adds at most for a colour of 1; colours may exceed that
 MODES = ["stable", "surfaceConsistent", "direct"]
 
 
@@ -95,7 +95,7 @@ def compare(name, asset, program, trained):
         image = images[mode, layers, share] = render(asset)
         difference = abs(image - centaur_render(program, asset))
         apart = int((difference >= MOST).sum())
-        within = difference.mean() < LIMIT and difference.max() < (FAR if trained else MOST) and apart <= CUT_OFFS * difference.size
+        within = difference.mean() < LIMIT and (difference.max() < MOST or trained and difference.max() < FAR and apart <= CUT_OFFS * difference.size)
         ok &= within
         print(f"{name:18} {mode:18} L {layers} λ {contract.get('lambda', np.inf):<6.2g} mean {difference.mean():.1e}  "
               f"max {difference.max():.1e}  above {MOST}: {apart} of {difference.size}{'' if within else '  FAILED'}", flush=True)

@@ -44,8 +44,16 @@ impl Margin {
 /// Renders, and tells of every pixel how close its decisions were.
 #[must_use]
 pub fn render_with_margins(scene: &HybridScene, camera: &Camera) -> (Image, Vec<Margin>) {
-    let parameters = Parameters::of(scene);
-    let view = View::new(scene, camera, &parameters);
+    (render(scene, camera), margins(scene, camera, &Parameters::of(scene)))
+}
+
+/// How close the decisions of every pixel are with other parameters of the same shape.
+///
+/// # Panics
+/// If the shapes differ.
+#[must_use]
+pub fn margins(scene: &HybridScene, camera: &Camera, parameters: &Parameters) -> Vec<Margin> {
+    let view = View::new(scene, camera, parameters);
     let triangles: Vec<_> =
         mesh::camera_triangles(scene, camera, &parameters.positions).into_iter().flatten().collect();
     let pixels = 0..view.layers.len();
@@ -54,8 +62,7 @@ pub fn render_with_margins(scene: &HybridScene, camera: &Camera) -> (Image, Vec<
         pixels.clone().into_par_iter().map(|pixel| hit_margin(camera, &triangles, near, pixel)).collect();
     let surfaces: Vec<_> =
         view.splats.iter().map(|(splat, _)| surface_margin(scene, camera, &view, &hits, splat)).collect();
-    let margins = pixels.into_par_iter().map(|pixel| splat_margin(&view, &surfaces, pixel, hits[pixel])).collect();
-    (render(scene, camera), margins)
+    pixels.into_par_iter().map(|pixel| splat_margin(&view, &surfaces, pixel, hits[pixel])).collect()
 }
 
 /// Margins of which triangles a pixel's ray meets, and in which order.
