@@ -195,6 +195,15 @@ impl SplatState {
         contract::smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
     }
 
+    /// Opacity of splat `i` as it is seen: smoothed.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn seen_opacity(&self, i: usize) -> f32 {
+        self.opacity(i) * self.smoothing_factor(i)
+    }
+
     /// Largest standard deviation of splat `i`, world units.
     ///
     /// # Panics

@@ -13,7 +13,7 @@ const MAX_COPIES: usize = 51;
 /// What the probability of a splat to receive copies is proportional to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sampling {
-    /// Opacity, as in the paper.
+    /// Opacity, as in the paper; of splats that are smoothed, as they are seen.
     #[default]
     Opacity,
     /// [`Statistics::contribution`]. Behind an opaque mesh a splat keeps its opacity but contributes nothing.
@@ -23,7 +23,7 @@ pub enum Sampling {
 /// Thresholds of the strategy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct McmcOptions {
-    /// Splats of at most this opacity are dead, and no copy gets less: 0.005.
+    /// Splats of at most this opacity, as they are seen, are dead, and no copy gets less before it is smoothed: 0.005.
     pub min_opacity: f32,
     /// Splats after a step over splats before it: 1.05.
     pub growth: f32,
@@ -96,11 +96,11 @@ pub fn relocate_and_add(
     let epoch_ends = epoch.iterations >= views;
     let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
     let dead: Vec<usize> =
-        (0..n).filter(|&i| state.opacity(i) <= options.min_opacity || epoch.weight[i] < min_weight).collect();
+        (0..n).filter(|&i| state.seen_opacity(i) <= options.min_opacity || epoch.weight[i] < min_weight).collect();
     let scores_by = |sampling: Sampling| -> Vec<f64> {
         let mut scores: Vec<f64> = (0..n)
             .map(|i| match sampling {
-                Sampling::Opacity => f64::from(state.opacity(i)),
+                Sampling::Opacity => f64::from(state.seen_opacity(i)),
                 Sampling::Contribution => f64::from(statistics.contribution(i)),
             })
             .collect();
@@ -191,7 +191,7 @@ fn share(state: &mut SplatState, scores: &mut [f64], sampling: Sampling, sources
         row[OPACITY] = logit(opacity);
         row[LOG_SCALE].iter_mut().for_each(|s| *s += factor.ln() as f32);
         scores[i] = match sampling {
-            Sampling::Opacity => f64::from(opacity),
+            Sampling::Opacity => f64::from(state.seen_opacity(i)),
             Sampling::Contribution => scores[i] / copies as f64,
         };
     }
@@ -200,7 +200,10 @@ fn share(state: &mut SplatState, scores: &mut [f64], sampling: Sampling, sources
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimize::{density::tests::state, state::sigmoid};
+    use crate::optimize::{
+        density::tests::state,
+        state::{SMOOTHING, sigmoid},
+    };
 
     const SEEN: [f32; 4] = [0.0, 2.0, 4.0, 1.0];
 
@@ -285,6 +288,23 @@ mod tests {
         assert_eq!((report.added, s.len()), (5, 108));
         let (report, _) = run(&mut s, &[SEEN; 108], &McmcOptions::new(50, false), 1);
         assert_eq!((report.added, s.len()), (0, 108));
+    }
+
+    /// A splat that is smoothed to nothing is dead, and one of which smoothing leaves an eighth gets an eighth of the copies, whatever its logit.
+    #[test]
+    fn splats_are_judged_as_they_are_seen() {
+        let n = 2000;
+        let mut s = state(n, 0);
+        for i in 0..n {
+            // Scales are 0.01: √(1 + 3)⁻³ = ⅛ is left of every other one, of the first 10⁻⁶.
+            s.row_mut(i)[SMOOTHING] = [0.01 * 3.0_f32.sqrt(), 0.0][i % 2];
+        }
+        s.row_mut(0)[SMOOTHING] = 1.0;
+        let (report, _) = run(&mut s, &vec![SEEN; n], &McmcOptions { growth: 1.5, ..McmcOptions::new(3000, false) }, 1);
+        assert_eq!((report.relocated, report.added), (1, 1000));
+        let smoothed = (n..3000).filter(|&i| s.row(i)[SMOOTHING] > 0.0).count();
+        // A ninth; five standard errors of a binomial distribution: 50.
+        assert!((61..162).contains(&smoothed), "{smoothed}");
     }
 
     #[test]
