@@ -155,6 +155,8 @@ fn pictures_are_of_their_time() {
     assert!(same("frame_00000.png") && !same("frame_00002.png"));
     let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
     assert!(error.contains("expected a camera that keeps still"), "{error}");
+    let error = failure(folder.path(), "render a.gltf -o no --time 0..2000");
+    assert!(error.ends_with("expected at most 36000 frames, found 2000 s at 30 a second"), "{error}");
     run(folder.path(), "convert a.gltf still.glb --time 0");
     let error = failure(folder.path(), "render still.glb -o no --time 0..1");
     assert!(error.ends_with("--time START..END: expected a scene that moves, found one that rests"), "{error}");

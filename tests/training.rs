@@ -242,3 +242,27 @@ fn what_a_surface_was_made_of_is_said() {
         assert!(report.contains(words), "{surface:?}");
     }
 }
+
+#[test]
+fn a_surface_is_compared_with_what_it_should_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = demo().display().to_string();
+    let mesh = |args: &[&str]| {
+        let output =
+            common::centaur(folder.path()).args(["mesh", &demo, "--triangles", "3000"]).args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    mesh(&["-o", "a.glb", "--quiet"]);
+    let found: serde_json::Value =
+        serde_json::from_str(&mesh(&["-o", "b.glb", "--truth", "a.glb", "--within", "1e-4", "--json"])).unwrap();
+    let of = |key: &str| found["truth"][key].as_f64().unwrap();
+    assert!(of("accuracy") < 1e-6 && of("completeness") < 1e-6 && of("f_score") == 1.0, "{found}");
+    assert!(of("counted") > 0.5 && of("counted") < 1.0, "{found}");
+    assert!(found["holes_closed"].as_u64().unwrap() > 0, "{found}");
+    let error = common::failure(
+        folder.path(),
+        common::centaur(folder.path()).args(["mesh", &demo, "-o", "c.glb", "--truth", "none.ply"]),
+    );
+    assert!(error.contains("none.ply: cannot read"), "{error}");
+}

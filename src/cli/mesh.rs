@@ -1,13 +1,13 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{Capture, View};
-use centaur::format::{gltf, read_scene};
-use centaur::geometry::{self, PointView, SparseStats, SurfaceStats};
+use centaur::format::{gltf, mesh_import, read_scene};
+use centaur::geometry::{self, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats};
 use centaur::optimize::{TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
-use glam::Vec3;
+use glam::{DVec2, DVec3, Vec3};
 
 use super::output;
 use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
@@ -43,6 +43,12 @@ pub(super) struct Args {
     /// Side of the atlas in texels for which charts and gutters are laid out
     #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: u32,
+    /// Compare the surface with this one, in the frame of the capture; what no view sees of it does not count
+    #[arg(long, value_name = "MESH")]
+    truth: Option<PathBuf>,
+    /// Distance within which points count for precision, recall and F-score [default: 1 % of the truth's diagonal]
+    #[arg(long, value_name = "D", requires = "truth")]
+    within: Option<f64>,
     #[command(flatten)]
     adapter: AdapterArgs,
     #[command(flatten)]
@@ -62,6 +68,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         None => from_points(&capture, args)?,
     };
+    let compared = args.truth.as_deref().map(|truth| compare(&surface, truth, args.within, &capture)).transpose()?;
     let unwrapped = geometry::unwrap(&surface, args.texture_size)?;
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
@@ -71,21 +78,35 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json {
         return output::print_json(&serde_json::json!({
             "surface": args.output,
-            "views": steps.views,
+            "views": steps.views, "holes_closed": steps.holes,
             "triangles": { "extracted": steps.extracted, "cleaned": steps.cleaned, "even": steps.even,
                            "simplified": steps.simplified },
             "atlas": { "charts": charts.charts, "gutter": charts.gutter, "texels_per_unit": charts.texels_per_unit,
                        "coverage": charts.coverage, "mean_density": charts.mean_density,
                        "min_density": charts.min_density },
+            "truth": compared,
         }));
     }
+    if let Some(distance) = compared {
+        output::print(&format!(
+            "to the truth {:.5} on average, from it {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
+            distance.accuracy,
+            distance.completeness,
+            distance.within,
+            distance.precision,
+            distance.recall,
+            distance.f_score,
+            100.0 * distance.counted,
+        ))?;
+    }
     output::print(&format!(
-        "{} views fused; triangles: {} extracted, {} in pieces worth keeping, {} not rough, {} after simplification\n\
+        "{} views fused; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
          {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst\n\
          wrote {}",
         steps.views,
         steps.extracted,
         steps.cleaned,
+        steps.holes,
         steps.even,
         steps.simplified,
         charts.charts,
@@ -97,7 +118,36 @@ pub(super) fn run(args: &Args) -> Result<()> {
     ))
 }
 
-fn from_points(capture: &Capture, args: &Args) -> Result<(geometry::Surface, SurfaceStats)> {
+/// The surface against that of a file, as far as a camera of the capture sees it.
+fn compare(surface: &Surface, truth: &Path, within: Option<f64>, capture: &Capture) -> Result<SurfaceDistance> {
+    let read = mesh_import::read(truth)?;
+    let truth_surface = Surface { positions: read.positions, triangles: read.triangles };
+    let (low, high) = truth_surface
+        .positions
+        .iter()
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+    let diagonal = f64::from(low.distance(high));
+    let bvh = MeshBvh::new([(truth_surface.positions.as_slice(), truth_surface.triangles.as_slice())]);
+    let is_seen = |p: DVec3| {
+        capture.views.iter().any(|View { camera, .. }| {
+            let local = camera.rotation() * p + camera.translation();
+            let pixel = camera.project(local);
+            let k = camera.intrinsics();
+            let is_inside = local.z > 0.0
+                && pixel.cmpge(DVec2::ZERO).all()
+                && pixel.x < f64::from(k.width)
+                && pixel.y < f64::from(k.height);
+            let center = camera.center();
+            is_inside && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
+        })
+    };
+    let within = within.unwrap_or(0.01 * diagonal);
+    let distance = geometry::surface_distance(surface, &truth_surface, within, is_seen);
+    distance
+        .with_context(|| format!("{}: expected a surface that views of the capture see, found none", truth.display()))
+}
+
+fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats)> {
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     ensure!(
         !points.is_empty(),

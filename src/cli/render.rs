@@ -3,7 +3,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::format::gltf::Source;
 use centaur::format::{
-    self, CameraFile, Channel, DEFAULT_FPS, ExrCompression, ExrHeader, ReadOptions, SampleType, Sampling, read_file,
+    self, CameraFile, Channel, DEFAULT_FPS, ExrCompression, ExrHeader, MAX_FRAMES, ReadOptions, SampleType, Sampling,
+    frame_count, read_file,
 };
 use centaur::metrics::to_rgb8;
 use centaur::render::contract::{ImageModel, ShDirection};
@@ -290,9 +291,6 @@ impl When {
     }
 }
 
-/// Most frames of a span: an hour at 30 a second is 108,000.
-const MAX_FRAMES: f64 = 120_000.0;
-
 /// One camera that keeps still, at all frames from the first time to the second.
 fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile> {
     ensure!(
@@ -302,9 +300,10 @@ fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile
     let [(_, camera)] = &shot.cameras[..] else {
         bail!("--time START..END: expected one camera, found {}; --camera says which", shot.cameras.len());
     };
-    let last = ((end - start) * fps + 0.01).floor();
-    ensure!(last < MAX_FRAMES, "--time START..END: expected at most {MAX_FRAMES} frames, found {}", last + 1.0);
-    let count = last as usize + 1;
+    let count = frame_count(start, end, fps).with_context(|| {
+        let seconds = end - start;
+        format!("--time START..END: expected at most {MAX_FRAMES} frames, found {seconds} s at {fps} a second")
+    })?;
     let cameras = (0..count).map(|i| (format!("frame_{i:05}"), *camera)).collect();
     let times = (0..count).map(|i| start + i as f64 / fps).collect();
     Ok(CameraFile { cameras, fps: Some(fps), times, ..shot })

@@ -2,8 +2,10 @@
 
 mod bvh;
 mod charts;
+mod distance;
 mod extract;
 mod fusion;
+mod holes;
 mod neighbors;
 mod pack;
 mod smooth;
@@ -15,7 +17,9 @@ mod unwrap;
 use std::fmt::Display;
 
 pub use bvh::{ClosestPoint, Hit, MeshBvh};
+pub use distance::{SurfaceDistance, surface_distance};
 pub use fusion::{DepthView, Fusion, FusionOptions};
+pub use holes::without_holes;
 pub use neighbors::mean_squared_distance_to_3_neighbors;
 pub use smooth::{Rings, smooth, vertex_normals, without_rough};
 pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};

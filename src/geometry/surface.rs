@@ -3,6 +3,7 @@ use meshopt::{SimplifyOptions, VertexDataAdapter};
 
 use super::GeometryError;
 use super::fusion::{DepthView, Fusion, FusionOptions};
+use super::holes::without_holes;
 use super::smooth::{smooth, without_rough};
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
@@ -24,6 +25,8 @@ pub struct SurfaceOptions {
     pub min_component_faces: usize,
     /// So many of the largest components are kept: 50 (2DGS).
     pub keep_components: usize,
+    /// Holes with an edge of so many edges are closed, see [`without_holes`]: 40, about 13 voxels across.
+    pub max_hole_edges: usize,
     /// Passes of [`smooth`]: 20.
     pub smooth_passes: usize,
     /// Least mean of unit normals around a triangle, see [`without_rough`]: 0.6, which a right-angled edge passes.
@@ -40,6 +43,7 @@ impl SurfaceOptions {
             fusion,
             min_component_faces: 50,
             keep_components: 50,
+            max_hole_edges: 40,
             smooth_passes: 20,
             least_direction: 0.6,
             target_triangles: 100_000,
@@ -61,6 +65,8 @@ pub struct SurfaceStats {
     pub extracted: usize,
     /// Triangles after cleaning.
     pub cleaned: usize,
+    /// Holes that were closed then.
+    pub holes: usize,
     /// Triangles that are not rough.
     pub even: usize,
     /// Triangles after simplification.
@@ -104,7 +110,8 @@ pub fn surface_from_fusion(
         let hint = "every component is smaller than min_component_faces";
         return Err(GeometryError::EmptySurface { step: "cleaning", hint });
     }
-    let mut smoothed = cleaned;
+    let mut smoothed;
+    (smoothed, stats.holes) = without_holes(cleaned, options.max_hole_edges);
     smooth(&mut smoothed, options.smooth_passes);
     let even = without_rough(smoothed, ROUGH_RADIUS, options.least_direction);
     let even = clean(even, options.min_component_faces, options.keep_components);

@@ -1,0 +1,134 @@
+//! How far surfaces are from each other.
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{MeshBvh, Surface};
+
+/// Samples of each surface.
+const SAMPLES: usize = 200_000;
+
+/// A surface against the one that it should be, as A. Knapitsch et al., *Tanks and Temples*, 2017, compare them: by points that
+/// are evenly spread over both.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SurfaceDistance {
+    /// Mean distance of the surface's points to the truth.
+    pub accuracy: f64,
+    /// Mean distance of the truth's points to the surface.
+    pub completeness: f64,
+    /// Within which points count for the three below.
+    pub within: f64,
+    /// Part of the surface that is so near to the truth.
+    pub precision: f64,
+    /// Part of the truth that is so near to the surface.
+    pub recall: f64,
+    /// Harmonic mean of both.
+    pub f_score: f64,
+    /// Part of the truth that counts.
+    pub counted: f64,
+}
+
+impl SurfaceDistance {
+    /// Mean of accuracy and completeness.
+    #[must_use]
+    pub fn chamfer(&self) -> f64 {
+        0.5 * (self.accuracy + self.completeness)
+    }
+}
+
+/// Compares a surface with the truth, of whose points those count that `counts` says: nobody expects what no view sees.
+/// `None` if one of them has no area, or nothing counts.
+#[must_use]
+pub fn surface_distance(
+    surface: &Surface,
+    truth: &Surface,
+    within: f64,
+    counts: impl Fn(DVec3) -> bool + Sync,
+) -> Option<SurfaceDistance> {
+    let all = spread(truth)?;
+    let of_truth: Vec<DVec3> = all.par_iter().copied().filter(|p| counts(*p)).collect();
+    if of_truth.is_empty() {
+        return None;
+    }
+    let (accuracy, precision) = to(&spread(surface)?, truth, within);
+    let (completeness, recall) = to(&of_truth, surface, within);
+    let sum = precision + recall;
+    let f_score = if sum > 0.0 { 2.0 * precision * recall / sum } else { 0.0 };
+    let counted = of_truth.len() as f64 / all.len() as f64;
+    Some(SurfaceDistance { accuracy, completeness, within, precision, recall, f_score, counted })
+}
+
+/// Mean distance of points to a surface, and the part of them that is near it.
+fn to(points: &[DVec3], surface: &Surface, within: f64) -> (f64, f64) {
+    let bvh = MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
+    let distance = |p: &DVec3| bvh.closest_point(*p).map_or(f64::INFINITY, |closest| closest.distance);
+    let distances: Vec<f64> = points.par_iter().map(distance).collect();
+    let near = distances.iter().filter(|d| **d <= within).count();
+    (distances.iter().sum::<f64>() / points.len() as f64, near as f64 / points.len() as f64)
+}
+
+/// [`SAMPLES`] points, as many on each part as it has of the area; `None` if there is none.
+fn spread(surface: &Surface) -> Option<Vec<DVec3>> {
+    let corner = |v: u32| surface.positions.get(v as usize).map(|p| p.as_dvec3()).filter(|p| p.is_finite());
+    let corners = |t: &[u32; 3]| Some([corner(t[0])?, corner(t[1])?, corner(t[2])?]);
+    let triangles: Vec<[DVec3; 3]> = surface.triangles.iter().filter_map(corners).collect();
+    let areas = triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length());
+    let mut end = 0.0;
+    let ends: Vec<f64> = areas
+        .map(|area| {
+            end += area;
+            end
+        })
+        .collect();
+    if !(end > 0.0 && end.is_finite()) {
+        return None;
+    }
+    let point = |i: usize| {
+        let at = (i as f64 + 0.5) / SAMPLES as f64 * end;
+        let which = ends.partition_point(|e| *e <= at).min(triangles.len() - 1);
+        let [a, b, c] = triangles[which];
+        // The R2 sequence (M. Roberts, 2018) within triangles: even, and the same on every run.
+        let (u, v) = ((i as f64 * 0.754_877_666_246_692_8).fract(), (i as f64 * 0.569_840_290_998_053_3).fract());
+        let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+        a + u * (b - a) + v * (c - a)
+    };
+    Some((0..SAMPLES).into_par_iter().map(point).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+
+    /// Squares of side 1 side by side along x, at a height.
+    fn squares(count: u32, z: f32) -> Surface {
+        let positions = (0..=count).flat_map(|x| [0.0, 1.0].map(|y| Vec3::new(x as f32, y, z))).collect();
+        let square = |x: u32| [[2 * x, 2 * x + 2, 2 * x + 3], [2 * x, 2 * x + 3, 2 * x + 1]];
+        Surface { positions, triangles: (0..count).flat_map(square).collect() }
+    }
+
+    #[test]
+    fn distances_are_those_of_planes() {
+        let found = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.25, |_| true).unwrap();
+        assert!((found.accuracy - 0.25).abs() < 1e-12 && (found.chamfer() - 0.25).abs() < 1e-12);
+        assert_eq!((found.precision, found.recall, found.f_score, found.counted), (1.0, 1.0, 1.0, 1.0));
+        let far = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.2, |_| true).unwrap();
+        assert_eq!((far.precision, far.recall, far.f_score), (0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn what_is_missing_counts_where_it_is_seen() {
+        // One square of four: the mean distance of the others to it is 1.5 · 3/4.
+        let (part, whole) = (squares(1, 0.0), squares(4, 0.0));
+        let found = surface_distance(&part, &whole, 0.5, |_| true).unwrap();
+        assert!(found.accuracy < 1e-9 && (found.completeness - 1.125).abs() < 1e-4, "{found:?}");
+        assert!((found.recall - 0.375).abs() < 1e-4 && found.precision == 1.0, "{found:?}");
+        assert!((found.f_score - 2.0 * 0.375 / 1.375).abs() < 1e-4);
+        let seen = surface_distance(&part, &whole, 0.5, |p| p.x < 1.0).unwrap();
+        assert!((seen.recall, seen.f_score) == (1.0, 1.0) && (seen.counted - 0.25).abs() < 1e-4, "{seen:?}");
+        assert_eq!(surface_distance(&part, &whole, 0.5, |_| false), None);
+        assert_eq!(surface_distance(&Surface::default(), &whole, 0.5, |_| true), None);
+    }
+}

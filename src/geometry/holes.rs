@@ -1,0 +1,272 @@
+//! Holes in a surface, closed by constrained Delaunay triangles in the plane that fits their edge best.
+
+use std::collections::{BTreeMap, HashMap};
+
+use glam::{DVec2, DVec3, Vec3};
+use spade::{
+    AngleLimit, ConstrainedDelaunayTriangulation, HasPosition, Point2, RefinementParameters, Triangulation as _,
+};
+
+use super::Surface;
+
+/// How far an edge may leave its plane, as a part of the square root of the area within.
+const FLATNESS: f64 = 0.3;
+/// Cosine of the largest angle between that plane and the surface around the edge: beyond, it is the end of a tube.
+const LEAST_COSINE: f64 = 0.5;
+/// Sharpest corner of triangles within, in degrees, where the edge allows it.
+const SHARPEST: f64 = 20.0;
+
+/// A boundary, in the direction that the triangles at it have.
+struct Edge {
+    vertices: Vec<u32>,
+    /// Sum of the normals of those triangles, as long as twice their area.
+    around: DVec3,
+}
+
+/// A vertex in the plane of a hole; `index` is that in the surface, which vertices within the hole get later.
+#[derive(Clone, Copy)]
+struct Corner {
+    at: DVec2,
+    index: Option<u32>,
+}
+
+impl HasPosition for Corner {
+    type Scalar = f64;
+
+    fn position(&self) -> Point2<f64> {
+        Point2::new(self.at.x, self.at.y)
+    }
+}
+
+impl From<Point2<f64>> for Corner {
+    fn from(at: Point2<f64>) -> Self {
+        Self { at: DVec2::new(at.x, at.y), index: None }
+    }
+}
+
+/// Closes holes whose edge has at most `max_edges` edges, and returns how many. A hole is a boundary that the surface lies around:
+/// nearly flat, simple in its plane, with nothing in it. Outlines, ends of tubes and holes that others are in stay open, and
+/// so do those at which boundaries touch. New triangles are about as large as those around, and wound alike.
+///
+/// The cost is linear in the triangles, and quadratic in the holes that are small enough, of which it compares boxes.
+#[must_use]
+pub fn without_holes(mut surface: Surface, max_edges: usize) -> (Surface, usize) {
+    let edges = boundaries(&surface);
+    let small = |edge: &&Edge| edge.vertices.len() <= max_edges;
+    let holes: Vec<Hole> = edges.iter().filter(small).filter_map(|edge| Hole::new(&surface.positions, edge)).collect();
+    // An island has a boundary of its own, of any length.
+    let others: Vec<(DVec3, u32)> =
+        edges.iter().map(|edge| (surface.positions[edge.vertices[0] as usize].as_dvec3(), edge.vertices[0])).collect();
+    let mut closed = 0;
+    for hole in holes {
+        if others.iter().any(|&(p, vertex)| !hole.vertices.contains(&vertex) && hole.holds(p)) {
+            continue;
+        }
+        closed += usize::from(hole.fill(&mut surface));
+    }
+    (surface, closed)
+}
+
+/// All boundaries that do not touch themselves or each other.
+fn boundaries(surface: &Surface) -> Vec<Edge> {
+    let corners = |t: &[u32; 3]| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])];
+    let mut count: HashMap<(u32, u32), u32> = HashMap::new();
+    surface.triangles.iter().flat_map(corners).for_each(|edge| *count.entry(edge).or_default() += 1);
+    // By where they begin: the next vertex and the normal of the triangle, `None` where several begin.
+    let mut next: BTreeMap<u32, Option<(u32, DVec3)>> = BTreeMap::new();
+    for t in &surface.triangles {
+        for (a, b) in corners(t).into_iter().filter(|&(a, b)| count[&(a, b)] == 1 && !count.contains_key(&(b, a))) {
+            let [p, q, r] = t.map(|v| surface.positions[v as usize].as_dvec3());
+            next.entry(a).and_modify(|n| *n = None).or_insert_with(|| Some((b, (q - p).cross(r - p))));
+        }
+    }
+    let mut found = vec![];
+    while let Some((&start, _)) = next.first_key_value() {
+        let (mut edge, mut at) = (Edge { vertices: vec![], around: DVec3::ZERO }, start);
+        // Every vertex is taken out, so that this ends.
+        while let Some(Some((after, normal))) = next.remove(&at) {
+            edge.vertices.push(at);
+            edge.around += normal;
+            at = after;
+        }
+        if at == start && edge.vertices.len() >= 3 {
+            found.push(edge);
+        }
+    }
+    found
+}
+
+/// A boundary with the surface around it.
+struct Hole {
+    /// Counter-clockwise in the plane.
+    vertices: Vec<u32>,
+    outline: Vec<DVec2>,
+    /// Above the plane.
+    offsets: Vec<f64>,
+    center: DVec3,
+    axes: [DVec3; 3],
+    /// Of the outline.
+    bounds: [DVec2; 2],
+    area: f64,
+}
+
+impl Hole {
+    fn new(positions: &[Vec3], edge: &Edge) -> Option<Self> {
+        // Triangles run around a hole the other way.
+        let vertices: Vec<u32> = edge.vertices.iter().rev().copied().collect();
+        let points: Vec<DVec3> = vertices.iter().map(|&v| positions[v as usize].as_dvec3()).collect();
+        let center = points.iter().sum::<DVec3>() / points.len() as f64;
+        let around_center = points.iter().zip(points.iter().cycle().skip(1));
+        let twice_area: DVec3 = around_center.map(|(p, q)| (*p - center).cross(*q - center)).sum();
+        let normal = twice_area.try_normalize()?;
+        if normal.dot(edge.around.try_normalize()?) < LEAST_COSINE {
+            return None;
+        }
+        let (u, v) = normal.any_orthonormal_pair();
+        // Right-handed, whichever order the pair has.
+        let axes = if u.cross(v).dot(normal) > 0.0 { [u, v, normal] } else { [v, u, normal] };
+        let local: Vec<DVec3> = points.iter().map(|p| DVec3::from(axes.map(|axis| axis.dot(*p - center)))).collect();
+        let area = 0.5 * twice_area.length();
+        if local.iter().any(|p| p.z.abs() > FLATNESS * area.sqrt()) {
+            return None;
+        }
+        let outline: Vec<DVec2> = local.iter().map(|p| p.truncate()).collect();
+        let low = outline.iter().copied().reduce(DVec2::min)?;
+        let high = outline.iter().copied().reduce(DVec2::max)?;
+        let offsets = local.iter().map(|p| p.z).collect();
+        Some(Self { vertices, outline, offsets, center, axes, bounds: [low, high], area })
+    }
+
+    /// Whether a point is in it: within its outline, and near its plane.
+    fn holds(&self, point: DVec3) -> bool {
+        let p = DVec3::from(self.axes.map(|axis| axis.dot(point - self.center)));
+        let [low, high] = self.bounds;
+        let q = p.truncate();
+        let is_near = p.z.abs() <= self.area.sqrt() && q.cmpge(low).all() && q.cmple(high).all();
+        let crosses = |(a, b): (&DVec2, &DVec2)| {
+            (a.y > q.y) != (b.y > q.y) && q.x < a.x + (q.y - a.y) / (b.y - a.y) * (b.x - a.x)
+        };
+        let sides = self.outline.iter().zip(self.outline.iter().cycle().skip(1));
+        is_near && sides.filter(|side| crosses(*side)).count() % 2 == 1
+    }
+
+    /// Appends its triangles; false, and nothing done, if its outline is not simple.
+    fn fill(&self, surface: &mut Surface) -> bool {
+        let n = self.outline.len();
+        let corner = |(at, index): (&DVec2, &u32)| Corner { at: *at, index: Some(*index) };
+        let corners = self.outline.iter().zip(&self.vertices).map(corner).collect();
+        let sides = (0..n).map(|i| [i, (i + 1) % n]).collect();
+        let mut crosses = false;
+        let loaded = ConstrainedDelaunayTriangulation::<Corner>::try_bulk_load_cdt(corners, sides, |_| crosses = true);
+        let Ok(mut cdt) = loaded else { return false };
+        if crosses || cdt.num_vertices() != n {
+            return false;
+        }
+        let length: f64 =
+            self.outline.iter().zip(self.outline.iter().cycle().skip(1)).map(|(a, b)| a.distance(*b)).sum();
+        let side = length / n as f64;
+        let refined = cdt.refine(
+            RefinementParameters::new()
+                .exclude_outer_faces(true)
+                .keep_constraint_edges()
+                .with_angle_limit(AngleLimit::from_deg(SHARPEST))
+                // One and a half times an equilateral triangle on such an edge.
+                .with_max_allowed_area(0.65 * side * side)
+                .with_max_additional_vertices(n * n),
+        );
+        let outside: std::collections::HashSet<_> = refined.excluded_faces.into_iter().collect();
+        let mut index: Vec<u32> = vec![];
+        for vertex in cdt.vertices() {
+            let Corner { at, index: known } = *vertex.data();
+            index.push(known.unwrap_or_else(|| {
+                surface.positions.push(self.lifted(at));
+                surface.positions.len() as u32 - 1
+            }));
+        }
+        let faces = cdt.inner_faces().filter(|face| !outside.contains(&face.fix()));
+        surface.triangles.extend(faces.map(|face| face.vertices().map(|v| index[v.index()])));
+        true
+    }
+
+    /// A point within, as far from the plane as the edge around it.
+    fn lifted(&self, at: DVec2) -> Vec3 {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for (p, offset) in self.outline.iter().zip(&self.offsets) {
+            let weight = p.distance_squared(at).max(1e-12 * self.area).recip();
+            sum += weight * offset;
+            total += weight;
+        }
+        let [u, v, normal] = self.axes;
+        (self.center + at.x * u + at.y * v + (sum / total) * normal).as_vec3()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of side n with unit cells, at the height that `z` says, without the cells in `missing`.
+    fn sheet(n: u32, z: impl Fn(f32, f32) -> f32, missing: impl Fn(u32, u32) -> bool) -> Surface {
+        let at = |x: u32, y: u32| y * (n + 1) + x;
+        let positions = (0..=n).flat_map(|y| (0..=n).map(move |x| (x as f32, y as f32)));
+        let positions = positions.map(|(x, y)| Vec3::new(x, y, z(x, y))).collect();
+        let cells = (0..n).flat_map(|y| (0..n).map(move |x| (x, y))).filter(|&(x, y)| !missing(x, y));
+        let triangles = cells.flat_map(|(x, y)| {
+            let [a, b, c, d] = [at(x, y), at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)];
+            [[a, b, c], [a, c, d]]
+        });
+        Surface { positions, triangles: triangles.collect() }
+    }
+
+    fn area(surface: &Surface) -> DVec3 {
+        let corners = surface.triangles.iter().map(|t| t.map(|v| surface.positions[v as usize].as_dvec3()));
+        corners.map(|[a, b, c]| 0.5 * (b - a).cross(c - a)).sum()
+    }
+
+    #[test]
+    fn a_hole_is_closed_and_the_outline_is_not() {
+        let (closed, count) =
+            without_holes(sheet(9, |_, _| 0.0, |x, y| (3..6).contains(&x) && (3..7).contains(&y)), 40);
+        assert_eq!(count, 1);
+        // All of one side, once: the signed area is that of the square.
+        assert!((area(&closed) - 81.0 * DVec3::Z).length() < 1e-4, "{}", area(&closed));
+        let unsigned: f64 = closed
+            .triangles
+            .iter()
+            .map(|t| t.map(|v| closed.positions[v as usize].as_dvec3()))
+            .map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length())
+            .sum();
+        assert!((unsigned - 81.0).abs() < 1e-4, "{unsigned}");
+        // Only the outline is left, and its 36 edges are the only ones without a neighbour.
+        let left = boundaries(&closed);
+        assert_eq!(left.iter().map(|edge| edge.vertices.len()).collect::<Vec<_>>(), [36]);
+        // About as large as those around.
+        assert!(closed.triangles.len() > 162 && closed.triangles.len() < 200, "{}", closed.triangles.len());
+        assert_eq!(without_holes(closed.clone(), 1000), (closed, 0));
+    }
+
+    #[test]
+    fn a_hole_in_a_bent_surface_follows_it() {
+        let bent = |x: f32, y: f32| 0.02 * ((x - 6.0).powi(2) + (y - 6.0).powi(2));
+        let (closed, count) = without_holes(sheet(12, bent, |x, y| (4..8).contains(&x) && (4..8).contains(&y)), 40);
+        assert_eq!(count, 1);
+        let worst = closed.positions[169..].iter().map(|p| (p.z - bent(p.x, p.y)).abs()).fold(0.0, f32::max);
+        assert!(closed.positions.len() > 169 && worst < 0.16, "{worst}");
+    }
+
+    #[test]
+    fn what_is_no_hole_stays_open() {
+        let kept = |surface: Surface, max_edges: usize| without_holes(surface, max_edges).1;
+        let hole = |x: u32, y: u32| (3..6).contains(&x) && (3..6).contains(&y);
+        assert_eq!(kept(sheet(9, |_, _| 0.0, hole), 11), 0, "too long");
+        assert_eq!(kept(sheet(9, |_, _| 0.0, |x, y| hole(x, y) && (x, y) != (4, 4)), 40), 0, "an island in it");
+        assert_eq!(kept(sheet(9, |_, _| 0.0, |x, y| (x, y) == (3, 3) || (x, y) == (4, 4)), 40), 0, "two that touch");
+        assert_eq!(kept(sheet(9, |x, _| 3.0 * (x - 4.5).abs(), hole), 40), 0, "a fold");
+        // A tube of squares.
+        let ring = |z: f32| [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, z));
+        let wall = |i: u32| [[i, (i + 1) % 4, (i + 1) % 4 + 4], [i, (i + 1) % 4 + 4, i + 4]];
+        let tube = Surface { positions: [ring(0.0), ring(1.0)].concat(), triangles: (0..4).flat_map(wall).collect() };
+        assert_eq!((boundaries(&tube).len(), kept(tube, 40)), (2, 0), "ends");
+        assert_eq!(kept(Surface::default(), 40), 0);
+    }
+}
