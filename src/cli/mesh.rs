@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
 use centaur::geometry::{self, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats};
-use centaur::optimize::{TrainOptions, surface_from_splats};
+use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
 use glam::{DVec2, DVec3, Vec3};
@@ -60,11 +60,12 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     let capture = args.loading.open(&args.capture)?;
-    let (surface, steps) = match &args.splats {
+    let (surface, steps, origin) = match &args.splats {
         Some(splats) => {
             let scene = read_scene(splats)?;
             let gpu = args.adapter.open()?;
-            surface_from_splats(&gpu, &scene.splats, &capture, args.triangles)?
+            let (surface, steps) = surface_from_splats(&gpu, &scene.splats, &capture, args.triangles)?;
+            (surface, steps, SurfaceOrigin::Splats)
         }
         None => from_points(&capture, args)?,
     };
@@ -78,6 +79,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json {
         return output::print_json(&serde_json::json!({
             "surface": args.output,
+            "origin": origin,
             "views": steps.views, "holes_closed": steps.holes,
             "triangles": { "extracted": steps.extracted, "cleaned": steps.cleaned, "even": steps.even,
                            "simplified": steps.simplified },
@@ -147,7 +149,7 @@ fn compare(surface: &Surface, truth: &Path, within: Option<f64>, capture: &Captu
         .with_context(|| format!("{}: expected a surface that views of the capture see, found none", truth.display()))
 }
 
-fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats)> {
+fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     ensure!(
         !points.is_empty(),
@@ -156,10 +158,17 @@ fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats)
     );
     let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
     let views: Vec<PointView> = capture.views.iter().map(view).collect();
+    let is_known = views.iter().all(|view| !view.sees.is_empty());
     let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles)?;
     if !args.messages.json && !args.messages.quiet {
         let SparseStats { lifted, clear, .. } = steps;
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;
+        if !is_known {
+            let capture = args.capture.display();
+            output::print(&format!(
+                "note: {capture}: does not say which views see its points: each was taken for seen where none is nearer"
+            ))?;
+        }
     }
-    Ok((surface, steps.surface))
+    Ok((surface, steps.surface, if is_known { SurfaceOrigin::Points } else { SurfaceOrigin::GuessedPoints }))
 }
