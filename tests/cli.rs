@@ -30,6 +30,7 @@ fn wrong_usage_is_exit_code_2() {
         &["train", "capture", "-o", "scene.glb", "--lambda", "-1"],
         &["train", "capture", "-o", "scene.glb", "--mesh", "a.obj", "--no-mesh"],
         &["train", "capture", "-o", "scene.glb", "--report", "out", "--no-eval"],
+        &["train", "capture", "-o", "scene.glb", "--budget-mb", "9", "--max-floats", "9"],
         &["eval", "scene.glb"],
         &["render", "scene.glb", "-o", "out", "--format", "tiff"],
         &["mesh", "splats.ply", "capture", "-o", "surface.obj"],

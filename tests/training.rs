@@ -164,8 +164,9 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
         "--max-side",
         "64",
         "--no-mesh",
-        "--max-splats",
-        "1000",
+        // 1,000 splats of 59 floats.
+        "--budget-mb",
+        "0.236",
         "--iterations",
         "200",
         "--no-eval",
@@ -194,7 +195,9 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(outcome["outcome"], "finished");
     assert_eq!(files(), ["scene.glb"]);
-    centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
+    assert_eq!(outcome["settings"]["max_floats"], 59_000);
+    let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
+    assert_eq!(scene.splats.len(), 1000);
 }
 
 /// What fails after the training does not cost the training.

@@ -15,6 +15,7 @@ use centaur::render::gpu::Gpu;
 use centaur::scene::OrderMode;
 use clap::ValueEnum;
 
+use super::edits::positive;
 use super::eval::{self, Details};
 use super::output;
 use super::progress::Reporter;
@@ -105,6 +106,9 @@ pub(super) struct Args {
     /// Most floats in splats, maps and vertices together; limits the splats, for comparisons at equal size
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     max_floats: Option<usize>,
+    /// As --max-floats, by what they take as f32, in megabytes of 10⁶ bytes
+    #[arg(long, value_name = "MB", conflicts_with = "max_floats", value_parser = positive, help_heading = OPTIMISATION)]
+    budget_mb: Option<f64>,
 
     /// Surface to use: .glb, .obj or .ply; its UVs are kept [default: fused from the depth of splats,
     /// see --surface-iterations]
@@ -212,7 +216,7 @@ impl Args {
                 DensityKind::Mcmc => Density::Mcmc,
             },
             max_splats: self.max_splats,
-            max_floats: self.max_floats,
+            max_floats: self.max_floats.or(self.budget_mb.map(|mb| (mb * 1e6 / 4.0) as usize)),
             visible_only: self.visible_only,
             dense_texels: self.dense_texels,
             antialias: self.antialias,
