@@ -126,10 +126,12 @@ impl Poses {
         Ok(Pose { bones: bones.collect(), weights: weights.collect() })
     }
 
-    /// What bones are called: as the nodes that they are.
+    /// What bones are called: as the nodes that they are, cut where that is long: a skin may name one node many times.
     pub(super) fn names(&self, document: &gltf::Document) -> Vec<String> {
         let named: HashMap<usize, &str> = document.nodes().filter_map(|n| Some((n.index(), n.name()?))).collect();
-        let of = |node: usize| named.get(&node).map_or_else(|| format!("node {node}"), |name| (*name).to_owned());
+        let of = |node: usize| {
+            named.get(&node).map_or_else(|| format!("node {node}"), |name| name.chars().take(100).collect())
+        };
         self.bones.iter().map(|bone| of(bone.node())).collect()
     }
 
