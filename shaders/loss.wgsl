@@ -16,12 +16,15 @@
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w
+@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure
 @group(0) @binding(2) var<storage, read> image: array<f32>;               // rgb and transmittance per pixel
 @group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
 @group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3
 @group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // as image; last of four is 0
 @group(0) @binding(6) var<storage, read_write> means: array<vec2f>;       // each workgroup's part of mean SSIM and L1
+//#if EXPOSURE
+@group(0) @binding(7) var<storage, read> exposures: array<vec4f>;         // [view][row], see exposure.wgsl
+//#end
 
 const WIDTH: u32 = 16u;                 // of a tile; WIDTH and HEIGHT in loss.rs
 const HEIGHT: u32 = 48u;
@@ -55,10 +58,14 @@ fn tile_of(group: u32) -> Tile {
     return Tile(vec2u(tile % across * WIDTH, tile / across * HEIGHT), group % 3u, tile < across * down);
 }
 
-// Rendered and true colour, and the slope of the first by the image.
+// Rendered, then exposed colour, and the true one; and the slope of the first by that after the exposure.
 fn colors(pixel: u32, channel: u32) -> vec3f {
     let word = truth[pixel];
     var x = image[4u * pixel + channel];
+    //#if EXPOSURE
+    let row = exposures[3u * u32(weights.y) + channel];
+    x = dot(row.xyz, vec3f(image[4u * pixel], image[4u * pixel + 1u], image[4u * pixel + 2u])) + row.w;
+    //#end
     var y = f32((word >> (8u * channel)) & 255u) * (1.0 / 255.0);
     var slope = 1.0;
     //#if COMPOSITE

@@ -111,8 +111,8 @@ fn on_one_thread(name: &str, test: impl FnOnce()) {
     assert!(output.status.success() && text.contains("1 passed"), "{text}");
 }
 
-fn resumes_in_both_phases(density: Density) {
-    let bench = Bench::new(square(), options(density));
+fn resumes_in_both_phases(options: TrainOptions) {
+    let bench = Bench::new(square(), options);
     let straight = bench.run(false, None);
     let splats: Vec<usize> = straight.history.iter().map(|p| p.splats).collect();
     assert!(splats.contains(&700) && *splats.last().unwrap() > 700, "no density step was tested: {splats:?}");
@@ -123,12 +123,14 @@ fn resumes_in_both_phases(density: Density) {
 
 #[test]
 fn resumed_with_gradient_based_density() {
-    on_one_thread("resumed_with_gradient_based_density", || resumes_in_both_phases(Density::Inria));
+    on_one_thread("resumed_with_gradient_based_density", || resumes_in_both_phases(options(Density::Inria)));
 }
 
 #[test]
 fn resumed_with_mcmc() {
-    on_one_thread("resumed_with_mcmc", || resumes_in_both_phases(Density::Mcmc));
+    // With exposures, which are a part of the state as well.
+    let options = TrainOptions { exposure: true, ..options(Density::Mcmc) };
+    on_one_thread("resumed_with_mcmc", || resumes_in_both_phases(options));
 }
 
 #[test]

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -97,6 +98,10 @@ pub(super) struct Args {
     /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
     #[arg(long, help_heading = OPTIMISATION)]
     antialias: bool,
+    /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; held-out
+    /// views are rendered without (a row of its own in comparisons)
+    #[arg(long, help_heading = OPTIMISATION)]
+    exposure: bool,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
     #[arg(long, help_heading = OPTIMISATION)]
     visible_only: bool,
@@ -220,6 +225,7 @@ impl Args {
             visible_only: self.visible_only,
             dense_texels: self.dense_texels,
             antialias: self.antialias,
+            exposure: self.exposure,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,
             seed: self.seed,
@@ -344,9 +350,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let notes: Vec<String> = note(args, trained.surface).into_iter().collect();
     if args.messages.json {
+        let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface, "notes": notes,
+            "exposures": exposures,
             "settings": options, "evaluation": evaluation,
         });
         output::print_json(&outcome)?;

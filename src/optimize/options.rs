@@ -39,6 +39,9 @@ pub struct TrainOptions {
     /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
     /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).
     pub antialias: bool,
+    /// An affine exposure per training photograph, fitted along: off (3DGS). What all photographs have in common stays in the scene,
+    /// as which held-out views are rendered.
+    pub exposure: bool,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -94,6 +97,7 @@ impl Default for TrainOptions {
             warmup: 9_000,
             surface_iterations: None,
             antialias: false,
+            exposure: false,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,

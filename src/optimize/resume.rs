@@ -13,7 +13,7 @@ use super::{
     static_scene::{arrays, splat_state},
 };
 use crate::{
-    render::gpu::{training::Training, vertices::VertexState},
+    render::gpu::{exposure::ExposureState, training::Training, vertices::VertexState},
     scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
 };
 
@@ -29,6 +29,7 @@ pub(super) struct Saved {
     statistics: Vec<f32>,
     texel_moments: (Vec<f32>, Vec<f32>),
     pub(super) vertices: VertexState,
+    exposures: Option<ExposureState>,
     epoch: EpochWeight,
     /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
     lists: [usize; 2],
@@ -56,6 +57,7 @@ impl Saved {
             surface,
             meshes: training.read_meshes(&scene.meshes)?,
             vertices: training.read_vertex_state()?,
+            exposures: training.read_exposures()?,
             splats: splat_state(training)?,
             statistics: training.read_statistics()?,
             texel_moments: training.read_texel_moments()?,
@@ -69,6 +71,9 @@ impl Saved {
         training.write_splats(&arrays(self.splats))?;
         training.lengthen_lists(self.lists)?;
         training.write_statistics(&self.statistics);
+        if let Some(exposures) = &self.exposures {
+            training.expose(exposures)?;
+        }
         let (first, second) = &self.texel_moments;
         if !training.write_texel_moments(first, second) {
             return Err(TrainError::Resume("the moments of the maps do not fit the maps".to_owned()));
@@ -94,6 +99,12 @@ impl Saved {
         tensors.insert("vertices/pixel".to_owned(), vec![self.vertices.pixel]);
         tensors.insert("vertices/normals".to_owned(), self.vertices.normals);
         tensors.insert("vertices/moments".to_owned(), self.vertices.moments);
+        if let Some(ExposureState { values, moments: [first, second], steps }) = self.exposures {
+            for (name, floats) in [("values", values), ("m", first), ("v", second)] {
+                tensors.insert(format!("exposures/{name}"), floats);
+            }
+            indices.insert("exposures/steps".to_owned(), steps);
+        }
         tensors.insert("texels/m".to_owned(), self.texel_moments.0);
         tensors.insert("texels/v".to_owned(), self.texel_moments.1);
         tensors.insert("statistics".to_owned(), self.statistics);
@@ -159,6 +170,18 @@ impl Saved {
             normals: take("vertices/normals".to_owned())?,
             moments: take("vertices/moments".to_owned())?,
         };
+        let exposures = if run.options.exposure {
+            let name = "exposures/steps";
+            let steps = indices.remove(name).ok_or_else(|| damaged(name))?;
+            let moments = [take("exposures/m".to_owned())?, take("exposures/v".to_owned())?];
+            Some(ExposureState { values: take("exposures/values".to_owned())?, moments, steps })
+        } else {
+            None
+        };
+        let views = run.input["views"].as_array().map_or(0, Vec::len);
+        if exposures.as_ref().is_some_and(|exposures| !exposures.is_of(views)) {
+            return Err(damaged("exposures"));
+        }
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
         // As for `MeshSource::is_found`.
@@ -184,6 +207,7 @@ impl Saved {
             statistics,
             texel_moments,
             vertices,
+            exposures,
             lists: serde_json::from_value(field("lists")?).map_err(|_| damaged("lists"))?,
             epoch: EpochWeight {
                 weight,

@@ -35,6 +35,7 @@ use crate::{
     render::gpu::{
         Gpu,
         adam::{AdamStep, SplatRates},
+        exposure::{ExposureState, ExposureStep},
         loss::TruthAlpha,
         texels::TexelStep,
         training::{SplatArrays, Step, Training},
@@ -108,6 +109,9 @@ pub struct Trained {
     pub outcome: Outcome,
     /// All reports of this run.
     pub history: Vec<Progress>,
+    /// By the names of training views, the 3×4 matrix, by rows, that takes what is rendered, (r, g, b, 1), to the photograph; empty
+    /// without [`TrainOptions::exposure`].
+    pub exposures: Vec<(String, [f32; 12])>,
     /// Seconds per joint iteration of this run, without evaluation.
     pub seconds_per_iteration: f64,
     /// Iterations of this run that changed nothing because their view needed longer lists, which were made then.
@@ -163,6 +167,8 @@ struct Run<'a> {
     hands_over: bool,
     /// What the meshes were made of.
     surface: Option<SurfaceOrigin>,
+    /// Of all views of the capture, after the last phase.
+    exposures: Option<ExposureState>,
     /// The last iteration.
     reached: (Phase, u32),
 }
@@ -230,6 +236,7 @@ impl<'a> Run<'a> {
             reached: (Phase::Surface, 0),
             hands_over: false,
             surface: None,
+            exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
         })
     }
 
@@ -308,6 +315,9 @@ impl<'a> Run<'a> {
         if self.options.antialias {
             training.smooth_for(&self.train_cameras)?;
         }
+        if let Some(state) = &self.exposures {
+            training.expose(state)?;
+        }
         Ok(training)
     }
 
@@ -362,6 +372,18 @@ impl<'a> Run<'a> {
         phase: Phase,
         saved: Option<Saved>,
     ) -> Result<Outcome, TrainError> {
+        let outcome = self.iterate(training, scene, phase, saved)?;
+        self.exposures = training.read_exposures()?;
+        Ok(outcome)
+    }
+
+    fn iterate(
+        &mut self,
+        training: &mut Training,
+        scene: &HybridScene,
+        phase: Phase,
+        saved: Option<Saved>,
+    ) -> Result<Outcome, TrainError> {
         let o = self.options;
         // Surface and joint phase are two parts of one run of the splats: their clock goes on.
         let before = o.before_surface();
@@ -405,6 +427,11 @@ impl<'a> Run<'a> {
                     training.smooth();
                 }
             }
+            if self.exposures.is_some() && phase != Phase::Warmup && is_due(done, epoch_length) {
+                let mut state = training.read_exposures()?.unwrap_or_default();
+                state.center(&self.train);
+                training.expose(&state)?;
+            }
             if phase == Phase::Joint {
                 self.joint_seconds += begin.elapsed().as_secs_f64();
                 self.joint_iterations += 1;
@@ -429,7 +456,8 @@ impl<'a> Run<'a> {
     /// One view: forward, backward, Adam.
     fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
         let o = self.options;
-        let view = &self.capture.views[self.view_at(plan.phase, t)];
+        let index = self.view_at(plan.phase, t);
+        let view = &self.capture.views[index];
         // The next view is decoded while this one is on the GPU.
         self.cache.prefetch(&self.capture.views[self.view_at(plan.phase, t + 1)]);
         let photo = self.cache.get(view)?;
@@ -488,6 +516,15 @@ impl<'a> Run<'a> {
             splats,
             texels,
             vertices,
+            exposure: self.exposures.as_ref().map(|_| ExposureStep {
+                view: index,
+                // In the warm-up few of the views are seen, and maps follow those.
+                rate: if plan.phase == Phase::Warmup {
+                    0.0
+                } else {
+                    plan.schedule.exposure_rate(age, self.train.len())
+                },
+            }),
         })?;
         Ok(())
     }
@@ -598,7 +635,11 @@ impl<'a> Run<'a> {
         let state = splat_state(training)?;
         let meshes = training.read_meshes(&scene.meshes)?;
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
+        let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
+            self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
+        });
         Ok(Trained {
+            exposures,
             surface: self.surface.filter(|_| !scene.meshes.is_empty()),
             scene,
             outcome,

@@ -70,12 +70,19 @@ impl<'a> Run<'a> {
             let splats = splats_only.render(&view.camera, background, true)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
                 .map(|(p, (mesh, splats))| {
+                    let [mesh, splats] = [mesh, splats].map(|rgb| self.exposed(i, *rgb));
+                    let (mesh, splats) = (&mesh, &splats);
                     [squared_error(&photo, p, mesh, background), squared_error(&photo, p, splats, background), 0.0]
                 })
                 .collect();
             use_view(training, &mut splats_only, &view.camera, &errors)?;
         }
         Ok(())
+    }
+
+    /// What a view's photograph shows of a rendered colour.
+    fn exposed(&self, view: usize, rgb: [f32; 3]) -> [f32; 3] {
+        self.exposures.as_ref().map_or(rgb, |exposures| exposures.apply(view, rgb))
     }
 
     /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (METHODS 6: only

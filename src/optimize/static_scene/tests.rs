@@ -108,7 +108,7 @@ fn a_nan_is_found_and_named() {
 fn damaged_checkpoints_are_refused() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
     let path = folder.path().join("checkpoint");
-    let options = TrainOptions { surface_iterations: Some(10), warmup: 30, ..options() };
+    let options = TrainOptions { surface_iterations: Some(10), warmup: 30, exposure: true, ..options() };
     for source in [MeshSource::Points, MeshSource::Splats] {
         let run = |resume: bool| {
             let stop = AtomicBool::new(false);
@@ -160,6 +160,49 @@ fn without_any_splats_the_maps_are_trained() {
             assert!(last < first, "{first} {last}");
         });
     }
+}
+
+/// The demo, whose photographs but for those held out are brighter or darker, and of another tint, by up to a third.
+fn unevenly_exposed(folder: &Path) -> Capture {
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+    let [sparse, images] = ["sparse/0", "images"].map(|name| folder.join(name));
+    [&sparse, &images].into_iter().for_each(|folder| std::fs::create_dir_all(folder).unwrap());
+    for file in std::fs::read_dir(demo.join("sparse/0")).unwrap().map(|entry| entry.unwrap().path()) {
+        std::fs::copy(&file, sparse.join(file.file_name().unwrap())).unwrap();
+    }
+    let mut names: Vec<_> =
+        std::fs::read_dir(demo.join("images")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    for (i, file) in names.iter().enumerate() {
+        let mut picture = image::open(file).unwrap().into_rgb8();
+        let gain = |c: usize| if i % 8 == 0 { 1.0 } else { 1.0 + 0.33 * (2.4 * i as f32 + 0.7 * c as f32).sin() };
+        picture
+            .pixels_mut()
+            .for_each(|p| [0, 1, 2].into_iter().for_each(|c| p.0[c] = (gain(c) * f32::from(p.0[c])).min(255.0) as u8));
+        picture.save(images.join(file.file_name().unwrap())).unwrap();
+    }
+    capture::open(folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()
+}
+
+#[test]
+fn exposures_take_out_what_the_camera_changed() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let capture = unevenly_exposed(folder.path());
+    let held_out = |exposure: bool| {
+        let stop = AtomicBool::new(false);
+        let options = TrainOptions { exposure, iterations: 400, sh_degree: 0, ..options() };
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let trained = train(&capture, MeshSource::None, &options, session).unwrap();
+        assert_eq!(trained.exposures.len(), if exposure { 42 } else { 0 });
+        (trained.history.last().unwrap().psnr.unwrap(), trained.exposures)
+    };
+    let ((with, exposures), (without, _)) = (held_out(true), held_out(false));
+    println!("held out: {without:.2} dB, with exposures {with:.2} dB");
+    assert!(with > without + 0.5, "{with} {without}");
+    // The brightest photograph is brighter than the darkest in what was fitted, too.
+    let red = exposures.iter().map(|(_, e)| e[0]);
+    let (low, high) = red.fold((f32::MAX, f32::MIN), |(low, high), e| (low.min(e), high.max(e)));
+    assert!(high - low > 0.3, "{low} {high}");
 }
 
 /// With filters, too, which the file has in scales, opacities and its footprint.

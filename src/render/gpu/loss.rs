@@ -36,6 +36,8 @@ pub(crate) struct Loss {
     backward: Kernel,
     bindings: Bindings,
     means: Buffer,
+    weights: Buffer,
+    ssim_weight: f32,
     n_groups: usize,
 }
 
@@ -44,7 +46,8 @@ impl Loss {
     ///
     /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
     /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied
-    /// * `gradient`: `array<vec4f>` `[h·w]`, receives ∂L/∂rgb and 0
+    /// * `gradient`: `array<vec4f>` `[h·w]`, receives ∂L/∂rgb and 0; with exposures rgb is what these make of the image
+    /// * `exposures`: `array<vec4f>` `[V·3]`, see `exposure.wgsl`
     ///
     /// # Errors
     /// If the adapter cannot hold the intermediate maps (48 bytes per pixel).
@@ -59,9 +62,11 @@ impl Loss {
         view_uniform: &Buffer,
         ssim_weight: f32,
         truth_alpha: TruthAlpha,
+        exposures: Option<&Buffer>,
     ) -> Result<Self, GpuError> {
         let defines: Defines = gpu
             .defines()
+            .with("EXPOSURE", u32::from(exposures.is_some()))
             .with("COMPOSITE", u32::from(truth_alpha == TruthAlpha::Composite))
             .with("MASK", u32::from(truth_alpha == TruthAlpha::Mask));
         let forward = Kernel::new(gpu, "loss.wgsl", "forward", &defines);
@@ -71,8 +76,14 @@ impl Loss {
         gpu.write(&weights, 0, &[ssim_weight, 0.0, 0.0, 0.0]);
         let slopes = gpu.storage("SSIM slopes", 12 * width * height)?;
         let means = gpu.storage("loss means", 2 * n_groups)?;
-        let bindings = forward.bind(gpu, &[view_uniform, &weights, image, truth, &slopes, gradient, &means]);
-        Ok(Self { forward, backward, bindings, means, n_groups })
+        let buffers = [view_uniform, &weights, image, truth, &slopes, gradient, &means];
+        let bindings = forward.bind(gpu, &buffers.into_iter().chain(exposures).collect::<Vec<_>>());
+        Ok(Self { forward, backward, bindings, means, weights, ssim_weight, n_groups })
+    }
+
+    /// Whose exposure counts in frames from now on.
+    pub(crate) fn set_view(&self, gpu: &Gpu, view: usize) {
+        gpu.write(&self.weights, 0, &[self.ssim_weight, view as f32, 0.0, 0.0]);
     }
 
     /// Appends loss and gradient to a frame.
@@ -185,8 +196,8 @@ mod tests {
             let truth = gpu.storage_with("truth", &self.truth).unwrap();
             let gradient = gpu.storage_with("gradient", &vec![[7f32; 4]; w * h]).unwrap();
             // One tile more than needed, as for a smaller view of a set.
-            let loss =
-                Loss::new(gpu, w + WIDTH, h, &image, &truth, &gradient, &uniform, ssim_weight, self.alpha).unwrap();
+            let loss = Loss::new(gpu, w + WIDTH, h, &image, &truth, &gradient, &uniform, ssim_weight, self.alpha, None)
+                .unwrap();
             let mut frame = Frame::new(gpu);
             loss.record(&mut frame);
             frame.submit();

@@ -105,6 +105,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
     let step = Step {
         vertices: None,
+        exposure: None,
         camera,
         truth: &truth,
         background: scene.composition.background,

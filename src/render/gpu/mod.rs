@@ -4,6 +4,9 @@
 pub(crate) mod adam;
 mod blend;
 mod device;
+pub(crate) mod exposure;
+#[cfg(test)]
+mod exposure_tests;
 mod layered;
 #[cfg(test)]
 mod layered_tests;

@@ -31,6 +31,7 @@ embed![
     "compact_visible.wgsl",
     "dispatch_size.wgsl",
     "emit_pairs.wgsl",
+    "exposure.wgsl",
     "filter_splats.wgsl",
     "gather_counts.wgsl",
     "loss.wgsl",

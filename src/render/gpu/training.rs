@@ -4,6 +4,7 @@ use super::{
     adam::{AdamStep, SplatAdam, SplatFloats},
     blend::MOMENTS,
     device::{Buffer, Frame, Gpu, GpuError, Timer},
+    exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
     pipeline::Pipeline,
     renderer::Picture,
@@ -39,6 +40,8 @@ pub(crate) struct Step<'a> {
     pub(crate) texels: Option<TexelStep>,
     /// How free vertices move; without, they do not.
     pub(crate) vertices: Option<VertexStep>,
+    /// Whose exposure counts, with [`Training::expose`].
+    pub(crate) exposure: Option<ExposureStep>,
 }
 
 /// Buffers and kernels of a training run.
@@ -54,6 +57,7 @@ pub(crate) struct Training<'g> {
     adam: SplatAdam,
     moments: [Buffer; 4],
     smoothing: Option<Smoothing>,
+    exposures: Option<Exposures>,
     timer: Option<Timer>,
 }
 
@@ -71,11 +75,11 @@ impl<'g> Training<'g> {
         let width = cameras.iter().map(|c| c.intrinsics().width).max().unwrap_or(1) as usize;
         let height = cameras.iter().map(|c| c.intrinsics().height).max().unwrap_or(1) as usize;
         let truth = gpu.storage("photograph", width * height)?;
-        let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, truth_alpha)?;
+        let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, truth_alpha, None)?;
         let (adam, moments) = new_adam(gpu, &pipeline)?;
         let list_check = new_list_check(gpu, &pipeline);
         let size = (width, height);
-        let (smoothing, timer) = (None, None);
+        let (smoothing, exposures, timer) = (None, None, None);
         Ok(Self {
             gpu,
             pipeline,
@@ -88,6 +92,7 @@ impl<'g> Training<'g> {
             adam,
             moments,
             smoothing,
+            exposures,
             timer,
         })
     }
@@ -109,7 +114,14 @@ impl<'g> Training<'g> {
         };
         self.pipeline.record_forward(self.gpu, &mut frame, &view);
         self.list_check.record(&mut frame);
+        let exposure = self.exposures.as_mut().zip(step.exposure);
+        if let Some((_, step)) = &exposure {
+            self.loss.set_view(self.gpu, step.view);
+        }
         self.loss.record(&mut frame);
+        if let Some((exposures, step)) = exposure {
+            exposures.record(self.gpu, &mut frame, &view, &step);
+        }
         self.pipeline.record_backward(&mut frame, &view);
         if let Some(rates) = &step.splats {
             self.adam.set(self.gpu, rates);
@@ -124,6 +136,22 @@ impl<'g> Training<'g> {
         }
         frame.submit();
         Ok(())
+    }
+
+    /// From now on photographs have exposures, which follow `Step::exposure`; or have others, of as many views. Every step
+    /// names its view then.
+    pub(crate) fn expose(&mut self, state: &ExposureState) -> Result<(), GpuError> {
+        if let Some(exposures) = &mut self.exposures {
+            exposures.write(self.gpu, state);
+            return Ok(());
+        }
+        self.exposures = Some(Exposures::new(self.gpu, state, self.size.0 * self.size.1)?);
+        self.bind_loss()
+    }
+
+    /// The exposures as they are now, if there are any. Waits.
+    pub(crate) fn read_exposures(&self) -> Result<Option<ExposureState>, GpuError> {
+        self.exposures.as_ref().map(|exposures| exposures.read(self.gpu)).transpose()
     }
 
     /// From now on [`Self::smooth`] smooths splats as far as these views, the training views, cannot tell.
@@ -343,10 +371,20 @@ impl<'g> Training<'g> {
     fn rebind(&mut self) -> Result<(), GpuError> {
         let old = self.read_moments_if_any()?;
         self.list_check = new_list_check(self.gpu, &self.pipeline);
-        self.loss = new_loss(self.gpu, &self.pipeline, &self.truth, self.size, self.ssim_weight, self.truth_alpha)?;
+        self.bind_loss()?;
         (self.adam, self.moments) = new_adam(self.gpu, &self.pipeline)?;
         for (buffer, values) in self.moments.iter().zip(&old) {
             self.gpu.write(buffer, 0, values);
+        }
+        Ok(())
+    }
+
+    fn bind_loss(&mut self) -> Result<(), GpuError> {
+        let Self { gpu, pipeline, truth, size, ssim_weight, truth_alpha, .. } = &*self;
+        let exposures = self.exposures.as_ref().map(|exposures| &exposures.values);
+        self.loss = new_loss(gpu, pipeline, truth, *size, *ssim_weight, *truth_alpha, exposures)?;
+        if let Some(exposures) = &mut self.exposures {
+            exposures.bind(self.gpu, &self.pipeline);
         }
         Ok(())
     }
@@ -377,10 +415,11 @@ fn new_loss(
     (width, height): (usize, usize),
     ssim_weight: f32,
     truth_alpha: TruthAlpha,
+    exposures: Option<&Buffer>,
 ) -> Result<Loss, GpuError> {
     let gradient = &pipeline.backward.as_ref().expect("made for training").image_gradient;
     let image = &pipeline.blend.image;
-    Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, truth_alpha)
+    Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, truth_alpha, exposures)
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {

@@ -67,6 +67,7 @@ fn step(training: &mut Training, camera: &Camera) {
             splats: Some(splats),
             texels: Some(texels),
             vertices: None,
+            exposure: None,
         })
         .unwrap();
 }

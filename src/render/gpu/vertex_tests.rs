@@ -83,6 +83,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
                 splats: None,
                 texels: None,
                 vertices: Some(VertexStep { number: t + 1, rate }),
+                exposure: None,
             })
             .unwrap();
     }

@@ -1,0 +1,93 @@
+// Exposures of photographs (METHODS 2.9): the picture of a view is compared as E·(r, g, b, 1), where E is a 3×4 matrix of its own.
+//
+// `pull`: from the gradient by what was compared to that by the picture, Eᵀ·g, in place; and each workgroup's part of
+// g·(r, g, b, 1)ᵀ, the gradient by E. 48 bytes and 24 multiply-adds a pixel, 25 MB at 960 × 540: bound by bandwidth.
+// `update`: their sum, and a step of Adam for the view. One workgroup.
+
+//#import shared/view.wgsl
+//#import shared/adam.wgsl
+//#import shared/status.wgsl
+
+struct Step {
+    view: u32,                          // of the training views, whose E is meant
+    n_groups: u32,                      // of `pull`
+    rate: f32,                          // 0: E stays
+    correction_1: f32,                  // 1 − β₁ᵗ, t being the steps of this view
+    correction_2: f32,                  // 1 − β₂ᵗ
+}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> image: array<vec4f>;               // rgb and transmittance per pixel
+@group(0) @binding(3) var<storage, read_write> gradient: array<vec4f>;      // as image; last of four is 0
+@group(0) @binding(4) var<storage, read_write> exposures: array<vec4f>;     // [view][row]
+@group(0) @binding(5) var<storage, read_write> first: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> second: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> partial: array<vec4f>;       // [workgroup of `pull`][row]
+@group(0) @binding(8) var<storage, read_write> status: Status;
+
+const PER_THREAD: u32 = 16u;            // PIXELS in exposure.rs is 256 times as many
+var<workgroup> sums: array<vec4f, 768>; // [row][thread]
+
+// Adds the second half of each row's `width` entries to the first, and so on: the sums end up in the rows' first entries.
+fn add_up(thread: u32) {
+    for (var half = 128u; half > 0u; half >>= 1u) {
+        workgroupBarrier();
+        if thread < half {
+            for (var row = 0u; row < 3u; row++) { sums[row * 256u + thread] += sums[row * 256u + thread + half]; }
+        }
+    }
+    workgroupBarrier();
+}
+
+@compute @workgroup_size(256)
+fn pull(
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let index = group_index(group, groups);
+    let n_pixels = view.size.x * view.size.y;
+    let e0 = exposures[3u * step.view].xyz;
+    let e1 = exposures[3u * step.view + 1u].xyz;
+    let e2 = exposures[3u * step.view + 2u].xyz;
+    var r0 = vec4f(); var r1 = vec4f(); var r2 = vec4f();
+    for (var k = 0u; k < PER_THREAD; k++) {
+        let pixel = (index * PER_THREAD + k) * 256u + thread;
+        if pixel < n_pixels {
+            let seen = vec4f(image[pixel].xyz, 1.0);
+            let g = gradient[pixel].xyz;
+            r0 += g.x * seen;
+            r1 += g.y * seen;
+            r2 += g.z * seen;
+            gradient[pixel] = vec4f(g.x * e0 + g.y * e1 + g.z * e2, 0.0);
+        }
+    }
+    sums[thread] = r0;
+    sums[256u + thread] = r1;
+    sums[512u + thread] = r2;
+    add_up(thread);
+    if thread < 3u && index < step.n_groups { partial[3u * index + thread] = sums[256u * thread]; }
+}
+
+@compute @workgroup_size(256)
+fn update(@builtin(local_invocation_index) thread: u32) {
+    for (var row = 0u; row < 3u; row++) {
+        var sum = vec4f();
+        for (var i = thread; i < step.n_groups; i += 256u) { sum += partial[3u * i + row]; }
+        sums[row * 256u + thread] = sum;
+    }
+    add_up(thread);
+    if thread >= 3u || step.rate == 0.0 || status.is_short != 0u { return; }
+    let i = 3u * step.view + thread;
+    let g = sums[256u * thread];
+    let m = BETA_1 * first[i] + 0.1 * g;
+    let v = BETA_2 * second[i] + 0.001 * g * g;
+    let value = exposures[i] - step.rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    first[i] = m;
+    second[i] = v;
+    exposures[i] = value;
+    if !(are_finite(value) && are_finite(v)) {
+        atomicOr(&status.not_finite, NOT_FINITE_EXPOSURES);
+    }
+}

@@ -1,0 +1,160 @@
+//! Exposures of photographs while a scene is trained (`shaders/exposure.wgsl`).
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    pipeline::Pipeline,
+    view::View,
+};
+
+/// Pixels of a workgroup of `pull`.
+const PIXELS: usize = 4096;
+/// Floats of a matrix.
+pub(crate) const FLOATS: usize = 12;
+/// Rows of the identity.
+const IDENTITY: [f32; FLOATS] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+
+/// A 3×4 matrix per view, which takes what is rendered, (r, g, b, 1), to what was photographed; with what Adam holds of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct ExposureState {
+    /// By rows, `[V·12]`.
+    pub(crate) values: Vec<f32>,
+    /// First and second moments, as the values.
+    pub(crate) moments: [Vec<f32>; 2],
+    /// Steps so far, `[V]`.
+    pub(crate) steps: Vec<u32>,
+}
+
+impl ExposureState {
+    /// Photographs as they are rendered.
+    pub(crate) fn new(views: usize) -> Self {
+        let zeros = || vec![0.0; FLOATS * views];
+        Self { values: IDENTITY.repeat(views), moments: [zeros(), zeros()], steps: vec![0; views] }
+    }
+
+    /// Whether it is one of so many views.
+    pub(crate) fn is_of(&self, views: usize) -> bool {
+        let floats = FLOATS * views;
+        self.values.len() == floats && self.moments.iter().all(|m| m.len() == floats) && self.steps.len() == views
+    }
+
+    /// The matrix of a view, by rows.
+    pub(crate) fn of(&self, view: usize) -> [f32; FLOATS] {
+        self.values[FLOATS * view..].first_chunk().copied().unwrap_or(IDENTITY)
+    }
+
+    /// What a view makes of a rendered colour.
+    pub(crate) fn apply(&self, view: usize, [r, g, b]: [f32; 3]) -> [f32; 3] {
+        let e = self.of(view);
+        [0, 4, 8].map(|row| e[row] * r + e[row + 1] * g + e[row + 2] * b + e[row + 3])
+    }
+
+    /// Makes the mean over `views` the identity: what all photographs have in common is the scene's.
+    pub(crate) fn center(&mut self, views: &[usize]) {
+        for float in 0..FLOATS {
+            let sum: f64 = views.iter().map(|view| f64::from(self.values[FLOATS * view + float])).sum();
+            let excess = (sum / views.len().max(1) as f64) as f32 - IDENTITY[float];
+            views.iter().for_each(|view| self.values[FLOATS * view + float] -= excess);
+        }
+    }
+}
+
+/// Which photograph a step trains on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ExposureStep {
+    /// Its view.
+    pub(crate) view: usize,
+    /// Rate of Adam; 0: the exposure stays as it is.
+    pub(crate) rate: f32,
+}
+
+/// The exposures of all views, and the stage between loss and blend.
+pub(crate) struct Exposures {
+    pull: Kernel,
+    update: Kernel,
+    uniform: Buffer,
+    pub(super) values: Buffer,
+    moments: [Buffer; 2],
+    partial: Buffer,
+    steps: Vec<u32>,
+    bindings: Option<Bindings>,
+}
+
+impl Exposures {
+    /// For pictures of at most `pixels` pixels.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn new(gpu: &Gpu, state: &ExposureState, pixels: usize) -> Result<Self, GpuError> {
+        let kernel = |entry| Kernel::new(gpu, "exposure.wgsl", entry, &gpu.defines());
+        let moments = &state.moments;
+        Ok(Self {
+            pull: kernel("pull"),
+            update: kernel("update"),
+            uniform: gpu.uniform("exposure step", 8)?,
+            values: gpu.storage_with("exposures", &state.values)?,
+            moments: [
+                gpu.storage_with("exposure moment 1", &moments[0])?,
+                gpu.storage_with("exposure moment 2", &moments[1])?,
+            ],
+            partial: gpu.storage("exposure gradients", FLOATS * groups(pixels, PIXELS))?,
+            steps: state.steps.clone(),
+            bindings: None,
+        })
+    }
+
+    /// Binds the buffers of a pipeline, one for training.
+    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline) {
+        let backward = pipeline.backward.as_ref().expect("made for training");
+        let [first, second] = &self.moments;
+        self.bindings = Some(self.pull.bind(
+            gpu,
+            &[
+                &pipeline.view,
+                &self.uniform,
+                &pipeline.blend.image,
+                &backward.image_gradient,
+                &self.values,
+                first,
+                second,
+                &self.partial,
+                &backward.status,
+            ],
+        ));
+    }
+
+    /// Appends to a frame what takes the gradient of the loss to that of the picture, and a step of the view's exposure.
+    pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep) {
+        let Some(bindings) = &self.bindings else { return };
+        if step.rate != 0.0 {
+            self.steps[step.view] += 1;
+        }
+        let n = groups(view.pixels(), PIXELS);
+        let number = f64::from(self.steps[step.view].max(1));
+        let correction = |beta: f64| ((1.0 - beta.powf(number)) as f32).to_bits();
+        let words = [step.view as u32, n as u32, step.rate.to_bits(), correction(0.9), correction(0.999), 0, 0, 0];
+        gpu.write(&self.uniform, 0, &words);
+        frame.dispatch(&self.pull, bindings, n);
+        frame.dispatch(&self.update, bindings, 1);
+    }
+
+    /// Everything of it. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read(&self, gpu: &Gpu) -> Result<ExposureState, GpuError> {
+        let read = |buffer: &Buffer| gpu.read(buffer, FLOATS * self.steps.len());
+        let [first, second] = &self.moments;
+        Ok(ExposureState {
+            values: read(&self.values)?,
+            moments: [read(first)?, read(second)?],
+            steps: self.steps.clone(),
+        })
+    }
+
+    /// Replaces everything by a state of as many views.
+    pub(crate) fn write(&mut self, gpu: &Gpu, state: &ExposureState) {
+        gpu.write(&self.values, 0, &state.values);
+        self.moments.iter().zip(&state.moments).for_each(|(buffer, values)| gpu.write(buffer, 0, values));
+        self.steps.clone_from(&state.steps);
+    }
+}

@@ -1,0 +1,185 @@
+//! Exposures against finite differences of the loss's definition, and what their steps do.
+
+use glam::{DMat3, DVec3, Quat, Vec3};
+
+use super::{
+    Gpu,
+    adam::{AdamStep, SplatRates},
+    exposure::{ExposureState, ExposureStep, FLOATS},
+    loss::TruthAlpha,
+    training::{Step, Training},
+};
+use crate::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
+
+/// No multiple of a workgroup's pixels.
+const SIZE: [u32; 2] = [70, 61];
+const SPLATS: usize = 6;
+const RATES: SplatRates =
+    SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
+
+fn camera() -> Camera {
+    let [width, height] = SIZE;
+    let k = Intrinsics { width, height, fx: 60.0, fy: 60.0, cx: 35.0, cy: 30.0 };
+    Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap()
+}
+
+/// Coloured splats that overlap; `shift` is added to one SH coefficient of one of them.
+fn scene((splat, channel): (usize, usize), shift: f32) -> HybridScene {
+    let mut sh: Vec<[f32; 3]> = (0..SPLATS).map(|i| [0.3 * (i as f32).sin(), 0.2, 0.25 * (i as f32).cos()]).collect();
+    sh[splat][channel] += shift;
+    let splats = Splats::new(
+        (0..SPLATS).map(|i| Vec3::new(0.3 * i as f32 - 0.8, 0.2 * (i % 3) as f32 - 0.2, 0.1 * i as f32)).collect(),
+        vec![Quat::IDENTITY; SPLATS],
+        vec![Vec3::splat(-1.2); SPLATS],
+        vec![0.8; SPLATS],
+        0,
+        sh,
+    );
+    HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() }
+}
+
+/// 0 or 255, so that no difference changes its sign near the pictures here.
+fn truth() -> Vec<u8> {
+    let pixels = SIZE[0] * SIZE[1];
+    (0..pixels)
+        .flat_map(|p| [p, p / 3, p / 7].map(|v| if v % 5 < 2 { 255 } else { 0 }).into_iter().chain([255]))
+        .collect()
+}
+
+/// Of three views; the middle one mixes channels.
+fn exposures() -> ExposureState {
+    let mut state = ExposureState::new(3);
+    let mixed = [0.8, 0.05, -0.02, 0.03, 0.04, 0.9, 0.02, 0.02, -0.03, 0.06, 0.7, 0.05];
+    state.values[FLOATS..2 * FLOATS].copy_from_slice(&mixed);
+    state
+}
+
+fn training<'g>(gpu: &'g Gpu, scene: &HybridScene, ssim_weight: f32) -> Training<'g> {
+    Training::new(gpu, scene, &[camera()], ssim_weight, TruthAlpha::Ignore).unwrap()
+}
+
+fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
+    let splats = AdamStep {
+        number: 1,
+        n_splats: SPLATS as u32,
+        sh_degree: 0,
+        rates: RATES,
+        opacity_weight: 0.0,
+        scale_weight: 0.0,
+        noise: 0.0,
+        seed: 0,
+        visible_only: false,
+    };
+    training
+        .step(&Step {
+            camera: &camera(),
+            truth,
+            background: [0.1, 0.2, 0.3],
+            sh_degree: 0,
+            band_degree: 0,
+            splats: Some(splats),
+            texels: None,
+            vertices: None,
+            exposure,
+        })
+        .unwrap();
+}
+
+/// Mean absolute difference of an exposed picture from the truth.
+fn l1(state: &ExposureState, picture: &[[f32; 3]], truth: &[u8]) -> f64 {
+    let e: Vec<f64> = state.of(1).map(f64::from).to_vec();
+    let exposed = |rgb: &[f32; 3], c: usize| {
+        let [r, g, b] = rgb.map(f64::from);
+        e[4 * c] * r + e[4 * c + 1] * g + e[4 * c + 2] * b + e[4 * c + 3]
+    };
+    let of_pixel = |(p, rgb): (usize, &[f32; 3])| {
+        (0..3).map(|c| (exposed(rgb, c) - f64::from(truth[4 * p + c]) / 255.0).abs()).sum::<f64>()
+    };
+    picture.iter().enumerate().map(of_pixel).sum::<f64>() / (3 * picture.len()) as f64
+}
+
+#[test]
+fn gradients_are_those_of_the_exposed_picture() {
+    let (gpu, truth, state) = (Gpu::open(None).unwrap(), truth(), exposures());
+    let mut trained = training(&gpu, &scene((0, 0), 0.0), 0.0);
+    let picture = trained.render(&camera(), [0.1, 0.2, 0.3], true).unwrap().rgb;
+    trained.expose(&state).unwrap();
+    step(&mut trained, &truth, Some(ExposureStep { view: 1, rate: 1e-2 }));
+    assert!((trained.loss().unwrap().l1 - l1(&state, &picture, &truth)).abs() < 1e-6);
+
+    // Adam's first moment of the first step is a tenth of the gradient.
+    let after = trained.read_exposures().unwrap().unwrap();
+    let largest = after.moments[0].iter().fold(0f32, |a, m| a.max(10.0 * m.abs()));
+    assert!(largest > 0.01, "{largest}");
+    for i in 0..FLOATS {
+        let at = |h: f32| {
+            let mut moved = state.clone();
+            moved.values[FLOATS + i] += h;
+            (l1(&moved, &picture, &truth), f64::from(moved.values[FLOATS + i]))
+        };
+        let ((a, to_a), (b, to_b)) = (at(1e-3), at(-1e-3));
+        let (numeric, found) = ((a - b) / (to_a - to_b), f64::from(10.0 * after.moments[0][FLOATS + i]));
+        assert!(
+            (numeric - found).abs() < 1e-5 * f64::from(largest).max(1e-2),
+            "{i}: {found}, differences say {numeric}"
+        );
+        // And the step is one of Adam: by the rate, against the gradient.
+        let moved = after.values[FLOATS + i] - state.values[FLOATS + i];
+        assert!((f64::from(moved) + 1e-2 * numeric.signum()).abs() < 1e-6, "{i}: {moved}");
+    }
+    // The other views rest.
+    for other in [0, 2] {
+        assert_eq!(after.of(other), state.of(other));
+    }
+    assert_eq!(after.steps, [0, 1, 0]);
+
+    // What the scene learns is the gradient through the exposure.
+    let found = trained.read_splats().unwrap().sh[1].clone();
+    for splat in 0..SPLATS {
+        for channel in 0..3 {
+            let at = |h: f32| {
+                let picture = training(&gpu, &scene((splat, channel), h), 0.0).render(&camera(), [0.1, 0.2, 0.3], true);
+                l1(&state, &picture.unwrap().rgb, &truth)
+            };
+            let numeric = (at(0.05) - at(-0.05)) / 0.1;
+            let found = f64::from(10.0 * found[3 * splat + channel]);
+            assert!((numeric - found).abs() < 2e-6 + 1e-3 * numeric.abs(), "{splat}.{channel}: {found}, not {numeric}");
+        }
+    }
+}
+
+#[test]
+fn the_identity_changes_nothing() {
+    let (gpu, truth, scene) = (Gpu::open(None).unwrap(), truth(), scene((0, 0), 0.0));
+    let learnt = |exposed: bool| {
+        let mut training = training(&gpu, &scene, 0.2);
+        if exposed {
+            training.expose(&ExposureState::new(2)).unwrap();
+        }
+        step(&mut training, &truth, exposed.then_some(ExposureStep { view: 1, rate: 0.0 }));
+        if let Some(state) = training.read_exposures().unwrap() {
+            assert_eq!(state, ExposureState::new(2), "of rate 0 nothing moves");
+        }
+        (training.loss().unwrap(), training.read_splats().unwrap())
+    };
+    let ((loss, with), (expected, without)) = (learnt(true), learnt(false));
+    assert_eq!(loss, expected);
+    for (a, b) in with.geometry[1].iter().zip(&without.geometry[1]).chain(with.sh[1].iter().zip(&without.sh[1])) {
+        assert!((a - b).abs() < 1e-7, "{a} {b}");
+    }
+}
+
+#[test]
+fn the_mean_of_the_training_views_is_taken_out() {
+    let mut state = ExposureState::new(3);
+    state.values[0] = 1.5;
+    state.values[FLOATS + 3] = 0.2;
+    // A view that is not among them.
+    state.values[2 * FLOATS + 7] = 9.0;
+    state.center(&[0, 1]);
+    assert_eq!((state.of(0)[0], state.of(1)[0]), (1.25, 0.75));
+    assert!((state.of(0)[3] + 0.1).abs() < 1e-6 && (state.of(1)[3] - 0.1).abs() < 1e-6);
+    assert_eq!(state.of(2)[7], 9.0);
+    assert_eq!(state.apply(1, [0.4, 0.6, 0.8]).map(|v| (10.0 * v).round()), [4.0, 6.0, 8.0]);
+    assert!(state.is_of(3) && !state.is_of(2));
+}
