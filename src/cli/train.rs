@@ -98,8 +98,8 @@ pub(super) struct Args {
     /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
     #[arg(long, help_heading = OPTIMISATION)]
     antialias: bool,
-    /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; held-out
-    /// views are rendered without (a row of its own in comparisons)
+    /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; where they
+    /// do not it costs quality. Held-out views are rendered without (a row of its own in comparisons)
     #[arg(long, help_heading = OPTIMISATION)]
     exposure: bool,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
