@@ -197,7 +197,7 @@ fn exposures_take_out_what_the_camera_changed() {
         (trained.history.last().unwrap().psnr.unwrap(), trained.exposures)
     };
     let ((with, exposures), (without, _)) = (held_out(true), held_out(false));
-    println!("held out: {without:.2} dB, with exposures {with:.2} dB");
+    eprintln!("held out: {without:.2} dB, with exposures {with:.2} dB");
     assert!(with > without + 0.5, "{with} {without}");
     // The brightest photograph is brighter than the darkest in what was fitted, too.
     let red = exposures.iter().map(|(_, e)| e[0]);

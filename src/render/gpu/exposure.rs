@@ -50,9 +50,9 @@ impl ExposureState {
 
     /// Makes the mean over `views` the identity: what all photographs have in common is the scene's.
     pub(crate) fn center(&mut self, views: &[usize]) {
-        for float in 0..FLOATS {
+        for (float, identity) in IDENTITY.iter().enumerate() {
             let sum: f64 = views.iter().map(|view| f64::from(self.values[FLOATS * view + float])).sum();
-            let excess = (sum / views.len().max(1) as f64) as f32 - IDENTITY[float];
+            let excess = (sum / views.len().max(1) as f64) as f32 - identity;
             views.iter().for_each(|view| self.values[FLOATS * view + float] -= excess);
         }
     }
