@@ -194,8 +194,9 @@ crosscheck-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))
 crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
 	$(MAKE) crosscheck CROSSCHECK_FLAGS="--quick $(CROSSCHECK_FLAGS)"
 
+# Its numpy, too, needs Python 3.11.
 $(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
-	$(PYTHON) -m venv $(CROSSCHECK)
+	$(BLENDER_PYTHON) -m venv $(CROSSCHECK)
 	$(CROSSCHECK)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
