@@ -179,8 +179,7 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let line = lines.next().unwrap().unwrap();
     assert!(line.starts_with(r#"{"progress":"#), "{line}");
-    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(sent.success());
+    common::send("INT", &child.id().to_string());
     // Reports are read on, so that the child does not wait for a full pipe.
     let last = lines.map(Result::unwrap).last();
     let output = child.wait_with_output().unwrap();

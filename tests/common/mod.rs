@@ -17,6 +17,13 @@ pub(crate) fn centaur(folder: &Path) -> Command {
     command
 }
 
+/// Sends a signal to a process, by the shell's own `kill`: the program is missing on small systems.
+#[cfg(unix)]
+pub(crate) fn send(signal: &str, process: &str) {
+    let sent = Command::new("sh").args(["-c", &format!("kill -{signal} {process}")]).status();
+    assert!(sent.unwrap().success(), "{signal} to {process}");
+}
+
 pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
