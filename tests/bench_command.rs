@@ -2,10 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod common;
+
 use std::path::Path;
+#[cfg(target_os = "linux")]
+use std::path::PathBuf;
 #[cfg(target_os = "linux")]
 use std::process::Stdio;
 use std::process::{Command, Output};
+
+#[cfg(target_os = "linux")]
+use centaur::optimize::checkpoint::Checkpoint;
 
 const COARSE: &str = "--max-side 48 --iterations 20 --surface-iterations 10 --warmup 10 --triangles 500 --texture-size 64 --max-splats 2000";
 
@@ -53,6 +60,10 @@ fn a_data_set_is_trained_once_and_tabled() {
     let one = Command::new("sh").args(["-c", each]).current_dir(folder.path()).output().unwrap();
     assert!(one.status.success(), "{:?}", said(&one));
     assert!(said(&one).0.contains("| splats | two | 1 |") && !said(&one).0.contains("hybrid"), "{:?}", said(&one));
+    let made = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(at(&format!("out/{name}.json"))).unwrap()).unwrap()
+    };
+    assert_eq!(made("splats/two-0")["job"]["at_a_time"], 0, "others may have been beside it");
     let written = at("out/splats/two-0.glb").metadata().unwrap().modified().unwrap();
     let rest = bench(folder.path(), &["--jobs", "2"], COARSE);
     let (table, _) = said(&rest);
@@ -73,7 +84,7 @@ fn a_data_set_is_trained_once_and_tabled() {
             .starts_with("error: out/hybrid/one-0.json: expected a result of the flags `--max-side 32`, found `--max-"),
         "{message}"
     );
-    let other = bench(folder.path(), &["--protocol", "a"], COARSE);
+    let other = bench(folder.path(), &["--protocol", "a"], "--iterations 20");
     assert_eq!(said(&other).1, "error: out/hybrid/one-0.json: expected a result of --protocol a, found none\n");
 
     // A part of the jobs may be none of them, before anything is done and after.
@@ -107,7 +118,7 @@ fn a_data_set_is_trained_once_and_tabled() {
 /// A runner of a training that does not end.
 #[cfg(target_os = "linux")]
 fn endless(folder: &Path) -> std::process::Child {
-    let flags = "--no-mesh --max-side 64 --iterations 1000000 --max-splats 1000 --checkpoint-every 20 --eval-every 0";
+    let flags = "--no-mesh --max-side 64 --iterations 1000000 --max-splats 1000 --checkpoint-every 0 --eval-every 0";
     let mut command = centaur(folder);
     command.args(["bench", "scenes", "-o", "out", "--quiet", "--"]).args(flags.split(' '));
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
@@ -124,18 +135,17 @@ fn wait_for(what: &str, is_so: impl Fn() -> bool) {
     panic!("{what}: not after two minutes");
 }
 
-/// Trainings in `folder` that run.
+/// Processes of trainings in `folder`; those that have ended have no arguments.
 #[cfg(target_os = "linux")]
-fn trainings(folder: &Path) -> usize {
-    let listed = Command::new("ps").args(["-eo", "pid=,stat=,args="]).output().unwrap();
-    let capture = folder.canonicalize().unwrap();
-    let is_ours = |line: &&str| {
-        let mut words = line.split_whitespace();
-        let (pid, state) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
-        let own = std::fs::read_link(format!("/proc/{pid}/cwd")).is_ok_and(|cwd| cwd == capture);
-        own && !state.starts_with('Z') && line.contains(" train ")
+fn trainings(folder: &Path) -> Vec<String> {
+    let folder = folder.canonicalize().unwrap();
+    let processes = std::fs::read_dir("/proc").unwrap().map(|entry| entry.unwrap().path());
+    let is_ours = |process: &PathBuf| {
+        std::fs::read_link(process.join("cwd")).is_ok_and(|cwd| cwd == folder)
+            && std::fs::read(process.join("cmdline"))
+                .is_ok_and(|arguments| arguments.split(|c| *c == 0).any(|argument| argument == b"train"))
     };
-    said(&listed).0.lines().filter(is_ours).count()
+    processes.filter(is_ours).map(|process| process.file_name().unwrap().to_str().unwrap().to_owned()).collect()
 }
 
 /// Neither an interruption that only this process gets nor its end leaves a training behind, and no two train the same.
@@ -146,21 +156,33 @@ fn no_training_is_left_behind_or_done_twice() {
     let at = |name: &str| folder.path().join(name);
     std::fs::create_dir(at("scenes")).unwrap();
     std::os::unix::fs::symlink(Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), at("scenes/one")).unwrap();
-    let checkpoint = at("out/default/one-0.glb.checkpoint");
-    for signal in ["-INT", "-KILL"] {
-        let runner = endless(folder.path());
-        wait_for("a training", || trainings(folder.path()) == 1);
-        wait_for("a checkpoint", || checkpoint.is_file());
+    let is_left_to_another = || {
         let second = endless(folder.path()).wait_with_output().unwrap();
-        assert!(second.status.success(), "{:?}", said(&second));
-        assert!(said(&second).1.contains("another runner"), "{:?}", said(&second));
-        let before = checkpoint.metadata().unwrap().modified().unwrap();
-        assert!(Command::new("kill").args([signal, &runner.id().to_string()]).status().unwrap().success());
-        let ended = runner.wait_with_output().unwrap();
-        if signal == "-INT" {
-            assert_eq!(said(&ended).1, "error: stopped; the same command goes on\n");
+        assert!(second.status.success() && said(&second).1.contains("another runner"), "{:?}", said(&second));
+    };
+    let mut before = 0;
+    for signal in ["INT", "KILL"] {
+        let runner = endless(folder.path());
+        wait_for("a training", || trainings(folder.path()).len() == 1);
+        is_left_to_another();
+        let training = trainings(folder.path()).pop().unwrap();
+        if signal == "KILL" {
+            common::send("STOP", &training);
         }
-        wait_for("the end of the training", || trainings(folder.path()) == 0);
-        assert!(checkpoint.metadata().unwrap().modified().unwrap() >= before, "{signal}: nothing was saved");
+        common::send(signal, &runner.id().to_string());
+        let ended = runner.wait_with_output().unwrap();
+        if signal == "INT" {
+            assert_eq!(said(&ended).1, "error: stopped; the same command goes on\n");
+        } else {
+            // It outlives its runner, and is still at it.
+            is_left_to_another();
+            common::send("CONT", &training);
+        }
+        wait_for("the end of the training", || trainings(folder.path()).is_empty());
+        // None is written but by the end, and each run does an iteration at least.
+        let checkpoint = Checkpoint::read(&at("out/default/one-0.glb.checkpoint")).unwrap();
+        let iteration = checkpoint.meta["iteration"].as_u64().unwrap();
+        assert!(iteration > before, "{signal}: expected more than {before} iterations, found {iteration}");
+        before = iteration;
     }
 }

@@ -218,8 +218,12 @@ fn a_checkpoint_stays_until_all_is_written() {
     let checkpoint = folder.path().join("scene.glb.checkpoint");
     assert!(checkpoint.is_file());
     std::fs::remove_dir(in_the_way).unwrap();
-    let resumed = run(&["--resume"]);
+    let resumed = run(&["--resume", "--json"]);
     assert!(resumed.status.success() && !checkpoint.exists(), "{}", common::stderr(&resumed));
+    // Nothing was left to train, so that nothing is known of its time.
+    let outcome: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    assert_eq!(outcome["seconds_per_iteration"], serde_json::Value::Null);
+    assert_eq!(outcome["evaluation"]["seconds_per_iteration"], serde_json::Value::Null);
 }
 
 /// The demo does not say which views see its points.

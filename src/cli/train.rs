@@ -406,7 +406,7 @@ fn evaluate(
         folder: args.report.as_deref(),
         settings,
         plots,
-        seconds_per_iteration: Some(trained.seconds_per_iteration),
+        seconds_per_iteration: trained.seconds_per_iteration,
     };
     eval::evaluate(gpu, &trained.scene, capture, &details)
         .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))

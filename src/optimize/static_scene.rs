@@ -112,8 +112,8 @@ pub struct Trained {
     /// By the names of training views, the 3×4 matrix, by rows, that takes what is rendered, (r, g, b, 1), to the photograph; empty
     /// without [`TrainOptions::exposure`].
     pub exposures: Vec<(String, [f32; 12])>,
-    /// Seconds per joint iteration of this run, without evaluation.
-    pub seconds_per_iteration: f64,
+    /// Seconds per joint iteration of this run, without evaluation; `None` if it had none.
+    pub seconds_per_iteration: Option<f64>,
     /// Iterations of this run that changed nothing because their view needed longer lists, which were made then.
     pub skipped_iterations: u32,
 }
@@ -644,7 +644,8 @@ impl<'a> Run<'a> {
             scene,
             outcome,
             history: std::mem::take(&mut self.history),
-            seconds_per_iteration: self.joint_seconds / f64::from(self.joint_iterations.max(1)),
+            seconds_per_iteration: (self.joint_iterations > 0)
+                .then(|| self.joint_seconds / f64::from(self.joint_iterations)),
             skipped_iterations: self.skipped_iterations,
         })
     }

@@ -40,6 +40,9 @@ impl fmt::Display for Protocol {
     }
 }
 
+/// Flags of `centaur train` that a protocol decides, and that would win over its own.
+const OF_PROTOCOL: [&str; 4] = ["--images", "--downscale", "--max-side", "--masks"];
+
 /// A way to train.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Variant {
@@ -97,6 +100,13 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     let variants = if args.variants.is_empty() { &usual[..] } else { &args.variants };
     for (i, variant) in variants.iter().enumerate() {
         ensure!(variants[..i].iter().all(|v| v.name != variant.name), "--variant {}: given twice", variant.name);
+    }
+    if let Some(protocol) = args.protocol {
+        let is_its = |flag: &&String| flag.split('=').next().is_some_and(|name| OF_PROTOCOL.contains(&name));
+        let given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags)).find(is_its);
+        if let Some(flag) = given {
+            bail!("--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`");
+        }
     }
     for (i, seed) in args.seeds.iter().enumerate() {
         ensure!(!args.seeds[..i].contains(seed), "--seeds: {seed} given twice");
@@ -166,7 +176,7 @@ impl Job {
         if let Some(protocol) = self.protocol {
             words.extend(["--protocol".into(), protocol.to_string().into()]);
         }
-        words.extend(["--only".into(), self.name().into()]);
+        words.extend(["--beside-others".into(), "--only".into(), self.name().into()]);
         if !args.flags.is_empty() {
             words.extend(std::iter::once("--".to_owned()).chain(args.flags.iter().cloned()).map(OsString::from));
         }
@@ -280,18 +290,19 @@ mod tests {
         // What is listed is that job alone, whichever others this command was given.
         for job in &all {
             let words = std::iter::once("centaur".into()).chain(job.listed(&args));
-            let Command::Bench(again) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
-            let again = super::all(&again)
-                .and_then(|jobs| chosen(&jobs, &again).map(|jobs| jobs.into_iter().cloned().collect::<Vec<_>>()));
-            let again = again.unwrap();
+            let Command::Bench(again_args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
+            let jobs = super::all(&again_args).unwrap();
+            let again = chosen(&jobs, &again_args).unwrap();
             assert_eq!(again.len(), 1);
             assert_eq!((again[0].name(), again[0].command()), (job.name(), job.command()));
+            assert!(again_args.shares_machine() && !args.shares_machine());
         }
         all.iter().for_each(|job| job.check().unwrap());
         // Shards are disjoint and together everything.
         let mut shared: Vec<String> = (0..5)
             .flat_map(|i| {
                 let args = Args { shard: Some(Shard { index: i, of: 5 }), ..*self::args(folder.path(), &more) };
+                assert!(args.shares_machine());
                 chosen(&all, &args).unwrap().into_iter().map(Job::name).collect::<Vec<_>>()
             })
             .collect();
@@ -317,6 +328,14 @@ mod tests {
         assert_eq!(error(&["--seeds", "1,0,1"]), "--seeds: 1 given twice");
         let flag = error(&["--", "--no-messh"]);
         assert!(flag.starts_with("flags of default/garden-0: ") && flag.contains("--no-messh"), "{flag}");
+        let pictures = "expected no flag for the pictures, which it decides, found";
+        for (more, found) in [
+            (&["--protocol", "a", "--", "--max-side=300"][..], format!("--protocol a: {pictures} `--max-side=300`")),
+            (&["--protocol", "b", "--variant", "x=--lambda 0 --masks"], format!("--protocol b: {pictures} `--masks`")),
+        ] {
+            assert_eq!(error(more), found);
+        }
+        all(&args(folder.path(), &["--", "--max-side=300"])).unwrap();
         let empty = tempfile::tempdir().unwrap();
         assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected folders with sparse/"));
         assert!(variant("=--no-mesh").is_err() && variant("a/b").is_err() && variant("a").unwrap().flags.is_empty());

@@ -54,7 +54,7 @@ pub(super) struct Args {
     /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are [default: all are]
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
-    /// Jobs at a time; of several, the table has no times
+    /// Jobs at a time; the table has no times of jobs that share a machine, or may: those of several at a time, of --list and of --shard
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
     /// Only every N-th job, from the I-th on, counted from 0: for arrays of Slurm
@@ -63,6 +63,9 @@ pub(super) struct Args {
     /// Only this job; may be given several times
     #[arg(long, value_name = "VARIANT/SCENE-SEED")]
     only: Vec<String>,
+    /// Other runners may be on this machine: in what `--list` prints
+    #[arg(long, hide = true)]
+    beside_others: bool,
     /// Print a command, quoted for a shell, for each job that is not done, and do none
     #[arg(long, conflicts_with = "table")]
     list: bool,
@@ -74,6 +77,13 @@ pub(super) struct Args {
     flags: Vec<String>,
     #[command(flatten)]
     messages: MessageArgs,
+}
+
+impl Args {
+    /// Whether other runners may be on this machine.
+    fn shares_machine(&self) -> bool {
+        self.beside_others || self.shard.is_some()
+    }
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {

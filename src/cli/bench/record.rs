@@ -17,7 +17,7 @@ pub(super) struct Made {
     /// Of `centaur train`, without those that every job has and those of the protocol.
     pub(super) flags: Vec<String>,
     pub(super) protocol: Option<Protocol>,
-    /// Jobs that shared the machine. The times of several are no times of one.
+    /// Jobs that shared the machine; 0 if that is unknown. Only the times of 1 are times of a job.
     pub(super) at_a_time: usize,
 }
 

@@ -1,6 +1,6 @@
 //! Jobs being done: each a training in a process of its own, whose memory is gone with it.
 
-use std::fs::{File, TryLockError};
+use std::fs::{OpenOptions, TryLockError};
 use std::io::{self, Write as _};
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
@@ -32,6 +32,7 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, St
     let bar = output::bar(&args.messages, open.len() as u64);
     bar.set_style(ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
     let at_a_time = open.len().min(args.jobs.into());
+    let known = if args.shares_machine() { 0 } else { at_a_time };
     let (queue, failed) = (Mutex::new(open.iter()), Mutex::new(vec![]));
     let (interrupted, elsewhere) = (AtomicBool::new(false), AtomicBool::new(false));
     std::thread::scope(|scope| {
@@ -42,7 +43,7 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, St
                     let Some(&job) = next else { break };
                     bar.set_message(job.name());
                     let start = Instant::now();
-                    match train(job, at_a_time, &stop) {
+                    match train(job, known, &stop) {
                         Ok(Ended::Done) => {
                             bar.println(format!("{}: {:.1} min", job.name(), start.elapsed().as_secs_f64() / 60.0));
                         }
@@ -76,14 +77,15 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, St
     Ok(failed.into_inner().unwrap_or_default())
 }
 
-/// One training, unless somebody else is at it.
+/// One training, unless somebody else is at it. `at_a_time` as in [`super::record::Made`].
 fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if let Some(folder) = job.result.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    // Held by this process, so that one that is killed leaves none behind.
+    // Held by processes, so that those that are killed leave none behind. Not truncated: it may be another's.
     let path = job.result.with_extension("lock");
-    let lock = File::create(&path).with_context(|| path.display().to_string())?;
+    let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
+    let lock = open.with_context(|| path.display().to_string())?;
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => return Ok(Ended::Elsewhere),
@@ -95,6 +97,14 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     }
     let mut command = Command::new(std::env::current_exe().context("cannot find this program")?);
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    if cfg!(unix) {
+        // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
+        // checkpoint. On Windows a lock is of one process, and keeps others from writing.
+        lock.set_len(0)
+            .and_then(|()| lock.try_clone())
+            .map(|held| command.stderr(held))
+            .context("cannot hold a lock")?;
+    }
     let mut child = command.spawn().context("cannot start a training")?;
     // It stops, with a checkpoint, when this ends: at Ctrl-C, a termination, and where this process is killed.
     let mut input = child.stdin.take();
@@ -107,7 +117,8 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     }
     let output = waiting.join().map_err(|_| anyhow!("cannot wait"))?.context("cannot wait for a training")?;
     if !output.status.success() {
-        let messages = String::from_utf8_lossy(&output.stderr);
+        let messages = if cfg!(unix) { std::fs::read(&path).unwrap_or_default() } else { output.stderr };
+        let messages = String::from_utf8_lossy(&messages);
         let last = messages.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no message");
         bail!("{} ({})", last.trim_start_matches("error: "), output.status);
     }
