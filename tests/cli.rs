@@ -34,6 +34,8 @@ fn wrong_usage_is_exit_code_2() {
         &["eval", "scene.glb"],
         &["render", "scene.glb", "-o", "out", "--format", "tiff"],
         &["mesh", "splats.ply", "capture", "-o", "surface.obj"],
+        &["mesh", "capture", "-o", "surface.glb", "--truth", "a.glb", "--within", "NaN"],
+        &["mesh", "capture", "-o", "surface.glb", "--truth", "a.glb", "--within=-1"],
     ] {
         let output = centaur(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");

@@ -9,6 +9,7 @@ use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
 use glam::{DVec2, DVec3, Vec3};
 
+use super::edits::positive;
 use super::output;
 use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
 
@@ -47,7 +48,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
     /// Distance within which points count for precision, recall and F-score [default: 1 % of the truth's diagonal]
-    #[arg(long, value_name = "D", requires = "truth")]
+    #[arg(long, value_name = "D", requires = "truth", value_parser = positive)]
     within: Option<f64>,
     #[command(flatten)]
     adapter: AdapterArgs,
@@ -59,6 +60,11 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
+    let read = |file: &Path| -> Result<Surface> {
+        let read = mesh_import::read(file)?;
+        Ok(Surface { positions: read.positions, triangles: read.triangles })
+    };
+    let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
     let capture = args.loading.open(&args.capture)?;
     let (surface, steps, origin) = match &args.splats {
         Some(splats) => {
@@ -69,7 +75,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         None => from_points(&capture, args)?,
     };
-    let compared = args.truth.as_deref().map(|truth| compare(&surface, truth, args.within, &capture)).transpose()?;
+    let compare = |(file, truth): &(&Path, Surface)| {
+        compare(&surface, truth, args.within, &capture).with_context(|| {
+            format!("{}: expected a surface that views of the capture see, found none", file.display())
+        })
+    };
+    let compared = truth.as_ref().map(compare).transpose()?;
     let unwrapped = geometry::unwrap(&surface, args.texture_size)?;
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
@@ -120,16 +131,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     ))
 }
 
-/// The surface against that of a file, as far as a camera of the capture sees it.
-fn compare(surface: &Surface, truth: &Path, within: Option<f64>, capture: &Capture) -> Result<SurfaceDistance> {
-    let read = mesh_import::read(truth)?;
-    let truth_surface = Surface { positions: read.positions, triangles: read.triangles };
-    let (low, high) = truth_surface
-        .positions
-        .iter()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+/// The surface against the truth, as far as a camera of the capture sees that; `None` if none does.
+fn compare(surface: &Surface, truth: &Surface, within: Option<f64>, capture: &Capture) -> Option<SurfaceDistance> {
+    let (low, high) =
+        truth.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
     let diagonal = f64::from(low.distance(high));
-    let bvh = MeshBvh::new([(truth_surface.positions.as_slice(), truth_surface.triangles.as_slice())]);
+    let bvh = MeshBvh::new([(truth.positions.as_slice(), truth.triangles.as_slice())]);
     let is_seen = |p: DVec3| {
         capture.views.iter().any(|View { camera, .. }| {
             let local = camera.rotation() * p + camera.translation();
@@ -144,9 +151,7 @@ fn compare(surface: &Surface, truth: &Path, within: Option<f64>, capture: &Captu
         })
     };
     let within = within.unwrap_or(0.01 * diagonal);
-    let distance = geometry::surface_distance(surface, &truth_surface, within, is_seen);
-    distance
-        .with_context(|| format!("{}: expected a surface that views of the capture see, found none", truth.display()))
+    geometry::surface_distance(surface, truth, within, is_seen)
 }
 
 fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
@@ -158,17 +163,17 @@ fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats,
     );
     let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
     let views: Vec<PointView> = capture.views.iter().map(view).collect();
-    let is_known = views.iter().all(|view| !view.sees.is_empty());
     let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles)?;
     if !args.messages.json && !args.messages.quiet {
-        let SparseStats { lifted, clear, .. } = steps;
+        let SparseStats { views, guessed, lifted, clear, .. } = steps;
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;
-        if !is_known {
+        if guessed > 0 {
             let capture = args.capture.display();
             output::print(&format!(
-                "note: {capture}: does not say which views see its points: each was taken for seen where none is nearer"
+                "note: {capture}: does not say of {guessed} of {views} views which points they see: each was taken for seen where none is nearer"
             ))?;
         }
     }
-    Ok((surface, steps.surface, if is_known { SurfaceOrigin::Points } else { SurfaceOrigin::GuessedPoints }))
+    let origin = if steps.is_guess() { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points };
+    Ok((surface, steps.surface, origin))
 }

@@ -381,7 +381,7 @@ fn in_words(surface: SurfaceOrigin) -> &'static str {
 fn note(args: &Args, surface: Option<SurfaceOrigin>) -> Option<String> {
     let note = match (args.surface?, surface?) {
         (SurfaceOf::Points, SurfaceOrigin::GuessedPoints) => {
-            "does not say which views see its points: for the surface, each was taken for seen where none is nearer"
+            "does not say of half of its views or more which points they see: for the surface, each was taken for seen where none is nearer"
         }
         (SurfaceOf::Points, SurfaceOrigin::Splats) => {
             "its points make no surface: it was fused from the depth of splats"

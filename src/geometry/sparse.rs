@@ -40,12 +40,24 @@ const SAME_SURFACE: f64 = 1.05;
 /// Triangles of points, and what they were made of.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseStats {
+    /// Views that there were.
+    pub views: usize,
+    /// Those of which it is unknown what they see, and was decided by [`visible_points`].
+    pub guessed: usize,
     /// Triangles lifted from all views.
     pub lifted: usize,
     /// Those that hide nothing that is seen.
     pub clear: usize,
     /// What fusion made of them.
     pub surface: SurfaceStats,
+}
+
+impl SparseStats {
+    /// Whether what points are seen was guessed for half of the views or more.
+    #[must_use]
+    pub fn is_guess(&self) -> bool {
+        2 * self.guessed >= self.views
+    }
 }
 
 /// Fuses a surface of at most about `triangles` triangles.
@@ -68,7 +80,13 @@ pub fn surface_from_points(
         views.par_iter().zip(&seen).map(|(view, seen)| lift(&view.camera, points, seen)).collect();
     let clear = without_hiding(views, points, &seen, &lifted);
     let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
-    let mut stats = SparseStats { lifted: count(&lifted), clear: count(&clear), ..SparseStats::default() };
+    let mut stats = SparseStats {
+        views: views.len(),
+        guessed: views.iter().filter(|view| view.sees.is_empty()).count(),
+        lifted: count(&lifted),
+        clear: count(&clear),
+        surface: SurfaceStats::default(),
+    };
     if stats.clear == 0 {
         let hint = "the capture has too few points, or its views see too few of them";
         return Err(GeometryError::EmptySurface { step: "lifting triangles of points", hint });
@@ -332,14 +350,20 @@ mod tests {
             eprintln!("{wrong} wrong points: {accuracy:.4} to the truth, {completeness:.4} from it, {stats:?}");
             assert!(accuracy < 0.01 && completeness < 0.01, "{accuracy} {completeness}");
             assert!(stats.clear < stats.lifted);
+            assert_eq!((stats.views, stats.guessed), (24, 0));
         }
-        // Without tracks the points themselves say what is visible: as exact, but less is found.
+        // One view of which nothing is known does not make the others guesses.
         let (points, mut views) = cloud(&cameras, 0);
+        views[3].sees.clear();
+        let (_, stats) = surface_from_points(&views, &points, 20_000).unwrap();
+        assert_eq!((stats.guessed, stats.is_guess()), (1, false));
+        // Without tracks the points themselves say what is visible: as exact, but less is found.
         views.iter_mut().for_each(|view| view.sees.clear());
-        let (surface, _) = surface_from_points(&views, &points, 20_000).unwrap();
+        let (surface, stats) = surface_from_points(&views, &points, 20_000).unwrap();
         let [accuracy, completeness] = errors(&surface, &points);
         eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
         assert!(accuracy < 0.01 && completeness < 0.15, "{accuracy} {completeness}");
+        assert_eq!((stats.guessed, stats.is_guess()), (24, true));
     }
 
     #[test]

@@ -46,9 +46,10 @@ pub enum MeshSource {
 pub enum SurfaceOrigin {
     /// It was the user's.
     Given,
-    /// The capture's points, where it says of every training view which of them it sees.
+    /// The capture's points, where it says of more than half of the training views which of them they see.
     Points,
-    /// The capture's points, each taken for seen where no other is nearer ([`geometry::visible_points`]).
+    /// The capture's points, in half of the training views or more each taken for seen where no other is nearer
+    /// ([`geometry::visible_points`]).
     GuessedPoints,
     /// The fused depth of splats.
     Splats,

@@ -17,11 +17,11 @@ impl<'a> Run<'a> {
                 PointView { camera: view.camera, sees: view.sees.clone() }
             };
             let views: Vec<PointView> = self.train.iter().map(view).collect();
-            let is_known = views.iter().all(|view| !view.sees.is_empty());
             let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
             match geometry::surface_from_points(&views, &points, self.options.triangles) {
-                Ok((surface, _)) => {
-                    self.surface = Some(if is_known { SurfaceOrigin::Points } else { SurfaceOrigin::GuessedPoints });
+                Ok((surface, steps)) => {
+                    let is_guess = steps.is_guess();
+                    self.surface = Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
                     return surface::textured(surface, None, self.options, self.texture_size());
                 }
                 Err(GeometryError::EmptySurface { .. }) => {}
