@@ -160,15 +160,27 @@ impl<'a> Crate<'a> {
 
     /// Takes note of what values take that are made. Many fields can name one long array or text.
     fn spend(&mut self, numbers: usize) -> Result<(), Fault> {
-        let left = self.budget.checked_sub(numbers);
-        self.budget =
-            left.ok_or_else(|| Fault::whole(format!("at most {} values", most_values(self.file.len())), "more"))?;
+        self.budget = self.left_after(numbers)?;
         Ok(())
     }
 
+    fn left_after(&self, numbers: usize) -> Result<usize, Fault> {
+        let too_many = || Fault::whole(format!("at most {} values", most_values(self.file.len())), "more");
+        self.budget.checked_sub(numbers).ok_or_else(too_many)
+    }
+
     fn token(&self, index: u32) -> Result<String, Fault> {
-        let outside = || Fault::whole(format!("tokens below {}", self.tokens.len()), index.to_string());
-        self.tokens.get(index as usize).cloned().ok_or_else(outside)
+        self.tokens.get(index as usize).cloned().ok_or_else(|| self.no_token(index))
+    }
+
+    fn no_token(&self, index: u32) -> Fault {
+        Fault::whole(format!("tokens below {}", self.tokens.len()), index.to_string())
+    }
+
+    /// A token that is a name, taken note of: many things can have one long name.
+    fn name(&mut self, token: u32) -> Result<String, Fault> {
+        self.spend(1 + self.tokens.get(token as usize).map_or(0, String::len) / 8)?;
+        self.token(token)
     }
 
     fn string(&self, index: u32) -> Result<String, Fault> {
@@ -176,15 +188,19 @@ impl<'a> Crate<'a> {
         self.token(*self.strings.get(index as usize).ok_or_else(outside)?)
     }
 
-    /// `/prim.property`.
+    /// `/prim.property`, if there is room for it.
     fn path(&self, index: u32) -> Result<String, Fault> {
         let outside = || Fault::whole(format!("paths below {}", self.paths.len()), index.to_string());
         let mut node = self.paths.get(index as usize).ok_or_else(outside)?;
-        let mut parts = vec![];
+        let (mut parts, mut length) = (vec![], 0);
         while node.depth > 0 {
-            parts.push((if node.is_property { '.' } else { '/' }, self.token(node.token)?));
+            let name = self.tokens.get(node.token as usize).ok_or_else(|| self.no_token(node.token))?;
+            parts.push([if node.is_property { "." } else { "/" }, name]);
+            length += 1 + name.len();
             node = self.paths.get(node.parent).ok_or_else(outside)?;
         }
-        Ok(parts.into_iter().rev().fold(String::new(), |path, (sign, name)| format!("{path}{sign}{name}")))
+        self.left_after(length / 8)?;
+        parts.reverse();
+        Ok(parts.as_flattened().concat())
     }
 }

@@ -5,7 +5,8 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::values::Rep;
-use super::{Crate, most_values, parse};
+use super::{Crate, END, PathNode, most_values, parse};
+use crate::format::error::Fault;
 use crate::format::usd::document::{Layer, Prim, PropertyKind, Value};
 
 const TEXT: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/usd/types.usda"));
@@ -101,6 +102,27 @@ fn many_names_of_one_long_text_are_refused() {
         paths: vec![],
         budget: most_values(file.len()),
     };
+    // Names of the fields of a prim, and of prims.
+    let named = |length: usize, sets: Vec<u32>, specs: usize| {
+        let mut file = of(length);
+        (file.fields, file.sets) = (vec![(0, Rep(inlined(42)))], sets);
+        file.paths = vec![PathNode::default(), PathNode { depth: 1, ..PathNode::default() }];
+        let layer = file.layer(&vec![1; specs], &vec![0; specs], &vec![6; specs])?;
+        Ok::<_, Fault>((layer.prims.len(), layer.prims[0].metadata.len()))
+    };
+    let fields = |length: usize| named(length, [vec![0; 1000], vec![END]].concat(), 1);
+    let prims = |length: usize| named(length, vec![END], 1000);
+    let path = |length: usize| {
+        let mut file = of(length);
+        file.paths =
+            (0..200).map(|depth| PathNode { parent: depth.max(1) - 1, depth, ..PathNode::default() }).collect();
+        file.path(199).map(|path| path.len())
+    };
+    assert_eq!((fields(9).unwrap(), prims(9).unwrap(), path(9).unwrap()), ((1, 1000), (1, 0), 1990));
+    for error in [fields(100_000).err(), prims(100_000).err(), path(100_000).err()] {
+        let error = error.unwrap().in_file(Path::new("f")).to_string();
+        assert!(error.ends_with("values, found more"), "{error}");
+    }
     let short = of(9).samples(Rep(46 << 48)).unwrap();
     assert_eq!((short.len(), &short[7]), (1000, &(7.0, Value::Text("a".repeat(9)))));
     assert!(of(9).value(Rep(41 << 48 | list_at)).unwrap().is_some());

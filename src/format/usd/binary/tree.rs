@@ -20,7 +20,7 @@ const VARIANT: i32 = 10;
 enum Spec {
     Prim(Prim),
     Property(Property),
-    Variant,
+    Variant(Variant),
 }
 
 /// A value, or the samples of an animated one.
@@ -94,16 +94,19 @@ impl Crate<'_> {
                     layer.metadata = metadata(fields);
                     continue;
                 }
-                VARIANT => Spec::Variant,
-                PRIM => Spec::Prim(prim(self.token(node.token)?, fields)),
-                kind => Spec::Property(property(self.token(node.token)?, kind == ATTRIBUTE, fields)),
+                VARIANT => {
+                    let name = self.name(node.token)?;
+                    Spec::Variant(Variant { set: String::new(), name, content: Prim::default() })
+                }
+                PRIM => Spec::Prim(prim(self.name(node.token)?, fields)),
+                kind => Spec::Property(property(self.name(node.token)?, kind == ATTRIBUTE, fields)),
             });
         }
-        self.assemble(layer, specs, &orders)
+        Ok(self.assemble(layer, specs, &orders))
     }
 
     /// Puts everything below its parent: the deepest first.
-    fn assemble(&self, mut layer: Layer, mut specs: Vec<Option<Spec>>, orders: &[Vec<String>]) -> Result<Layer, Fault> {
+    fn assemble(&self, mut layer: Layer, mut specs: Vec<Option<Spec>>, orders: &[Vec<String>]) -> Layer {
         let mut by_depth: Vec<usize> = (0..specs.len()).filter(|&i| specs[i].is_some()).collect();
         by_depth.sort_by_key(|&i| std::cmp::Reverse(self.paths[i].depth));
         for i in by_depth {
@@ -116,17 +119,14 @@ impl Crate<'_> {
                 (Spec::Prim(prim), _) if self.paths[i].depth == 1 => layer.prims.push(prim),
                 (Spec::Prim(prim), Some(Spec::Prim(above))) => above.children.push(prim),
                 (Spec::Property(property), Some(Spec::Prim(above))) => above.properties.push(property),
-                (Spec::Variant, Some(Spec::Prim(above))) => {
-                    let name = self.token(self.paths[i].token)?;
-                    above.variants.push(Variant { set: String::new(), name, content: Prim::default() });
-                }
+                (Spec::Variant(variant), Some(Spec::Prim(above))) => above.variants.push(variant),
                 // Of variants, which are not chosen.
                 _ => {}
             }
         }
         let root = self.paths.iter().position(|node| node.depth == 0);
         arrange(&mut layer.prims, root.map_or(&[][..], |root| &orders[root]));
-        Ok(layer)
+        layer
     }
 
     /// Names and values of a set of fields.
@@ -140,8 +140,7 @@ impl Crate<'_> {
                 return Ok(fields);
             }
             let &(name, rep) = self.fields.get(index as usize).ok_or_else(outside)?;
-            self.spend(1)?;
-            let name = self.token(name)?;
+            let name = self.name(name)?;
             let content = self.content(&name, rep).map_err(|fault| fault.or_at_byte(self.fields_at))?;
             fields.extend(content.map(|content| (name, content)));
             at += 1;
