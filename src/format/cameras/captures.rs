@@ -10,12 +10,26 @@ use crate::format::error::Fault;
 /// What a `transforms.json` of ours says that it was written by.
 pub(super) const GENERATOR: &str = "centaur cameras";
 
-/// The `points3D.txt` of a model of ours.
+/// What a model of ours consists of.
+pub(super) const FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
+
+/// The last of these.
 pub(super) const NO_POINTS: &str = "# No points: a path of `centaur cameras`\n";
 
 /// Refuses a folder for a COLMAP model that holds anything of a capture but an earlier model of ours.
 pub(super) fn spare_in(folder: &Path) -> Result<(), FormatError> {
-    refuse(folder, part_of_capture(folder, &["images"]))
+    refuse(folder, part_of_capture(folder, &["images"]).or_else(|| part_above(folder)))
+}
+
+/// What the folder above holds of a capture, whose model would be looked for in `folder` if that is called `colmap`.
+fn part_above(folder: &Path) -> Option<String> {
+    let whole = folder.canonicalize().or_else(|_| std::path::absolute(folder)).ok()?;
+    let is_looked_into = |path: &Path| path.file_name().is_some_and(|name| name.eq_ignore_ascii_case("colmap"));
+    let above = [folder, &whole].into_iter().filter(|path| is_looked_into(path)).filter_map(Path::parent);
+    above.map(|above| if above.as_os_str().is_empty() { Path::new(".") } else { above }).find_map(|above| {
+        let names = parts_of_capture(above, &["images"]).into_iter();
+        names.filter(|name| name != "colmap").map(|name| format!("../{name}")).next()
+    })
 }
 
 /// Refuses to put a `transforms*.json` in the place of one that is not ours, or where it would be read instead of a capture.
@@ -36,13 +50,18 @@ fn refuse(target: &Path, found: Option<String>) -> Result<(), FormatError> {
 
 /// The first by name of what a folder holds of a capture; `besides` counts too.
 fn part_of_capture(folder: &Path, besides: &[&str]) -> Option<String> {
+    parts_of_capture(folder, besides).into_iter().next()
+}
+
+fn parts_of_capture(folder: &Path, besides: &[&str]) -> Vec<String> {
     let mut names = entries(folder);
     names.sort_unstable();
-    names.into_iter().find(|name| match &name[..] {
+    names.retain(|name| match &name[..] {
         "sparse" => !is_our_model(&folder.join(name)),
         "colmap" | "cameras.bin" | "cameras.txt" | "frames.bin" | "frames.txt" => true,
         other => besides.contains(&other) || is_transforms(other) && !is_our_transforms(&folder.join(other)),
-    })
+    });
+    names
 }
 
 /// Names of what is in a folder; none if it is none.
@@ -66,6 +85,9 @@ fn is_our_transforms(path: &Path) -> bool {
 
 /// Whether a folder `sparse` holds a model of ours and nothing else, or nothing.
 fn is_our_model(sparse: &Path) -> bool {
-    let points = || std::fs::read(sparse.join("0/points3D.txt")).unwrap_or_default();
-    entries(sparse).iter().all(|name| name == "0" && points() == NO_POINTS.as_bytes())
+    let is_ours = |model: &Path| {
+        let points = std::fs::read(model.join(FILES[2])).unwrap_or_default();
+        points == NO_POINTS.as_bytes() && entries(model).iter().all(|name| FILES.contains(&&name[..]))
+    };
+    entries(sparse).iter().all(|name| name == "0" && is_ours(&sparse.join(name)))
 }

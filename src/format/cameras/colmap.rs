@@ -6,7 +6,7 @@ use std::{fs, io};
 
 use glam::DQuat;
 
-use super::captures::{NO_POINTS, spare_in};
+use super::captures::{FILES, NO_POINTS, spare_in};
 use super::picture_names;
 use crate::format::FormatError;
 use crate::scene::{Camera, Intrinsics};
@@ -32,19 +32,19 @@ pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, 
         writeln!(text, "{} PINHOLE {} {} {} {} {} {}", i + 1, k.width, k.height, k.fx, k.fy, k.cx, k.cy)
             .expect("writing to a string cannot fail");
     }
-    let files = [("cameras.txt", &text[..]), ("images.txt", &images), ("points3D.txt", NO_POINTS)];
-    place(folder, &files).map_err(|source| FormatError::Write { file: folder.join("sparse/0"), source })?;
-    Ok(files.iter().map(|(_, text)| text.len() as u64).sum())
+    let files = [&text[..], &images, NO_POINTS];
+    place(folder, files).map_err(|source| FormatError::Write { file: folder.join("sparse/0"), source })?;
+    Ok(files.iter().map(|text| text.len() as u64).sum())
 }
 
 /// Puts a model into `sparse/0` when all of it is written.
-fn place(folder: &Path, files: &[(&str, &str)]) -> io::Result<()> {
+fn place(folder: &Path, files: [&str; 3]) -> io::Result<()> {
     let sparse = folder.join("sparse");
     fs::create_dir_all(&sparse)?;
     let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder)?;
     let [model, new, former] = [sparse.join("0"), staging.path().join("new"), staging.path().join("former")];
     fs::create_dir(&new)?;
-    files.iter().try_for_each(|(name, text)| fs::write(new.join(name), text))?;
+    FILES.iter().zip(files).try_for_each(|(name, text)| fs::write(new.join(name), text))?;
     let replaces = model.exists();
     if replaces {
         fs::rename(&model, &former)?;

@@ -178,6 +178,17 @@ fn captures_are_neither_replaced_nor_hidden() {
     assert_eq!(listed("new/sparse/0"), ["cameras.txt", "images.txt", "points3D.txt"]);
     touch("new/sparse/0/points3D.txt", "1 0 0 0 9 9 9 0.1\n");
     refused("new", "sparse");
+    // Nor what others have put beside ours.
+    write("other").unwrap();
+    touch("other/sparse/0/cameras.bin", "theirs");
+    refused("other", "sparse");
+    assert_eq!(std::fs::read_to_string(root.join("other/sparse/0/cameras.bin")).unwrap(), "theirs");
+    // A capture is looked for in a folder of this name before it is in its own.
+    refused("e/colmap", "../transforms.json");
+    refused("h/colmap", "../images");
+    assert!(!root.join("h/colmap").exists());
+    write("i/colmap").unwrap();
+    write("i/colmap").unwrap();
 }
 
 /// A glTF whose camera, node 1, is moved by `channels` of an animation of the accessors `floats` (type and values).
