@@ -7,9 +7,9 @@ mod common;
 use std::path::Path;
 
 use centaur::format::{WriteOptions, write_scene};
-use centaur::scene::{Composition, HybridScene, Splats};
+use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 use common::{centaur, failure, stderr, write_capture};
-use glam::{Quat, Vec3};
+use glam::{DMat3, DVec3, Quat, Vec3};
 
 fn run(folder: &Path, args: &[&str]) -> String {
     let output = centaur(folder).args(args).output().unwrap();
@@ -65,6 +65,59 @@ fn paths_are_made_of_captures_without_photographs_and_rendered() {
         let brightest = |x: usize| (0..3).map(|c| frame[(7 * 20 + x) * 3 + c]).max().unwrap();
         assert!((8..12).map(brightest).max().unwrap() > 100 && brightest(0) < 20 && brightest(19) < 20);
     }
+}
+
+/// A shot of a scene that has cameras, written into it again and again, is always that of those cameras; one that begins later than
+/// at 0 says so.
+#[test]
+fn a_path_is_not_made_of_the_one_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let lens = Intrinsics { width: 20, height: 15, fx: 18.0, fy: 18.0, cx: 10.0, cy: 7.5 };
+    let camera = |i: u32| {
+        let turn = DMat3::from_rotation_y(0.5 * f64::from(i));
+        (
+            format!("view_{i}"),
+            Camera::new(lens, turn, DVec3::new(0.1 * f64::from(i * i), 0.0, 3.0 + f64::from(i % 2))).unwrap(),
+        )
+    };
+    let cameras: Vec<_> = (0..5).map(camera).collect();
+    let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], vec![Vec3::ZERO], vec![0.0], 0, vec![[0.0; 3]]);
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    write_scene(&at("a.glb"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
+    let spline = |from: &str, to: &str| {
+        run(folder.path(), &["cameras", "spline", from, "-o", to, "--with-scene", "--frames", "9", "--fps", "4"]);
+        run(folder.path(), &["cameras", "convert", to, "-o", "path.json"]);
+        std::fs::read_to_string(at("path.json")).unwrap()
+    };
+    let first = spline("a.glb", "b.gltf");
+    assert_eq!(spline("b.gltf", "c.glb"), first);
+
+    let mut late: serde_json::Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
+    let times: Vec<u8> = (0..9).flat_map(|i| (5.0f32 + 0.25 * i as f32).to_le_bytes()).collect();
+    std::fs::write(at("times.bin"), &times).unwrap();
+    let mut push = |key: &str, value: serde_json::Value| {
+        let array = late[key].as_array_mut().unwrap();
+        array.push(value);
+        array.len() - 1
+    };
+    let buffer = push("buffers", serde_json::json!({ "byteLength": times.len(), "uri": "times.bin" }));
+    let view = push("bufferViews", serde_json::json!({ "buffer": buffer, "byteLength": times.len() }));
+    let input = push(
+        "accessors",
+        serde_json::json!({ "bufferView": view, "componentType": 5126, "type": "SCALAR", "count": 9, "min": [5], "max": [7] }),
+    );
+    let samplers = late["animations"][0]["samplers"].as_array_mut().unwrap();
+    samplers.iter_mut().for_each(|sampler| sampler["input"] = input.into());
+    std::fs::write(at("late.gltf"), late.to_string()).unwrap();
+    let said = run(folder.path(), &["cameras", "convert", "late.gltf", "-o", "late.json"]);
+    assert!(
+        said.contains("note: late.gltf: begins at 5 s, which late.json does not say: there it begins at 0"),
+        "{said}"
+    );
+    let said = run(folder.path(), &["cameras", "convert", "late.gltf", "-o", "late.usda"]);
+    assert!(!said.contains("begins"), "{said}");
+    assert!(std::fs::read_to_string(at("late.usda")).unwrap().contains("startTimeCode = 20"));
 }
 
 #[cfg(unix)]

@@ -31,8 +31,10 @@ OUT is, by its name:
                  (x right, y up, z backwards); `fps` besides
   .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn about x, as in scenes of
                  Centaur, so that both fit in Blender. Exact intrinsics are in `extras`
-  .usda          one Camera with time samples, y up likewise, frame i at time code i
+  .usda          one Camera with time samples, y up likewise, one frame a time code
   a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in the world of SOURCE
+
+Of a shot that SOURCE begins later than at 0 s, .glb, .gltf and .usda keep the times.
 
 A capture is neither replaced nor hidden: a folder that holds one is refused for COLMAP and for transforms*.json.";
 
@@ -104,7 +106,8 @@ struct FileArgs {
     /// File (.json, .glb, .gltf, .usda) or folder (COLMAP) to write
     #[arg(short, long, value_name = "OUT", value_parser = writable)]
     output: PathBuf,
-    /// Write SOURCE, a .glb or .gltf, again with the path in it: OUT is a .glb or .gltf that renders as the path
+    /// Write SOURCE, a .glb or .gltf, again with the path in it: OUT is a .glb or .gltf that renders as the path. A path that
+    /// was written into SOURCE so before gives way
     #[arg(long)]
     with_scene: bool,
     /// Print one JSON object on stdout
@@ -189,7 +192,8 @@ impl FileArgs {
     }
 
     fn generate(&self, shot: &ShotArgs, make: impl Fn(&[Camera]) -> Result<Vec<Camera>, PathError>) -> Result<()> {
-        let source = self.read(&Sampling::default())?;
+        // A path that SOURCE has of us gives way to this one; it is none of the cameras to go by.
+        let source = self.read(&Sampling { without_paths: self.with_scene, ..Sampling::default() })?;
         let views: Vec<Camera> = source.cameras.iter().map(|(_, camera)| *camera).collect();
         let frames = match make(&views) {
             Err(e @ (PathError::NoFocus | PathError::Outwards)) => {
@@ -210,11 +214,19 @@ impl FileArgs {
         } else {
             write_cameras(&self.output, &file)?
         };
-        let CameraFile { cameras, fps, mut notes, .. } = file;
+        let CameraFile { cameras, fps, times, mut notes, .. } = file;
         let is_gltf =
             self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
         if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
+        }
+        let begins = times.first().copied().unwrap_or_default();
+        let has_times = is_gltf || self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("usda"));
+        if begins != 0.0 && !(has_times && begins > 0.0) {
+            notes.push(format!(
+                "begins at {begins} s, which {} does not say: there it begins at 0",
+                self.output.display()
+            ));
         }
         if self.json {
             return output::print_json(&serde_json::json!({

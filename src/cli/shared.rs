@@ -68,7 +68,7 @@ pub(super) struct SamplingArgs {
 
 impl SamplingArgs {
     pub(super) fn sampling(&self) -> Sampling<'_> {
-        Sampling { fps: self.fps, only: self.camera.as_deref(), time: None }
+        Sampling { fps: self.fps, only: self.camera.as_deref(), ..Sampling::default() }
     }
 }
 

@@ -13,7 +13,7 @@ mod colmap;
 mod tests;
 mod transforms;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
@@ -47,6 +47,15 @@ pub struct Sampling<'a> {
     pub only: Option<&'a str>,
     /// All as they are at this time, in seconds, none of them moving; `None`: frame by frame.
     pub time: Option<f64>,
+    /// None of those that [`write_cameras_with_scene`] has added.
+    pub without_paths: bool,
+}
+
+impl Sampling<'_> {
+    /// Whether a camera of this name, as a file's reader has it, is asked for.
+    pub(super) fn wants(&self, name: &str) -> bool {
+        self.only.is_none_or(|only| short(only) == name)
+    }
 }
 
 /// Frames a second where nothing else is stated.
@@ -58,6 +67,14 @@ pub const MAX_FRAMES: usize = 36_000;
 
 /// What a camera that moves is called in files that we write.
 pub(super) const NAME: &str = "path";
+
+/// Most characters of a camera's name.
+const MAX_NAME: usize = 100;
+
+/// A name as cameras have it: it stands in that of each frame, and many cameras can share one.
+pub(super) fn short(name: &str) -> String {
+    name.chars().take(MAX_NAME).collect()
+}
 
 /// Extensions of files that [`write_cameras`] writes; a path that has none of them is a folder for a COLMAP model.
 pub const WRITABLE_CAMERAS: &[&str] = &["json", "glb", "gltf", "usda"];
@@ -71,6 +88,17 @@ impl CameraFile {
         }
         self.y_up = Some(y_up);
         self
+    }
+
+    /// When each of them is seen, in seconds that grow, as keys of files must, also in single precision, and are not negative: from 0
+    /// on where nobody says, or where several cameras move at a time.
+    pub(super) fn keys(&self) -> Vec<f64> {
+        let fps = self.fps.unwrap_or(DEFAULT_FPS);
+        let ends = [self.times.first(), self.times.last()];
+        let is_told = self.times.len() == self.cameras.len()
+            && ends.iter().all(|end| end.is_some_and(|time| (0.0..1e9).contains(time)))
+            && self.times.windows(2).all(|pair| (pair[0] as f32) < pair[1] as f32);
+        if is_told { self.times.clone() } else { (0..self.cameras.len()).map(|i| i as f64 / fps).collect() }
     }
 }
 
@@ -102,12 +130,11 @@ pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, 
 /// # Errors
 /// If a file cannot be written, or a COLMAP model or `transforms*.json` would replace or hide a capture that is already there.
 pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError> {
-    let fps = file.fps.unwrap_or(DEFAULT_FPS);
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match &extension[..] {
         "json" => transforms::write(path, &file.cameras, file.fps),
         "glb" | "gltf" => gltf::write_cameras(path, file),
-        "usda" => usd::write_cameras(path, &file.clone().in_frame(false).cameras, fps),
+        "usda" => usd::write_cameras(path, &file.clone().in_frame(false)),
         _ => colmap::write(path, &file.cameras),
     }
 }
@@ -147,9 +174,8 @@ pub(super) fn chosen(
 ) -> Result<CameraFile, Fault> {
     let names: Vec<String> = found.iter().map(|camera| camera.name.clone()).collect();
     let moves = found.iter().any(|camera| camera.fps.is_some());
-    let (kept, others): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|camera| match sampling.only {
-        Some(name) => camera.name == name,
-        None => camera.fps.is_some() || !moves,
+    let (kept, others): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|camera| {
+        sampling.wants(&camera.name) && (sampling.only.is_some() || camera.fps.is_some() || !moves)
     });
     if kept.is_empty() {
         return Err(match sampling.only {
@@ -180,10 +206,12 @@ pub(super) fn chosen(
 }
 
 /// How many frames there are from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or
-/// `end` is before `start`. The end counts if it is a hundredth of a frame late: times are often of single precision.
+/// `end` is before `start`. The end counts if it is a hundredth of a frame late, or as much as single precision, in which times often
+/// are, cannot tell.
 #[must_use]
 pub fn frame_count(start: f64, end: f64, fps: f64) -> Option<usize> {
-    let last = ((end - start) * fps + 0.01).floor();
+    let unknown = (2.4e-7 * start.abs().max(end.abs()) * fps).min(0.5);
+    let last = ((end - start) * fps + unknown.max(0.01)).floor();
     (0.0..MAX_FRAMES as f64).contains(&last).then(|| last as usize + 1)
 }
 
@@ -207,11 +235,21 @@ impl Frames {
 
 /// File names for pictures of views, each one once whatever the case of its letters: `left/0001.jpg` becomes `left_0001.png`.
 pub fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) -> Vec<String> {
-    let mut taken = HashSet::new();
+    // With the number from which on a further one of the same name is numbered.
+    let (mut taken, mut numbers) = (HashSet::new(), HashMap::new());
     let mut unique = |stem: String| {
-        let candidates = (2..).map(|n| format!("{stem}_{n}"));
-        let name = std::iter::once(stem.clone()).chain(candidates).find(|name| taken.insert(name.to_lowercase()));
-        format!("{}.{extension}", name.unwrap_or(stem))
+        let mut name = stem.clone();
+        if !taken.insert(stem.to_lowercase()) {
+            let number = numbers.entry(stem.to_lowercase()).or_insert(2);
+            loop {
+                name = format!("{stem}_{number}");
+                *number += 1;
+                if taken.insert(name.to_lowercase()) {
+                    break;
+                }
+            }
+        }
+        format!("{name}.{extension}")
     };
     views.map(|view| unique(safe_stem(view))).collect()
 }

@@ -55,7 +55,7 @@ fn what_is_written_is_read() {
                 assert!(faults.findings.is_empty(), "{:?}", faults.findings);
             }
             // Twice as many frames a second are twice as many, but for the last.
-            let twice = read_cameras(&path, &Sampling { fps: Some(2.0 * fps), only: None, time: None }).unwrap();
+            let twice = read_cameras(&path, &Sampling { fps: Some(2.0 * fps), ..Sampling::default() }).unwrap();
             assert!(frames == 1 || twice.cameras.len() == 2 * frames - 1, "{name}: {}", twice.cameras.len());
         }
         for name in ["a.json", "model"] {
@@ -191,6 +191,77 @@ fn captures_are_neither_replaced_nor_hidden() {
     write("i/colmap").unwrap();
 }
 
+#[test]
+fn shots_keep_their_times() {
+    let folder = tempfile::tempdir().unwrap();
+    for (start, fps, frames) in [(5.0, 30.0, 91), (0.25, 29.97, 40), (4000.1, 60.0, 7)] {
+        let times: Vec<f64> = (0..frames).map(|i| start + f64::from(i) / fps).collect();
+        let cameras = shot(times.len(), 0.0);
+        let file = CameraFile { cameras, fps: Some(fps), y_up: Some(false), times, notes: vec![] };
+        for name in ["a.glb", "a.usda"] {
+            let path = folder.path().join(name);
+            write_cameras(&path, &file).unwrap();
+            let back = read(&path);
+            assert!(largest_difference(&file.cameras, &back.cameras) < 1e-4, "{name}, {start}");
+            let differ = file.times.iter().zip(&back.times).any(|(a, b)| (a - b).abs() > 1e-6 * a);
+            assert!(!differ && back.times.len() == file.times.len(), "{name}: {:?}", back.times);
+            assert_eq!(validate(&path).map_or(0, |faults| faults.errors), 0, "{name}");
+        }
+        // What is no time of a key is not written.
+        for times in [vec![-1.0; file.times.len()], vec![start; file.times.len()], vec![start]] {
+            let path = folder.path().join("a.glb");
+            write_cameras(&path, &CameraFile { times, ..file.clone() }).unwrap();
+            assert_eq!(read(&path).times[0], 0.0);
+        }
+    }
+}
+
+#[test]
+fn names_of_cameras_are_short() {
+    let folder = tempfile::tempdir().unwrap();
+    let floats: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 1.0]), ("VEC4", &TURN)];
+    let channels = json!([{ "sampler": 0, "target": { "node": 0, "path": "rotation" } }]);
+    let path = gltf_with(folder.path(), &floats, &json!([{ "input": 0, "output": 1 }]), &channels);
+    let name = "ä".repeat(1 << 18);
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace("moving", &name)).unwrap();
+    let found = read(&path);
+    assert_eq!(found.cameras[30].0, format!("{}_00030", "ä".repeat(100)));
+    let only = read_cameras(&path, &Sampling { only: Some(&name), ..Sampling::default() }).unwrap();
+    assert_eq!(only.cameras.len(), 31);
+    let usd = folder.path().join("a.usda");
+    std::fs::write(&usd, format!("#usda 1.0\ndef Camera \"a\" ( displayName = \"{name}\" ) {{}}\n")).unwrap();
+    assert_eq!(read(&usd).cameras[0].0, "ä".repeat(100));
+    let layer = format!("#usda 1.0\ndef Xform \"{0}\" {{ def Camera \"a\" {{}} }}\n", "b".repeat(1 << 18));
+    std::fs::write(&usd, layer).unwrap();
+    let found = read(&usd);
+    assert!(
+        found.notes.iter().any(|note| note.starts_with(&format!("/{}/a: ", "b".repeat(100)))),
+        "{:?}",
+        found.notes[0].len()
+    );
+}
+
+#[test]
+fn deep_cameras_have_a_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let floats: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 1199.0]), ("VEC4", &TURN)];
+    let channels = json!([{ "sampler": 0, "target": { "node": 0, "path": "rotation" } }]);
+    let path = gltf_with(folder.path(), &floats, &json!([{ "input": 0, "output": 1 }]), &channels);
+    let mut document: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let depth = 4000;
+    let mut nodes: Vec<serde_json::Value> = (1..depth).map(|child| json!({ "children": [child] })).collect();
+    nodes.push(json!({ "camera": 0 }));
+    document["nodes"] = json!(nodes);
+    std::fs::write(&path, document.to_string()).unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    let expected = "/nodes/3999: expected at most 134217728 transforms of nodes above cameras, of all frames together, found 4000 of \
+                    each of 35971 frames";
+    assert!(error.ends_with(expected), "{error}");
+    let slow = read_cameras(&path, &Sampling { fps: Some(0.1), ..Sampling::default() }).unwrap();
+    assert_eq!(slow.cameras.len(), 120);
+}
+
 /// A glTF whose camera, node 1, is moved by `channels` of an animation of the accessors `floats` (type and values).
 fn gltf_with(
     folder: &Path,
@@ -247,7 +318,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
         |sampler: u32, node: u32, path: &str| json!({ "sampler": sampler, "target": { "node": node, "path": path } });
     let channels = [channel(0, 0, "rotation"), channel(1, 0, "scale"), channel(2, 1, "translation")];
     let path = gltf_with(folder.path(), &floats, &cubic_samplers, &json!(channels));
-    let sampling = Sampling { fps: Some(2.0), only: Some("moving"), time: None };
+    let sampling = Sampling { fps: Some(2.0), only: Some("moving"), ..Sampling::default() };
     let found = read_cameras(&path, &sampling).unwrap();
     assert_eq!((found.fps, found.y_up, found.cameras.len()), (Some(2.0), Some(true), 5));
     let cubic = [0.0, 0.625 + 0.5625, 2.5, 4.0 * 0.84375 + 4.0 * 0.046875, 4.0];
@@ -262,7 +333,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     let both = read_cameras(&path, &Sampling::default()).unwrap();
     assert_eq!((both.cameras.len(), both.fps), (2 * 61, Some(DEFAULT_FPS)));
     assert!(both.cameras[60].0 == "moving_00060" && both.cameras[61].0 == "resting_00000");
-    let error = read_cameras(&path, &Sampling { only: Some("third"), fps: None, time: None }).unwrap_err().to_string();
+    let error = read_cameras(&path, &Sampling { only: Some("third"), ..Sampling::default() }).unwrap_err().to_string();
     assert!(error.ends_with("expected a camera called third, found moving, resting"), "{error}");
 
     // All frames of a file count together, but for those of cameras that are not asked for.
@@ -282,10 +353,10 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     let alone = gltf_with(folder.path(), &floats, &cubic_samplers, &json!([channel(2, 1, "translation")]));
     let found = read_cameras(&alone, &sampling).unwrap();
     assert_eq!(found.cameras.len(), 5);
-    let found = read_cameras(&alone, &Sampling { fps: Some(1.0), only: None, time: None }).unwrap();
+    let found = read_cameras(&alone, &Sampling { fps: Some(1.0), ..Sampling::default() }).unwrap();
     assert_eq!(found.cameras.len(), 3);
     assert_eq!(found.notes.last().unwrap(), "cameras that do not move: left out (1)");
-    let resting = read_cameras(&alone, &Sampling { fps: None, only: Some("resting"), time: None }).unwrap();
+    let resting = read_cameras(&alone, &Sampling { only: Some("resting"), ..Sampling::default() }).unwrap();
     assert_eq!((resting.cameras.len(), resting.fps), (1, None));
 }
 
@@ -313,7 +384,7 @@ fn animations_that_are_none_are_refused() {
         let samplers = json!([{ "input": 0, "output": 1 }]);
         let channels = json!([{ "sampler": 0, "target": { "node": 1, "path": "rotation" } }]);
         let path = gltf_with(folder.path(), &[("SCALAR", times), ("VEC4", values)], &samplers, &channels);
-        read_cameras(&path, &Sampling { fps: Some(fps), only: None, time: None }).map_err(|e| e.to_string())
+        read_cameras(&path, &Sampling { fps: Some(fps), ..Sampling::default() }).map_err(|e| e.to_string())
     };
     let is = |found: Result<CameraFile, String>, end: &str| {
         let message = found.unwrap_err();
@@ -332,6 +403,15 @@ fn animations_that_are_none_are_refused() {
         let message = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
         assert!(message.ends_with(&format!("a.gltf: /animations/0/channels/0/{said}")), "{message}");
     }
+    // By its place in the file, before which there may be others that are none of the core.
+    let pointer = json!({ "path": "pointer", "extensions": { "KHR_animation_pointer": { "pointer": "/extras" } } });
+    let channels = json!([
+        { "sampler": 0, "target": pointer }, { "sampler": 0, "target": { "node": 1, "path": "scale" } },
+    ]);
+    let floats: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 1.0, 2.0]), ("VEC3", &[1.0; 6])];
+    let path = gltf_with(folder.path(), &floats, &json!([{ "input": 0, "output": 1 }]), &channels);
+    let message = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(message.contains("/animations/0/channels/1: expected 3 times 3 numbers"), "{message}");
     is(error(&[1.0, 1.0], &TURN, 1.0), "/accessors/0: expected key times that grow, found 1 after 1");
     is(error(&[0.0, f32::NAN], &TURN, 1.0), "/accessors/0: expected finite key times, found NaN");
     is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "/animations/0/channels/0: expected 3 times 4 numbers, found 8");
@@ -371,7 +451,7 @@ def Camera "resting" { }
 "#;
     std::fs::write(&path, layer).unwrap();
     for (fps, frames) in [(None, 21), (Some(5.0), 11), (Some(20.0), 41)] {
-        let found = read_cameras(&path, &Sampling { fps, only: None, time: None }).unwrap();
+        let found = read_cameras(&path, &Sampling { fps, ..Sampling::default() }).unwrap();
         assert_eq!((found.cameras.len(), found.fps, found.y_up), (frames, fps.or(Some(10.0)), Some(true)));
         for (i, (_, camera)) in found.cameras.iter().enumerate() {
             let part = i as f64 / (frames - 1) as f64;
@@ -493,6 +573,50 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     assert!(error("a.json", "ours.gltf").contains("expected a name that ends in .glb or .gltf"));
     std::fs::write(at("a.ply"), "ply").unwrap();
     assert!(error("a.glb", "a.ply").ends_with("expected a .glb or .gltf, to which cameras can be added, found PLY"));
+}
+
+#[test]
+fn a_path_that_gives_way_leaves_nothing_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let cameras = [("front".to_owned(), camera())];
+    let scene = random_scene(5, 0, 1, 4);
+    write_scene(&at("a.glb"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
+    let file = CameraFile { cameras: shot(5, 0.0), fps: Some(9.0), y_up: None, times: vec![], notes: vec![] };
+    write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &file).unwrap();
+    let document =
+        |name: &str| -> serde_json::Value { serde_json::from_slice(&std::fs::read(at(name)).unwrap()).unwrap() };
+    let mut changed = document("b.gltf");
+    // Another program moves our node as well, in an animation of its own and in one that moves more than this, and looks through our
+    // camera from elsewhere.
+    let mut theirs = changed["animations"][0].clone();
+    theirs.as_object_mut().unwrap().remove("extras");
+    let node = theirs["channels"][0]["target"]["node"].clone();
+    let mut both = theirs.clone();
+    both["channels"][1]["target"]["node"] = json!(0);
+    changed["animations"].as_array_mut().unwrap().extend([theirs, both]);
+    let nodes = changed["nodes"].as_array_mut().unwrap();
+    let optics = nodes[node.as_u64().unwrap() as usize]["camera"].clone();
+    let last = nodes.len();
+    nodes.push(json!({ "name": "theirs", "camera": optics }));
+    changed["scenes"][0]["nodes"].as_array_mut().unwrap().push(json!(last));
+    std::fs::write(at("c.gltf"), changed.to_string()).unwrap();
+    write_cameras_with_scene(&at("d.gltf"), &at("c.gltf"), &file).unwrap();
+    let after = document("d.gltf");
+    let channels: Vec<usize> =
+        after["animations"].as_array().unwrap().iter().map(|a| a["channels"].as_array().unwrap().len()).collect();
+    assert_eq!(channels, [1, 2]);
+    assert_eq!(after["animations"][0]["channels"][0]["target"]["node"], 0);
+    let camera = after["nodes"][last]["camera"].as_u64().unwrap() as usize;
+    assert_eq!(after["cameras"][camera], changed["cameras"][optics.as_u64().unwrap() as usize]);
+    assert_eq!(after["cameras"].as_array().unwrap().len(), 3);
+    assert_eq!(validate(&at("d.gltf")).unwrap().errors, 0);
+    let only = Sampling { only: Some(NAME), ..Sampling::default() };
+    assert!(largest_difference(&file.cameras, &read_cameras(&at("d.gltf"), &only).unwrap().cameras) < 2e-5);
+    // Without it there are those of the scene.
+    let without = read_cameras(&at("b.gltf"), &Sampling { without_paths: true, ..Sampling::default() }).unwrap();
+    let names: Vec<&str> = without.cameras.iter().map(|(name, _)| &name[..]).collect();
+    assert_eq!((names, without.fps), (vec!["front"], None));
 }
 
 #[test]

@@ -4,6 +4,7 @@ use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
 
 use super::extension::{EXTRAS, ExactCamera};
+use crate::format::cameras::short;
 use crate::format::placed::{Similarity, similarity};
 use crate::scene::{Camera, Intrinsics};
 
@@ -17,7 +18,7 @@ const MAX_PIXELS: u64 = 1 << 28;
 /// What a camera at a node is called; `nth` of those that are read, from 0, if nobody says.
 pub(super) fn name(node: &gltf::Node<'_>, nth: usize) -> String {
     let name = node.name().or(node.camera().and_then(|camera| camera.name()));
-    name.map_or_else(|| format!("camera_{nth}"), str::to_owned)
+    name.map_or_else(|| format!("camera_{nth}"), short)
 }
 
 /// A camera and what had to be assumed about it; on failure, the reason.

@@ -154,6 +154,14 @@ impl Asset {
         self.root.get("bufferViews").and_then(Value::as_array).is_some_and(|views| view.index() < views.len())
     }
 
+    /// Which channels of an animation of the file those of the core are.
+    pub(super) fn channels(&self, animation: usize) -> Vec<usize> {
+        let nodes = self.root.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
+        let channels = self.root.pointer(&format!("/animations/{animation}/channels")).and_then(Value::as_array);
+        let of_core = channels.into_iter().flatten().enumerate().filter(|(_, channel)| is_core_channel(channel, nodes));
+        of_core.map(|(i, _)| i).collect()
+    }
+
     /// Refuses files that require extensions without which they cannot be understood.
     pub(in crate::format) fn check_required(&self) -> Result<(), Fault> {
         let Some(unknown) = self.extensions_required.iter().find(|e| !UNDERSTOOD.contains(&e.as_str())) else {
@@ -252,14 +260,17 @@ fn lift_channels(root: &mut Value) -> Result<(), Fault> {
                 return Err(Fault::pointer(format!("{}/node", at()), expected, shown(node.to_string().as_bytes())));
             }
         }
-        channels.retain(|channel| {
-            let target = channel.get("target").unwrap_or(&Value::Null);
-            let is_core = target.get("path").and_then(Value::as_str).is_some_and(|path| PATHS.contains(&path));
-            let node = target.get("node").and_then(Value::as_u64);
-            is_core && node.is_some_and(|node| node < nodes as u64)
-        });
+        channels.retain(|channel| is_core_channel(channel, nodes));
     }
     Ok(())
+}
+
+/// Whether a channel of an animation moves one of so many nodes.
+fn is_core_channel(channel: &Value, nodes: usize) -> bool {
+    let target = channel.get("target").unwrap_or(&Value::Null);
+    let is_core = target.get("path").and_then(Value::as_str).is_some_and(|path| PATHS.contains(&path));
+    let node = target.get("node").and_then(Value::as_u64);
+    is_core && node.is_some_and(|node| node < nodes as u64)
 }
 
 /// Gives accessors without data a view that [`Asset::has_view`] does not count.

@@ -13,11 +13,14 @@ use serde_json::Value;
 use super::camera;
 use super::extension::EXTRAS;
 use super::lift::Asset;
-use super::shot::FPS;
+use super::shot::{FPS, is_marked};
 use super::transform::{FLIP, is_ours, local, placements, placements_by, unit};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, Sampling, chosen};
 use crate::format::error::Fault;
 use crate::scene::Camera;
+
+/// Transforms of nodes that are evaluated for cameras: some seconds.
+const MOST_STEPS: usize = 1 << 27;
 
 /// The cameras of a document.
 pub(super) fn cameras(
@@ -37,27 +40,37 @@ pub(super) fn cameras(
     let is_ours = is_ours(document);
     let frame = if is_ours { FLIP } else { DMat4::IDENTITY };
     let (mut found, mut notes, mut taken) = (vec![], vec![], Frames::default());
+    // First and last key of what moves a node, by itself or by one above; parents come before their children.
+    let mut ranges: HashMap<usize, (f64, f64)> = HashMap::new();
+    let mut steps = 0;
     for (node, transform) in &placed {
-        let Some(optics) = node.camera() else { continue };
+        let index = node.index();
+        let above = parents.get(&index).and_then(|parent| ranges.get(parent)).copied();
+        let range = motion.range(index).into_iter().chain(above).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+        ranges.extend(range.filter(|_| sampling.time.is_none()).map(|range| (index, range)));
+        let Some(optics) = node.camera().filter(|_| !(sampling.without_paths && is_marked(node))) else { continue };
         let name = camera::name(node, found.len());
-        let at = format!("/nodes/{}", node.index());
-        // From the node upwards.
-        let chain: Vec<usize> =
-            std::iter::successors(Some(node.index()), |child| parents.get(child).copied()).collect();
-        let Some((start, end)) = motion.range(&chain).filter(|_| sampling.time.is_none()) else {
+        let at = format!("/nodes/{index}");
+        let fps = sampling.fps.or(motion.fps).unwrap_or(DEFAULT_FPS);
+        let range = ranges.get(&index).copied();
+        let Some((start, end)) = range.filter(|_| sampling.wants(&name)) else {
             match camera::read(document, optics.index(), *transform) {
                 Ok((camera, note)) => {
                     notes.extend(note.map(|note| format!("{at}: {note}")));
-                    found.push(Found { name, frames: vec![camera], start: 0.0, fps: None });
+                    found.push(Found { name, frames: vec![camera], start: 0.0, fps: range.map(|_| fps) });
                 }
                 Err(reason) => notes.push(format!("{at}: camera left out: {reason}")),
             }
             continue;
         };
-        let fps = sampling.fps.or(motion.fps).unwrap_or(DEFAULT_FPS);
-        let is_wanted = sampling.only.is_none_or(|only| only == name);
-        let count = if is_wanted { taken.take(start, end, fps) } else { Ok(1) };
-        let count = count.map_err(|fault| fault.under(&at))?;
+        let count = taken.take(start, end, fps).map_err(|fault| fault.under(&at))?;
+        // From the node upwards.
+        let chain: Vec<usize> = std::iter::successors(Some(index), |child| parents.get(child).copied()).collect();
+        steps += count * chain.len();
+        if steps > MOST_STEPS {
+            let expected = format!("at most {MOST_STEPS} transforms of nodes above cameras, of all frames together");
+            return Err(Fault::pointer(at, expected, format!("{} of each of {count} frames", chain.len())));
+        }
         let frames = (0..count).map(|i| -> Result<(Camera, Option<String>), String> {
             let time = start + i as f64 / fps;
             let in_world = chain.iter().fold(DMat4::IDENTITY, |below, &n| motion.local(&nodes[n], time) * below);
@@ -130,7 +143,7 @@ impl Motion {
         let mut arrays = Arrays { asset, times: HashMap::new(), values: HashMap::new() };
         for (a, animation) in asset.document.as_json().animations.iter().enumerate() {
             let (mut range, mut channels): (Option<[f64; 2]>, usize) = (None, 0);
-            for (c, channel) in animation.channels.iter().enumerate() {
+            for (c, channel) in asset.channels(a).into_iter().zip(&animation.channels) {
                 let (target, track) = match arrays.track(animation, channel, &format!("/animations/{a}/channels/{c}")) {
                     Ok(read) => read,
                     Err(fault) => {
@@ -181,9 +194,9 @@ impl Motion {
         &self.clips
     }
 
-    /// First and last key of what moves these nodes; `None` if nothing does.
-    fn range(&self, nodes: &[usize]) -> Option<(f64, f64)> {
-        let tracks = nodes.iter().flat_map(|&node| TRANSFORM.map(|part| self.tracks.get(&(node, part)))).flatten();
+    /// First and last key of what moves a node itself; `None` if nothing does.
+    fn range(&self, node: usize) -> Option<(f64, f64)> {
+        let tracks = TRANSFORM.into_iter().filter_map(|part| self.tracks.get(&(node, part)));
         tracks.map(Track::range).map(|[a, b]| (a, b)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 

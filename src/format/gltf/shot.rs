@@ -1,5 +1,7 @@
 //! A camera that moves, in a document.
 
+use std::collections::HashSet;
+
 use glam::DQuat;
 use serde_json::{Value, json};
 
@@ -15,8 +17,14 @@ pub(super) const FPS: &str = "framesPerSecond";
 /// Marks the nodes of these cameras, so that a later path takes their place.
 const MARK: &str = "path";
 
+/// Whether a node is one of these.
+pub(super) fn is_marked(node: &gltf::Node<'_>) -> bool {
+    let extras = node.extras().as_ref().and_then(|extras| serde_json::from_str::<Value>(extras.get()).ok());
+    extras.is_some_and(|extras| extras.get(EXTRAS).is_some_and(|ours| ours.get(MARK).is_some()))
+}
+
 /// Adds cameras at the top of the scene, in the place of those that were added so before: one with a linear animation whose keys are
-/// the frames; where intrinsics differ, which glTF does not animate, as many as there are. `shown` is in the frame of the document's
+/// the frames, at their times; where intrinsics differ, which glTF does not animate, as many as there are. `shown` is in the frame of the document's
 /// scene, which is the capture's below a root node of ours. Bytes of a former path stay in the buffer.
 pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile, near: f32) {
     // What is above our root node, or above a scene that was moved, has the axes of glTF.
@@ -45,7 +53,8 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
     };
     if shown.cameras.iter().all(|(_, camera)| camera.intrinsics() == first.intrinsics()) {
         let node = add(document, NAME, 0);
-        let animation = animation(document, bin, &placed, shown.fps.unwrap_or(DEFAULT_FPS), node);
+        let fps = shown.fps.unwrap_or(DEFAULT_FPS);
+        let animation = animation(document, bin, (&placed, &shown.keys()), fps, node);
         push(document, "animations", animation);
     } else {
         for (i, (name, _)) in shown.cameras.iter().enumerate() {
@@ -63,26 +72,37 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
 /// Takes a path of ours out of a document. Returns its nodes, which are empty and in no list, as others are known by their index.
 fn take_out(document: &mut Value) -> Vec<usize> {
     let of_ours = |object: &Value, key: &str| object.pointer(&format!("/extras/{EXTRAS}/{key}")).is_some();
-    let mut nodes = vec![];
+    let camera_of = |node: &Value| node.get("camera").and_then(Value::as_u64);
+    let (mut nodes, mut cameras) = (vec![], vec![]);
     for (i, node) in items(document, "nodes").iter_mut().enumerate() {
         if of_ours(node, MARK) {
-            nodes.push((i, node.get("camera").and_then(Value::as_u64)));
+            nodes.push(i);
+            cameras.extend(camera_of(node));
             *node = json!({});
         }
     }
-    let is_gone = |index: &Value| nodes.iter().any(|(i, _)| index.as_u64() == Some(*i as u64));
+    let gone: HashSet<u64> = nodes.iter().map(|i| *i as u64).collect();
+    let is_gone = |index: &Value| index.as_u64().is_some_and(|i| gone.contains(&i));
     for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
         items(document, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
     }
-    let is_gone = |index: u64| nodes.iter().any(|(_, camera)| *camera == Some(index));
-    retain(document, "cameras", |i, _| !is_gone(i as u64));
+    // Somebody may have put one of these into a node of their own.
+    let used: HashSet<u64> = items(document, "nodes").iter().filter_map(camera_of).collect();
+    cameras.retain(|camera| !used.contains(camera));
+    cameras.sort_unstable();
+    cameras.dedup();
+    retain(document, "cameras", |i, _| cameras.binary_search(&(i as u64)).is_err());
     for node in items(document, "nodes") {
-        if let Some(camera) = node.get("camera").and_then(Value::as_u64) {
-            node["camera"] = json!(camera - (0..camera).filter(|i| is_gone(*i)).count() as u64);
+        if let Some(camera) = camera_of(node) {
+            node["camera"] = json!(camera - cameras.partition_point(|gone| *gone < camera) as u64);
         }
     }
-    retain(document, "animations", |_, animation| !of_ours(animation, FPS));
-    nodes.into_iter().map(|(i, _)| i).collect()
+    // What another program made of the path moves nothing any more, and must not move the next one.
+    for animation in items(document, "animations") {
+        retain(animation, "channels", |_, channel| !channel.pointer("/target/node").is_some_and(is_gone));
+    }
+    retain(document, "animations", |_, animation| !of_ours(animation, FPS) && animation.get("channels").is_some());
+    nodes
 }
 
 /// The array of a key.
@@ -90,18 +110,24 @@ fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
     object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
 }
 
-/// Leaves what is wanted of the array of a key, by index and value, which may not be there if it is empty.
+/// Leaves what is wanted of the array of a key, by index and value, which may not be there if nothing is left.
 fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
     let Some(array) = object.get_mut(key).and_then(Value::as_array_mut) else { return };
-    let mut index = 0..;
+    let (mut index, count) = (0.., array.len());
     array.retain(|item| index.next().is_some_and(|i| is_wanted(i, item)));
-    if array.is_empty() {
+    if array.is_empty() && count > 0 {
         object.as_object_mut().map(|object| object.remove(key));
     }
 }
 
-fn animation(document: &mut Value, bin: &mut Bin<'_>, cameras: &[(String, Camera)], fps: f64, node: usize) -> Value {
-    let times: Vec<f32> = (0..cameras.len()).map(|i| (i as f64 / fps) as f32).collect();
+fn animation(
+    document: &mut Value,
+    bin: &mut Bin<'_>,
+    (cameras, times): (&[(String, Camera)], &[f64]),
+    fps: f64,
+    node: usize,
+) -> Value {
+    let times: Vec<f32> = times.iter().map(|time| *time as f32).collect();
     let translations = cameras.iter().flat_map(|(_, c)| c.center().to_array()).map(|v| v as f32).collect();
     let mut last = DQuat::IDENTITY;
     let rotations = cameras.iter().flat_map(|(_, camera)| {

@@ -54,10 +54,10 @@ pub(super) fn is_ours(document: &gltf::Document) -> bool {
 }
 
 pub(super) fn is_our_root(node: &gltf::Node<'_>) -> bool {
-    let marked = node.extras().as_ref().is_some_and(|extras| {
-        serde_json::from_str::<serde_json::Value>(extras.get()).is_ok_and(|v| v.get(EXTRAS).is_some())
-    });
-    node.name() == Some(ROOT_NODE) && marked
+    let is_marked = |extras: &str| {
+        serde_json::from_str::<serde_json::Value>(extras).is_ok_and(|extras| extras.get(EXTRAS).is_some())
+    };
+    node.name() == Some(ROOT_NODE) && node.extras().as_ref().is_some_and(|extras| is_marked(extras.get()))
 }
 
 /// Where a node puts what is in it, in its parent.

@@ -108,8 +108,8 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<Camer
 }
 
 /// Writes cameras, which are in the frame of the capture, as one that moves.
-pub(super) fn write_cameras(path: &Path, cameras: &[(String, Camera)], fps: f64) -> Result<u64, FormatError> {
-    let layer = shot::layer(cameras, fps);
+pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
+    let layer = shot::layer(cameras);
     atomic_write_with(path, |out| print::print(&layer, out))
 }
 

@@ -6,7 +6,7 @@ use super::document::{Field, Layer, Prim, PropertyKind, Value};
 use super::stage::Stage;
 use super::to_scene::{Counts, display_name, is_ours, place_all, units};
 use super::{frame, from_scene, views, xform};
-use crate::format::cameras::{CameraFile, Found, Frames, NAME, Sampling, chosen};
+use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, NAME, Sampling, chosen};
 use crate::format::error::Fault;
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
@@ -35,8 +35,7 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
             None => vec![None],
             Some(_) if sampling.time.is_some() => vec![sampling.time.map(|time| time * codes)],
             Some((start, end)) => {
-                let is_wanted = sampling.only.is_none_or(|only| only == name);
-                let count = if is_wanted { taken.take(start / codes, end / codes, fps) } else { Ok(1) };
+                let count = if sampling.wants(&name) { taken.take(start / codes, end / codes, fps) } else { Ok(1) };
                 let count = count.map_err(|fault| fault.under(&at))?;
                 (0..count).map(|i| Some((start + i as f64 * codes / fps).min(end))).collect()
             }
@@ -109,25 +108,29 @@ fn world(stage: &Stage<'_>, prim: usize, to_world: DMat4) -> Result<DMat4, Fault
     Ok(to_world * transform)
 }
 
-/// A layer with one camera, whose frames are `cameras`, in the frame of the capture: one a time code, from 0 on.
-pub(super) fn layer(cameras: &[(String, Camera)], fps: f64) -> Layer {
+/// A layer with one camera, whose frames are those of `shown`, in the frame of the capture: one a time code.
+pub(super) fn layer(shown: &CameraFile) -> Layer {
+    let fps = shown.fps.unwrap_or(DEFAULT_FPS);
+    // Most times are those of whole time codes.
+    let code = |code: f64| if (code - code.round()).abs() < 1e-6 { code.round() } else { code };
+    let codes: Vec<f64> = shown.keys().into_iter().map(|time| code(time * fps)).collect();
+    let [first, last] = [codes.first(), codes.last()].map(|end| end.copied().unwrap_or_default());
     let composition = Composition::default();
     let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
     let mut export = from_scene::export(&nothing, &[], "").expect("a scene without meshes has no pictures").layer;
-    let last = cameras.len().saturating_sub(1) as f64;
     for (name, value) in
-        [("startTimeCode", 0.0), ("endTimeCode", last), ("timeCodesPerSecond", fps), ("framesPerSecond", fps)]
+        [("startTimeCode", first), ("endTimeCode", last), ("timeCodesPerSecond", fps), ("framesPerSecond", fps)]
     {
         export.metadata.push(Field { edit: None, name: name.to_owned(), value: Value::Number(value) });
     }
     let frames: Vec<Prim> =
-        cameras.iter().map(|(_, camera)| from_scene::view(NAME, NAME, camera, composition.near)).collect();
-    export.prims[0].children.extend(merged(&frames));
+        shown.cameras.iter().map(|(_, camera)| from_scene::view(NAME, NAME, camera, composition.near)).collect();
+    export.prims[0].children.extend(merged(&frames, &codes));
     export
 }
 
-/// Prims that differ in values alone as one, whose values these are over time.
-fn merged(frames: &[Prim]) -> Option<Prim> {
+/// Prims that differ in values alone as one, whose values these are at time codes.
+fn merged(frames: &[Prim], codes: &[f64]) -> Option<Prim> {
     fn value_of(prim: &Prim, i: usize) -> Option<&Value> {
         match &prim.properties[i].kind {
             PropertyKind::Attribute { value, .. } => value.as_ref(),
@@ -142,8 +145,8 @@ fn merged(frames: &[Prim]) -> Option<Prim> {
         }
         if let PropertyKind::Attribute { value, samples, .. } = &mut prim.properties[i].kind {
             *value = None;
-            let of_frame = |(time, frame): (usize, &Prim)| Some((time as f64, value_of(frame, i)?.clone()));
-            *samples = frames.iter().enumerate().filter_map(of_frame).collect();
+            let of_frame = |(code, frame): (&f64, &Prim)| Some((*code, value_of(frame, i)?.clone()));
+            *samples = codes.iter().zip(frames).filter_map(of_frame).collect();
         }
     }
     Some(prim)

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
+use crate::format::cameras::short;
 use crate::format::error::Fault;
 
 /// Prims in document order, parents before children, by index.
@@ -14,6 +15,9 @@ pub(super) struct Stage<'a> {
     /// Time code at which [`Self::value`] looks; `None`: no time, where defaults are before samples.
     pub(super) time: Option<f64>,
 }
+
+/// Length from which on the beginning of a path is left out: there can be a message for every prim below.
+const LONG_PATH: usize = 1000;
 
 /// Connections that are followed before the value is held to be nowhere.
 const MAX_HOPS: usize = 16;
@@ -50,14 +54,16 @@ impl<'a> Stage<'a> {
         }
     }
 
+    /// Where a prim is, as messages have it: of what is very long the end.
     pub(super) fn path(&self, prim: usize) -> String {
-        let mut names = vec![];
-        let mut next = Some(prim);
+        let (mut names, mut length, mut next) = (vec![], 0, Some(prim));
         while let Some(id) = next {
-            names.push(self.prims[id].name.as_str());
-            next = self.parents[id];
+            let is_long = length > LONG_PATH;
+            names.push(if is_long { "…".to_owned() } else { short(&self.prims[id].name) });
+            length += names[names.len() - 1].len();
+            next = self.parents[id].filter(|_| !is_long);
         }
-        names.iter().rev().fold(String::new(), |path, name| format!("{path}/{name}"))
+        names.iter().rev().flat_map(|name| ["/", name]).collect()
     }
 
     /// The prim at `path`, which may be relative to `from` and may end in a property, and that property's name.

@@ -11,6 +11,7 @@ use super::stage::Stage;
 use super::surfaces::{self, Placed};
 use super::{frame, names, splats, views, xform};
 use crate::format::SceneFile;
+use crate::format::cameras::short;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
 use crate::format::placed::{self, join};
@@ -68,8 +69,9 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None })
 }
 
+/// What a camera is called.
 pub(super) fn display_name(prim: &Prim) -> String {
-    field(&prim.metadata, "displayName").and_then(Value::as_text).unwrap_or(&prim.name).to_owned()
+    short(field(&prim.metadata, "displayName").and_then(Value::as_text).unwrap_or(&prim.name))
 }
 
 /// From the layer's units and axes to metres and y up.
