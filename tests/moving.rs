@@ -109,6 +109,23 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
 }
 
 #[test]
+fn what_is_malformed_keeps_still_in_blender_and_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
+    let mut document: Value = serde_json::from_str(&text).unwrap();
+    let turn = json!({ "sampler": 0, "target": { "node": 1, "path": "rotation" } });
+    document["animations"][0]["channels"].as_array_mut().unwrap().push(turn);
+    std::fs::write(folder.path().join("b.gltf"), document.to_string()).unwrap();
+    let outcome = as_json(folder.path(), "convert b.gltf b.blend.py");
+    assert_eq!(outcome["loss"]["document"], json!(["1 animation"]), "{outcome}");
+    let notes = outcome["notes"].to_string();
+    let expected = "all keeps still, as an animation is malformed: /accessors/2/type: expected ";
+    assert!(notes.contains(expected), "{notes}");
+    assert!(!folder.path().join("b_motion.npz").exists());
+}
+
+#[test]
 fn exact_exports_are_not_refused() {
     let folder = tempfile::tempdir().unwrap();
     write_slide(folder.path());

@@ -137,7 +137,16 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
                 (mitsuba::write(path, scene, options.cameras)?, false)
             } else {
                 let moving = source.and_then(|source| source.moving(scene));
-                (blender::write(path, scene, options.cameras, moving)?, moving.is_some())
+                let broken = moving.and_then(|(moving, _)| moving.check().err());
+                let moving = moving.filter(|_| broken.is_none());
+                let mut report = blender::write(path, scene, options.cameras, moving)?;
+                report.notes.extend(broken.map(|fault| {
+                    let (location, expected, found) = fault.into_parts();
+                    format!(
+                        "all keeps still, as an animation is malformed: {location}expected {expected}, found {found}"
+                    )
+                }));
+                (report, moving.is_some())
             };
             // What is lost is what pictures lack: nobody reads a scene back from here.
             let motion = source.filter(|_| !keeps_motion).map_or_else(Vec::new, gltf::Source::motion);

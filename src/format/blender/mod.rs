@@ -51,7 +51,7 @@ const MANY: usize = 2_000_000;
 /// Writes the script and what lies beside it, the script last.
 ///
 /// # Errors
-/// If a file cannot be written.
+/// If a file cannot be written, or what moves cannot be evaluated at a frame or is too much: then nothing is written.
 pub(super) fn write(
     path: &Path,
     scene: &HybridScene,
@@ -59,17 +59,20 @@ pub(super) fn write(
     moving: Option<(&Moving, DMat4)>,
 ) -> Result<WriteReport, FormatError> {
     let stem = exchange::stem(path, SUFFIX);
-    let mut beside = exchange::write(path, &stem, scene)?;
-    let (mut motion, mut notes) = (Value::Null, notes(scene));
+    let (mut motion, mut notes, mut bytes, mut files) = (Value::Null, notes(scene), 0, vec![]);
+    // Before all else, as it can be refused.
     if let Some(moving) = moving {
-        beside.add(format!("{stem}_motion.npz"), |name| {
-            let mut written = motion::write(&path.with_file_name(name), scene, cameras, moving)?;
-            motion = written.told;
-            motion["file"] = json!(name);
-            notes.append(&mut written.notes);
-            Ok(written.bytes)
-        })?;
+        let name = format!("{stem}_motion.npz");
+        let mut written = motion::write((path, &name), scene, cameras, moving)?;
+        motion = written.told;
+        motion["file"] = json!(name);
+        notes.append(&mut written.notes);
+        bytes = written.bytes;
+        files.push(name);
     }
+    let mut beside = exchange::write(path, &stem, scene)?;
+    beside.bytes += bytes;
+    beside.files.append(&mut files);
     let script = script(&described(&stem, scene, cameras, &beside, &motion));
     atomic_write(path, script.as_bytes())?;
     let loss = Loss { composition: loses_rule(scene), ..Loss::default() };

@@ -35,6 +35,9 @@ use crate::scene::{Camera, HybridScene, SceneError};
 /// Numbers that change with the frame at most, 512 MB of them; Blender makes of each a key, of five times the size.
 const MOST_NUMBERS: usize = 1 << 26;
 
+/// Nodes that are placed at most, each at every frame: a minute's work.
+const MOST_NODES: usize = 1 << 28;
+
 /// What was written.
 pub(super) struct Written {
     /// What the script is told of it.
@@ -44,19 +47,19 @@ pub(super) struct Written {
     pub(super) notes: Vec<String>,
 }
 
-/// Writes the arrays to `path`; `moved` is what the scene was moved by since it was read.
+/// Writes the arrays to the file `name` beside `script`; `moved` is what the scene was moved by since it was read.
 pub(super) fn write(
-    path: &Path,
+    (script, name): (&Path, &str),
     scene: &HybridScene,
     cameras: &[(String, Camera)],
     (moving, moved): (&Moving, DMat4),
 ) -> Result<Written, FormatError> {
-    let failed = |fault: Fault| fault.in_file(path);
+    let failed = |fault: Fault| fault.in_file(script);
     let [start, end] = moving.range();
     let fps = moving.fps().unwrap_or(DEFAULT_FPS);
     let frames = Frames::default().take(start, end, fps).map_err(failed)?;
     let numbers = moving.rig().map_or(0, |rig| 16 * rig.rest().bones.len() + rig.rest().weights.len());
-    bounded(frames, numbers + 12 * cameras.len()).map_err(failed)?;
+    bounded(frames, numbers + 12 * cameras.len(), moving.nodes()).map_err(failed)?;
     let times: Vec<f64> = (0..frames).map(|frame| start + frame as f64 / fps).collect();
     let mut arrays = Arrays::default();
     if let Some(rig) = moving.rig() {
@@ -69,8 +72,9 @@ pub(super) fn write(
     }
     let surfaces = moving.rig().map_or(&[][..], Rig::surfaces);
     let meshes: Vec<usize> = (0..surfaces.len()).filter(|&i| surfaces[i].is_some()).collect();
-    let bytes = arrays.zipped().map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
-    atomic_write(path, &bytes)?;
+    let path = script.with_file_name(name);
+    let bytes = arrays.zipped().map_err(|source| FormatError::Write { file: path.clone(), source })?;
+    atomic_write(&path, &bytes)?;
     let told = json!({
         "fps": fps, "frames": frames, "start": start, "meshes": meshes, "names": moving.rig().map_or(&[][..], Rig::bone_names),
         "parents": moving.bone_parents(), "cameras": rows.is_some(),
@@ -79,14 +83,18 @@ pub(super) fn write(
     Ok(Written { told, bytes: bytes.len() as u64, notes })
 }
 
-/// Refuses more than [`MOST_NUMBERS`].
-pub(super) fn bounded(frames: usize, per_frame: usize) -> Result<(), Fault> {
-    let numbers = frames.saturating_mul(per_frame);
-    if numbers <= MOST_NUMBERS {
-        return Ok(());
+/// Refuses more than [`MOST_NUMBERS`] and [`MOST_NODES`].
+pub(super) fn bounded(frames: usize, numbers: usize, nodes: usize) -> Result<(), Fault> {
+    for (per_frame, most, what) in [
+        (numbers, MOST_NUMBERS, format!("bones, weights and cameras of at most {MOST_NUMBERS} numbers over time")),
+        (nodes, MOST_NODES, format!("at most {MOST_NODES} nodes over time")),
+    ] {
+        if frames.saturating_mul(per_frame) > most {
+            let found = format!("{per_frame} in each of {frames} frames; a pose at one time has room");
+            return Err(Fault::whole(what, found));
+        }
     }
-    let expected = format!("bones, weights and cameras of at most {MOST_NUMBERS} numbers over time");
-    Err(Fault::whole(expected, format!("{per_frame} in each of {frames} frames; a pose at one time has room")))
+    Ok(())
 }
 
 /// The rows of all cameras, frame by frame; `None` if none moves, or if one is not there all the time: which it is nobody knows.

@@ -148,9 +148,32 @@ fn a_camera_that_drops_out_leaves_all_still_and_is_noted() {
 }
 
 #[test]
+fn what_is_refused_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_scene(&at("a.glb"), &random_scene(5, 0, 1, 4), &WriteOptions::default()).unwrap();
+    let cameras = [0.0, 1.0].map(|x| {
+        (String::new(), Camera::new(*camera().intrinsics(), DMat3::IDENTITY, DVec3::new(x, 0.0, 0.0)).unwrap())
+    });
+    // Frames of a long shot.
+    let times = vec![0.0, 1e4];
+    let path = CameraFile { cameras: cameras.into(), fps: Some(5.0), y_up: Some(false), times, notes: vec![] };
+    write_cameras_with_scene(&at("b.glb"), &at("a.glb"), &path).unwrap();
+    let file = read_file(&at("b.glb"), &ReadOptions::default()).unwrap();
+    let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+    let error = write_scene(&at("b.blend.py"), &file.scene, &options).unwrap_err().to_string();
+    assert!(error.contains("b.blend.py: expected a shot of at most 36000 frames"), "{error}");
+    let mut left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["a.glb", "b.glb"]);
+}
+
+#[test]
 fn motion_has_a_limit() {
-    assert!(motion::bounded(36_000, 1864).is_ok());
-    let error = motion::bounded(36_000, 1865).unwrap_err().in_file(Path::new("a.blend.py")).to_string();
+    assert!(motion::bounded(36_000, 1864, 7456).is_ok());
+    let error = motion::bounded(36_000, 0, 7457).unwrap_err().in_file(Path::new("a.blend.py")).to_string();
+    assert!(error.contains("at most 268435456 nodes over time, found 7457 in each of 36000 frames"), "{error}");
+    let error = motion::bounded(36_000, 1865, 0).unwrap_err().in_file(Path::new("a.blend.py")).to_string();
     let expected = "a.blend.py: expected bones, weights and cameras of at most 67108864 numbers over time, found 1865 in each of 36000 \
                     frames; a pose at one time has room";
     assert_eq!(error, expected);

@@ -55,6 +55,16 @@ impl Moving {
         posed.map_err(|e| SceneError { field: format!("at {time} s: {}", e.field), ..e })
     }
 
+    /// Error if anything is wrong with an animation.
+    pub(in crate::format) fn check(&self) -> Result<(), Fault> {
+        self.motion.check()
+    }
+
+    /// How many nodes the document has, which are placed for every pose.
+    pub(in crate::format) fn nodes(&self) -> usize {
+        self.document.nodes().len()
+    }
+
     /// The cameras, those that move frame by frame.
     pub(in crate::format) fn cameras(&self, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
         self.motion.check()?;
