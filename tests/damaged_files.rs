@@ -377,8 +377,7 @@ fn fuzz_targets_take_the_samples() {
     }
 }
 
-/// Documents in which a few bytes are named again and again: what is named is held once, or not at all, and within the time that
-/// reading it once takes.
+/// Documents in which a few bytes are named again and again: what is named is held once, or not at all.
 #[test]
 fn what_is_named_often_is_held_once() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);

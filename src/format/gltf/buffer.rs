@@ -14,7 +14,7 @@ use crate::format::blocks::BLOCK_BYTES;
 /// The bytes of a glTF buffer.
 #[derive(Clone, Debug)]
 pub(in crate::format) enum Buffer {
-    Memory(Vec<u8>),
+    Memory(Arc<Vec<u8>>),
     /// So many bytes of an open file from `start` on.
     File {
         input: Arc<Input>,
@@ -97,6 +97,14 @@ impl Buffer {
         }
     }
 
+    /// Where it begins: buffers that share their bytes are in the same place.
+    pub(super) fn place(&self) -> (usize, u64) {
+        match self {
+            Self::Memory(bytes) => (Arc::as_ptr(bytes).addr(), 0),
+            Self::File { input, start, .. } => (Arc::as_ptr(input).addr(), *start),
+        }
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -119,7 +127,7 @@ impl Buffer {
     /// All of it in memory.
     pub(super) fn into_bytes(self) -> io::Result<Vec<u8>> {
         match self {
-            Self::Memory(bytes) => Ok(bytes),
+            Self::Memory(bytes) => Ok(Arc::unwrap_or_clone(bytes)),
             Self::File { length, .. } => Ok(self.read(0..length)?.into_owned()),
         }
     }
@@ -132,7 +140,7 @@ impl Buffer {
 
 impl From<Vec<u8>> for Buffer {
     fn from(bytes: Vec<u8>) -> Self {
-        Self::Memory(bytes)
+        Self::Memory(Arc::new(bytes))
     }
 }
 

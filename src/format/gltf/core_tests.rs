@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::format::activation;
+use crate::format::{WriteOptions, activation, read_file, write_scene};
 use crate::scene::{Mesh, sh};
 
 /// A document whose accessors are made of the given arrays, one buffer view each.
@@ -360,7 +360,7 @@ fn meshes_of_one_material_become_one() {
 #[test]
 fn repeated_use_of_a_mesh_is_bounded() {
     let mut b = Builder::default();
-    let position = b.floats(&vec![[0.5f32; 3]; 3000]);
+    let position = b.floats(&vec![[0.5f32; 3]; 8000]);
     let nodes: Vec<Value> = (0..20_000).map(|_| json!({ "mesh": 0 })).collect();
     let message = b
         .read(json!({
@@ -369,6 +369,39 @@ fn repeated_use_of_a_mesh_is_bounded() {
         }))
         .unwrap_err();
     assert!(message.contains("bytes of arrays from a file of this size, found more, by repeated use"), "{message}");
+}
+
+#[test]
+fn a_file_that_many_buffers_name_is_there_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let bytes: Vec<u8> = CORNERS.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+    std::fs::write(at("a.bin"), &bytes).unwrap();
+    let primitive = |accessor: usize| json!({ "attributes": { "POSITION": accessor } });
+    let accessor = |view: usize| json!({ "bufferView": view, "componentType": 5126, "type": "VEC3", "count": 3, "min": [0, 0, 0], "max": [1, 1, 0] });
+    let buffers = ["a.bin", "./a.bin", "%61.bin"].map(|uri| json!({ "byteLength": 36, "uri": uri }));
+    let document = json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": (0..3).map(primitive).collect::<Vec<_>>() }],
+        "accessors": (0..3).map(accessor).collect::<Vec<_>>(),
+        "bufferViews": (0..3).map(|i| json!({ "buffer": i, "byteLength": 36 })).collect::<Vec<_>>(),
+        "buffers": buffers,
+    });
+    std::fs::write(at("a.gltf"), document.to_string()).unwrap();
+    let asset = Asset::open(&at("a.gltf")).unwrap();
+    assert_eq!((asset.stored_bytes(), asset.buffers.len()), (36, 3));
+    let options = ReadOptions { keep_document: true, ..ReadOptions::default() };
+    let file = read_file(&at("a.gltf"), &options).unwrap();
+    let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
+    write_scene(&at("b.gltf"), &file.scene, &options).unwrap();
+    let written: Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
+    assert_eq!(written["buffers"][0]["byteLength"], 36);
+    let back = read_file(&at("b.gltf"), &ReadOptions::default()).unwrap().scene;
+    let corners: Vec<&[Vec3]> = back.meshes[0].positions().chunks(3).collect();
+    assert!(
+        corners.len() == 3 && corners.iter().all(|corners| corners[0] == Vec3::ZERO && corners[1] == Vec3::X),
+        "{corners:?}"
+    );
 }
 
 #[test]

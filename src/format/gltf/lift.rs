@@ -6,7 +6,7 @@
 //! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, whose data
 //! an extension has: they get a buffer view beyond those of the file.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use super::buffer::{Buffer, Input};
 use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
-use super::uri::open;
+use super::uri::open_once;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
 
@@ -41,6 +41,9 @@ pub(in crate::format) struct Asset {
     pub(super) plain_views: HashMap<usize, Vec<u8>>,
     /// Folder of the file: images and buffers may lie in it.
     pub(super) folder: PathBuf,
+    /// Length of the buffers, and of the decompressed views.
+    buffer_bytes: usize,
+    view_bytes: usize,
     /// Bytes of arrays that have been made of it, see [`Asset::spend`].
     spent: AtomicU64,
     /// The most that may be.
@@ -50,7 +53,7 @@ pub(in crate::format) struct Asset {
 /// Bytes of arrays that a byte of the file may become, above what any small file may. Accessors in many places and meshes at many
 /// nodes multiply it; real files stay far below.
 const MAX_RATIO: u64 = 512;
-const ALWAYS: u64 = 1 << 26;
+const ALWAYS: u64 = 1 << 30;
 
 /// What channels of animations move.
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
@@ -112,7 +115,12 @@ impl Asset {
             Some(Buffer::File { .. }) | None => None,
         };
         let plain_views = meshopt::decompress(&root, in_memory).collect::<Result<HashMap<_, _>, _>>()?;
-        let mut asset = Self {
+        // Of those that are in the same place one.
+        let mut places = HashSet::new();
+        let buffer_bytes = buffers.iter().filter(|buffer| places.insert(buffer.place())).map(Buffer::len).sum();
+        let view_bytes = plain_views.values().map(Vec::len).sum();
+        Ok(Self {
+            most: ((buffer_bytes + view_bytes + json_bytes) as u64).saturating_mul(MAX_RATIO).saturating_add(ALWAYS),
             document,
             root,
             attributes,
@@ -122,16 +130,20 @@ impl Asset {
             buffers,
             plain_views,
             folder,
+            buffer_bytes,
+            view_bytes,
             spent: AtomicU64::new(0),
-            most: 0,
-        };
-        asset.most = (asset.stored_bytes() + json_bytes) as u64 * MAX_RATIO + ALWAYS;
-        Ok(asset)
+        })
+    }
+
+    /// Length of all buffers, those that are in the same place counted once.
+    pub(super) fn buffer_bytes(&self) -> usize {
+        self.buffer_bytes
     }
 
     /// Length of all that the document refers to.
     pub(super) fn stored_bytes(&self) -> usize {
-        self.buffers.iter().map(Buffer::len).chain(self.plain_views.values().map(Vec::len)).sum()
+        self.buffer_bytes + self.view_bytes
     }
 
     /// Counts bytes that something at `at` takes in memory, before or after it has been made; what is made at once is at most
@@ -304,37 +316,33 @@ fn is_core(name: &str) -> bool {
 
 /// The content of every buffer; takes their URIs out of the JSON.
 fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<Vec<Buffer>, Fault> {
+    let views = || root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
+    let has_compressed = views().any(|v| meshopt::of_view(v).is_some());
     // The plain form of a view that is stored compressed is not needed, and often not there.
-    let is_needed = |root: &Value, buffer: usize| {
-        let mut views = root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
-        let stored_in = |v: &Value| v.get("buffer").and_then(Value::as_u64);
-        views.any(|v| stored_in(meshopt::of_view(v).map_or(v, |(_, compressed)| compressed)) == Some(buffer as u64))
-    };
-    let has_compressed =
-        root.get("bufferViews").and_then(Value::as_array).into_iter().flatten().any(|v| meshopt::of_view(v).is_some());
+    let stored = |v: &Value| meshopt::of_view(v).map_or(v, |(_, compressed)| compressed).get("buffer")?.as_u64();
+    let needed: HashSet<u64> = views().filter_map(stored).collect();
     let count = root.get("buffers").and_then(Value::as_array).map_or(0, Vec::len);
-    let (mut buffers, mut bin) = (vec![], bin);
+    let (mut buffers, mut bin, mut known) = (vec![], bin, HashMap::new());
     for i in 0..count {
         let at = format!("/buffers/{i}");
         let length = root["buffers"][i].get("byteLength").and_then(Value::as_u64);
         let length = length.ok_or_else(|| Fault::pointer(format!("{at}/byteLength"), "a number of bytes", "none"))?;
         let chunk = bin.take().filter(|_| i == 0);
-        if chunk.is_none() && has_compressed && !is_needed(root, i) {
+        if chunk.is_none() && has_compressed && !needed.contains(&(i as u64)) {
             buffers.push(vec![].into());
             continue;
         }
         let uri = root["buffers"][i].as_object_mut().and_then(|buffer| buffer.remove("uri"));
         let data = match (uri.as_ref().and_then(Value::as_str), chunk) {
+            (None, Some(bin)) if has_compressed => {
+                bin.into_bytes().map_err(|e| Fault::pointer(&at, format!("{length} bytes"), e.to_string()))?.into()
+            }
             (None, Some(bin)) => bin,
             (None, None) => return Err(Fault::pointer(at, "a uri or a GLB binary chunk", "neither")),
             (Some(uri), _) => {
-                open(uri, folder).map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?
+                let opened = open_once(uri, folder, &mut known, has_compressed);
+                opened.map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?
             }
-        };
-        let data = if has_compressed {
-            data.into_bytes().map_err(|e| Fault::pointer(&at, format!("{length} bytes"), e.to_string()))?.into()
-        } else {
-            data
         };
         if (data.len() as u64) < length {
             let expected = format!("{length} bytes");

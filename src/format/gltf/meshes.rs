@@ -6,7 +6,6 @@ use std::collections::{HashMap, HashSet};
 use glam::{DMat4, Vec2, Vec3};
 
 use super::binding::{Bindable, wanted};
-use super::buffer::Buffer;
 use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
 use super::material::{self, BaseColour, Maps};
@@ -171,7 +170,7 @@ impl<'a> Meshes<'a> {
 
     /// Refuses maps that are many because many materials share an image.
     fn count(&mut self, maps: &Maps, at: &str) -> Result<(), Fault> {
-        let stored: usize = self.asset.buffers.iter().map(Buffer::len).sum();
+        let stored = self.asset.buffer_bytes();
         self.images.extend(maps.image);
         self.map_bytes = self.map_bytes.saturating_add(4 * maps.atlas.floats() as u64);
         let images: u64 = self.images.values().sum();

@@ -269,13 +269,17 @@ impl Content {
         let lengths = old.iter().map(|b| b.get("byteLength").and_then(Value::as_u64).unwrap_or(0) as usize);
         // Old index → new index and where it begins.
         let (mut places, mut placeholders) = (vec![], vec![]);
+        // What several are made of is copied once.
+        let mut copies = HashMap::new();
         let has_bin = self.buffers.iter().any(|b| !b.is_empty()) || !self.images.is_empty();
         for ((buffer, content), length) in old.iter().zip(&self.buffers).zip(lengths) {
             if content.is_empty() {
                 places.push((usize::from(has_bin) + placeholders.len(), 0));
                 placeholders.push(buffer.clone());
             } else {
-                places.push((0, bin.push_copy(content, length.min(content.len()))));
+                let length = length.min(content.len());
+                let copy = copies.entry((content.place(), length)).or_insert_with(|| bin.push_copy(content, length));
+                places.push((0, *copy));
             }
         }
         for view in root.get_mut("bufferViews").and_then(Value::as_array_mut).into_iter().flatten() {

@@ -1,7 +1,8 @@
 //! What a `uri` of glTF stands for: bytes in the document itself, or a file that must lie beside it.
 
+use std::collections::HashMap;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::buffer::Buffer;
 
@@ -11,12 +12,23 @@ pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (S
 }
 
 /// As [`resolve`]; the file is left where it is.
-pub(super) fn open(uri: &str, folder: &Path) -> Result<Buffer, (String, String)> {
+fn open(uri: &str, folder: &Path) -> Result<Buffer, (String, String)> {
+    open_once(uri, folder, &mut HashMap::new(), false)
+}
+
+/// As [`resolve`]; the file is left where it is, unless it is to be loaded. Those in `known`, by their path in the system, are
+/// neither opened nor loaded again.
+pub(super) fn open_once(
+    uri: &str,
+    folder: &Path,
+    known: &mut HashMap<PathBuf, Buffer>,
+    loads: bool,
+) -> Result<Buffer, (String, String)> {
     if let Some(data) = uri.strip_prefix("data:") {
         let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
         return encoded
             .and_then(decode_base64)
-            .map(Buffer::Memory)
+            .map(Buffer::from)
             .ok_or_else(|| ("base64 after `;base64,`".to_owned(), "a data URI without it".to_owned()));
     }
     let shown = || format!("`{uri}`");
@@ -40,7 +52,13 @@ pub(super) fn open(uri: &str, folder: &Path) -> Result<Buffer, (String, String)>
     if !file.is_file() {
         return Err(("a file".to_owned(), format!("`{name}`, which is none")));
     }
-    Buffer::open(&file).map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")))
+    if let Some(known) = known.get(&file) {
+        return Ok(known.clone());
+    }
+    let opened = Buffer::open(&file).and_then(|file| if loads { Ok(file.into_bytes()?.into()) } else { Ok(file) });
+    let opened = opened.map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")))?;
+    known.insert(file, opened.clone());
+    Ok(opened)
 }
 
 fn percent_decode(uri: &str) -> Option<String> {
