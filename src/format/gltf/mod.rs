@@ -58,7 +58,7 @@ pub use source::Source;
 pub(super) use transform::placements;
 pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
-pub(super) use uri::resolve;
+pub(super) use uri::{Loaded, resolve};
 
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;

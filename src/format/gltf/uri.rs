@@ -3,12 +3,27 @@
 use std::collections::HashMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::buffer::Buffer;
 
 /// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
 pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
     open(uri, folder)?.into_bytes().map_err(|e| ("a readable file".to_owned(), format!("`{uri}` ({e})")))
+}
+
+/// Files that have been loaded, by their path in the system.
+#[derive(Default)]
+pub(in crate::format) struct Loaded(HashMap<PathBuf, Buffer>);
+
+impl Loaded {
+    /// As [`resolve`]; what many name is loaded once.
+    pub(in crate::format) fn resolve(&mut self, uri: &str, folder: &Path) -> Result<Arc<Vec<u8>>, (String, String)> {
+        match open_once(uri, folder, &mut self.0, true)? {
+            Buffer::Memory(bytes) => Ok(bytes),
+            Buffer::File { .. } => resolve(uri, folder).map(Arc::new),
+        }
+    }
 }
 
 /// As [`resolve`]; the file is left where it is.

@@ -2,22 +2,35 @@
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use serde_json::Value;
 
 use super::super::Findings;
 use super::index;
 use crate::format::error::{Fault, Location};
-use crate::format::gltf::{meshopt::decompress, resolve};
+use crate::format::gltf::{Loaded, meshopt::decompress};
 
 /// A document with its buffers.
 pub(super) struct Document<'a> {
     pub(super) root: &'a Value,
     /// `None` where the content could not be had.
-    buffers: Vec<Option<Vec<u8>>>,
+    buffers: Vec<Option<Content>>,
     /// Buffer views that are stored compressed, decompressed.
     plain_views: HashMap<usize, Vec<u8>>,
     pub(super) folder: &'a Path,
+}
+
+/// What a buffer holds of a file, which others may hold, too.
+struct Content {
+    file: Arc<Vec<u8>>,
+    length: usize,
+}
+
+impl Content {
+    fn bytes(&self) -> &[u8] {
+        &self.file[..self.length]
+    }
 }
 
 /// An accessor whose range lies in its buffer.
@@ -162,12 +175,13 @@ fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usi
 impl<'a> Document<'a> {
     /// Loads the buffers, and reports those that are missing or too short.
     pub(super) fn load(root: &'a Value, bin: Option<&[u8]>, folder: &'a Path, findings: &mut Findings) -> Self {
-        let mut buffers = vec![];
+        let (mut buffers, mut loaded): (Vec<Option<Content>>, _) = (vec![], Loaded::default());
         for (at, buffer) in super::objects(root, "buffers", "") {
             let needed = index(buffer, "byteLength").unwrap_or(0);
             let embedded = if buffers.is_empty() { bin } else { None };
             let content = match (buffer.get("uri").and_then(Value::as_str), embedded) {
-                (Some(uri), _) => resolve(uri, folder)
+                (Some(uri), _) => loaded
+                    .resolve(uri, folder)
                     .map_err(|(expected, found)| findings.error("BUFFER_URI", format!("{at}/uri"), expected, found))
                     .ok(),
                 (None, Some(bin)) => {
@@ -177,7 +191,7 @@ impl<'a> Document<'a> {
                             format!("{needed} bytes in the binary chunk, as declared, and up to 3 of padding");
                         findings.warning("BUFFER_LENGTH", format!("{at}/byteLength"), expected, bin.len());
                     }
-                    Some(bin.to_vec())
+                    Some(Arc::new(bin.to_vec()))
                 }
                 // Some compression extensions describe a buffer that is never stored.
                 (None, None) if buffer.get("extensions").is_some() => None,
@@ -192,16 +206,13 @@ impl<'a> Document<'a> {
                 let expected = format!("at most {}, the bytes there are", content.len());
                 findings.error("BUFFER_LENGTH", format!("{at}/byteLength"), expected, needed);
             }
-            buffers.push(content.map(|mut content| {
-                content.truncate(needed);
-                content
-            }));
+            buffers.push(content.map(|file| Content { length: file.len().min(needed), file }));
         }
         if buffers.is_empty() && bin.is_some_and(|bin| !bin.is_empty()) {
             findings.warning("BUFFER_UNUSED", "/buffers", "a buffer for the binary chunk", "none");
         }
         let mut plain_views = HashMap::new();
-        let content = |i: usize| -> Option<&[u8]> { buffers.get(i)?.as_deref() };
+        let content = |i: usize| -> Option<&[u8]> { Some(buffers.get(i)?.as_ref()?.bytes()) };
         for view in decompress(root, content) {
             match view.map_err(Fault::into_parts) {
                 Ok((view, bytes)) => drop(plain_views.insert(view, bytes)),
@@ -229,7 +240,7 @@ impl<'a> Document<'a> {
 
     /// Length of a buffer if its content is there.
     pub(super) fn buffer_length(&self, i: usize) -> Option<usize> {
-        self.buffers.get(i)?.as_ref().map(Vec::len)
+        self.buffers.get(i)?.as_ref().map(|content| content.length)
     }
 
     /// Content of a buffer view.
@@ -240,7 +251,7 @@ impl<'a> Document<'a> {
         let view = self.object("bufferViews", i)?;
         let start = index(view, "byteOffset").unwrap_or(0);
         let end = start.checked_add(index(view, "byteLength")?)?;
-        self.buffers.get(index(view, "buffer")?)?.as_ref()?.get(start..end)
+        self.buffers.get(index(view, "buffer")?)?.as_ref()?.bytes().get(start..end)
     }
 
     /// `None` if something about it is broken, which [`super::accessors`] reports.
@@ -258,7 +269,8 @@ impl<'a> Document<'a> {
             None => None,
         };
         // Without any bytes behind it, a count could be any number.
-        let stored = self.buffers.iter().flatten().chain(self.plain_views.values()).map(Vec::len).sum::<usize>();
+        let stored = self.buffers.iter().flatten().map(|content| content.length);
+        let stored = stored.chain(self.plain_views.values().map(Vec::len)).sum::<usize>();
         if base.is_none() && (sparse.is_none() || count > stored) {
             return None;
         }
