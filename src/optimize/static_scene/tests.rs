@@ -1,11 +1,11 @@
-use std::path::Path;
+use std::{path::Path, sync::atomic::Ordering};
 
-use super::*;
+use super::{phase::Plan, *};
 use crate::{
     capture::{Downscale, LoadOptions},
     format::gltf,
     geometry::Surface,
-    optimize::checkpoint::Checkpoint,
+    optimize::{checkpoint::Checkpoint, schedule::Schedule},
     render::gpu::Renderer,
 };
 

@@ -1,0 +1,347 @@
+//! One phase of a run, iteration by iteration: a view, density control, and now and then a look at how it goes.
+
+use std::{sync::atomic::Ordering, time::Instant};
+
+use rand::{RngExt, SeedableRng, seq::SliceRandom};
+use rand_pcg::Pcg64;
+
+use super::{Outcome, Phase, Progress, Run, arrays, check_finite, finite_splats, splat_state, squared_error};
+use crate::{
+    capture::Photo,
+    optimize::{
+        Background, Density, TrainError,
+        density::{
+            self, Statistics,
+            inria::{self, InriaOptions},
+            mcmc::{self, EpochWeight, McmcOptions},
+        },
+        resume::Saved,
+        schedule::{self, Schedule},
+    },
+    render::gpu::{
+        adam::{AdamStep, SplatRates},
+        exposure::ExposureStep,
+        texels::TexelStep,
+        training::{Step, Training},
+        vertices::{VertexState, VertexStep},
+    },
+    scene::{Camera, HybridScene, Mesh, sh},
+};
+
+/// Iterations between looks at the loss: each waits for the GPU.
+const REPORT_EVERY: u32 = 10;
+/// Iterations between measurements of how far splats are smoothed, and of the last ones in which that stays (METHODS 3).
+const SMOOTH_EVERY: u32 = 100;
+/// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (METHODS 2.7): a
+/// texel is seen by few views, and all of them would otherwise be explained by its bands.
+const BAND_RATE_DIVISOR: f32 = 5.0;
+
+/// What one phase does.
+pub(super) struct Plan {
+    pub(super) phase: Phase,
+    /// Iterations done before this run.
+    pub(super) from: u32,
+    pub(super) iterations: u32,
+    /// Iterations of the splats before this phase.
+    pub(super) clock: u32,
+    pub(super) schedule: Schedule,
+    pub(super) has_mesh: bool,
+    pub(super) moves_vertices: bool,
+}
+
+impl Run<'_> {
+    /// Runs a phase from its beginning or from where `saved` left it.
+    pub(super) fn run_phase(
+        &mut self,
+        training: &mut Training,
+        scene: &HybridScene,
+        phase: Phase,
+        saved: Option<Saved>,
+    ) -> Result<Outcome, TrainError> {
+        let outcome = self.iterate(training, scene, phase, saved)?;
+        self.exposures = training.read_exposures()?;
+        Ok(outcome)
+    }
+
+    fn iterate(
+        &mut self,
+        training: &mut Training,
+        scene: &HybridScene,
+        phase: Phase,
+        saved: Option<Saved>,
+    ) -> Result<Outcome, TrainError> {
+        let o = self.options;
+        // Surface and joint phase are two parts of one run of the splats: their clock goes on.
+        let before = o.before_surface();
+        let (iterations, clock, schedule) = match phase {
+            Phase::Surface => (before, 0, Schedule::new(o.iterations)),
+            Phase::Warmup => (o.warmup, 0, Schedule::new(o.warmup)),
+            Phase::Joint if self.hands_over => (o.iterations - before, before, Schedule::new(o.iterations)),
+            Phase::Joint => (o.iterations, 0, Schedule::new(o.iterations)),
+        };
+        let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
+        let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
+        let from = saved.as_ref().map_or(0, |s| s.iteration);
+        let moves_vertices = phase == Phase::Warmup && self.hands_over;
+        let has_mesh = !scene.meshes.is_empty();
+        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh, moves_vertices };
+        let mut epoch = EpochWeight::default();
+        if moves_vertices {
+            let state = match &saved {
+                Some(saved) => saved.vertices.clone(),
+                None => VertexState::new(&scene.meshes, pixel_size(&self.train_cameras, &scene.meshes)),
+            };
+            training.free_vertices(&scene.meshes, &state)?;
+        }
+        match saved {
+            Some(saved) => epoch = saved.restore(training)?,
+            None => training.smooth(),
+        }
+        let max_splats = self.max_splats(&scene.meshes);
+        let epoch_length = self.train.len() as u32;
+        for t in plan.from..plan.iterations {
+            let begin = Instant::now();
+            self.step(training, &plan, t)?;
+            let done = t + 1;
+            self.reached = (phase, done);
+            if self.session.gpu.profile().is_cpu || done % 16 == 0 || done <= epoch_length {
+                training.grow_if_short()?;
+            }
+            if phase != Phase::Warmup {
+                self.control_density(training, &plan, &mut epoch, max_splats, done)?;
+                if is_due(done, SMOOTH_EVERY) && plan.iterations - done >= SMOOTH_EVERY {
+                    training.smooth();
+                }
+            }
+            if self.exposures.is_some() && phase != Phase::Warmup && is_due(done, epoch_length) {
+                let mut state = training.read_exposures()?.unwrap_or_default();
+                state.center(&self.train);
+                training.expose(&state)?;
+            }
+            if phase == Phase::Joint {
+                self.joint_seconds += begin.elapsed().as_secs_f64();
+                self.joint_iterations += 1;
+            }
+            let stop = self.session.stop.load(Ordering::Relaxed);
+            if done % REPORT_EVERY == 0 || done == plan.iterations || stop {
+                self.report(training, &plan, done)?;
+            }
+            if (stop || is_due(done, o.checkpoint_every))
+                && let Some(path) = &self.session.checkpoint
+            {
+                check_finite(training, phase, done)?;
+                Saved::capture(training, scene, (phase, done), self.surface, &epoch)?.write(path, &self.identity)?;
+            }
+            if stop && done < plan.iterations {
+                return Ok(Outcome::Interrupted);
+            }
+        }
+        Ok(Outcome::Finished)
+    }
+
+    /// One view: forward, backward, Adam.
+    pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
+        let o = self.options;
+        let index = self.view_at(plan.phase, t);
+        let view = &self.capture.views[index];
+        // The next view is decoded while this one is on the GPU.
+        self.cache.prefetch(&self.capture.views[self.view_at(plan.phase, t + 1)]);
+        let photo = self.cache.get(view)?;
+        let mut random = random(o.seed, plan.phase, t);
+        let background = match o.background {
+            Background::Black => [0.0; 3],
+            Background::White => [1.0; 3],
+            Background::Random => [0; 3].map(|_| random.random()),
+        };
+        let age = plan.clock + t;
+        let rates = plan.schedule.rates(age, self.extent);
+        let mcmc = o.density == Density::Mcmc;
+        let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
+        let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
+            number: age + 1,
+            n_splats: training.pipeline.n_splats as u32,
+            sh_degree,
+            rates: SplatRates {
+                mean: rates.mean,
+                opacity: rates.opacity,
+                rotation: rates.rotation,
+                log_scale: rates.log_scale,
+                sh_dc: rates.sh_dc,
+                sh_rest: rates.sh_rest,
+            },
+            opacity_weight: if mcmc { 0.01 } else { 0.0 },
+            scale_weight: if mcmc { 0.01 } else { 0.0 },
+            noise: if mcmc { 5e5 } else { 0.0 },
+            seed: random.random(),
+            visible_only: o.visible_only,
+        });
+        let texels = plan.has_mesh.then(|| {
+            let is_joint = plan.phase == Phase::Joint;
+            let base_rate = match plan.phase {
+                Phase::Warmup => schedule::texel_rate(o.warmup),
+                _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
+            };
+            TexelStep {
+                // Maps that were laid out anew have no moments from the warm-up.
+                number: if is_joint && !self.hands_over { o.warmup + t + 1 } else { t + 1 },
+                base_rate,
+                band_rate: base_rate / BAND_RATE_DIVISOR,
+                visited_only: !o.dense_texels,
+                holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age),
+            }
+        });
+        let rate = if plan.moves_vertices { schedule::vertex_rate(t, plan.iterations) } else { None };
+        let vertices = rate.map(|rate| VertexStep { number: t + 1, rate });
+        let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
+        training.step(&Step {
+            camera: &view.camera,
+            truth: &photo.rgba,
+            background,
+            sh_degree,
+            band_degree,
+            splats,
+            texels,
+            vertices,
+            exposure: self.exposures.as_ref().map(|_| ExposureStep {
+                view: index,
+                // In the warm-up few of the views are seen, and maps follow those.
+                rate: if plan.phase == Phase::Warmup {
+                    0.0
+                } else {
+                    plan.schedule.exposure_rate(age, self.train.len())
+                },
+            }),
+        })?;
+        Ok(())
+    }
+
+    /// Training views that judge a fused surface (`true`) or that its maps are warmed up on (`false`): every fourth judges,
+    /// so that maps are not taken for good where they merely repeat the views that they were made from.
+    pub(super) fn views(&self, judges: bool) -> Vec<usize> {
+        if !self.hands_over || self.train.len() < 8 {
+            return self.train.clone();
+        }
+        let (judging, warming): (Vec<_>, Vec<_>) = self.train.iter().enumerate().partition(|(i, _)| i % 4 == 2);
+        let chosen = if judges { judging } else { warming };
+        chosen.into_iter().map(|(_, &view)| view).collect()
+    }
+
+    /// View of iteration `t`: every epoch is a permutation of the training views.
+    fn view_at(&self, phase: Phase, t: u32) -> usize {
+        let mut order = if phase == Phase::Warmup { self.views(false) } else { self.train.clone() };
+        let n = order.len() as u32;
+        order.shuffle(&mut random(self.options.seed ^ 0x5eed, phase, t / n));
+        order[(t % n) as usize]
+    }
+
+    fn control_density(
+        &self,
+        training: &mut Training,
+        plan: &Plan,
+        epoch: &mut EpochWeight,
+        max_splats: usize,
+        done: u32,
+    ) -> Result<(), TrainError> {
+        let (o, schedule, done) = (self.options, &plan.schedule, plan.clock + done);
+        let (densify, reset) = (schedule.densifies_after(done), schedule.resets_opacity_after(done));
+        if !densify && !reset {
+            return Ok(());
+        }
+        let statistics = training.read_statistics()?;
+        let statistics = Statistics(bytemuck::cast_slice(&statistics));
+        let mut state = splat_state(training)?;
+        finite_splats(&state, plan.phase, done)?;
+        if densify {
+            match o.density {
+                Density::Inria => {
+                    let max_scale = schedule.prunes_large(done).then_some(0.1);
+                    let options = InriaOptions { max_scale, ..InriaOptions::new(self.extent, max_splats) };
+                    inria::densify(&mut state, statistics, &options, done, o.seed);
+                }
+                Density::Mcmc => {
+                    let options = McmcOptions::new(max_splats, plan.has_mesh);
+                    epoch.add(statistics, schedule.densify_interval);
+                    let views = self.train.len() as u32;
+                    mcmc::relocate_and_add(&mut state, statistics, epoch, views, &options, done, o.seed);
+                }
+            }
+        }
+        if reset {
+            density::reset_opacity(&mut state);
+        }
+        training.write_splats(&arrays(state))?;
+        training.smooth();
+        Ok(())
+    }
+
+    fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {
+        let status = training.take_status()?;
+        self.skipped_iterations += status.skipped;
+        let values = training.loss()?;
+        let weight = f64::from(self.options.ssim_weight);
+        let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
+        if !loss.is_finite() || status.not_finite.is_some() {
+            check_finite(training, plan.phase, done)?;
+            let group = status.not_finite.unwrap_or("the loss").to_owned();
+            return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group });
+        }
+        let due = is_due(done, self.options.eval_every) || done == plan.iterations;
+        let psnr = if due { self.held_out_psnr(training, plan.phase)? } else { None };
+        let progress = Progress {
+            phase: plan.phase,
+            iteration: done,
+            of: plan.iterations,
+            loss,
+            splats: if plan.phase == Phase::Warmup { 0 } else { training.pipeline.n_splats },
+            psnr,
+            seconds: self.start.elapsed().as_secs_f64(),
+        };
+        (self.session.progress)(&progress);
+        self.history.push(progress);
+        Ok(())
+    }
+
+    /// Mean PSNR over up to four held-out views, over the scene's background.
+    fn held_out_psnr(&self, training: &mut Training, phase: Phase) -> Result<Option<f64>, TrainError> {
+        let stride = self.test.len().div_ceil(4).max(1);
+        let background = self.composition().background;
+        let mut scores = vec![];
+        for &i in self.test.iter().step_by(stride) {
+            let view = &self.capture.views[i];
+            let photo = self.cache.get(view)?;
+            let picture = training.render(&view.camera, background, phase != Phase::Warmup)?;
+            scores.push(psnr(&photo, &picture.rgb, background));
+        }
+        Ok((!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64))
+    }
+}
+
+/// Whether something that happens after every `every` iterations (0: never) happens now.
+fn is_due(done: u32, every: u32) -> bool {
+    every > 0 && done.is_multiple_of(every)
+}
+
+/// A generator for one iteration of one phase.
+fn random(seed: u64, phase: Phase, t: u32) -> Pcg64 {
+    Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(t) << 2 | phase as u64))
+}
+
+/// PSNR of a picture as its 8-bit file would show it (METHODS 8), dB.
+fn psnr(photo: &Photo, render: &[[f32; 3]], background: [f32; 3]) -> f64 {
+    let shown = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() / 255.0;
+    let error = |(p, rgb): (usize, &[f32; 3])| f64::from(squared_error(photo, p, &rgb.map(shown), background));
+    let squares: f64 = render.iter().enumerate().map(error).sum();
+    -10.0 * (squares / (3 * render.len()).max(1) as f64).log10()
+}
+
+/// World size of a pixel on the meshes: the median over vertices and cameras that have them in front.
+fn pixel_size(cameras: &[Camera], meshes: &[Mesh]) -> f32 {
+    let positions = || meshes.iter().flat_map(Mesh::positions);
+    let stride = positions().count().div_ceil(1000).max(1);
+    let mut sizes: Vec<f64> = (positions().step_by(stride))
+        .flat_map(|p| cameras.iter().map(move |c| c.to_camera(p.as_dvec3()).z / c.intrinsics().fx))
+        .filter(|size| *size > 0.0)
+        .collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).map_or(0.0, |&s| s as f32)
+}
