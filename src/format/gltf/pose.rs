@@ -11,6 +11,7 @@ use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
 use super::motion::{Motion, in_between};
 use super::transform::{placements, placements_by};
+use crate::format::cameras::short;
 use crate::format::error::{Fault, from_value};
 use crate::scene::rig::{Binding, Carrier, Followers, Form, Harmonics, Leader, Pose, Target};
 
@@ -129,9 +130,7 @@ impl Poses {
     /// What bones are called: as the nodes that they are, cut where that is long: a skin may name one node many times.
     pub(super) fn names(&self, document: &gltf::Document) -> Vec<String> {
         let named: HashMap<usize, &str> = document.nodes().filter_map(|n| Some((n.index(), n.name()?))).collect();
-        let of = |node: usize| {
-            named.get(&node).map_or_else(|| format!("node {node}"), |name| name.chars().take(100).collect())
-        };
+        let of = |node: usize| named.get(&node).map_or_else(|| format!("node {node}"), |name| short(name));
         self.bones.iter().map(|bone| of(bone.node())).collect()
     }
 

@@ -125,6 +125,7 @@ impl Exposures {
     /// Appends to a frame what takes the gradient of the loss to that of the picture, and a step of the view's exposure.
     pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep) {
         let Some(bindings) = &self.bindings else { return };
+        // Also where the step turns out to change nothing, which the host does not wait to know: only the correction of the bias counts.
         if step.rate != 0.0 {
             self.steps[step.view] += 1;
         }
