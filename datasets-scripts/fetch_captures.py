@@ -1,10 +1,14 @@
 """Downloads the public captures that papers report on, checks them and unpacks them. Standard library only.
 
     python3 fetch_captures.py mipnerf360 ../captures          # nine scenes, about 13 GB
-    python3 fetch_captures.py tandt_db ../captures            # truck, train, drjohnson, playroom, 650 MB
+    python3 fetch_captures.py tandt_db ../captures            # Tanks and Temples' truck and train, Deep Blending, 650 MB
+    python3 fetch_captures.py tandt ../captures --scenes Barn,Ignatius   # six more of Tanks and Temples, 8 GB
+    python3 fetch_captures.py nerf_synthetic ../captures      # eight rendered objects with alpha and their own test views
 
-An interrupted download goes on where it stopped. The publishers give no checksums: the first complete download is
-recorded in ARCHIVES/SHA256SUMS (readable by `sha256sum -c`), later ones must match it.
+Shows where the licences stand, asks for the sizes of all archives and stops where the disk is too small. An interrupted
+download goes on where it stopped. Checksums that publishers give are compared; of the others the first complete download
+is recorded in ARCHIVES/SHA256SUMS (readable by `sha256sum -c`), which later ones must match. Everything of Mip-NeRF 360 is
+there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8 (a).
 """
 
 import argparse
@@ -16,16 +20,66 @@ import tempfile
 import urllib.error
 import urllib.request
 import zipfile
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 GOOGLE = "https://storage.googleapis.com/gresearch/refraw360/"
 INRIA = "https://repo-sam.inria.fr/fungraph/3d-gaussian-splatting/datasets/input/"
+# The copies that GOF and NerfBaselines evaluate on; NeRF's authors give theirs out through Google Drive only.
+GOF = "https://huggingface.co/datasets/ZehaoYu/gaussian-opacity-fields/resolve/main/"
+NERFBASELINES = "https://huggingface.co/datasets/nerfbaselines/nerfbaselines-data/resolve/main/blender/"
 OUTDOOR, INDOOR = ("bicycle", "flowers", "garden", "stump", "treehill"), ("room", "counter", "kitchen", "bonsai")
+SYNTHETIC = ("chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship")
+TANKS = "Tanks and Temples: for research that is not commercial, https://www.tanksandtemples.org/license/"
 
-# Archives, and per scene the downscaling that published tables use (outdoor 4, indoor 2, Tanks and Temples as they come).
+
+@dataclass(frozen=True)
+class Collection:
+    """Where archives are, what lies in them, and how published tables use it."""
+
+    archives: list
+    licence: str
+    # Folder of every scene and the flags of `centaur train` for it.
+    scenes: dict
+    # Of the archives that hold one scene each, which.
+    scene_of: dict = field(default_factory=dict)
+    # SHA-256 of archives, where known.
+    sums: dict = field(default_factory=dict)
+    # What `centaur bench` needs beyond its defaults to be comparable, and a word to say.
+    bench: str = ""
+    remark: str = ""
+
+
+# Outdoor scenes at 1/4, indoor ones at 1/2, Tanks and Temples as they come, GOF's larger pictures at 1/2.
 CAPTURES = {
-    "mipnerf360": ([GOOGLE + "360_v2.zip", GOOGLE + "360_extra_scenes.zip"], {s: 4 for s in OUTDOOR} | {s: 2 for s in INDOOR}),
-    "tandt_db": ([INRIA + "tandt_db.zip"], {"tandt/truck": 1, "tandt/train": 1, "db/drjohnson": 1, "db/playroom": 1}),
+    "mipnerf360": Collection(
+        [GOOGLE + "360_v2.zip", GOOGLE + "360_extra_scenes.zip"],
+        "Mip-NeRF 360: the archives state none; see https://jonbarron.info/mipnerf360/",
+        {s: "--downscale 4" for s in OUTDOOR} | {s: "--downscale 2" for s in INDOOR},
+        bench="--protocol b",
+        remark="protocol b scales the full pictures down, as Mip-Splatting and HERA; --protocol a takes images_4 and images_2, as INRIA",
+    ),
+    "tandt_db": Collection(
+        [INRIA + "tandt_db.zip"],
+        TANKS + "; Deep Blending: see https://github.com/Phog/DeepBlending",
+        {"tandt/truck": "", "tandt/train": "", "db/drjohnson": "", "db/playroom": ""},
+    ),
+    "tandt": Collection(
+        [GOF + "TNT_GOF.zip"],
+        TANKS,
+        {f"TNT_GOF/TrainingSet/{s}": "--downscale 2" for s in ("Barn", "Caterpillar", "Courthouse", "Ignatius", "Meetingroom", "Truck")},
+        sums={"TNT_GOF.zip": "772c034d40c1a1332757a7d2b10b91d56ede3e82930c74537278ca09940928ba"},
+        bench="-- --downscale 2",
+        remark="published rows are of truck and train at the size of tandt_db: score those in any case",
+    ),
+    "nerf_synthetic": Collection(
+        [f"{NERFBASELINES}{s}.zip" for s in SYNTHETIC],
+        "NeRF-synthetic, rendered from models of Blend Swap: chair, ficus, hotdog, materials, mic CC0; drums CC BY; lego CC BY-NC; ship CC BY-SA",
+        {s: "--background white" for s in SYNTHETIC},
+        scene_of={f"{s}.zip": s for s in SYNTHETIC},
+        bench="-- --background white",
+        remark="the test views are those of transforms_test.json; published scores are over white",
+    ),
 }
 BLOCK = 1 << 20
 
@@ -69,13 +123,37 @@ def download(url, target):
     tag.unlink(missing_ok=True)
 
 
-def verify(archive):
-    """Compares with SHA256SUMS beside the archive; records the sum where none is known."""
+def size_of(url):
+    """Bytes that a download would have, or None where the server does not say."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=60) as reply:
+            length = reply.headers.get("Content-Length")
+            return None if length is None else int(length)
+    except (OSError, ValueError):  # some refuse HEAD; the download itself says what is wrong
+        return None
+
+
+def ensure_space(folder, urls):
+    """Stops unless what is missing of the archives fits on the disk, and as much again: photographs do not shrink."""
+    missing = 0
+    for archive, url in urls.items():
+        part = Path(f"{archive}.part")
+        if not archive.exists() and (size := size_of(url)) is not None:
+            missing += 2 * size - (part.stat().st_size if part.exists() else 0)
+    free = shutil.disk_usage(folder).free
+    if missing > free:
+        raise FetchError(f"{folder}: needs {missing / 1e9:.1f} GB for archives and what is in them, has {free / 1e9:.1f} GB free")
+
+
+def verify(archive, published=None):
+    """Compares with the published sum, then with SHA256SUMS beside the archive; records the sum where none is there."""
     digest = hashlib.sha256()
     with archive.open("rb") as source:
         while block := source.read(BLOCK):
             digest.update(block)
     found, sums = digest.hexdigest(), archive.parent / "SHA256SUMS"
+    if published not in (None, found):
+        raise FetchError(f"{archive}: SHA-256 is {found}, its publisher says {published}; delete it and run again")
     known = dict(reversed(line.split(maxsplit=1)) for line in sums.read_text().splitlines()) if sums.exists() else {}
     if archive.name not in known:
         with sums.open("a") as out:
@@ -84,8 +162,12 @@ def verify(archive):
         raise FetchError(f"{archive}: SHA-256 is {found}, {sums} says {known[archive.name]}")
 
 
-def unpack(archive, folder):
-    """Extracts regular files below folder; refuses the whole archive if an entry would land elsewhere."""
+def lies(path, size):
+    return path.is_file() and path.stat().st_size == size
+
+
+def unpack(archive, folder, wanted=lambda path: True):
+    """Extracts the wanted regular files below folder; refuses the whole archive if an entry would land elsewhere."""
     with zipfile.ZipFile(archive) as source:
         entries = [e for e in source.infolist() if not e.is_dir()]
         for e in entries:
@@ -94,7 +176,8 @@ def unpack(archive, folder):
                 raise FetchError(f"{archive}: entry {e.filename!r} leaves the folder")
             if stat.S_IFMT(e.external_attr >> 16) not in (0, stat.S_IFREG):
                 raise FetchError(f"{archive}: entry {e.filename!r} is not a regular file")
-        size, free = sum(e.file_size for e in entries), shutil.disk_usage(folder).free
+        entries = [e for e in entries if wanted(PurePosixPath(e.filename)) and not e.filename.startswith("__MACOSX/")]
+        size, free = sum(e.file_size for e in entries if not lies(folder / e.filename, e.file_size)), shutil.disk_usage(folder).free
         if size > free:
             raise FetchError(f"{archive}: needs {size / 1e9:.1f} GB, {folder} has {free / 1e9:.1f} GB free")
         root = folder.resolve()
@@ -103,7 +186,7 @@ def unpack(archive, folder):
             target.parent.mkdir(parents=True, exist_ok=True)
             if not target.parent.resolve().is_relative_to(root):  # a link that lay there before
                 raise FetchError(f"{target}: leads out of {folder}")
-            if target.is_file() and target.stat().st_size == e.file_size:
+            if lies(target, e.file_size):
                 continue
             with tempfile.NamedTemporaryFile(dir=target.parent, delete=False) as out:
                 try:
@@ -116,36 +199,63 @@ def unpack(archive, folder):
             Path(out.name).replace(target)
 
 
-def fetch(name, folder, mirror=None):
-    """Downloads, verifies and unpacks one collection into folder/name."""
-    urls, scenes = CAPTURES[name]
+def chosen(collection, names):
+    """Folders of the scenes with these names, of all without any; an error names those that there are."""
+    known = {Path(scene).name: scene for scene in collection.scenes}
+    for name in names or ():
+        if name not in known:
+            raise FetchError(f"--scenes: expected {', '.join(known)}, found {name}")
+    return [scene for name, scene in known.items() if not names or name in names]
+
+
+def is_captured(folder):
+    return (folder / "sparse/0").is_dir() or (folder / "transforms_train.json").is_file()
+
+
+def fetch(name, folder, mirror=None, names=None):
+    """Downloads, verifies and unpacks one collection, or the named scenes of it, into folder/name."""
+    collection = CAPTURES[name]
+    scenes = chosen(collection, names)
+    print(f"Licence. {collection.licence}")
     archives, scenes_folder = folder / "archives", folder / name
     archives.mkdir(parents=True, exist_ok=True)
     scenes_folder.mkdir(parents=True, exist_ok=True)
-    for url in urls:
-        archive = archives / url.rsplit("/", 1)[1]
+    urls = {}
+    for url in collection.archives:
+        file = url.rsplit("/", 1)[1]
+        if collection.scene_of.get(file, scenes[0]) in scenes:
+            urls[archives / file] = f"{mirror.rstrip('/')}/{file}" if mirror else url
+    ensure_space(folder, urls)
+    for archive, url in urls.items():
         if not archive.exists():
-            download(f"{mirror.rstrip('/')}/{archive.name}" if mirror else url, archive)
+            download(url, archive)
         if not zipfile.is_zipfile(archive):
             raise FetchError(f"{archive}: not a zip file; delete it and run again")
-        verify(archive)
+        verify(archive, collection.sums.get(archive.name))
+        others = [PurePosixPath(s) for s in collection.scenes if s not in scenes]
         try:
-            unpack(archive, scenes_folder)
+            unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others))
         except (zipfile.BadZipFile, OSError) as error:
             raise FetchError(f"{archive}: {error}") from error
-    for scene, downscale in scenes.items():
-        if (scenes_folder / scene / "sparse/0").is_dir():
-            print(f"centaur train {scenes_folder / scene} --downscale {downscale} -o out/{Path(scene).name}/scene.glb")
+    found = [s for s in scenes if is_captured(scenes_folder / s)]
+    for scene in found:
+        flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
+        print(f"centaur train {scenes_folder / scene}{flags} -o out/{Path(scene).name}/scene.glb")
+    for parent in sorted({(scenes_folder / s).parent for s in found}):
+        print(f"centaur bench {parent} -o out/{parent.name} {collection.bench}".rstrip())
+    if collection.remark:
+        print(f"Note: {collection.remark}.")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=CAPTURES)
     parser.add_argument("folder", type=Path, help="where archives/ and the scenes go")
+    parser.add_argument("--scenes", metavar="NAMES", help="unpack only these, comma separated (and download no other archives) [default: all]")
     parser.add_argument("--mirror", help="address of a folder that holds the same archives")
     arguments = parser.parse_args()
     try:
-        fetch(arguments.name, arguments.folder, arguments.mirror)
+        fetch(arguments.name, arguments.folder, arguments.mirror, arguments.scenes and arguments.scenes.split(","))
     except FetchError as error:
         sys.exit(f"error: {error}")
 

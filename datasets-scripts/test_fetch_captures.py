@@ -1,6 +1,8 @@
 """fetch_captures against a local server: python3 -m unittest discover datasets-scripts"""
 
 import contextlib
+import dataclasses
+import hashlib
 import http.server
 import io
 import re
@@ -10,6 +12,8 @@ import threading
 import unittest
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
 import fetch_captures
@@ -37,12 +41,18 @@ SCENE = [("tandt/truck/sparse/0/cameras.bin", b"c"), ("tandt/truck/images/000001
 class Server(http.server.BaseHTTPRequestHandler):
     """Serves Server.content with ranges; stops after Server.cut bytes where that is set."""
 
-    content, etag, cut, requests = b"", '"one"', None, []
+    content, etag, cut, requests, paths = b"", '"one"', None, [], []
+
+    def do_HEAD(self):
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(type(self).content)))
+        self.end_headers()
 
     def do_GET(self):
         cls, start = type(self), 0
         asked = self.headers.get("Range")
         cls.requests.append(asked)
+        cls.paths.append(self.path)
         if asked and self.headers.get("If-Range") == cls.etag:
             start = int(re.match(r"bytes=(\d+)-", asked)[1])
         if start > len(cls.content):
@@ -68,17 +78,17 @@ class Fetch(unittest.TestCase):
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
         self.addCleanup(self.server.server_close)
         self.addCleanup(self.server.shutdown)
-        Server.content, Server.etag, Server.cut, Server.requests = archive(SCENE), '"one"', None, []
+        Server.content, Server.etag, Server.cut, Server.requests, Server.paths = archive(SCENE), '"one"', None, [], []
 
-    def fetch(self):
+    def fetch(self, name="tandt_db", scenes=None):
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
-            fetch_captures.fetch("tandt_db", self.folder, f"http://127.0.0.1:{self.server.server_port}/x/")
+            fetch_captures.fetch(name, self.folder, f"http://127.0.0.1:{self.server.server_port}/x/", scenes)
         return printed.getvalue()
 
-    def refused(self, pattern):
+    def refused(self, pattern, *arguments):
         with self.assertRaisesRegex(FetchError, pattern):
-            self.fetch()
+            self.fetch(*arguments)
 
     def test_unpacks_and_names_the_command(self):
         self.assertIn("train", self.fetch())
@@ -136,6 +146,55 @@ class Fetch(unittest.TestCase):
     def test_not_a_zip(self):
         Server.content = b"<html>moved</html>"
         self.refused("not a zip")
+
+    def test_a_small_disk_is_found_before_any_download(self):
+        with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=int(1.5 * len(Server.content)))):
+            self.refused("needs .* GB for archives")
+        self.assertEqual(Server.requests, [])
+        with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=3 * len(Server.content))):
+            self.fetch()
+
+    def test_what_is_there_needs_no_space(self):
+        self.fetch()
+        with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=0)):
+            self.fetch()
+
+    def test_says_where_the_licence_stands(self):
+        self.assertIn("https://www.tanksandtemples.org/license/", self.fetch())
+        for name, collection in fetch_captures.CAPTURES.items():
+            self.assertGreater(len(collection.licence), 20, name)
+
+    def test_only_chosen_scenes(self):
+        Server.content = archive(SCENE + [("tandt/train/sparse/0/cameras.bin", b"c"), ("readme.txt", b"r")])
+        printed = self.fetch(scenes=["train"])
+        self.assertFalse((self.folder / "tandt_db/tandt/truck").exists())
+        self.assertTrue((self.folder / "tandt_db/readme.txt").exists(), "what belongs to no scene")
+        self.assertIn("tandt/train", printed)
+        self.assertNotIn("tandt/truck", printed)
+        self.refused("expected truck, train, drjohnson, playroom, found barn", "tandt_db", ["barn"])
+
+    def test_published_checksum(self):
+        collection = fetch_captures.CAPTURES["tandt_db"]
+        for found, content in ((True, Server.content), (False, b"other")):
+            sums = {"tandt_db.zip": hashlib.sha256(content).hexdigest()}
+            with mock.patch.dict(fetch_captures.CAPTURES, tandt_db=dataclasses.replace(collection, sums=sums)):
+                self.fetch() if found else self.refused("its publisher says")
+
+    def test_synthetic_scenes_are_archives_of_their_own(self):
+        views = [(f"lego/{part}/r_0.png", b"p") for part in ("train", "test")]
+        Server.content = archive([("lego/transforms_train.json", b"{}"), ("lego/transforms_test.json", b"{}"), ("__MACOSX/lego/._r", b"m")] + views)
+        printed = self.fetch("nerf_synthetic", ["lego"])
+        self.assertEqual(Server.paths, ["/x/lego.zip"])
+        folder = self.folder / "nerf_synthetic"
+        self.assertEqual(sorted(p.name for p in folder.iterdir()), ["lego"])
+        self.assertIn(f"centaur train {folder / 'lego'} --background white -o out/lego/scene.glb", printed)
+        self.assertIn(f"centaur bench {folder} -o out/nerf_synthetic -- --background white", printed)
+
+    def test_flags_are_those_of_published_tables(self):
+        scenes = fetch_captures.CAPTURES["mipnerf360"].scenes
+        self.assertEqual({s for s, flags in scenes.items() if flags == "--downscale 4"}, {"bicycle", "flowers", "garden", "stump", "treehill"})
+        self.assertEqual({s for s, flags in scenes.items() if flags == "--downscale 2"}, {"room", "counter", "kitchen", "bonsai"})
+        self.assertLessEqual({"tandt/truck", "tandt/train"}, set(fetch_captures.CAPTURES["tandt_db"].scenes))
 
 
 if __name__ == "__main__":
