@@ -11,6 +11,7 @@ DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --warmup 800 --layers 
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
 ABLATION_FLAGS ?=
+EQUAL_FLOATS_ARGUMENTS ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
@@ -29,7 +30,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-lpips bench-ray ablations oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat oracle-lpips bench-ray ablations equal-floats oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -66,8 +67,9 @@ DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs sha
 test-data: ## tests on real captures and foreign files, in CENTAUR_DATA or ../shared/data
 	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA and no ../shared/data: not run")
 
-test-python: ## unit tests of datasets-scripts; syntax of the scripts that exports hold
+test-python: ## unit tests of datasets-scripts and scripts; syntax of the scripts that exports hold
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
+	$(PYTHON) -B -m unittest discover -s scripts
 	@mkdir -p target/python
 	PYTHONPYCACHEPREFIX=target/python $(PYTHON) -m py_compile src/format/*/*.py
 
@@ -243,6 +245,9 @@ $(CENTAUR_GSPLAT_FIXTURE): tests/oracles/gsplat_oracle.py $(ORACLES)/installed $
 
 captures: system ## hybrid against splats alone at equal floats, two seeds, on the demo and the captures in CENTAUR_DATA
 	scripts/captures.sh
+
+equal-floats: system ## hybrid against splats alone at equal floats and three budgets, filters on both, on all captures at hand
+	scripts/equal-floats.sh $(EQUAL_FLOATS_ARGUMENTS)
 
 ablations: system ## what each choice of the hybrid is worth, on the demo and the captures in CENTAUR_DATA (ABLATION_FLAGS="--scenes demo")
 	scripts/ablations.sh $(ABLATION_FLAGS)

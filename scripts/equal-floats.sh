@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Hybrid against splats alone at equal floats and three budgets, the same code, MCMC and Mip-Splatting's filters on both:
+# `equal-floats.sh [options of centaur bench]`, such as `--scenes demo` or `--seeds 0,1`. On the demo capture, those of $CENTAUR_DATA and
+# those of `make unbounded-captures`, as far as they are there; about 1 minute a run on 2 cores without a GPU. What is done is not done
+# again. Results go to out/equal-floats/BUDGET, one table of all to out/equal-floats/table.md.
+# EQUAL_FLOATS_BUDGETS="400000 800000", EQUAL_FLOATS_FLAGS="--iterations 300" (in place of those below), EQUAL_FLOATS_OUT=FOLDER.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+scenes=target/equal-floats
+out=${EQUAL_FLOATS_OUT:-out/equal-floats}
+read -ra budgets <<<"${EQUAL_FLOATS_BUDGETS:-400000 800000 1600000}"
+read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 224 --iterations 1000 --surface-iterations 600 --warmup 600}"
+[ -n "${CENTAUR:-}" ] || cargo build --release --quiet
+centaur() { if [ -n "${CENTAUR:-}" ]; then "$CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+
+mkdir -p $scenes
+link() { # name, capture
+    rm -f "$scenes/$1"
+    if [ -d "$2/sparse" ]; then ln -s "$(realpath "$2")" "$scenes/$1"; else echo "$1: left out, $2 is not there"; fi
+}
+link demo demo
+for name in banana16 skull66 maryrose69; do link $name "${CENTAUR_DATA:-/none}/capture_$name"; done
+for name in garden street; do link $name target/unbounded/$name; done
+
+folders=()
+failed=0
+for budget in "${budgets[@]}"; do
+    folders+=("$out/$budget")
+    # Captures without masks/ are trained whole. Nothing else is set per scene.
+    centaur bench $scenes -o "$out/$budget" "$@" \
+        --variant hybrid="--layers 1 --triangles 6000 --texture-size 512" \
+        --variant splats=--no-mesh \
+        -- "${flags[@]}" --antialias --density mcmc --masks --max-floats "$budget" || failed=1
+done
+python3 scripts/equal_floats_table.py "${folders[@]}" | tee "$out/table.md"
+exit $failed

@@ -1,0 +1,75 @@
+"""Hybrid beside splats alone, from folders of `centaur bench` with the variants `hybrid` and `splats`: a table in Markdown.
+
+    python3 scripts/equal_floats_table.py out/equal-floats/400000 out/equal-floats/800000
+"""
+
+import json
+import sys
+from pathlib import Path
+
+VARIANTS = ("hybrid", "splats")
+# Column, number of evaluation["…"] and its digits.
+COLUMNS = [("PSNR", lambda e: e["psnr"], 2), ("SSIM", lambda e: e["ssim_inria"], 3), ("LPIPS", lambda e: (e.get("lpips") or {}).get("normalized"), 3),
+           ("splats", lambda e: e["splats"], 0), ("floats", lambda e: e["total_floats"], 0)]
+
+
+def results(folder):
+    """{scene: {variant: [evaluation of every seed]}} of one budget."""
+    scenes = {}
+    for variant in VARIANTS:
+        for file in sorted((folder / variant).glob("*.json")):
+            result = json.loads(file.read_text())
+            if "job" in result:
+                scenes.setdefault(result["job"]["scene"], {v: [] for v in VARIANTS})[variant].append(result["evaluation"])
+    return scenes
+
+
+def mean(values):
+    values = [v for v in values if v is not None]
+    return sum(values) / len(values) if values else None
+
+
+def written(value, digits, sign=""):
+    return "–" if value is None else f"{value:{sign},.{digits}f}"
+
+
+def cells(pairs):
+    """Of (value of hybrid, value of splats) per column, with their differences; splats as a share."""
+    row = []
+    for (name, _, digits), (a, b) in zip(COLUMNS, pairs):
+        row += [written(a, digits), written(b, digits)]
+        if name == "splats":
+            row.append("–" if None in (a, b) else f"{100 * (a / b - 1):+.0f} %")
+        elif name != "floats":
+            row.append(written(None if None in (a, b) else a - b, digits, "+"))
+    return row
+
+
+def table(folders):
+    head = ["capture", "budget", "seeds"]
+    for name, _, _ in COLUMNS:
+        head += [f"{name}: hybrid", "splats alone"] + ([] if name == "floats" else ["difference"])
+    lines = [head, ["---"] * 3 + ["---:"] * (len(head) - 3)]
+    budgets = {folder.name: results(folder) for folder in folders}
+    for scene in sorted({s for scenes in budgets.values() for s in scenes}):
+        for budget, scenes in budgets.items():
+            if scene in scenes:
+                runs = scenes[scene]
+                pairs = [tuple(mean([value(e) for e in runs[v]]) for v in VARIANTS) for _, value, _ in COLUMNS]
+                counts = sorted({len(runs[v]) for v in VARIANTS})
+                lines.append([scene, budget, "/".join(map(str, counts))] + cells(pairs))
+    for budget, scenes in budgets.items():
+        whole = [runs for runs in scenes.values() if all(runs.values())]
+        # Of LPIPS, only if every capture has it.
+        per_scene = lambda value, v: [mean([value(e) for e in runs[v]]) for runs in whole]
+        pairs = [tuple(None if None in (all_of := per_scene(value, v)) else mean(all_of) for v in VARIANTS) for _, value, _ in COLUMNS]
+        if whole:
+            lines.append([f"**mean of {len(whole)}**", budget, ""] + cells(pairs))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    print("Held-out views, 8-bit; SSIM as INRIA computes it, LPIPS of pictures in −1…1 (lower is better); differences: hybrid less splats alone.\n")
+    print(table([Path(folder) for folder in sys.argv[1:]]))

@@ -1,0 +1,54 @@
+"""The table of equal_floats_table: python3 -m unittest discover -s scripts"""
+
+import json
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from equal_floats_table import table
+
+
+class Table(unittest.TestCase):
+    def setUp(self):
+        temporary = tempfile.TemporaryDirectory()
+        self.addCleanup(temporary.cleanup)
+        self.folder = Path(temporary.name) / "400000"
+
+    def put(self, variant, scene, seed, psnr, splats, lpips=None):
+        file = self.folder / variant / f"{scene}-{seed}.json"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        evaluation = {"psnr": psnr, "ssim_inria": psnr / 100, "splats": splats, "total_floats": 400_000}
+        if lpips is not None:
+            evaluation["lpips"] = {"net": "vgg", "normalized": lpips}
+        file.write_text(json.dumps({"job": {"scene": scene, "variant": variant, "seed": seed}, "evaluation": evaluation}))
+
+    def rows(self):
+        return [[c.strip() for c in line.strip("|").split("|")] for line in table([self.folder]).splitlines()]
+
+    def test_differences_are_of_the_means_of_seeds(self):
+        for seed, psnr in ((0, 26.0), (1, 27.0)):
+            self.put("hybrid", "demo", seed, psnr, 3000, 0.2)
+            self.put("splats", "demo", seed, 25.0, 6000, 0.25)
+        head, _, demo, mean = self.rows()
+        self.assertEqual(len(demo), len(head))
+        self.assertEqual(demo[:6], ["demo", "400000", "2", "26.50", "25.00", "+1.50"])
+        self.assertEqual(demo[6:12], ["0.265", "0.250", "+0.015", "0.200", "0.250", "-0.050"])
+        self.assertEqual(demo[12:], ["3,000", "6,000", "-50 %", "400,000", "400,000"])
+        self.assertEqual([mean[0]] + mean[3:], ["**mean of 1**"] + demo[3:])
+
+    def test_what_is_missing_is_not_in_the_mean(self):
+        self.put("hybrid", "demo", 0, 26.0, 3000)
+        self.put("splats", "demo", 0, 25.0, 6000)
+        self.put("splats", "skull", 0, 20.0, 6000)
+        _, _, demo, skull, mean = self.rows()
+        self.assertEqual(skull[2:6], ["0/1", "–", "20.00", "–"])
+        self.assertEqual(skull[14], "–")
+        self.assertEqual(demo[9:12], ["–"] * 3, "no LPIPS")
+        self.assertEqual(mean[0], "**mean of 1**")
+        self.assertEqual(mean[3:6], demo[3:6])
+
+
+if __name__ == "__main__":
+    unittest.main()
