@@ -30,7 +30,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-lpips bench-ray ablations equal-floats oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat oracle-lpips bench-ray ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -255,8 +255,17 @@ ablations: system ## what each choice of the hybrid is worth, on the demo and th
 bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
 	cargo bench --bench stages -- $(BENCH_FLAGS)
 
-demo-capture: .venv/installed ## render demo/ anew with Mitsuba
+demo-capture: test-geometry ## render demo/ anew with Mitsuba
 	.venv/bin/python datasets-scripts/demo_capture.py demo
+
+# Not among test-python: the machine's own Python need not have NumPy.
+test-geometry: .venv/installed ## unit tests of the scripts that make captures (PyPI's numpy)
+	.venv/bin/python -B -m unittest discover -s datasets-scripts -p '*_test.py'
+
+unbounded-captures: test-geometry target/unbounded/garden/sparse/0/points3D.bin target/unbounded/street/sparse/0/points3D.bin ## render two captures without bounds with Mitsuba into target/unbounded (20 minutes on 2 cores)
+
+target/unbounded/%/sparse/0/points3D.bin: $(wildcard datasets-scripts/unbounded_*.py) $(addprefix datasets-scripts/,procedural.py demo_scene.py mitsuba_capture.py colmap_model.py triangulation.py) | .venv/installed
+	.venv/bin/python datasets-scripts/unbounded_capture.py $* target/unbounded/$*
 
 .venv/installed: datasets-scripts/requirements.txt
 	$(PYTHON) -m venv .venv

@@ -251,7 +251,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=CAPTURES)
     parser.add_argument("folder", type=Path, help="where archives/ and the scenes go")
-    parser.add_argument("--scenes", metavar="NAMES", help="unpack only these, comma separated (and download no other archives) [default: all]")
+    parser.add_argument(
+        "--scenes", metavar="NAMES", help="unpack only these, comma separated (and download no other archives) [default: all]"
+    )
     parser.add_argument("--mirror", help="address of a folder that holds the same archives")
     arguments = parser.parse_args()
     try:

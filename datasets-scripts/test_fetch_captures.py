@@ -182,7 +182,9 @@ class Fetch(unittest.TestCase):
 
     def test_synthetic_scenes_are_archives_of_their_own(self):
         views = [(f"lego/{part}/r_0.png", b"p") for part in ("train", "test")]
-        Server.content = archive([("lego/transforms_train.json", b"{}"), ("lego/transforms_test.json", b"{}"), ("__MACOSX/lego/._r", b"m")] + views)
+        Server.content = archive(
+            [("lego/transforms_train.json", b"{}"), ("lego/transforms_test.json", b"{}"), ("__MACOSX/lego/._r", b"m")] + views
+        )
         printed = self.fetch("nerf_synthetic", ["lego"])
         self.assertEqual(Server.paths, ["/x/lego.zip"])
         folder = self.folder / "nerf_synthetic"
@@ -192,7 +194,9 @@ class Fetch(unittest.TestCase):
 
     def test_flags_are_those_of_published_tables(self):
         scenes = fetch_captures.CAPTURES["mipnerf360"].scenes
-        self.assertEqual({s for s, flags in scenes.items() if flags == "--downscale 4"}, {"bicycle", "flowers", "garden", "stump", "treehill"})
+        self.assertEqual(
+            {s for s, flags in scenes.items() if flags == "--downscale 4"}, {"bicycle", "flowers", "garden", "stump", "treehill"}
+        )
         self.assertEqual({s for s, flags in scenes.items() if flags == "--downscale 2"}, {"room", "counter", "kitchen", "bonsai"})
         self.assertLessEqual({"tandt/truck", "tandt/train"}, set(fetch_captures.CAPTURES["tandt_db"].scenes))
 

@@ -1,6 +1,6 @@
 """Hybrid beside splats alone, from folders of `centaur bench` with the variants `hybrid` and `splats`: a table in Markdown.
 
-    python3 scripts/equal_floats_table.py out/equal-floats/400000 out/equal-floats/800000
+python3 scripts/equal_floats_table.py out/equal-floats/400000 out/equal-floats/800000
 """
 
 import json
@@ -9,8 +9,13 @@ from pathlib import Path
 
 VARIANTS = ("hybrid", "splats")
 # Column, number of evaluation["…"] and its digits.
-COLUMNS = [("PSNR", lambda e: e["psnr"], 2), ("SSIM", lambda e: e["ssim_inria"], 3), ("LPIPS", lambda e: (e.get("lpips") or {}).get("normalized"), 3),
-           ("splats", lambda e: e["splats"], 0), ("floats", lambda e: e["total_floats"], 0)]
+COLUMNS = [
+    ("PSNR", lambda e: e["psnr"], 2),
+    ("SSIM", lambda e: e["ssim_inria"], 3),
+    ("LPIPS", lambda e: (e.get("lpips") or {}).get("normalized"), 3),
+    ("splats", lambda e: e["splats"], 0),
+    ("floats", lambda e: e["total_floats"], 0),
+]
 
 
 def results(folder):
@@ -71,5 +76,7 @@ def table(folders):
 if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    print("Held-out views, 8-bit; SSIM as INRIA computes it, LPIPS of pictures in −1…1 (lower is better); differences: hybrid less splats alone.\n")
+    print(
+        "Held-out views, 8-bit; SSIM as INRIA computes it, LPIPS of pictures in −1…1 (lower is better); differences: hybrid less splats alone.\n"
+    )
     print(table([Path(folder) for folder in sys.argv[1:]]))

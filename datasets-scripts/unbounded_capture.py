@@ -1,0 +1,162 @@
+"""Renders captures without bounds with Mitsuba 3: JPEG pictures and a COLMAP model with exact poses and points as from SfM.
+
+    python unbounded_capture.py garden FOLDER             # ring of cameras about a table; houses, trees, hills, sky
+    python unbounded_capture.py street FOLDER             # walk through a street
+    python unbounded_capture.py garden FOLDER --check     # only check what is there
+
+Points are triangulated from noisy pixels of three views or more, as far as they agree; tracks say which.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from PIL import Image
+
+from colmap_model import centre_of, read_model, write_model
+from mitsuba_capture import cast, load_scene, misalignment, pictures_of, render, sample, save, seen
+from triangulation import triangulate, widest_angle
+from unbounded_garden import garden
+from unbounded_street import street
+
+SCENES = {"garden": garden, "street": street}
+POINTS, PIXEL_NOISE, MATCHED = 4000, 0.35, 0.8
+# COLMAP drops points under 1.5 degrees by default, and with them all hills; its users lower that for captures like these.
+LEAST_ANGLE, LARGEST_ERROR = np.radians(0.15), 2.0
+# Descriptors do not match when they are seen from elsewhere, near or far.
+LARGEST_TURN, LARGEST_ZOOM = np.cos(np.radians(50)), 2.5
+
+
+def load(world):
+    sky = mi.Bitmap(world["sky"])
+    return load_scene(
+        world["shapes"],
+        {
+            # Mitsuba's environment has y up.
+            "sky": {"type": "envmap", "bitmap": sky, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)},
+            "sun": {"type": "directional", "direction": list(world["sun"]), "irradiance": {"type": "rgb", "value": [2.9, 2.65, 2.3]}},
+        },
+    )
+
+
+def tolerance(distance):
+    """Of the depth test: what is nearer than the point by less does not hide it."""
+    return 2e-3 * max(1.0, distance)
+
+
+def detail(picture):
+    """Chance of a feature at every pixel: the gradient of the luminance."""
+    grey = picture.astype(float).mean(-1)
+    gy, gx = np.gradient(grey)
+    strength = np.hypot(gx, gy) + 0.5
+    strength[:2], strength[-2:], strength[:, :2], strength[:, -2:] = 0, 0, 0, 0
+    return (strength / strength.sum()).ravel()
+
+
+def sparse_points(scene, camera, poses, pictures, rng):
+    """Positions, colours, observations per view, errors: see write_model."""
+    eyes, chances = [centre_of(p) for p in poses], [detail(p) for p in pictures]
+    positions, colours, errors, observations = [], [], [], [[] for _ in poses]
+    while len(positions) < POINTS:
+        first = rng.integers(len(poses))
+        pixel = np.array(divmod(rng.choice(len(chances[first]), p=chances[first]), camera.width))[::-1] + rng.uniform(size=2)
+        direction = camera.ray(poses[first], pixel)
+        distance = cast(scene, eyes[first], direction)
+        if not np.isfinite(distance):
+            continue
+        point = eyes[first] + distance * direction
+        found = {}
+        for k, pose in enumerate(poses):
+            offset = point - eyes[k]
+            far = np.linalg.norm(offset)
+            alike = offset @ direction > LARGEST_TURN * far and 1 / LARGEST_ZOOM < far / distance < LARGEST_ZOOM
+            if alike and (p := seen(scene, camera, pose, point, tolerance(far))) is not None:
+                found[k] = p
+        matched = [k for k in found if rng.uniform() < MATCHED]
+        noisy = {k: np.add(found[k], PIXEL_NOISE * rng.normal(size=2)) for k in found}
+        position = None
+        if len(matched) >= 3 and widest_angle([eyes[k] for k in matched], point) > LEAST_ANGLE:
+            position, error = triangulate(camera, [poses[k] for k in matched], [noisy[k] for k in matched], point)
+        if position is None or error > LARGEST_ERROR:
+            continue
+        for k in found:
+            observations[k].append((*noisy[k], len(positions) if k in matched else None))
+        positions.append(position)
+        errors.append(error)
+        colours.append(np.median([sample(pictures[k], found[k]) for k in matched], axis=0))
+    return np.array(positions), np.clip(np.array(colours) + 0.5, 0, 255).astype(np.uint8), observations, errors
+
+
+def check(scene, world, folder):
+    """Pictures, poses, points and tracks agree."""
+    camera = world["camera"]
+    poses, positions, colours, observations, tracks = read_model(folder / "sparse/0")
+    pictures, rng = pictures_of(folder, len(poses)), np.random.default_rng(7)
+    pairs = [(a, a + 1) for a in range(0, len(poses) - 1, 4)]
+    shifts = np.array([misalignment(scene, camera, poses, pictures, a, b, 1500, rng) for a, b in pairs])
+    print(f"texture shift between neighbouring views: mean {shifts.mean(0).round(3)}, largest {np.abs(shifts).max():.3f} pixel")
+    errors, differences = [], []
+    for k, rows in enumerate(observations):
+        for x, y, point in rows:
+            if point is None:
+                continue
+            if (k, rows.index((x, y, point))) not in tracks[point]:
+                raise SystemExit(f"view {k}: a track of point {point} lacks it")
+            p = camera.project(poses[k], positions[point])
+            if p is not None:  # noise may carry it over the edge
+                errors.append(np.hypot(p[0] - x, p[1] - y))
+            differences.append(
+                np.abs(sample(pictures[k], np.clip((x, y), 1, (camera.width - 2, camera.height - 2))) - colours[point]).mean()
+            )
+    lengths = np.array([len(t) for t in tracks])
+    distances = np.array([min(np.linalg.norm(positions[i] - centre_of(poses[k])) for k, _ in t) for i, t in enumerate(tracks)])
+    print(
+        f"{len(positions)} points, {lengths.mean():.1f} views each, {np.mean([sum(p is not None for *_, p in o) for o in observations]):.0f} points a view"
+    )
+    print(
+        f"distance to the nearest camera: quartiles {np.percentile(distances, [25, 50, 75, 95]).round(1)}, {int((distances > 300).sum())} beyond 300"
+    )
+    print(
+        f"points beside their observations: median {np.median(errors):.2f}, largest {np.max(errors):.2f} pixel; colours differ by {np.median(differences):.1f}/255"
+    )
+    if np.abs(shifts).max() > 0.2 or lengths.min() < 3 or np.median(errors) > 1:
+        raise SystemExit("pictures, poses and points do not agree")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", choices=SCENES)
+    parser.add_argument("folder", type=Path, help="where images/ and sparse/0/ go")
+    parser.add_argument("--spp", type=int, default=196, help="samples per pixel (a square number)")
+    parser.add_argument("--only", type=int, nargs="*", help="render these views as PNG into FOLDER and stop (for a look)")
+    parser.add_argument("--check", action="store_true", help="do not render, only check")
+    arguments = parser.parse_args()
+    start, folder = time.time(), arguments.folder
+    world = SCENES[arguments.scene]()
+    poses, camera = world["poses"], world["camera"]
+    scene = load(world)
+    print(f"{sum(len(s['triangles']) for s in world['shapes'])} triangles, {time.time() - start:.0f} s", flush=True)
+    picture = lambda i: render(scene, camera, poses[i], arguments.spp, i, (0.05, 1e4), hide_emitters=False)
+    if arguments.only is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        for i in arguments.only:
+            Image.fromarray(picture(i)).save(folder / f"{i:03d}.png")
+        return
+    if not arguments.check:
+        (folder / "images").mkdir(parents=True, exist_ok=True)
+        for i in range(len(poses)):
+            save(picture(i), folder, i)
+            print(f"view {i + 1}/{len(poses)}, {time.time() - start:.0f} s", flush=True)
+        write_model(
+            folder / "sparse/0",
+            camera,
+            poses,
+            *sparse_points(scene, camera, poses, pictures_of(folder, len(poses)), np.random.default_rng(3)),
+        )
+    check(scene, world, folder)
+
+
+if __name__ == "__main__":
+    main()
