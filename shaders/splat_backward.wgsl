@@ -67,31 +67,27 @@ fn main(
 //#end
     var g_mean = (g_direction - direction * dot(direction, g_direction)) / distance;
 
-    // Screen mean: ∂power/∂u = Qδ. Screen covariance: G_Q = −½Σp·δδᵀ, G_Σ = −Q·G_Q·Q.
+    // Screen mean: ∂power/∂u = Qδ. Screen covariance, with H = ½Σp·δδᵀ: G_Σ = Q·H·Q = R·Q.
     let g_uv = vec2f(q.x * sd.x + q.y * sd.y, q.y * sd.x + q.z * sd.y);
     let h = 0.5 * sdd;
     let r0 = vec2f(q.x * h.x + q.y * h.y, q.x * h.y + q.y * h.z);
     let r1 = vec2f(q.y * h.x + q.z * h.y, q.y * h.y + q.z * h.z);
-    var g_xx = r0.x * q.x + r0.y * q.y;
-    var g_xy = r0.x * q.y + r0.y * q.z;
-    var g_yy = r1.x * q.y + r1.y * q.z;
+
+    // Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm: the derivative by n is 2·G_Σ·n = 2·R·(Q·n), and Q·n without
+    // differences of products, of which a needle's agree in all of their digits.
+    let across = cross(p.n0, p.n1);
+    let k = view.filter_variance;
+    let a0 = (cross(p.n1, across) + k * p.n0) / p.det;
+    let a1 = (cross(across, p.n0) + k * p.n1) / p.det;
+    var g_n0 = 2.0 * (r0.x * a0 + r0.y * a1);
+    var g_n1 = 2.0 * (r1.x * a0 + r1.y * a1);
     // power = ln(alpha/opacity), so that sp is the derivative by the logarithm of the opacity and of all its factors. That
     // of the pixel filter is |n0 × n1| / √det Σ'.
-    var g_n0 = vec3f(0.0);
-    var g_n1 = vec3f(0.0);
     if view.filter_normalized != 0u {
-        g_xx -= 0.5 * sp * q.x;
-        g_xy -= 0.5 * sp * q.y;
-        g_yy -= 0.5 * sp * q.z;
-        let across = cross(p.n0, p.n1);
         let inverse = across / dot(across, across);
-        g_n0 = sp * cross(p.n1, inverse);
-        g_n1 = sp * cross(inverse, p.n0);
+        g_n0 += sp * (cross(p.n1, inverse) - a0);
+        g_n1 += sp * (cross(inverse, p.n0) - a1);
     }
-
-    // Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm.
-    g_n0 += 2.0 * (g_xx * p.n0 + g_xy * p.n1);
-    g_n1 += 2.0 * (g_xy * p.n0 + g_yy * p.n1);
     let g_m0 = g.rotation * (g.scale * g_n0);
     let g_m1 = g.rotation * (g.scale * g_n1);
 

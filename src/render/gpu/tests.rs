@@ -248,6 +248,20 @@ fn filters_equal_the_reference() {
         assert!(most < 1e-5, "{variance} px², {deviation}: {most:e}");
         assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "{variance} px², {deviation}: {errors:?}");
     }
+    // Needles of hundreds of pixels along no axis of the picture: what is left of their gradients when digits cancel.
+    for long in [2.0, 4.0, 5.0] {
+        let (mut scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
+        scene.composition.pixel_filter = PixelFilter::MIP;
+        let s = scene.splats.into_arrays();
+        let log_scales = s.log_scales.iter().map(|l| Vec3::new(l.x + long, l.y - 1.0, l.z - 1.0)).collect();
+        scene.splats = SplatArrays { log_scales, ..s }.check().unwrap();
+        let cotangent = random_cotangent(&camera, 3);
+        let expected = reference::backward(&scene, &camera, &cotangent);
+        let found = gpu_frame(&gpu, &scene, &camera, Some(&cotangent)).1.unwrap();
+        let errors = class_errors(&found, &expected);
+        eprintln!("needles e^{long} times as long: {errors:?}");
+        assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "e^{long}: {errors:?}");
+    }
     // Splats from far below a pixel to many, and needles, some with a deviation of some thousand pixels.
     for seed in 0..8 {
         let (mut scene, camera) = testing::random_scene(seed, 800, 1, 1, 2, OrderMode::Stable);
