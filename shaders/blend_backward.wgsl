@@ -4,6 +4,7 @@
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
 // With w = P·t·α the pair's weight, p = ∂L/∂power and d = pixel − mean, every splat needs ten sums over pixels:
 //     Σp, Σp·dx, Σp·dy, Σp·dx², Σp·dx·dy, Σp·dy², Σw·g (rgb), Σw
+// and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
 // A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
 // summed by the subgroup, or through workgroup memory where there are none; one atomic add per sum, splat and
 // subgroup (or tile) remains. `splat_backward` turns the sums into parameter gradients.
@@ -27,7 +28,6 @@
 //#import shared/tile_bucket.wgsl
 //#end
 
-const MOMENTS: u32 = 10u;
 const BATCH: u32 = 64u;
 
 var<workgroup> batch_splat: array<u32, BATCH>;
@@ -183,6 +183,9 @@ fn main(
 //#end
             var sum_p = vec3f(0.0);     // p·(1, dy, dy²)
             var sum_w = vec4f(0.0);     // w·(g, 1)
+//#if ABSOLUTE
+            var sum_pull = vec2f(0.0);  // |p·Qd|
+//#end
 //#for j in 0..PER_THREAD
             {
                 let dy = py$j - center.y;
@@ -202,7 +205,11 @@ fn main(
                         // The cap passes no gradient.
                         let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw > ALPHA_CAP);
                         t[$j][$b] *= 1.0 - alpha;
-                        sum_p += before[$j][$b] * alpha * slope * vec3f(1.0, dy, dy * dy);
+                        let p = before[$j][$b] * alpha * slope;
+                        sum_p += p * vec3f(1.0, dy, dy * dy);
+//#if ABSOLUTE
+                        sum_pull += abs(p * vec2f(conic.x * dx + conic.y * dy, conic.y * dx + conic.z * dy));
+//#end
                         sum_w += before[$j][$b] * w * vec4f(g$j, 1.0);
                     }
 //#end
@@ -212,16 +219,19 @@ fn main(
             let sums = array<f32, MOMENTS>(
                 sum_p.x, dx * sum_p.x, sum_p.y, dx * dx * sum_p.x, dx * sum_p.y, sum_p.z,
                 sum_w.x, sum_w.y, sum_w.z, sum_w.w,
+//#if ABSOLUTE
+                sum_pull.x, sum_pull.y,
+//#end
             );
 //#if SUBGROUPS
-//#for c in 0..10
+//#for c in 0..MOMENTS
             let total$c = subgroupAdd(sums[$c]);
 //#end
             // One sum a lane, so that the adds are one instruction and not ten of one lane each.
             if total9 != 0.0 {
                 for (var c = lane; c < MOMENTS; c += lanes) {
                     var total = total0;
-//#for c in 1..10
+//#for c in 1..MOMENTS
                     if c == $cu { total = total$c; }
 //#end
                     add_moments(batch_splat[s] * MOMENTS + c, total);
@@ -229,7 +239,7 @@ fn main(
             }
 //#else
             let slot = s % CHUNK;
-//#for c in 0..10
+//#for c in 0..MOMENTS
             partial[(slot * MOMENTS + $cu) * THREADS + thread] = sums[$c];
 //#end
             if slot == CHUNK - 1u || s == n - 1u {

@@ -1,4 +1,4 @@
-// From the ten screen-space moments of `blend_backward` to gradients of a splat's parameters (METHODS 2.5), and the
+// From the screen-space moments of `blend_backward` to gradients of a splat's parameters (METHODS 2.5), and the
 // statistics of density control. One thread a splat; culled splats get zeros.
 //#import shared/view.wgsl
 //#import shared/projection.wgsl
@@ -14,7 +14,8 @@
 @group(0) @binding(5) var<storage, read> moments: array<f32>;
 @group(0) @binding(6) var<storage, read_write> geometry_gradient: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> sh_gradient: array<f32>;
-// Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, views in which it was visible, blend weight, largest radius (px).
+// Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, views in which it was visible, blend weight, and, where ABSOLUTE, the
+// first with the sums of what every pixel pulls, else 0.
 @group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
 @group(0) @binding(9) var<storage, read_write> status: Status;
 
@@ -34,7 +35,7 @@ fn main(
         for (var k = 0u; k < 3u * SH_TERMS; k++) { sh_gradient[first + k] = 0.0; }
         return;
     }
-    let at = 10u * i;
+    let at = MOMENTS * i;
     let sp = moments[at];
     let sd = vec2f(moments[at + 1u], moments[at + 2u]);
     let sdd = vec3f(moments[at + 3u], moments[at + 4u], moments[at + 5u]);
@@ -129,5 +130,9 @@ fn main(
     if status.is_short != 0u { return; }
     let old = statistics[i];
     let norm = length(0.5 * vec2f(view.size) * g_uv);
-    statistics[i] = vec4f(old.x + norm, old.y + 1.0, old.z + weight, max(old.w, projected[3u * i + 1u].w));
+    var pull = 0.0;
+//#if ABSOLUTE
+    pull = length(0.5 * vec2f(view.size) * vec2f(moments[at + 10u], moments[at + 11u]));
+//#end
+    statistics[i] = old + vec4f(norm, 1.0, weight, pull);
 }

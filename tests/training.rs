@@ -127,6 +127,7 @@ fn resumes_in_both_phases(options: TrainOptions) {
 #[test]
 fn resumed_with_gradient_based_density() {
     on_one_thread("resumed_with_gradient_based_density", || resumes_in_both_phases(options(Density::Inria)));
+    on_one_thread("resumed_with_absolute_gradients", || resumes_in_both_phases(options(Density::Absgs)));
 }
 
 #[test]

@@ -172,6 +172,8 @@ const COMPOSITION: &str = "Composition";
 enum DensityKind {
     /// Clone, split, prune and reset by gradient (Kerbl et al. 2023)
     Inria,
+    /// The same, but splats are split where absolute gradients are large (`AbsGS`, Ye et al. 2024)
+    Absgs,
     /// Relocate by contribution, grow to --max-splats (Kheradmand et al. 2024)
     Mcmc,
 }
@@ -218,6 +220,7 @@ impl Args {
             surface_iterations: self.surface_iterations,
             density: match self.density {
                 DensityKind::Inria => Density::Inria,
+                DensityKind::Absgs => Density::Absgs,
                 DensityKind::Mcmc => Density::Mcmc,
             },
             max_splats: self.max_splats,

@@ -11,8 +11,8 @@ use rand_pcg::Pcg64;
 use super::state::{GEOMETRY_FLOATS, OPACITY, SplatState, logit};
 
 /// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of
-/// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels,
-/// largest radius in pixels.
+/// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
+/// AbsGS, the first once more with the sums over pixels of the absolute values of what each contributes to ∂L/∂u and ∂L/∂v.
 #[derive(Clone, Copy, Debug)]
 pub struct Statistics<'a>(pub &'a [[f32; 4]]);
 
@@ -26,6 +26,17 @@ impl Statistics<'_> {
     pub fn mean_gradient(&self, i: usize) -> f32 {
         let [gradient, views, ..] = self.0[i];
         finite_or_zero(gradient / views.max(1.0))
+    }
+
+    /// As [`Self::mean_gradient`] with the absolute values of every pixel's share, which do not cancel where pixels pull in
+    /// opposite directions; 0 unless measured.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn absolute_gradient(&self, i: usize) -> f32 {
+        let [_, views, _, absolute] = self.0[i];
+        finite_or_zero(absolute / views.max(1.0))
     }
 
     /// Blend weight of splat `i` averaged over the views that saw it: its *effective contribution* (METHODS 13(7)).

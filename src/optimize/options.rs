@@ -8,6 +8,8 @@ use crate::scene::OrderMode;
 pub enum Density {
     /// Clone, split and prune on the screen-space gradient, with opacity resets (3DGS).
     Inria,
+    /// The same, but that splats are split where absolute gradients are large (AbsGS).
+    Absgs,
     /// Relocation and growth up to the cap, with noise on the means (3DGS-MCMC). The budget is exact.
     Mcmc,
 }

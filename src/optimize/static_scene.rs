@@ -277,6 +277,9 @@ impl<'a> Run<'a> {
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
         let mut training =
             Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight, self.truth_alpha)?;
+        if self.options.density == Density::Absgs {
+            training.sum_absolute_gradients()?;
+        }
         if self.options.antialias {
             training.smooth_for(&self.train_cameras)?;
         }

@@ -1,5 +1,6 @@
 //! INRIA's adaptive density control: clone or split where the screen-space gradient is large, prune what is
-//! transparent or huge (METHODS 2.8).
+//! transparent or huge (METHODS 2.8); and that of AbsGS (Ye et al. 2024), which splits where the pixels' pulls are large even if
+//! they cancel: a large splat over fine texture.
 
 use glam::{Quat, Vec3};
 
@@ -18,14 +19,16 @@ pub struct InriaOptions {
     pub extent: f32,
     /// Mean gradient from which a splat is cloned or split, normalised device coordinates: 2e-4.
     pub gradient_threshold: f32,
-    /// Largest scale that is cloned rather than split, in extents: 0.01.
+    /// Mean absolute gradient from which a splat is split, if that decides: 4e-4 (AbsGS).
+    pub split_gradient: Option<f32>,
+    /// Largest scale that is cloned rather than split, in extents: 0.01 (AbsGS: 0.001).
     pub dense_fraction: f32,
     /// Splats below this opacity are pruned: 0.005.
     pub min_opacity: f32,
     /// Splats with a scale above this many extents are pruned, if set: 0.1 once opacities have been reset, before
     /// which a large splat may still be the best explanation of a background.
     pub max_scale: Option<f32>,
-    /// Growth stops here; the splats with the largest gradients go first.
+    /// Growth stops here; the splats with the largest gradients, as parts of their thresholds, go first.
     pub max_splats: usize,
 }
 
@@ -33,7 +36,21 @@ impl InriaOptions {
     /// INRIA's constants, without pruning by scale.
     #[must_use]
     pub fn new(extent: f32, max_splats: usize) -> Self {
-        Self { extent, gradient_threshold: 2e-4, dense_fraction: 0.01, min_opacity: 0.005, max_scale: None, max_splats }
+        Self {
+            extent,
+            gradient_threshold: 2e-4,
+            split_gradient: None,
+            dense_fraction: 0.01,
+            min_opacity: 0.005,
+            max_scale: None,
+            max_splats,
+        }
+    }
+
+    /// Those of AbsGS.
+    #[must_use]
+    pub fn absolute(extent: f32, max_splats: usize) -> Self {
+        Self { split_gradient: Some(4e-4), dense_fraction: 0.001, ..Self::new(extent, max_splats) }
     }
 }
 
@@ -63,11 +80,17 @@ pub fn densify(
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     let max_scale = options.max_scale.map_or(f32::INFINITY, |m| m * options.extent);
     let is_pruned = |i: usize| state.opacity(i) < options.min_opacity || state.largest_scale(i) > max_scale;
+    // The gradient that decides over its threshold.
+    let urge = |i: usize, is_small: bool| match options.split_gradient {
+        Some(threshold) if !is_small => statistics.absolute_gradient(i) / threshold,
+        _ => statistics.mean_gradient(i) / options.gradient_threshold,
+    };
     let wants_to_grow = |i: usize| -> Option<Fate> {
         let scale = state.largest_scale(i);
-        if statistics.mean_gradient(i) < options.gradient_threshold || state.opacity(i) < options.min_opacity {
+        let is_small = scale <= options.dense_fraction * options.extent;
+        if state.opacity(i) < options.min_opacity || urge(i, is_small) < 1.0 {
             None
-        } else if scale <= options.dense_fraction * options.extent {
+        } else if is_small {
             Some(Fate::Clone)
         } else {
             // Splitting may save a splat that is too large.
@@ -82,7 +105,8 @@ pub fn densify(
     // Cloning and splitting both add one splat.
     let room = options.max_splats.saturating_sub(n - pruned);
     if growing.len() > room {
-        growing.sort_by(|&a, &b| statistics.mean_gradient(b).total_cmp(&statistics.mean_gradient(a)).then(a.cmp(&b)));
+        let urge = |i: usize| urge(i, fates[i] == Fate::Clone);
+        growing.sort_by(|&a, &b| urge(b).total_cmp(&urge(a)).then(a.cmp(&b)));
         for &i in &growing[room..] {
             fates[i] = if is_pruned(i) { Fate::Prune } else { Fate::Keep };
         }
@@ -167,6 +191,25 @@ mod tests {
             assert_ne!(s.row(child)[..3], before.row(1)[..3]);
         }
         assert_ne!(s.row(6)[..3], s.row(7)[..3]);
+    }
+
+    #[test]
+    fn pulls_that_cancel_split_large_splats_only() {
+        let mut s = state(4, 0);
+        for i in [0, 1] {
+            set_scale(&mut s, i, [0.0009; 3]);
+        }
+        // Two views; a mean gradient of 2e-4 or nothing, an absolute one of 4e-4 or less.
+        let (mean, absolute) = ([4e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 8e-4]);
+        let rows = [mean, absolute, absolute, mean];
+        let report = densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 100), 600, 7);
+        assert_eq!(report, DensityReport { cloned: 1, split: 1, ..DensityReport::default() });
+        // With room for one, the stronger urge: the one that is split.
+        let mut s = state(2, 0);
+        set_scale(&mut s, 0, [0.0009; 3]);
+        let rows = [[6e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 16e-4]];
+        let report = densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 3), 600, 7);
+        assert_eq!(report, DensityReport { split: 1, ..DensityReport::default() });
     }
 
     #[test]

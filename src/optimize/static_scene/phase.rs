@@ -253,9 +253,13 @@ impl Run<'_> {
         finite_splats(&state, plan.phase, done)?;
         if densify {
             match o.density {
-                Density::Inria => {
+                Density::Inria | Density::Absgs => {
                     let max_scale = schedule.prunes_large(done).then_some(0.1);
-                    let options = InriaOptions { max_scale, ..InriaOptions::new(self.extent, max_splats) };
+                    let options = match o.density {
+                        Density::Absgs => InriaOptions::absolute(self.extent, max_splats),
+                        _ => InriaOptions::new(self.extent, max_splats),
+                    };
+                    let options = InriaOptions { max_scale, ..options };
                     inria::densify(&mut state, statistics, &options, done, o.seed);
                 }
                 Density::Mcmc => {

@@ -6,8 +6,26 @@ use super::{
     splats::{ImageCapacity, SplatLists},
 };
 
-/// Sums per splat that `blend_backward.wgsl` accumulates.
+/// Sums per splat that `blend_backward.wgsl` accumulates, with absolute gradients two more.
 pub(crate) const MOMENTS: usize = 10;
+
+/// What the backward pass is for.
+#[derive(Clone, Copy)]
+pub(crate) struct Gradients<'a> {
+    /// `[h·w]` vec4, ∂L/∂rgb.
+    pub(crate) image: &'a Buffer,
+    /// Splats.
+    pub(crate) capacity: usize,
+    /// Also sum up how strongly pixels pull at the means, whichever way.
+    pub(crate) absolute: bool,
+}
+
+impl Gradients<'_> {
+    /// Floats of a splat in [`Blend::moments`].
+    pub(crate) fn moments(&self) -> usize {
+        MOMENTS + 2 * usize::from(self.absolute)
+    }
+}
 
 /// Depth and colour of the mesh layers, and where their gradient goes.
 #[derive(Clone, Copy)]
@@ -56,14 +74,14 @@ fn with_paths(defines: &Defines, layers: u32, runs: bool) -> Defines {
 }
 
 impl Blend {
-    /// Buffers and kernels; with `gradient` (`[h·w]` vec4, ∂L/∂rgb) also for the backward pass over `n` splats.
+    /// Buffers and kernels, also for the backward pass if training.
     pub(crate) fn new(
         gpu: &Gpu,
         lists: &SplatLists,
         image: ImageCapacity,
         view: &Buffer,
         layers: Option<LayerBuffers>,
-        training: Option<(&Buffer, usize)>,
+        training: Option<Gradients>,
     ) -> Result<Self, GpuError> {
         let n_layers = lists.layers();
         let (threads, per_thread) = shape(gpu, n_layers);
@@ -79,7 +97,7 @@ impl Blend {
         let backward_defines = with_paths(&defines, n_layers, gpu.profile().subgroups);
         let pixels = gpu.storage("image", image.pixels * 4)?;
         let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &forward_defines);
-        let Some((gradient, n)) = training else {
+        let Some(gradients) = training else {
             let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, &pixels];
             if let Some(l) = layers {
                 buffers.extend([&lists.thresholds, l.depth, l.color]);
@@ -96,10 +114,21 @@ impl Blend {
             buffers.extend([&lists.thresholds, l.depth, l.color]);
         }
         let bindings = kernel.bind(gpu, &buffers);
-        let moments = gpu.storage("splat moments", n.max(1) * MOMENTS)?;
+        let moments = gpu.storage("splat moments", gradients.capacity.max(1) * gradients.moments())?;
+        let backward_defines = backward_defines
+            .with("MOMENTS", gradients.moments() as u32)
+            .with("ABSOLUTE", u32::from(gradients.absolute));
         let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &backward_defines);
-        let mut buffers =
-            vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, gradient, &buckets, &ends, &moments];
+        let mut buffers = vec![
+            view,
+            &lists.ranges,
+            lists.pair_splats(),
+            &lists.projected,
+            gradients.image,
+            &buckets,
+            &ends,
+            &moments,
+        ];
         if let Some(l) = layers {
             buffers.extend([&lists.thresholds, l.depth, l.color, l.gradient]);
         }
@@ -129,7 +158,7 @@ impl Blend {
         self.backward.as_ref().map(|b| &b.ends)
     }
 
-    /// `[n][10]` sums per splat, if made for training.
+    /// `[n]` rows of sums per splat, if made for training.
     pub(crate) fn moments(&self) -> Option<&Buffer> {
         self.backward.as_ref().map(|b| &b.moments)
     }

@@ -1,7 +1,7 @@
 //! One frame, forward and backward: which stage runs when, on which buffers.
 
 use super::{
-    blend::{Blend, LayerBuffers},
+    blend::{Blend, Gradients, LayerBuffers},
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     mesh::MeshStage,
     renderer::Picture,
@@ -40,6 +40,8 @@ pub(crate) struct Backward {
     pub(crate) statistics: Buffer,
     /// See `status.rs`.
     pub(crate) status: Buffer,
+    /// Whether the statistics hold absolute gradients.
+    absolute: bool,
     capacity: usize,
     kernel: Kernel,
     bindings: Option<Bindings>,
@@ -88,11 +90,12 @@ impl Pipeline {
         let depth = mesh.as_ref().map(|m| (m.layer_depth(), composition.layers));
         let lists = SplatLists::new(gpu, ImageModel::Ewa, &splats, image, pairs + image.tiles, &view, depth)?;
         let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
-        let training = image_gradient.as_ref().map(|g| (g, splats.capacity));
+        let training =
+            image_gradient.as_ref().map(|image| Gradients { image, capacity: splats.capacity, absolute: false });
         let blend = Blend::new(gpu, &lists, image, &view, layer_buffers(mesh.as_ref()), training)?;
         let backward = match image_gradient.zip(status) {
             None => None,
-            Some(kept) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, kept)?),
+            Some(kept) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, kept, false)?),
         };
         Ok(Self { view, n_splats: 0, splats, mesh, lists, blend, composition, backward, image })
     }
@@ -171,6 +174,26 @@ impl Pipeline {
         Ok(short || mesh_grew)
     }
 
+    /// From now on the statistics also hold absolute gradients, for AbsGS; begins them anew.
+    pub(crate) fn sum_absolute_gradients(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        if let Some(backward) = &mut self.backward {
+            backward.absolute = true;
+            // So that the kernel is made anew.
+            backward.capacity = usize::MAX;
+        }
+        self.renew_lists(gpu, self.lists.pair_capacity())
+    }
+
+    /// Floats of a splat in the moments of the blend.
+    pub(crate) fn moments(&self) -> usize {
+        self.gradients().map_or(0, |gradients| gradients.moments())
+    }
+
+    fn gradients(&self) -> Option<Gradients<'_>> {
+        let capacity = self.splats.capacity;
+        self.backward.as_ref().map(|b| Gradients { image: &b.image_gradient, capacity, absolute: b.absolute })
+    }
+
     /// Makes the pipeline anew around other splat buffers (for more splats).
     pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<(), GpuError> {
         self.splats = splats;
@@ -180,16 +203,14 @@ impl Pipeline {
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         let depth = self.mesh.as_ref().map(|m| (m.layer_depth(), self.composition.layers));
         self.lists = SplatLists::new(gpu, ImageModel::Ewa, &self.splats, self.image, pairs, &self.view, depth)?;
-        let old = self.backward.take();
-        let training = old.as_ref().map(|b| (&b.image_gradient, self.splats.capacity));
         let layers = layer_buffers(self.mesh.as_ref());
-        self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, training)?;
-        if let Some(old) = old {
+        self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, self.gradients())?;
+        if let Some(old) = self.backward.take() {
             self.backward = Some(if old.capacity == self.splats.capacity {
                 old.bind(gpu, &self.view, &self.splats, &self.lists, &self.blend)
             } else {
                 let kept = (old.image_gradient, old.status);
-                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, kept)?
+                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, kept, old.absolute)?
             });
         }
         Ok(())
@@ -246,9 +267,16 @@ impl Backward {
         lists: &SplatLists,
         blend: &Blend,
         (image_gradient, status): (Buffer, Buffer),
+        absolute: bool,
     ) -> Result<Self, GpuError> {
         let terms = sh::coefficients(splats.sh_degree);
-        let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &gpu.defines().with("SH_TERMS", terms as u32));
+        let moments = Gradients { image: &image_gradient, capacity: splats.capacity, absolute }.moments();
+        let defines = gpu
+            .defines()
+            .with("SH_TERMS", terms as u32)
+            .with("MOMENTS", moments as u32)
+            .with("ABSOLUTE", u32::from(absolute));
+        let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &defines);
         let unbound = Self {
             capacity: splats.capacity,
             image_gradient,
@@ -256,6 +284,7 @@ impl Backward {
             sh_gradient: gpu.storage("SH gradient", splats.capacity * 3 * terms)?,
             statistics: gpu.storage("density statistics", splats.capacity * 4)?,
             status,
+            absolute,
             kernel,
             bindings: None,
         };

@@ -225,6 +225,58 @@ fn gradients_equal_the_reference() {
     }
 }
 
+/// The sums over pixels of |∂L/∂u| and |∂L/∂v| are those of pictures whose cotangent is 0 but for one pixel.
+#[test]
+fn absolute_gradients_are_those_of_every_pixel_alone() {
+    for subgroups in [true, false] {
+        let gpu = Gpu::open_restricted(None, true, subgroups).unwrap();
+        let (scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
+        let (cotangent, n) = (random_cotangent(&camera, 3), scene.splats.len());
+        let frame = |pipeline: &mut Pipeline, only: Option<usize>| -> Vec<f32> {
+            let view = pipeline.prepare(&gpu, &camera).unwrap();
+            let kept = |(p, g): (usize, &[f64; 3])| {
+                let g = if only.is_none_or(|only| only == p) { *g } else { [0.0; 3] };
+                [g[0] as f32, g[1] as f32, g[2] as f32, 0.0]
+            };
+            let words: Vec<f32> = cotangent.rgb.iter().enumerate().flat_map(kept).collect();
+            gpu.write(&pipeline.backward.as_ref().unwrap().image_gradient, 0, &words);
+            let mut frame = Frame::new(&gpu);
+            pipeline.record_forward(&gpu, &mut frame, &view);
+            pipeline.record_backward(&mut frame, &view);
+            frame.submit();
+            gpu.read(pipeline.blend.moments().unwrap(), n * pipeline.moments()).unwrap()
+        };
+        let mut plain = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
+        let mut expected = vec![[0.0_f64; 2]; n];
+        for p in 0..cotangent.rgb.len() {
+            let moments = frame(&mut plain, Some(p));
+            let projected: Vec<f32> = gpu.read(&plain.lists.projected, 12 * n).unwrap();
+            for (i, sum) in expected.iter_mut().enumerate() {
+                let (m, q) = (&moments[10 * i..], &projected[12 * i + 4..]);
+                sum[0] += f64::from(q[0] * m[1] + q[1] * m[2]).abs();
+                sum[1] += f64::from(q[1] * m[1] + q[2] * m[2]).abs();
+            }
+        }
+        let all = frame(&mut plain, None);
+        let mut absolute = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
+        absolute.sum_absolute_gradients(&gpu).unwrap();
+        let found = frame(&mut absolute, None);
+        let statistics: Vec<f32> = gpu.read(&absolute.backward.as_ref().unwrap().statistics, 4 * n).unwrap();
+        let k = camera.intrinsics();
+        for (i, [u, v]) in expected.into_iter().enumerate() {
+            let row = &found[12 * i..12 * (i + 1)];
+            for (found, expected) in row[10..].iter().zip([u, v]) {
+                assert!((f64::from(*found) - expected).abs() <= 1e-4 * expected + 1e-7, "{i}: {found} {expected}");
+            }
+            let same = row[..10].iter().zip(&all[10 * i..]).all(|(a, b)| (a - b).abs() <= 1e-4 * b.abs() + 1e-6);
+            assert!(same, "{i}: {row:?}");
+            let norm = (0.5 * f64::from(k.width) * u).hypot(0.5 * f64::from(k.height) * v);
+            assert!((f64::from(statistics[4 * i + 3]) - norm).abs() <= 1e-3 * norm + 1e-6, "{i}");
+            assert!(statistics[4 * i + 3] >= statistics[4 * i], "{i}: what is absolute does not cancel");
+        }
+    }
+}
+
 /// Filters about as wide as the splats, and as narrow as they are in training.
 #[test]
 fn filters_equal_the_reference() {

@@ -2,7 +2,6 @@
 
 use super::{
     adam::{AdamStep, SplatAdam, SplatFloats},
-    blend::MOMENTS,
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
@@ -167,6 +166,12 @@ impl<'g> Training<'g> {
         }
     }
 
+    /// From now on the statistics of density control hold absolute gradients as well.
+    pub(crate) fn sum_absolute_gradients(&mut self) -> Result<(), GpuError> {
+        self.pipeline.sum_absolute_gradients(self.gpu)?;
+        self.rebind()
+    }
+
     /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.
     pub(crate) fn free_vertices(&mut self, meshes: &[Mesh], state: &VertexState) -> Result<(), GpuError> {
         let Pipeline { mesh, backward, view, .. } = &mut self.pipeline;
@@ -230,8 +235,9 @@ impl<'g> Training<'g> {
             }
         }
         let moments = self.pipeline.blend.moments().expect("made for training");
-        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.n_splats * MOMENTS)?;
-        Ok(rows.chunks_exact(MOMENTS).map(|m| [m[6], m[7], m[8], m[9]]).collect())
+        let row = self.pipeline.moments();
+        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.n_splats * row)?;
+        Ok(rows.chunks_exact(row).map(|m| [m[6], m[7], m[8], m[9]]).collect())
     }
 
     /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
