@@ -127,13 +127,17 @@ fn resumes_in_both_phases(options: TrainOptions) {
 #[test]
 fn resumed_with_gradient_based_density() {
     on_one_thread("resumed_with_gradient_based_density", || resumes_in_both_phases(options(Density::Inria)));
+}
+
+#[test]
+fn resumed_with_absolute_gradients() {
     on_one_thread("resumed_with_absolute_gradients", || resumes_in_both_phases(options(Density::Absgs)));
 }
 
 #[test]
 fn resumed_with_mcmc() {
-    // With exposures, which are a part of the state as well.
-    let options = TrainOptions { exposure: true, ..options(Density::Mcmc) };
+    // With exposures, which are a part of the state as well, and pictures that grow.
+    let options = TrainOptions { exposure: true, coarse_to_fine: true, ..options(Density::Mcmc) };
     on_one_thread("resumed_with_mcmc", || resumes_in_both_phases(options));
 }
 

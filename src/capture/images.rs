@@ -43,6 +43,11 @@ impl ImageSource {
         &self.lens
     }
 
+    /// The same picture, shrunk to this size when it is decoded.
+    pub(super) fn resized(&self, size: (u32, u32)) -> Self {
+        Self { size, ..self.clone() }
+    }
+
     /// Whether the capture itself puts this view into its test set; `None` if it has no split of its own.
     #[must_use]
     pub fn held_out(&self) -> Option<bool> {

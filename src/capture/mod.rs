@@ -48,6 +48,17 @@ pub struct View {
     pub sees: Vec<u32>,
 }
 
+impl View {
+    /// The same view with both sides of its picture scaled, at least a pixel each. The camera follows the rounded size.
+    #[must_use]
+    pub fn scaled(&self, scale: f64) -> Self {
+        let k = self.camera.intrinsics();
+        let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
+        let size = (side(k.width), side(k.height));
+        Self { camera: self.camera.resized(size.0, size.1), source: self.source.resized(size), ..self.clone() }
+    }
+}
+
 /// A sparse point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {

@@ -98,6 +98,10 @@ pub(super) struct Args {
     /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
     #[arg(long, help_heading = OPTIMISATION)]
     antialias: bool,
+    /// Begin with pictures of a quarter of the size and grow them, and the number of splats, over the first half of the run (the idea
+    /// of DashGaussian)
+    #[arg(long, help_heading = OPTIMISATION)]
+    coarse_to_fine: bool,
     /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; where they
     /// do not it costs quality. Held-out views are rendered without (a row of its own in comparisons)
     #[arg(long, help_heading = OPTIMISATION)]
@@ -228,6 +232,7 @@ impl Args {
             visible_only: self.visible_only,
             dense_texels: self.dense_texels,
             antialias: self.antialias,
+            coarse_to_fine: self.coarse_to_fine,
             exposure: self.exposure,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,

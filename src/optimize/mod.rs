@@ -5,6 +5,7 @@ pub mod density;
 pub mod initialize;
 mod memory;
 mod options;
+pub mod resolution;
 mod resume;
 pub mod schedule;
 pub mod state;

@@ -19,7 +19,7 @@ use super::{
     surface,
 };
 use crate::{
-    capture::{self, Capture, Photo, PhotoCache, Split},
+    capture::{self, Capture, Photo, PhotoCache, Split, View},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -124,6 +124,14 @@ pub fn train<'a>(
     Run::new(capture, options, &mesh, session)?.all(mesh)
 }
 
+/// The views of a capture while they are trained on at less than their size.
+struct Small {
+    /// Of both sides.
+    scale: f64,
+    views: Vec<View>,
+    cache: PhotoCache,
+}
+
 struct Run<'a> {
     identity: Identity<'a>,
     capture: &'a Capture,
@@ -134,6 +142,8 @@ struct Run<'a> {
     train: Vec<usize>,
     test: Vec<usize>,
     cache: PhotoCache,
+    small: Option<Small>,
+    longest_side: u32,
     truth_alpha: TruthAlpha,
     extent: f32,
     start: Instant,
@@ -186,11 +196,13 @@ impl<'a> Run<'a> {
             capture,
             options,
             session,
+            longest_side: cameras.iter().map(longest_side).max().unwrap_or(1),
             cameras,
             train_cameras,
             train,
             test,
             cache,
+            small: None,
             truth_alpha,
             extent: if extent > 0.0 { extent } else { 1.0 },
             start: Instant::now(),
@@ -289,11 +301,17 @@ impl<'a> Run<'a> {
         Ok(training)
     }
 
+    /// Splats that a run which may have `most` begins with.
+    fn initial_count(&self, most: usize) -> usize {
+        let points = self.capture.points.len();
+        if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
+    }
+
     fn initial_splats(&self, beside: &[Mesh]) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
         let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
         Ok(if points.is_empty() {
-            let count = RANDOM_SPLATS.min(self.max_splats(beside));
+            let count = self.initial_count(self.max_splats(beside));
             initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
         } else {
             initialize::from_points(points, o.sh_degree, initial, self.max_splats(beside), o.seed)?
@@ -313,8 +331,7 @@ impl<'a> Run<'a> {
     }
 
     fn texture_size(&self) -> u32 {
-        let side = self.cameras.iter().map(|c| c.intrinsics().width.max(c.intrinsics().height)).max().unwrap_or(1);
-        self.options.texture_size.unwrap_or_else(|| side.next_power_of_two().clamp(128, 2048))
+        self.options.texture_size.unwrap_or_else(|| self.longest_side.next_power_of_two().clamp(128, 2048))
     }
 
     /// Most splats that the budgets and the adapter's bindings allow beside these meshes.
@@ -352,6 +369,10 @@ impl<'a> Run<'a> {
             skipped_iterations: self.skipped_iterations,
         })
     }
+}
+
+fn longest_side(camera: &Camera) -> u32 {
+    camera.intrinsics().width.max(camera.intrinsics().height)
 }
 
 /// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent; a mask

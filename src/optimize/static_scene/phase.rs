@@ -5,9 +5,11 @@ use std::{sync::atomic::Ordering, time::Instant};
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
-use super::{Outcome, Phase, Progress, Run, arrays, check_finite, finite_splats, splat_state, squared_error};
+use super::{
+    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrays, check_finite, finite_splats, splat_state, squared_error,
+};
 use crate::{
-    capture::Photo,
+    capture::{Photo, PhotoCache},
     optimize::{
         Background, Density, TrainError,
         density::{
@@ -15,6 +17,7 @@ use crate::{
             inria::{self, InriaOptions},
             mcmc::{self, EpochWeight, McmcOptions},
         },
+        resolution::ResolutionSchedule,
         resume::Saved,
         schedule::{self, Schedule},
     },
@@ -45,6 +48,7 @@ pub(super) struct Plan {
     /// Iterations of the splats before this phase.
     pub(super) clock: u32,
     pub(super) schedule: Schedule,
+    pub(super) resolution: ResolutionSchedule,
     pub(super) has_mesh: bool,
     pub(super) moves_vertices: bool,
 }
@@ -84,7 +88,16 @@ impl Run<'_> {
         let from = saved.as_ref().map_or(0, |s| s.iteration);
         let moves_vertices = phase == Phase::Warmup && self.hands_over;
         let has_mesh = !scene.meshes.is_empty();
-        let plan = Plan { phase, from, iterations, clock, schedule, has_mesh, moves_vertices };
+        // A surface is made of splats, and maps are warmed up, at full size.
+        let half = o.iterations / 2;
+        let full_from = match phase {
+            _ if !o.coarse_to_fine => 0,
+            Phase::Warmup => 0,
+            _ if self.hands_over => half.min(before - before / 4),
+            _ => half,
+        };
+        let resolution = ResolutionSchedule { full_from };
+        let plan = Plan { phase, from, iterations, clock, schedule, resolution, has_mesh, moves_vertices };
         let mut epoch = EpochWeight::default();
         if moves_vertices {
             let state = match &saved {
@@ -97,10 +110,11 @@ impl Run<'_> {
             Some(saved) => epoch = saved.restore(training)?,
             None => training.smooth(),
         }
-        let max_splats = self.max_splats(&scene.meshes);
+        let most = self.max_splats(&scene.meshes);
         let epoch_length = self.train.len() as u32;
         for t in plan.from..plan.iterations {
             let begin = Instant::now();
+            self.resize(plan.resolution.scale(plan.clock + t, self.longest_side));
             self.step(training, &plan, t)?;
             let done = t + 1;
             self.reached = (phase, done);
@@ -108,6 +122,8 @@ impl Run<'_> {
                 training.grow_if_short()?;
             }
             if phase != Phase::Warmup {
+                let initial = self.initial_count(most);
+                let max_splats = plan.resolution.max_splats(plan.clock + t, self.longest_side, initial, most);
                 self.control_density(training, &plan, &mut epoch, max_splats, done)?;
                 if is_due(done, SMOOTH_EVERY) && plan.iterations - done >= SMOOTH_EVERY {
                     training.smooth();
@@ -139,14 +155,29 @@ impl Run<'_> {
         Ok(Outcome::Finished)
     }
 
+    /// From now on steps see the pictures with their sides scaled so.
+    fn resize(&mut self, scale: f64) {
+        if self.small.as_ref().map_or(1.0, |small| small.scale) != scale {
+            self.small = (scale < 1.0).then(|| Small {
+                scale,
+                views: self.capture.views.iter().map(|view| view.scaled(scale)).collect(),
+                cache: PhotoCache::new(PHOTO_BUDGET),
+            });
+        }
+    }
+
     /// One view: forward, backward, Adam.
     pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
         let o = self.options;
         let index = self.view_at(plan.phase, t);
-        let view = &self.capture.views[index];
+        let (views, cache) = match &self.small {
+            Some(small) => (&small.views, &small.cache),
+            None => (&self.capture.views, &self.cache),
+        };
+        let view = &views[index];
         // The next view is decoded while this one is on the GPU.
-        self.cache.prefetch(&self.capture.views[self.view_at(plan.phase, t + 1)]);
-        let photo = self.cache.get(view)?;
+        cache.prefetch(&views[self.view_at(plan.phase, t + 1)]);
+        let photo = cache.get(view)?;
         let mut random = random(o.seed, plan.phase, t);
         let background = match o.background {
             Background::Black => [0.0; 3],

@@ -5,7 +5,7 @@ use crate::{
     capture::{Downscale, LoadOptions},
     format::gltf,
     geometry::Surface,
-    optimize::{checkpoint::Checkpoint, schedule::Schedule},
+    optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
     render::gpu::Renderer,
 };
 
@@ -245,6 +245,7 @@ fn after_an_opacity_reset_the_mesh_learns_colours_only() {
             iterations: 1000,
             clock: 0,
             schedule,
+            resolution: ResolutionSchedule { full_from: 0 },
             has_mesh: true,
             moves_vertices: false,
         };
