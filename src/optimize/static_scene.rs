@@ -26,7 +26,7 @@ use crate::{
         loss::TruthAlpha,
         training::{SplatArrays, Training},
     },
-    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, sh},
+    scene::{Atlas, Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, Texture, sh},
 };
 
 /// Decoded photographs are kept up to this many bytes.
@@ -35,6 +35,9 @@ const PHOTO_BUDGET: usize = 2 << 30;
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (METHODS 2.2), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
+
+/// Opacity logits of maps stay within this (`adam_texels.wgsl`).
+const MAX_LOGIT: f32 = 6.0;
 
 /// What a run is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -353,7 +356,13 @@ impl<'a> Run<'a> {
         let (phase, iteration) = self.reached;
         check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
-        let meshes = training.read_meshes(&scene.meshes)?;
+        let mut meshes = training.read_meshes(&scene.meshes)?;
+        // Of a surface made from the capture, what is not seen has been dropped. A shorter run has not looked at every view.
+        let looks =
+            if outcome == Outcome::Finished { self.options.warmup.saturating_add(self.options.iterations) } else { 0 };
+        if self.surface == Some(SurfaceOrigin::Given) && looks as usize >= self.train.len() {
+            meshes = without_unseen(meshes, &training.read_texel_moments()?.1)?;
+        }
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
             self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
@@ -369,6 +378,26 @@ impl<'a> Run<'a> {
             skipped_iterations: self.skipped_iterations,
         })
     }
+}
+
+/// The meshes with those texels transparent that no training view ever had a say in, which are as grey as they were made. `second`
+/// are Adam's second moments, of the maps of colour and opacity first: 0 where there was no gradient, through whatever mip.
+fn without_unseen(meshes: Vec<Mesh>, mut second: &[f32]) -> Result<Vec<Mesh>, TrainError> {
+    let hidden = |mesh: Mesh| {
+        let base = mesh.atlas().base();
+        let (moments, rest) = second.split_at(base.texels().len());
+        second = rest;
+        let mut texels = base.texels().to_vec();
+        for (texel, moments) in texels.chunks_exact_mut(4).zip(moments.chunks_exact(4)) {
+            if moments.iter().all(|&v| v == 0.0) {
+                texel[3] = -MAX_LOGIT;
+            }
+        }
+        let base = Texture::new(base.width(), base.height(), base.channels(), texels)?;
+        let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
+        Ok(mesh.with_atlas(atlas))
+    };
+    meshes.into_iter().map(hidden).collect()
 }
 
 fn longest_side(camera: &Camera) -> u32 {

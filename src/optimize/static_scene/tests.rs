@@ -35,6 +35,33 @@ fn square() -> MeshSource {
     MeshSource::Given { surface, corner_uvs: None }
 }
 
+/// Of a mesh that is brought along, what no training view shows would stay grey and half transparent.
+#[test]
+fn what_no_view_sees_of_a_given_mesh_is_transparent() {
+    let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
+    // Far above, where no camera looks.
+    let above = surface.positions.iter().map(|p| *p + glam::Vec3::new(0.0, 0.0, 1e4)).collect::<Vec<_>>();
+    surface.positions.extend(above);
+    surface.triangles.extend([[4, 5, 6], [4, 6, 7]]);
+    let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    for iterations in [30, 60] {
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
+        let trained = train(&capture, source, &TrainOptions { iterations, ..options() }, session).unwrap();
+        let mesh = &trained.scene.meshes[0];
+        let base = mesh.atlas().base();
+        let logit_at = |face: usize| {
+            let [a, b, c] = mesh.corner_uvs()[face];
+            let at = (a + b + c) / 3.0 * base.width() as f32;
+            base.texels()[4 * (at.y as usize * base.width() as usize + at.x as usize) + 3]
+        };
+        // The first run ends before it has looked at all 42 views.
+        let hidden = if iterations == 30 { 0.0 } else { -MAX_LOGIT };
+        assert_eq!([logit_at(2), logit_at(3)], [hidden; 2]);
+        assert!(logit_at(0) > -MAX_LOGIT && logit_at(1) > -MAX_LOGIT);
+    }
+}
+
 /// Sets a run up to its joint phase with the mesh above.
 fn with_run<T>(options: &TrainOptions, test: impl FnOnce(&mut Run, &mut Training, &HybridScene) -> T) -> T {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
