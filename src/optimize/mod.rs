@@ -1,5 +1,6 @@
 //! From a capture to a scene.
 
+mod background;
 pub mod checkpoint;
 pub mod density;
 pub mod initialize;

@@ -11,7 +11,7 @@ mod selection;
 use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
 
 use super::{
-    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions,
+    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background,
     initialize::{self, Initial},
     memory,
     resume::{Identity, Saved},
@@ -317,7 +317,23 @@ impl<'a> Run<'a> {
             let count = self.initial_count(self.max_splats(beside));
             initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
         } else {
-            initialize::from_points(points, o.sh_degree, initial, self.max_splats(beside), o.seed)?
+            let (most, cache) = (self.max_splats(beside), &self.cache);
+            // What takes no photograph whole is an object, and has nothing behind it.
+            let behind = match self.truth_alpha {
+                TruthAlpha::Ignore => {
+                    background::behind_points(self.capture, &self.train, o.sh_degree, most / 4, |view| cache.get(view))?
+                }
+                TruthAlpha::Mask | TruthAlpha::Composite => Splats::empty(o.sh_degree),
+            };
+            let splats = initialize::from_points(points, o.sh_degree, initial, most - behind.len(), o.seed)?;
+            let mut all = splats.into_arrays();
+            let behind = behind.into_arrays();
+            all.means.extend(behind.means);
+            all.rotations.extend(behind.rotations);
+            all.log_scales.extend(behind.log_scales);
+            all.opacity_logits.extend(behind.opacity_logits);
+            all.sh.extend(behind.sh);
+            all.check()?
         })
     }
 

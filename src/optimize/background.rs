@@ -1,0 +1,221 @@
+//! Splats for what is behind all points: structure from motion finds none in the sky, nor in what is too far or too smooth.
+//!
+//! Without them a sky stays black until splats have wandered there, for hundreds of iterations, and what is near is bent to cover it.
+
+use std::{f64::consts::TAU, sync::Arc};
+
+use glam::{DVec2, DVec3, Quat, Vec3};
+use rayon::prelude::*;
+
+use super::{TrainError, state::logit};
+use crate::{
+    capture::{Capture, CaptureError, Photo, Point, View, extent},
+    scene::{Camera, Splats, sh},
+};
+
+/// Directions that are looked at, all around: some 3° apart.
+const DIRECTIONS: usize = 4000;
+/// Side of the square cells of a picture, as a part of its longer side, that are told apart by whether a point is in them. A direction is
+/// clear in a view if its cell and the eight around it are.
+const CELL: f64 = 0.03;
+/// Part of the views into a direction that must find it clear: from elsewhere a tree may stand before the sky.
+const CLEAR_VIEWS: f64 = 0.6;
+/// Pictures that colours are taken from, at most: each is decoded for it.
+const PICTURES: usize = 128;
+/// Mean distance of the colours that those which find it clear show in a direction, above which they show something near: walls without
+/// points differ with the place that they are seen from, a sky does not.
+const SPREAD: f32 = 0.1;
+/// Distance of the splats in extents of the cameras, but beyond all points: with more, they would hardly shift against another.
+const DISTANCE: f64 = 30.0;
+
+/// Splats in the directions in which several of these views look past all points, with the colours that are seen there; at most
+/// `max_splats`. Round, as wide as they are apart, of opacity ½.
+///
+/// `photo` decodes a view's picture.
+///
+/// # Errors
+/// If a photograph cannot be read or `sh_degree` exceeds 3.
+pub(super) fn behind_points(
+    capture: &Capture,
+    views: &[usize],
+    sh_degree: u32,
+    max_splats: usize,
+    photo: impl Fn(&View) -> Result<Arc<Photo>, CaptureError> + Sync,
+) -> Result<Splats, TrainError> {
+    let views: Vec<&View> = views.iter().map(|&i| &capture.views[i]).collect();
+    let maps: Vec<Clear> = views.par_iter().map(|view| Clear::new(&view.camera, &capture.points)).collect();
+    let clear: Vec<DVec3> = directions()
+        .filter(|&d| {
+            let seen: Vec<bool> = maps.iter().filter_map(|map| map.is_clear(d)).collect();
+            let clear = seen.iter().filter(|clear| **clear).count();
+            clear > 0 && clear as f64 >= CLEAR_VIEWS * seen.len() as f64
+        })
+        .collect();
+    let stride = views.len().div_ceil(PICTURES).max(1);
+    let pictures: Vec<(&Clear, Arc<Photo>)> = if clear.is_empty() {
+        vec![]
+    } else {
+        let some: Vec<_> = views.iter().zip(&maps).step_by(stride).collect();
+        some.into_par_iter().map(|(view, map)| Ok((map, photo(view)?))).collect::<Result<_, CaptureError>>()?
+    };
+    let found: Vec<(DVec3, [f32; 3])> =
+        clear.into_iter().filter_map(|d| Some((d, agreed_color(d, &pictures)?))).take(max_splats).collect();
+
+    let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
+    let center = cameras.iter().map(|c| c.center()).sum::<DVec3>() / cameras.len().max(1) as f64;
+    let mut distances: Vec<f64> = capture.points.iter().map(|p| p.position.distance(center)).collect();
+    distances.retain(|d| d.is_finite());
+    // Of mismatched points, some lie anywhere.
+    let most = distances.len().saturating_sub(1 + distances.len() / 100);
+    let reach = if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(most, f64::total_cmp).1 };
+    let radius = (DISTANCE * extent(cameras)).max(1.5 * reach);
+    let apart = radius * (2.0 * TAU / DIRECTIONS as f64).sqrt();
+
+    let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
+    let mut coefficients = vec![[0.0; 3]; found.len() * terms];
+    for (row, (_, color)) in coefficients.chunks_exact_mut(terms).zip(&found) {
+        row[0] = sh::dc_from_rgb(*color);
+    }
+    let n = found.len();
+    let means: Vec<Vec3> = found.into_iter().map(|(d, _)| (center + radius * d).as_vec3()).collect();
+    let log_scales = vec![Vec3::splat((apart / 2.0).ln() as f32); n];
+    Ok(Splats::new(means, vec![Quat::IDENTITY; n], log_scales, vec![logit(0.5); n], sh_degree, coefficients)?)
+}
+
+/// Unit vectors spread evenly over the sphere (Fibonacci's spiral).
+fn directions() -> impl Iterator<Item = DVec3> {
+    let turn = TAU * (1.0 - 2.0 / (1.0 + 5.0_f64.sqrt()));
+    (0..DIRECTIONS).map(move |i| {
+        let z = 1.0 - (2 * i + 1) as f64 / DIRECTIONS as f64;
+        let (sin, cos) = (turn * i as f64).sin_cos();
+        let r = (1.0 - z * z).sqrt();
+        DVec3::new(r * cos, r * sin, z)
+    })
+}
+
+/// Where a camera sees a direction: a pixel, in continuous coordinates, within the picture.
+fn pixel_of(camera: &Camera, direction: DVec3) -> Option<DVec2> {
+    inside(camera, camera.rotation() * direction)
+}
+
+/// The pixel of a place in camera space, or of a direction.
+fn inside(camera: &Camera, p: DVec3) -> Option<DVec2> {
+    let k = camera.intrinsics();
+    let uv = DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
+    (p.z > 0.0 && uv.cmpge(DVec2::ZERO).all() && uv.cmplt(size).all()).then_some(uv)
+}
+
+/// Which cells of a view's picture have points before them, hidden or not.
+struct Clear {
+    camera: Camera,
+    cell: f64,
+    columns: usize,
+    /// By rows, with a border of one cell.
+    taken: Vec<bool>,
+}
+
+impl Clear {
+    fn new(camera: &Camera, points: &[Point]) -> Self {
+        let k = camera.intrinsics();
+        let cell = (CELL * f64::from(k.width.max(k.height))).max(1.0);
+        let cells = |side: u32| (f64::from(side) / cell).ceil() as usize + 2;
+        let (columns, rows) = (cells(k.width), cells(k.height));
+        let mut map = Self { camera: *camera, cell, columns, taken: vec![false; columns * rows] };
+        for point in points {
+            if let Some(uv) = inside(camera, camera.to_camera(point.position)) {
+                let at = map.cell_at(uv);
+                map.taken[at] = true;
+            }
+        }
+        map
+    }
+
+    fn cell_at(&self, uv: DVec2) -> usize {
+        let at = (uv / self.cell).as_usizevec2() + 1;
+        at.y * self.columns + at.x
+    }
+
+    /// Whether no point is near that direction; `None` if the view does not look there.
+    fn is_clear(&self, direction: DVec3) -> Option<bool> {
+        let at = self.cell_at(pixel_of(&self.camera, direction)?);
+        let rows = [at - self.columns, at, at + self.columns];
+        Some(!rows.into_iter().any(|middle| self.taken[middle - 1..=middle + 1].contains(&true)))
+    }
+}
+
+/// The mean of the colours that the pictures show in a direction, if they are alike.
+fn agreed_color(direction: DVec3, pictures: &[(&Clear, Arc<Photo>)]) -> Option<[f32; 3]> {
+    let shown = |(map, photo): &(&Clear, Arc<Photo>)| {
+        let uv = pixel_of(&map.camera, direction).filter(|_| map.is_clear(direction) == Some(true))?;
+        let p = uv.y as usize * photo.width as usize + uv.x as usize;
+        let rgba = photo.rgba.get(4 * p..4 * p + 4)?;
+        // What is masked or transparent is not there.
+        (rgba[3] == 255).then(|| Vec3::new(f32::from(rgba[0]), f32::from(rgba[1]), f32::from(rgba[2])) / 255.0)
+    };
+    let colors: Vec<Vec3> = pictures.iter().filter_map(shown).collect();
+    let mean = colors.iter().sum::<Vec3>() / colors.len() as f32;
+    let spread = colors.iter().map(|c| c.distance(mean)).sum::<f32>() / colors.len() as f32;
+    (!colors.is_empty() && spread <= SPREAD).then(|| mean.to_array())
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::{
+        capture::{LoadOptions, open},
+        scene::Intrinsics,
+    };
+
+    #[test]
+    fn directions_are_spread_evenly() {
+        let all: Vec<DVec3> = directions().collect();
+        assert!(all.iter().all(|d| (d.length() - 1.0).abs() < 1e-12));
+        assert!(all.iter().sum::<DVec3>().length() < 1.0);
+        // Each octant has an eighth.
+        let octant = all.iter().filter(|d| d.cmpgt(DVec3::ZERO).all()).count();
+        assert!(octant.abs_diff(DIRECTIONS / 8) < 20, "{octant}");
+    }
+
+    #[test]
+    fn cells_with_points_and_those_around_are_not_clear() {
+        let k = Intrinsics { width: 100, height: 50, fx: 100.0, fy: 100.0, cx: 50.0, cy: 25.0 };
+        let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+        // At pixel (50, 25), however far; one behind the camera.
+        let point = |z: f64| Point { position: DVec3::new(0.0, 0.0, z), rgb: [0; 3] };
+        let map = Clear::new(&camera, &[point(1000.0), point(-1.0)]);
+        let at = |x: f64, y: f64| map.is_clear(DVec3::new((x - 50.0) / 100.0, (y - 25.0) / 100.0, 1.0).normalize());
+        assert_eq!([at(50.0, 25.0), at(52.9, 25.0), at(47.5, 22.5)], [Some(false); 3]);
+        assert_eq!([at(58.0, 25.0), at(0.5, 0.5), at(99.5, 49.5)], [Some(true); 3]);
+        assert_eq!([at(-1.0, 25.0), at(50.0, 51.0), map.is_clear(-DVec3::Z)], [None; 3]);
+        assert_eq!(map.is_clear(DVec3::X), None);
+    }
+
+    /// The demo's table fills its pictures; turned upwards they would show what is behind.
+    #[test]
+    fn splats_are_where_views_agree_on_seeing_no_point() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        let mut capture = open(&folder, &LoadOptions::default()).unwrap();
+        let views: Vec<usize> = (0..capture.views.len()).collect();
+        let of = |capture: &Capture, shade: &(dyn Fn(&View) -> u8 + Sync)| {
+            let photo = |view: &View| {
+                let k = view.camera.intrinsics();
+                let rgba = [shade(view), 100, 200, 255].repeat(k.width as usize * k.height as usize);
+                let (width, height) = (k.width, k.height);
+                Ok(Photo { width, height, rgba, has_alpha: false, masked: false }.into())
+            };
+            behind_points(capture, &views, 1, 1000, photo).unwrap()
+        };
+        let many = of(&capture, &|_| 50);
+        capture.points.clear();
+        let all = of(&capture, &|_| 50);
+        assert!(many.len() < all.len(), "{} of {}", many.len(), all.len());
+        let color = all.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
+        assert!((color[0] - 50.0 / 255.0).abs() < 1e-5 && (color[2] - 200.0 / 255.0).abs() < 1e-5, "{color:?}");
+        // Views that do not agree see something near; where there is one only, it agrees with itself.
+        let differing = of(&capture, &|view| view.name.bytes().fold(0_u8, |a, b| a.wrapping_mul(31).wrapping_add(b)));
+        assert!(differing.len() < all.len() / 2, "{} of {}", differing.len(), all.len());
+    }
+}
