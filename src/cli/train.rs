@@ -136,6 +136,10 @@ pub(super) struct Args {
     /// Most triangles of a surface made from the capture (ours)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, help_heading = MESH)]
     triangles: usize,
+    /// Whether what views see past a surface made from the capture, sky and far background, is tried on a sphere far around it; its
+    /// triangles are kept where they are worth it, as all are (not in the paper)
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = ShellChoice::Off, help_heading = MESH)]
+    shell: ShellChoice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
     /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
     /// two from the longer image side on, 128 to 2048]
@@ -240,6 +244,7 @@ impl Args {
             checkpoint_every: self.checkpoint_every,
             eval_every: self.eval_every,
             triangles: self.triangles,
+            shell: matches!(self.shell, ShellChoice::Auto),
             texture_size: self.texture_size,
             band_degree: self.band_degree,
             mode: match self.mode {
@@ -313,6 +318,15 @@ enum SurfaceOf {
     Points,
 }
 
+/// Whether there is a shell around the surface.
+#[derive(Clone, Copy, ValueEnum)]
+enum ShellChoice {
+    /// Where training views see past the surface, unless photographs have alpha or masks
+    Auto,
+    /// Never
+    Off,
+}
+
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     let capture = args.loading.open(&args.capture)?;
@@ -361,7 +375,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
-            "skipped_iterations": trained.skipped_iterations, "surface": trained.surface, "notes": notes,
+            "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
+            "shell_triangles": trained.shell_triangles, "notes": notes,
             "exposures": exposures,
             "settings": options, "evaluation": evaluation,
         });

@@ -8,6 +8,7 @@ mod fusion;
 mod holes;
 mod neighbors;
 mod pack;
+mod shell;
 mod smooth;
 mod sparse;
 mod surface;
@@ -21,6 +22,7 @@ pub use distance::{SurfaceDistance, surface_distance};
 pub use fusion::{DepthView, Fusion, FusionOptions};
 pub use holes::without_holes;
 pub use neighbors::mean_squared_distance_to_3_neighbors;
+pub use shell::Shell;
 pub use smooth::{Rings, smooth, vertex_normals, without_rough};
 pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};
 pub use surface::{

@@ -2,6 +2,7 @@
 
 use super::{MeshSource, TrainError, TrainOptions};
 use crate::{
+    geometry::Shell,
     render::gpu::{
         Gpu,
         memory::{TrainingSize, training_bytes},
@@ -46,7 +47,9 @@ fn size(
 ) -> TrainingSize {
     let triangles = match source {
         MeshSource::None => 0,
-        MeshSource::Splats | MeshSource::Points => options.triangles,
+        MeshSource::Splats | MeshSource::Points => {
+            options.triangles + if options.shell { Shell::MOST_TRIANGLES } else { 0 }
+        }
         MeshSource::Given { surface, .. } => surface.triangles.len(),
     };
     let side = |of: fn(&Camera) -> u32| cameras.iter().map(of).max().unwrap_or(1) as usize;

@@ -81,6 +81,10 @@ pub struct TrainOptions {
     pub band_degree: u32,
     /// Triangles of a mesh made from the capture, at most: 20,000.
     pub triangles: usize,
+    /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
+    /// far background. Its triangles are judged as all others, and it has no vertex that `triangles` counts. Not where
+    /// photographs have alpha or masks. Off, see docs/results.md.
+    pub shell: bool,
     /// Iterations between checkpoints, 0 for none but the last: 2,000.
     pub checkpoint_every: u32,
     /// Iterations between looks at held-out views, 0 for none but the last: 500.
@@ -119,6 +123,7 @@ impl Default for TrainOptions {
             texture_size: None,
             band_degree: 2,
             triangles: 20_000,
+            shell: false,
             checkpoint_every: 2_000,
             eval_every: 500,
         }

@@ -4,6 +4,7 @@
 //! everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
 //! the views and decisions of an uninterrupted one.
 
+mod backdrop;
 mod handover;
 mod phase;
 mod selection;
@@ -20,6 +21,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, Photo, PhotoCache, Split, View},
+    geometry::Shell,
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -86,6 +88,8 @@ pub struct Trained {
     pub scene: HybridScene,
     /// What the surface of its mesh was made of, if it has one.
     pub surface: Option<SurfaceOrigin>,
+    /// Triangles of its mesh that are of the shell around everything else, see [`TrainOptions::shell`].
+    pub shell_triangles: usize,
     /// Why the run ended.
     pub outcome: Outcome,
     /// All reports of this run.
@@ -158,6 +162,8 @@ struct Run<'a> {
     hands_over: bool,
     /// What the meshes were made of.
     surface: Option<SurfaceOrigin>,
+    /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
+    shell: Option<Shell>,
     /// Of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
     /// The last iteration.
@@ -168,7 +174,7 @@ impl<'a> Run<'a> {
     fn new(
         capture: &'a Capture,
         options: &'a TrainOptions,
-        mesh: &MeshSource,
+        source: &MeshSource,
         session: Session<'a>,
     ) -> Result<Self, TrainError> {
         let (train, test) = Split::Every8th.split(&capture.views);
@@ -177,7 +183,7 @@ impl<'a> Run<'a> {
         }
         let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
         let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera))).collect();
-        let mesh = match mesh {
+        let mesh = match source {
             MeshSource::None => "none".to_owned(),
             MeshSource::Splats => "splats".to_owned(),
             MeshSource::Points => "points".to_owned(),
@@ -194,6 +200,9 @@ impl<'a> Run<'a> {
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = capture::extent(&train_cameras) as f32;
+        let wants_shell = options.shell && source.is_found() && truth_alpha == TruthAlpha::Ignore;
+        let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
+        let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
         Ok(Self {
             identity,
             capture,
@@ -216,6 +225,7 @@ impl<'a> Run<'a> {
             reached: (Phase::Surface, 0),
             hands_over: false,
             surface: None,
+            shell,
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
         })
     }
@@ -383,7 +393,11 @@ impl<'a> Run<'a> {
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
             self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
         });
+        let is_far =
+            |mesh: &Mesh, t: &[u32; 3]| self.shell.is_some_and(|shell| shell.holds(mesh.positions()[t[0] as usize]));
+        let far_of = |mesh: &Mesh| mesh.triangles().iter().filter(|t| is_far(mesh, t)).count();
         Ok(Trained {
+            shell_triangles: scene.meshes.iter().map(far_of).sum(),
             exposures,
             surface: self.surface.filter(|_| !scene.meshes.is_empty()),
             scene,

@@ -5,7 +5,7 @@ use glam::{Vec2, Vec3};
 use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture},
-    geometry::{self, DepthView, Fusion, FusionOptions, Surface, SurfaceOptions, SurfaceStats},
+    geometry::{self, DepthView, Fusion, FusionOptions, Shell, Surface, SurfaceOptions, SurfaceStats, UnwrappedMesh},
     render::gpu::{Gpu, loss::TruthAlpha, training::Training},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
 };
@@ -117,6 +117,19 @@ pub(super) fn from_depths(
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
     }
     Ok(geometry::surface_from_fusion(&fusion, &bounds)?)
+}
+
+/// Charts for a surface, of which a shell gets as many texels to a pixel as the rest does.
+pub(super) fn unwrapped(
+    surface: &Surface,
+    shell: Option<&Shell>,
+    cameras: &[Camera],
+    texture_size: u32,
+) -> Result<UnwrappedMesh, TrainError> {
+    let Some(shell) = shell else { return Ok(geometry::unwrap(surface, texture_size)?) };
+    let positions = shell.drawn_in(&surface.positions, cameras);
+    let drawn = Surface { positions, triangles: surface.triangles.clone() };
+    Ok(UnwrappedMesh { positions: surface.positions.clone(), ..geometry::unwrap(&drawn, texture_size)? })
 }
 
 /// A mesh with empty maps: opacity one half, grey (METHODS 4.1).

@@ -2,7 +2,7 @@
 
 use super::{Run, arrays, splat_state, squared_error};
 use crate::{
-    geometry::{self, GeometryError, PointView},
+    geometry::{self, GeometryError, PointView, Surface, UnwrappedMesh},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{Camera, HybridScene, Mesh},
@@ -22,7 +22,7 @@ impl<'a> Run<'a> {
                 Ok((surface, steps)) => {
                     let is_guess = steps.is_guess();
                     self.surface = Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
-                    return surface::textured(surface, None, self.options, self.texture_size());
+                    return self.textured(surface);
                 }
                 Err(GeometryError::EmptySurface { .. }) => {}
                 Err(error) => return Err(error.into()),
@@ -48,7 +48,25 @@ impl<'a> Run<'a> {
             Ok(depth)
         })?;
         self.surface = Some(SurfaceOrigin::Splats);
-        surface::textured(surface, None, self.options, self.texture_size())
+        self.textured(surface)
+    }
+
+    /// With empty maps, and with what training views see past the surface on a shell around it, painted.
+    fn textured(&self, mut surface: Surface) -> Result<Mesh, TrainError> {
+        if let Some(shell) = &self.shell {
+            let far = shell.seen_past(&surface, &self.train_cameras);
+            let first = surface.positions.len() as u32;
+            surface.positions.extend(far.positions);
+            surface.triangles.extend(far.triangles.into_iter().map(|t| t.map(|v| first + v)));
+        }
+        let size = self.texture_size();
+        let UnwrappedMesh { positions, triangles, corner_uvs, .. } =
+            surface::unwrapped(&surface, self.shell.as_ref(), &self.train_cameras, size)?;
+        let mesh = surface::textured(Surface { positions, triangles }, Some(corner_uvs), self.options, size)?;
+        match &self.shell {
+            Some(shell) => self.painted(mesh, shell),
+            None => Ok(mesh),
+        }
     }
 
     /// Renders mesh and splats each alone from `views` and hands on, per view, the two trainings, the camera and at every

@@ -2,6 +2,7 @@
 
 use std::{sync::atomic::Ordering, time::Instant};
 
+use glam::Vec3;
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
@@ -10,6 +11,7 @@ use super::{
 };
 use crate::{
     capture::{Photo, PhotoCache},
+    geometry::Shell,
     optimize::{
         Background, Density, TrainError,
         density::{
@@ -102,7 +104,9 @@ impl Run<'_> {
         if moves_vertices {
             let state = match &saved {
                 Some(saved) => saved.vertices.clone(),
-                None => VertexState::new(&scene.meshes, pixel_size(&self.train_cameras, &scene.meshes)),
+                None => {
+                    VertexState::new(&scene.meshes, pixel_size(&self.train_cameras, &scene.meshes, self.shell.as_ref()))
+                }
             };
             training.free_vertices(&scene.meshes, &state)?;
         }
@@ -369,9 +373,10 @@ fn psnr(photo: &Photo, render: &[[f32; 3]], background: [f32; 3]) -> f64 {
     -10.0 * (squares / (3 * render.len()).max(1) as f64).log10()
 }
 
-/// World size of a pixel on the meshes: the median over vertices and cameras that have them in front.
-fn pixel_size(cameras: &[Camera], meshes: &[Mesh]) -> f32 {
-    let positions = || meshes.iter().flat_map(Mesh::positions);
+/// World size of a pixel on the meshes, but for the shell: the median over vertices and cameras that have them in front.
+fn pixel_size(cameras: &[Camera], meshes: &[Mesh], shell: Option<&Shell>) -> f32 {
+    let is_near = |p: &&Vec3| shell.is_none_or(|shell| !shell.holds(**p));
+    let positions = || meshes.iter().flat_map(Mesh::positions).filter(is_near);
     let stride = positions().count().div_ceil(1000).max(1);
     let mut sizes: Vec<f64> = (positions().step_by(stride))
         .flat_map(|p| cameras.iter().map(move |c| c.to_camera(p.as_dvec3()).z / c.intrinsics().fx))

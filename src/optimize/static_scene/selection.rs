@@ -4,8 +4,8 @@ use glam::Vec2;
 
 use super::Run;
 use crate::{
-    geometry::{self, GeometryError, Surface},
-    optimize::TrainError,
+    geometry::{self, GeometryError, Surface, UnwrappedMesh},
+    optimize::{TrainError, surface},
     render::gpu::training::Training,
     scene::{Atlas, Mesh},
 };
@@ -59,8 +59,10 @@ impl<'a> Run<'a> {
         // Multiples of 32 have mips as far as gutters separate charts.
         let largest = mesh.atlas().base().width();
         let mut size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
+        let (part, uvs) = (geometry::compact(part(mesh, &keep)), kept(mesh.corner_uvs(), &keep));
         loop {
-            match lay_out(&part(mesh, &keep), &kept(mesh.corner_uvs(), &keep), &atlas, size) {
+            let unwrapped = surface::unwrapped(&part, self.shell.as_ref(), &self.train_cameras, size);
+            match unwrapped.and_then(|unwrapped| lay_out(unwrapped, &uvs, &atlas, size)) {
                 // Many small charts may need more room than their area says; at the old size they had it.
                 Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
                     size = size.saturating_mul(2).min(largest);
@@ -139,9 +141,8 @@ fn part(mesh: &Mesh, keep: &[bool]) -> Surface {
     Surface { positions: mesh.positions().to_vec(), triangles: kept(mesh.triangles(), keep) }
 }
 
-/// New charts in an atlas of `size` texels a side with the content that `atlas` has at `uvs`.
-fn lay_out(surface: &Surface, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
-    let unwrapped = geometry::unwrap(&geometry::compact(surface.clone()), size)?;
+/// The new charts in an atlas of `size` texels a side, with the content that `atlas` has at `uvs`.
+fn lay_out(unwrapped: UnwrappedMesh, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
     let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
     let base = redrawn(atlas.base(), size, GUTTER)?;
     let bands = atlas.bands().map(|bands| redrawn(bands, size / 4, GUTTER / 2)).transpose()?;
@@ -210,7 +211,8 @@ mod tests {
     fn content_follows_what_is_kept() {
         let mesh = strips(10);
         let keep: Vec<bool> = (0..40).map(|f| f < 20).collect();
-        let laid_out = lay_out(&part(&mesh, &keep), &kept(mesh.corner_uvs(), &keep), mesh.atlas(), 128).unwrap();
+        let unwrapped = geometry::unwrap(&geometry::compact(part(&mesh, &keep)), 128).unwrap();
+        let laid_out = lay_out(unwrapped, &kept(mesh.corner_uvs(), &keep), mesh.atlas(), 128).unwrap();
         assert_eq!((laid_out.triangles().len(), laid_out.positions().len()), (20, 22));
         let base = laid_out.atlas().base();
         for (t, uvs) in laid_out.triangles().iter().zip(laid_out.corner_uvs()) {

@@ -1,0 +1,273 @@
+//! A surface for sky and far background: the part of a sphere around the scene that views see beyond everything else.
+
+use std::collections::HashMap;
+
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::bvh::MeshBvh;
+use super::surface::{Surface, compact};
+use crate::scene::Camera;
+
+/// Views that must see a triangle of it: as many as judge one.
+const LEAST_VIEWS: u32 = 2;
+/// Radius in units of the cameras' spread, at most: beyond, f32 and viewers of others gain nothing.
+const FARTHEST: f64 = 1000.0;
+/// So many times as far away as all but the outermost hundredth of the points.
+const BEYOND_POINTS: f64 = 4.0;
+/// Edges across the field of view: its triangles are judged one by one.
+const EDGES_ACROSS: f64 = 6.0;
+/// Subdivisions of the icosahedron, at most.
+const MOST_SUBDIVISIONS: u32 = 4;
+
+/// A sphere so far around the cameras that they all see it alike: from its centre and from the outermost camera its points are a
+/// pixel apart or less.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shell {
+    center: DVec3,
+    radius: f64,
+    subdivisions: u32,
+}
+
+impl Shell {
+    /// Triangles that it has at most.
+    pub const MOST_TRIANGLES: usize = 20 * 4_usize.pow(MOST_SUBDIVISIONS);
+
+    /// Around the cameras, and the points as far as they are known. `None` where nothing says how large that is.
+    #[must_use]
+    pub fn around(cameras: &[Camera], points: &[Vec3]) -> Option<Self> {
+        let center = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len().max(1) as f64;
+        let spread = cameras.iter().map(|c| c.center().distance(center)).fold(0.0, f64::max);
+        let focal = cameras.iter().map(|c| c.intrinsics().fx.max(c.intrinsics().fy)).fold(0.0, f64::max);
+        let mut distances: Vec<f64> = points.iter().map(|p| p.as_dvec3().distance(center)).collect();
+        distances.retain(|d| d.is_finite());
+        distances.sort_unstable_by(f64::total_cmp);
+        let outer = distances.get(distances.len() * 99 / 100).map_or(0.0, |d| BEYOND_POINTS * d);
+        let radius = outer.max(spread * focal.min(FARTHEST));
+        // Of f32, in which distances are squared now and then.
+        (radius > 0.0 && radius < 1e18).then(|| {
+            let width = cameras.iter().map(field_of_view).fold(0.0, f64::max);
+            // 63.4° to the edge of an icosahedron.
+            let halvings = (63.4_f64.to_radians() * EDGES_ACROSS / width).log2().ceil();
+            Self { center, radius, subdivisions: halvings.clamp(1.0, f64::from(MOST_SUBDIVISIONS)) as u32 }
+        })
+    }
+
+    /// Whether a point is one of it, and not of what is within.
+    #[must_use]
+    pub fn holds(&self, point: Vec3) -> bool {
+        point.as_dvec3().distance(self.center) > 0.5 * self.radius
+    }
+
+    /// Its triangles that at least two of the cameras see past `near`, wound to be seen from within. Empty if there are none, or where
+    /// `near` reaches as far as the shell itself.
+    #[must_use]
+    pub fn seen_past(&self, near: &Surface, cameras: &[Camera]) -> Surface {
+        if near.positions.iter().any(|p| p.as_dvec3().distance(self.center) > 0.25 * self.radius) {
+            return Surface::default();
+        }
+        let (directions, triangles) = icosphere(self.subdivisions);
+        let corners: Vec<DVec3> = directions.iter().map(|d| self.center + *d * self.radius).collect();
+        let bvh = MeshBvh::new([(near.positions.as_slice(), near.triangles.as_slice())]);
+        let sees = |camera: &Camera, p: DVec3| Self::is_seen(camera, p, &bvh);
+        // By corner and camera, which six triangles share.
+        let seen: Vec<Vec<bool>> =
+            corners.par_iter().map(|p| cameras.iter().map(|camera| sees(camera, *p)).collect()).collect();
+        let is_seen = |t: &&[u32; 3]| {
+            let middle = t.iter().map(|&v| corners[v as usize]).sum::<DVec3>() / 3.0;
+            let by = |i: usize, camera: &Camera| t.iter().any(|&v| seen[v as usize][i]) || sees(camera, middle);
+            cameras.iter().enumerate().filter(|(i, camera)| by(*i, camera)).count() >= LEAST_VIEWS as usize
+        };
+        let triangles = triangles.par_iter().filter(is_seen).map(|&[a, b, c]| [a, c, b]).collect();
+        compact(Surface { positions: corners.iter().map(|p| p.as_vec3()).collect(), triangles })
+    }
+
+    /// Whether a point is in the camera's picture and nothing `near` is before it.
+    #[must_use]
+    pub fn is_seen(camera: &Camera, point: DVec3, near: &MeshBvh) -> bool {
+        let origin = camera.center();
+        is_in_picture(camera, point) && !near.any_hit(origin, point - origin, 0.0, 1.0)
+    }
+
+    /// `positions` with those of the shell drawn in, to where their pixels are as large as those on the rest: charts laid out for
+    /// these have as many texels to a pixel everywhere. The rest keeps its bits.
+    #[must_use]
+    pub fn drawn_in(&self, positions: &[Vec3], cameras: &[Camera]) -> Vec<Vec3> {
+        let near: Vec<DVec3> = positions.iter().filter(|p| !self.holds(**p)).map(|p| p.as_dvec3()).collect();
+        let stride = near.len().div_ceil(1000).max(1);
+        let mut depths: Vec<f64> = (near.iter().step_by(stride))
+            .flat_map(|p| cameras.iter().filter(|c| is_in_picture(c, *p)).map(|c| c.to_camera(*p).z))
+            .collect();
+        depths.sort_unstable_by(f64::total_cmp);
+        let Some(depth) = depths.get(depths.len() / 2) else { return positions.to_vec() };
+        let draw = |p: &Vec3| {
+            if self.holds(*p) {
+                (self.center + (p.as_dvec3() - self.center) * (depth / self.radius)).as_vec3()
+            } else {
+                *p
+            }
+        };
+        positions.iter().map(draw).collect()
+    }
+}
+
+/// Of the longer side of the picture, radians.
+fn field_of_view(camera: &Camera) -> f64 {
+    let k = camera.intrinsics();
+    2.0 * (0.5 * f64::from(k.width) / k.fx).max(0.5 * f64::from(k.height) / k.fy).atan()
+}
+
+fn is_in_picture(camera: &Camera, world: DVec3) -> bool {
+    let p = camera.to_camera(world);
+    let k = camera.intrinsics();
+    let pixel = camera.project(p);
+    p.z > 0.0
+        && pixel.cmpge(DVec2::ZERO).all()
+        && pixel.cmplt(DVec2::new(f64::from(k.width), f64::from(k.height))).all()
+}
+
+/// Unit vectors and triangles, counter-clockwise from outside.
+fn icosphere(subdivisions: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    let g = (1.0 + 5.0_f64.sqrt()) / 2.0;
+    let rectangle = [[-1.0, g], [1.0, g], [-1.0, -g], [1.0, -g]];
+    let mut corners: Vec<DVec3> = (0..3)
+        .flat_map(|turn| {
+            let turned = move |[a, b]: [f64; 2]| [[a, b, 0.0], [0.0, a, b], [b, 0.0, a]][turn];
+            rectangle.map(|at| DVec3::from(turned(at)).normalize())
+        })
+        .collect();
+    #[rustfmt::skip]
+    let mut triangles = vec![
+        [0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11],
+        [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
+        [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9],
+        [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1],
+    ];
+    for _ in 0..subdivisions {
+        let mut middles: HashMap<(u32, u32), u32> = HashMap::new();
+        let mut middle = |a: u32, b: u32| {
+            *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                corners.push((corners[a as usize] + corners[b as usize]).normalize());
+                corners.len() as u32 - 1
+            })
+        };
+        triangles = (triangles.iter())
+            .flat_map(|&[a, b, c]| {
+                let [x, y, z] = [middle(a, b), middle(b, c), middle(c, a)];
+                [[a, x, z], [b, y, x], [c, z, y], [x, y, z]]
+            })
+            .collect();
+    }
+    (corners, triangles)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::scene::Intrinsics;
+
+    /// Cameras side by side at x = −1, 0, 1, that look along z with a field of view of 53° × 37°.
+    fn cameras() -> Vec<Camera> {
+        let intrinsics = Intrinsics { width: 150, height: 100, fx: 150.0, fy: 150.0, cx: 75.0, cy: 50.0 };
+        let at = |x: f64| Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(-x, 0.0, 0.0)).unwrap();
+        [-1.0, 0.0, 1.0].map(at).to_vec()
+    }
+
+    /// A square of side 2·`half` across z at depth 3, around x.
+    fn wall(x: f32, half: f32) -> Surface {
+        let corners = [[-half, -half], [half, -half], [half, half], [-half, half]];
+        let positions = corners.map(|[a, b]| Vec3::new(x + a, b, 3.0)).to_vec();
+        Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3]] }
+    }
+
+    #[test]
+    fn an_icosphere_is_closed_and_faces_outwards() {
+        for level in 0..=MOST_SUBDIVISIONS {
+            let (corners, triangles) = icosphere(level);
+            assert_eq!(triangles.len(), 20 * 4_usize.pow(level));
+            assert_eq!(corners.len(), triangles.len() / 2 + 2);
+            let mut edges = HashMap::new();
+            for t in &triangles {
+                let [a, b, c] = t.map(|v| corners[v as usize]);
+                assert!((b - a).cross(c - a).dot(a + b + c) > 0.0);
+                (0..3).for_each(|k| *edges.entry((t[k], t[(k + 1) % 3])).or_insert(0) += 1);
+            }
+            assert!(edges.iter().all(|((a, b), n)| *n == 1 && edges.contains_key(&(*b, *a))));
+        }
+        assert_eq!(Shell::MOST_TRIANGLES, icosphere(MOST_SUBDIVISIONS).1.len());
+    }
+
+    #[test]
+    fn it_is_beyond_points_and_parallax() {
+        let shell = Shell::around(&cameras(), &[]).unwrap();
+        assert_eq!((shell.center, shell.radius), (DVec3::ZERO, 150.0));
+        // A pixel from the middle to the outermost camera, at the middle of the picture.
+        let far = DVec3::new(0.0, 0.0, shell.radius);
+        let [left, middle, _] = [0, 1, 2].map(|i| cameras()[i].project(cameras()[i].to_camera(far)));
+        assert!((left.distance(middle) - 1.0).abs() < 1e-9);
+        let points: Vec<Vec3> = (0..1000).map(|i| Vec3::new(0.0, 0.0, if i < 5 { 1e6 } else { 100.0 })).collect();
+        assert_eq!(Shell::around(&cameras(), &points).unwrap().radius, 400.0);
+        assert_eq!(Shell::around(&[], &[]), None);
+        assert_eq!(Shell::around(&cameras()[..1], &[]), None);
+        assert!(Shell::around(&cameras()[..1], &points).is_some());
+    }
+
+    #[test]
+    fn what_two_views_see_past_the_rest_is_kept() {
+        let shell = Shell::around(&cameras(), &[]).unwrap();
+        let open = shell.seen_past(&Surface::default(), &cameras());
+        let bvh = MeshBvh::new([(open.positions.as_slice(), open.triangles.as_slice())]);
+        // All of the picture of the middle camera, and hardly anything outside.
+        for (x, y) in (0..15).flat_map(|x| (0..10).map(move |y| (x, y))) {
+            let ray = cameras()[1].ray(DVec2::new(10.0 * f64::from(x) + 5.0, 10.0 * f64::from(y) + 5.0));
+            assert!(bvh.any_hit(DVec3::ZERO, ray, 0.0, 1e4), "{x} {y}");
+        }
+        let (_, all) = icosphere(shell.subdivisions);
+        assert!(open.triangles.len() < all.len() / 8, "{} of {}", open.triangles.len(), all.len());
+        assert!(open.positions.iter().all(|p| shell.holds(*p)));
+        for t in &open.triangles {
+            let [a, b, c] = t.map(|v| open.positions[v as usize].as_dvec3());
+            assert!((b - a).cross(c - a).dot(a) < 0.0, "seen from within");
+        }
+        // Behind a wall there is nothing to see; beside one there is.
+        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras()), Surface::default());
+        let beside = shell.seen_past(&wall(9.0, 9.0), &cameras());
+        assert!(beside.triangles.len() > 10 && beside.triangles.len() < open.triangles.len() * 3 / 4);
+        // One view is too few, and a surface that is as far away leaves no room.
+        assert_eq!(shell.seen_past(&Surface::default(), &cameras()[..1]), Surface::default());
+        let far = Surface { positions: vec![Vec3::new(0.0, 0.0, 100.0)], triangles: vec![] };
+        assert_eq!(shell.seen_past(&far, &cameras()), Surface::default());
+    }
+
+    #[test]
+    fn its_charts_have_the_texels_that_pixels_ask_for() {
+        let (cameras, near) = (cameras(), wall(-1.0, 1.0));
+        let shell = Shell::around(&cameras, &[]).unwrap();
+        let far = shell.seen_past(&near, &cameras);
+        let mut all = near.clone();
+        let first = all.positions.len() as u32;
+        all.positions.extend(&far.positions);
+        all.triangles.extend(far.triangles.iter().map(|t| t.map(|v| first + v)));
+        let drawn = shell.drawn_in(&all.positions, &cameras);
+        assert_eq!(drawn[..4], near.positions);
+        assert!(drawn[4..].iter().all(|p| (p.length() - 3.0).abs() < 1e-4));
+        let unwrapped =
+            crate::geometry::unwrap(&Surface { positions: drawn, triangles: all.triangles.clone() }, 512).unwrap();
+        // Texels by pixels of the middle camera, of the wall and of a triangle of the shell ahead.
+        let camera = &cameras[1];
+        let density = |face: usize| {
+            let area = |[a, b, c]: [DVec2; 3]| (b - a).perp_dot(c - a).abs();
+            let pixels = all.triangles[face].map(|v| camera.to_camera(all.positions[v as usize].as_dvec3()));
+            area(unwrapped.corner_uvs[face].map(glam::Vec2::as_dvec2)) / area(pixels.map(|p| camera.project(p)))
+        };
+        let ahead = |t: &[u32; 3]| t.iter().map(|&v| all.positions[v as usize]).sum::<Vec3>().normalize().z;
+        let face =
+            (2..all.triangles.len()).max_by(|&a, &b| ahead(&all.triangles[a]).total_cmp(&ahead(&all.triangles[b])));
+        let ratio = density(face.unwrap()) / density(0);
+        assert!((0.7..1.4).contains(&ratio), "{ratio}");
+        // Nothing to compare with.
+        assert_eq!(shell.drawn_in(&far.positions, &cameras), far.positions);
+    }
+}
