@@ -180,7 +180,7 @@ const COMPOSITION: &str = "Composition";
 enum DensityKind {
     /// Clone, split, prune and reset by gradient (Kerbl et al. 2023)
     Inria,
-    /// The same, but splats are split where absolute gradients are large (`AbsGS`, Ye et al. 2024)
+    /// The same, but splats are split where absolute gradients are large (AbsGS, Ye et al. 2024)
     Absgs,
     /// Relocate by contribution, grow to --max-splats (Kheradmand et al. 2024)
     Mcmc,

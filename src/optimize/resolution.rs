@@ -1,6 +1,6 @@
 //! Small pictures first: splats find their places on few pixels, and the detail comes when there are splats for it.
 //!
-//! The idea is that of `DashGaussian` (Chen et al. 2025): pictures grow at the rate at which they gain content, which they measure by the
+//! The idea is that of DashGaussian (Chen et al. 2025): pictures grow at the rate at which they gain content, which they measure by the
 //! amplitudes of their Fourier transforms. Those of photographs fall like one over the frequency, and their sum over a square of
 //! frequencies then grows like its side: the side of the pictures grows linearly. The number of splats follows the pictures.
 
