@@ -7,6 +7,7 @@
 //#import shared/view.wgsl
 //#import shared/adam.wgsl
 //#import shared/status.wgsl
+//#import shared/sum_rows.wgsl with ROWS=3
 
 struct Step {
     view: u32,                          // of the training views, whose E is meant
@@ -27,18 +28,6 @@ struct Step {
 @group(0) @binding(8) var<storage, read_write> status: Status;
 
 const PER_THREAD: u32 = 16u;            // PIXELS in exposure.rs is 256 times as many
-var<workgroup> sums: array<vec4f, 768>; // [row][thread]
-
-// Adds the second half of each row's `width` entries to the first, and so on: the sums end up in the rows' first entries.
-fn add_up(thread: u32) {
-    for (var half = 128u; half > 0u; half >>= 1u) {
-        workgroupBarrier();
-        if thread < half {
-            for (var row = 0u; row < 3u; row++) { sums[row * 256u + thread] += sums[row * 256u + thread + half]; }
-        }
-    }
-    workgroupBarrier();
-}
 
 @compute @workgroup_size(256)
 fn pull(

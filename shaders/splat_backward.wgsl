@@ -1,5 +1,7 @@
 // From the screen-space moments of `blend_backward` to gradients of a splat's parameters (METHODS 2.5), and the
-// statistics of density control. One thread a splat; culled splats get zeros.
+// statistics of density control. One thread a splat; culled splats get zeros. With POSES also its part of the gradient by the pose's
+// rotation: as W' = exp(ω)·W it turns t and the rows J of the projection. `pose` sums it, without barriers in this large function, of
+// which Mesa's software adapter would make coroutines for minutes.
 //#import shared/view.wgsl
 //#import shared/projection.wgsl
 //#import shared/sh.wgsl
@@ -18,6 +20,9 @@
 // first with the sums of what every pixel pulls, else 0.
 @group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
 @group(0) @binding(9) var<storage, read_write> status: Status;
+//#if POSES
+@group(0) @binding(10) var<storage, read_write> turn_gradient: array<vec4f>;    // of L by ω, its part; last of four is 0
+//#end
 
 @compute @workgroup_size(256)
 fn main(
@@ -33,6 +38,9 @@ fn main(
         geometry_gradient[3u * i + 1u] = vec4f(0.0);
         geometry_gradient[3u * i + 2u] = vec4f(0.0);
         for (var k = 0u; k < 3u * SH_TERMS; k++) { sh_gradient[first + k] = 0.0; }
+//#if POSES
+        turn_gradient[i] = vec4f(0.0);
+//#end
         return;
     }
     let at = MOMENTS * i;
@@ -107,6 +115,12 @@ fn main(
     g_t.y += select(0.0, a.y, p.inside.y);
     g_t.z += c.x + c.y + select(d.x, 0.0, p.inside.x) + select(d.y, 0.0, p.inside.y);
     g_mean += w0 * g_t.x + w1 * g_t.y + w2 * g_t.z;
+//#if POSES
+    let j0 = f.x / z * vec3f(1.0, 0.0, -p.clamped.x / z);
+    let j1 = f.y / z * vec3f(0.0, 1.0, -p.clamped.y / z);
+    let by_rows = cross(j0, vec3f(g_j00, dot(g_m0, w1), g_j02)) + cross(j1, vec3f(dot(g_m1, w0), g_j11, g_j12));
+    turn_gradient[i] = vec4f(cross(p.t, g_t) - by_rows, 0.0);
+//#end
 
     // n = Nᵀm, N = R·diag(scale): G_N = m0·g_n0ᵀ + m1·g_n1ᵀ. Smoothing leaves Π s/s̃ of the opacity.
     let g_log_scale = g.own_share * (p.n0 * g_n0 + p.n1 * g_n1) + sp * (1.0 - g.own_share);

@@ -145,7 +145,8 @@ fn resumed_with_mcmc() {
 fn resumed_while_looking_for_a_surface() {
     on_one_thread("resumed_while_looking_for_a_surface", || {
         // After the 30 iterations for the surface 20 are left for the joint phase.
-        let options = TrainOptions { iterations: 50, warmup: 20, ..options(Density::Inria) };
+        // Poses are on their way before there is a surface, and a part of the state ever after.
+        let options = TrainOptions { iterations: 50, warmup: 20, refine_poses: true, ..options(Density::Inria) };
         let bench = Bench::new(MeshSource::Splats, options);
         let mut straight = bench.run(false, None).history;
         assert!(straight.iter().any(|p| p.phase == Phase::Joint), "nothing is trained together");

@@ -14,6 +14,7 @@ const NOT_FINITE_BASE: u32 = 4u;
 const NOT_FINITE_BANDS: u32 = 8u;
 const NOT_FINITE_VERTICES: u32 = 16u;
 const NOT_FINITE_EXPOSURES: u32 = 32u;
+const NOT_FINITE_POSES: u32 = 64u;
 
 const EXPONENT: u32 = 0x7f800000u;
 

@@ -10,7 +10,8 @@ use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
 use centaur::metrics::{Evaluation, Lpips, plot::Plot};
 use centaur::optimize::{
-    self, Background, Density, MeshSource, Outcome, Session, SurfaceOrigin, TrainError, TrainOptions, Trained,
+    self, Background, Density, MeshSource, Outcome, RefinedPose, Session, SurfaceOrigin, TrainError, TrainOptions,
+    Trained,
 };
 use centaur::render::gpu::Gpu;
 use centaur::scene::OrderMode;
@@ -106,6 +107,10 @@ pub(super) struct Args {
     /// do not it costs quality. Held-out views are rendered without (a row of its own in comparisons)
     #[arg(long, help_heading = OPTIMISATION)]
     exposure: bool,
+    /// Correct the training photographs' poses along, as long as splats are trained without a mesh, for captures whose poses are not
+    /// exact; where they are it may cost quality. The scene's cameras are the corrected ones, --json lists what was corrected
+    #[arg(long, conflicts_with = "mesh", help_heading = OPTIMISATION)]
+    refine_poses: bool,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
     #[arg(long, help_heading = OPTIMISATION)]
     visible_only: bool,
@@ -238,6 +243,7 @@ impl Args {
             antialias: self.antialias,
             coarse_to_fine: self.coarse_to_fine,
             exposure: self.exposure,
+            refine_poses: self.refine_poses,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,
             seed: self.seed,
@@ -359,7 +365,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let mut settings = settings(&options)?;
     settings.extend(trained.surface.map(|origin| ("surface".to_owned(), in_words(origin).to_owned())));
-    let cameras: Vec<_> = capture.views.iter().map(|v| (v.name.clone(), v.camera)).collect();
+    let moved = moved(&trained);
+    settings.extend(moved.iter().map(|moved| ("poses".to_owned(), moved.clone())));
+    let cameras: Vec<_> = capture.views.iter().zip(&trained.cameras).map(|(v, c)| (v.name.clone(), *c)).collect();
     let extras = serde_json::json!({ "capture": capture.name, "settings": options });
     gltf::write_glb(&args.output, &trained.scene, &cameras, Some(extras))?;
     if let Some(path) = &args.ply {
@@ -373,16 +381,18 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let notes: Vec<String> = note(args, trained.surface).into_iter().collect();
     if args.messages.json {
         let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
+        let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
             "shell_triangles": trained.shell_triangles, "notes": notes,
-            "exposures": exposures,
+            "exposures": exposures, "poses": poses,
             "settings": options, "evaluation": evaluation,
         });
         output::print_json(&outcome)?;
     } else {
         evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
+        moved.map_or(Ok(()), |moved| output::print(&format!("poses: {moved}")))?;
         notes.iter().try_for_each(|note| output::print(&format!("note: {note}")))?;
         output::print(&format!("wrote {}", args.output.display()))?;
     }
@@ -398,6 +408,17 @@ fn in_words(surface: SurfaceOrigin) -> &'static str {
         SurfaceOrigin::GuessedPoints => "points of the capture, taken for seen where none is nearer",
         SurfaceOrigin::Splats => "fused depth of splats",
     }
+}
+
+/// How far poses were refined, if they were.
+fn moved(trained: &Trained) -> Option<String> {
+    let median = |of: fn(&RefinedPose) -> f64| {
+        let mut values: Vec<f64> = trained.poses.iter().map(|(_, pose)| of(pose)).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let (distance, degrees) = (median(|pose| pose.distance)?, median(|pose| pose.degrees)?);
+    Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
 }
 
 /// Where a surface of points was asked for and is less than that.

@@ -14,7 +14,7 @@ mod static_scene;
 mod surface;
 
 pub use options::{Background, Density, TrainOptions};
-pub use static_scene::{Outcome, Phase, Progress, Session, Trained, train};
+pub use static_scene::{Outcome, Phase, Progress, RefinedPose, Session, Trained, train};
 pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
@@ -48,6 +48,9 @@ pub enum TrainError {
         /// Views in the capture.
         found: usize,
     },
+    /// What cannot be done together.
+    #[error("poses are refined by splats before there is a mesh: expected none to be given, found one")]
+    PosesBesideMesh,
     /// A parameter went to NaN or infinity.
     #[error("iteration {iteration} ({phase:?}): {group} not finite; the last checkpoint is from before")]
     NotFinite {

@@ -47,6 +47,9 @@ pub struct TrainOptions {
     /// An affine exposure per training photograph, fitted along: off (3DGS). What all photographs have in common stays in the scene,
     /// as which held-out views are rendered.
     pub exposure: bool,
+    /// A small rotation and shift of each training camera, learnt along as long as splats are trained without a mesh and then kept; not
+    /// with a given mesh: off. Held-out views keep their poses, and what all corrections have in common is taken out.
+    pub refine_poses: bool,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -108,6 +111,7 @@ impl Default for TrainOptions {
             antialias: false,
             coarse_to_fine: false,
             exposure: false,
+            refine_poses: false,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,

@@ -13,7 +13,7 @@ use super::{
     static_scene::{arrays, splat_state},
 };
 use crate::{
-    render::gpu::{exposure::ExposureState, training::Training, vertices::VertexState},
+    render::gpu::{exposure::ExposureState, pose::PoseState, training::Training, vertices::VertexState},
     scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
 };
 
@@ -30,6 +30,8 @@ pub(super) struct Saved {
     texel_moments: (Vec<f32>, Vec<f32>),
     pub(super) vertices: VertexState,
     exposures: Option<ExposureState>,
+    /// Being refined, or as they were.
+    pub(super) poses: Option<PoseState>,
     epoch: EpochWeight,
     /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
     lists: [usize; 2],
@@ -43,12 +45,13 @@ pub(super) struct Identity<'a> {
 }
 
 impl Saved {
-    /// Reads back everything from the GPU.
+    /// Reads back everything from the GPU; `poses` are those that are no longer there.
     pub(super) fn capture(
         training: &Training,
         scene: &HybridScene,
         (phase, iteration): (Phase, u32),
         surface: Option<SurfaceOrigin>,
+        poses: Option<&PoseState>,
         epoch: &EpochWeight,
     ) -> Result<Self, TrainError> {
         Ok(Self {
@@ -58,6 +61,7 @@ impl Saved {
             meshes: training.read_meshes(&scene.meshes)?,
             vertices: training.read_vertex_state()?,
             exposures: training.read_exposures()?,
+            poses: training.read_poses()?.or_else(|| poses.cloned()),
             splats: splat_state(training)?,
             statistics: training.read_statistics()?,
             texel_moments: training.read_texel_moments()?,
@@ -99,11 +103,13 @@ impl Saved {
         tensors.insert("vertices/pixel".to_owned(), vec![self.vertices.pixel]);
         tensors.insert("vertices/normals".to_owned(), self.vertices.normals);
         tensors.insert("vertices/moments".to_owned(), self.vertices.moments);
-        if let Some(ExposureState { values, moments: [first, second], steps }) = self.exposures {
+        let of_exposures = self.exposures.map(|e| ("exposures", e.values, e.moments, e.steps));
+        let of_poses = self.poses.map(|p| ("poses", p.values, p.moments, p.steps));
+        for (what, values, [first, second], steps) in [of_exposures, of_poses].into_iter().flatten() {
             for (name, floats) in [("values", values), ("m", first), ("v", second)] {
-                tensors.insert(format!("exposures/{name}"), floats);
+                tensors.insert(format!("{what}/{name}"), floats);
             }
-            indices.insert("exposures/steps".to_owned(), steps);
+            indices.insert(format!("{what}/steps"), steps);
         }
         tensors.insert("texels/m".to_owned(), self.texel_moments.0);
         tensors.insert("texels/v".to_owned(), self.texel_moments.1);
@@ -170,17 +176,22 @@ impl Saved {
             normals: take("vertices/normals".to_owned())?,
             moments: take("vertices/moments".to_owned())?,
         };
-        let exposures = if run.options.exposure {
-            let name = "exposures/steps";
-            let steps = indices.remove(name).ok_or_else(|| damaged(name))?;
-            let moments = [take("exposures/m".to_owned())?, take("exposures/v".to_owned())?];
-            Some(ExposureState { values: take("exposures/values".to_owned())?, moments, steps })
-        } else {
-            None
+        let mut of_views = |what: &str| {
+            let name = format!("{what}/steps");
+            let steps = indices.remove(&name).ok_or_else(|| damaged(&name))?;
+            let [values, first, second] = ["values", "m", "v"].map(|name| take(format!("{what}/{name}")));
+            Ok::<_, TrainError>((values?, [first?, second?], steps))
         };
+        let exposures = if run.options.exposure { Some(of_views("exposures")?) } else { None };
+        let poses = if run.options.refine_poses { Some(of_views("poses")?) } else { None };
+        let exposures = exposures.map(|(values, moments, steps)| ExposureState { values, moments, steps });
+        let poses = poses.map(|(values, moments, steps)| PoseState { values, moments, steps });
         let views = run.input["views"].as_array().map_or(0, Vec::len);
         if exposures.as_ref().is_some_and(|exposures| !exposures.is_of(views)) {
             return Err(damaged("exposures"));
+        }
+        if poses.as_ref().is_some_and(|poses| !poses.is_of(views)) {
+            return Err(damaged("poses"));
         }
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
@@ -208,6 +219,7 @@ impl Saved {
             texel_moments,
             vertices,
             exposures,
+            poses,
             lists: serde_json::from_value(field("lists")?).map_err(|_| damaged("lists"))?,
             epoch: EpochWeight {
                 weight,

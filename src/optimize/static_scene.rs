@@ -7,7 +7,10 @@
 mod backdrop;
 mod handover;
 mod phase;
+mod poses;
 mod selection;
+
+pub use poses::RefinedPose;
 
 use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
 
@@ -26,6 +29,7 @@ use crate::{
         Gpu,
         exposure::ExposureState,
         loss::TruthAlpha,
+        pose::PoseState,
         training::{SplatArrays, Training},
     },
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, Texture, sh},
@@ -97,6 +101,10 @@ pub struct Trained {
     /// By the names of training views, the 3×4 matrix, by rows, that takes what is rendered, (r, g, b, 1), to the photograph; empty
     /// without [`TrainOptions::exposure`].
     pub exposures: Vec<(String, [f32; 12])>,
+    /// By the names of training views, how they were refined; empty without [`TrainOptions::refine_poses`].
+    pub poses: Vec<(String, RefinedPose)>,
+    /// Of all views of the capture, refined where they were.
+    pub cameras: Vec<Camera>,
     /// Seconds per joint iteration of this run, without evaluation; `None` if it had none.
     pub seconds_per_iteration: Option<f64>,
     /// Iterations of this run that changed nothing because their view needed longer lists, which were made then.
@@ -120,7 +128,7 @@ pub struct Session<'a> {
 /// Trains a static scene on the training views of a capture (all but every eighth).
 ///
 /// # Errors
-/// If a photograph cannot be read, there are too few views, no surface is found, the adapter fails or a parameter is
+/// If a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, no surface is found, the adapter fails or a parameter is
 /// no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
@@ -144,6 +152,7 @@ struct Run<'a> {
     capture: &'a Capture,
     options: &'a TrainOptions,
     session: Session<'a>,
+    /// Of all views; those of training views as refined, after the phase that refines them.
     cameras: Vec<Camera>,
     train_cameras: Vec<Camera>,
     train: Vec<usize>,
@@ -166,6 +175,8 @@ struct Run<'a> {
     shell: Option<Shell>,
     /// Of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
+    /// Of all views of the capture, after the phase that refines them.
+    poses: Option<PoseState>,
     /// The last iteration.
     reached: (Phase, u32),
 }
@@ -180,6 +191,9 @@ impl<'a> Run<'a> {
         let (train, test) = Split::Every8th.split(&capture.views);
         if train.len() < 2 {
             return Err(TrainError::TooFewViews { capture: capture.name.clone(), found: capture.views.len() });
+        }
+        if options.refine_poses && matches!(source, MeshSource::Given { .. }) {
+            return Err(TrainError::PosesBesideMesh);
         }
         let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
         let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera))).collect();
@@ -227,6 +241,7 @@ impl<'a> Run<'a> {
             surface: None,
             shell,
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
+            poses: None,
         })
     }
 
@@ -246,6 +261,11 @@ impl<'a> Run<'a> {
         self.surface = saved.as_ref().and_then(|s| s.surface);
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         self.hands_over = source.is_found();
+        if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
+            && let Some(poses) = saved.poses.clone()
+        {
+            self.fix_poses(poses);
+        }
         let of_points = source == MeshSource::Points;
         let meshes = match (&after_surface, source) {
             (Some(saved), _) => saved.meshes.clone(),
@@ -399,6 +419,8 @@ impl<'a> Run<'a> {
         Ok(Trained {
             shell_triangles: scene.meshes.iter().map(far_of).sum(),
             exposures,
+            poses: self.refined_poses(),
+            cameras: self.cameras.clone(),
             surface: self.surface.filter(|_| !scene.meshes.is_empty()),
             scene,
             outcome,

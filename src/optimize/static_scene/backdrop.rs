@@ -47,7 +47,8 @@ impl Run<'_> {
         for i in self.views(false) {
             let view = &self.capture.views[i];
             let photo = self.cache.get(view)?;
-            faces.par_iter_mut().for_each(|face| face.add(&view.camera, &photo, &bvh));
+            let camera = &self.cameras[i];
+            faces.par_iter_mut().for_each(|face| face.add(camera, &photo, &bvh));
         }
         let mut texels = base.texels().to_vec();
         for inside in [false, true] {

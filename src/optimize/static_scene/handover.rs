@@ -12,10 +12,7 @@ impl<'a> Run<'a> {
     /// Fuses triangles of the points that the training views see, or the median depths of the splats as they are.
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
         if of_points {
-            let view = |&i: &usize| {
-                let view = &self.capture.views[i];
-                PointView { camera: view.camera, sees: view.sees.clone() }
-            };
+            let view = |&i: &usize| PointView { camera: self.cameras[i], sees: self.capture.views[i].sees.clone() };
             let views: Vec<PointView> = self.train.iter().map(view).collect();
             let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
             match geometry::surface_from_points(&views, &points, self.options.triangles) {
@@ -82,10 +79,10 @@ impl<'a> Run<'a> {
         let background = scene.composition.background;
         let mut splats_only = self.training(&scene)?;
         for &i in views {
-            let view = &self.capture.views[i];
-            let photo = self.cache.get(view)?;
-            let mesh = training.render(&view.camera, background, false)?.rgb;
-            let splats = splats_only.render(&view.camera, background, true)?.rgb;
+            let camera = &self.cameras[i];
+            let photo = self.cache.get(&self.capture.views[i])?;
+            let mesh = training.render(camera, background, false)?.rgb;
+            let splats = splats_only.render(camera, background, true)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
                 .map(|(p, (mesh, splats))| {
                     let [mesh, splats] = [mesh, splats].map(|rgb| self.exposed(i, *rgb));
@@ -93,7 +90,7 @@ impl<'a> Run<'a> {
                     [squared_error(&photo, p, mesh, background), squared_error(&photo, p, splats, background), 0.0]
                 })
                 .collect();
-            use_view(training, &mut splats_only, &view.camera, &errors)?;
+            use_view(training, &mut splats_only, camera, &errors)?;
         }
         Ok(())
     }

@@ -66,6 +66,9 @@ impl Run<'_> {
     ) -> Result<Outcome, TrainError> {
         let outcome = self.iterate(training, scene, phase, saved)?;
         self.exposures = training.read_exposures()?;
+        if let Some(poses) = training.read_poses()? {
+            self.fix_poses(poses);
+        }
         Ok(outcome)
     }
 
@@ -110,6 +113,10 @@ impl Run<'_> {
             };
             training.free_vertices(&scene.meshes, &state)?;
         }
+        if self.refines_poses(phase) {
+            let before = saved.as_ref().and_then(|saved| saved.poses.clone());
+            training.refine_poses(&before.unwrap_or_else(|| self.given_poses()))?;
+        }
         match saved {
             Some(saved) => epoch = saved.restore(training)?,
             None => training.smooth(),
@@ -138,6 +145,11 @@ impl Run<'_> {
                 state.center(&self.train);
                 training.expose(&state)?;
             }
+            if self.refines_poses(phase) && is_due(done, epoch_length) {
+                let mut state = training.read_poses()?.unwrap_or_default();
+                state.center(&self.cameras, &self.train);
+                training.refine_poses(&state)?;
+            }
             if phase == Phase::Joint {
                 self.joint_seconds += begin.elapsed().as_secs_f64();
                 self.joint_iterations += 1;
@@ -150,7 +162,8 @@ impl Run<'_> {
                 && let Some(path) = &self.session.checkpoint
             {
                 check_finite(training, phase, done)?;
-                Saved::capture(training, scene, (phase, done), self.surface, &epoch)?.write(path, &self.identity)?;
+                Saved::capture(training, scene, (phase, done), self.surface, self.poses.as_ref(), &epoch)?
+                    .write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
@@ -229,7 +242,8 @@ impl Run<'_> {
         let vertices = rate.map(|rate| VertexStep { number: t + 1, rate });
         let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
         training.step(&Step {
-            camera: &view.camera,
+            // Where it was found to be, at the size of the picture.
+            camera: &self.cameras[index].resized(photo.width, photo.height),
             truth: &photo.rgba,
             background,
             sh_degree,
@@ -246,6 +260,7 @@ impl Run<'_> {
                     plan.schedule.exposure_rate(age, self.train.len())
                 },
             }),
+            pose: self.pose_step(plan, index, t),
         })?;
         Ok(())
     }

@@ -81,6 +81,7 @@ fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
             texels: None,
             vertices: None,
             exposure,
+            pose: None,
         })
         .unwrap();
 }

@@ -106,6 +106,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     let step = Step {
         vertices: None,
         exposure: None,
+        pose: None,
         camera,
         truth: &truth,
         background: scene.composition.background,

@@ -19,6 +19,9 @@ mod mesh;
 #[cfg(test)]
 mod mesh_tests;
 mod pipeline;
+pub(crate) mod pose;
+#[cfg(test)]
+mod pose_tests;
 mod renderer;
 mod scan;
 mod shader;

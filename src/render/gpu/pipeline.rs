@@ -40,11 +40,21 @@ pub(crate) struct Backward {
     pub(crate) statistics: Buffer,
     /// See `status.rs`.
     pub(crate) status: Buffer,
-    /// Whether the statistics hold absolute gradients.
-    absolute: bool,
+    /// `[capacity]` vec4, see `splat_backward.wgsl`, with [`Pipeline::differentiate_poses`].
+    pub(crate) turn_gradient: Option<Buffer>,
+    besides: Besides,
     capacity: usize,
     kernel: Kernel,
     bindings: Option<Bindings>,
+}
+
+/// What is found besides gradients of parameters.
+#[derive(Clone, Copy, Default)]
+struct Besides {
+    /// The statistics hold absolute gradients.
+    absolute: bool,
+    /// Gradients by the pose.
+    by_pose: bool,
 }
 
 impl Pipeline {
@@ -95,7 +105,7 @@ impl Pipeline {
         let blend = Blend::new(gpu, &lists, image, &view, layer_buffers(mesh.as_ref()), training)?;
         let backward = match image_gradient.zip(status) {
             None => None,
-            Some(kept) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, kept, false)?),
+            Some(kept) => Some(Backward::new(gpu, &view, &splats, &lists, &blend, kept, Besides::default())?),
         };
         Ok(Self { view, n_splats: 0, splats, mesh, lists, blend, composition, backward, image })
     }
@@ -177,8 +187,17 @@ impl Pipeline {
     /// From now on the statistics also hold absolute gradients, for AbsGS; begins them anew.
     pub(crate) fn sum_absolute_gradients(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
         if let Some(backward) = &mut self.backward {
-            backward.absolute = true;
+            backward.besides.absolute = true;
             // So that the kernel is made anew.
+            backward.capacity = usize::MAX;
+        }
+        self.renew_lists(gpu, self.lists.pair_capacity())
+    }
+
+    /// From now on there are gradients by the pose of the camera, too, as far as splats depend on it; statistics begin anew.
+    pub(crate) fn differentiate_poses(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        if let Some(backward) = &mut self.backward {
+            backward.besides.by_pose = true;
             backward.capacity = usize::MAX;
         }
         self.renew_lists(gpu, self.lists.pair_capacity())
@@ -191,7 +210,7 @@ impl Pipeline {
 
     fn gradients(&self) -> Option<Gradients<'_>> {
         let capacity = self.splats.capacity;
-        self.backward.as_ref().map(|b| Gradients { image: &b.image_gradient, capacity, absolute: b.absolute })
+        self.backward.as_ref().map(|b| Gradients { image: &b.image_gradient, capacity, absolute: b.besides.absolute })
     }
 
     /// Makes the pipeline anew around other splat buffers (for more splats).
@@ -210,7 +229,7 @@ impl Pipeline {
                 old.bind(gpu, &self.view, &self.splats, &self.lists, &self.blend)
             } else {
                 let kept = (old.image_gradient, old.status);
-                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, kept, old.absolute)?
+                Backward::new(gpu, &self.view, &self.splats, &self.lists, &self.blend, kept, old.besides)?
             });
         }
         Ok(())
@@ -267,15 +286,17 @@ impl Backward {
         lists: &SplatLists,
         blend: &Blend,
         (image_gradient, status): (Buffer, Buffer),
-        absolute: bool,
+        besides: Besides,
     ) -> Result<Self, GpuError> {
         let terms = sh::coefficients(splats.sh_degree);
+        let Besides { absolute, by_pose } = besides;
         let moments = Gradients { image: &image_gradient, capacity: splats.capacity, absolute }.moments();
         let defines = gpu
             .defines()
             .with("SH_TERMS", terms as u32)
             .with("MOMENTS", moments as u32)
-            .with("ABSOLUTE", u32::from(absolute));
+            .with("ABSOLUTE", u32::from(absolute))
+            .with("POSES", u32::from(by_pose));
         let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &defines);
         let unbound = Self {
             capacity: splats.capacity,
@@ -284,7 +305,8 @@ impl Backward {
             sh_gradient: gpu.storage("SH gradient", splats.capacity * 3 * terms)?,
             statistics: gpu.storage("density statistics", splats.capacity * 4)?,
             status,
-            absolute,
+            turn_gradient: if by_pose { Some(gpu.storage("rotation gradients", splats.capacity * 4)?) } else { None },
+            besides,
             kernel,
             bindings: None,
         };
@@ -293,7 +315,7 @@ impl Backward {
 
     /// The same buffers behind other lists.
     fn bind(mut self, gpu: &Gpu, view: &Buffer, splats: &SplatBuffers, lists: &SplatLists, blend: &Blend) -> Self {
-        let buffers = [
+        let mut buffers = vec![
             view,
             &splats.geometry,
             &splats.sh,
@@ -305,6 +327,7 @@ impl Backward {
             &self.statistics,
             &self.status,
         ];
+        buffers.extend(&self.turn_gradient);
         self.bindings = Some(self.kernel.bind(gpu, &buffers));
         self
     }

@@ -54,6 +54,7 @@ impl Status {
             "a map of view dependence",
             "vertices of the mesh",
             "exposures of photographs",
+            "poses of photographs",
         ];
         let not_finite = groups.into_iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
         Ok(Self {

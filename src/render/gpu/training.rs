@@ -6,6 +6,7 @@ use super::{
     exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
     pipeline::Pipeline,
+    pose::{PoseState, PoseStep, Poses},
     renderer::Picture,
     smoothing::Smoothing,
     splats::{GEOMETRY, SplatBuffers},
@@ -41,6 +42,8 @@ pub(crate) struct Step<'a> {
     pub(crate) vertices: Option<VertexStep>,
     /// Whose exposure counts, with [`Training::expose`].
     pub(crate) exposure: Option<ExposureStep>,
+    /// Whose pose counts, with [`Training::refine_poses`].
+    pub(crate) pose: Option<PoseStep>,
 }
 
 /// Buffers and kernels of a training run.
@@ -57,6 +60,7 @@ pub(crate) struct Training<'g> {
     moments: [Buffer; 4],
     smoothing: Option<Smoothing>,
     exposures: Option<Exposures>,
+    poses: Option<Poses>,
     timer: Option<Timer>,
 }
 
@@ -78,7 +82,7 @@ impl<'g> Training<'g> {
         let (adam, moments) = new_adam(gpu, &pipeline)?;
         let list_check = new_list_check(gpu, &pipeline);
         let size = (width, height);
-        let (smoothing, exposures, timer) = (None, None, None);
+        let (smoothing, exposures, poses, timer) = (None, None, None, None);
         Ok(Self {
             gpu,
             pipeline,
@@ -92,6 +96,7 @@ impl<'g> Training<'g> {
             moments,
             smoothing,
             exposures,
+            poses,
             timer,
         })
     }
@@ -111,6 +116,10 @@ impl<'g> Training<'g> {
             Some(timer) => Frame::timed(self.gpu, timer),
             None => Frame::new(self.gpu),
         };
+        let pose = self.poses.as_mut().zip(step.pose).map(|(poses, step)| {
+            poses.record_correction(self.gpu, &mut frame, &step);
+            poses
+        });
         self.pipeline.record_forward(self.gpu, &mut frame, &view);
         self.list_check.record(&mut frame);
         let exposure = self.exposures.as_mut().zip(step.exposure);
@@ -122,6 +131,9 @@ impl<'g> Training<'g> {
             exposures.record(self.gpu, &mut frame, &view, &step);
         }
         self.pipeline.record_backward(&mut frame, &view);
+        if let Some(poses) = pose {
+            poses.record_update(&mut frame);
+        }
         if let Some(rates) = &step.splats {
             self.adam.set(self.gpu, rates);
             self.adam.record(&mut frame);
@@ -151,6 +163,23 @@ impl<'g> Training<'g> {
     /// The exposures as they are now, if there are any. Waits.
     pub(crate) fn read_exposures(&self) -> Result<Option<ExposureState>, GpuError> {
         self.exposures.as_ref().map(|exposures| exposures.read(self.gpu)).transpose()
+    }
+
+    /// From now on the cameras of steps are corrected, and corrections follow `Step::pose`; or are others, of as many views. Every
+    /// step names its view then. Meshes do not pull at poses.
+    pub(crate) fn refine_poses(&mut self, state: &PoseState) -> Result<(), GpuError> {
+        if let Some(poses) = &mut self.poses {
+            poses.write(self.gpu, state);
+            return Ok(());
+        }
+        self.pipeline.differentiate_poses(self.gpu)?;
+        self.poses = Some(Poses::new(self.gpu, state)?);
+        self.rebind()
+    }
+
+    /// The corrections as they are now, if there are any. Waits.
+    pub(crate) fn read_poses(&self) -> Result<Option<PoseState>, GpuError> {
+        self.poses.as_ref().map(|poses| poses.read(self.gpu)).transpose()
     }
 
     /// From now on [`Self::smooth`] smooths splats as far as these views, the training views, cannot tell.
@@ -378,6 +407,9 @@ impl<'g> Training<'g> {
         let old = self.read_moments_if_any()?;
         self.list_check = new_list_check(self.gpu, &self.pipeline);
         self.bind_loss()?;
+        if let Some(poses) = &mut self.poses {
+            poses.bind(self.gpu, &self.pipeline);
+        }
         (self.adam, self.moments) = new_adam(self.gpu, &self.pipeline)?;
         for (buffer, values) in self.moments.iter().zip(&old) {
             self.gpu.write(buffer, 0, values);

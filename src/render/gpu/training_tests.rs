@@ -6,6 +6,7 @@ use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
     loss::TruthAlpha,
+    pose::{PoseState, PoseStep},
     texels::TexelStep,
     training::{SplatArrays, Step, Training},
 };
@@ -68,16 +69,18 @@ fn step(training: &mut Training, camera: &Camera) {
             texels: Some(texels),
             vertices: None,
             exposure: None,
+            pose: Some(PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 }),
         })
         .unwrap();
 }
 
-type Learnt = (SplatArrays, Vec<f32>, Vec<Atlas>, (Vec<f32>, Vec<f32>));
+type Learnt = (SplatArrays, Vec<f32>, Vec<Atlas>, (Vec<f32>, Vec<f32>), (Vec<f32>, [Vec<f32>; 2]));
 
 /// Everything that a step changes.
 fn learnt(training: &Training) -> Learnt {
     let read = (training.read_splats(), training.read_statistics(), training.read_atlases());
-    (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), training.read_texel_moments().unwrap())
+    let PoseState { values, moments, .. } = training.read_poses().unwrap().unwrap();
+    (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), training.read_texel_moments().unwrap(), (values, moments))
 }
 
 /// Nothing is learnt from an image that lacks what did not fit its lists: four splats in 256 tiles each, where there is
@@ -90,6 +93,7 @@ fn a_step_with_lists_too_short_changes_nothing() {
         // From far away everything is small.
         let (near, far) = (camera(3.0), camera(1e5));
         let mut training = Training::new(&gpu, &scene, &[near], 0.2, TruthAlpha::Ignore).unwrap();
+        training.refine_poses(&PoseState::new(1)).unwrap();
         let before = learnt(&training);
         step(&mut training, &near);
         step(&mut training, &near);
@@ -104,6 +108,7 @@ fn a_step_with_lists_too_short_changes_nothing() {
         step(&mut training, &near);
         let after = learnt(&training);
         assert!(after.0.geometry != before.0.geometry && after.1 != before.1 && after.2 != before.2);
+        assert!(after.4 != before.4);
         assert_eq!(training.take_status().unwrap().skipped, 0);
     }
 }

@@ -84,6 +84,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
                 texels: None,
                 vertices: Some(VertexStep { number: t + 1, rate }),
                 exposure: None,
+                pose: None,
             })
             .unwrap();
     }

@@ -119,9 +119,10 @@ impl Gpu {
         Ok(buffer)
     }
 
-    /// A uniform buffer of `words` 4-byte words.
+    /// A uniform buffer of `words` 4-byte words, which a kernel can write as storage.
     pub(crate) fn uniform(&self, label: &str, words: usize) -> Result<Buffer, GpuError> {
-        self.allocate(label, words as u64 * 4, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST)
+        use wgpu::BufferUsages as U;
+        self.allocate(label, words as u64 * 4, U::UNIFORM | U::STORAGE | U::COPY_DST)
     }
 
     /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4.

@@ -1,0 +1,100 @@
+// Poses of photographs: of every view a rotation vector ω in camera axes, radians, and a shift c of its centre in the world, so that
+// W' = exp(ω)·W and C' = C + c, W and C being what the host knows.
+//
+// `correct`: the view as the host wrote it becomes the corrected one, in place. One thread.
+// `pull`: parts of the gradient by ω and c, summed over splats: what depends on a mean depends on its difference from the centre, so
+// that the latter's gradient is that of the means, turned round. PARTS workgroups; 32 bytes a splat, bound by bandwidth.
+// `update`: their sum, and a step of Adam for the view. One workgroup.
+
+//#import shared/view.wgsl
+//#import shared/adam.wgsl
+//#import shared/status.wgsl
+//#import shared/sum_rows.wgsl with ROWS=2
+
+struct Step {
+    view: u32,                          // of the capture's, whose pose is meant
+    turn_rate: f32,                     // radians; 0: the pose stays
+    shift_rate: f32,                    // world units
+    correction_1: f32,                  // 1 − β₁ᵗ, t being the steps of this view
+    correction_2: f32,                  // 1 − β₂ᵗ
+}
+
+@group(0) @binding(0) var<storage, read_write> view: View;
+// No uniform: whenever one changes that decides on a branch, or is an index, Mesa's software adapter compiles the kernel anew.
+@group(0) @binding(1) var<storage, read> step: Step;
+@group(0) @binding(2) var<storage, read_write> poses: array<vec4f>;         // [view][ω, c]; last of four is 0
+@group(0) @binding(3) var<storage, read_write> first: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> second: array<vec4f>;
+@group(0) @binding(5) var<storage, read> turn_gradient: array<vec4f>;       // [splat]
+@group(0) @binding(6) var<storage, read> geometry_gradient: array<vec4f>;   // [splat][mean, …]
+@group(0) @binding(7) var<storage, read_write> partial: array<vec4f>;       // [workgroup of `pull`][∂L/∂ω, ∂L/∂c]
+@group(0) @binding(8) var<storage, read_write> status: Status;
+
+const PARTS: u32 = 256u;                // as in pose.rs
+
+// exp(ω)·x
+fn turned(turn: vec3f, x: vec3f) -> vec3f {
+    let half = 0.5 * length(turn);
+    var s = 1.0;
+    if half > 1e-4 { s = sin(half) / half; }
+    let across = cross(turn, x);
+    return x + s * cos(half) * across + 0.5 * s * s * cross(turn, across);
+}
+
+@compute @workgroup_size(1)
+fn correct() {
+    let turn = poses[2u * step.view].xyz;
+    let shift = poses[2u * step.view + 1u].xyz;
+    let w = transpose(mat3x4f(view.row_x, view.row_y, view.row_z));
+    let moved = w[3] - shift.x * w[0] - shift.y * w[1] - shift.z * w[2];
+    let rows = transpose(mat4x3f(turned(turn, w[0]), turned(turn, w[1]), turned(turn, w[2]), turned(turn, moved)));
+    view.row_x = rows[0];
+    view.row_y = rows[1];
+    view.row_z = rows[2];
+    view.center += vec4f(shift, 0.0);
+}
+
+@compute @workgroup_size(256)
+fn pull(
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let part = group_index(group, groups);
+    var by_turn = vec4f();
+    var by_shift = vec3f();
+    for (var i = part * 256u + thread; i < view.n_splats; i += PARTS * 256u) {
+        by_turn += turn_gradient[i];
+        by_shift -= geometry_gradient[3u * i].xyz;
+    }
+    sums[thread] = by_turn;
+    sums[256u + thread] = vec4f(by_shift, 0.0);
+    add_up(thread);
+    if thread < 2u && part < PARTS { partial[2u * part + thread] = sums[256u * thread]; }
+}
+
+@compute @workgroup_size(256)
+fn update(@builtin(local_invocation_index) thread: u32) {
+    sums[thread] = partial[2u * thread];
+    sums[256u + thread] = partial[2u * thread + 1u];
+    add_up(thread);
+    let rate = select(step.shift_rate, step.turn_rate, thread == 0u);
+    if thread >= 2u || rate == 0.0 || status.is_short != 0u { return; }
+    let i = 2u * step.view + thread;
+    var g = sums[256u * thread];
+    if thread == 0u {
+        // What was summed is the derivative by a rotation after exp(ω): times the left Jacobian of exp, transposed, to |ω|².
+        let turn = poses[i].xyz;
+        let across = cross(turn, g.xyz);
+        g = vec4f(g.xyz - 0.5 * across + cross(turn, across) / 6.0, 0.0);
+    }
+    let m = BETA_1 * first[i] + 0.1 * g;
+    let v = BETA_2 * second[i] + 0.001 * g * g;
+    let value = poses[i] - rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    first[i] = m;
+    second[i] = v;
+    poses[i] = value;
+    if !(are_finite(value) && are_finite(v)) {
+        atomicOr(&status.not_finite, NOT_FINITE_POSES);
+    }
+}

@@ -1,0 +1,190 @@
+//! Poses of photographs while a scene is trained (`shaders/pose.wgsl`).
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::{
+    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    pipeline::Pipeline,
+};
+use crate::scene::Camera;
+
+/// Workgroups of `pull`.
+const PARTS: usize = 256;
+/// Floats of a view.
+pub(crate) const FLOATS: usize = 8;
+
+/// How the camera of each view differs from the one that is known: rotated after its rotation W, W' = exp(ω)·W, about a centre that is
+/// shifted, C' = C + c; with what Adam holds of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct PoseState {
+    /// ω in camera axes (radians), 0, c in the world's unit, 0; `[V·8]`.
+    pub(crate) values: Vec<f32>,
+    /// First and second moments, as the values.
+    pub(crate) moments: [Vec<f32>; 2],
+    /// Steps so far, `[V]`.
+    pub(crate) steps: Vec<u32>,
+}
+
+impl PoseState {
+    /// Cameras as they are known.
+    pub(crate) fn new(views: usize) -> Self {
+        let zeros = || vec![0.0; FLOATS * views];
+        Self { values: zeros(), moments: [zeros(), zeros()], steps: vec![0; views] }
+    }
+
+    /// Whether it is one of so many views.
+    pub(crate) fn is_of(&self, views: usize) -> bool {
+        let floats = FLOATS * views;
+        self.values.len() == floats && self.moments.iter().all(|m| m.len() == floats) && self.steps.len() == views
+    }
+
+    /// ω and c of a view.
+    pub(crate) fn of(&self, view: usize) -> [DVec3; 2] {
+        [0, 4].map(|at| glam::Vec3::from_slice(&self.values[FLOATS * view + at..]).as_dvec3())
+    }
+
+    fn set(&mut self, view: usize, change: [DVec3; 2]) {
+        let words = change.map(|v| [v.x as f32, v.y as f32, v.z as f32, 0.0]);
+        self.values[FLOATS * view..FLOATS * (view + 1)].copy_from_slice(words.as_flattened());
+    }
+
+    /// The camera of a view, which is known as `camera`.
+    pub(crate) fn apply(&self, view: usize, camera: &Camera) -> Camera {
+        let [turn, shift] = self.of(view);
+        if (turn, shift) == (DVec3::ZERO, DVec3::ZERO) {
+            return *camera;
+        }
+        let rotation = DMat3::from_quat(DQuat::from_scaled_axis(turn)) * camera.rotation();
+        // What is not finite was found by the step that made it.
+        Camera::new(*camera.intrinsics(), rotation, -(rotation * (camera.center() + shift))).unwrap_or(*camera)
+    }
+
+    /// Takes out what the `views` have in common: scene and cameras could be moved, turned and scaled together, and no photograph
+    /// would tell. Of all similarities x + s + θ×d + σd, where d = x − mean of centres, the one nearest to what was changed,
+    /// rotations (radians) counting as much as centres (of `cameras`' root mean square distance from their mean).
+    pub(crate) fn center(&mut self, cameras: &[Camera], views: &[usize]) {
+        let n = views.len().max(1) as f64;
+        let mean = views.iter().map(|&i| cameras[i].center()).sum::<DVec3>() / n;
+        let found: Vec<_> = (views.iter())
+            .map(|&i| {
+                let ([turn, shift], d) = (self.of(i), cameras[i].center() - mean);
+                (d, shift, cameras[i].rotation().transpose() * turn)
+            })
+            .collect();
+        let of_all = |f: fn(&(DVec3, DVec3, DVec3)) -> DVec3| found.iter().map(f).sum::<DVec3>();
+        let shift = of_all(|f| f.1) / n;
+        // Cameras in one place, but for rounding, have no scale.
+        let square: f64 = found.iter().map(|f| f.0.length_squared()).sum();
+        let weight = if square > 1e-18 * n * mean.length_squared() { n / square } else { 0.0 };
+        let growth = weight / n * found.iter().map(|f| f.0.dot(f.1)).sum::<f64>();
+        let outer = found.iter().map(|&(d, ..)| DMat3::from_cols(d.x * d, d.y * d, d.z * d)).sum::<DMat3>();
+        let normal = n * DMat3::IDENTITY + weight * (square * DMat3::IDENTITY - outer);
+        let turn = normal.inverse() * (weight * of_all(|f| f.0.cross(f.1)) - of_all(|f| f.2));
+        for (&i, (d, moved, turned)) in views.iter().zip(&found) {
+            self.set(i, [cameras[i].rotation() * (*turned + turn), *moved - shift - turn.cross(*d) - growth * *d]);
+        }
+    }
+}
+
+/// Which photograph a step trains on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PoseStep {
+    /// Its view.
+    pub(crate) view: usize,
+    /// Rates of Adam, radians and world units; 0: the pose stays as it is.
+    pub(crate) turn_rate: f32,
+    pub(crate) shift_rate: f32,
+}
+
+/// The poses of all views, and the stages before and after the frame.
+pub(crate) struct Poses {
+    correct: Kernel,
+    pull: Kernel,
+    update: Kernel,
+    step: Buffer,
+    values: Buffer,
+    moments: [Buffer; 2],
+    partial: Buffer,
+    steps: Vec<u32>,
+    bindings: Option<Bindings>,
+}
+
+impl Poses {
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn new(gpu: &Gpu, state: &PoseState) -> Result<Self, GpuError> {
+        let kernel = |entry| Kernel::new(gpu, "pose.wgsl", entry, &gpu.defines());
+        let [first, second] = &state.moments;
+        Ok(Self {
+            correct: kernel("correct"),
+            pull: kernel("pull"),
+            update: kernel("update"),
+            step: gpu.storage("pose step", 8)?,
+            values: gpu.storage_with("poses", &state.values)?,
+            moments: [gpu.storage_with("pose moment 1", first)?, gpu.storage_with("pose moment 2", second)?],
+            partial: gpu.storage("pose gradients", 8 * PARTS)?,
+            steps: state.steps.clone(),
+            bindings: None,
+        })
+    }
+
+    /// Binds the buffers of a pipeline that differentiates by poses.
+    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline) {
+        let Some(backward) = &pipeline.backward else { return };
+        let Some(by_turn) = &backward.turn_gradient else { return };
+        let [first, second] = &self.moments;
+        let buffers = [
+            &pipeline.view,
+            &self.step,
+            &self.values,
+            first,
+            second,
+            by_turn,
+            &backward.geometry_gradient,
+            &self.partial,
+            &backward.status,
+        ];
+        self.bindings = Some(self.update.bind(gpu, &buffers));
+    }
+
+    /// Appends to a frame, before anything else of it, what makes its view the corrected one, and says what [`Self::record_update`]
+    /// is to do.
+    pub(crate) fn record_correction(&mut self, gpu: &Gpu, frame: &mut Frame, step: &PoseStep) {
+        let Some(bindings) = &self.bindings else { return };
+        // Also where the step turns out to change nothing, as for exposures.
+        if step.turn_rate != 0.0 {
+            self.steps[step.view] += 1;
+        }
+        let number = f64::from(self.steps[step.view].max(1));
+        let correction = |beta: f64| ((1.0 - beta.powf(number)) as f32).to_bits();
+        let [turn, shift] = [step.turn_rate, step.shift_rate].map(f32::to_bits);
+        let words = [step.view as u32, turn, shift, correction(0.9), correction(0.999), 0, 0, 0];
+        gpu.write(&self.step, 0, &words);
+        frame.dispatch(&self.correct, bindings, 1);
+    }
+
+    /// Appends the step of the view's pose, after the gradients.
+    pub(crate) fn record_update(&self, frame: &mut Frame) {
+        if let Some(bindings) = &self.bindings {
+            frame.dispatch(&self.pull, bindings, PARTS);
+            frame.dispatch(&self.update, bindings, 1);
+        }
+    }
+
+    /// Everything of it. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn read(&self, gpu: &Gpu) -> Result<PoseState, GpuError> {
+        let read = |buffer: &Buffer| gpu.read(buffer, FLOATS * self.steps.len());
+        let [first, second] = &self.moments;
+        Ok(PoseState { values: read(&self.values)?, moments: [read(first)?, read(second)?], steps: self.steps.clone() })
+    }
+
+    /// Replaces everything by a state of as many views.
+    pub(crate) fn write(&mut self, gpu: &Gpu, state: &PoseState) {
+        gpu.write(&self.values, 0, &state.values);
+        self.moments.iter().zip(&state.moments).for_each(|(buffer, values)| gpu.write(buffer, 0, values));
+        self.steps.clone_from(&state.steps);
+    }
+}
