@@ -36,8 +36,9 @@ pub struct FusionOptions {
 
 impl FusionOptions {
     /// The constants of 2DGS for bounded scenes (METHODS 6): radius = least distance of a camera to the point that all
-    /// look at, `max_depth` = 2·radius, voxel = `max_depth`/resolution, truncation = 5 voxels; two views must agree.
-    /// The box holds all but the outermost 0.5 % of `points` on each side and lies within `max_depth` of that point.
+    /// look at (their median distance, where that is more than twice the least: a walk may lead past the point); `max_depth` =
+    /// 2·radius, voxel = `max_depth`/resolution, truncation = 5 voxels; two views must agree. The box holds all but the outermost
+    /// 0.5 % of `points` on each side and lies within `max_depth` of that point.
     ///
     /// # Errors
     /// Without cameras or with resolution 0.
@@ -50,7 +51,10 @@ impl FusionOptions {
         }
         let inner = quantile_box(points, 0.25);
         let focus = focus_point(cameras, inner.map(|(low, high)| (low + high) / 2.0));
-        let radius = cameras.iter().map(|c| c.center().distance(focus)).fold(f64::INFINITY, f64::min);
+        let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(focus)).collect();
+        distances.sort_unstable_by(f64::total_cmp);
+        let (least, median) = (distances[0], distances[distances.len() / 2]);
+        let radius = if least < 0.5 * median { median } else { least };
         // A camera in the very focus (a panorama): the points say how large the scene is.
         let fallback = inner.map_or(1.0, |(low, high)| (high - low).length());
         let radius = if radius > 1e-3 * fallback { radius } else { fallback.max(1e-6) };

@@ -215,6 +215,12 @@ fn suggested_volume_holds_the_scene() {
     assert!((o.truncation / o.voxel - 5.0).abs() < 1e-12);
     assert!(o.bounds.0.max_element() < -1.0 && o.bounds.1.min_element() > 1.0, "{:?}", o.bounds);
     assert!(o.bounds.0.min_element() > -1.5 && o.bounds.1.max_element() < 1.5, "{:?}", o.bounds);
+    // A camera that passes the focus says nothing of how far the scene reaches.
+    let mut walk = cameras.clone();
+    let first = &cameras[0];
+    let beside = -(first.rotation() * DVec3::new(0.1, 0.0, 0.0));
+    walk.push(Camera::new(*first.intrinsics(), first.rotation(), beside).unwrap());
+    assert!((FusionOptions::suggest(&walk, &points, 256).unwrap().max_depth - 6.0).abs() < 0.3);
     assert!(FusionOptions::suggest(&[], &points, 256).is_err());
     assert!(FusionOptions::suggest(&cameras, &points, 0).is_err());
     for (cameras, points) in [(&cameras[..1], &points[..0]), (&[cameras[0]; 3], &points), (&cameras, &points[1001..])] {
