@@ -192,6 +192,12 @@ class Fetch(unittest.TestCase):
         self.assertIn(f"centaur train {folder / 'lego'} --background white -o out/lego/scene.glb", printed)
         self.assertIn(f"centaur bench {folder} -o out/nerf_synthetic -- --background white", printed)
 
+    def test_no_archive_without_a_chosen_scene(self):
+        for scene, file in (("flowers", "360_extra_scenes.zip"), ("room", "360_v2.zip")):
+            Server.paths, Server.content = [], archive([(f"{scene}/sparse/0/cameras.bin", b"c")])
+            self.fetch("mipnerf360", [scene])
+            self.assertEqual(Server.paths, [f"/x/{file}"])
+
     def test_flags_are_those_of_published_tables(self):
         scenes = fetch_captures.CAPTURES["mipnerf360"].scenes
         self.assertEqual(

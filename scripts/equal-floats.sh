@@ -10,27 +10,31 @@ scenes=target/equal-floats
 out=${EQUAL_FLOATS_OUT:-out/equal-floats}
 read -ra budgets <<<"${EQUAL_FLOATS_BUDGETS:-400000 800000 1600000}"
 read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 224 --iterations 1000 --surface-iterations 600 --warmup 600}"
-[ -n "${CENTAUR:-}" ] || cargo build --release --quiet
-centaur() { if [ -n "${CENTAUR:-}" ]; then "$CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+[ -n "${EQUAL_FLOATS_CENTAUR:-}" ] || cargo build --release --quiet
+centaur() { if [ -n "${EQUAL_FLOATS_CENTAUR:-}" ]; then "$EQUAL_FLOATS_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
 
-mkdir -p $scenes
+mkdir -p $scenes "$out"
 link() { # name, capture
-    rm -f "$scenes/$1"
-    if [ -d "$2/sparse" ]; then ln -s "$(realpath "$2")" "$scenes/$1"; else echo "$1: left out, $2 is not there"; fi
+    # A link that is right stays: another run may be reading through it.
+    if [ -d "$2/sparse" ]; then
+        [ "$(readlink "$scenes/$1")" = "$(realpath "$2")" ] || ln -sfn "$(realpath "$2")" "$scenes/$1"
+    else
+        [ -d "$scenes/$1/" ] || rm -f "$scenes/$1"
+        echo "$1: left out, $2 is not there"
+    fi
 }
 link demo demo
 for name in banana16 skull66 maryrose69; do link $name "${CENTAUR_DATA:-/none}/capture_$name"; done
 for name in garden street; do link $name target/unbounded/$name; done
 
-folders=()
 failed=0
 for budget in "${budgets[@]}"; do
-    folders+=("$out/$budget")
     # Captures without masks/ are trained whole. Nothing else is set per scene.
     centaur bench $scenes -o "$out/$budget" "$@" \
         --variant hybrid="--layers 1 --triangles 6000 --texture-size 512" \
         --variant splats=--no-mesh \
         -- "${flags[@]}" --antialias --density mcmc --masks --max-floats "$budget" || failed=1
 done
-python3 scripts/equal_floats_table.py "${folders[@]}" | tee "$out/table.md"
+# Of all budgets there are, also of earlier runs.
+python3 scripts/equal_floats_table.py "$out"/*/ | tee "$out/table.md"
 exit $failed

@@ -61,8 +61,9 @@ def table(folders):
             if scene in scenes:
                 runs = scenes[scene]
                 pairs = [tuple(mean([value(e) for e in runs[v]]) for v in VARIANTS) for _, value, _ in COLUMNS]
-                counts = sorted({len(runs[v]) for v in VARIANTS})
-                lines.append([scene, budget, "/".join(map(str, counts))] + cells(pairs))
+                counts = [len(runs[v]) for v in VARIANTS]
+                seeds = str(counts[0]) if counts[0] == counts[1] else "/".join(map(str, counts))
+                lines.append([scene, budget, seeds] + cells(pairs))
     for budget, scenes in budgets.items():
         whole = [runs for runs in scenes.values() if all(runs.values())]
         # Of LPIPS, only if every capture has it.

@@ -2,13 +2,13 @@
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
-// With w = P·t·α the pair's weight, p = ∂L/∂power and d = pixel − mean, every splat needs ten sums over pixels:
+// With w = P·t·α the pair's weight, p = ∂L/∂power and d = pixel − mean, every splat needs these sums over pixels:
 //     Σp, Σp·dx, Σp·dy, Σp·dx², Σp·dx·dy, Σp·dy², Σw·g (rgb), Σw
 // and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
 // A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
 // summed by the subgroup, or through workgroup memory where there are none; one atomic add per sum, splat and
 // subgroup (or tile) remains. `splat_backward` turns the sums into parameter gradients.
-// Per pair: 1 exp, ~40 flops, no memory; per splat and tile: 52 + 4·LAYERS bytes read, 10 atomic adds a subgroup.
+// Per pair: 1 exp, ~40 flops, no memory; per splat and tile: 52 + 4·LAYERS bytes read, MOMENTS atomic adds a subgroup.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 
@@ -39,7 +39,12 @@ var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 var<workgroup> batch_bucket: array<u32, BATCH>;
 //#end
 //#if !SUBGROUPS
-const CHUNK: u32 = 4u;                                  // splats whose sums are reduced together
+// Splats whose sums are reduced together: as many as 16 KiB hold beside the rest.
+//#if ABSOLUTE
+const CHUNK: u32 = 3u;
+//#else
+const CHUNK: u32 = 4u;
+//#end
 var<workgroup> partial: array<f32, CHUNK * MOMENTS * THREADS>;
 //#end
 var<workgroup> last_end: atomic<u32>;
@@ -227,7 +232,7 @@ fn main(
 //#for c in 0..MOMENTS
             let total$c = subgroupAdd(sums[$c]);
 //#end
-            // One sum a lane, so that the adds are one instruction and not ten of one lane each.
+            // One sum a lane, so that the adds are one instruction and not one each.
             if total9 != 0.0 {
                 for (var c = lane; c < MOMENTS; c += lanes) {
                     var total = total0;

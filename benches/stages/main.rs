@@ -207,7 +207,7 @@ fn memory(adapter: Option<&str>) -> anyhow::Result<Memory> {
         let texels = side as usize * side as usize;
         let (width, height) = (width as usize, width as usize);
         let map_floats = 4 * texels + 24 * (texels / 16);
-        TrainingSize { splats, sh_degree: 3, triangles: 800, map_floats, layers: 1, width, height }
+        TrainingSize { splats, sh_degree: 3, besides: 0, triangles: 800, map_floats, layers: 1, width, height }
     };
     let peak = |splats, side, width| -> anyhow::Result<f64> {
         let camera = scene::camera(width, width);

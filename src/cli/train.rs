@@ -99,8 +99,8 @@ pub(super) struct Args {
     /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
     #[arg(long, help_heading = OPTIMISATION)]
     antialias: bool,
-    /// Begin with pictures of a quarter of the size and grow them, and the number of splats, over the first half of the run (the idea
-    /// of DashGaussian)
+    /// Begin with pictures of a quarter of the size and grow them, and the number of splats, over the first half of the run, or
+    /// three quarters of --surface-iterations (the idea of DashGaussian)
     #[arg(long, help_heading = OPTIMISATION)]
     coarse_to_fine: bool,
     /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; where they

@@ -53,10 +53,10 @@ impl Shell {
         })
     }
 
-    /// Whether a point is one of it, and not of what is within.
+    /// Whether a point is one of it, and not of what is within or, where a surface reaches so far that there is no shell, beyond.
     #[must_use]
     pub fn holds(&self, point: Vec3) -> bool {
-        point.as_dvec3().distance(self.center) > 0.5 * self.radius
+        (point.as_dvec3().distance(self.center) / self.radius - 1.0).abs() < 0.01
     }
 
     /// Its triangles that at least two of the cameras see past `near`, wound to be seen from within. Empty if there are none, or where

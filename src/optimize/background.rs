@@ -28,8 +28,8 @@ const SPREAD: f32 = 0.1;
 /// Distance of the splats in extents of the cameras, but beyond all points: with more, they would hardly shift against another.
 const DISTANCE: f64 = 30.0;
 
-/// Splats in the directions in which several of these views look past all points, with the colours that are seen there; at most
-/// `max_splats`. Round, as wide as they are apart, of opacity ½.
+/// Splats in the directions in which most of the views that look there look past all points, with the colours that are seen there;
+/// at most `max_splats`, evenly. Round, about as wide as they are apart, of opacity ½. None where points say nothing of the size of the scene.
 ///
 /// `photo` decodes a view's picture.
 ///
@@ -43,6 +43,9 @@ pub(super) fn behind_points(
     photo: impl Fn(&View) -> Result<Arc<Photo>, CaptureError> + Sync,
 ) -> Result<Splats, TrainError> {
     let views: Vec<&View> = views.iter().map(|&i| &capture.views[i]).collect();
+    let Some((center, radius)) = sphere(&views, &capture.points).filter(|_| max_splats > 0) else {
+        return Ok(Splats::empty(sh_degree));
+    };
     let maps: Vec<Clear> = views.par_iter().map(|view| Clear::new(&view.camera, &capture.points)).collect();
     let clear: Vec<DVec3> = directions()
         .filter(|&d| {
@@ -52,34 +55,43 @@ pub(super) fn behind_points(
         })
         .collect();
     let stride = views.len().div_ceil(PICTURES).max(1);
-    let pictures: Vec<(&Clear, Arc<Photo>)> = if clear.is_empty() {
-        vec![]
-    } else {
-        let some: Vec<_> = views.iter().zip(&maps).step_by(stride).collect();
-        some.into_par_iter().map(|(view, map)| Ok((map, photo(view)?))).collect::<Result<_, CaptureError>>()?
+    let some: Vec<_> = views.iter().zip(&maps).step_by(if clear.is_empty() { usize::MAX } else { stride }).collect();
+    // Of every picture the colours alone are kept.
+    let shown: Vec<Vec<Option<Vec3>>> = (some.into_par_iter())
+        .map(|(view, map)| photo(view).map(|photo| clear.iter().map(|d| map.color(*d, &photo)).collect()))
+        .collect::<Result<_, CaptureError>>()?;
+    let agreed = |i: usize| {
+        let colors: Vec<Vec3> = shown.iter().filter_map(|colors| colors[i]).collect();
+        let mean = colors.iter().sum::<Vec3>() / colors.len() as f32;
+        let spread = colors.iter().map(|c| c.distance(mean)).sum::<f32>() / colors.len() as f32;
+        (!colors.is_empty() && spread <= SPREAD).then(|| mean.to_array())
     };
-    let found: Vec<(DVec3, [f32; 3])> =
-        clear.into_iter().filter_map(|d| Some((d, agreed_color(d, &pictures)?))).take(max_splats).collect();
+    let found: Vec<(DVec3, [f32; 3])> = (0..clear.len()).filter_map(|i| Some((clear[i], agreed(i)?))).collect();
+    let n = found.len().min(max_splats);
+    let kept: Vec<&(DVec3, [f32; 3])> = (0..n).map(|i| &found[i * found.len() / n]).collect();
 
-    let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
-    let center = cameras.iter().map(|c| c.center()).sum::<DVec3>() / cameras.len().max(1) as f64;
-    let mut distances: Vec<f64> = capture.points.iter().map(|p| p.position.distance(center)).collect();
-    distances.retain(|d| d.is_finite());
-    // Of mismatched points, some lie anywhere.
-    let most = distances.len().saturating_sub(1 + distances.len() / 100);
-    let reach = if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(most, f64::total_cmp).1 };
-    let radius = (DISTANCE * extent(cameras)).max(1.5 * reach);
-    let apart = radius * (2.0 * TAU / DIRECTIONS as f64).sqrt();
-
+    let apart = radius * (2.0 * TAU / DIRECTIONS as f64 * found.len() as f64 / n.max(1) as f64).sqrt();
     let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
-    let mut coefficients = vec![[0.0; 3]; found.len() * terms];
-    for (row, (_, color)) in coefficients.chunks_exact_mut(terms).zip(&found) {
+    let mut coefficients = vec![[0.0; 3]; n * terms];
+    for (row, (_, color)) in coefficients.chunks_exact_mut(terms).zip(&kept) {
         row[0] = sh::dc_from_rgb(*color);
     }
-    let n = found.len();
-    let means: Vec<Vec3> = found.into_iter().map(|(d, _)| (center + radius * d).as_vec3()).collect();
+    let means: Vec<Vec3> = kept.iter().map(|(d, _)| (center + radius * *d).as_vec3()).collect();
     let log_scales = vec![Vec3::splat((apart / 2.0).ln() as f32); n];
     Ok(Splats::new(means, vec![Quat::IDENTITY; n], log_scales, vec![logit(0.5); n], sh_degree, coefficients)?)
+}
+
+/// Where the splats lie: around the cameras, beyond all points but the outermost hundredth, which may be mismatched.
+fn sphere(views: &[&View], points: &[Point]) -> Option<(DVec3, f64)> {
+    let cameras = || views.iter().map(|v| &v.camera);
+    let center = cameras().map(Camera::center).sum::<DVec3>() / views.len().max(1) as f64;
+    let mut distances: Vec<f64> = points.iter().map(|p| p.position.distance(center)).collect();
+    distances.retain(|d| d.is_finite());
+    let most = distances.len().checked_sub(1 + distances.len().div_ceil(100))?;
+    let reach = *distances.select_nth_unstable_by(most, f64::total_cmp).1;
+    let radius = (DISTANCE * extent(cameras())).max(1.5 * reach);
+    // Of f32, in which distances are squared now and then.
+    (radius > 0.0 && radius < 1e18).then_some((center, radius))
 }
 
 /// Unit vectors spread evenly over the sphere (Fibonacci's spiral).
@@ -136,27 +148,20 @@ impl Clear {
         at.y * self.columns + at.x
     }
 
+    /// The colour of a clear direction in the view's picture, where that is whole.
+    fn color(&self, direction: DVec3, photo: &Photo) -> Option<Vec3> {
+        let uv = pixel_of(&self.camera, direction).filter(|_| self.is_clear(direction) == Some(true))?;
+        let p = uv.y as usize * photo.width as usize + uv.x as usize;
+        let rgba = photo.rgba.get(4 * p..4 * p + 4)?;
+        (rgba[3] == 255).then(|| Vec3::new(f32::from(rgba[0]), f32::from(rgba[1]), f32::from(rgba[2])) / 255.0)
+    }
+
     /// Whether no point is near that direction; `None` if the view does not look there.
     fn is_clear(&self, direction: DVec3) -> Option<bool> {
         let at = self.cell_at(pixel_of(&self.camera, direction)?);
         let rows = [at - self.columns, at, at + self.columns];
         Some(!rows.into_iter().any(|middle| self.taken[middle - 1..=middle + 1].contains(&true)))
     }
-}
-
-/// The mean of the colours that the pictures show in a direction, if they are alike.
-fn agreed_color(direction: DVec3, pictures: &[(&Clear, Arc<Photo>)]) -> Option<[f32; 3]> {
-    let shown = |(map, photo): &(&Clear, Arc<Photo>)| {
-        let uv = pixel_of(&map.camera, direction).filter(|_| map.is_clear(direction) == Some(true))?;
-        let p = uv.y as usize * photo.width as usize + uv.x as usize;
-        let rgba = photo.rgba.get(4 * p..4 * p + 4)?;
-        // What is masked or transparent is not there.
-        (rgba[3] == 255).then(|| Vec3::new(f32::from(rgba[0]), f32::from(rgba[1]), f32::from(rgba[2])) / 255.0)
-    };
-    let colors: Vec<Vec3> = pictures.iter().filter_map(shown).collect();
-    let mean = colors.iter().sum::<Vec3>() / colors.len() as f32;
-    let spread = colors.iter().map(|c| c.distance(mean)).sum::<f32>() / colors.len() as f32;
-    (!colors.is_empty() && spread <= SPREAD).then(|| mean.to_array())
 }
 
 #[cfg(test)]
@@ -209,13 +214,22 @@ mod tests {
             behind_points(capture, &views, 1, 1000, photo).unwrap()
         };
         let many = of(&capture, &|_| 50);
-        capture.points.clear();
+        assert!(!many.is_empty());
+        capture.points.truncate(3);
         let all = of(&capture, &|_| 50);
         assert!(many.len() < all.len(), "{} of {}", many.len(), all.len());
+        // All are beyond the points, and as many as there may be, all around.
+        let reach = capture.points.iter().map(|p| p.position.length()).fold(0.0, f64::max) as f32;
+        assert!(all.means().iter().all(|m| m.length() > reach));
+        assert_eq!(all.len(), 1000);
+        let [low, high] = [-1.0, 1.0].map(|sign| all.means().iter().filter(|m| sign * m.z > 0.0).count());
+        assert!(low > 100 && high > 100, "{low} {high}");
         let color = all.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
         assert!((color[0] - 50.0 / 255.0).abs() < 1e-5 && (color[2] - 200.0 / 255.0).abs() < 1e-5, "{color:?}");
         // Views that do not agree see something near; where there is one only, it agrees with itself.
         let differing = of(&capture, &|view| view.name.bytes().fold(0_u8, |a, b| a.wrapping_mul(31).wrapping_add(b)));
         assert!(differing.len() < all.len() / 2, "{} of {}", differing.len(), all.len());
+        capture.points.clear();
+        assert!(of(&capture, &|_| 50).is_empty());
     }
 }

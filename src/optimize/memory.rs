@@ -1,6 +1,6 @@
 //! Whether a run fits the adapter's memory, before it begins.
 
-use super::{MeshSource, TrainError, TrainOptions};
+use super::{Density, MeshSource, TrainError, TrainOptions};
 use crate::{
     geometry::Shell,
     render::gpu::{
@@ -57,6 +57,7 @@ fn size(
     TrainingSize {
         splats,
         sh_degree: options.sh_degree,
+        besides: if options.density == Density::Absgs { 2 } else { 0 } + if options.refine_poses { 4 } else { 0 },
         triangles,
         map_floats: if has_mesh { map_floats(options, texture_size).iter().sum() } else { 0 },
         layers: if has_mesh { options.layers as usize } else { 0 },

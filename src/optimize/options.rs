@@ -41,7 +41,8 @@ pub struct TrainOptions {
     /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
     /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).
     pub antialias: bool,
-    /// Training begins with pictures of a quarter of the size, which grow to the full one over the first half of the run, and with the
+    /// Training begins with pictures of a quarter of the size, which grow to the full one over the first half of the run, or three
+    /// quarters of what comes before a surface is made of splats, and with the
     /// number of splats that they are worth: off (3DGS).
     pub coarse_to_fine: bool,
     /// An affine exposure per training photograph, fitted along: off (3DGS). What all photographs have in common stays in the scene,

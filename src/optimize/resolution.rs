@@ -6,7 +6,7 @@
 
 /// Part of the side that training begins with: a quarter of the content is there.
 const FIRST: f64 = 0.25;
-/// Sizes there are. Each is decoded once and looked at for as many iterations as the others.
+/// Sizes there are. All but the full one are looked at for equally many iterations, each in pictures decoded anew.
 const SIZES: u32 = 7;
 /// No picture is made smaller than this many pixels along its longer side.
 const LEAST_SIDE: f64 = 32.0;

@@ -35,7 +35,7 @@ use crate::{
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, Texture, sh},
 };
 
-/// Decoded photographs are kept up to this many bytes.
+/// Decoded photographs are kept up to this many bytes, of whatever size.
 const PHOTO_BUDGET: usize = 2 << 30;
 /// Splats of a capture without points.
 const RANDOM_SPLATS: usize = 20_000;
@@ -334,7 +334,7 @@ impl<'a> Run<'a> {
         Ok(training)
     }
 
-    /// Splats that a run which may have `most` begins with.
+    /// Splats that a run which may have `most` begins with, but for those behind all points.
     fn initial_count(&self, most: usize) -> usize {
         let points = self.capture.points.len();
         if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
@@ -348,13 +348,12 @@ impl<'a> Run<'a> {
             initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
         } else {
             let (most, cache) = (self.max_splats(beside), &self.cache);
-            // What takes no photograph whole is an object, and has nothing behind it.
-            let behind = match self.truth_alpha {
-                TruthAlpha::Ignore => {
-                    background::behind_points(self.capture, &self.train, o.sh_degree, most / 4, |view| cache.get(view))?
-                }
-                TruthAlpha::Mask | TruthAlpha::Composite => Splats::empty(o.sh_degree),
-            };
+            // An object that is cut out has nothing behind it, and density control by gradients soon prunes what is so large.
+            let is_cut_out = self.truth_alpha == TruthAlpha::Composite
+                || self.capture.views.iter().any(|view| view.source.mask().is_some());
+            let room = if is_cut_out || o.density != Density::Mcmc || self.session.resume { 0 } else { most / 4 };
+            let behind =
+                background::behind_points(self.capture, &self.train, o.sh_degree, room, |view| cache.get(view))?;
             let splats = initialize::from_points(points, o.sh_degree, initial, most - behind.len(), o.seed)?;
             let mut all = splats.into_arrays();
             let behind = behind.into_arrays();
@@ -406,7 +405,10 @@ impl<'a> Run<'a> {
         // Of a surface made from the capture, what is not seen has been dropped. A shorter run has not looked at every view.
         let looks =
             if outcome == Outcome::Finished { self.options.warmup.saturating_add(self.options.iterations) } else { 0 };
-        if self.surface == Some(SurfaceOrigin::Given) && looks as usize >= self.train.len() {
+        if outcome == Outcome::Finished
+            && self.surface == Some(SurfaceOrigin::Given)
+            && looks as usize >= self.train.len()
+        {
             meshes = without_unseen(meshes, &training.read_texel_moments()?.1)?;
         }
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };

@@ -178,7 +178,7 @@ impl Run<'_> {
             self.small = (scale < 1.0).then(|| Small {
                 scale,
                 views: self.capture.views.iter().map(|view| view.scaled(scale)).collect(),
-                cache: PhotoCache::new(PHOTO_BUDGET),
+                cache: PhotoCache::new(PHOTO_BUDGET.saturating_sub(self.cache.bytes())),
             });
         }
     }

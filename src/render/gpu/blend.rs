@@ -6,8 +6,10 @@ use super::{
     splats::{ImageCapacity, SplatLists},
 };
 
-/// Sums per splat that `blend_backward.wgsl` accumulates, with absolute gradients two more.
-pub(crate) const MOMENTS: usize = 10;
+/// Sums per splat that `blend_backward.wgsl` accumulates.
+pub(crate) fn moments(absolute: bool) -> usize {
+    if absolute { 12 } else { 10 }
+}
 
 /// What the backward pass is for.
 #[derive(Clone, Copy)]
@@ -18,13 +20,6 @@ pub(crate) struct Gradients<'a> {
     pub(crate) capacity: usize,
     /// Also sum up how strongly pixels pull at the means, whichever way.
     pub(crate) absolute: bool,
-}
-
-impl Gradients<'_> {
-    /// Floats of a splat in [`Blend::moments`].
-    pub(crate) fn moments(&self) -> usize {
-        MOMENTS + 2 * usize::from(self.absolute)
-    }
 }
 
 /// Depth and colour of the mesh layers, and where their gradient goes.
@@ -114,21 +109,13 @@ impl Blend {
             buffers.extend([&lists.thresholds, l.depth, l.color]);
         }
         let bindings = kernel.bind(gpu, &buffers);
-        let moments = gpu.storage("splat moments", gradients.capacity.max(1) * gradients.moments())?;
+        let sums = gpu.storage("splat moments", gradients.capacity.max(1) * moments(gradients.absolute))?;
         let backward_defines = backward_defines
-            .with("MOMENTS", gradients.moments() as u32)
+            .with("MOMENTS", moments(gradients.absolute) as u32)
             .with("ABSOLUTE", u32::from(gradients.absolute));
         let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &backward_defines);
-        let mut buffers = vec![
-            view,
-            &lists.ranges,
-            lists.pair_splats(),
-            &lists.projected,
-            gradients.image,
-            &buckets,
-            &ends,
-            &moments,
-        ];
+        let mut buffers =
+            vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, gradients.image, &buckets, &ends, &sums];
         if let Some(l) = layers {
             buffers.extend([&lists.thresholds, l.depth, l.color, l.gradient]);
         }
@@ -136,7 +123,7 @@ impl Blend {
         Ok(Self {
             image: pixels,
             forward: (kernel, bindings),
-            backward: Some(Backward { kernel: backward, bindings: backward_bindings, moments, ends }),
+            backward: Some(Backward { kernel: backward, bindings: backward_bindings, moments: sums, ends }),
         })
     }
 

@@ -10,6 +10,8 @@ pub struct TrainingSize {
     pub splats: usize,
     /// Of the splats.
     pub sh_degree: u32,
+    /// Floats per splat that only some runs need: 2 for absolute gradients, 4 for those by poses.
+    pub besides: usize,
     /// Triangles of all meshes.
     pub triangles: usize,
     /// Floats of all maps, without mips: 4 per base texel, 3·((d+1)²−1) per texel of bands.
@@ -57,7 +59,7 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         |side: u32| wide(s.width.div_ceil(side as usize)).saturating_mul(wide(s.height.div_ceil(side as usize)));
     let tiles = per_side(TILE);
     // Parameters, gradients and two moments; projection, blend moments, statistics, five counters, the depth sort.
-    let per_splat = 4 * (12 + sh_floats) + 12 + 10 + 4 + 5 + 4 + layers.max(1);
+    let per_splat = 4 * (12 + sh_floats) + 12 + 10 + 4 + 5 + 4 + layers.max(1) + wide(s.besides);
     let pairs = wide(PAIRS_PER_SPLAT).saturating_mul(splats);
     // Image, its gradient, photograph, slopes of SSIM; colour, transmittance and end of every bucket.
     let mut per_pixel = 4 + 4 + 1 + 12 + 5 * (layers + 1);
@@ -109,8 +111,16 @@ mod tests {
     #[test]
     fn absurd_sizes_saturate() {
         let n = usize::MAX;
-        let size =
-            TrainingSize { splats: n, sh_degree: 3, triangles: n, map_floats: n, layers: 4, width: n, height: n };
+        let size = TrainingSize {
+            splats: n,
+            sh_degree: 3,
+            besides: n,
+            triangles: n,
+            map_floats: n,
+            layers: 4,
+            width: n,
+            height: n,
+        };
         assert_eq!(training_bytes(&size).total(), u64::MAX);
     }
 }

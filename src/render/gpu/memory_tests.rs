@@ -95,6 +95,7 @@ fn the_account_of_training_is_what_is_allocated() {
         let size = TrainingSize {
             splats,
             sh_degree: SH_DEGREE,
+            besides: 0,
             triangles: 1,
             map_floats: 4 * texels * texels,
             layers: LAYERS as usize,
@@ -113,6 +114,7 @@ fn a_million_splats_fit_eight_gigabytes() {
     let size = TrainingSize {
         splats: 1_000_000,
         sh_degree: 3,
+        besides: 0,
         triangles: 200_000,
         map_floats: 4 * 2048 * 2048 + 24 * 512 * 512,
         layers: 2,

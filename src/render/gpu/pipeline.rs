@@ -1,7 +1,7 @@
 //! One frame, forward and backward: which stage runs when, on which buffers.
 
 use super::{
-    blend::{Blend, Gradients, LayerBuffers},
+    blend::{Blend, Gradients, LayerBuffers, moments},
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     mesh::MeshStage,
     renderer::Picture,
@@ -184,28 +184,32 @@ impl Pipeline {
         Ok(short || mesh_grew)
     }
 
-    /// From now on the statistics also hold absolute gradients, for AbsGS; begins them anew.
+    /// From now on the statistics also hold absolute gradients, for AbsGS. What reads the image must be bound anew.
     pub(crate) fn sum_absolute_gradients(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
-        if let Some(backward) = &mut self.backward {
-            backward.besides.absolute = true;
-            // So that the kernel is made anew.
-            backward.capacity = usize::MAX;
-        }
-        self.renew_lists(gpu, self.lists.pair_capacity())
+        self.find_besides(gpu, |besides| besides.absolute = true)
     }
 
-    /// From now on there are gradients by the pose of the camera, too, as far as splats depend on it; statistics begin anew.
+    /// From now on there are gradients by the pose of the camera, too, as far as splats depend on it. What reads the image must be
+    /// bound anew.
     pub(crate) fn differentiate_poses(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
-        if let Some(backward) = &mut self.backward {
-            backward.besides.by_pose = true;
-            backward.capacity = usize::MAX;
+        self.find_besides(gpu, |besides| besides.by_pose = true)
+    }
+
+    fn find_besides(&mut self, gpu: &Gpu, change: impl FnOnce(&mut Besides)) -> Result<(), GpuError> {
+        let Some(backward) = &mut self.backward else { return Ok(()) };
+        change(&mut backward.besides);
+        let layers = layer_buffers(self.mesh.as_ref());
+        self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, self.gradients())?;
+        if let Some(backward) = self.backward.take() {
+            let backward = backward.for_besides(gpu, &self.splats)?;
+            self.backward = Some(backward.bind(gpu, &self.view, &self.splats, &self.lists, &self.blend));
         }
-        self.renew_lists(gpu, self.lists.pair_capacity())
+        Ok(())
     }
 
     /// Floats of a splat in the moments of the blend.
     pub(crate) fn moments(&self) -> usize {
-        self.gradients().map_or(0, |gradients| gradients.moments())
+        self.backward.as_ref().map_or(0, |backward| moments(backward.besides.absolute))
     }
 
     fn gradients(&self) -> Option<Gradients<'_>> {
@@ -278,6 +282,16 @@ fn layer_buffers(mesh: Option<&MeshStage>) -> Option<LayerBuffers<'_>> {
     mesh.map(|m| LayerBuffers { depth: m.layer_depth(), color: m.layer_color(), gradient: m.layer_gradient() })
 }
 
+fn splat_kernel(gpu: &Gpu, splats: &SplatBuffers, Besides { absolute, by_pose }: Besides) -> Kernel {
+    let defines = gpu
+        .defines()
+        .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
+        .with("MOMENTS", moments(absolute) as u32)
+        .with("ABSOLUTE", u32::from(absolute))
+        .with("POSES", u32::from(by_pose));
+    Kernel::new(gpu, "splat_backward.wgsl", "main", &defines)
+}
+
 impl Backward {
     fn new(
         gpu: &Gpu,
@@ -289,15 +303,6 @@ impl Backward {
         besides: Besides,
     ) -> Result<Self, GpuError> {
         let terms = sh::coefficients(splats.sh_degree);
-        let Besides { absolute, by_pose } = besides;
-        let moments = Gradients { image: &image_gradient, capacity: splats.capacity, absolute }.moments();
-        let defines = gpu
-            .defines()
-            .with("SH_TERMS", terms as u32)
-            .with("MOMENTS", moments as u32)
-            .with("ABSOLUTE", u32::from(absolute))
-            .with("POSES", u32::from(by_pose));
-        let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &defines);
         let unbound = Self {
             capacity: splats.capacity,
             image_gradient,
@@ -305,12 +310,21 @@ impl Backward {
             sh_gradient: gpu.storage("SH gradient", splats.capacity * 3 * terms)?,
             statistics: gpu.storage("density statistics", splats.capacity * 4)?,
             status,
-            turn_gradient: if by_pose { Some(gpu.storage("rotation gradients", splats.capacity * 4)?) } else { None },
+            turn_gradient: None,
             besides,
-            kernel,
+            kernel: splat_kernel(gpu, splats, besides),
             bindings: None,
         };
-        Ok(unbound.bind(gpu, view, splats, lists, blend))
+        Ok(unbound.for_besides(gpu, splats)?.bind(gpu, view, splats, lists, blend))
+    }
+
+    /// The same buffers, and what is found besides has its own; yet to be bound.
+    fn for_besides(mut self, gpu: &Gpu, splats: &SplatBuffers) -> Result<Self, GpuError> {
+        self.kernel = splat_kernel(gpu, splats, self.besides);
+        if self.besides.by_pose && self.turn_gradient.is_none() {
+            self.turn_gradient = Some(gpu.storage("rotation gradients", splats.capacity * 4)?);
+        }
+        Ok(self)
     }
 
     /// The same buffers behind other lists.

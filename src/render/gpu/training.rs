@@ -173,8 +173,10 @@ impl<'g> Training<'g> {
             return Ok(());
         }
         self.pipeline.differentiate_poses(self.gpu)?;
-        self.poses = Some(Poses::new(self.gpu, state)?);
-        self.rebind()
+        let mut poses = Poses::new(self.gpu, state)?;
+        poses.bind(self.gpu, &self.pipeline);
+        self.poses = Some(poses);
+        self.bind_loss()
     }
 
     /// The corrections as they are now, if there are any. Waits.
@@ -198,7 +200,7 @@ impl<'g> Training<'g> {
     /// From now on the statistics of density control hold absolute gradients as well.
     pub(crate) fn sum_absolute_gradients(&mut self) -> Result<(), GpuError> {
         self.pipeline.sum_absolute_gradients(self.gpu)?;
-        self.rebind()
+        self.bind_loss()
     }
 
     /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.
