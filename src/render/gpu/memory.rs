@@ -114,7 +114,7 @@ mod tests {
         let size = TrainingSize {
             splats: n,
             sh_degree: 3,
-            besides: n,
+            besides: 6,
             triangles: n,
             map_floats: n,
             layers: 4,
