@@ -118,7 +118,8 @@ fn resumes_in_both_phases(options: TrainOptions) {
     let bench = Bench::new(square(), options);
     let straight = bench.run(false, None);
     let splats: Vec<usize> = straight.history.iter().map(|p| p.splats).collect();
-    assert!(splats.contains(&700) && *splats.last().unwrap() > 700, "no density step was tested: {splats:?}");
+    let first = splats.iter().find(|n| **n > 0).unwrap();
+    assert!(splats.last().unwrap() > first, "no density step was tested: {splats:?}");
     for stop_at in [(Phase::Warmup, 10), (Phase::Joint, 30)] {
         bench.assert_same(&straight.history, stop_at);
     }
