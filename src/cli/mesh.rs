@@ -7,7 +7,7 @@ use centaur::geometry::{self, MeshBvh, PointView, SparseStats, Surface, SurfaceD
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 
 use super::edits::positive;
 use super::output;
@@ -139,15 +139,8 @@ fn compare(surface: &Surface, truth: &Surface, within: Option<f64>, capture: &Ca
     let bvh = MeshBvh::new([(truth.positions.as_slice(), truth.triangles.as_slice())]);
     let is_seen = |p: DVec3| {
         capture.views.iter().any(|View { camera, .. }| {
-            let local = camera.rotation() * p + camera.translation();
-            let pixel = camera.project(local);
-            let k = camera.intrinsics();
-            let is_inside = local.z > 0.0
-                && pixel.cmpge(DVec2::ZERO).all()
-                && pixel.x < f64::from(k.width)
-                && pixel.y < f64::from(k.height);
             let center = camera.center();
-            is_inside && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
+            camera.in_picture(camera.to_camera(p)).is_some() && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
         })
     };
     let within = within.unwrap_or(0.01 * diagonal);

@@ -107,8 +107,8 @@ pub(super) struct Args {
     /// do not it costs quality. Held-out views are rendered without (a row of its own in comparisons)
     #[arg(long, help_heading = OPTIMISATION)]
     exposure: bool,
-    /// Correct the training photographs' poses along, as long as splats are trained without a mesh, for captures whose poses are not
-    /// exact; where they are it may cost quality. The scene's cameras are the corrected ones, --json lists what was corrected
+    /// Correct the training photographs' poses along, until a surface is made (without a mesh, to the end), for captures whose poses are
+    /// not exact; where they are it may cost quality. The scene's cameras are the corrected ones, --json lists what was corrected
     #[arg(long, conflicts_with = "mesh", help_heading = OPTIMISATION)]
     refine_poses: bool,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bvh::MeshBvh;
@@ -118,12 +118,7 @@ fn field_of_view(camera: &Camera) -> f64 {
 }
 
 fn is_in_picture(camera: &Camera, world: DVec3) -> bool {
-    let p = camera.to_camera(world);
-    let k = camera.intrinsics();
-    let pixel = camera.project(p);
-    p.z > 0.0
-        && pixel.cmpge(DVec2::ZERO).all()
-        && pixel.cmplt(DVec2::new(f64::from(k.width), f64::from(k.height))).all()
+    camera.in_picture(camera.to_camera(world)).is_some()
 }
 
 /// Unit vectors and triangles, counter-clockwise from outside.
@@ -163,7 +158,7 @@ fn icosphere(subdivisions: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
 
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
+    use glam::{DMat3, DVec2};
 
     use super::*;
     use crate::scene::Intrinsics;

@@ -128,11 +128,7 @@ pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
 /// Pixel and depth of a point in front of the camera and inside its picture.
 fn project(camera: &Camera, point: Vec3) -> Option<(DVec2, f64)> {
     let p = camera.to_camera(point.as_dvec3());
-    let k = camera.intrinsics();
-    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
-    let pixel = (p.z > 0.0).then(|| camera.project(p))?;
-    // Phrased so that NaN fails.
-    (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all()).then_some((pixel, p.z))
+    Some((camera.in_picture(p)?, p.z))
 }
 
 /// The same view as a picture of `SIDE` pixels.

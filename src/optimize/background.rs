@@ -29,7 +29,8 @@ const SPREAD: f32 = 0.1;
 const DISTANCE: f64 = 30.0;
 
 /// Splats in the directions in which most of the views that look there look past all points, with the colours that are seen there;
-/// at most `max_splats`, evenly. Round, about as wide as they are apart, of opacity ½. None where points say nothing of the size of the scene.
+/// at most `max_splats`, evenly. Round, about as wide as they are apart, of opacity ½. None where points say nothing of the size of
+/// the scene.
 ///
 /// `photo` decodes a view's picture.
 ///
@@ -105,19 +106,6 @@ fn directions() -> impl Iterator<Item = DVec3> {
     })
 }
 
-/// Where a camera sees a direction: a pixel, in continuous coordinates, within the picture.
-fn pixel_of(camera: &Camera, direction: DVec3) -> Option<DVec2> {
-    inside(camera, camera.rotation() * direction)
-}
-
-/// The pixel of a place in camera space, or of a direction.
-fn inside(camera: &Camera, p: DVec3) -> Option<DVec2> {
-    let k = camera.intrinsics();
-    let uv = DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
-    (p.z > 0.0 && uv.cmpge(DVec2::ZERO).all() && uv.cmplt(size).all()).then_some(uv)
-}
-
 /// Which cells of a view's picture have points before them, hidden or not.
 struct Clear {
     camera: Camera,
@@ -135,7 +123,7 @@ impl Clear {
         let (columns, rows) = (cells(k.width), cells(k.height));
         let mut map = Self { camera: *camera, cell, columns, taken: vec![false; columns * rows] };
         for point in points {
-            if let Some(uv) = inside(camera, camera.to_camera(point.position)) {
+            if let Some(uv) = camera.in_picture(camera.to_camera(point.position)) {
                 let at = map.cell_at(uv);
                 map.taken[at] = true;
             }
@@ -148,9 +136,14 @@ impl Clear {
         at.y * self.columns + at.x
     }
 
+    /// Where the view sees a direction, if it does.
+    fn pixel_of(&self, direction: DVec3) -> Option<DVec2> {
+        self.camera.in_picture(self.camera.rotation() * direction)
+    }
+
     /// The colour of a clear direction in the view's picture, where that is whole.
     fn color(&self, direction: DVec3, photo: &Photo) -> Option<Vec3> {
-        let uv = pixel_of(&self.camera, direction).filter(|_| self.is_clear(direction) == Some(true))?;
+        let uv = self.pixel_of(direction).filter(|_| self.is_clear(direction) == Some(true))?;
         let p = uv.y as usize * photo.width as usize + uv.x as usize;
         let rgba = photo.rgba.get(4 * p..4 * p + 4)?;
         (rgba[3] == 255).then(|| Vec3::new(f32::from(rgba[0]), f32::from(rgba[1]), f32::from(rgba[2])) / 255.0)
@@ -158,7 +151,7 @@ impl Clear {
 
     /// Whether no point is near that direction; `None` if the view does not look there.
     fn is_clear(&self, direction: DVec3) -> Option<bool> {
-        let at = self.cell_at(pixel_of(&self.camera, direction)?);
+        let at = self.cell_at(self.pixel_of(direction)?);
         let rows = [at - self.columns, at, at + self.columns];
         Some(!rows.into_iter().any(|middle| self.taken[middle - 1..=middle + 1].contains(&true)))
     }

@@ -128,8 +128,8 @@ pub struct Session<'a> {
 /// Trains a static scene on the training views of a capture (all but every eighth).
 ///
 /// # Errors
-/// If a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, no surface is found, the adapter fails or a parameter is
-/// no longer finite.
+/// If a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, no surface is found, the
+/// adapter fails or a parameter is no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
     mesh: MeshSource,
@@ -250,6 +250,7 @@ impl<'a> Run<'a> {
             (Some(path), true) => Some(Saved::read(path, &self.identity)?),
             _ => None,
         };
+        let resumes = saved.is_some();
         memory::check(
             self.session.gpu,
             self.options,
@@ -276,7 +277,7 @@ impl<'a> Run<'a> {
             (None, _) => vec![],
         };
         // A mesh that is there from the beginning takes its part of the budget from the beginning.
-        let splats = self.initial_splats(if self.hands_over { &[] } else { &meshes })?;
+        let splats = self.initial_splats(if self.hands_over { &[] } else { &meshes }, !resumes)?;
         let mut scene = HybridScene { splats, meshes, composition: self.composition() };
         let mut trained = None;
         if self.hands_over && after_surface.is_none() {
@@ -340,7 +341,8 @@ impl<'a> Run<'a> {
         if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
     }
 
-    fn initial_splats(&self, beside: &[Mesh]) -> Result<Splats, TrainError> {
+    /// `begins` unless what is resumed replaces them.
+    fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
         let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
         Ok(if points.is_empty() {
@@ -351,7 +353,7 @@ impl<'a> Run<'a> {
             // An object that is cut out has nothing behind it, and density control by gradients soon prunes what is so large.
             let is_cut_out = self.truth_alpha == TruthAlpha::Composite
                 || self.capture.views.iter().any(|view| view.source.mask().is_some());
-            let room = if is_cut_out || o.density != Density::Mcmc || self.session.resume { 0 } else { most / 4 };
+            let room = if is_cut_out || o.density != Density::Mcmc || !begins { 0 } else { most / 4 };
             let behind =
                 background::behind_points(self.capture, &self.train, o.sh_degree, room, |view| cache.get(view))?;
             let splats = initialize::from_points(points, o.sh_degree, initial, most - behind.len(), o.seed)?;
@@ -402,13 +404,10 @@ impl<'a> Run<'a> {
         check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
         let mut meshes = training.read_meshes(&scene.meshes)?;
-        // Of a surface made from the capture, what is not seen has been dropped. A shorter run has not looked at every view.
-        let looks =
-            if outcome == Outcome::Finished { self.options.warmup.saturating_add(self.options.iterations) } else { 0 };
-        if outcome == Outcome::Finished
-            && self.surface == Some(SurfaceOrigin::Given)
-            && looks as usize >= self.train.len()
-        {
+        // Of a surface made from the capture, what is not seen has been dropped. Two epochs have looked at every view, also where
+        // lists were too short for an iteration.
+        let has_seen_all = self.options.warmup.max(self.options.iterations) as usize >= 2 * self.train.len();
+        if outcome == Outcome::Finished && self.surface == Some(SurfaceOrigin::Given) && has_seen_all {
             meshes = without_unseen(meshes, &training.read_texel_moments()?.1)?;
         }
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };

@@ -111,6 +111,15 @@ impl Camera {
         DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy)
     }
 
+    /// Where a camera-space point, or direction, is in the picture: its continuous pixel position, if it is in front and inside. Not if it
+    /// is not a number.
+    #[must_use]
+    pub fn in_picture(&self, p: DVec3) -> Option<DVec2> {
+        let size = DVec2::new(f64::from(self.intrinsics.width), f64::from(self.intrinsics.height));
+        let uv = (p.z > 0.0).then(|| self.project(p))?;
+        (uv.cmpge(DVec2::ZERO).all() && uv.cmplt(size).all()).then_some(uv)
+    }
+
     /// Camera-space ray with z = 1 through continuous pixel position `uv`.
     #[must_use]
     pub fn ray(&self, uv: DVec2) -> DVec3 {
@@ -132,6 +141,17 @@ mod tests {
     fn pose(rotation: DMat3) -> Result<Camera, SceneError> {
         let intrinsics = Intrinsics { width: 4, height: 3, fx: 2.0, fy: 2.0, cx: 2.0, cy: 1.5 };
         Camera::new(intrinsics, rotation, DVec3::ZERO)
+    }
+
+    #[test]
+    fn what_is_in_the_picture() {
+        let camera = pose(DMat3::IDENTITY).unwrap();
+        assert_eq!(camera.in_picture(DVec3::new(0.5, -0.5, 1.0)), Some(DVec2::new(3.0, 0.5)));
+        // Its left upper corner belongs to it, its right and lower sides do not.
+        assert_eq!(camera.in_picture(DVec3::new(-1.0, -0.75, 1.0)), Some(DVec2::ZERO));
+        for outside in [[1.0, 0.0, 1.0], [0.0, 0.75, 1.0], [0.0, 0.0, -1.0], [0.0; 3], [f64::NAN, 0.0, 1.0]] {
+            assert_eq!(camera.in_picture(DVec3::from(outside)), None, "{outside:?}");
+        }
     }
 
     #[test]

@@ -200,8 +200,9 @@ impl Pipeline {
         change(&mut backward.besides);
         let layers = layer_buffers(self.mesh.as_ref());
         self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, self.gradients())?;
-        if let Some(backward) = self.backward.take() {
-            let backward = backward.for_besides(gpu, &self.splats)?;
+        if let Some(mut backward) = self.backward.take() {
+            backward.kernel = splat_kernel(gpu, &self.splats, backward.besides);
+            backward.turn_gradient = turn_gradient(gpu, &self.splats, backward.besides)?;
             self.backward = Some(backward.bind(gpu, &self.view, &self.splats, &self.lists, &self.blend));
         }
         Ok(())
@@ -292,6 +293,10 @@ fn splat_kernel(gpu: &Gpu, splats: &SplatBuffers, Besides { absolute, by_pose }:
     Kernel::new(gpu, "splat_backward.wgsl", "main", &defines)
 }
 
+fn turn_gradient(gpu: &Gpu, splats: &SplatBuffers, besides: Besides) -> Result<Option<Buffer>, GpuError> {
+    besides.by_pose.then(|| gpu.storage("rotation gradients", splats.capacity * 4)).transpose()
+}
+
 impl Backward {
     fn new(
         gpu: &Gpu,
@@ -310,21 +315,12 @@ impl Backward {
             sh_gradient: gpu.storage("SH gradient", splats.capacity * 3 * terms)?,
             statistics: gpu.storage("density statistics", splats.capacity * 4)?,
             status,
-            turn_gradient: None,
+            turn_gradient: turn_gradient(gpu, splats, besides)?,
             besides,
             kernel: splat_kernel(gpu, splats, besides),
             bindings: None,
         };
-        Ok(unbound.for_besides(gpu, splats)?.bind(gpu, view, splats, lists, blend))
-    }
-
-    /// The same buffers, and what is found besides has its own; yet to be bound.
-    fn for_besides(mut self, gpu: &Gpu, splats: &SplatBuffers) -> Result<Self, GpuError> {
-        self.kernel = splat_kernel(gpu, splats, self.besides);
-        if self.besides.by_pose && self.turn_gradient.is_none() {
-            self.turn_gradient = Some(gpu.storage("rotation gradients", splats.capacity * 4)?);
-        }
-        Ok(self)
+        Ok(unbound.bind(gpu, view, splats, lists, blend))
     }
 
     /// The same buffers behind other lists.

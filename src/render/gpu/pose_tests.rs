@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     render::{reference, testing},
-    scene::{Camera, HybridScene, OrderMode, PixelFilter},
+    scene::{Camera, HybridScene, OrderMode, PixelFilter, Splats},
 };
 
 const RATES: SplatRates =
@@ -85,7 +85,12 @@ fn l1(scene: &HybridScene, camera: &Camera, truth: &[u8]) -> f64 {
 fn assert_gradient(gpu: &Gpu, mut scene: HybridScene, camera: &Camera, h: f64, tolerance: f64) {
     scene.meshes.clear();
     scene.composition.background = [0.3, 0.2, 0.1];
-    let mut training = Training::new(gpu, &scene, &[*camera], 0.0, TruthAlpha::Ignore).unwrap();
+    let training = Training::new(gpu, &scene, &[*camera], 0.0, TruthAlpha::Ignore).unwrap();
+    assert_gradient_of(training, &scene, camera, h, tolerance);
+}
+
+/// The same of a training that was made before.
+fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Camera, h: f64, tolerance: f64) {
     training.refine_poses(&poses()).unwrap();
     step(&mut training, camera, scene.splats.sh_degree(), Some(POSE));
     if training.grow_if_short().unwrap() {
@@ -94,7 +99,7 @@ fn assert_gradient(gpu: &Gpu, mut scene: HybridScene, camera: &Camera, h: f64, t
     }
     let after = training.read_poses().unwrap().unwrap();
     let truth = truth(camera);
-    assert!((training.loss().unwrap().l1 - l1(&scene, &changed(camera, CHANGE), &truth)).abs() < 1e-5);
+    assert!((training.loss().unwrap().l1 - l1(scene, &changed(camera, CHANGE), &truth)).abs() < 1e-5);
 
     // Adam's first moment of the first step is a tenth of the gradient.
     for part in 0..2 {
@@ -105,7 +110,7 @@ fn assert_gradient(gpu: &Gpu, mut scene: HybridScene, camera: &Camera, h: f64, t
             let at = |h: f64| {
                 let mut moved = CHANGE;
                 moved[part][axis] += h;
-                l1(&scene, &changed(camera, moved), &truth)
+                l1(scene, &changed(camera, moved), &truth)
             };
             let (numeric, found) = ((at(h) - at(-h)) / (2.0 * h), found(axis));
             assert!((numeric - found).abs() < tolerance * largest, "{part}.{axis}: {found}, differences say {numeric}");
@@ -135,6 +140,31 @@ fn gradients_are_those_of_the_reference() {
         let (scene, camera) = testing::random_scene(5, 300, 0, 2, 1, OrderMode::Stable);
         assert_gradient(&gpu, scene, &camera, 1e-8, 2e-4);
     }
+}
+
+/// Everything that only some runs have at once, begun with fewer splats than there is room for later.
+#[test]
+fn more_splats_than_there_was_room_for_pull_at_poses() {
+    let gpu = Gpu::open(None).unwrap();
+    let (mut scene, camera) = testing::random_scene(5, 300, 0, 2, 1, OrderMode::Stable);
+    scene.meshes.clear();
+    scene.composition.background = [0.3, 0.2, 0.1];
+    let few = Splats::new(
+        scene.splats.means()[..10].to_vec(),
+        scene.splats.rotations()[..10].to_vec(),
+        scene.splats.log_scales()[..10].to_vec(),
+        scene.splats.opacity_logits()[..10].to_vec(),
+        scene.splats.sh_degree(),
+        (0..10).flat_map(|i| scene.splats.sh_of(i)).copied().collect(),
+    );
+    let few = HybridScene { splats: few.unwrap(), meshes: vec![], composition: scene.composition };
+    let mut training = Training::new(&gpu, &few, &[camera], 0.0, TruthAlpha::Ignore).unwrap();
+    training.sum_absolute_gradients().unwrap();
+    training.refine_poses(&poses()).unwrap();
+    let all = Training::new(&gpu, &scene, &[camera], 0.0, TruthAlpha::Ignore).unwrap().read_splats().unwrap();
+    assert!(training.pipeline.splats.capacity < 300);
+    training.write_splats(&all).unwrap();
+    assert_gradient_of(training, &scene, &camera, 1e-8, 2e-4);
 }
 
 #[test]
