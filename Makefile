@@ -10,13 +10,14 @@ export XDG_RUNTIME_DIR ?= /tmp
 DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
-ABLATION_FLAGS ?=
+ABLATIONS_ARGUMENTS ?=
 EQUAL_FLOATS_ARGUMENTS ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
 ORACLES := .venv-oracles
 ORACLES_LPIPS := .venv-oracles-lpips
+ORACLES_FLIP := .venv-oracles-flip
 BENCH_RAY := .venv-bench-ray
 ORACLES_USD := .venv-oracles-usd
 ORACLES_COMPOSITION := .venv-oracles-composition
@@ -31,7 +32,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-lpips bench-ray ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat oracle-lpips oracle-flip bench-ray ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -91,7 +92,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
@@ -106,6 +107,12 @@ oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 oracle-lpips: $(ORACLES_LPIPS)/installed
 	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py target/oracles/lpips
 	CENTAUR_LPIPS_FIXTURE=$(abspath target/oracles/lpips) cargo test --release --test lpips_oracle -- --ignored --nocapture
+
+oracle-flip: $(ORACLES_FLIP)/installed ## FLIP of `centaur eval` by its own package
+	@mkdir -p target/oracles
+	$(CENTAUR) train demo -o target/oracles/flip.glb $(COARSE)
+	$(CENTAUR) eval target/oracles/flip.glb demo --max-side 112 -o target/oracles/flip --quiet
+	$(ORACLES_FLIP)/bin/python tests/oracles/check_flip.py target/oracles/flip
 
 bench-ray: $(BENCH_RAY)/installed ## `centaur bench` on two nodes of Ray on this machine (PyPI's ray)
 	cargo build --release --quiet
@@ -157,6 +164,11 @@ crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and pla
 .venv-blender-%/installed:
 	$(BLENDER_PYTHON) -m venv .venv-blender-$*
 	.venv-blender-$*/bin/pip install --quiet --disable-pip-version-check bpy==$*
+	touch $@
+
+$(ORACLES_FLIP)/installed:
+	$(PYTHON) -m venv $(ORACLES_FLIP)
+	$(ORACLES_FLIP)/bin/pip install --quiet --disable-pip-version-check flip-evaluator==1.7 numpy pillow
 	touch $@
 
 $(ORACLES_LPIPS)/installed: tests/oracles/requirements-lpips.txt
@@ -250,8 +262,8 @@ captures: system ## hybrid against splats alone at equal floats, two seeds, on t
 equal-floats: system ## hybrid against splats alone at equal floats and three budgets, filters on both, on all captures at hand
 	scripts/equal-floats.sh $(EQUAL_FLOATS_ARGUMENTS)
 
-ablations: system ## what each choice of the hybrid is worth, on the demo and the captures in CENTAUR_DATA (ABLATION_FLAGS="--scenes demo")
-	scripts/ablations.sh $(ABLATION_FLAGS)
+ablations: system ## what each choice of the hybrid is worth, on the demo and the captures in CENTAUR_DATA (ABLATIONS_ARGUMENTS="--scenes demo")
+	scripts/ablations.sh $(ABLATIONS_ARGUMENTS)
 
 bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
 	cargo bench --bench stages -- $(BENCH_FLAGS)

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # What each choice of the hybrid is worth, at equal floats: `ablations.sh [options of centaur bench]`, such as `--scenes demo` or `--jobs 2`.
 # On the demo capture and on those of $CENTAUR_DATA; about 2 minutes a run on 2 cores without a GPU. The table goes to out/ablations.
+# ABLATIONS_FLAGS="--max-side 176 …" (in place of those of training below), ABLATIONS_OUT=FOLDER, ABLATIONS_CENTAUR=PROGRAM.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 scenes=target/ablations
@@ -9,8 +10,11 @@ ln -sfn "$PWD/demo" $scenes/demo
 for name in banana16 skull66; do
     [ ! -d "${CENTAUR_DATA:-/none}/capture_$name" ] || ln -sfn "$CENTAUR_DATA/capture_$name" $scenes/$name
 done
+read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600 --warmup 600 --max-side 356 --max-floats 1000000}"
+centaur=(cargo run --release --quiet --)
+[ -z "${ABLATIONS_CENTAUR:-}" ] || centaur=("$ABLATIONS_CENTAUR")
 # The first is what the others change; --warmup 0 leaves maps as they are made and every triangle in place.
-cargo run --release --quiet -- bench $scenes -o out/ablations "$@" \
+"${centaur[@]}" bench $scenes -o "${ABLATIONS_OUT:-out/ablations}" "$@" \
     --variant hybrid \
     --variant splats=--no-mesh \
     --variant direct="--mode direct" \
@@ -28,4 +32,4 @@ cargo run --release --quiet -- bench $scenes -o out/ablations "$@" \
     --variant inria="--density inria" \
     --variant antialias=--antialias \
     --variant splats-antialias="--no-mesh --antialias" \
-    -- --iterations 1000 --surface-iterations 600 --warmup 600 --layers 1 --triangles 6000 --texture-size 512 --max-side 356 --max-floats 1000000
+    -- --layers 1 --triangles 6000 --texture-size 512 "${flags[@]}"

@@ -12,6 +12,7 @@ VARIANTS = ("hybrid", "splats")
 COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 2),
     ("SSIM", lambda e: e["ssim_inria"], 3),
+    ("FLIP", lambda e: e.get("flip"), 4),
     ("LPIPS", lambda e: (e.get("lpips") or {}).get("normalized"), 3),
     ("splats", lambda e: e["splats"], 0),
     ("floats", lambda e: e["total_floats"], 0),
@@ -66,7 +67,7 @@ def table(folders):
                 lines.append([scene, budget, seeds] + cells(pairs))
     for budget, scenes in budgets.items():
         whole = [runs for runs in scenes.values() if all(runs.values())]
-        # Of LPIPS, only if every capture has it.
+        # Of FLIP and LPIPS, only if every capture has it.
         per_scene = lambda value, v: [mean([value(e) for e in runs[v]]) for runs in whole]
         pairs = [tuple(None if None in (all_of := per_scene(value, v)) else mean(all_of) for v in VARIANTS) for _, value, _ in COLUMNS]
         if whole:
@@ -78,6 +79,6 @@ if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit(__doc__)
     print(
-        "Held-out views, 8-bit; SSIM as INRIA computes it, LPIPS of pictures in −1…1 (lower is better); differences: hybrid less splats alone.\n"
+        "Held-out views, 8-bit; SSIM as INRIA computes it, FLIP, and LPIPS of pictures in −1…1 (lower is better); differences: hybrid less splats alone.\n"
     )
-    print(table([Path(folder) for folder in sys.argv[1:]]))
+    print(table(sorted(map(Path, sys.argv[1:]), key=lambda folder: (len(folder.name), folder.name))))

@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{self, Capture, Photo, Split, View};
 use centaur::format::{atomic_write, read_scene};
 use centaur::metrics::{
-    Evaluation, Lpips, Measured, ViewScore,
+    Evaluation, Lpips, Measured, Scores, ViewScore,
     plot::Plot,
     report::{self, Picture, Report},
     side_by_side,
@@ -23,7 +23,7 @@ Examples:
 
 /// Score a scene on the held-out photographs of its capture
 ///
-/// Prints PSNR, SSIM and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
+/// Prints PSNR, SSIM, FLIP and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
 /// --max-side, --images and --masks as in training.
 #[derive(clap::Args)]
@@ -153,7 +153,8 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
 fn caption(view: &View, score: &ViewScore) -> String {
     let lpips =
         score.scores.lpips.map_or_else(String::new, |l| format!(", LPIPS {} {:.4}", l.net.name(), l.normalized));
-    format!("{}: {:.2} dB, SSIM {:.4}{lpips}", view.name, score.scores.psnr, score.scores.ssim_inria)
+    let Scores { psnr, ssim_inria, flip, .. } = score.scores;
+    format!("{}: {psnr:.2} dB, SSIM {ssim_inria:.4}, FLIP {flip:.4}{lpips}", view.name)
 }
 
 /// Photograph and render as they are compared: a mask multiplies both (METHODS 8, product black), transparency shows

@@ -3,7 +3,7 @@ use std::fmt;
 use image::Rgb32FImage;
 use serde::Serialize;
 
-use super::{Lpips, LpipsScore, MetricError, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
+use super::{Lpips, LpipsScore, MetricError, flip, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
 use crate::scene::HybridScene;
 
 /// How good a picture is, or the mean of several. By the conventions of METHODS 8, as numbers of different ones do not compare.
@@ -19,6 +19,8 @@ pub struct Scores {
     pub ssim_valid: Option<f64>,
     /// The image continued by reflection, on the same; none where an image is too small.
     pub ssim_reflect: Option<f64>,
+    /// [`flip`](fn@flip), lower is better, on the same.
+    pub flip: f64,
     /// On 8-bit-quantised images; none without the network's weights.
     pub lpips: Option<LpipsScore>,
 }
@@ -37,6 +39,7 @@ impl Scores {
             ssim_inria: ssim_inria(&truth, &render)?,
             ssim_valid: ssim_valid(&truth, &render).ok(),
             ssim_reflect: ssim_reflect(&truth, &render).ok(),
+            flip: flip(&truth, &render)?,
             lpips: lpips.map(|lpips| lpips.score(&truth, &render)).transpose()?,
         })
     }
@@ -55,6 +58,7 @@ impl Scores {
             ssim_inria: mean(&|s| s.ssim_inria),
             ssim_valid: optional(&|s| s.ssim_valid),
             ssim_reflect: optional(&|s| s.ssim_reflect),
+            flip: mean(&|s| s.flip),
             lpips: lpips.zip(first.lpips).map(|((normalized, unnormalized), first)| LpipsScore {
                 normalized,
                 unnormalized,
@@ -63,12 +67,13 @@ impl Scores {
         })
     }
 
-    /// What tables show, with its name: 8-bit PSNR, INRIA's SSIM and LPIPS if there is one, under both conventions.
+    /// What tables show, with its name: 8-bit PSNR, INRIA's SSIM, FLIP and LPIPS if there is one, under both conventions.
     #[must_use]
     pub fn columns(&self) -> Vec<(String, String)> {
         let mut columns = vec![
             ("PSNR".to_owned(), format!("{:.3}", self.psnr)),
             ("SSIM".to_owned(), format!("{:.4}", self.ssim_inria)),
+            ("FLIP".to_owned(), format!("{:.4}", self.flip)),
         ];
         if let Some(l) = &self.lpips {
             columns.push((format!("LPIPS {}", l.net.name()), format!("{:.4}", l.normalized)));
@@ -84,7 +89,7 @@ impl Scores {
         });
         format!(
             "held-out views: the capture's own, else every 8th by file name; 8-bit quantised; PSNR per image, then mean; \
-             SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); LPIPS {lpips}"
+             SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); FLIP at 67 pixels per degree; LPIPS {lpips}"
         )
     }
 }

@@ -4,6 +4,7 @@
 //! on [`quantised`] images, as INRIA's scripts write PNGs and score what they read back.
 
 mod evaluation;
+mod flip;
 mod lpips;
 mod picture;
 pub mod plot;
@@ -14,6 +15,7 @@ mod ssim;
 use image::Rgb32FImage;
 
 pub use evaluation::{Evaluation, Measured, Scores, ViewScore};
+pub use flip::flip;
 pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsRange, LpipsScore};
 pub use picture::side_by_side;
 pub use psnr::{psnr, quantised, to_rgb8};

@@ -39,6 +39,7 @@ struct Row {
     psnr: Option<f64>,
     /// Of windows inside the picture under protocol A, as `NerfBaselines` has it; else INRIA's.
     ssim: Option<f64>,
+    flip: Option<f64>,
     lpips: Option<Lpips>,
     splats: Option<f64>,
     total_floats: Option<f64>,
@@ -176,6 +177,7 @@ impl Row {
             runs: 1,
             psnr: number("psnr"),
             ssim: number(if record.made.protocol == Some(Protocol::A) { "ssim_valid" } else { "ssim_inria" }),
+            flip: number("flip"),
             lpips,
             splats: number("splats"),
             total_floats: number("total_floats"),
@@ -200,6 +202,7 @@ impl Row {
             runs: rows.iter().map(|row| row.runs).sum(),
             psnr: mean(&|r| r.psnr),
             ssim: mean(&|r| r.ssim),
+            flip: mean(&|r| r.flip),
             lpips: net.zip(distances).map(|(net, (normalized, unnormalized))| Lpips { net, normalized, unnormalized }),
             splats: mean(&|r| r.splats),
             total_floats: mean(&|r| r.total_floats),
@@ -217,6 +220,7 @@ impl Row {
             self.runs.to_string(),
             number(self.psnr, 2),
             number(self.ssim, 3),
+            number(self.flip, 3),
             lpips.map_or("–", |l| &l.net).to_owned(),
             number(lpips.map(|l| l.normalized), 3),
             number(lpips.map(|l| l.unnormalized), 3),
@@ -247,9 +251,9 @@ impl fmt::Display for Table {
         }
         writeln!(
             f,
-            "\n| variant | scene | runs | PSNR | SSIM | LPIPS by | LPIPS −1…1 | LPIPS 0…1 | splats | M floats | MB | s/iteration | fps |"
+            "\n| variant | scene | runs | PSNR | SSIM | FLIP | LPIPS by | LPIPS −1…1 | LPIPS 0…1 | splats | M floats | MB | s/iteration | fps |"
         )?;
-        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for section in &self.variants {
             for row in &section.rows {
                 writeln!(f, "| {} | {} | {} |", section.variant, row.scene, row.cells())?;
@@ -263,7 +267,7 @@ impl fmt::Display for Table {
             // Each source has LPIPS by one convention.
             let (a, b) = if self.protocol == Some(Protocol::A) { (&*lpips, "–") } else { ("–", &*lpips) };
             let net = if p.lpips.is_some() { "vgg" } else { "–" };
-            writeln!(f, "| *{}* | published | | {} | {} | {net} | {a} | {b} | | | | | |", p.method, p.psnr, p.ssim)?;
+            writeln!(f, "| *{}* | published | | {} | {} | | {net} | {a} | {b} | | | | | |", p.method, p.psnr, p.ssim)?;
         }
         Ok(())
     }
@@ -343,13 +347,13 @@ mod tests {
             table(&records).to_string()
         };
         let b = with(&|_, _| {});
-        assert!(b.contains("| *HERA, filtered* | published | | 27.75 | 0.829 | vgg | – | 0.194 |"), "{b}");
+        assert!(b.contains("| *HERA, filtered* | published | | 27.75 | 0.829 | | vgg | – | 0.194 |"), "{b}");
         let a = with(&|_, r| r.made.protocol = Some(Protocol::A));
-        assert!(a.contains("| *2DGS* | published | | 26.815 | 0.796 | vgg | 0.297 | – |"), "{a}");
+        assert!(a.contains("| *2DGS* | published | | 26.815 | 0.796 | | vgg | 0.297 | – |"), "{a}");
         assert!(a.contains("| a | room | 1 | 27.00 | 0.700 |") && a.contains("inside the picture"), "{a}");
         assert!(!with(&|_, r| r.made.protocol = None).contains("published"), "of any size");
         let alex = with(&|_, r| r.result["evaluation"]["lpips"]["net"] = json!("alex"));
-        assert!(alex.contains("| *HERA* | published | | 27.61 | 0.828 | – | – | – |"), "{alex}");
+        assert!(alex.contains("| *HERA* | published | | 27.61 | 0.828 | | – | – | – |"), "{alex}");
         let mixed = with(&|i, r| r.result["evaluation"]["lpips"]["net"] = json!(if i == 4 { "alex" } else { "vgg" }));
         assert!(mixed.contains("| **a** | **mean** | 9 | 27.00 | 0.800 | – | – | – |"), "{mixed}");
         // Jobs beside each other take each other's time.

@@ -1,0 +1,49 @@
+"""FLIP by its own package: prints the figures that src/metrics/flip.rs is held to.
+
+  check_flip.py [FOLDER …]    also takes the pictures of `centaur eval -o FOLDER` and compares with the figures there
+"""
+
+import json
+import pathlib
+import sys
+
+import flip_evaluator
+import numpy as np
+from PIL import Image
+
+
+def pictures(width, height):
+    """Smooth colours with lines, moved by two pixels and brightened, 8 bits; `pictures` of the test makes the same."""
+    y, x = np.mgrid[0:height, 0:width]
+
+    def colors(x, y):
+        return np.stack([5 * x % 256, 7 * y % 256, np.where((x + y) % 11 < 4, 230, 40)], -1)
+
+    return colors(x, y).astype(np.uint8), np.minimum(colors(x + 2, y) + 12, 255).astype(np.uint8)
+
+
+def flip(truth, render):
+    parts = [picture.astype(np.float32) / 255 for picture in (truth, render)]
+    return flip_evaluator.evaluate(*parts, "LDR", applyMagma=False)[1]
+
+
+def compare(folder):
+    """Sheets of `centaur eval -o` (photograph | render | error) against the figures beside them."""
+    views = json.loads((folder / "metrics.json").read_text())["views"]
+    worst = 0
+    for view in views:
+        sheet = np.asarray(Image.open(folder / pathlib.Path(view["name"]).with_suffix(".png").name).convert("RGB"))
+        width, height = view["size"]
+        # Captions are above, margins between.
+        top, step = sheet.shape[0] - height, (sheet.shape[1] - width) // 2
+        truth, render = (sheet[top:, left : left + width] for left in (0, step))
+        worst = max(worst, abs(flip(truth, render) - view["flip"]))
+    print(f"{folder}: {len(views)} views, largest difference {worst:.1e}")
+    assert views and worst < 2e-5
+
+
+if __name__ == "__main__":
+    for truth, render in [pictures(64, 48), pictures(31, 17), pictures(5, 3)]:
+        print(f"{truth.shape[1]}×{truth.shape[0]}: {flip(truth, render):.6f}")
+    for folder in sys.argv[1:]:
+        compare(pathlib.Path(folder))
