@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
-use centaur::geometry::{self, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats};
+use centaur::geometry::{self, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats};
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
@@ -81,7 +81,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         })
     };
     let compared = truth.as_ref().map(compare).transpose()?;
-    let unwrapped = geometry::unwrap(&surface, args.texture_size)?;
+    let charts_in = steps.contraction.map(Contraction::for_charts);
+    let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), args.texture_size)?;
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
     let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
@@ -91,7 +92,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         return output::print_json(&serde_json::json!({
             "surface": args.output,
             "origin": origin,
-            "views": steps.views, "holes_closed": steps.holes,
+            "views": steps.views, "unbounded": steps.contraction.is_some(), "holes_closed": steps.holes,
             "triangles": { "extracted": steps.extracted, "cleaned": steps.cleaned, "even": steps.even,
                            "simplified": steps.simplified },
             "atlas": { "charts": charts.charts, "gutter": charts.gutter, "texels_per_unit": charts.texels_per_unit,
@@ -113,10 +114,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         ))?;
     }
     output::print(&format!(
-        "{} views fused; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
+        "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
          {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst\n\
          wrote {}",
         steps.views,
+        if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },
         steps.extracted,
         steps.cleaned,
         steps.holes,

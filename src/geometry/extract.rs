@@ -24,6 +24,19 @@ impl Fusion {
     /// vertex: the surface ends where nothing was seen. The order of vertices and triangles depends on the views only.
     #[must_use]
     pub fn extract(&self) -> Surface {
+        self.expanded(self.extract_contracted())
+    }
+
+    /// The surface in the world that lies there in contracted space.
+    pub(super) fn expanded(&self, mut surface: Surface) -> Surface {
+        if let Some(contraction) = &self.options.contraction {
+            surface.positions.iter_mut().for_each(|p| *p = contraction.expand(p.as_dvec3()).as_vec3());
+        }
+        surface
+    }
+
+    /// The same in contracted space, where all voxels are alike.
+    pub(super) fn extract_contracted(&self) -> Surface {
         let mut order: Vec<&Block> = self.blocks.iter().collect();
         order.par_sort_unstable_by_key(|b| b.key);
         let patches: Vec<Patch> =

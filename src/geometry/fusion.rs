@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::GeometryError;
+use super::contraction::{Contraction, quantile_box};
 use crate::scene::Camera;
 
 /// A depth map and the camera that sees it.
@@ -17,7 +18,7 @@ pub struct DepthView<'a> {
     pub weight: Option<&'a [f32]>,
 }
 
-/// Where and how finely depth maps are fused. Lengths are in world units.
+/// Where and how finely depth maps are fused. Lengths are in world units, with a contraction in those of contracted space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionOptions {
     /// Edge of a voxel.
@@ -26,7 +27,9 @@ pub struct FusionOptions {
     pub truncation: f64,
     /// Nothing outside this box (low corner, high corner) is fused.
     pub bounds: (DVec3, DVec3),
-    /// Depths beyond this are ignored.
+    /// For scenes without bounds: the grid lies in contracted space.
+    pub contraction: Option<Contraction>,
+    /// Depths beyond this, in world units, are ignored.
     pub max_depth: f64,
     /// Accumulated weight from which a voxel counts as seen; with unit weights, the number of views.
     pub min_weight: f32,
@@ -34,71 +37,56 @@ pub struct FusionOptions {
     pub max_bytes: usize,
 }
 
+/// Voxels that contracted space has behind the farthest surface, at least: the truncation and some more.
+const VOXELS_BEHIND: f64 = 8.0;
+/// Farthest surface in radii of the contraction. Depths beyond are a matter of taste.
+const FARTHEST: f64 = 32.0;
+
 impl FusionOptions {
-    /// The constants of 2DGS for bounded scenes (METHODS 6): radius = least distance of a camera to the point that all
-    /// look at (their median distance, where that is more than twice the least: a walk may lead past the point); `max_depth` =
-    /// 2·radius, voxel = `max_depth`/resolution, truncation = 5 voxels; two views must agree. The box holds all but the outermost
-    /// 0.5 % of `points` on each side and lies within `max_depth` of that point.
+    /// The constants of 2DGS (METHODS 6): voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
+    /// must agree. Bounded, `max_depth` is that radius, and the box holds all but the outermost 0.5 % of `points` on each side and
+    /// lies within `max_depth` of what all cameras look at. With a `contraction` that is so of contracted points, and `max_depth` is
+    /// what leaves room for some voxels behind a surface.
     ///
     /// # Errors
     /// Without cameras or with resolution 0.
-    pub fn suggest(cameras: &[Camera], points: &[Vec3], resolution: u32) -> Result<Self, GeometryError> {
-        if cameras.is_empty() {
-            return Err(GeometryError::argument("cameras", "at least one camera", &"none"));
-        }
+    pub fn suggest(
+        cameras: &[Camera],
+        points: &[Vec3],
+        resolution: u32,
+        contraction: Option<Contraction>,
+    ) -> Result<Self, GeometryError> {
+        let Contraction { center, radius } = Contraction::around(cameras, points)?;
         if resolution == 0 {
             return Err(GeometryError::argument("resolution", "at least 1 voxel", &"0"));
         }
-        let inner = quantile_box(points, 0.25);
-        let focus = focus_point(cameras, inner.map(|(low, high)| (low + high) / 2.0));
-        let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(focus)).collect();
-        distances.sort_unstable_by(f64::total_cmp);
-        let (least, median) = (distances[0], distances[distances.len() / 2]);
-        let radius = if least < 0.5 * median { median } else { least };
-        // A camera in the very focus (a panorama): the points say how large the scene is.
-        let fallback = inner.map_or(1.0, |(low, high)| (high - low).length());
-        let radius = if radius > 1e-3 * fallback { radius } else { fallback.max(1e-6) };
-        let max_depth = 2.0 * radius;
-        let voxel = max_depth / f64::from(resolution);
-        let mut bounds = (focus - max_depth, focus + max_depth);
-        if let Some((low, high)) = quantile_box(points, 0.005) {
+        let voxel = radius / f64::from(resolution);
+        let (reach, max_depth) = match contraction {
+            None => (radius, radius),
+            // At x radii it is 1/x to the end of the ball.
+            Some(_) => (2.0 * radius, radius * (f64::from(resolution) / VOXELS_BEHIND).clamp(1.0, FARTHEST)),
+        };
+        let mut bounds = (center - reach, center + reach);
+        let points = points.iter().map(|p| p.as_dvec3());
+        let placed = points.map(|p| contraction.map_or(p, |c| c.contract(p)));
+        if let Some((low, high)) = quantile_box(placed, 0.005) {
             let margin = (high - low) * 0.05 + 5.0 * voxel;
             let tight = (bounds.0.max(low - margin), bounds.1.min(high + margin));
             if tight.0.cmplt(tight.1).all() {
                 bounds = tight;
             }
         }
-        Ok(Self { voxel, truncation: 5.0 * voxel, bounds, max_depth, min_weight: 2.0, max_bytes: 2 << 30 })
+        let truncation = 5.0 * voxel;
+        Ok(Self { voxel, truncation, bounds, contraction, max_depth, min_weight: 2.0, max_bytes: 2 << 30 })
     }
-}
 
-/// The point closest to all optical axes in the least-squares sense; axes that hardly cross leave it near `prior`.
-fn focus_point(cameras: &[Camera], prior: Option<DVec3>) -> DVec3 {
-    let count = cameras.len() as f64;
-    let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / count;
-    let prior = prior.unwrap_or(mean);
-    let (mut matrix, mut rhs) = (glam::DMat3::from_diagonal(DVec3::splat(1e-3 * count)), prior * (1e-3 * count));
-    for camera in cameras {
-        let axis = camera.rotation().row(2);
-        let across = glam::DMat3::IDENTITY - glam::DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        matrix += across;
-        rhs += across * camera.center();
+    /// Where a surface seen at the world point `p` along a ray comes to lie, and how far that ray leads from there within one
+    /// truncation, `ray` being its step of depth 1.
+    fn band(&self, p: DVec3, ray: DVec3) -> (DVec3, DVec3) {
+        let Some(contraction) = &self.contraction else { return (p, ray * self.truncation) };
+        let along = contraction.along(p, ray);
+        (contraction.contract(p), along * (self.truncation * ray.length() / along.length()))
     }
-    matrix.inverse() * rhs
-}
-
-/// Per axis, the `q` and 1−`q` quantiles of the finite points.
-fn quantile_box(points: &[Vec3], q: f64) -> Option<(DVec3, DVec3)> {
-    let mut corners = (DVec3::ZERO, DVec3::ZERO);
-    for axis in 0..3 {
-        let mut values: Vec<f32> = points.iter().filter(|p| p.is_finite()).map(|p| p[axis]).collect();
-        let skip = (values.len() as f64 * q) as usize;
-        let last = values.len().checked_sub(1 + skip)?;
-        values.sort_unstable_by(f32::total_cmp);
-        corners.0[axis] = f64::from(values[skip]);
-        corners.1[axis] = f64::from(values[last]);
-    }
-    Some(corners)
 }
 
 /// Voxels along the edge of a block.
@@ -140,7 +128,8 @@ impl Fusion {
     /// truncation is below 2 voxels.
     pub fn new(options: FusionOptions) -> Result<Self, GeometryError> {
         let positive = [("voxel", options.voxel), ("truncation", options.truncation), ("max_depth", options.max_depth)];
-        for (field, value) in positive {
+        let radius = options.contraction.map(|c| ("contraction", c.radius));
+        for (field, value) in positive.into_iter().chain(radius) {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(GeometryError::argument(field, "a positive length", &value));
             }
@@ -215,8 +204,8 @@ impl Fusion {
             for (x, &depth) in view.depth[row * width..(row + 1) * width].iter().enumerate() {
                 let Some(depth) = valid_depth(depth, o.max_depth) else { continue };
                 let ray = to_world * view.camera.ray(glam::DVec2::new(x as f64 + 0.5, row as f64 + 0.5));
-                let at = |z: f64| (center + ray * z - o.bounds.0) / cell;
-                let (near, far) = (at(f64::from(depth) - o.truncation), at(f64::from(depth) + o.truncation));
+                let (middle, reach) = o.band(center + ray * f64::from(depth), ray);
+                let [near, far] = [middle - reach, middle + reach].map(|p| (p - o.bounds.0) / cell);
                 // Neighbouring pixels mostly pass the same cells.
                 let ends = Some((near.floor(), far.floor()));
                 if ends == previous {
@@ -240,8 +229,9 @@ impl Fusion {
         cells.par_sort_unstable();
         cells.dedup();
         // A voxel that projects into a pixel is at most half a step along and half a pixel diagonal across away from a
-        // sample; a coarse depth map far away is the case where the second matters.
-        let footprint = o.max_depth * 0.71 / k.fx.min(k.fy);
+        // sample; a coarse depth map far away is the case where the second matters. Contracted, pixels stop growing.
+        let widest = o.contraction.map_or(o.max_depth, |c| 2.25 * c.radius);
+        let footprint = widest * 0.71 / k.fx.min(k.fy);
         let reach = 0.25 + (footprint / cell).min(8.0);
         let mut keys: Vec<[i32; 3]> = cells
             .into_par_iter()
@@ -311,26 +301,52 @@ impl<'a> Projection<'a> {
         let o = self.options;
         let edge = o.voxel * f64::from(SIDE);
         let corner = o.bounds.0 + glam::IVec3::from_array(block.key).as_dvec3() * edge;
-        let middle = self.view.camera.to_camera(corner + edge / 2.0);
-        let radius = edge * 0.87;
-        let outside = self.sides.iter().any(|n| n.dot(middle) < -radius);
-        if outside || middle.z < -radius || middle.z > o.max_depth + o.truncation + radius {
+        let camera = &self.view.camera;
+        let is_outside = |middle: DVec3, radius: f64| {
+            let middle = camera.to_camera(middle);
+            let aside = self.sides.iter().any(|n| n.dot(middle) < -radius);
+            aside || middle.z < -radius || middle.z > o.max_depth + o.truncation + radius
+        };
+        let truncation = o.truncation as f32;
+        let Some(contraction) = o.contraction.filter(|c| (corner + edge / 2.0).distance(c.center) + edge > c.radius)
+        else {
+            if !is_outside(corner + edge / 2.0, edge * 0.87) {
+                let first = camera.to_camera(corner).as_vec3();
+                let [dx, dy, dz] = self.steps;
+                self.fuse(block, |x, y, z| Some((first + dz * z as f32 + dy * y as f32 + dx * x as f32, truncation)));
+            }
+            return;
+        };
+        // Of its corners; between them space is bent. Where one is at the end of all, only its voxels tell.
+        let corners =
+            [0, 1, 2, 3, 4, 5, 6, 7].map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2)));
+        let corners = corners.map(|c| contraction.expand(corner + c * edge));
+        let middle = corners.iter().sum::<DVec3>() / 8.0;
+        let radius = 1.5 * corners.iter().map(|c| c.distance(middle)).fold(0.0, f64::max);
+        if radius.is_finite() && is_outside(middle, radius) {
             return;
         }
-        let first = self.view.camera.to_camera(corner).as_vec3();
-        let truncation = o.truncation as f32;
-        for (z, slice) in block.voxels.chunks_exact_mut((SIDE * SIDE) as usize).enumerate() {
-            for (y, row) in slice.chunks_exact_mut(SIDE as usize).enumerate() {
-                let start = first + self.steps[2] * z as f32 + self.steps[1] * y as f32;
-                for (x, voxel) in row.iter_mut().enumerate() {
-                    let p = start + self.steps[0] * x as f32;
-                    let Some((distance, weight)) = self.sample(p, truncation) else { continue };
-                    let total = voxel.weight + weight;
-                    let step = (distance / truncation).min(1.0) - voxel.distance;
-                    voxel.distance += step * (weight / total);
-                    voxel.weight = total;
-                }
-            }
+        let center = camera.center();
+        self.fuse(block, |x, y, z| {
+            let world = contraction.expand(corner + DVec3::new(x as f64, y as f64, z as f64) * o.voxel);
+            let p = camera.to_camera(world);
+            // Depths differ by as much more than contracted ones as the ray is longer in the world.
+            let ray = world - center;
+            let local = o.truncation * ray.length() / contraction.along(world, ray).length();
+            (p.z > 0.0 && p.is_finite() && local.is_finite()).then(|| (p.as_vec3(), local as f32))
+        });
+    }
+
+    /// Takes the view into all voxels of a block. `place` gives a voxel's camera-space position and the truncation there.
+    fn fuse(&self, block: &mut Block, place: impl Fn(usize, usize, usize) -> Option<(Vec3, f32)>) {
+        let side = SIDE as usize;
+        for (i, voxel) in block.voxels.iter_mut().enumerate() {
+            let Some((p, truncation)) = place(i % side, i / side % side, i / (side * side)) else { continue };
+            let Some((distance, weight)) = self.sample(p, truncation) else { continue };
+            let total = voxel.weight + weight;
+            let step = (distance / truncation).min(1.0) - voxel.distance;
+            voxel.distance += step * (weight / total);
+            voxel.weight = total;
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod bvh;
 mod charts;
+mod contraction;
 mod distance;
 mod extract;
 mod fusion;
@@ -18,6 +19,7 @@ mod unwrap;
 use std::fmt::Display;
 
 pub use bvh::{ClosestPoint, Hit, MeshBvh};
+pub use contraction::Contraction;
 pub use distance::{SurfaceDistance, surface_distance};
 pub use fusion::{DepthView, Fusion, FusionOptions};
 pub use holes::without_holes;

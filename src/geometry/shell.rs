@@ -88,27 +88,6 @@ impl Shell {
         let origin = camera.center();
         is_in_picture(camera, point) && !near.any_hit(origin, point - origin, 0.0, 1.0)
     }
-
-    /// `positions` with those of the shell drawn in, to where their pixels are as large as those on the rest: charts laid out for
-    /// these have as many texels to a pixel everywhere. The rest keeps its bits.
-    #[must_use]
-    pub fn drawn_in(&self, positions: &[Vec3], cameras: &[Camera]) -> Vec<Vec3> {
-        let near: Vec<DVec3> = positions.iter().filter(|p| !self.holds(**p)).map(|p| p.as_dvec3()).collect();
-        let stride = near.len().div_ceil(1000).max(1);
-        let mut depths: Vec<f64> = (near.iter().step_by(stride))
-            .flat_map(|p| cameras.iter().filter(|c| is_in_picture(c, *p)).map(|c| c.to_camera(*p).z))
-            .collect();
-        depths.sort_unstable_by(f64::total_cmp);
-        let Some(depth) = depths.get(depths.len() / 2) else { return positions.to_vec() };
-        let draw = |p: &Vec3| {
-            if self.holds(*p) {
-                (self.center + (p.as_dvec3() - self.center) * (depth / self.radius)).as_vec3()
-            } else {
-                *p
-            }
-        };
-        positions.iter().map(draw).collect()
-    }
 }
 
 /// Of the longer side of the picture, radians.
@@ -234,35 +213,5 @@ mod tests {
         assert_eq!(shell.seen_past(&Surface::default(), &cameras()[..1]), Surface::default());
         let far = Surface { positions: vec![Vec3::new(0.0, 0.0, 100.0)], triangles: vec![] };
         assert_eq!(shell.seen_past(&far, &cameras()), Surface::default());
-    }
-
-    #[test]
-    fn its_charts_have_the_texels_that_pixels_ask_for() {
-        let (cameras, near) = (cameras(), wall(-1.0, 1.0));
-        let shell = Shell::around(&cameras, &[]).unwrap();
-        let far = shell.seen_past(&near, &cameras);
-        let mut all = near.clone();
-        let first = all.positions.len() as u32;
-        all.positions.extend(&far.positions);
-        all.triangles.extend(far.triangles.iter().map(|t| t.map(|v| first + v)));
-        let drawn = shell.drawn_in(&all.positions, &cameras);
-        assert_eq!(drawn[..4], near.positions);
-        assert!(drawn[4..].iter().all(|p| (p.length() - 3.0).abs() < 1e-4));
-        let unwrapped =
-            crate::geometry::unwrap(&Surface { positions: drawn, triangles: all.triangles.clone() }, 512).unwrap();
-        // Texels by pixels of the middle camera, of the wall and of a triangle of the shell ahead.
-        let camera = &cameras[1];
-        let density = |face: usize| {
-            let area = |[a, b, c]: [DVec2; 3]| (b - a).perp_dot(c - a).abs();
-            let pixels = all.triangles[face].map(|v| camera.to_camera(all.positions[v as usize].as_dvec3()));
-            area(unwrapped.corner_uvs[face].map(glam::Vec2::as_dvec2)) / area(pixels.map(|p| camera.project(p)))
-        };
-        let ahead = |t: &[u32; 3]| t.iter().map(|&v| all.positions[v as usize]).sum::<Vec3>().normalize().z;
-        let face =
-            (2..all.triangles.len()).max_by(|&a, &b| ahead(&all.triangles[a]).total_cmp(&ahead(&all.triangles[b])));
-        let ratio = density(face.unwrap()) / density(0);
-        assert!((0.7..1.4).contains(&ratio), "{ratio}");
-        // Nothing to compare with.
-        assert_eq!(shell.drawn_in(&far.positions, &cameras), far.positions);
     }
 }

@@ -6,10 +6,10 @@ use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
-use super::GeometryError;
 use super::bvh::MeshBvh;
 use super::fusion::{DepthView, Fusion, FusionOptions};
 use super::surface::{Surface, SurfaceOptions, SurfaceStats, surface_from_fusion};
+use super::{Contraction, GeometryError};
 use crate::scene::Camera;
 
 /// A camera and what it sees of a cloud of points.
@@ -92,10 +92,12 @@ pub fn surface_from_points(
         return Err(GeometryError::EmptySurface { step: "lifting triangles of points", hint });
     }
     let cameras: Vec<Camera> = views.iter().map(|view| small(&view.camera)).collect();
-    let suggested = FusionOptions::suggest(&cameras, points, 128)?;
+    let space = Contraction::around(&cameras, points)?;
+    let contraction = Contraction::if_unbounded(&cameras, points)?;
     // Half an edge: finer voxels only hold the same facets.
-    let resolution = (2.0 * suggested.max_depth / median_edge(points, &clear)).clamp(48.0, 384.0) as u32;
-    let volume = FusionOptions::suggest(&cameras, points, resolution)?;
+    let edge = median_edge(points, &clear, contraction.as_ref());
+    let resolution = (2.0 * space.radius / edge).clamp(48.0, 384.0) as u32;
+    let volume = FusionOptions::suggest(&cameras, points, resolution, contraction)?;
     let mut fusion = Fusion::new(volume)?;
     for (camera, triangles) in cameras.iter().zip(&clear) {
         let depth = depth_map(camera, points, triangles);
@@ -208,9 +210,13 @@ fn without_hiding(
     lifted.iter().zip(&hidden).map(keep).collect()
 }
 
-/// Median length in space of the triangles' first edges.
-fn median_edge(points: &[Vec3], lifted: &[Vec<[u32; 3]>]) -> f64 {
-    let length = |t: &[u32; 3]| f64::from(points[t[0] as usize].distance(points[t[1] as usize]));
+/// Median length of the triangles' first edges, in contracted space if there is one.
+fn median_edge(points: &[Vec3], lifted: &[Vec<[u32; 3]>], contraction: Option<&Contraction>) -> f64 {
+    let place = |v: u32| {
+        let p = points[v as usize].as_dvec3();
+        contraction.map_or(p, |c| c.contract(p))
+    };
+    let length = |t: &[u32; 3]| place(t[0]).distance(place(t[1]));
     let mut edges: Vec<f64> = lifted.iter().flatten().map(length).collect();
     let middle = edges.len() / 2;
     edges.select_nth_unstable_by(middle, f64::total_cmp).1.max(f64::MIN_POSITIVE)

@@ -1,10 +1,10 @@
 use glam::Vec3;
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 
-use super::GeometryError;
 use super::fusion::{DepthView, Fusion, FusionOptions};
 use super::holes::without_holes;
 use super::smooth::{smooth, without_rough};
+use super::{Contraction, GeometryError};
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
 /// outside. Unchecked: the functions of this module skip triangles with an index out of range.
@@ -55,8 +55,10 @@ impl SurfaceOptions {
 const ROUGH_RADIUS: usize = 4;
 
 /// What each step left.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceStats {
+    /// That of the volume.
+    pub contraction: Option<Contraction>,
     /// Views fused.
     pub views: usize,
     /// Bytes of voxels.
@@ -89,7 +91,8 @@ pub fn surface_from_depths<'a>(
     Ok(surface_from_fusion(&fusion, options)?.0)
 }
 
-/// Extracts, cleans and simplifies the surface of a fused volume.
+/// Extracts, cleans and simplifies the surface of a fused volume; in contracted space, if it is, so that what is far away is judged as it
+/// is seen.
 ///
 /// # Errors
 /// If no triangle is left; the message names the step.
@@ -97,8 +100,10 @@ pub fn surface_from_fusion(
     fusion: &Fusion,
     options: &SurfaceOptions,
 ) -> Result<(Surface, SurfaceStats), GeometryError> {
-    let mut stats = SurfaceStats { views: fusion.views(), voxel_bytes: fusion.bytes(), ..Default::default() };
-    let extracted = fusion.extract();
+    let contraction = fusion.options.contraction;
+    let mut stats =
+        SurfaceStats { contraction, views: fusion.views(), voxel_bytes: fusion.bytes(), ..Default::default() };
+    let extracted = fusion.extract_contracted();
     stats.extracted = extracted.triangles.len();
     if stats.extracted == 0 {
         let hint = "too few views agree on a depth within the bounds and max_depth";
@@ -125,7 +130,7 @@ pub fn surface_from_fusion(
     if stats.simplified == 0 {
         return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
     }
-    Ok((simplified, stats))
+    Ok((fusion.expanded(simplified), stats))
 }
 
 /// Keeps the `keep_components` largest connected components (triangles that share a vertex) of at least

@@ -52,6 +52,7 @@ fn fused_sphere(cameras: &[Camera], voxel: f64) -> Fusion {
         voxel,
         truncation: 5.0 * voxel,
         bounds: (DVec3::splat(-1.3), DVec3::splat(1.3)),
+        contraction: None,
         max_depth: 6.0,
         min_weight: 2.0,
         max_bytes: 1 << 30,
@@ -149,6 +150,7 @@ fn an_open_plane_ends_where_nothing_was_seen() {
         voxel: 0.02,
         truncation: 0.1,
         bounds: (DVec3::splat(-1.0), DVec3::splat(1.0)),
+        contraction: None,
         max_depth: 4.0,
         min_weight: 2.0,
         max_bytes: 1 << 28,
@@ -209,7 +211,7 @@ fn suggested_volume_holds_the_scene() {
     let cameras = orbit(20, 100, 80);
     let mut points: Vec<Vec3> = orbit(1000, 1, 1).iter().map(|c| (c.center() / 3.0).as_vec3()).collect();
     points.extend([Vec3::splat(1e6), Vec3::NAN]);
-    let o = FusionOptions::suggest(&cameras, &points, 256).unwrap();
+    let o = FusionOptions::suggest(&cameras, &points, 256, None).unwrap();
     // All cameras are at distance 3 from the focus.
     assert!((o.max_depth - 6.0).abs() < 0.05 && (o.voxel - o.max_depth / 256.0).abs() < 1e-12);
     assert!((o.truncation / o.voxel - 5.0).abs() < 1e-12);
@@ -220,12 +222,61 @@ fn suggested_volume_holds_the_scene() {
     let first = &cameras[0];
     let beside = -(first.rotation() * DVec3::new(0.1, 0.0, 0.0));
     walk.push(Camera::new(*first.intrinsics(), first.rotation(), beside).unwrap());
-    assert!((FusionOptions::suggest(&walk, &points, 256).unwrap().max_depth - 6.0).abs() < 0.3);
-    assert!(FusionOptions::suggest(&[], &points, 256).is_err());
-    assert!(FusionOptions::suggest(&cameras, &points, 0).is_err());
+    assert!((FusionOptions::suggest(&walk, &points, 256, None).unwrap().max_depth - 6.0).abs() < 0.3);
+    assert!(FusionOptions::suggest(&[], &points, 256, None).is_err());
+    assert!(FusionOptions::suggest(&cameras, &points, 0, None).is_err());
     for (cameras, points) in [(&cameras[..1], &points[..0]), (&[cameras[0]; 3], &points), (&cameras, &points[1001..])] {
-        assert!(Fusion::new(FusionOptions::suggest(cameras, points, 64).unwrap()).is_ok());
+        assert!(Fusion::new(FusionOptions::suggest(cameras, points, 64, None).unwrap()).is_ok());
     }
+}
+
+/// The unit sphere in the middle of one of radius 60: ten times the radius in which space is as it is.
+#[test]
+fn unbounded_scenes_are_fused_in_contracted_space() {
+    const FAR: f64 = 60.0;
+    let cameras = orbit(24, 160, 160);
+    let around = |o: DVec3, d: DVec3| {
+        let (a, b, c) = (d.length_squared(), o.dot(d), o.length_squared() - FAR * FAR);
+        unit_sphere(o, d).or(Some((-b + (b * b - a * c).sqrt()) / a))
+    };
+    let points: Vec<Vec3> = (orbit(1000, 1, 1).iter().zip([1.0, 1.0, FAR / 3.0].into_iter().cycle()))
+        .map(|(c, scale)| (c.center() * scale).as_vec3())
+        .collect();
+    assert_eq!(Contraction::if_unbounded(&cameras, &points[..99]).unwrap(), None);
+    let near: Vec<Vec3> = points.iter().copied().filter(|p| p.length() < 5.0).collect();
+    assert_eq!(Contraction::if_unbounded(&cameras, &near).unwrap(), None);
+    let contraction = Contraction::if_unbounded(&cameras, &points).unwrap();
+    let options = FusionOptions::suggest(&cameras, &points, 128, contraction).unwrap();
+    assert!((contraction.unwrap().radius - 6.0).abs() < 0.1 && options.max_depth > FAR + 3.0);
+    let mut fusion = Fusion::new(options).unwrap();
+    for camera in &cameras {
+        let depth = depth_map(camera, around);
+        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }).unwrap();
+    }
+    let surface = fusion.extract();
+    let (mut kinds, mut worst) = ([0, 0], [0.0_f64; 2]);
+    for p in &surface.positions {
+        let distance = f64::from(p.length());
+        let is_far = usize::from(distance > 10.0);
+        kinds[is_far] += 1;
+        // In voxels as they are there: along the ray they grow by the square of the distance.
+        let size = [options.voxel, options.voxel * (FAR / 6.0).powi(2)][is_far];
+        worst[is_far] = worst[is_far].max((distance - [1.0, FAR][is_far]).abs() / size);
+    }
+    let mib = fusion.bytes() >> 20;
+    eprintln!("{kinds:?} vertices near and far, at most {worst:?} voxels off, {mib} MiB");
+    assert!(worst[0] < 1.0 && worst[1] < 1.0, "{worst:?}");
+    // 4π/voxel² near, and what two views see in their corners of 4π(6·1.9/voxel)² far.
+    assert!(kinds[0] > 5_000 && kinds[1] > 50_000 && mib < 200, "{kinds:?}, {mib} MiB");
+    let (simple, stats) = surface_from_fusion(&fusion, &SurfaceOptions::new(options)).unwrap();
+    assert!(stats.contraction == contraction && simple.positions.iter().any(|p| (p.length() - 60.0).abs() < 1.0));
+    let [near, far] = [0.5..1.5, 50.0..70.0].map(|range: std::ops::Range<f32>| {
+        simple.triangles.iter().filter(|t| range.contains(&simple.positions[t[0] as usize].length())).count()
+    });
+    assert_eq!(near + far, simple.triangles.len());
+    // As many as they take in contracted space, not in the world.
+    assert!(near > 500 && far > near, "{near} and {far}");
+    assert_eq!(surface_from_fusion(&fusion, &SurfaceOptions::new(options)).unwrap().0, simple);
 }
 
 #[test]
@@ -235,6 +286,8 @@ fn refuses_what_makes_no_sense() {
     assert!(refused(FusionOptions { voxel: 0.0, ..good }));
     assert!(refused(FusionOptions { voxel: f64::NAN, ..good }));
     assert!(refused(FusionOptions { voxel: 1e-9, ..good }));
+    let flat = Contraction { center: DVec3::ZERO, radius: 0.0 };
+    assert!(refused(FusionOptions { contraction: Some(flat), ..good }));
     assert!(refused(FusionOptions { truncation: 0.1, ..good }));
     assert!(refused(FusionOptions { bounds: (DVec3::ONE, DVec3::ZERO), ..good }));
     assert!(refused(FusionOptions { min_weight: 0.0, ..good }));
@@ -301,7 +354,7 @@ fn time_noisy_depth_to_atlas() {
         let (surface, stats) = surface_from_fusion(&fusion, &options).unwrap();
         let (max, mean) = sphere_error(&surface);
         let start = std::time::Instant::now();
-        let atlas = unwrap(&surface, 1024).unwrap().stats;
+        let atlas = unwrap(&surface, None, 1024).unwrap().stats;
         eprintln!(
             "depth noise ±{noise} voxels: {stats:?}, error in voxels max {:.2} mean {:.2}, edges {:?}, unwrap {:.2?} {atlas:?}",
             max / voxel,

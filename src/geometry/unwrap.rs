@@ -1,7 +1,7 @@
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::{GeometryError, Surface, charts, pack};
+use super::{Contraction, GeometryError, Surface, charts, pack};
 
 /// A surface with texture coordinates for one square atlas.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,17 +38,27 @@ pub struct UnwrapStats {
 /// Positions and triangles are kept as they are; a triangle with two corners at one place gets
 /// UV 0 at all of them. Deterministic.
 ///
+/// Within `charts_in`, if given, areas and shapes are those of the contracted surface: of one without bounds
+/// [`Contraction::for_charts`] leaves what is near as many texels to a pixel as what is far away.
+///
 /// # Errors
 /// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=16384, or
 /// the charts do not fit even with gutters of 1 texel.
-pub fn unwrap(surface: &Surface, atlas_size: u32) -> Result<UnwrappedMesh, GeometryError> {
+pub fn unwrap(
+    surface: &Surface,
+    charts_in: Option<&Contraction>,
+    atlas_size: u32,
+) -> Result<UnwrappedMesh, GeometryError> {
     if !(16..=16384).contains(&atlas_size) {
         return Err(GeometryError::argument("atlas_size", "16 to 16384 texels", &atlas_size));
     }
     if surface.triangles.is_empty() {
         return Err(GeometryError::argument("triangles", "at least one triangle", &"none"));
     }
-    let corners = corner_positions(surface)?;
+    let mut corners = corner_positions(surface)?;
+    if let Some(contraction) = charts_in {
+        corners.iter_mut().flatten().for_each(|p| *p = contraction.contract(*p));
+    }
     let areas: Vec<f64> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).collect();
     // Something to scale by when nothing has an area.
     let area = areas.iter().sum::<f64>().max(f64::MIN_POSITIVE.sqrt());
@@ -181,7 +191,7 @@ mod tests {
     }
 
     fn check(surface: &Surface, size: u32) -> UnwrapStats {
-        let mesh = unwrap(surface, size).unwrap();
+        let mesh = unwrap(surface, None, size).unwrap();
         assert_eq!((mesh.positions.len(), &mesh.triangles), (surface.positions.len(), &surface.triangles));
         let size = size as usize;
         let owner = rasterize(&mesh, size);
@@ -248,10 +258,10 @@ mod tests {
     fn broken_and_degenerate_input() {
         let p = vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z, Vec3::NAN];
         let of = |triangles: Vec<[u32; 3]>| Surface { positions: p.clone(), triangles };
-        assert!(matches!(unwrap(&of(vec![]), 64), Err(GeometryError::Argument { .. })));
-        assert!(matches!(unwrap(&of(vec![[0, 1, 5]]), 64), Err(GeometryError::Argument { .. })));
-        assert!(matches!(unwrap(&of(vec![[0, 1, 4]]), 64), Err(GeometryError::Argument { .. })));
-        assert!(matches!(unwrap(&of(vec![[0, 1, 2]]), 8), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![]), None, 64), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 5]]), None, 64), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 4]]), None, 64), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 2]]), None, 8), Err(GeometryError::Argument { .. })));
         // No area; repeated; flipped; three on one edge; opposite directions.
         check(&of(vec![[0, 0, 0]; 3]), 64);
         check(&of(vec![[0, 1, 2]; 3]), 128);
@@ -272,13 +282,13 @@ mod tests {
         assert_eq!(check(&soup(300), 512).charts, 300);
         let dense = check(&soup(4000), 512);
         assert!(dense.gutter < 4, "{dense:?}");
-        assert!(matches!(unwrap(&soup(40_000), 256), Err(GeometryError::AtlasTooSmall { charts: 40_000, .. })));
+        assert!(matches!(unwrap(&soup(40_000), None, 256), Err(GeometryError::AtlasTooSmall { charts: 40_000, .. })));
     }
 
     #[test]
     fn the_same_surface_gives_the_same_atlas() {
         let surface = bumpy_sphere(40, 0.02);
-        assert_eq!(unwrap(&surface, 256).unwrap(), unwrap(&surface, 256).unwrap());
+        assert_eq!(unwrap(&surface, None, 256).unwrap(), unwrap(&surface, None, 256).unwrap());
     }
 
     #[test]
@@ -287,7 +297,7 @@ mod tests {
         for noise in [0.0, 0.01] {
             let surface = bumpy_sphere(158, noise);
             let start = std::time::Instant::now();
-            let mesh = unwrap(&surface, 1024).unwrap();
+            let mesh = unwrap(&surface, None, 1024).unwrap();
             eprintln!(
                 "{} triangles, noise {noise}: {:.2?}, {:?}",
                 surface.triangles.len(),

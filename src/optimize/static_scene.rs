@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, Photo, PhotoCache, Split, View},
-    geometry::Shell,
+    geometry::{Contraction, Shell},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -173,6 +173,8 @@ struct Run<'a> {
     surface: Option<SurfaceOrigin>,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
+    /// Where charts are laid out, if not in the world: the capture has no bounds, or there is a shell.
+    charts_in: Option<Contraction>,
     /// Of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
     /// Of all views of the capture, after the phase that refines them.
@@ -217,6 +219,10 @@ impl<'a> Run<'a> {
         let wants_shell = options.shell && source.is_found() && truth_alpha == TruthAlpha::Ignore;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
+        let space = match shell {
+            Some(_) => Some(Contraction::around(&train_cameras, &points)?),
+            None => Contraction::if_unbounded(&train_cameras, &points)?,
+        };
         Ok(Self {
             identity,
             capture,
@@ -240,6 +246,7 @@ impl<'a> Run<'a> {
             hands_over: false,
             surface: None,
             shell,
+            charts_in: space.map(Contraction::for_charts),
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
             poses: None,
         })

@@ -5,7 +5,7 @@ use glam::{Vec2, Vec3};
 use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture},
-    geometry::{self, DepthView, Fusion, FusionOptions, Shell, Surface, SurfaceOptions, SurfaceStats, UnwrappedMesh},
+    geometry::{self, Contraction, DepthView, Fusion, FusionOptions, Surface, SurfaceOptions, SurfaceStats},
     render::gpu::{Gpu, loss::TruthAlpha, training::Training},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
 };
@@ -76,12 +76,10 @@ pub fn from_splats(
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition: Composition::default() };
     let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
     let mut training = Training::new(gpu, &scene, &cameras, 0.0, TruthAlpha::Ignore)?;
-    let points: Vec<Vec3> = if capture.points.len() < 100 {
-        splats.means().to_vec()
-    } else {
-        capture.points.iter().map(|p| p.position.as_vec3()).collect()
-    };
-    from_depths(&cameras, &points, triangles, |i| {
+    let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
+    let contraction = Contraction::if_unbounded(&cameras, &points)?;
+    let points = if points.len() < 100 { splats.means() } else { &points };
+    from_depths(&cameras, points, contraction, triangles, |i| {
         let mut depth = training.median_depth(&cameras[i])?;
         let photo = capture::decode(&capture.views[i])?;
         if photo.masked || photo.has_alpha {
@@ -101,13 +99,14 @@ pub fn from_splats(
 pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
+    contraction: Option<Contraction>,
     triangles: usize,
     mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
     let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
     let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(64, MAX_RESOLUTION);
-    let suggested = FusionOptions::suggest(cameras, points, resolution)?;
+    let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
     let volume = FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested };
     let mut fusion = Fusion::new(volume)?;
     let bounds =
@@ -117,19 +116,6 @@ pub(super) fn from_depths(
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
     }
     Ok(geometry::surface_from_fusion(&fusion, &bounds)?)
-}
-
-/// Charts for a surface, of which a shell gets as many texels to a pixel as the rest does.
-pub(super) fn unwrapped(
-    surface: &Surface,
-    shell: Option<&Shell>,
-    cameras: &[Camera],
-    texture_size: u32,
-) -> Result<UnwrappedMesh, TrainError> {
-    let Some(shell) = shell else { return Ok(geometry::unwrap(surface, texture_size)?) };
-    let positions = shell.drawn_in(&surface.positions, cameras);
-    let drawn = Surface { positions, triangles: surface.triangles.clone() };
-    Ok(UnwrappedMesh { positions: surface.positions.clone(), ..geometry::unwrap(&drawn, texture_size)? })
 }
 
 /// A mesh with empty maps: opacity one half, grey (METHODS 4.1).
@@ -142,7 +128,7 @@ pub(super) fn textured(
     let (surface, corner_uvs) = match corner_uvs {
         Some(uvs) => (surface, uvs),
         None => {
-            let unwrapped = geometry::unwrap(&surface, texture_size)?;
+            let unwrapped = geometry::unwrap(&surface, None, texture_size)?;
             (Surface { positions: unwrapped.positions, triangles: unwrapped.triangles }, unwrapped.corner_uvs)
         }
     };

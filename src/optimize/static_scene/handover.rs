@@ -2,7 +2,7 @@
 
 use super::{Run, arrays, splat_state, squared_error};
 use crate::{
-    geometry::{self, GeometryError, PointView, Surface, UnwrappedMesh},
+    geometry::{self, Contraction, GeometryError, PointView, Surface, UnwrappedMesh},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{Camera, HybridScene, Mesh},
@@ -25,14 +25,12 @@ impl<'a> Run<'a> {
                 Err(error) => return Err(error.into()),
             }
         }
-        let points: Vec<_> = if self.capture.points.len() < 100 {
-            splat_state(training)?.to_splats()?.means().to_vec()
-        } else {
-            self.capture.points.iter().map(|p| p.position.as_vec3()).collect()
-        };
+        let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
+        let contraction = Contraction::if_unbounded(&self.train_cameras, &points)?;
+        let points = if points.len() < 100 { splat_state(training)?.to_splats()?.means().to_vec() } else { points };
         let masked = self.truth_alpha != TruthAlpha::Ignore;
         let triangles = self.options.triangles;
-        let (surface, _) = surface::from_depths(&self.train_cameras, &points, triangles, |i| {
+        let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
             if masked {
                 let photo = self.cache.get(&self.capture.views[self.train[i]])?;
@@ -58,7 +56,7 @@ impl<'a> Run<'a> {
         }
         let size = self.texture_size();
         let UnwrappedMesh { positions, triangles, corner_uvs, .. } =
-            surface::unwrapped(&surface, self.shell.as_ref(), &self.train_cameras, size)?;
+            geometry::unwrap(&surface, self.charts_in.as_ref(), size)?;
         let mesh = surface::textured(Surface { positions, triangles }, Some(corner_uvs), self.options, size)?;
         match &self.shell {
             Some(shell) => self.painted(mesh, shell),

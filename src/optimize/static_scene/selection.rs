@@ -5,7 +5,7 @@ use glam::Vec2;
 use super::Run;
 use crate::{
     geometry::{self, GeometryError, Surface, UnwrappedMesh},
-    optimize::{TrainError, surface},
+    optimize::TrainError,
     render::gpu::training::Training,
     scene::{Atlas, Mesh},
 };
@@ -61,7 +61,7 @@ impl<'a> Run<'a> {
         let mut size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
         let (part, uvs) = (geometry::compact(part(mesh, &keep)), kept(mesh.corner_uvs(), &keep));
         loop {
-            let unwrapped = surface::unwrapped(&part, self.shell.as_ref(), &self.train_cameras, size);
+            let unwrapped = geometry::unwrap(&part, self.charts_in.as_ref(), size).map_err(TrainError::from);
             match unwrapped.and_then(|unwrapped| lay_out(unwrapped, &uvs, &atlas, size)) {
                 // Many small charts may need more room than their area says; at the old size they had it.
                 Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
@@ -211,7 +211,7 @@ mod tests {
     fn content_follows_what_is_kept() {
         let mesh = strips(10);
         let keep: Vec<bool> = (0..40).map(|f| f < 20).collect();
-        let unwrapped = geometry::unwrap(&geometry::compact(part(&mesh, &keep)), 128).unwrap();
+        let unwrapped = geometry::unwrap(&geometry::compact(part(&mesh, &keep)), None, 128).unwrap();
         let laid_out = lay_out(unwrapped, &kept(mesh.corner_uvs(), &keep), mesh.atlas(), 128).unwrap();
         assert_eq!((laid_out.triangles().len(), laid_out.positions().len()), (20, 22));
         let base = laid_out.atlas().base();

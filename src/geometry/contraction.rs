@@ -1,0 +1,175 @@
+use glam::{DMat3, DVec3, Vec3};
+
+use super::GeometryError;
+use crate::scene::Camera;
+
+/// A capture is unbounded if more than this part of its points are beyond [`Contraction::radius`].
+const BEYOND: f64 = 0.1;
+/// Fewer points say nothing about that.
+const LEAST_POINTS: usize = 100;
+
+/// Unbounded space drawn into a ball (Mip-NeRF 360, METHODS 6): what is within `radius` of `center` keeps its place, and all the
+/// rest comes to lie within twice that, x → (2 − 1/|x|) x/|x| in units of it. Lengths are world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contraction {
+    /// What the cameras look at.
+    pub center: DVec3,
+    /// Of the ball in which nothing changes.
+    pub radius: f64,
+}
+
+impl Contraction {
+    /// Around the point that all cameras look at, the radius twice their least distance to it (the constants of 2DGS; twice their
+    /// median distance, where that is more than twice the least: a walk may lead past the point).
+    ///
+    /// # Errors
+    /// Without cameras.
+    pub fn around(cameras: &[Camera], points: &[Vec3]) -> Result<Self, GeometryError> {
+        if cameras.is_empty() {
+            return Err(GeometryError::argument("cameras", "at least one camera", &"none"));
+        }
+        let inner = quantile_box(points.iter().map(|p| p.as_dvec3()), 0.25);
+        let center = focus_point(cameras, inner.map(|(low, high)| (low + high) / 2.0));
+        let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(center)).collect();
+        distances.sort_unstable_by(f64::total_cmp);
+        let (least, median) = (distances[0], distances[distances.len() / 2]);
+        let distance = if least < 0.5 * median { median } else { least };
+        // A camera in the very focus (a panorama): the points say how large the scene is.
+        let fallback = inner.map_or(1.0, |(low, high)| (high - low).length());
+        let distance = if distance > 1e-3 * fallback { distance } else { fallback.max(1e-6) };
+        Ok(Self { center, radius: 2.0 * distance })
+    }
+
+    /// The same, if a tenth of the points or more are beyond it.
+    ///
+    /// # Errors
+    /// Without cameras.
+    pub fn if_unbounded(cameras: &[Camera], points: &[Vec3]) -> Result<Option<Self>, GeometryError> {
+        let contraction = Self::around(cameras, points)?;
+        let beyond = points.iter().filter(|p| p.as_dvec3().distance(contraction.center) > contraction.radius).count();
+        let is_unbounded = points.len() >= LEAST_POINTS && beyond as f64 > BEYOND * points.len() as f64;
+        Ok(is_unbounded.then_some(contraction))
+    }
+
+    /// One in which what is far away has as many texels to a pixel as what is at the centre, for charts: a quarter of the radius, half
+    /// the cameras' distance, so that the end of the ball is as far as they are.
+    #[must_use]
+    pub fn for_charts(self) -> Self {
+        Self { radius: 0.25 * self.radius, ..self }
+    }
+
+    /// Where a point of the world comes to lie.
+    #[must_use]
+    pub fn contract(&self, p: DVec3) -> DVec3 {
+        let x = (p - self.center) / self.radius;
+        let distance = x.length();
+        if distance <= 1.0 { p } else { self.center + x * (self.radius * (2.0 - 1.0 / distance) / distance) }
+    }
+
+    /// The point of the world that comes to lie there; not finite where none does.
+    #[must_use]
+    pub fn expand(&self, q: DVec3) -> DVec3 {
+        let x = (q - self.center) / self.radius;
+        let distance = x.length();
+        if distance <= 1.0 {
+            q
+        } else if distance < 2.0 {
+            self.center + x * (self.radius / (distance * (2.0 - distance)))
+        } else {
+            DVec3::INFINITY
+        }
+    }
+
+    /// Derivative of [`Self::contract`] at `p` along `d`.
+    #[must_use]
+    pub fn along(&self, p: DVec3, d: DVec3) -> DVec3 {
+        let x = (p - self.center) / self.radius;
+        let distance = x.length();
+        if distance <= 1.0 {
+            return d;
+        }
+        let outward = x / distance;
+        let radial = outward * d.dot(outward);
+        (radial / distance + (d - radial) * (2.0 - 1.0 / distance)) / distance
+    }
+}
+
+/// The point closest to all optical axes in the least-squares sense; axes that hardly cross leave it near `prior`.
+fn focus_point(cameras: &[Camera], prior: Option<DVec3>) -> DVec3 {
+    let count = cameras.len() as f64;
+    let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / count;
+    let prior = prior.unwrap_or(mean);
+    let (mut matrix, mut rhs) = (DMat3::from_diagonal(DVec3::splat(1e-3 * count)), prior * (1e-3 * count));
+    for camera in cameras {
+        let axis = camera.rotation().row(2);
+        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        matrix += across;
+        rhs += across * camera.center();
+    }
+    matrix.inverse() * rhs
+}
+
+/// Per axis, the `q` and 1−`q` quantiles of the finite points.
+pub(super) fn quantile_box(points: impl Iterator<Item = DVec3>, q: f64) -> Option<(DVec3, DVec3)> {
+    let points: Vec<DVec3> = points.filter(|p| p.is_finite()).collect();
+    let mut corners = (DVec3::ZERO, DVec3::ZERO);
+    for axis in 0..3 {
+        let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+        let skip = (values.len() as f64 * q) as usize;
+        let last = values.len().checked_sub(1 + skip)?;
+        values.sort_unstable_by(f64::total_cmp);
+        corners.0[axis] = values[skip];
+        corners.1[axis] = values[last];
+    }
+    Some(corners)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BALL: Contraction = Contraction { center: DVec3::new(1.0, -2.0, 0.5), radius: 3.0 };
+
+    #[test]
+    fn near_things_keep_their_place_and_far_ones_come_back() {
+        for k in 0..200 {
+            let direction =
+                DVec3::new(f64::from(k % 7) - 3.0, f64::from(k % 11) - 5.0, 1.0 + f64::from(k % 3)).normalize();
+            let p = BALL.center + direction * 0.07 * 1.07_f64.powi(k);
+            let q = BALL.contract(p);
+            let distance = p.distance(BALL.center);
+            assert!(q.distance(BALL.center) < 6.0);
+            assert_eq!(q == p, distance <= 3.0);
+            assert!(BALL.expand(q).distance(p) < 1e-9 * distance * (1.0 + distance), "{p}");
+        }
+        // In units of 3: 4 is drawn to 2 − 1/4.
+        assert!(BALL.contract(BALL.center + DVec3::X * 12.0).distance(BALL.center + DVec3::X * 5.25) < 1e-12);
+        for nowhere in [DVec3::X * 6.0, DVec3::Y * 7.0, DVec3::NAN] {
+            assert!(!BALL.expand(BALL.center + nowhere).is_finite());
+        }
+    }
+
+    #[test]
+    fn the_derivative_is_that_of_differences() {
+        for distance in [1.0, 2.9, 3.1, 10.0, 200.0] {
+            let p = BALL.center + DVec3::new(2.0, -1.0, 2.0) / 3.0 * distance;
+            for d in [DVec3::X, DVec3::new(2.0, -1.0, 2.0), DVec3::new(-0.3, 0.2, 0.9)] {
+                let h = 1e-6 * distance;
+                let differences = (BALL.contract(p + d * h) - BALL.contract(p - d * h)) / (2.0 * h);
+                assert!(BALL.along(p, d).distance(differences) < 1e-8, "{distance} {d}");
+            }
+        }
+    }
+
+    #[test]
+    fn charts_of_what_is_far_have_as_many_texels_to_a_pixel() {
+        // Cameras are half the radius away from the centre.
+        let charts = BALL.for_charts();
+        for distance in [300.0, 1e6] {
+            let p = BALL.center + DVec3::X * distance;
+            let texels = charts.along(p, DVec3::Y).length();
+            // Where a texel is as large as a pixel at the centre, one is so here.
+            assert!((texels * distance / (0.5 * BALL.radius) - 1.0).abs() < 0.01);
+        }
+    }
+}
