@@ -4,6 +4,7 @@
 mod backward;
 mod layers;
 mod margin;
+mod mean_rays;
 mod mesh;
 mod parameters;
 mod ray;
@@ -16,6 +17,7 @@ use rayon::prelude::*;
 pub use backward::{ScreenStatistics, backward, backward_parameters};
 pub use layers::{Layers, render_layers};
 pub use margin::{Margin, margins, render_with_margins};
+pub use mean_rays::{MeanRays, render_by_mean_rays};
 pub use parameters::{Parameter, Parameters, finite_difference};
 
 use super::contract::{self, MAX_LAYERS, SurfaceDepth};
@@ -102,17 +104,7 @@ pub fn render(scene: &HybridScene, camera: &Camera) -> Image {
 /// If the shapes differ.
 #[must_use]
 pub fn render_parameters(scene: &HybridScene, camera: &Camera, parameters: &Parameters) -> Image {
-    let view = View::new(scene, camera, parameters);
-    let background = DVec3::from(scene.composition.background.map(f64::from));
-    let composite = |pixel: usize| {
-        let list = view.contributions(pixel);
-        let transmittance = list.last().map_or(1.0, |last| last.transmittance * (1.0 - last.alpha));
-        let rgb = list.iter().map(|c| c.transmittance * c.alpha * c.color).sum::<DVec3>() + transmittance * background;
-        (rgb.to_array(), transmittance)
-    };
-    let (rgb, transmittance) = (0..view.layers.len()).into_par_iter().map(composite).unzip();
-    let k = camera.intrinsics();
-    Image { width: k.width as usize, height: k.height as usize, rgb, transmittance }
+    View::new(scene, camera, parameters).composite(scene.composition.background)
 }
 
 /// Projects splat `i` (METHODS 2.2, 2.3); `None` if it is not beyond `near` or contributes to no pixel anywhere.
@@ -236,6 +228,20 @@ impl<'a> View<'a> {
         Self { camera, hits, layers, splats }
     }
 
+    /// The picture over a background.
+    fn composite(&self, background: [f32; 3]) -> Image {
+        let background = DVec3::from(background.map(f64::from));
+        let composite = |pixel: usize| {
+            let list = self.contributions(pixel);
+            let transmittance = list.last().map_or(1.0, |last| last.transmittance * (1.0 - last.alpha));
+            let rgb = list.iter().map(|c| c.transmittance * c.alpha * c.color).sum::<DVec3>();
+            ((rgb + transmittance * background).to_array(), transmittance)
+        };
+        let (rgb, transmittance) = (0..self.layers.len()).into_par_iter().map(composite).unzip();
+        let k = self.camera.intrinsics();
+        Image { width: k.width as usize, height: k.height as usize, rgb, transmittance }
+    }
+
     /// All that covers a pixel, front to back, with its place in the order: bucket b is at 2b, the layer in front
     /// of it at 2b − 1. Transmittances are not set.
     fn ordered(&self, pixel: usize) -> Vec<(usize, Contribution)> {
@@ -298,15 +304,25 @@ fn splat_thresholds(
     layers: &[Vec<Fragment>],
     splat: &Projected,
 ) -> [f64; MAX_LAYERS] {
+    let composition = &scene.composition;
+    let samples = surface_depths(scene, camera, layers, splat);
+    contract::thresholds(composition.mode, splat.depth, &samples, f64::from(composition.lambda))
+}
+
+/// What the rendered layers have at a splat's mean, `[layers]`.
+fn surface_depths(
+    scene: &HybridScene,
+    camera: &Camera,
+    layers: &[Vec<Fragment>],
+    splat: &Projected,
+) -> Vec<SurfaceDepth> {
     let (k, composition) = (camera.intrinsics(), &scene.composition);
-    let lambda = f64::from(composition.lambda);
-    let sample = |layer: usize| -> SurfaceDepth {
+    let sample = |layer: usize| {
         let depth_at = |[x, y]: [u32; 2]| {
             let pixel = y as usize * k.width as usize + x as usize;
             layers[pixel].get(layer).map_or(0.0, |fragment| fragment.depth)
         };
-        contract::surface_depth(depth_at, [k.width, k.height], splat.center, lambda)
+        contract::surface_depth(depth_at, [k.width, k.height], splat.center, f64::from(composition.lambda))
     };
-    let samples: Vec<_> = (0..composition.layers as usize).map(sample).collect();
-    contract::thresholds(composition.mode, splat.depth, &samples, lambda)
+    (0..composition.layers as usize).map(sample).collect()
 }

@@ -1,0 +1,97 @@
+use rayon::prelude::*;
+
+use super::{Image, Parameters, View, surface_depths};
+use crate::geometry::MeshBvh;
+use crate::render::contract::{self, SurfaceDepth};
+use crate::scene::{Camera, HybridScene, OrderMode};
+
+/// How the order of splats and layers by rays differs from the rule's; counts are of pairs of a splat that the camera has in front
+/// and a layer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeanRays {
+    /// All of them.
+    pub pairs: usize,
+    /// Those with a mean outside the picture, which are behind by the rule.
+    pub outside: usize,
+    /// Those that [`OrderMode::Stable`] puts elsewhere: behind, in front, or where each pixel's depth says.
+    pub different: usize,
+    /// Of these, those outside the picture.
+    pub different_outside: usize,
+}
+
+/// As [`super::render`], but what is in front of a mean is asked by a ray from the camera to it (METHODS 11): exact where the depth
+/// image of a layer has only the centres of pixels, and known outside the picture, too. To see what that is worth; the rule of the
+/// composition is the other.
+#[must_use]
+pub fn render_by_mean_rays(scene: &HybridScene, camera: &Camera) -> (Image, MeanRays) {
+    let parameters = Parameters::of(scene);
+    let mut view = View::new(scene, camera, &parameters);
+    let bvh = MeshBvh::new(scene.meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
+    let (composition, center) = (&scene.composition, camera.center());
+    let (lambda, near) = (f64::from(composition.lambda), f64::from(composition.near));
+    let layers = &view.layers;
+    let decide = |(splat, thresholds): &mut (super::Projected, [f64; contract::MAX_LAYERS])| {
+        // Of length 1 at the mean, whose depth it thus scales.
+        let hits = bvh.all_hits(center, parameters.means[splat.index] - center);
+        let mut depths = hits.iter().map(|hit| hit.t * splat.depth).filter(|depth| *depth > near);
+        let by_ray: Vec<SurfaceDepth> =
+            (0..composition.layers).map(|_| depths.next().map_or(SurfaceDepth::Empty, SurfaceDepth::Depth)).collect();
+        let by_taps = surface_depths(scene, camera, layers, splat);
+        *thresholds = contract::thresholds(composition.mode, splat.depth, &by_ray, lambda);
+        let stable =
+            |sample: &SurfaceDepth| contract::thresholds(OrderMode::Stable, splat.depth, &[*sample], lambda)[0];
+        let mut counts = MeanRays::default();
+        for (ray, taps) in by_ray.iter().zip(&by_taps) {
+            let (is_outside, is_different) = (*taps == SurfaceDepth::Outside, stable(ray) != stable(taps));
+            counts.pairs += 1;
+            counts.outside += usize::from(is_outside);
+            counts.different += usize::from(is_different);
+            counts.different_outside += usize::from(is_outside && is_different);
+        }
+        counts
+    };
+    let mut splats = std::mem::take(&mut view.splats);
+    let counts = splats.par_iter_mut().map(decide).reduce(MeanRays::default, |a, b| MeanRays {
+        pairs: a.pairs + b.pairs,
+        outside: a.outside + b.outside,
+        different: a.different + b.different,
+        different_outside: a.different_outside + b.different_outside,
+    });
+    view.splats = splats;
+    (view.composite(composition.background), counts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::{reference, testing};
+
+    #[test]
+    fn rays_and_taps_agree_but_at_edges_and_outside() {
+        let (mut differences, mut total) = (0.0_f64, MeanRays::default());
+        for seed in 0..6 {
+            let (scene, camera) = testing::random_scene(seed, 400, 2, 2, 1, OrderMode::Stable);
+            let (image, counts) = render_by_mean_rays(&scene, &camera);
+            let taps = reference::render(&scene, &camera);
+            let pairs = image.rgb.as_flattened().iter().zip(taps.rgb.as_flattened());
+            differences += pairs.map(|(a, b)| (a - b).abs()).sum::<f64>() / (3 * image.rgb.len()) as f64;
+            total.pairs += counts.pairs;
+            total.outside += counts.outside;
+            total.different += counts.different;
+            total.different_outside += counts.different_outside;
+        }
+        eprintln!("{total:?}, mean difference of pixels {:.1e}", differences / 6.0);
+        let inside = total.different - total.different_outside;
+        assert!(total.pairs > 1000 && total.outside > 0 && total.different_outside > 0, "{total:?}");
+        assert!(inside > 0 && inside * 10 < total.pairs, "{total:?}");
+        assert!(differences > 0.0);
+    }
+
+    #[test]
+    fn without_a_mesh_there_is_nothing_to_ask() {
+        let (mut scene, camera) = testing::random_scene(1, 100, 0, 2, 1, OrderMode::Stable);
+        scene.meshes.clear();
+        let (image, counts) = render_by_mean_rays(&scene, &camera);
+        assert_eq!((image, counts.different), (reference::render(&scene, &camera), counts.outside));
+    }
+}
