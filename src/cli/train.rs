@@ -147,7 +147,7 @@ pub(super) struct Args {
     shell: ShellChoice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
     /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
-    /// two from the longer image side on, 128 to 2048]
+    /// two from the longer image side on, 128 to 2048; maps of a mesh of yours take half of a budget of floats at most]
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: Option<u32>,
     /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)

@@ -89,6 +89,14 @@ fn needed(hybrid: &TrainingSize, hands_over: bool, texture_size: u32) -> (String
     (what, bytes.total())
 }
 
+/// Side of the largest maps of no more than so many floats: as wanted, else a multiple of 32, which has mips as far as gutters separate
+/// charts, else the least that there is.
+pub(super) fn texture_size_within(options: &TrainOptions, wanted: u32, floats: usize) -> u32 {
+    let smaller = (1..=wanted / 32).rev().map(|n| 32 * n);
+    let mut sizes = std::iter::once(wanted).chain(smaller);
+    sizes.find(|&size| map_floats(options, size).iter().sum::<usize>() <= floats).unwrap_or(16)
+}
+
 /// Floats of the two maps that `surface::textured` makes.
 fn map_floats(options: &TrainOptions, texture_size: u32) -> [usize; 2] {
     let texels = |side: u32| side as usize * side as usize;

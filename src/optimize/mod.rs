@@ -51,6 +51,14 @@ pub enum TrainError {
     /// What cannot be done together.
     #[error("poses are refined by splats before there is a mesh: expected none to be given, found one")]
     PosesBesideMesh,
+    /// The mesh alone is beyond the budget.
+    #[error("expected a budget of more than the {mesh} floats that the mesh takes, found {found}")]
+    Budget {
+        /// Floats of the mesh: vertices and maps.
+        mesh: usize,
+        /// [`TrainOptions::max_floats`].
+        found: usize,
+    },
     /// A parameter went to NaN or infinity.
     #[error("iteration {iteration} ({phase:?}): {group} not finite; the last checkpoint is from before")]
     NotFinite {

@@ -60,7 +60,8 @@ pub struct TrainOptions {
     pub density: Density,
     /// No more splats than this: 1,000,000.
     pub max_splats: usize,
-    /// No more floats than this in splats, maps and vertices together; limits the splats. For comparisons.
+    /// No more floats than this in splats, maps and vertices together; limits the splats, and to half of it maps that are not laid
+    /// out anew. For comparisons.
     pub max_floats: Option<usize>,
     /// Only splats seen by an iteration's view are updated: off (3DGS updates all).
     pub visible_only: bool,

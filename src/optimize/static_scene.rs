@@ -258,6 +258,7 @@ impl<'a> Run<'a> {
             _ => None,
         };
         let resumes = saved.is_some();
+        self.hands_over = source.is_found();
         memory::check(
             self.session.gpu,
             self.options,
@@ -268,7 +269,6 @@ impl<'a> Run<'a> {
         )?;
         self.surface = saved.as_ref().and_then(|s| s.surface);
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
-        self.hands_over = source.is_found();
         if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
             && let Some(poses) = saved.poses.clone()
         {
@@ -279,7 +279,9 @@ impl<'a> Run<'a> {
             (Some(saved), _) => saved.meshes.clone(),
             (None, MeshSource::Given { surface, corner_uvs }) => {
                 self.surface = Some(SurfaceOrigin::Given);
-                vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?]
+                let meshes = vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?];
+                self.within_budget(&meshes)?;
+                meshes
             }
             (None, _) => vec![],
         };
@@ -317,6 +319,10 @@ impl<'a> Run<'a> {
                     let selected = self.select_faces(&mut training, mesh)?;
                     let state = splat_state(&training)?;
                     scene.meshes = selected.into_iter().collect();
+                    // Plain splats make more of a budget that is too small for it.
+                    if self.within_budget(&scene.meshes).is_err() {
+                        scene.meshes.clear();
+                    }
                     training = self.training(&scene)?;
                     training.write_splats(&arrays(state))?;
                 }
@@ -387,19 +393,34 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest.
     fn texture_size(&self) -> u32 {
-        self.options.texture_size.unwrap_or_else(|| self.longest_side.next_power_of_two().clamp(128, 2048))
+        let default = || self.longest_side.next_power_of_two().clamp(128, 2048);
+        let wanted = self.options.texture_size.unwrap_or_else(default);
+        let stays = !self.hands_over || self.options.warmup == 0;
+        let budget = self.options.max_floats.filter(|_| stays);
+        budget.map_or(wanted, |floats| memory::texture_size_within(self.options, wanted, floats / 2))
+    }
+
+    /// Whether meshes leave floats for a splat at least.
+    ///
+    /// # Errors
+    /// With both numbers, if not.
+    fn within_budget(&self, meshes: &[Mesh]) -> Result<(), TrainError> {
+        let mesh = meshes.iter().map(Mesh::floats).sum();
+        match self.options.max_floats {
+            Some(found) if found < mesh + Splats::floats_each(self.options.sh_degree) => {
+                Err(TrainError::Budget { mesh, found })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Most splats that the budgets and the adapter's bindings allow beside these meshes.
     fn max_splats(&self, meshes: &[Mesh]) -> usize {
-        let mesh_only =
-            HybridScene { splats: Splats::empty(0), meshes: meshes.to_vec(), composition: Composition::default() };
-        let per_splat = 11 + 3 * sh::coefficients(self.options.sh_degree);
-        let by_floats = self
-            .options
-            .max_floats
-            .map_or(usize::MAX, |floats| (floats.saturating_sub(mesh_only.total_floats()) / per_splat).max(1));
+        let mesh: usize = meshes.iter().map(Mesh::floats).sum();
+        let left = |floats: usize| floats.saturating_sub(mesh) / Splats::floats_each(self.options.sh_degree);
+        let by_floats = self.options.max_floats.map_or(usize::MAX, |floats| left(floats).max(1));
         // The longest array of a splat, in bytes.
         let widest = 4 * (3 * sh::coefficients(self.options.sh_degree)).max(GEOMETRY_FLOATS);
         let by_adapter = self.session.gpu.max_binding_bytes() as usize / widest;

@@ -177,6 +177,12 @@ impl Mesh {
         &self.triangles
     }
 
+    /// Number of floats that training optimises: positions and textures.
+    #[must_use]
+    pub fn floats(&self) -> usize {
+        self.atlas.floats() + 3 * self.positions.len()
+    }
+
     /// Per-corner UVs, `[F]`.
     #[must_use]
     pub fn corner_uvs(&self) -> &[[Vec2; 3]] {

@@ -39,9 +39,8 @@ impl HybridScene {
     /// This is the budget in which hybrids and pure splats are compared (METHODS 8, "total floats").
     #[must_use]
     pub fn total_floats(&self) -> usize {
-        let splats = self.splats.len() * (11 + 3 * sh::coefficients(self.splats.sh_degree()));
-        let meshes: usize = self.meshes.iter().map(|m| m.atlas().floats() + 3 * m.positions().len()).sum();
-        splats + meshes
+        let splats = self.splats.len() * Splats::floats_each(self.splats.sh_degree());
+        splats + self.meshes.iter().map(Mesh::floats).sum::<usize>()
     }
 }
 

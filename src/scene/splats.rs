@@ -88,6 +88,12 @@ impl Splats {
         }
     }
 
+    /// Number of floats of one splat: mean, rotation, log-scales, opacity and colour.
+    #[must_use]
+    pub fn floats_each(sh_degree: u32) -> usize {
+        11 + 3 * sh::coefficients(sh_degree)
+    }
+
     /// Number of splats.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -105,6 +105,21 @@ fn floats_stay_within_their_budget() {
         assert!(scene.total_floats() <= 60_000, "{source:?}: {}", scene.total_floats());
         assert!(scene.total_floats() > 40_000, "{source:?}: {}", scene.total_floats());
     }
+    // Maps that nothing lays out anew begin as large as they may stay.
+    for (source, warmup) in [(square(), 20), (MeshSource::Points, 0)] {
+        let options = TrainOptions { texture_size: Some(256), warmup, ..options.clone() };
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let scene = train(&capture, source, &options, session).unwrap().scene;
+        let maps = scene.meshes[0].atlas().floats();
+        assert!(scene.total_floats() <= 60_000 && maps > 15_000 && maps <= 30_000, "{}, {maps}", scene.total_floats());
+    }
+    let options = TrainOptions { max_floats: Some(1000), ..options };
+    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let error = train(&capture, square(), &options, session).unwrap_err().to_string();
+    assert!(
+        error.starts_with("expected a budget of more than the ") && error.ends_with("takes, found 1000"),
+        "{error}"
+    );
 }
 
 #[test]
