@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3};
 
 use super::edits::positive;
 use super::output;
-use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
+use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -41,6 +41,9 @@ pub(super) struct Args {
     /// Most triangles after simplification
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles)]
     triangles: usize,
+    /// Whether flat regions are found, made flat and meshed anew with few triangles
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto)]
+    planar: Choice,
     /// Side of the atlas in texels for which charts and gutters are laid out
     #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: u32,
@@ -70,7 +73,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         Some(splats) => {
             let scene = read_scene(splats)?;
             let gpu = args.adapter.open()?;
-            let (surface, steps) = surface_from_splats(&gpu, &scene.splats, &capture, args.triangles)?;
+            let (surface, steps) =
+                surface_from_splats(&gpu, &scene.splats, &capture, args.triangles, args.planar.is_auto())?;
             (surface, steps, SurfaceOrigin::Splats)
         }
         None => from_points(&capture, args)?,
@@ -93,6 +97,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
             "surface": args.output,
             "origin": origin,
             "views": steps.views, "unbounded": steps.contraction.is_some(), "holes_closed": steps.holes,
+            "planes": { "found": steps.planar.planes, "triangles_before": steps.planar.before,
+                        "triangles_after": steps.planar.after,
+                        "part": steps.planar.before as f64 / steps.even as f64 },
             "triangles": { "extracted": steps.extracted, "cleaned": steps.cleaned, "even": steps.even,
                            "simplified": steps.simplified },
             "atlas": { "charts": charts.charts, "gutter": charts.gutter, "texels_per_unit": charts.texels_per_unit,
@@ -115,6 +122,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     output::print(&format!(
         "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
+         planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}\n\
          {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst\n\
          wrote {}",
         steps.views,
@@ -124,6 +132,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
         steps.holes,
         steps.even,
         steps.simplified,
+        steps.planar.planes,
+        100.0 * steps.planar.before as f64 / steps.even as f64,
+        steps.planar.before,
+        steps.planar.after,
         charts.charts,
         100.0 * charts.coverage,
         charts.gutter,
@@ -158,7 +170,7 @@ fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats,
     );
     let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
     let views: Vec<PointView> = capture.views.iter().map(view).collect();
-    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles)?;
+    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar.is_auto())?;
     if !args.messages.json && !args.messages.quiet {
         let SparseStats { views, guessed, lifted, clear, .. } = steps;
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;

@@ -10,6 +10,21 @@ use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::{Gpu, Picture};
 use image::Rgb32FImage;
 
+/// A step that finds out by itself where there is something for it to do.
+#[derive(Clone, Copy, clap::ValueEnum)]
+pub(super) enum Choice {
+    /// Where there is something to do
+    Auto,
+    /// Never
+    Off,
+}
+
+impl Choice {
+    pub(super) fn is_auto(self) -> bool {
+        matches!(self, Self::Auto)
+    }
+}
+
 /// Which pictures of a capture are used, and at what size.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Capture")]

@@ -21,7 +21,7 @@ use super::edits::positive;
 use super::eval::{self, Details};
 use super::output;
 use super::progress::Reporter;
-use super::shared::{AdapterArgs, CaptureArgs, MessageArgs};
+use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -141,10 +141,13 @@ pub(super) struct Args {
     /// Most triangles of a surface made from the capture (ours)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, help_heading = MESH)]
     triangles: usize,
-    /// Whether what views see past a surface made from the capture, sky and far background, is tried on a sphere far around it; its
-    /// triangles are kept where they are worth it, as all are (not in the paper)
-    #[arg(long, value_enum, value_name = "auto|off", default_value_t = ShellChoice::Off, help_heading = MESH)]
-    shell: ShellChoice,
+    /// Whether flat regions of a surface made from the capture are found, made flat and meshed anew with few triangles (not in the paper)
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
+    planar: Choice,
+    /// Whether what views see past a surface made from the capture, sky and far background, is tried on a sphere far around it, unless
+    /// photographs have alpha or masks; its triangles are kept where they are worth it, as all are (not in the paper)
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Off, help_heading = MESH)]
+    shell: Choice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
     /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
     /// two from the longer image side on, 128 to 2048; maps of a mesh of yours take half of a budget of floats at most]
@@ -250,7 +253,8 @@ impl Args {
             checkpoint_every: self.checkpoint_every,
             eval_every: self.eval_every,
             triangles: self.triangles,
-            shell: matches!(self.shell, ShellChoice::Auto),
+            planar: self.planar.is_auto(),
+            shell: self.shell.is_auto(),
             texture_size: self.texture_size,
             band_degree: self.band_degree,
             mode: match self.mode {
@@ -322,15 +326,6 @@ enum SurfaceOf {
     Splats,
     /// The capture's points, triangulated in every view
     Points,
-}
-
-/// Whether there is a shell around the surface.
-#[derive(Clone, Copy, ValueEnum)]
-enum ShellChoice {
-    /// Where training views see past the surface, unless photographs have alpha or masks
-    Auto,
-    /// Never
-    Off,
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {

@@ -44,14 +44,26 @@ impl Rings {
             directed.extend((border || !on_border[a as usize]).then_some((a, b)));
             directed.extend((border || !on_border[b as usize]).then_some((b, a)));
         }
+        Self::of(count, directed)
+    }
+
+    /// The same, but vertices on a border have all their neighbours.
+    pub(super) fn full(count: usize, triangles: &[[u32; 3]]) -> Self {
+        let pairs = |t: &[u32; 3]| [(0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)].map(|(i, j)| (t[i], t[j]));
+        Self::of(count, triangles.iter().flat_map(pairs).collect())
+    }
+
+    fn of(count: usize, mut directed: Vec<(u32, u32)>) -> Self {
         directed.par_sort_unstable();
+        directed.dedup();
         let mut first = vec![0; count + 1];
         directed.iter().for_each(|e| first[e.0 as usize + 1] += 1);
         (1..first.len()).for_each(|v| first[v] += first[v - 1]);
         Self { first, of: directed.into_iter().map(|e| e.1).collect() }
     }
 
-    fn around(&self, v: usize) -> &[u32] {
+    /// Ascending.
+    pub(super) fn around(&self, v: usize) -> &[u32] {
         &self.of[self.first[v] as usize..self.first[v + 1] as usize]
     }
 }
@@ -86,16 +98,12 @@ pub fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     normals.into_iter().map(Vec3::normalize_or_zero).collect()
 }
 
-/// Drops triangles around which the surface has no direction: where the mean of unit normals, taken over some `radius`
-/// edges around, is shorter than `least` (1 on a plane, 0.7 along a right-angled edge, towards 0 in a heap of crumbs). Indices
-/// must be in range.
-#[must_use]
-pub fn without_rough(surface: Surface, radius: usize, least: f64) -> Surface {
-    let rings = Rings::new(surface.positions.len(), &surface.triangles);
-    let position = |v: u32| surface.positions[v as usize].as_dvec3();
-    let mut normals = vec![(DVec3::ZERO, 0.0_f64); surface.positions.len()];
-    for t in &surface.triangles {
-        let [a, b, c] = t.map(position);
+/// Means of unit normals, taken over some `radius` edges around each vertex: of length 1 on a plane, 0.7 along a right-angled edge,
+/// towards 0 in a heap of crumbs. Indices must be in range.
+pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Rings, radius: usize) -> Vec<DVec3> {
+    let mut normals = vec![(DVec3::ZERO, 0.0_f64); positions.len()];
+    for t in triangles {
+        let [a, b, c] = t.map(|v| positions[v as usize]);
         let cross = (b - a).cross(c - a);
         for &v in t {
             normals[v as usize].0 += cross;
@@ -114,8 +122,18 @@ pub fn without_rough(surface: Surface, radius: usize, least: f64) -> Surface {
             .map(|(sum, weight)| if weight > 0.0 { (sum / weight, 1.0) } else { (sum, 0.0) })
             .collect();
     }
+    normals.into_iter().map(|n| n.0).collect()
+}
+
+/// Drops triangles around which the surface has no direction: where [`directions`] are shorter than `least`. Indices must be in
+/// range.
+#[must_use]
+pub fn without_rough(surface: Surface, radius: usize, least: f64) -> Surface {
+    let rings = Rings::new(surface.positions.len(), &surface.triangles);
     let Surface { positions, mut triangles } = surface;
-    triangles.retain(|t| t.iter().all(|&v| normals[v as usize].0.length() >= least));
+    let exact: Vec<DVec3> = positions.iter().map(|p| p.as_dvec3()).collect();
+    let directions = directions(&exact, &triangles, &rings, radius);
+    triangles.retain(|t| t.iter().all(|&v| directions[v as usize].length() >= least));
     compact(Surface { positions, triangles })
 }
 

@@ -8,6 +8,7 @@ use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
 use super::bvh::MeshBvh;
 use super::fusion::{DepthView, Fusion, FusionOptions};
+use super::planar::PlanarOptions;
 use super::surface::{Surface, SurfaceOptions, SurfaceStats, surface_from_fusion};
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
@@ -60,7 +61,7 @@ impl SparseStats {
     }
 }
 
-/// Fuses a surface of at most about `triangles` triangles.
+/// Fuses a surface of at most about `triangles` triangles, flat regions of it made flat if `planar`.
 ///
 /// # Errors
 /// Without cameras, if there are too few points, or if no surface is left.
@@ -68,6 +69,7 @@ pub fn surface_from_points(
     views: &[PointView],
     points: &[Vec3],
     triangles: usize,
+    planar: bool,
 ) -> Result<(Surface, SparseStats), GeometryError> {
     let seen: Vec<Vec<u32>> = views
         .par_iter()
@@ -103,7 +105,8 @@ pub fn surface_from_points(
         let depth = depth_map(camera, points, triangles);
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
     }
-    let options = SurfaceOptions { target_triangles: triangles, ..SurfaceOptions::new(volume) };
+    let planar = planar.then(PlanarOptions::default);
+    let options = SurfaceOptions { target_triangles: triangles, planar, ..SurfaceOptions::new(volume) };
     let (surface, counts) = surface_from_fusion(&fusion, &options)?;
     stats.surface = counts;
     Ok((surface, stats))
@@ -347,7 +350,7 @@ mod tests {
         let cameras = cameras();
         for wrong in [0, 100] {
             let (points, views) = cloud(&cameras, wrong);
-            let (surface, stats) = surface_from_points(&views, &points, 20_000).unwrap();
+            let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
             let [accuracy, completeness] = errors(&surface, &points);
             eprintln!("{wrong} wrong points: {accuracy:.4} to the truth, {completeness:.4} from it, {stats:?}");
             assert!(accuracy < 0.01 && completeness < 0.01, "{accuracy} {completeness}");
@@ -357,11 +360,11 @@ mod tests {
         // One view of which nothing is known does not make the others guesses.
         let (points, mut views) = cloud(&cameras, 0);
         views[3].sees.clear();
-        let (_, stats) = surface_from_points(&views, &points, 20_000).unwrap();
+        let (_, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         assert_eq!((stats.guessed, stats.is_guess()), (1, false));
         // Without tracks the points themselves say what is visible: as exact, but less is found.
         views.iter_mut().for_each(|view| view.sees.clear());
-        let (surface, stats) = surface_from_points(&views, &points, 20_000).unwrap();
+        let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         let [accuracy, completeness] = errors(&surface, &points);
         eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
         assert!(accuracy < 0.01 && completeness < 0.15, "{accuracy} {completeness}");
@@ -373,9 +376,9 @@ mod tests {
         let cameras = cameras();
         let views: Vec<_> = cameras.iter().map(|c| PointView { camera: *c, sees: vec![0, 1, 2, 900] }).collect();
         for points in [vec![], vec![Vec3::ZERO], vec![Vec3::ZERO; 3], vec![Vec3::NAN; 5]] {
-            let error = surface_from_points(&views, &points, 1000).unwrap_err().to_string();
+            let error = surface_from_points(&views, &points, 1000, true).unwrap_err().to_string();
             assert!(error.contains("lifting triangles of points"), "{error}");
         }
-        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000).is_err());
+        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000, true).is_err());
     }
 }

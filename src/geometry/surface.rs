@@ -3,6 +3,7 @@ use meshopt::{SimplifyOptions, VertexDataAdapter};
 
 use super::fusion::{DepthView, Fusion, FusionOptions};
 use super::holes::without_holes;
+use super::planar::{PlanarOptions, PlanarStats, flatten};
 use super::smooth::{smooth, without_rough};
 use super::{Contraction, GeometryError};
 
@@ -31,6 +32,8 @@ pub struct SurfaceOptions {
     pub smooth_passes: usize,
     /// Least mean of unit normals around a triangle, see [`without_rough`]: 0.6, which a right-angled edge passes.
     pub least_direction: f64,
+    /// What counts as a plane, which is then made flat and meshed anew; `None` if none is sought.
+    pub planar: Option<PlanarOptions>,
     /// Triangles after simplification: 100 000, the lower end of METHODS 6.
     pub target_triangles: usize,
 }
@@ -46,6 +49,7 @@ impl SurfaceOptions {
             max_hole_edges: 40,
             smooth_passes: 20,
             least_direction: 0.6,
+            planar: Some(PlanarOptions::default()),
             target_triangles: 100_000,
         }
     }
@@ -71,6 +75,8 @@ pub struct SurfaceStats {
     pub holes: usize,
     /// Triangles that are not rough.
     pub even: usize,
+    /// What was flat of these.
+    pub planar: PlanarStats,
     /// Triangles after simplification.
     pub simplified: usize,
 }
@@ -125,7 +131,16 @@ pub fn surface_from_fusion(
         let hint = "the surface has no direction anywhere: its depths disagree by more than they should";
         return Err(GeometryError::EmptySurface { step: "dropping rough parts", hint });
     }
-    let simplified = simplify(&even, options.target_triangles);
+    let (flat, keep) = match &options.planar {
+        Some(planar) => {
+            let (flat, keep, planes) =
+                flatten(even, options.fusion.voxel, contraction.as_ref(), options.target_triangles, planar);
+            stats.planar = planes;
+            (flat, keep)
+        }
+        None => (even, vec![]),
+    };
+    let simplified = simplify(&flat, &keep, options.target_triangles);
     stats.simplified = simplified.triangles.len();
     if stats.simplified == 0 {
         return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
@@ -167,20 +182,23 @@ pub fn components(surface: &Surface) -> Vec<u32> {
     surface.triangles.iter().map(|t| root(&mut parent, t[0])).collect()
 }
 
-/// At most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer). Topology is
-/// kept, so a surface of many pieces or holes may end above the target; one below it is returned cleaned.
+/// At most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer). Vertices marked in `keep`, `[V]`
+/// or fewer, stay. Topology is kept, so a surface of many pieces or holes may end above the target; one below it is returned cleaned.
 #[must_use]
-pub fn simplify(surface: &Surface, target_triangles: usize) -> Surface {
-    let mut surface = compact(without_broken(surface.clone()));
+pub fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize) -> Surface {
+    let (mut surface, used) = compacted(without_broken(surface.clone()));
     if surface.triangles.len() <= target_triangles {
         return surface;
     }
     let Ok(vertices) = VertexDataAdapter::new(bytemuck::cast_slice(&surface.positions), size_of::<Vec3>(), 0) else {
         return surface;
     };
-    let indices = meshopt::simplify(
+    let mut locks: Vec<bool> = keep.iter().zip(used).filter_map(|(&k, used)| used.then_some(k)).collect();
+    locks.resize(surface.positions.len(), false);
+    let indices = meshopt::simplify_with_locks(
         bytemuck::cast_slice(&surface.triangles),
         &vertices,
+        &locks,
         target_triangles.saturating_mul(3),
         f32::MAX,
         // Even triangles unwrap into charts with less stretch.
@@ -201,7 +219,8 @@ fn root(parent: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-fn without_broken(mut surface: Surface) -> Surface {
+/// Drops triangles that [`clean`] takes for broken.
+pub(super) fn without_broken(mut surface: Surface) -> Surface {
     let positions = &surface.positions;
     surface.triangles.retain(|t| {
         let corner = |k: usize| positions.get(t[k] as usize).filter(|p| p.is_finite()).map(|p| p.as_dvec3());
@@ -222,6 +241,11 @@ fn without_broken(mut surface: Surface) -> Surface {
 /// Drops vertices that no triangle uses. Every index must be in range.
 #[must_use]
 pub fn compact(surface: Surface) -> Surface {
+    compacted(surface).0
+}
+
+/// Also which vertices are left.
+fn compacted(surface: Surface) -> (Surface, Vec<bool>) {
     let mut used = vec![false; surface.positions.len()];
     surface.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
     let mut next = 0;
@@ -232,8 +256,9 @@ pub fn compact(surface: Surface) -> Surface {
             next.saturating_sub(1)
         })
         .collect();
-    Surface {
+    let compact = Surface {
         positions: surface.positions.into_iter().zip(&used).filter_map(|(p, &u)| u.then_some(p)).collect(),
         triangles: surface.triangles.into_iter().map(|t| t.map(|v| new_index[v as usize])).collect(),
-    }
+    };
+    (compact, used)
 }

@@ -18,7 +18,7 @@ fn look_at(eye: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
 }
 
 /// Cameras on a Fibonacci sphere of radius 3, looking at the origin.
-fn orbit(count: u32, width: u32, height: u32) -> Vec<Camera> {
+pub(super) fn orbit(count: u32, width: u32, height: u32) -> Vec<Camera> {
     (0..count)
         .map(|i| {
             let y = 1.0 - 2.0 * (f64::from(i) + 0.5) / f64::from(count);
@@ -30,7 +30,7 @@ fn orbit(count: u32, width: u32, height: u32) -> Vec<Camera> {
 }
 
 /// Depth map of what `hit(origin, dir)` returns: the ray parameter of a ray with z = 1 is the depth.
-fn depth_map(camera: &Camera, hit: impl Fn(DVec3, DVec3) -> Option<f64>) -> Vec<f32> {
+pub(super) fn depth_map(camera: &Camera, hit: impl Fn(DVec3, DVec3) -> Option<f64>) -> Vec<f32> {
     let k = *camera.intrinsics();
     let to_world = camera.rotation().transpose();
     (0..k.width * k.height)
@@ -41,7 +41,7 @@ fn depth_map(camera: &Camera, hit: impl Fn(DVec3, DVec3) -> Option<f64>) -> Vec<
         .collect()
 }
 
-fn unit_sphere(origin: DVec3, dir: DVec3) -> Option<f64> {
+pub(super) fn unit_sphere(origin: DVec3, dir: DVec3) -> Option<f64> {
     let (a, b, c) = (dir.length_squared(), origin.dot(dir), origin.length_squared() - 1.0);
     let d = b * b - a * c;
     (d >= 0.0).then(|| (-b - d.sqrt()) / a)
@@ -66,7 +66,7 @@ fn fused_sphere(cameras: &[Camera], voxel: f64) -> Fusion {
 }
 
 /// How many edges have two faces, four, and any odd number (a crack or a rim).
-fn edge_counts(surface: &Surface) -> [usize; 3] {
+pub(super) fn edge_counts(surface: &Surface) -> [usize; 3] {
     let mut faces: HashMap<(u32, u32), usize> = HashMap::new();
     for t in &surface.triangles {
         for k in 0..3 {
@@ -175,14 +175,14 @@ fn an_open_plane_ends_where_nothing_was_seen() {
 fn simplification_keeps_the_shape() {
     let voxel = 0.04;
     let surface = fused_sphere(&orbit(24, 160, 160), voxel).extract();
-    let simple = simplify(&surface, 2000);
+    let simple = simplify(&surface, &[], 2000);
     assert!((1900..=2000).contains(&simple.triangles.len()), "{}", simple.triangles.len());
     assert_eq!(edge_counts(&simple)[2], 0);
     let (max, mean) = sphere_error(&simple);
     eprintln!("simplified: error in voxels: max {:.3}, mean {:.3}", max / voxel, mean / voxel);
     // A chord of the ~0.1 long edges sags by 0.1²/8 = 0.03 voxels; the rest is the error of the input.
     assert!(max < 1.2 * voxel && mean < 0.3 * voxel, "{max} {mean}");
-    assert_eq!(simple, simplify(&surface, 2000));
+    assert_eq!(simple, simplify(&surface, &[], 2000));
 }
 
 #[test]
@@ -203,7 +203,7 @@ fn cleaning_keeps_the_large_components() {
     assert_eq!(clean(surface.clone(), 1, 1).triangles.len(), 30);
     assert_eq!(clean(surface, 1000, 10), Surface::default());
     assert_eq!(clean(Surface::default(), 0, 0), Surface::default());
-    assert_eq!(simplify(&Surface { positions: vec![], triangles: vec![[0, 1, 2]; 9] }, 1), Surface::default());
+    assert_eq!(simplify(&Surface { positions: vec![], triangles: vec![[0, 1, 2]; 9] }, &[], 1), Surface::default());
 }
 
 #[test]
@@ -320,7 +320,7 @@ fn time_fusion_of_40_views() {
     let extracted = start.elapsed();
     let cleaned = clean(surface.clone(), 50, 50);
     let done = start.elapsed();
-    let simple = simplify(&cleaned, 100_000);
+    let simple = simplify(&cleaned, &[], 100_000);
     eprintln!(
         "40 views of 400×300 on 256³: fusion {fused:.2?} ({} MiB), extraction {:.2?} ({} triangles), cleaning {:.2?}, \
          simplification {:.2?} to {} triangles; error in voxels {:.3?}",

@@ -86,6 +86,9 @@ pub struct TrainOptions {
     pub band_degree: u32,
     /// Triangles of a mesh made from the capture, at most: 20,000.
     pub triangles: usize,
+    /// Flat regions of such a mesh are made flat and meshed anew with few triangles ([`geometry::flatten`](crate::geometry::flatten)).
+    /// On, see docs/results.md.
+    pub planar: bool,
     /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
     /// far background. Its triangles are judged as all others, and it has no vertex that `triangles` counts. Not where
     /// photographs have alpha or masks. Off, see docs/results.md.
@@ -129,6 +132,7 @@ impl Default for TrainOptions {
             texture_size: None,
             band_degree: 2,
             triangles: 20_000,
+            planar: true,
             shell: false,
             checkpoint_every: 2_000,
             eval_every: 500,

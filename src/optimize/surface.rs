@@ -5,7 +5,9 @@ use glam::{Vec2, Vec3};
 use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture},
-    geometry::{self, Contraction, DepthView, Fusion, FusionOptions, Surface, SurfaceOptions, SurfaceStats},
+    geometry::{
+        self, Contraction, DepthView, Fusion, FusionOptions, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
+    },
     render::gpu::{Gpu, loss::TruthAlpha, training::Training},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
 };
@@ -62,8 +64,8 @@ impl MeshSource {
     }
 }
 
-/// A surface of trained splats: their median depths from all cameras of a capture, fused. Of the photographs only alpha
-/// and masks are looked at: pixels that they leave out have no depth.
+/// A surface of trained splats: their median depths from all cameras of a capture, fused, and flat regions made flat if `planar`. Of
+/// the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
 ///
 /// # Errors
 /// If a photograph cannot be read, the adapter fails or no surface is found.
@@ -72,6 +74,7 @@ pub fn from_splats(
     splats: &Splats,
     capture: &Capture,
     triangles: usize,
+    planar: bool,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition: Composition::default() };
     let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
@@ -79,7 +82,7 @@ pub fn from_splats(
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     let contraction = Contraction::if_unbounded(&cameras, &points)?;
     let points = if points.len() < 100 { splats.means() } else { &points };
-    from_depths(&cameras, points, contraction, triangles, |i| {
+    from_depths(&cameras, points, contraction, triangles, planar, |i| {
         let mut depth = training.median_depth(&cameras[i])?;
         let photo = capture::decode(&capture.views[i])?;
         if photo.masked || photo.has_alpha {
@@ -101,6 +104,7 @@ pub(super) fn from_depths(
     points: &[Vec3],
     contraction: Option<Contraction>,
     triangles: usize,
+    planar: bool,
     mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
@@ -109,8 +113,12 @@ pub(super) fn from_depths(
     let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
     let volume = FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested };
     let mut fusion = Fusion::new(volume)?;
-    let bounds =
-        SurfaceOptions { target_triangles: triangles, min_component_faces: LEAST_FACES, ..SurfaceOptions::new(volume) };
+    let bounds = SurfaceOptions {
+        target_triangles: triangles,
+        min_component_faces: LEAST_FACES,
+        planar: planar.then(PlanarOptions::default),
+        ..SurfaceOptions::new(volume)
+    };
     for (i, camera) in cameras.iter().enumerate() {
         let depth = depth_of(i)?;
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;

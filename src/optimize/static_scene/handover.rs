@@ -15,7 +15,7 @@ impl<'a> Run<'a> {
             let view = |&i: &usize| PointView { camera: self.cameras[i], sees: self.capture.views[i].sees.clone() };
             let views: Vec<PointView> = self.train.iter().map(view).collect();
             let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-            match geometry::surface_from_points(&views, &points, self.options.triangles) {
+            match geometry::surface_from_points(&views, &points, self.options.triangles, self.options.planar) {
                 Ok((surface, steps)) => {
                     let is_guess = steps.is_guess();
                     self.surface = Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
@@ -29,8 +29,8 @@ impl<'a> Run<'a> {
         let contraction = Contraction::if_unbounded(&self.train_cameras, &points)?;
         let points = if points.len() < 100 { splat_state(training)?.to_splats()?.means().to_vec() } else { points };
         let masked = self.truth_alpha != TruthAlpha::Ignore;
-        let triangles = self.options.triangles;
-        let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, |i| {
+        let (triangles, planar) = (self.options.triangles, self.options.planar);
+        let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
             if masked {
                 let photo = self.cache.get(&self.capture.views[self.train[i]])?;

@@ -1,0 +1,470 @@
+//! Flat regions of a surface: planes are grown over it, its vertices set into them, and what lies in them is meshed anew with few
+//! triangles.
+
+use std::collections::HashMap;
+
+use glam::{DMat2, DVec2, DVec3};
+
+use super::Contraction;
+use super::smooth::{Rings, directions};
+use super::surface::{Surface, compact, without_broken};
+
+/// What counts as flat, and how finely it is meshed. Lengths are in voxels of the fused volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanarOptions {
+    /// Vertices of a plane are at most so far from it: 1. The noise that smoothing leaves is below that.
+    pub tolerance: f64,
+    /// Least cosine between a plane and the surface's direction over some edges around a vertex of it: 0.9, or 26°.
+    pub least_cosine: f64,
+    /// Least area of a plane: 150, or 12×12. Smaller parts of what is round pass for flat within the tolerance.
+    pub least_area: f64,
+    /// Edges within planes become at most so many times as long as those of all would be if the target of triangles were spread evenly: 4.
+    /// Larger triangles could only be kept or dropped as a whole when training judges them.
+    pub coarseness: f64,
+}
+
+impl Default for PlanarOptions {
+    fn default() -> Self {
+        Self { tolerance: 1.0, least_cosine: 0.9, least_area: 150.0, coarseness: 4.0 }
+    }
+}
+
+/// Edges over which the direction of the surface is averaged.
+const RADIUS: usize = 4;
+/// A plane begins with what is near its first vertex, in voxels, and is fitted so often while it grows.
+const SEED_REACH: f64 = 6.0;
+const ROUNDS: usize = 16;
+/// The heights of a plane are this many tolerances at most, as the root of their mean square: what is cut out of something larger
+/// that is round fills the tolerance evenly, and has 0.45 to 0.58 of it.
+const ROUGHEST: f64 = 0.35;
+/// What is beside a plane joins it over so many edges if it is within the tolerance and up to 60° inclined to it: single bumps, and
+/// rounded edges between two planes. Over twice the tolerance, rims and what stands on the plane were flattened along.
+const CLOSING_PASSES: usize = 4;
+const CLOSING_COSINE: f64 = 0.5;
+/// No vertex is moved by more tolerances than that, be it onto the line between two planes.
+const FARTHEST: f64 = 3.0;
+/// Steps towards the line or point that planes have in common. Of an angle of 45° between two 1 % is left after 30.
+const STEPS: usize = 60;
+/// Planes become coarser in so many passes, to the longest edge allowed: at once, triangles would be uneven.
+const PASSES: u32 = 6;
+/// No triangle becomes thinner than this shape by that, 1 for an equilateral one, if it was not before.
+const LEAST_SHAPE: f64 = 0.3;
+/// Planar triangles must keep this part of a square voxel, twice, or their vertices stay: what is thinner may vanish by rounding.
+const THINNEST: f64 = 1e-3;
+/// In no plane.
+const NONE: u32 = u32::MAX;
+
+/// What [`flatten`] did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlanarStats {
+    /// Planes found.
+    pub planes: usize,
+    /// Triangles in them.
+    pub before: usize,
+    /// Triangles that took their place.
+    pub after: usize,
+}
+
+/// `normal`·p = `offset`
+#[derive(Clone, Copy, Debug)]
+struct Plane {
+    normal: DVec3,
+    offset: f64,
+}
+
+impl Plane {
+    fn height(&self, p: DVec3) -> f64 {
+        self.normal.dot(p) - self.offset
+    }
+}
+
+/// Makes flat regions flat and meshes them anew; a vertex stays if it were to move far or fold a triangle over by moving. Nothing
+/// else changes but what [`clean`](super::clean) takes for broken, and the surface stays as closed as it was. With a `contraction`
+/// the surface and its voxels lie in contracted space, and what is flat is so in the world. `voxel` is the edge of one. Also returns
+/// which vertices `[V]` a simplification to `target_triangles` should keep, lest the triangles of planes become much larger than
+/// those of the rest.
+#[must_use]
+pub fn flatten(
+    surface: Surface,
+    voxel: f64,
+    contraction: Option<&Contraction>,
+    target_triangles: usize,
+    options: &PlanarOptions,
+) -> (Surface, Vec<bool>, PlanarStats) {
+    let mut surface = compact(without_broken(surface));
+    let keep_none = vec![false; surface.positions.len()];
+    let sheet = Sheet::new(&surface, voxel, contraction, *options);
+    let (planes, mut of_vertex) = sheet.planes();
+    if planes.is_empty() {
+        return (surface, keep_none, PlanarStats::default());
+    }
+    sheet.close(&planes, &mut of_vertex);
+    let (positions, planes_of) = sheet.snapped(&surface.triangles, &planes, &of_vertex);
+    let places: Vec<DVec3> = positions.iter().map(|p| sheet.place(*p)).collect();
+    let area: f64 = surface.triangles.iter().map(|t| 0.5 * cross(&places, t).length()).sum();
+    let mean = area / target_triangles.clamp(1, surface.triangles.len()) as f64;
+    let longest = options.coarseness * (mean * 4.0 / 3.0_f64.sqrt()).sqrt();
+    let moved = places.iter().zip(&planes_of).zip(&mut surface.positions).filter(|m| !m.0.1.is_empty());
+    moved.for_each(|((new, _), old)| *old = (*new * voxel).as_vec3());
+    let mut mesh = Planar::new(surface.triangles, &positions, &places, &planes, &planes_of);
+    let before = mesh.plane_of_face.iter().filter(|plane| **plane != NONE).count();
+    (1..=PASSES).for_each(|pass| mesh.thin_out(longest * f64::from(pass) / f64::from(PASSES)));
+    let keep = (0..positions.len()).map(|v| mesh.is_within(v as u32)).collect();
+    let after = (0..mesh.triangles.len()).filter(|&f| !mesh.gone[f] && mesh.plane_of_face[f] != NONE).count();
+    let left = mesh.triangles.iter().zip(&mesh.gone).filter_map(|(t, gone)| (!gone).then_some(*t));
+    surface.triangles = left.collect();
+    (surface, keep, PlanarStats { planes: planes.len(), before, after })
+}
+
+/// A surface with what growing planes asks of it. Lengths are in voxels.
+struct Sheet {
+    options: PlanarOptions,
+    contraction: Option<Contraction>,
+    /// In the world.
+    positions: Vec<DVec3>,
+    /// In contracted space.
+    places: Vec<DVec3>,
+    rings: Rings,
+    /// Mean of unit normals around each vertex, shorter than 1 where the surface bends.
+    directions: Vec<DVec3>,
+    /// In contracted space, a third of that of the triangles at each vertex.
+    areas: Vec<f64>,
+}
+
+impl Sheet {
+    fn new(surface: &Surface, voxel: f64, contraction: Option<&Contraction>, options: PlanarOptions) -> Self {
+        let contraction = contraction.map(|c| Contraction { center: c.center / voxel, radius: c.radius / voxel });
+        let places: Vec<DVec3> = surface.positions.iter().map(|p| p.as_dvec3() / voxel).collect();
+        let in_world = |p: &DVec3| contraction.map(|c| c.expand(*p)).filter(|q| q.is_finite()).unwrap_or(*p);
+        let positions: Vec<DVec3> = places.iter().map(in_world).collect();
+        let rings = Rings::full(positions.len(), &surface.triangles);
+        let directions = directions(&positions, &surface.triangles, &rings, RADIUS);
+        let mut areas = vec![0.0; positions.len()];
+        for t in &surface.triangles {
+            let area = cross(&places, t).length() / 6.0;
+            t.iter().for_each(|&v| areas[v as usize] += area);
+        }
+        Self { options, contraction, positions, places, rings, directions, areas }
+    }
+
+    /// Where a point of the world comes to lie in contracted space.
+    fn place(&self, p: DVec3) -> DVec3 {
+        self.contraction.map_or(p, |c| c.contract(p))
+    }
+
+    /// Voxels to a world unit at a vertex along a direction: 1 but for what is contracted.
+    fn scale(&self, v: usize, direction: DVec3) -> f64 {
+        self.contraction.map_or(1.0, |c| c.along(self.positions[v], direction).length())
+    }
+
+    /// Voxels that a vertex is above a plane.
+    fn height(&self, plane: &Plane, v: usize) -> f64 {
+        plane.height(self.positions[v]) * self.scale(v, plane.normal)
+    }
+
+    /// All planes, and which one each vertex is in.
+    fn planes(&self) -> (Vec<Plane>, Vec<u32>) {
+        let count = self.positions.len();
+        let (mut planes, mut of_vertex) = (vec![], vec![NONE; count]);
+        let mut tried = vec![false; count];
+        // The last search that came past a vertex.
+        let mut passed = (vec![0_u32; count], 0);
+        let mut seeds: Vec<usize> =
+            (0..count).filter(|&v| self.directions[v].length() > self.options.least_cosine).collect();
+        seeds.sort_by(|&a, &b| self.directions[b].length_squared().total_cmp(&self.directions[a].length_squared()));
+        for seed in seeds {
+            if tried[seed] || of_vertex[seed] != NONE {
+                continue;
+            }
+            let normal = self.directions[seed].normalize();
+            let mut plane = Plane { normal, offset: normal.dot(self.positions[seed]) };
+            let mut region = self.grown(seed, &plane, SEED_REACH, &of_vertex, &mut passed);
+            region.iter().for_each(|&v| tried[v] = true);
+            for _ in 0..ROUNDS {
+                let Some(fitted) = self.fitted(&plane, &region) else { break };
+                plane = fitted;
+                let size = region.len();
+                region = self.grown(seed, &plane, f64::INFINITY, &of_vertex, &mut passed);
+                if region.len() <= size {
+                    break;
+                }
+            }
+            // What is refused is not tried again: the flattest beginnings come first, and it may be large.
+            region.iter().for_each(|&v| tried[v] = true);
+            let area: f64 = region.iter().map(|&v| self.areas[v]).sum();
+            let is_flat = self.roughness(&plane, &region) <= ROUGHEST * self.options.tolerance;
+            if area >= self.options.least_area && is_flat {
+                region.iter().for_each(|&v| of_vertex[v] = planes.len() as u32);
+                planes.push(plane);
+            }
+        }
+        (planes, of_vertex)
+    }
+
+    /// Vertices near a plane that are connected to the seed and in no other, the seed first.
+    fn grown(
+        &self,
+        seed: usize,
+        plane: &Plane,
+        reach: f64,
+        of_vertex: &[u32],
+        (passed, search): &mut (Vec<u32>, u32),
+    ) -> Vec<usize> {
+        *search += 1;
+        passed[seed] = *search;
+        let (mut region, mut next) = (vec![seed], 0);
+        let belongs = |v: usize| {
+            let direction = self.directions[v];
+            of_vertex[v] == NONE
+                && self.height(plane, v).abs() <= self.options.tolerance
+                && plane.normal.dot(direction) >= self.options.least_cosine * direction.length()
+                && self.places[v].distance(self.places[seed]) <= reach
+        };
+        while let Some(&v) = region.get(next) {
+            next += 1;
+            for &n in self.rings.around(v) {
+                let n = n as usize;
+                if passed[n] != *search {
+                    passed[n] = *search;
+                    if belongs(n) {
+                        region.push(n);
+                    }
+                }
+            }
+        }
+        region
+    }
+
+    /// The plane of least squares of heights above this one, weighted by area.
+    fn fitted(&self, plane: &Plane, region: &[usize]) -> Option<Plane> {
+        let weight = |v: usize| self.areas[v] * self.scale(v, plane.normal).powi(2);
+        let total: f64 = region.iter().map(|&v| weight(v)).sum();
+        let center = region.iter().map(|&v| weight(v) * self.positions[v]).sum::<DVec3>() / total;
+        let (u, v) = plane.normal.any_orthonormal_pair();
+        let (mut matrix, mut right) = (DMat2::ZERO, DVec2::ZERO);
+        for &i in region {
+            let p = self.positions[i] - center;
+            let at = weight(i) * DVec2::new(u.dot(p), v.dot(p));
+            matrix += DMat2::from_cols(u.dot(p) * at, v.dot(p) * at);
+            right += plane.normal.dot(p) * at;
+        }
+        // At the centre the height is that of the plane: the sums of both coordinates are zero.
+        let slope = matrix.inverse() * right;
+        let normal = (plane.normal - slope.x * u - slope.y * v).try_normalize()?;
+        Some(Plane { normal, offset: normal.dot(center) })
+    }
+
+    /// Root of the mean square of heights above a plane.
+    fn roughness(&self, plane: &Plane, region: &[usize]) -> f64 {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for &v in region {
+            sum += self.areas[v] * self.height(plane, v).powi(2);
+            total += self.areas[v];
+        }
+        (sum / total).sqrt()
+    }
+
+    /// What is beside a plane joins the nearest.
+    fn close(&self, planes: &[Plane], of_vertex: &mut [u32]) {
+        let height = |plane: u32, v: usize| self.height(&planes[plane as usize], v).abs();
+        for _ in 0..CLOSING_PASSES {
+            let mut joins: HashMap<usize, u32> = HashMap::new();
+            for v in (0..of_vertex.len()).filter(|&v| of_vertex[v] != NONE) {
+                let plane = of_vertex[v];
+                for &n in self.rings.around(v) {
+                    let n = n as usize;
+                    let cosine = planes[plane as usize].normal.dot(self.directions[n].normalize_or_zero());
+                    let is_near = height(plane, n) <= self.options.tolerance && cosine >= CLOSING_COSINE;
+                    if of_vertex[n] == NONE && is_near {
+                        let best = joins.entry(n).or_insert(plane);
+                        if (height(plane, n), plane) < (height(*best, n), *best) {
+                            *best = plane;
+                        }
+                    }
+                }
+            }
+            joins.into_iter().for_each(|(v, plane)| of_vertex[v] = plane);
+        }
+    }
+
+    /// Positions of all vertices, those of planes in them, and the planes that each one is in now.
+    fn snapped(&self, triangles: &[[u32; 3]], planes: &[Plane], of_vertex: &[u32]) -> (Vec<DVec3>, Vec<Vec<u32>>) {
+        let mut planes_of: Vec<Vec<u32>> =
+            of_vertex.iter().map(|&plane| if plane == NONE { vec![] } else { vec![plane] }).collect();
+        // Of a triangle between two planes the vertices in the first move onto the second, too.
+        for t in triangles {
+            for (&a, &b) in t.iter().flat_map(|a| t.iter().map(move |b| (a, b))) {
+                let (of_a, of_b) = (of_vertex[a as usize], of_vertex[b as usize]);
+                if of_a < of_b && of_b != NONE && !planes_of[a as usize].contains(&of_b) {
+                    planes_of[a as usize].push(of_b);
+                }
+            }
+        }
+        let set = |v: usize, on: &[u32]| {
+            let mut p = self.positions[v];
+            for _ in 0..if on.len() > 1 { STEPS } else { 1 } {
+                let back = on.iter().map(|&i| planes[i as usize].height(p) * planes[i as usize].normal);
+                p -= back.sum::<DVec3>() / on.len().max(1) as f64;
+            }
+            p
+        };
+        let mut positions: Vec<DVec3> = (0..of_vertex.len()).map(|v| set(v, &planes_of[v])).collect();
+        // Those that may not stay where they were set, first what goes too far and then what folds.
+        let farthest = FARTHEST * self.options.tolerance;
+        let is_far = |v: &usize| self.place(positions[*v]).distance(self.places[*v]) > farthest;
+        let mut back: Vec<usize> = (0..positions.len()).filter(is_far).collect();
+        loop {
+            back.retain(|&v| !planes_of[v].is_empty());
+            if back.is_empty() {
+                return (positions, planes_of);
+            }
+            for v in back {
+                // From several planes into its own, from there to where it was.
+                let left = usize::from(planes_of[v].len() > 1);
+                planes_of[v].truncate(left);
+                positions[v] = set(v, &planes_of[v]);
+            }
+            let folds = |t: &&[u32; 3]| {
+                let expected = match common_plane(&planes_of, t) {
+                    Some(plane) => planes[plane as usize].normal,
+                    None => cross(&self.positions, t),
+                };
+                let [a, b, c] = t.map(|v| self.place(positions[v as usize]));
+                cross(&positions, t).dot(expected) <= 0.0 || (b - a).cross(c - a).length() <= THINNEST
+            };
+            back = triangles.iter().filter(folds).flatten().map(|&v| v as usize).collect();
+            back.sort_unstable();
+            back.dedup();
+        }
+    }
+}
+
+/// As long as twice the triangle's area.
+fn cross(positions: &[DVec3], t: &[u32; 3]) -> DVec3 {
+    let [a, b, c] = t.map(|v| positions[v as usize]);
+    (b - a).cross(c - a)
+}
+
+fn common_plane(planes_of: &[Vec<u32>], t: &[u32; 3]) -> Option<u32> {
+    let [a, b, c] = t.map(|v| &planes_of[v as usize]);
+    a.iter().copied().find(|plane| b.contains(plane) && c.contains(plane))
+}
+
+/// A mesh whose planar part becomes coarser by moving vertices onto others, without leaving its planes or changing its topology.
+struct Planar<'a> {
+    triangles: Vec<[u32; 3]>,
+    gone: Vec<bool>,
+    /// Per triangle, [`NONE`] outside of planes.
+    plane_of_face: Vec<u32>,
+    /// Triangles at each vertex.
+    at: Vec<Vec<u32>>,
+    /// In the world and in contracted space.
+    positions: &'a [DVec3],
+    places: &'a [DVec3],
+    planes: &'a [Plane],
+    planes_of: &'a [Vec<u32>],
+}
+
+impl<'a> Planar<'a> {
+    fn new(
+        triangles: Vec<[u32; 3]>,
+        positions: &'a [DVec3],
+        places: &'a [DVec3],
+        planes: &'a [Plane],
+        planes_of: &'a [Vec<u32>],
+    ) -> Self {
+        let plane_of_face = triangles.iter().map(|t| common_plane(planes_of, t).unwrap_or(NONE)).collect();
+        let mut at = vec![vec![]; positions.len()];
+        for (f, t) in (0..).zip(&triangles) {
+            t.iter().for_each(|&v| at[v as usize].push(f));
+        }
+        Self { gone: vec![false; triangles.len()], triangles, plane_of_face, at, positions, places, planes, planes_of }
+    }
+
+    /// Vertices that share a triangle with this one, each once.
+    fn ring(&self, v: u32) -> Vec<u32> {
+        let corners = self.at[v as usize].iter().flat_map(|&f| self.triangles[f as usize]);
+        let mut ring: Vec<u32> = corners.filter(|&n| n != v).collect();
+        ring.sort_unstable();
+        ring.dedup();
+        ring
+    }
+
+    /// Whether planes lie all around a vertex.
+    fn is_within(&self, v: u32) -> bool {
+        let at = &self.at[v as usize];
+        !at.is_empty() && at.iter().all(|&f| self.plane_of_face[f as usize] != NONE) && self.ring(v).len() == at.len()
+    }
+
+    /// Removes vertices as long as no edge gets longer than `longest`.
+    fn thin_out(&mut self, longest: f64) {
+        for v in 0..self.positions.len() as u32 {
+            if !self.is_within(v) {
+                continue;
+            }
+            let now =
+                self.at[v as usize].iter().map(|&f| self.shape(f, self.triangles[f as usize])).fold(1.0, f64::min);
+            let ring = self.ring(v);
+            let targets = ring.iter().filter_map(|&n| Some((self.shape_after(v, n, &ring, longest)?, n)));
+            let best = targets.max_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((shape, onto)) = best
+                && shape >= LEAST_SHAPE.min(now)
+            {
+                self.collapse(v, onto);
+            }
+        }
+    }
+
+    /// 1 for an equilateral triangle, towards 0 for a needle, less for what is folded over in its plane.
+    fn shape(&self, face: u32, t: [u32; 3]) -> f64 {
+        let normal = self.planes[self.plane_of_face[face as usize] as usize].normal;
+        let [a, b, c] = t.map(|v| self.places[v as usize]);
+        let squares = a.distance_squared(b) + b.distance_squared(c) + c.distance_squared(a);
+        let area = (b - a).cross(c - a).length();
+        let is_up = area > THINNEST && cross(self.positions, &t).dot(normal) > 0.0;
+        if is_up { 2.0 * 3.0_f64.sqrt() * area / squares } else { -1.0 }
+    }
+
+    /// The worst shape that moving `v` onto `n` leaves; `None` if it may not be moved there.
+    fn shape_after(&self, v: u32, n: u32, ring: &[u32], longest: f64) -> Option<f64> {
+        let onto = self.places[n as usize];
+        let on = &self.planes_of[n as usize];
+        let stays = self.planes_of[v as usize].iter().all(|plane| on.contains(plane));
+        // Of the vertices around both there are those of the two triangles that go, or the surface would pinch.
+        let shared = self.ring(n).iter().filter(|o| ring.contains(o)).count();
+        if !stays || shared != 2 || ring.len() < 4 {
+            return None;
+        }
+        let mut worst = 1.0_f64;
+        for &f in &self.at[v as usize] {
+            let t = self.triangles[f as usize];
+            if t.contains(&n) {
+                continue;
+            }
+            let far = t.iter().any(|&o| o != v && self.places[o as usize].distance(onto) > longest);
+            let shape = self.shape(f, t.map(|o| if o == v { n } else { o }));
+            if far || shape <= 0.0 {
+                return None;
+            }
+            worst = worst.min(shape);
+        }
+        Some(worst)
+    }
+
+    fn collapse(&mut self, v: u32, onto: u32) {
+        for f in std::mem::take(&mut self.at[v as usize]) {
+            let t = &mut self.triangles[f as usize];
+            if t.contains(&onto) {
+                self.gone[f as usize] = true;
+                t.iter().for_each(|&o| self.at[o as usize].retain(|&g| g != f));
+            } else {
+                *t = t.map(|o| if o == v { onto } else { o });
+                self.at[onto as usize].push(f);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "planar_tests.rs"]
+mod tests;
