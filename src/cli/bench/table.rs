@@ -315,7 +315,7 @@ mod tests {
         }
         let text = table(&records).to_string();
         for part in [
-            "| a | garden | 2 | 26.50 | 0.800 | vgg | 0.300 | 0.200 | 1000 |",
+            "| a | garden | 2 | 26.50 | 0.800 | – | vgg | 0.300 | 0.200 | 1000 |",
             "| **a** | **mean** | 4 | 28.50 |",
             "| **b** | **mean** | 4 | 29.00 |",
             "protocol B",
