@@ -20,8 +20,7 @@ struct Step {
 }
 
 @group(0) @binding(0) var<storage, read_write> view: View;
-// No uniform: whenever one changes that decides on a branch, or is an index, Mesa's software adapter compiles the kernel anew.
-@group(0) @binding(1) var<storage, read> step: Step;
+@group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read_write> poses: array<vec4f>;         // [view][ω, c]; last of four is 0
 @group(0) @binding(3) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> second: array<vec4f>;

@@ -119,7 +119,7 @@ impl Poses {
             correct: kernel("correct"),
             pull: kernel("pull"),
             update: kernel("update"),
-            step: gpu.storage("pose step", 8)?,
+            step: gpu.uniform("pose step", 8)?,
             values: gpu.storage_with("poses", &state.values)?,
             moments: [gpu.storage_with("pose moment 1", first)?, gpu.storage_with("pose moment 2", second)?],
             partial: gpu.storage("pose gradients", 8 * PARTS)?,

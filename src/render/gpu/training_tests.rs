@@ -87,9 +87,9 @@ fn learnt(training: &Training) -> Learnt {
 /// room for six pairs per splat and one per tile; 40 triangles in 1024 bins each, where there is room for 16 per bin.
 #[test]
 fn a_step_with_lists_too_short_changes_nothing() {
-    for (n, triangles) in [(4, 1), (1, 40)] {
+    let open = || Gpu::open(None).unwrap();
+    for (gpu, n, triangles) in [(open(), 4, 1), (open(), 1, 40), (open().posing_as_gpu(), 4, 1)] {
         let scene = scene(n, triangles);
-        let gpu = Gpu::open(None).unwrap();
         // From far away everything is small.
         let (near, far) = (camera(3.0), camera(1e5));
         let mut training = Training::new(&gpu, &scene, &[near], 0.2, TruthAlpha::Ignore).unwrap();

@@ -30,7 +30,12 @@ impl Kernel {
     }
 
     fn compile(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
-        let wgsl = shader::preprocess(file, defines);
+        let mut wgsl = shader::preprocess(file, defines);
+        if gpu.profile.is_cpu {
+            // Mesa's software adapter puts uniforms that decide on branches and loops into the code and compiles that anew, whenever
+            // it is run. Storage it leaves alone.
+            wgsl = wgsl.replace("var<uniform>", "var<storage, read>");
+        }
         let bindings = shader::bindings(&wgsl);
         let entries: Vec<_> = bindings
             .iter()

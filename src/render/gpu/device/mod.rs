@@ -145,6 +145,13 @@ impl Gpu {
         self
     }
 
+    /// The same adapter, with what kernels have for GPUs: uniforms, and threads that work together.
+    #[cfg(test)]
+    pub(crate) fn posing_as_gpu(mut self) -> Self {
+        self.profile.is_cpu = false;
+        self
+    }
+
     /// The first error the driver reported outside a call that returns one.
     ///
     /// # Errors
