@@ -38,18 +38,19 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (sum, image) in sums.iter_mut().zip([&render(&scene, &view.camera), &by_rays]) {
             *sum += psnr(&truth, &picture(image))?;
         }
-        for (sum, n) in count.iter_mut().zip([counts.pairs, counts.outside, counts.different, counts.different_outside])
+        for (sum, n) in
+            count.iter_mut().zip([counts.splats, counts.outside, counts.different, counts.different_outside])
         {
             *sum += n;
         }
     }
     let views = held_out.len() as f64;
-    let [pairs, outside, different, different_outside] = count;
-    let part = |n: usize| 100.0 * n as f64 / pairs.max(1) as f64;
+    let [splats, outside, different, different_outside] = count;
+    let part = |n: usize| 100.0 * n as f64 / splats.max(1) as f64;
     println!("held-out PSNR by depth images {:.3} dB, by rays {:.3} dB", sums[0] / views, sums[1] / views);
-    println!("{pairs} pairs of splat and layer, {:.2} % with the mean outside the picture", part(outside));
+    println!("{splats} splats in front of the cameras, {:.2} % with the mean outside the picture", part(outside));
     println!(
-        "in another order: {:.2} % inside, {:.2} % outside",
+        "in another place of the order at some pixel: {:.2} % inside, {:.2} % outside",
         part(different - different_outside),
         part(different_outside)
     );

@@ -13,7 +13,7 @@ done
 read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600 --warmup 600 --max-side 356 --max-floats 1000000}"
 centaur=(cargo run --release --quiet --)
 [ -z "${ABLATIONS_CENTAUR:-}" ] || centaur=("$ABLATIONS_CENTAUR")
-# The first is what the others change; --warmup 0 leaves maps as they are made and every triangle in place.
+# The first is what the others change; --warmup 0 leaves every triangle in place, with maps of half the budget.
 "${centaur[@]}" bench $scenes -o "${ABLATIONS_OUT:-out/ablations}" "$@" \
     --variant hybrid \
     --variant splats=--no-mesh \

@@ -117,7 +117,7 @@ pub(super) struct Args {
     /// Update every texel of the maps in every iteration instead of those that its view sees (HERA)
     #[arg(long, help_heading = OPTIMISATION)]
     dense_texels: bool,
-    /// Most floats in splats, maps and vertices together; limits the splats, for comparisons at equal size
+    /// Most floats in splats, maps and vertices together; limits the splats, and maps that are not laid out anew; for comparisons at equal size
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     max_floats: Option<usize>,
     /// As --max-floats, by what they take as f32, in megabytes of 10⁶ bytes
@@ -150,7 +150,8 @@ pub(super) struct Args {
     shell: Choice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
     /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
-    /// two from the longer image side on, 128 to 2048; maps of a mesh of yours take half of a budget of floats at most]
+    /// two from the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
+    /// (--mesh, --warmup 0): they take half of the budget at most
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: Option<u32>,
     /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)

@@ -3,7 +3,7 @@ use glam::{DMat3, DVec3, Vec3};
 use super::GeometryError;
 use crate::scene::Camera;
 
-/// A capture is unbounded if more than this part of its points are beyond [`Contraction::radius`].
+/// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
 const BEYOND: f64 = 0.1;
 /// Fewer points say nothing about that.
 const LEAST_POINTS: usize = 100;
@@ -47,7 +47,7 @@ impl Contraction {
     pub fn if_unbounded(cameras: &[Camera], points: &[Vec3]) -> Result<Option<Self>, GeometryError> {
         let contraction = Self::around(cameras, points)?;
         let beyond = points.iter().filter(|p| p.as_dvec3().distance(contraction.center) > contraction.radius).count();
-        let is_unbounded = points.len() >= LEAST_POINTS && beyond as f64 > BEYOND * points.len() as f64;
+        let is_unbounded = points.len() >= LEAST_POINTS && beyond as f64 >= BEYOND * points.len() as f64;
         Ok(is_unbounded.then_some(contraction))
     }
 

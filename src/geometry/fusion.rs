@@ -39,8 +39,8 @@ pub struct FusionOptions {
 
 /// Voxels that contracted space has behind the farthest surface, at least: the truncation and some more.
 const VOXELS_BEHIND: f64 = 8.0;
-/// Farthest surface in radii of the contraction. Depths beyond are a matter of taste.
-const FARTHEST: f64 = 32.0;
+/// Farthest surface in radii of the contraction. Parallax ends there, and splats of the sky begin (`optimize/background.rs`, 15 or so).
+const FARTHEST: f64 = 12.0;
 
 impl FusionOptions {
     /// The constants of 2DGS (METHODS 6): voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
@@ -154,6 +154,12 @@ impl Fusion {
         Ok(Self { options, blocks: Vec::new(), slots: HashMap::new(), extent, views: 0 })
     }
 
+    /// What it was made with.
+    #[must_use]
+    pub fn options(&self) -> &FusionOptions {
+        &self.options
+    }
+
     /// Number of views fused so far.
     #[must_use]
     pub fn views(&self) -> usize {
@@ -229,8 +235,11 @@ impl Fusion {
         cells.par_sort_unstable();
         cells.dedup();
         // A voxel that projects into a pixel is at most half a step along and half a pixel diagonal across away from a
-        // sample; a coarse depth map far away is the case where the second matters. Contracted, pixels stop growing.
-        let widest = o.contraction.map_or(o.max_depth, |c| 2.25 * c.radius);
+        // sample; a coarse depth map far away is the case where the second matters. Contracted, pixels stop growing: at x radii
+        // from the centre those of a camera at c are (x + c)(2 − 1/x)/x as wide, which is below 2(1 + c).
+        let widest = o
+            .contraction
+            .map_or(o.max_depth, |c| o.max_depth.min(2.0 * (c.radius + view.camera.center().distance(c.center))));
         let footprint = widest * 0.71 / k.fx.min(k.fy);
         let reach = 0.25 + (footprint / cell).min(8.0);
         let mut keys: Vec<[i32; 3]> = cells

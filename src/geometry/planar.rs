@@ -43,8 +43,8 @@ const CLOSING_PASSES: usize = 4;
 const CLOSING_COSINE: f64 = 0.5;
 /// No vertex is moved by more tolerances than that, be it onto the line between two planes.
 const FARTHEST: f64 = 3.0;
-/// Steps towards the line or point that planes have in common. Of an angle of 45° between two 1 % is left after 30.
-const STEPS: usize = 60;
+/// Squared sine of the least angle between planes that have a line or point in common, 2°: else no vertex is set into both.
+const LEAST_SINE_SQUARED: f64 = 1.2e-3;
 /// Planes become coarser in so many passes, to the longest edge allowed: at once, triangles would be uneven.
 const PASSES: u32 = 6;
 /// No triangle becomes thinner than this shape by that, 1 for an equilateral one, if it was not before.
@@ -193,12 +193,21 @@ impl Sheet {
             region.iter().for_each(|&v| tried[v] = true);
             let area: f64 = region.iter().map(|&v| self.areas[v]).sum();
             let is_flat = self.roughness(&plane, &region) <= ROUGHEST * self.options.tolerance;
+            // Refitted, it may have left its first vertex behind.
+            region.retain(|&v| v != seed || self.belongs(v, &plane));
             if area >= self.options.least_area && is_flat {
                 region.iter().for_each(|&v| of_vertex[v] = planes.len() as u32);
                 planes.push(plane);
             }
         }
         (planes, of_vertex)
+    }
+
+    /// Whether a vertex is near a plane, and the surface around it inclined as that is.
+    fn belongs(&self, v: usize, plane: &Plane) -> bool {
+        let direction = self.directions[v];
+        self.height(plane, v).abs() <= self.options.tolerance
+            && plane.normal.dot(direction) >= self.options.least_cosine * direction.length()
     }
 
     /// Vertices near a plane that are connected to the seed and in no other, the seed first.
@@ -214,11 +223,7 @@ impl Sheet {
         passed[seed] = *search;
         let (mut region, mut next) = (vec![seed], 0);
         let belongs = |v: usize| {
-            let direction = self.directions[v];
-            of_vertex[v] == NONE
-                && self.height(plane, v).abs() <= self.options.tolerance
-                && plane.normal.dot(direction) >= self.options.least_cosine * direction.length()
-                && self.places[v].distance(self.places[seed]) <= reach
+            of_vertex[v] == NONE && self.belongs(v, plane) && self.places[v].distance(self.places[seed]) <= reach
         };
         while let Some(&v) = region.get(next) {
             next += 1;
@@ -301,14 +306,25 @@ impl Sheet {
             }
         }
         let set = |v: usize, on: &[u32]| {
-            let mut p = self.positions[v];
-            for _ in 0..if on.len() > 1 { STEPS } else { 1 } {
-                let back = on.iter().map(|&i| planes[i as usize].height(p) * planes[i as usize].normal);
-                p -= back.sum::<DVec3>() / on.len().max(1) as f64;
+            let (mut p, mut used) = (self.positions[v], Vec::<DVec3>::new());
+            for plane in on.iter().map(|&i| &planes[i as usize]) {
+                // The shortest way into this plane along those before.
+                let along = used.iter().fold(plane.normal, |d, n| d - d.dot(*n) * n);
+                if along.length_squared() < LEAST_SINE_SQUARED {
+                    return None;
+                }
+                p -= along * (plane.height(p) / along.dot(plane.normal));
+                used.push(along.normalize());
             }
-            p
+            Some(p)
         };
-        let mut positions: Vec<DVec3> = (0..of_vertex.len()).map(|v| set(v, &planes_of[v])).collect();
+        let mut positions = self.positions.clone();
+        for (v, on) in planes_of.iter_mut().enumerate() {
+            positions[v] = set(v, on).unwrap_or_else(|| {
+                on.truncate(1);
+                set(v, on).unwrap_or(self.positions[v])
+            });
+        }
         // Those that may not stay where they were set, first what goes too far and then what folds.
         let farthest = FARTHEST * self.options.tolerance;
         let is_far = |v: &usize| self.place(positions[*v]).distance(self.places[*v]) > farthest;
@@ -322,7 +338,7 @@ impl Sheet {
                 // From several planes into its own, from there to where it was.
                 let left = usize::from(planes_of[v].len() > 1);
                 planes_of[v].truncate(left);
-                positions[v] = set(v, &planes_of[v]);
+                positions[v] = set(v, &planes_of[v]).unwrap_or(self.positions[v]);
             }
             let folds = |t: &&[u32; 3]| {
                 let expected = match common_plane(&planes_of, t) {

@@ -125,8 +125,8 @@ pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Ri
     normals.into_iter().map(|n| n.0).collect()
 }
 
-/// Drops triangles around which the surface has no direction: where [`directions`] are shorter than `least`. Indices must be in
-/// range.
+/// Drops triangles around which the surface has no direction: where directions, averaged over `radius` edges, are shorter than
+/// `least`. Indices must be in range.
 #[must_use]
 pub fn without_rough(surface: Surface, radius: usize, least: f64) -> Surface {
     let rings = Rings::new(surface.positions.len(), &surface.triangles);

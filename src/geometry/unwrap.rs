@@ -23,7 +23,7 @@ pub struct UnwrapStats {
     pub charts: usize,
     /// Texels around each chart that belong to no other; two charts are twice as far apart.
     pub gutter: u32,
-    /// Texels per world unit where the surface faces its chart.
+    /// Texels per world unit where the surface faces its chart, and where charts are laid out as the surface is.
     pub texels_per_unit: f64,
     /// Fraction of the atlas area inside triangles.
     pub coverage: f64,
@@ -252,6 +252,27 @@ mod tests {
             (0..180u32).flat_map(|i| [2 * i, 2 * i + 1].map(|a| [a, a + 1 + (a % 2), a + 2 - (a % 2)])).collect();
         let stats = check(&Surface { positions, triangles }, 256);
         assert!((3..12).contains(&stats.charts), "{stats:?}");
+    }
+
+    /// Two squares of one size in the picture of a camera 3 in front of the centre, 3 and 303 away.
+    #[test]
+    fn contracted_charts_have_the_texels_that_pixels_ask_for() {
+        let square = |z: f32, side: f32| {
+            [(-1., -1.), (1., -1.), (1., 1.), (-1., 1.)].map(|(x, y)| Vec3::new(x * side, y * side, z))
+        };
+        let positions: Vec<Vec3> = square(0.0, 0.7).into_iter().chain(square(300.0, 70.7)).collect();
+        let surface = Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]] };
+        let ratio = |charts_in: Option<&Contraction>| {
+            let uvs = unwrap(&surface, charts_in, 256).unwrap().corner_uvs;
+            let area = |f: usize| {
+                let [a, b, c] = uvs[f];
+                (b - a).perp_dot(c - a).abs()
+            };
+            (area(2) + area(3)) / (area(0) + area(1))
+        };
+        let charts = Contraction { center: DVec3::ZERO, radius: 6.0 }.for_charts();
+        let (contracted, in_world) = (ratio(Some(&charts)), ratio(None));
+        assert!((0.6..1.6).contains(&contracted) && in_world > 1000.0, "{contracted} {in_world}");
     }
 
     #[test]

@@ -51,11 +51,11 @@ pub enum TrainError {
     /// What cannot be done together.
     #[error("poses are refined by splats before there is a mesh: expected none to be given, found one")]
     PosesBesideMesh,
-    /// The mesh alone is beyond the budget.
-    #[error("expected a budget of more than the {mesh} floats that the mesh takes, found {found}")]
+    /// The budget has no room for the mesh and a splat.
+    #[error("expected a budget of at least the {needed} floats that the mesh and one splat take, found {found}")]
     Budget {
-        /// Floats of the mesh: vertices and maps.
-        mesh: usize,
+        /// Floats of vertices, maps and a splat.
+        needed: usize,
         /// [`TrainOptions::max_floats`].
         found: usize,
     },

@@ -14,6 +14,8 @@ pub use poses::RefinedPose;
 
 use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
 
+use glam::Vec2;
+
 use super::{
     Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background,
     initialize::{self, Initial},
@@ -24,7 +26,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, Photo, PhotoCache, Split, View},
-    geometry::{Contraction, Shell},
+    geometry::{self, Contraction, Shell, Surface},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -173,8 +175,6 @@ struct Run<'a> {
     surface: Option<SurfaceOrigin>,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
-    /// Where charts are laid out, if not in the world: the capture has no bounds, or there is a shell.
-    charts_in: Option<Contraction>,
     /// Of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
     /// Of all views of the capture, after the phase that refines them.
@@ -219,10 +219,6 @@ impl<'a> Run<'a> {
         let wants_shell = options.shell && source.is_found() && truth_alpha == TruthAlpha::Ignore;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
-        let space = match shell {
-            Some(_) => Some(Contraction::around(&train_cameras, &points)?),
-            None => Contraction::if_unbounded(&train_cameras, &points)?,
-        };
         Ok(Self {
             identity,
             capture,
@@ -246,7 +242,6 @@ impl<'a> Run<'a> {
             hands_over: false,
             surface: None,
             shell,
-            charts_in: space.map(Contraction::for_charts),
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
             poses: None,
         })
@@ -279,7 +274,7 @@ impl<'a> Run<'a> {
             (Some(saved), _) => saved.meshes.clone(),
             (None, MeshSource::Given { surface, corner_uvs }) => {
                 self.surface = Some(SurfaceOrigin::Given);
-                let meshes = vec![surface::textured(surface, corner_uvs, self.options, self.texture_size())?];
+                let meshes = vec![self.given(surface, corner_uvs)?];
                 self.within_budget(&meshes)?;
                 meshes
             }
@@ -314,15 +309,18 @@ impl<'a> Run<'a> {
         if outcome == Outcome::Finished {
             if self.hands_over && !joint {
                 scene.meshes = training.read_meshes(&scene.meshes)?;
+                let mut meshes = scene.meshes.clone();
                 // Maps that have not learnt anything cannot be judged.
                 if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
-                    let selected = self.select_faces(&mut training, mesh)?;
+                    meshes = self.select_faces(&mut training, mesh)?.into_iter().collect();
+                }
+                // Plain splats make more of a budget that is too small for a mesh.
+                if self.within_budget(&meshes).is_err() {
+                    meshes.clear();
+                }
+                if meshes != scene.meshes {
                     let state = splat_state(&training)?;
-                    scene.meshes = selected.into_iter().collect();
-                    // Plain splats make more of a budget that is too small for it.
-                    if self.within_budget(&scene.meshes).is_err() {
-                        scene.meshes.clear();
-                    }
+                    scene.meshes = meshes;
                     training = self.training(&scene)?;
                     training.write_splats(&arrays(state))?;
                 }
@@ -393,13 +391,40 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest.
+    /// Where charts are laid out, if not in the world: the capture has no bounds, or there is a shell. By the cameras as they are now.
+    fn charts_in(&self) -> Result<Option<Contraction>, TrainError> {
+        let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
+        let space = match self.shell {
+            Some(_) => Some(Contraction::around(&self.train_cameras, &points)?),
+            None => Contraction::if_unbounded(&self.train_cameras, &points)?,
+        };
+        Ok(space.map(Contraction::for_charts))
+    }
+
+    /// Side of the maps that a mesh has at most.
+    fn largest_texture(&self) -> u32 {
+        self.options.texture_size.unwrap_or_else(|| self.longest_side.next_power_of_two().clamp(128, 2048))
+    }
+
+    /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest, as far
+    /// as charts have room.
     fn texture_size(&self) -> u32 {
-        let default = || self.longest_side.next_power_of_two().clamp(128, 2048);
-        let wanted = self.options.texture_size.unwrap_or_else(default);
+        let wanted = self.largest_texture();
         let stays = !self.hands_over || self.options.warmup == 0;
         let budget = self.options.max_floats.filter(|_| stays);
         budget.map_or(wanted, |floats| memory::texture_size_within(self.options, wanted, floats / 2))
+    }
+
+    /// The user's mesh with empty maps.
+    fn given(&self, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
+        let size = self.texture_size();
+        if let Some(uvs) = corner_uvs {
+            return surface::textured(surface, uvs, self.options, size);
+        }
+        surface::with_room_for_charts(size, self.largest_texture(), |size| {
+            let unwrapped = geometry::unwrap(&surface, None, size)?;
+            surface::textured_as(unwrapped, self.options, size)
+        })
     }
 
     /// Whether meshes leave floats for a splat at least.
@@ -407,11 +432,9 @@ impl<'a> Run<'a> {
     /// # Errors
     /// With both numbers, if not.
     fn within_budget(&self, meshes: &[Mesh]) -> Result<(), TrainError> {
-        let mesh = meshes.iter().map(Mesh::floats).sum();
+        let needed = meshes.iter().map(Mesh::floats).sum::<usize>() + Splats::floats_each(self.options.sh_degree);
         match self.options.max_floats {
-            Some(found) if found < mesh + Splats::floats_each(self.options.sh_degree) => {
-                Err(TrainError::Budget { mesh, found })
-            }
+            Some(found) if found < needed => Err(TrainError::Budget { needed, found }),
             _ => Ok(()),
         }
     }

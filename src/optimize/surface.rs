@@ -6,7 +6,8 @@ use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture},
     geometry::{
-        self, Contraction, DepthView, Fusion, FusionOptions, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
+        self, Contraction, DepthView, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions,
+        SurfaceStats, UnwrappedMesh,
     },
     render::gpu::{Gpu, loss::TruthAlpha, training::Training},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
@@ -14,6 +15,10 @@ use crate::{
 
 /// Most voxels along the depth range (2DGS has 1024).
 const MAX_RESOLUTION: u32 = 1024;
+/// Least voxels along it.
+const LEAST_RESOLUTION: u32 = 64;
+/// Memory for voxels, bytes.
+const FUSION_BYTES: usize = 2 << 30;
 /// Pixels to a voxel at the focus. The depth of splats is noise below the size of a splat: smaller voxels hold crumbs,
 /// each a chart of its own, and what they would resolve is found by moving the vertices.
 const VOXEL_PIXELS: f64 = 3.0;
@@ -107,39 +112,80 @@ pub(super) fn from_depths(
     planar: bool,
     mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
-    // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
-    let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
-    let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(64, MAX_RESOLUTION);
-    let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
-    let volume = FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested };
-    let mut fusion = Fusion::new(volume)?;
+    let fusion = fused(cameras, points, contraction, FUSION_BYTES, &mut depth_of)?;
     let bounds = SurfaceOptions {
         target_triangles: triangles,
         min_component_faces: LEAST_FACES,
         planar: planar.then(PlanarOptions::default),
-        ..SurfaceOptions::new(volume)
+        ..SurfaceOptions::new(*fusion.options())
     };
-    for (i, camera) in cameras.iter().enumerate() {
-        let depth = depth_of(i)?;
-        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
-    }
     Ok(geometry::surface_from_fusion(&fusion, &bounds)?)
+}
+
+/// Fuses depth maps in voxels of some pixels at the focus; in larger ones, as far as need be, where those do not fit into `max_bytes`.
+fn fused(
+    cameras: &[Camera],
+    points: &[Vec3],
+    contraction: Option<Contraction>,
+    max_bytes: usize,
+    depth_of: &mut impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
+) -> Result<Fusion, TrainError> {
+    // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
+    let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
+    let mut resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(LEAST_RESOLUTION, MAX_RESOLUTION);
+    let mut attempt = |resolution: u32| -> Result<Fusion, TrainError> {
+        let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
+        let truncation = TRUNCATION * suggested.voxel;
+        let mut fusion = Fusion::new(FusionOptions { truncation, max_bytes, ..suggested })?;
+        for (i, camera) in cameras.iter().enumerate() {
+            let depth = depth_of(i)?;
+            fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
+        }
+        Ok(fusion)
+    };
+    loop {
+        match attempt(resolution) {
+            Err(TrainError::Geometry(GeometryError::FusionMemory { .. })) if resolution > LEAST_RESOLUTION => {
+                resolution = (resolution * 7 / 10).max(LEAST_RESOLUTION);
+            }
+            fused => return fused,
+        }
+    }
+}
+
+/// What `make` makes of charts in an atlas of `size`² texels, or of up to `largest`² where they have no room in fewer.
+pub(super) fn with_room_for_charts<T>(
+    mut size: u32,
+    largest: u32,
+    make: impl Fn(u32) -> Result<T, TrainError>,
+) -> Result<T, TrainError> {
+    loop {
+        match make(size) {
+            Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
+                size = size.saturating_mul(2).min(largest);
+            }
+            made => return made,
+        }
+    }
+}
+
+/// [`textured`] with the charts that it was unwrapped into.
+pub(super) fn textured_as(
+    unwrapped: UnwrappedMesh,
+    options: &TrainOptions,
+    texture_size: u32,
+) -> Result<Mesh, TrainError> {
+    let UnwrappedMesh { positions, triangles, corner_uvs, .. } = unwrapped;
+    textured(Surface { positions, triangles }, corner_uvs, options, texture_size)
 }
 
 /// A mesh with empty maps: opacity one half, grey (METHODS 4.1).
 pub(super) fn textured(
     surface: Surface,
-    corner_uvs: Option<Vec<[Vec2; 3]>>,
+    corner_uvs: Vec<[Vec2; 3]>,
     options: &TrainOptions,
     texture_size: u32,
 ) -> Result<Mesh, TrainError> {
-    let (surface, corner_uvs) = match corner_uvs {
-        Some(uvs) => (surface, uvs),
-        None => {
-            let unwrapped = geometry::unwrap(&surface, None, texture_size)?;
-            (Surface { positions: unwrapped.positions, triangles: unwrapped.triangles }, unwrapped.corner_uvs)
-        }
-    };
     let degree = options.band_degree.min(sh::MAX_DEGREE);
     let bands = (degree > 0).then(|| {
         let size = (texture_size / 4).max(16);
@@ -147,4 +193,30 @@ pub(super) fn textured(
     });
     let atlas = Atlas::new(Texture::zeros(texture_size, texture_size, 4), bands)?;
     Ok(Mesh::new(surface.positions, surface.triangles, corner_uvs, atlas)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+    use crate::scene::Intrinsics;
+
+    /// A wall, seen from several places.
+    #[test]
+    fn voxels_grow_until_they_fit() {
+        let k = Intrinsics { width: 160, height: 120, fx: 600.0, fy: 600.0, cx: 80.0, cy: 60.0 };
+        let cameras: Vec<Camera> = (0..4)
+            .map(|i| Camera::new(k, DMat3::IDENTITY, DVec3::new(0.02 * f64::from(i), 0.0, 2.0)).unwrap())
+            .collect();
+        let points = [Vec3::new(-0.2, -0.2, -0.1), Vec3::new(0.2, 0.2, 0.1), Vec3::ZERO, Vec3::ZERO];
+        let bytes = |max: usize| {
+            let fusion = fused(&cameras, &points, None, max, &mut |_| Ok(vec![2.0; 160 * 120]));
+            fusion.map(|fusion| fusion.bytes())
+        };
+        let all = bytes(FUSION_BYTES).unwrap();
+        let less = bytes(all / 3).unwrap();
+        assert!(less <= all / 3 && less > all / 10, "{less} of {all}");
+        assert!(matches!(bytes(1000), Err(TrainError::Geometry(GeometryError::FusionMemory { .. }))));
+    }
 }

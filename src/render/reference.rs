@@ -304,25 +304,15 @@ fn splat_thresholds(
     layers: &[Vec<Fragment>],
     splat: &Projected,
 ) -> [f64; MAX_LAYERS] {
-    let composition = &scene.composition;
-    let samples = surface_depths(scene, camera, layers, splat);
-    contract::thresholds(composition.mode, splat.depth, &samples, f64::from(composition.lambda))
-}
-
-/// What the rendered layers have at a splat's mean, `[layers]`.
-fn surface_depths(
-    scene: &HybridScene,
-    camera: &Camera,
-    layers: &[Vec<Fragment>],
-    splat: &Projected,
-) -> Vec<SurfaceDepth> {
     let (k, composition) = (camera.intrinsics(), &scene.composition);
-    let sample = |layer: usize| {
+    let lambda = f64::from(composition.lambda);
+    let sample = |layer: usize| -> SurfaceDepth {
         let depth_at = |[x, y]: [u32; 2]| {
             let pixel = y as usize * k.width as usize + x as usize;
             layers[pixel].get(layer).map_or(0.0, |fragment| fragment.depth)
         };
-        contract::surface_depth(depth_at, [k.width, k.height], splat.center, f64::from(composition.lambda))
+        contract::surface_depth(depth_at, [k.width, k.height], splat.center, lambda)
     };
-    (0..composition.layers as usize).map(sample).collect()
+    let samples: Vec<_> = (0..composition.layers as usize).map(sample).collect();
+    contract::thresholds(composition.mode, splat.depth, &samples, lambda)
 }

@@ -2,7 +2,7 @@
 
 use super::{Run, arrays, splat_state, squared_error};
 use crate::{
-    geometry::{self, Contraction, GeometryError, PointView, Surface, UnwrappedMesh},
+    geometry::{self, Contraction, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::{loss::TruthAlpha, training::Training},
     scene::{Camera, HybridScene, Mesh},
@@ -54,10 +54,11 @@ impl<'a> Run<'a> {
             surface.positions.extend(far.positions);
             surface.triangles.extend(far.triangles.into_iter().map(|t| t.map(|v| first + v)));
         }
-        let size = self.texture_size();
-        let UnwrappedMesh { positions, triangles, corner_uvs, .. } =
-            geometry::unwrap(&surface, self.charts_in.as_ref(), size)?;
-        let mesh = surface::textured(Surface { positions, triangles }, Some(corner_uvs), self.options, size)?;
+        let charts_in = self.charts_in()?;
+        let mesh = surface::with_room_for_charts(self.texture_size(), self.largest_texture(), |size| {
+            let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), size)?;
+            surface::textured_as(unwrapped, self.options, size)
+        })?;
         match &self.shell {
             Some(shell) => self.painted(mesh, shell),
             None => Ok(mesh),

@@ -4,8 +4,8 @@ use glam::Vec2;
 
 use super::Run;
 use crate::{
-    geometry::{self, GeometryError, Surface, UnwrappedMesh},
-    optimize::TrainError,
+    geometry::{self, Surface, UnwrappedMesh},
+    optimize::{TrainError, surface},
     render::gpu::training::Training,
     scene::{Atlas, Mesh},
 };
@@ -58,18 +58,15 @@ impl<'a> Run<'a> {
         let texels = (pixels / COVERAGE).min(affordable);
         // Multiples of 32 have mips as far as gutters separate charts.
         let largest = mesh.atlas().base().width();
-        let mut size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
+        let size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
         let (part, uvs) = (geometry::compact(part(mesh, &keep)), kept(mesh.corner_uvs(), &keep));
-        loop {
-            let unwrapped = geometry::unwrap(&part, self.charts_in.as_ref(), size).map_err(TrainError::from);
-            match unwrapped.and_then(|unwrapped| lay_out(unwrapped, &uvs, &atlas, size)) {
-                // Many small charts may need more room than their area says; at the old size they had it.
-                Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
-                    size = size.saturating_mul(2).min(largest);
-                }
-                laid_out => return laid_out.map(Some),
-            }
-        }
+        // Many small charts may need more room than their area says; at the old size they had it.
+        let charts_in = self.charts_in()?;
+        surface::with_room_for_charts(size, largest, |size| {
+            let unwrapped = geometry::unwrap(&part, charts_in.as_ref(), size)?;
+            lay_out(unwrapped, &uvs, &atlas, size)
+        })
+        .map(Some)
     }
 
     /// Scores of all triangles, and the number of pixels judged.
