@@ -39,6 +39,7 @@ def compare(folder):
         truth, render = (sheet[top:, left : left + width] for left in (0, step))
         worst = max(worst, abs(flip(truth, render) - view["flip"]))
     print(f"{folder}: {len(views)} views, largest difference {worst:.1e}")
+    # Sums of f32 over some 10,000 pixels, by two versions of the program: 8e-6 was seen.
     assert views and worst < 2e-5
 
 
