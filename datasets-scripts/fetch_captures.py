@@ -150,13 +150,17 @@ def ensure_space(folder, urls):
         raise FetchError(f"{folder}: needs {missing / 1e9:.1f} GB for archives and what is in them, has {free / 1e9:.1f} GB free")
 
 
-def verify(archive, published=None):
-    """Compares with the published sum, then with SHA256SUMS beside the archive; records the sum where none is there."""
+def sha256(file):
     digest = hashlib.sha256()
-    with archive.open("rb") as source:
+    with file.open("rb") as source:
         while block := source.read(BLOCK):
             digest.update(block)
-    found, sums = digest.hexdigest(), archive.parent / "SHA256SUMS"
+    return digest.hexdigest()
+
+
+def verify(archive, published=None):
+    """Compares with the published sum, then with SHA256SUMS beside the archive; records the sum where none is there."""
+    found, sums = sha256(archive), archive.parent / "SHA256SUMS"
     if published not in (None, found):
         raise FetchError(f"{archive}: SHA-256 is {found}, its publisher says {published}; delete it and run again")
     known = dict(reversed(line.split(maxsplit=1)) for line in sums.read_text().splitlines()) if sums.exists() else {}

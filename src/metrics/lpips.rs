@@ -100,7 +100,7 @@ pub enum LpipsError {
 ///
 /// With VGG a pixel takes 768 bytes while two images are compared (three maps of 64 floats), besides 59 MB of weights.
 ///
-/// The weights are not ours to give away; `datasets-scripts/lpips_weights.py` writes the file from the `lpips` package.
+/// The weights are not ours to give away; `datasets-scripts/lpips_weights.py` downloads them and writes the file.
 pub struct Lpips {
     net: LpipsNet,
     steps: Vec<Step>,
