@@ -75,10 +75,20 @@ def table(folders):
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
+def caption(folders):
+    """What the numbers are, with whose features LPIPS compares."""
+    evaluations = [e for folder in folders for runs in results(folder).values() for v in VARIANTS for e in runs[v]]
+    nets = sorted({e["lpips"]["net"] for e in evaluations if e.get("lpips")})
+    by = f" by {' and '.join(nets)}" if nets else ""
+    return (
+        f"Held-out views, 8-bit; SSIM as INRIA computes it, FLIP, and LPIPS{by} of pictures in −1…1 (lower is better); "
+        "differences: hybrid less splats alone.\n"
+    )
+
+
 if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    print(
-        "Held-out views, 8-bit; SSIM as INRIA computes it, FLIP, and LPIPS of pictures in −1…1 (lower is better); differences: hybrid less splats alone.\n"
-    )
-    print(table(sorted(map(Path, sys.argv[1:]), key=lambda folder: (len(folder.name), folder.name))))
+    budgets = sorted(map(Path, sys.argv[1:]), key=lambda folder: (len(folder.name), folder.name))
+    print(caption(budgets))
+    print(table(budgets))

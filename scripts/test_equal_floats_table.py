@@ -7,7 +7,7 @@ import unittest
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from equal_floats_table import table
+from equal_floats_table import caption, table
 
 
 class Table(unittest.TestCase):
@@ -32,6 +32,7 @@ class Table(unittest.TestCase):
             self.put("hybrid", "demo", seed, psnr, 3000, 0.2)
             self.put("splats", "demo", seed, 25.0, 6000, 0.25)
         head, _, demo, mean = self.rows()
+        self.assertIn("LPIPS by vgg of pictures in −1…1", caption([self.folder]))
         self.assertEqual(len(demo), len(head))
         self.assertEqual(demo[:6], ["demo", "400000", "2", "26.50", "25.00", "+1.50"])
         self.assertEqual(demo[6:9], ["0.265", "0.250", "+0.015"])
@@ -47,6 +48,7 @@ class Table(unittest.TestCase):
         self.assertEqual(skull[2:6], ["0/1", "–", "20.00", "–"])
         self.assertEqual(skull[17], "–")
         self.assertEqual(demo[9:15], ["–"] * 6, "neither FLIP nor LPIPS")
+        self.assertIn("and LPIPS of pictures", caption([self.folder]))
         self.assertEqual(mean[0], "**mean of 1**")
         self.assertEqual(mean[3:6], demo[3:6])
 
