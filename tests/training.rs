@@ -278,6 +278,9 @@ fn a_surface_is_compared_with_what_it_should_be() {
     assert!(of("accuracy") < 1e-6 && of("completeness") < 1e-6 && of("f_score") == 1.0, "{found}");
     assert!(of("counted") > 0.5 && of("counted") <= 1.0, "{found}");
     assert!(found["holes_closed"].as_u64().unwrap() > 0, "{found}");
+    // All but what was made around corners: the surface is of what views see.
+    let seen = found["atlas"]["seen"].as_f64().unwrap();
+    assert!(seen > 0.8 && seen <= 1.0, "{found}");
     // What no camera sees does not count: a square above all of them, as large as the surface.
     let seen = mesh_import::read(&folder.path().join("a.glb")).unwrap();
     let area = |[a, b, c]: [Vec3; 3]| 0.5 * (b - a).cross(c - a).length();

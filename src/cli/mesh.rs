@@ -3,9 +3,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
-use centaur::geometry::{self, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats};
+use centaur::geometry::{
+    self, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats, Viewers,
+};
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
-use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture};
 
 use glam::{DVec3, Vec3};
 
@@ -90,6 +92,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
     let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
+    let seen = seen_part(&mesh, args.texture_size as usize, &capture)?;
     let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition: Composition::default() };
     gltf::write_glb(&args.output, &scene, &[], None)?;
     if args.messages.json {
@@ -104,7 +107,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
                            "simplified": steps.simplified },
             "atlas": { "charts": charts.charts, "gutter": charts.gutter, "texels_per_unit": charts.texels_per_unit,
                        "coverage": charts.coverage, "mean_density": charts.mean_density,
-                       "min_density": charts.min_density },
+                       "min_density": charts.min_density, "seen": seen },
             "truth": compared,
         }));
     }
@@ -123,7 +126,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::print(&format!(
         "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
          planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}\n\
-         {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst\n\
+         {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels\n\
          wrote {}",
         steps.views,
         if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },
@@ -141,8 +144,18 @@ pub(super) fn run(args: &Args) -> Result<()> {
         charts.gutter,
         100.0 * charts.mean_density,
         100.0 * charts.min_density,
+        100.0 * seen,
         args.output.display()
     ))
+}
+
+/// Part of the texels in charts of a square map whose centres a view of the capture sees.
+fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
+    let cameras: Vec<Camera> = capture.views.iter().map(|view| view.camera).collect();
+    let viewers = Viewers { cameras: &cameras, near: 0.0, layers: 1, shows: &|_, _| true };
+    let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
+    let (charted, seen) = geometry::texel_visibility(mesh, [side; 2], &bvh, &viewers)?.counts();
+    Ok(seen as f64 / charted.max(1) as f64)
 }
 
 /// The surface against the truth, as far as a camera of the capture sees that; `None` if none does.

@@ -66,6 +66,9 @@ impl Boundable for Boxed {
 /// at least one of its triangles whatever the rounding.
 const EDGE_TOLERANCE: f64 = 1e-9;
 
+/// Part of the ray parameter within which hits are at one place: at an edge, as far as its tolerance lets them differ.
+const ONE_PLACE: f64 = 1e-8;
+
 /// Padding of the boxes in units of the scene radius: some 30 f32 roundings of coordinates up to 3 radii.
 const BOX_PADDING: f64 = 1e-5;
 
@@ -110,10 +113,7 @@ impl MeshBvh {
     #[must_use]
     pub fn hits_before(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_max: f64) -> Vec<Hit> {
         let mut hits = Vec::new();
-        let Some(mut local) = self.local_ray(origin.into(), dir.into()) else { return hits };
-        // Boxes are padded, and their ray starts two radii before its point nearest to the centre.
-        let length = (t_max - local.shift) * local.dir.length() + (2.0 + BOX_PADDING) * self.radius;
-        local.boxes.tmax = (length * (1.0 + BOX_PADDING)) as f32;
+        let Some(local) = self.local_ray(origin.into(), dir.into(), t_max) else { return hits };
         self.tree.ray_traverse_anyhit(local.boxes, |_, slot| {
             hits.extend(self.intersect(slot, &local).filter(|h| h.t >= 0.0 && h.t < t_max));
         });
@@ -124,12 +124,35 @@ impl MeshBvh {
     /// Whether any triangle lies on the ray with `t_min ≤ t ≤ t_max`.
     #[must_use]
     pub fn any_hit(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_min: f64, t_max: f64) -> bool {
-        let Some(local) = self.local_ray(origin.into(), dir.into()) else { return false };
+        self.has_layers(1, origin, dir, t_min, t_max)
+    }
+
+    /// Whether the ray passes at least `count` triangles with `t_min ≤ t ≤ t_max`. Those that it meets at one place, as at an edge that
+    /// they share, count once.
+    #[must_use]
+    pub fn has_layers(
+        &self,
+        count: usize,
+        origin: impl Into<DVec3>,
+        dir: impl Into<DVec3>,
+        t_min: f64,
+        t_max: f64,
+    ) -> bool {
+        let Some(local) = self.local_ray(origin.into(), dir.into(), t_max) else { return count == 0 };
+        let mut found: Vec<f64> = vec![];
+        let mut is_new = |t: f64| {
+            let is_new = t_min <= t && t <= t_max && found.iter().all(|f| (t - f).abs() > ONE_PLACE * t.abs());
+            if is_new && found.len() + 1 < count {
+                found.push(t);
+                return false;
+            }
+            is_new
+        };
         let missed = self.tree.ray_traverse_miss(local.boxes, |_, slot| match self.intersect(slot, &local) {
-            Some(hit) if t_min <= hit.t && hit.t <= t_max => 0.0,
+            Some(hit) if is_new(hit.t) => 0.0,
             _ => f32::INFINITY,
         });
-        !missed
+        count == 0 || !missed
     }
 
     /// The closest point of all triangles; `None` without triangles or if `point` is not finite. Degenerate triangles
@@ -172,8 +195,8 @@ impl MeshBvh {
         best
     }
 
-    /// `None` if the ray passes the scene by, or is not a ray.
-    fn local_ray(&self, origin: DVec3, dir: DVec3) -> Option<LocalRay> {
+    /// `None` if the ray passes the scene by, or is not a ray. Boxes that begin behind `t_max` are passed by.
+    fn local_ray(&self, origin: DVec3, dir: DVec3, t_max: f64) -> Option<LocalRay> {
         let unit = dir.try_normalize()?;
         let shift = (self.center - origin).dot(dir) / dir.length_squared();
         let nearest = origin + dir * shift;
@@ -183,7 +206,11 @@ impl MeshBvh {
             return None;
         }
         let start = to_nearest - unit * (2.0 * self.radius);
-        Some(LocalRay { boxes: Ray::new_inf(start.as_vec3a(), unit.as_vec3a()), nearest, shift, dir })
+        let mut boxes = Ray::new_inf(start.as_vec3a(), unit.as_vec3a());
+        // Boxes are padded, and their ray starts two radii before its point nearest to the centre.
+        let length = (t_max - shift) * dir.length() + (2.0 + BOX_PADDING) * self.radius;
+        boxes.tmax = (length * (1.0 + BOX_PADDING)) as f32;
+        Some(LocalRay { boxes, nearest, shift, dir })
     }
 
     fn intersect(&self, slot: usize, ray: &LocalRay) -> Option<Hit> {

@@ -1,4 +1,4 @@
-//! Surfaces: ray queries, fusion of depth maps, simplification, unwrapping.
+//! Surfaces: ray queries, fusion of depth maps, simplification, unwrapping, what views see of texels.
 
 mod bvh;
 mod charts;
@@ -10,12 +10,14 @@ mod holes;
 mod neighbors;
 mod pack;
 mod planar;
+mod raster;
 mod shell;
 mod smooth;
 mod sparse;
 mod surface;
 mod transfer;
 mod unwrap;
+mod visibility;
 
 use std::fmt::Display;
 
@@ -35,6 +37,7 @@ pub use surface::{
 };
 pub use transfer::transfer;
 pub use unwrap::{UnwrapStats, UnwrappedMesh, unwrap};
+pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};
 
 /// Why a surface could not be made or unwrapped.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -2,6 +2,7 @@
 
 use glam::Vec2;
 
+use super::raster::texels_in;
 use crate::scene::{SceneError, Texture};
 
 /// Redraws `texture`, laid out by `from` (`[F]` UVs of corners), for the same triangles laid out by `to` in a square of
@@ -21,26 +22,13 @@ pub fn transfer(
     let mut redrawn = vec![0.0; side * side * channels];
     let mut drawn = vec![false; side * side];
     for (from, to) in from.iter().zip(to) {
-        let [a, b, c] = to.map(|uv| uv * size as f32 - 0.5);
-        let area = (b - a).perp_dot(c - a);
-        if area == 0.0 || !area.is_finite() {
-            continue;
-        }
-        let (low, high) = (a.min(b).min(c).floor(), a.max(b).max(c).ceil());
-        for y in low.y.max(0.0) as usize..=(high.y.max(0.0) as usize).min(side - 1) {
-            for x in low.x.max(0.0) as usize..=(high.x.max(0.0) as usize).min(side - 1) {
-                let p = Vec2::new(x as f32, y as f32);
-                let (wa, wb) = ((c - b).perp_dot(p - b) / area, (a - c).perp_dot(p - c) / area);
-                let wc = 1.0 - wa - wb;
-                if wa.min(wb).min(wc) < 0.0 {
-                    continue;
-                }
-                let uv = wa * from[0] + wb * from[1] + wc * from[2];
-                let at = (y * side + x) * channels;
-                sample(texture, uv, &mut redrawn[at..at + channels]);
-                drawn[y * side + x] = true;
-            }
-        }
+        texels_in(to, [side; 2], 0..side, |x, y, weights| {
+            let [wa, wb, wc] = weights.as_vec3().to_array();
+            let uv = wa * from[0] + wb * from[1] + wc * from[2];
+            let at = (y * side + x) * channels;
+            sample(texture, uv, &mut redrawn[at..at + channels]);
+            drawn[y * side + x] = true;
+        });
     }
     for _ in 0..gutter {
         dilate(&mut redrawn, &mut drawn, channels, side);

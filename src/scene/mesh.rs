@@ -63,8 +63,13 @@ impl Texture {
     /// every coarser texel is the exact mean of 2×2 finer ones and charts do not bleed far (METHODS 4.3).
     #[must_use]
     pub fn mip_levels(&self) -> u32 {
-        let halvings = self.width.trailing_zeros().min(self.height.trailing_zeros());
-        (1 + halvings).min(Self::MAX_LEVELS)
+        Self::mip_levels_of(self.width, self.height)
+    }
+
+    /// [`Self::mip_levels`] of a texture of this size.
+    #[must_use]
+    pub fn mip_levels_of(width: u32, height: u32) -> u32 {
+        (1 + width.trailing_zeros().min(height.trailing_zeros())).min(Self::MAX_LEVELS)
     }
 
     /// Cap on mip levels (METHODS 4.3: at most 5 for densely packed charts). Charts `n` texels apart mix from level log₂ n on.

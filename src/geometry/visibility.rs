@@ -1,0 +1,278 @@
+//! Which texels of a mesh views see, by rays from the cameras (METHODS 11).
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use glam::{DVec2, DVec3, Vec2};
+use rayon::prelude::*;
+
+use super::{
+    GeometryError, MeshBvh,
+    raster::{texel_positions, texels_in},
+};
+use crate::scene::{Camera, Mesh, Texture};
+
+/// Rows of texels that one task takes.
+const ROWS: usize = 8;
+/// What is within this part of a ray's length before a texel is at the same place. Own triangles are met there by f64 rounding.
+const SAME_PLACE: f64 = 1e-6;
+/// The same where rays graze the surface, so that roundings along its normal are far apart along the ray.
+const SAME_PLACE_GRAZING: f64 = 1e-2;
+/// Roundings of f32 positions, relative to their largest coordinate, within which triangles lie on each other.
+const ROUNDING: f64 = 4.0 * (f32::EPSILON as f64);
+
+/// Who looks, and how far through.
+#[derive(Clone, Copy)]
+pub struct Viewers<'a> {
+    /// Cameras in the mesh's frame, of pictures at the size at which they are rendered.
+    pub cameras: &'a [Camera],
+    /// What is no farther than this, in camera-space z, is not drawn and hides nothing; ≥ 0.
+    pub near: f64,
+    /// Triangles that a pixel shows, nearest first, at least 1: what as many others hide is not seen.
+    pub layers: usize,
+    /// Whether the picture of a camera, by its index, says anything at a continuous pixel position inside it, as not where it is masked.
+    pub shows: &'a (dyn Fn(usize, DVec2) -> bool + Sync),
+}
+
+/// What views see of a texel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum TexelSight {
+    /// Its centre lies in no triangle.
+    Outside,
+    /// No view sees the point at its centre.
+    Hidden,
+    /// A view does, of those that do about the coarsest: a pixel there reads mip levels no higher than this.
+    Seen(u8),
+}
+
+/// What views see of a map, see [`texel_visibility`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TexelVisibility {
+    /// Width and height in texels.
+    pub size: [usize; 2],
+    /// `[h·w]`, first row at the top.
+    pub texels: Vec<TexelSight>,
+    /// Rays that this took.
+    pub rays: usize,
+}
+
+impl TexelVisibility {
+    /// Texels in charts, and those of them that a view sees.
+    #[must_use]
+    pub fn counts(&self) -> (usize, usize) {
+        let count = |wanted: TexelSight| self.texels.iter().filter(|&&t| t >= wanted).count();
+        (count(TexelSight::Hidden), count(TexelSight::Seen(0)))
+    }
+
+    /// `[h·w]` Whether a texel enters what views show: those that are seen, and all that the mip levels mix with them there, one texel
+    /// around at least, be they hidden or in a gutter. No view shows anything of the others.
+    #[must_use]
+    pub fn reached(&self) -> Vec<bool> {
+        let [width, height] = self.size;
+        let levels = mip_levels(self.size);
+        let mut reached: Vec<Vec<bool>> = (0..levels).map(|l| vec![false; (width >> l) * (height >> l)]).collect();
+        for (i, sight) in self.texels.iter().enumerate() {
+            let TexelSight::Seen(level) = *sight else { continue };
+            let level = usize::from(level).min(levels - 1);
+            let (across, down) = (taps(i % width, level, width), taps(i / width, level, height));
+            for y in down {
+                for x in across.clone() {
+                    reached[level][y * (width >> level) + x] = true;
+                }
+            }
+        }
+        for level in (1..levels).rev() {
+            let (finer, coarser) = reached.split_at_mut(level);
+            let width = width >> level;
+            for (i, is_reached) in finer[level - 1].iter_mut().enumerate() {
+                *is_reached |= coarser[0][i / (2 * width) / 2 * width + i % (2 * width) / 2];
+            }
+        }
+        reached.swap_remove(0)
+    }
+}
+
+/// Mip levels of a map of this size; 1 of one that no [`Texture`] may have.
+fn mip_levels([width, height]: [usize; 2]) -> usize {
+    let side = |n: usize| u32::try_from(n).unwrap_or(1);
+    Texture::mip_levels_of(side(width), side(height)) as usize
+}
+
+/// Columns of a mip level that bilinear filtering mixes at positions within column `x` of level 0, of `width`.
+fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize> {
+    let texels = (1_usize << level) as f64;
+    let low = (x as f64 / texels - 0.5).floor().max(0.0) as usize;
+    let high = ((x + 1) as f64 / texels - 0.5).ceil().max(0.0) as usize;
+    low..=high.min((width >> level) - 1)
+}
+
+/// What `viewers` see of each texel of a map of `size` texels, (width, height), on `mesh`: whether the point at its centre is in a picture, farther
+/// than `near`, with fewer than `layers` triangles of `hidden_by` before it, from either side. `hidden_by` holds all meshes in the frame
+/// of the cameras, `mesh` among them. A triangle that holds no texel's centre is looked at in its own middle, for the texel there; where
+/// triangles share a texel it is seen if any of them is.
+///
+/// Triangles at the same place as the texel, its own and those on it but for f32 rounding, do not hide it. It takes two bytes a texel and some 250 a triangle. A texel costs a ray
+/// or little more where it is seen, else one per view that has it in the picture; the views that
+/// look at it from farthest away are tried first, and among these the one that saw the last.
+///
+/// # Errors
+/// If `size` is empty or above 16384 a side, `near` is negative or not a number, or `layers` is 0.
+pub fn texel_visibility(
+    mesh: &Mesh,
+    size: [usize; 2],
+    hidden_by: &MeshBvh,
+    viewers: &Viewers,
+) -> Result<TexelVisibility, GeometryError> {
+    if size.iter().any(|side| !(1..=16384).contains(side)) {
+        return Err(GeometryError::argument("size", "1 to 16384 texels a side", &format!("{}×{}", size[0], size[1])));
+    }
+    if !(viewers.near >= 0.0 && viewers.near.is_finite()) {
+        return Err(GeometryError::argument("near", "a depth of 0 or more", &viewers.near));
+    }
+    if viewers.layers == 0 {
+        return Err(GeometryError::argument("layers", "at least 1", &"0"));
+    }
+    let faces: Vec<Face> =
+        (0..mesh.triangles().len()).into_par_iter().filter_map(|f| Face::new(mesh, f, size)).collect();
+    let mut texels = vec![TexelSight::Outside; size[0] * size[1]];
+    let rays = AtomicUsize::new(0);
+    texels.par_chunks_mut(size[0] * ROWS).enumerate().for_each(|(part, texels)| {
+        let rows = part * ROWS..part * ROWS + texels.len() / size[0];
+        let mut look = Look::new(viewers, hidden_by, mip_levels(size) - 1);
+        for face in faces.iter().filter(|f| f.rows[0] < rows.end && f.rows[1] >= rows.start) {
+            look.at_face(face);
+            let mut mark = |x: usize, y: usize, weights: DVec3| {
+                let texel = &mut texels[(y - rows.start) * size[0] + x];
+                *texel = (*texel).max(look.at(face, face.point(weights)));
+            };
+            match face.middle {
+                Some([x, y]) => mark(x, y, DVec3::splat(1.0 / 3.0)),
+                None => texels_in(&face.uvs, size, rows.clone(), mark),
+            }
+        }
+        rays.fetch_add(look.rays, Ordering::Relaxed);
+    });
+    Ok(TexelVisibility { size, texels, rays: rays.into_inner() })
+}
+
+/// A triangle with an area.
+struct Face {
+    corners: [DVec3; 3],
+    normal: DVec3,
+    uvs: [Vec2; 3],
+    /// First and last row that it may have texels in.
+    rows: [usize; 2],
+    /// The texel at its middle, of a triangle that holds no texel's centre.
+    middle: Option<[usize; 2]>,
+    /// World space per texel to the right and down; `None` if it has no area in the map.
+    texel: Option<[DVec3; 2]>,
+}
+
+impl Face {
+    fn new(mesh: &Mesh, face: usize, size: [usize; 2]) -> Option<Self> {
+        let corners = mesh.triangles()[face].map(|v| mesh.positions()[v as usize].as_dvec3());
+        let uvs = mesh.corner_uvs()[face];
+        let (along, beside) = (corners[1] - corners[0], corners[2] - corners[0]);
+        let normal = along.cross(beside).try_normalize()?;
+        let [a, b, c] = texel_positions(&uvs, size);
+        let mut has_center = false;
+        texels_in(&uvs, size, 0..size[1], |_, _, _| has_center = true);
+        let last = DVec2::new((size[0] - 1) as f64, (size[1] - 1) as f64);
+        let within = |p: DVec2| p.round().clamp(DVec2::ZERO, last);
+        let middle = within((a + b + c) / 3.0);
+        let row = |y: f64| y.clamp(0.0, last.y) as usize;
+        let rows = match has_center {
+            true => [row(a.y.min(b.y).min(c.y).floor()), row(a.y.max(b.y).max(c.y).ceil())],
+            false => [middle.y as usize; 2],
+        };
+        let (right, down) = (b - a, c - a);
+        let area = right.perp_dot(down);
+        // The inverse of what takes texels to weights.
+        let texel = [(along * down.y - beside * right.y) / area, (beside * right.x - along * down.x) / area];
+        Some(Self {
+            corners,
+            normal,
+            uvs,
+            rows,
+            middle: (!has_center).then_some([middle.x as usize, middle.y as usize]),
+            texel: texel.iter().all(|d| d.is_finite()).then_some(texel),
+        })
+    }
+
+    fn point(&self, weights: DVec3) -> DVec3 {
+        self.corners[0] * weights.x + self.corners[1] * weights.y + self.corners[2] * weights.z
+    }
+}
+
+/// One task's look at texels, one after the other.
+struct Look<'a> {
+    viewers: &'a Viewers<'a>,
+    hidden_by: &'a MeshBvh,
+    /// Last mip level.
+    coarsest: usize,
+    /// Views in the order in which they are tried, each with the mip level that it reads in the middle of the triangle.
+    order: Vec<(usize, u8)>,
+    rays: usize,
+}
+
+impl<'a> Look<'a> {
+    fn new(viewers: &'a Viewers<'a>, hidden_by: &'a MeshBvh, coarsest: usize) -> Self {
+        Self { viewers, hidden_by, coarsest, order: (0..viewers.cameras.len()).map(|i| (i, 0)).collect(), rays: 0 }
+    }
+
+    /// Puts the views that read coarse levels of this triangle first. Else their order stays.
+    fn at_face(&mut self, face: &Face) {
+        let middle = face.point(DVec3::splat(1.0 / 3.0));
+        for (view, level) in &mut self.order {
+            let camera = &self.viewers.cameras[*view];
+            *level = mip_level(camera, camera.to_camera(middle), face.texel, self.coarsest);
+        }
+        self.order.sort_by_key(|(_, level)| std::cmp::Reverse(*level));
+    }
+
+    fn at(&mut self, face: &Face, point: DVec3) -> TexelSight {
+        for i in 0..self.order.len() {
+            let (view, level) = self.order[i];
+            let camera = &self.viewers.cameras[view];
+            let p = camera.to_camera(point);
+            let uv = camera.in_picture(p).filter(|_| p.z > self.viewers.near);
+            if !uv.is_some_and(|uv| (self.viewers.shows)(view, uv)) {
+                continue;
+            }
+            self.rays += 1;
+            if self.is_clear(camera.center(), point, self.viewers.near / p.z, face.normal) {
+                let first = self.order.partition_point(|(_, other)| *other > level);
+                self.order[first..=i].rotate_right(1);
+                return TexelSight::Seen(mip_level(camera, p, face.texel, self.coarsest));
+            }
+        }
+        TexelSight::Hidden
+    }
+
+    /// Whether few enough triangles are before a point on a plane, from part `t_min` of the way to it.
+    fn is_clear(&self, from: DVec3, point: DVec3, t_min: f64, normal: DVec3) -> bool {
+        let way = point - from;
+        let rounding = ROUNDING * point.abs().max_element() / way.dot(normal).abs().max(f64::MIN_POSITIVE);
+        let same_place = rounding.clamp(SAME_PLACE, SAME_PLACE_GRAZING);
+        !self.hidden_by.has_layers(self.viewers.layers, from, way, t_min, 1.0 - same_place)
+    }
+}
+
+/// The highest mip level that a pixel reads at camera-space point `p` of a surface with these world-space steps per texel: by the longer axis of
+/// its footprint, as the renderer does (METHODS 4.3).
+fn mip_level(camera: &Camera, p: DVec3, texel: Option<[DVec3; 2]>, coarsest: usize) -> u8 {
+    let Some(texel) = texel else { return 0 };
+    let k = camera.intrinsics();
+    let [x, y] = texel
+        .map(|d| camera.rotation() * d)
+        .map(|d| DVec2::new(k.fx * (d.x * p.z - p.x * d.z), k.fy * (d.y * p.z - p.y * d.z)) / (p.z * p.z));
+    let (a, b, c) = (x.dot(x), y.dot(y), x.dot(y));
+    let longer = 0.5 * (a + b) + (0.25 * (a - b) * (a - b) + c * c).sqrt();
+    // Pixels per texel are the inverse of texels per pixel: its longer axis is the other's shorter.
+    let level = (0.5 * longer.log2() - x.perp_dot(y).abs().log2()).ceil();
+    // Edge-on it is infinite, and at the camera's plane it may not be a number.
+    if level >= coarsest as f64 { coarsest as u8 } else { level.max(0.0) as u8 }
+}
+
+#[cfg(test)]
+#[path = "visibility_tests.rs"]
+mod tests;
