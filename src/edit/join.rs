@@ -121,12 +121,7 @@ pub fn join(scenes: Vec<HybridScene>) -> Result<HybridScene, SceneError> {
             let field = format!("scene {} of those to be joined", i + 1);
             return Err(SceneError::new(field, format!("colours in {expected:?}"), format!("{found:?}")));
         }
-        let mut s = with_sh_degree(scene.splats, degree).into_arrays();
-        all.means.append(&mut s.means);
-        all.rotations.append(&mut s.rotations);
-        all.log_scales.append(&mut s.log_scales);
-        all.opacity_logits.append(&mut s.opacity_logits);
-        all.sh.append(&mut s.sh);
+        all.append(with_sh_degree(scene.splats, degree).into_arrays());
         meshes.extend(scene.meshes);
     }
     Ok(HybridScene { splats: all.check()?, meshes, composition })

@@ -7,7 +7,7 @@ use std::{f64::consts::TAU, sync::Arc};
 use glam::{DVec2, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::{TrainError, state::logit};
+use super::{TrainError, cells::Cells, state::logit};
 use crate::{
     capture::{Capture, CaptureError, Photo, Point, View, extent},
     scene::{Camera, Splats, sh},
@@ -15,9 +15,6 @@ use crate::{
 
 /// Directions that are looked at, all around: some 3° apart.
 const DIRECTIONS: usize = 4000;
-/// Side of the square cells of a picture, as a part of its longer side, that are told apart by whether a point is in them. A direction is
-/// clear in a view if its cell and the eight around it are.
-const CELL: f64 = 0.03;
 /// Part of the views into a direction that must find it clear: from elsewhere a tree may stand before the sky.
 const CLEAR_VIEWS: f64 = 0.6;
 /// Pictures that colours are taken from, at most: each is decoded for it.
@@ -106,39 +103,24 @@ fn directions() -> impl Iterator<Item = DVec3> {
     })
 }
 
-/// Which cells of a view's picture have points before them, hidden or not.
+/// Which cells of a view's picture have points before them, hidden or not. A direction is clear if its cell and the eight around it have none.
 struct Clear {
-    camera: Camera,
-    cell: f64,
-    columns: usize,
-    /// By rows, with a border of one cell.
+    cells: Cells,
     taken: Vec<bool>,
 }
 
 impl Clear {
     fn new(camera: &Camera, points: &[Point]) -> Self {
-        let k = camera.intrinsics();
-        let cell = (CELL * f64::from(k.width.max(k.height))).max(1.0);
-        let cells = |side: u32| (f64::from(side) / cell).ceil() as usize + 2;
-        let (columns, rows) = (cells(k.width), cells(k.height));
-        let mut map = Self { camera: *camera, cell, columns, taken: vec![false; columns * rows] };
-        for point in points {
-            if let Some(uv) = camera.in_picture(camera.to_camera(point.position)) {
-                let at = map.cell_at(uv);
-                map.taken[at] = true;
-            }
-        }
-        map
-    }
-
-    fn cell_at(&self, uv: DVec2) -> usize {
-        let at = (uv / self.cell).as_usizevec2() + 1;
-        at.y * self.columns + at.x
+        let cells = Cells::new(camera);
+        let mut taken = vec![false; cells.len()];
+        points.iter().filter_map(|p| cells.of(camera.to_camera(p.position))).for_each(|cell| taken[cell] = true);
+        Self { cells, taken }
     }
 
     /// Where the view sees a direction, if it does.
     fn pixel_of(&self, direction: DVec3) -> Option<DVec2> {
-        self.camera.in_picture(self.camera.rotation() * direction)
+        let camera = &self.cells.camera;
+        camera.in_picture(camera.rotation() * direction)
     }
 
     /// The colour of a clear direction in the view's picture, where that is whole.
@@ -151,9 +133,8 @@ impl Clear {
 
     /// Whether no point is near that direction; `None` if the view does not look there.
     fn is_clear(&self, direction: DVec3) -> Option<bool> {
-        let at = self.cell_at(self.pixel_of(direction)?);
-        let rows = [at - self.columns, at, at + self.columns];
-        Some(!rows.into_iter().any(|middle| self.taken[middle - 1..=middle + 1].contains(&true)))
+        let at = self.cells.at(self.pixel_of(direction)?);
+        Some(!self.cells.around(at).any(|cell| self.taken[cell]))
     }
 }
 

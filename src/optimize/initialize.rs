@@ -23,8 +23,17 @@ pub struct Initial {
 impl Initial {
     /// For density control by gradients (METHODS 2.1).
     pub const INRIA: Self = Self { opacity: 0.1, scale: 1.0 };
-    /// For MCMC (METHODS 2.8).
-    pub const MCMC: Self = Self { opacity: 0.5, scale: 0.1 };
+
+    /// For MCMC (METHODS 2.8): opacity 0.5, and a tenth of the distance in runs of 30,000 iterations.
+    ///
+    /// Splats grow by half a percent in an iteration at most, so that for a run of 500 the first ones would be too small to cover what
+    /// they stand for until its end. The factor is in inverse proportion to the cube root of the iterations, but at most 1
+    /// (`docs/results.md`).
+    #[must_use]
+    pub fn mcmc(iterations: u32) -> Self {
+        let shorter = 30_000.0 / iterations.clamp(30, 30_000) as f32;
+        Self { opacity: 0.5, scale: 0.1 * shorter.cbrt() }
+    }
 }
 
 /// One round splat per sparse point: scale from the distance to its three nearest neighbours, colour the point's.
@@ -188,9 +197,12 @@ mod tests {
             assert!((splats.opacity_logits()[i] + 9.0_f32.ln()).abs() < 1e-6); // σ⁻¹(0.1)
             assert_eq!(splats.rotations()[i], Quat::IDENTITY);
         }
-        let mcmc = from_points(&grid(20, 0.5), 0, Initial::MCMC, 1000, 1).unwrap();
+        let mcmc = from_points(&grid(20, 0.5), 0, Initial::mcmc(30_000), 1000, 1).unwrap();
         assert_eq!(mcmc.opacity_logits()[0], 0.0);
         assert!((mcmc.log_scales()[25].x.exp() - 0.05).abs() < 1e-6);
+        for (iterations, scale) in [(1, 1.0), (30, 1.0), (1111, 0.3), (100_000, 0.1)] {
+            assert!((Initial::mcmc(iterations).scale - scale).abs() < 1e-3, "{iterations}");
+        }
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! From a capture to a scene.
 
 mod background;
+mod cells;
 pub mod checkpoint;
+mod coverage;
 pub mod density;
 pub mod initialize;
 mod memory;

@@ -17,7 +17,7 @@ use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
 use glam::Vec2;
 
 use super::{
-    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background,
+    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background, coverage,
     initialize::{self, Initial},
     memory,
     resume::{Identity, Saved},
@@ -346,7 +346,7 @@ impl<'a> Run<'a> {
         Ok(training)
     }
 
-    /// Splats that a run which may have `most` begins with, but for those behind all points.
+    /// Splats that a run which may have `most` begins with, but for those where no points are.
     fn initial_count(&self, most: usize) -> usize {
         let points = self.capture.points.len();
         if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
@@ -355,28 +355,33 @@ impl<'a> Run<'a> {
     /// `begins` unless what is resumed replaces them.
     fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
-        let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
-        Ok(if points.is_empty() {
-            let count = self.initial_count(self.max_splats(beside));
-            initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?
-        } else {
-            let (most, cache) = (self.max_splats(beside), &self.cache);
-            // An object that is cut out has nothing behind it, and density control by gradients soon prunes what is so large.
-            let is_cut_out = self.truth_alpha == TruthAlpha::Composite
-                || self.capture.views.iter().any(|view| view.source.mask().is_some());
-            let room = if is_cut_out || o.density != Density::Mcmc || !begins { 0 } else { most / 4 };
-            let behind =
-                background::behind_points(self.capture, &self.train, o.sh_degree, room, |view| cache.get(view))?;
-            let splats = initialize::from_points(points, o.sh_degree, initial, most - behind.len(), o.seed)?;
-            let mut all = splats.into_arrays();
-            let behind = behind.into_arrays();
-            all.means.extend(behind.means);
-            all.rotations.extend(behind.rotations);
-            all.log_scales.extend(behind.log_scales);
-            all.opacity_logits.extend(behind.opacity_logits);
-            all.sh.extend(behind.sh);
-            all.check()?
-        })
+        let most = self.max_splats(beside);
+        let initial = if o.density == Density::Mcmc { Initial::mcmc(o.iterations) } else { Initial::INRIA };
+        if points.is_empty() {
+            let count = self.initial_count(most);
+            return Ok(initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?);
+        }
+        let of_points =
+            |most| Ok(initialize::from_points(points, o.sh_degree, initial, most, o.seed)?) as Result<_, TrainError>;
+        // Density control by gradients begins with splats large enough to cover what has no points, and soon prunes larger ones.
+        if o.density != Density::Mcmc || !begins {
+            return of_points(most);
+        }
+        let (room, cache) = (most / 4, &self.cache);
+        let photo = |view: &View| cache.get(view);
+        // An object that is cut out has nothing behind it.
+        let is_cut_out = self.truth_alpha == TruthAlpha::Composite
+            || self.capture.views.iter().any(|view| view.source.mask().is_some());
+        let far_room = if is_cut_out { 0 } else { room };
+        let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, photo)?;
+        let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
+        let far = behind.means().iter().map(|m| m.as_dvec3());
+        let known: Vec<_> = points.iter().map(|p| p.position).chain(far).collect();
+        let between = coverage::between_points(&views, &known, o.sh_degree, room - behind.len(), photo)?;
+        let mut all = of_points(most - behind.len() - between.len())?.into_arrays();
+        all.append(behind.into_arrays());
+        all.append(between.into_arrays());
+        Ok(all.check()?)
     }
 
     fn composition(&self) -> Composition {

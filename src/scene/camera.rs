@@ -127,6 +127,15 @@ impl Camera {
         DVec3::new((uv.x - k.cx) / k.fx, (uv.y - k.cy) / k.fy, 1.0)
     }
 
+    /// The same pose with `margin` pixels more on every side of the picture.
+    #[must_use]
+    pub fn padded(&self, margin: u32) -> Self {
+        let (k, m) = (self.intrinsics, f64::from(margin));
+        let wider = |side: u32| side.saturating_add(margin.saturating_mul(2));
+        let intrinsics = Intrinsics { width: wider(k.width), height: wider(k.height), cx: k.cx + m, cy: k.cy + m, ..k };
+        Self { intrinsics, ..*self }
+    }
+
     /// The same pose with the image resized to `width`×`height`.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {

@@ -166,6 +166,15 @@ pub struct SplatArrays {
 }
 
 impl SplatArrays {
+    /// Adds the splats of another, of the same SH degree, after its own.
+    pub fn append(&mut self, mut other: Self) {
+        self.means.append(&mut other.means);
+        self.rotations.append(&mut other.rotations);
+        self.log_scales.append(&mut other.log_scales);
+        self.opacity_logits.append(&mut other.opacity_logits);
+        self.sh.append(&mut other.sh);
+    }
+
     /// Checks what it has become.
     ///
     /// # Errors

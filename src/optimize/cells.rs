@@ -1,0 +1,95 @@
+//! A picture's plane in square cells, to tell where it shows points and where it does not.
+
+use glam::{DVec2, DVec3};
+
+use crate::scene::Camera;
+
+/// Side of a cell as a part of the picture's longer side.
+const CELL: f64 = 0.03;
+
+/// The cells of what a camera sees, in rows from the top.
+pub(super) struct Cells {
+    pub(super) camera: Camera,
+    /// Pixels; at least one.
+    pub(super) side: f64,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+}
+
+impl Cells {
+    pub(super) fn new(camera: &Camera) -> Self {
+        let k = camera.intrinsics();
+        let side = (CELL * f64::from(k.width.max(k.height))).max(1.0);
+        let cells = |pixels: u32| (f64::from(pixels) / side).ceil() as usize;
+        Self { camera: *camera, side, columns: cells(k.width), rows: cells(k.height) }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// The cell of a place in the picture, in pixels.
+    pub(super) fn at(&self, uv: DVec2) -> usize {
+        let at = (uv / self.side).as_usizevec2();
+        at.y * self.columns + at.x
+    }
+
+    /// The cell in which a camera-space point, or direction, is seen, if it is.
+    pub(super) fn of(&self, p: DVec3) -> Option<usize> {
+        self.camera.in_picture(p).map(|uv| self.at(uv))
+    }
+
+    /// Pixels a cell reaches over, `[from, to)` in x and in y.
+    pub(super) fn pixels(&self, cell: usize) -> [[u32; 2]; 2] {
+        let k = self.camera.intrinsics();
+        let range = |at: usize, size: u32| {
+            let edge = |n: usize| ((n as f64 * self.side).round() as u32).min(size);
+            [edge(at), edge(at + 1)]
+        };
+        [range(cell % self.columns, k.width), range(cell / self.columns, k.height)]
+    }
+
+    /// A cell and those beside it, at corners too.
+    pub(super) fn around(&self, cell: usize) -> impl Iterator<Item = usize> + use<> {
+        let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
+        let (columns, width) = (near(cell % self.columns, self.columns), self.columns);
+        near(cell / self.columns, self.rows)
+            .flat_map(move |row| columns.clone().map(move |column| row * width + column))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::scene::Intrinsics;
+
+    #[test]
+    fn cells_cover_the_picture_once() {
+        for (width, height) in [(100, 50), (176, 118), (1, 1), (20, 333)] {
+            let k = Intrinsics { width, height, fx: 90.0, fy: 90.0, cx: 10.0, cy: 5.0 };
+            let cells = Cells::new(&Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap());
+            let mut times = vec![0; (width * height) as usize];
+            for cell in 0..cells.len() {
+                let [[left, right], [top, bottom]] = cells.pixels(cell);
+                (top..bottom).for_each(|y| (left..right).for_each(|x| times[(y * width + x) as usize] += 1));
+                let middle = DVec2::new(f64::from(left + right), f64::from(top + bottom)) / 2.0;
+                assert!(left == right || top == bottom || cells.at(middle) == cell, "{cell} of {width}×{height}");
+            }
+            assert!(times.iter().all(|n| *n == 1), "{width}×{height}");
+            assert_eq!(cells.of(cells.camera.ray(DVec2::new(0.5, 0.5))), Some(0));
+            assert_eq!(cells.of(-DVec3::Z), None);
+        }
+    }
+
+    #[test]
+    fn cells_at_the_border_have_fewer_around_them() {
+        let k = Intrinsics { width: 100, height: 50, fx: 90.0, fy: 90.0, cx: 50.0, cy: 25.0 };
+        let cells = Cells::new(&Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap());
+        assert_eq!((cells.columns, cells.rows), (34, 17));
+        assert_eq!(cells.around(0).collect::<Vec<_>>(), [0, 1, 34, 35]);
+        assert_eq!(cells.around(34 + 1).count(), 9);
+        assert_eq!(cells.around(cells.len() - 1).count(), 4);
+    }
+}

@@ -1,0 +1,290 @@
+//! Splats for what photographs show where structure from motion found nothing: smooth walls, and what lies beyond the points at the rims
+//! of pictures.
+//!
+//! Splats of points begin small, so that such places stay black until others have grown over them, for hundreds of iterations.
+
+use std::sync::Arc;
+
+use glam::{DVec2, DVec3, Quat, Vec3};
+use rayon::prelude::*;
+
+use super::{TrainError, cells::Cells, state::logit};
+use crate::{
+    capture::{CaptureError, Photo, View},
+    scene::{Camera, Splats, sh},
+};
+
+/// Views whose pictures are looked at, at most: each is decoded for it.
+const PICTURES: usize = 128;
+/// How far beyond its picture a view is covered, as a part of the longer side: others may see there what none of the training views do.
+const MARGIN: f64 = 0.1;
+/// A splat is not put where it would be nearer than this part of the depth of every point that a view shows there …
+const NEARER: f64 = 0.8;
+/// … in more than this part of the views that show points there: it would float before what they see.
+const HIDING_VIEWS: f64 = 0.25;
+
+/// Splats in the cells of the views' pictures, and a little beyond, that show none of `points`, as deep as the points around them and in
+/// the colours of the photograph; at most `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put
+/// somewhere, the next counts among its points.
+///
+/// `photo` decodes a view's picture. What it masks is left out.
+///
+/// # Errors
+/// If a photograph cannot be read or `sh_degree` exceeds 3.
+pub(super) fn between_points(
+    views: &[&View],
+    points: &[DVec3],
+    sh_degree: u32,
+    max_splats: usize,
+    photo: impl Fn(&View) -> Result<Arc<Photo>, CaptureError> + Sync,
+) -> Result<Splats, TrainError> {
+    if max_splats == 0 || points.is_empty() {
+        return Ok(Splats::empty(sh_degree));
+    }
+    let stride = views.len().div_ceil(PICTURES).max(1);
+    let maps = views
+        .par_iter()
+        .step_by(stride)
+        .map(|view| Ok(Shown::new(&view.camera, points, &*photo(view)?)))
+        .collect::<Result<Vec<Shown>, CaptureError>>()?;
+    let mut found: Vec<Cover> = vec![];
+    for map in &maps {
+        let mut taken: Vec<bool> = map.points.iter().map(|n| n.is_some()).collect();
+        let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
+        hits.into_iter().for_each(|cell| taken[cell] = true);
+        let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]).filter_map(|cell| map.cover(cell));
+        found.par_extend(own.filter(|cover| !hides(cover, &maps)));
+    }
+    let n = found.len().min(max_splats);
+    let kept: Vec<&Cover> = (0..n).map(|i| &found[i * found.len() / n]).collect();
+    // Fewer are larger.
+    let wider = (found.len() as f64 / n.max(1) as f64).sqrt();
+    let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
+    let mut coefficients = vec![[0.0; 3]; n * terms];
+    for (row, cover) in coefficients.chunks_exact_mut(terms).zip(&kept) {
+        row[0] = sh::dc_from_rgb(cover.color);
+    }
+    let means = kept.iter().map(|c| c.mean.as_vec3()).collect();
+    let log_scales = kept.iter().map(|c| Vec3::splat((c.scale * wider).ln() as f32)).collect();
+    Ok(Splats::new(means, vec![Quat::IDENTITY; n], log_scales, vec![logit(0.5); n], sh_degree, coefficients)?)
+}
+
+/// A splat to be.
+struct Cover {
+    mean: DVec3,
+    scale: f64,
+    color: [f32; 3],
+}
+
+/// What a view shows in each of its cells.
+struct Shown {
+    cells: Cells,
+    /// Inverse of the depth of the nearest point in the cell.
+    points: Vec<Option<f64>>,
+    /// Inverse depth as it is there or around.
+    nearness: Vec<Option<f64>>,
+    /// Mean colour, where nothing is masked.
+    colors: Vec<Option<[f32; 3]>>,
+}
+
+impl Shown {
+    fn new(camera: &Camera, points: &[DVec3], photo: &Photo) -> Self {
+        let margin = margin(camera);
+        let cells = Cells::new(&camera.padded(margin));
+        let camera = &cells.camera;
+        let mut sums = vec![(None::<f64>, 0.0, 0.0); cells.len()];
+        for p in points.iter().map(|p| camera.to_camera(*p)) {
+            let Some(cell) = cells.of(p) else { continue };
+            let (nearest, sum, count) = &mut sums[cell];
+            let nearness = p.z.recip();
+            *nearest = Some(nearest.map_or(nearness, |n| n.max(nearness)));
+            *sum += nearness;
+            *count += 1.0;
+        }
+        let colors = (0..cells.len()).map(|cell| mean_color(cells.pixels(cell), margin, photo)).collect();
+        let nearness = spread(&cells, sums.iter().map(|s| s.0.map(|_| s.1 / s.2)).collect());
+        Self { points: sums.iter().map(|s| s.0).collect(), nearness, colors, cells }
+    }
+
+    fn cell_of(&self, p: DVec3) -> Option<usize> {
+        self.cells.of(self.cells.camera.to_camera(p))
+    }
+
+    fn cover(&self, cell: usize) -> Option<Cover> {
+        let (camera, color) = (&self.cells.camera, self.colors[cell]?);
+        let depth = self.nearness[cell]?.recip();
+        let [x, y] = self.cells.pixels(cell).map(|[from, to]| f64::from(from + to) / 2.0);
+        let mean = camera.center() + camera.rotation().transpose() * (depth * camera.ray(DVec2::new(x, y)));
+        let scale = 0.5 * self.cells.side * depth / camera.intrinsics().fx;
+        (mean.as_vec3().is_finite() && (scale as f32).is_normal()).then_some(Cover { mean, scale, color })
+    }
+}
+
+/// Whether a splat would stand before the points of too many views.
+fn hides(cover: &Cover, maps: &[Shown]) -> bool {
+    let (mut before, mut shown) = (0, 0);
+    for map in maps {
+        let p = map.cells.camera.to_camera(cover.mean);
+        let Some(nearest) = map.cells.of(p).and_then(|cell| map.points[cell]) else { continue };
+        shown += 1;
+        before += usize::from(p.z * nearest < NEARER);
+    }
+    f64::from(before as u32) > HIDING_VIEWS * f64::from(shown as u32)
+}
+
+/// Values of cells that have none: means of those beside them, outwards.
+fn spread(cells: &Cells, mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
+    loop {
+        let empty: Vec<usize> = (0..values.len()).filter(|&i| values[i].is_none()).collect();
+        let found: Vec<(usize, f64)> = (empty.iter())
+            .filter_map(|&i| {
+                let (sum, count) =
+                    cells.around(i).filter_map(|j| values[j]).fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+                (count > 0.0).then(|| (i, sum / count))
+            })
+            .collect();
+        if found.is_empty() {
+            return values;
+        }
+        found.into_iter().for_each(|(i, value)| values[i] = Some(value));
+    }
+}
+
+/// Pixels beyond each side of a picture.
+fn margin(camera: &Camera) -> u32 {
+    let k = camera.intrinsics();
+    (MARGIN * f64::from(k.width.max(k.height))).round() as u32
+}
+
+/// Mean colour of some pixels of a picture with a margin, which repeats what is at its rim; if there are any, and all of them count.
+fn mean_color([x, y]: [[u32; 2]; 2], margin: u32, photo: &Photo) -> Option<[f32; 3]> {
+    let inside = |at: u32, size: u32| at.saturating_sub(margin).min(size.saturating_sub(1)) as usize;
+    let (mut sum, mut count) = ([0; 3], 0);
+    for row in y[0]..y[1] {
+        for column in x[0]..x[1] {
+            let at = 4 * (inside(row, photo.height) * photo.width as usize + inside(column, photo.width));
+            let rgba = photo.rgba.get(at..at + 4).filter(|rgba| rgba[3] == 255)?;
+            (0..3).for_each(|c| sum[c] += u64::from(rgba[c]));
+            count += 1;
+        }
+    }
+    (count > 0).then(|| sum.map(|s| (s as f64 / f64::from(count) / 255.0) as f32))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::{
+        capture::{Capture, LoadOptions, open},
+        scene::Intrinsics,
+    };
+
+    fn demo() -> Capture {
+        open(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), &LoadOptions::default()).unwrap()
+    }
+
+    fn grey(camera: &Camera) -> Photo {
+        let k = camera.intrinsics();
+        let rgba = [51, 102, 204, 255].repeat(k.width as usize * k.height as usize);
+        Photo { width: k.width, height: k.height, rgba, has_alpha: false, masked: false }
+    }
+
+    fn cover(capture: &Capture, points: &[DVec3], most: usize) -> Splats {
+        let views: Vec<&View> = capture.views.iter().collect();
+        between_points(&views, points, 1, most, |view| Ok(grey(&view.camera).into())).unwrap()
+    }
+
+    /// Cells, in all views, in which neither a point nor a splat is seen.
+    fn empty_cells(capture: &Capture, points: &[DVec3]) -> usize {
+        let of_view = |view: &View| {
+            let cells = Cells::new(&view.camera);
+            let mut taken = vec![false; cells.len()];
+            points.iter().filter_map(|p| cells.of(view.camera.to_camera(*p))).for_each(|cell| taken[cell] = true);
+            taken.iter().filter(|taken| !**taken).count()
+        };
+        capture.views.iter().map(of_view).sum()
+    }
+
+    #[test]
+    fn what_has_no_points_is_covered_once_at_their_depth() {
+        let capture = demo();
+        // Half of the demo has no points.
+        let points: Vec<DVec3> = capture.points.iter().map(|p| p.position).filter(|p| p.x > 0.0).collect();
+        let splats = cover(&capture, &points, 100_000);
+        let all: Vec<DVec3> = points.iter().copied().chain(splats.means().iter().map(|m| m.as_dvec3())).collect();
+        let (before, after) = (empty_cells(&capture, &points), empty_cells(&capture, &all));
+        // What is left, 13 %, would float before the points of others.
+        assert!(before > 5000 && after < before / 5, "{before} {after}");
+        // Views share them.
+        assert!(splats.len() < before / 2, "{} for {before}", splats.len());
+        // The scene is a few units large; extrapolated depths stay in the order of those of points.
+        assert!(splats.means().iter().all(|m| m.length() < 20.0));
+        let color = splats.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
+        assert!([0.2, 0.4, 0.8].iter().zip(color).all(|(a, b)| (a - b).abs() < 1e-5), "{color:?}");
+        assert_eq!(splats, cover(&capture, &points, 100_000));
+    }
+
+    #[test]
+    fn fewer_are_larger() {
+        let capture = demo();
+        let points: Vec<DVec3> = capture.points.iter().map(|p| p.position).take(50).collect();
+        let (all, some) = (cover(&capture, &points, 100_000), cover(&capture, &points, 100));
+        assert_eq!(some.len(), 100);
+        let wider = (all.len() as f32 / 100.0).sqrt().ln();
+        assert!((some.log_scales()[0].x - all.log_scales()[0].x - wider).abs() < 1e-5);
+        assert!(cover(&capture, &points, 0).is_empty() && cover(&capture, &[], 100).is_empty());
+    }
+
+    fn facing(x: f64) -> Camera {
+        let k = Intrinsics { width: 100, height: 100, fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0 };
+        Camera::new(k, DMat3::IDENTITY, DVec3::new(-x, 0.0, 0.0)).unwrap()
+    }
+
+    #[test]
+    fn splats_are_as_deep_as_what_is_beside_them_and_as_wide_as_their_cell() {
+        let map = Shown::new(&facing(0.0), &[DVec3::new(0.0, 0.0, 4.0)], &grey(&facing(0.0)));
+        let corner = map.cover(0).unwrap();
+        // Ten pixels beyond the picture and four of them: the middle is eight beyond.
+        let p = facing(0.0).to_camera(corner.mean);
+        assert!((p.z - 4.0).abs() < 1e-9 && (facing(0.0).project(p) + DVec2::splat(8.0)).length() < 1e-9, "{p}");
+        // Half of 3.6 pixels of 1/100 at a depth of 4.
+        assert!((corner.scale - 0.072).abs() < 1e-9, "{}", corner.scale);
+        // Between two depths is their mean, of nearness.
+        let two = [DVec3::new(-2.0, 0.0, 4.0), DVec3::new(6.0, 0.0, 12.0)];
+        let map = Shown::new(&facing(0.0), &two, &grey(&facing(0.0)));
+        let row = map.cells.of(DVec3::new(0.0, 0.0, 1.0)).unwrap() / map.cells.columns * map.cells.columns;
+        let depths: Vec<f64> = (row..row + map.cells.columns).map(|cell| map.nearness[cell].unwrap().recip()).collect();
+        assert!(depths.is_sorted() && depths[0] == 4.0 && (depths[33] - 12.0).abs() < 1e-9, "{depths:?}");
+    }
+
+    #[test]
+    fn nothing_is_put_before_what_others_see_nor_where_a_mask_is() {
+        // The first view sees a point at depth 2 only and would extend it over all of the picture; others see points at 10 there.
+        let near = DVec3::new(-0.9, -0.9, 2.0);
+        let far: Vec<DVec3> = (0..3600)
+            .map(|i| DVec3::new(f64::from(i % 60), f64::from(i / 60), 0.0) / 5.0 - DVec3::new(5.9, 5.9, -10.0))
+            .collect();
+        let photo = grey(&facing(0.0));
+        let first = Shown::new(&facing(0.0), &[near], &photo);
+        let others = [Shown::new(&facing(0.1), &far, &photo), Shown::new(&facing(-0.1), &far, &photo)];
+        let middle = first.cells.of(DVec3::Z).unwrap();
+        let cover = first.cover(middle).unwrap();
+        assert!(hides(&cover, &others) && !hides(&cover, &[]));
+        assert!(!hides(&Cover { mean: DVec3::new(0.0, 0.0, 9.0), ..cover }, &others));
+        let mut masked = photo;
+        masked.rgba[4 * (50 * 100 + 50) + 3] = 0;
+        let masked = Shown::new(&facing(0.0), &[near], &masked);
+        assert!(masked.cover(middle).is_none() && masked.cover(middle + 2).is_some());
+    }
+
+    #[test]
+    fn pictures_without_points_and_points_at_infinity_are_left_alone() {
+        let photo = grey(&facing(0.0));
+        let nothing = Shown::new(&facing(0.0), &[-DVec3::Z], &photo);
+        assert!((0..nothing.cells.len()).all(|cell| nothing.cover(cell).is_none()));
+        let far = Shown::new(&facing(0.0), &[DVec3::new(0.0, 0.0, 1e300)], &photo);
+        assert!((0..far.cells.len()).all(|cell| far.cover(cell).is_none()));
+    }
+}
