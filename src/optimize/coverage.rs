@@ -49,7 +49,7 @@ pub(super) fn between_points(
         .collect::<Result<Vec<Shown>, CaptureError>>()?;
     let mut found: Vec<Cover> = vec![];
     for map in &maps {
-        let mut taken: Vec<bool> = map.points.iter().map(|n| n.is_some()).collect();
+        let mut taken: Vec<bool> = map.points.iter().map(Option::is_some).collect();
         let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
         hits.into_iter().for_each(|cell| taken[cell] = true);
         let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]).filter_map(|cell| map.cover(cell));
