@@ -9,6 +9,7 @@ mod handover;
 mod phase;
 mod poses;
 mod selection;
+mod unseen;
 
 pub use poses::RefinedPose;
 
@@ -34,7 +35,7 @@ use crate::{
         pose::PoseState,
         training::{SplatArrays, Training},
     },
-    scene::{Atlas, Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, Texture, sh},
+    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, sh},
 };
 
 /// Decoded photographs are kept up to this many bytes, of whatever size.
@@ -420,16 +421,17 @@ impl<'a> Run<'a> {
         budget.map_or(wanted, |floats| memory::texture_size_within(self.options, wanted, floats / 2))
     }
 
-    /// The user's mesh with empty maps.
+    /// The user's mesh with empty maps, transparent where no training view looks.
     fn given(&self, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
         let size = self.texture_size();
-        if let Some(uvs) = corner_uvs {
-            return surface::textured(surface, uvs, self.options, size);
-        }
-        surface::with_room_for_charts(size, self.largest_texture(), |size| {
-            let unwrapped = geometry::unwrap(&surface, None, size)?;
-            surface::textured_as(unwrapped, self.options, size)
-        })
+        let mesh = match corner_uvs {
+            Some(uvs) => surface::textured(surface, uvs, self.options, size)?,
+            None => surface::with_room_for_charts(size, self.largest_texture(), |size| {
+                let unwrapped = geometry::unwrap(&surface, None, size)?;
+                surface::textured_as(unwrapped, self.options, size)
+            })?,
+        };
+        self.without_unseen(mesh)
     }
 
     /// Whether meshes leave floats for a splat at least.
@@ -459,13 +461,7 @@ impl<'a> Run<'a> {
         let (phase, iteration) = self.reached;
         check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
-        let mut meshes = training.read_meshes(&scene.meshes)?;
-        // Of a surface made from the capture, what is not seen has been dropped. Two epochs have looked at every view, also where
-        // lists were too short for an iteration.
-        let has_seen_all = self.options.warmup.max(self.options.iterations) as usize >= 2 * self.train.len();
-        if outcome == Outcome::Finished && self.surface == Some(SurfaceOrigin::Given) && has_seen_all {
-            meshes = without_unseen(meshes, &training.read_texel_moments()?.1)?;
-        }
+        let meshes = training.read_meshes(&scene.meshes)?;
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
             self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
@@ -487,26 +483,6 @@ impl<'a> Run<'a> {
             skipped_iterations: self.skipped_iterations,
         })
     }
-}
-
-/// The meshes with those texels transparent that no training view ever had a say in, which are as grey as they were made. `second`
-/// are Adam's second moments, of the maps of colour and opacity first: 0 where there was no gradient, through whatever mip.
-fn without_unseen(meshes: Vec<Mesh>, mut second: &[f32]) -> Result<Vec<Mesh>, TrainError> {
-    let hidden = |mesh: Mesh| {
-        let base = mesh.atlas().base();
-        let (moments, rest) = second.split_at(base.texels().len());
-        second = rest;
-        let mut texels = base.texels().to_vec();
-        for (texel, moments) in texels.chunks_exact_mut(4).zip(moments.chunks_exact(4)) {
-            if moments.iter().all(|&v| v == 0.0) {
-                texel[3] = -MAX_LOGIT;
-            }
-        }
-        let base = Texture::new(base.width(), base.height(), base.channels(), texels)?;
-        let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
-        Ok(mesh.with_atlas(atlas))
-    };
-    meshes.into_iter().map(hidden).collect()
 }
 
 fn longest_side(camera: &Camera) -> u32 {

@@ -1,6 +1,6 @@
 use std::{path::Path, sync::atomic::Ordering};
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -8,7 +8,7 @@ use super::{phase::Plan, *};
 use crate::{
     capture::{Downscale, LoadOptions},
     format::gltf,
-    geometry::Surface,
+    geometry::{MeshBvh, Surface, TexelSight},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
     render::gpu::Renderer,
 };
@@ -33,8 +33,7 @@ fn options() -> TrainOptions {
 
 /// A square of the demo's size at its middle.
 fn square() -> MeshSource {
-    let positions =
-        [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]].map(glam::Vec3::from).to_vec();
+    let positions = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]].map(Vec3::from).to_vec();
     let surface = Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3]] };
     MeshSource::Given { surface, corner_uvs: None }
 }
@@ -44,35 +43,117 @@ fn square() -> MeshSource {
 fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
     // Far above, where no camera looks.
-    let above = surface.positions.iter().map(|p| *p + glam::Vec3::new(0.0, 0.0, 1e4)).collect::<Vec<_>>();
+    let above = surface.positions.iter().map(|p| *p + Vec3::new(0.0, 0.0, 1e4)).collect::<Vec<_>>();
     surface.positions.extend(above);
     surface.triangles.extend([[4, 5, 6], [4, 6, 7]]);
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
-    for iterations in [80, 90] {
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
-        let trained = train(&capture, source, &TrainOptions { iterations, ..options() }, session).unwrap();
-        let mesh = &trained.scene.meshes[0];
-        let base = mesh.atlas().base();
-        let logit_at = |face: usize| {
-            let [a, b, c] = mesh.corner_uvs()[face];
-            let at = (a + b + c) / 3.0 * base.width() as f32;
-            base.texels()[4 * (at.y as usize * base.width() as usize + at.x as usize) + 3]
-        };
-        // The first run ends before it has looked at all 42 views twice.
-        let hidden = if iterations == 80 { 0.0 } else { -MAX_LOGIT };
-        assert_eq!([logit_at(2), logit_at(3)], [hidden; 2]);
-        assert!(logit_at(0) > -MAX_LOGIT && logit_at(1) > -MAX_LOGIT);
+    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let source = MeshSource::Given { surface, corner_uvs: None };
+    // However few of the 42 views it has looked at.
+    let trained = train(&capture, source, &options(), session).unwrap();
+    let mesh = &trained.scene.meshes[0];
+    let base = mesh.atlas().base();
+    let logit_at = |face: usize| {
+        let [a, b, c] = mesh.corner_uvs()[face];
+        let at = (a + b + c) / 3.0 * base.width() as f32;
+        base.texels()[4 * (at.y as usize * base.width() as usize + at.x as usize) + 3]
+    };
+    assert_eq!([logit_at(2), logit_at(3)], [-MAX_LOGIT; 2]);
+    assert!(logit_at(0) > -1.0 && logit_at(1) > -1.0);
+}
+
+/// Over a floor a ball with another in it, and half before it a third.
+fn balls() -> Surface {
+    let mut all = Surface {
+        positions: [[-0.8, -0.8, 0.0], [0.8, -0.8, 0.0], [0.8, 0.8, 0.0], [-0.8, 0.8, 0.0]].map(Vec3::from).to_vec(),
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    };
+    for (center, radius) in [([-0.3, 0.0, 0.4], 0.35), ([-0.3, 0.0, 0.4], 0.25), ([0.35, 0.2, 0.3], 0.28)] {
+        let first = all.positions.len() as u32;
+        for i in 0..=10_u32 {
+            for j in 0..20_u32 {
+                let [a, b] = [i, j].map(|k| std::f32::consts::PI * k as f32 / 10.0);
+                let direction = Vec3::new(a.sin() * b.cos(), a.sin() * b.sin(), a.cos());
+                all.positions.push(Vec3::from(center) + radius * direction);
+            }
+        }
+        let cells = (0..10).flat_map(|i| (0..20).map(move |j| [i * 20 + j, i * 20 + (j + 1) % 20]));
+        let cells = cells.map(|cell| cell.map(|v| v + first));
+        all.triangles.extend(cells.flat_map(|[a, b]| [[a, a + 20, b], [b, a + 20, b + 20]]));
+    }
+    all
+}
+
+/// Rays know of every texel under a pixel and of every one that a gradient reaches, and of hardly any other.
+#[test]
+fn rays_reach_what_the_renderer_shows() {
+    for layers in [1, 2] {
+        let options = TrainOptions { warmup: 84, texture_size: Some(256), layers, ..options() };
+        with_mesh(balls(), &options, |run, training, scene| {
+            let mesh = &scene.meshes[0];
+            let sights = run.texel_visibility(mesh).unwrap();
+            let reached = sights.reached();
+            let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
+            let (mut pixels, mut off_center, mut missed) = (0, 0, 0);
+            for camera in run.train_cameras.clone() {
+                training.render(&camera, [0.0; 3], false).unwrap();
+                let width = camera.intrinsics().width;
+                for (pixel, front) in (0u32..).zip(training.front_triangles(&camera).unwrap()) {
+                    let at = DVec2::new(f64::from(pixel % width), f64::from(pixel / width)) + 0.5;
+                    let towards = camera.rotation().transpose() * camera.ray(at);
+                    let hits = bvh.all_hits(camera.center(), towards);
+                    let Some(hit) = hits.iter().find(|hit| hit.triangle + 1 == front) else { continue };
+                    let uvs = mesh.corner_uvs()[hit.triangle as usize].map(Vec2::as_dvec2);
+                    let [a, b, c] = hit.barycentrics.to_array();
+                    let uv = 256.0 * (a * uvs[0] + b * uvs[1] + c * uvs[2]);
+                    let texel = (uv.y as usize).min(255) * 256 + (uv.x as usize).min(255);
+                    pixels += 1;
+                    off_center += usize::from(sights.texels[texel] < TexelSight::Seen(0));
+                    missed += usize::from(!reached[texel]);
+                }
+            }
+            run.run_phase(training, scene, Phase::Warmup, None).unwrap();
+            let second = training.read_texel_moments().unwrap().1;
+            // By what the rays say of a texel's centre: touched by a gradient or not, reached or not.
+            let mut counts = [[[0; 2]; 2]; 3];
+            for (i, moments) in second.chunks_exact(4).take(256 * 256).enumerate() {
+                let sight = match sights.texels[i] {
+                    TexelSight::Outside => 0,
+                    TexelSight::Hidden => 1,
+                    TexelSight::Seen(_) => 2,
+                };
+                let is_touched = moments.iter().any(|&v| v != 0.0);
+                counts[sight][usize::from(is_touched)][usize::from(reached[i])] += 1;
+            }
+            eprintln!(
+                "{layers} layers: {pixels} pixels, {off_center} on texels whose centre is not seen, {missed} missed"
+            );
+            eprintln!("outside, hidden, seen × untouched, touched × not reached, reached: {counts:?}");
+            assert!(pixels > 20_000 && missed == 0 && off_center * 50 < pixels);
+            assert_eq!(counts.map(|of_sight| of_sight[1][0]), [0; 3]);
+            let too_many = counts[1][0][1] + counts[2][0][1];
+            assert!(too_many * 100 < counts[1..].as_flattened().as_flattened().iter().sum::<usize>());
+            assert!(layers == 2 || counts[1][0][0] > 2000);
+        });
     }
 }
 
-/// Sets a run up to its joint phase with the mesh above.
+/// Sets a run up to its joint phase with the square above.
 fn with_run<T>(options: &TrainOptions, test: impl FnOnce(&mut Run, &mut Training, &HybridScene) -> T) -> T {
+    let MeshSource::Given { surface, .. } = square() else { unreachable!() };
+    with_mesh(surface, options, test)
+}
+
+fn with_mesh<T>(
+    surface: Surface,
+    options: &TrainOptions,
+    test: impl FnOnce(&mut Run, &mut Training, &HybridScene) -> T,
+) -> T {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-    let mut run = Run::new(&capture, options, &square(), session).unwrap();
-    let MeshSource::Given { surface, .. } = square() else { unreachable!() };
-    let mesh = surface::textured_as(geometry::unwrap(&surface, None, 64).unwrap(), options, 64).unwrap();
+    let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
+    let mut run = Run::new(&capture, options, &source, session).unwrap();
+    let mesh = run.given(surface, None).unwrap();
     let splats = run.initial_splats(&[], true).unwrap();
     let scene = HybridScene { splats, meshes: vec![mesh], composition: run.composition() };
     let mut training = run.training(&scene).unwrap();
