@@ -92,9 +92,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
     let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
-    let seen = seen_part(&mesh, args.texture_size as usize, &capture)?;
     let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition: Composition::default() };
     gltf::write_glb(&args.output, &scene, &[], None)?;
+    let seen = seen_part(&scene.meshes[0], args.texture_size.min(SEEN_AT) as usize, &capture)?;
     if args.messages.json {
         return output::print_json(&serde_json::json!({
             "surface": args.output,
@@ -148,6 +148,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
         args.output.display()
     ))
 }
+
+/// Texels a side, at most, for telling which part of a map is seen: what is hidden costs a ray per texel and view.
+const SEEN_AT: u32 = 512;
 
 /// Part of the texels in charts of a square map whose centres a view of the capture sees.
 fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {

@@ -111,6 +111,10 @@ pub(super) struct Args {
     /// not exact; where they are it may cost quality. The scene's cameras are the corrected ones, --json lists what was corrected
     #[arg(long, conflicts_with = "mesh", help_heading = OPTIMISATION)]
     refine_poses: bool,
+    /// How far poses may be off, with --refine-poses: about as much as it can correct. The less, the less it costs where they are right
+    #[arg(long, value_name = "DEGREES", default_value_t = TrainOptions::default().pose_reach, value_parser = positive,
+          requires = "refine_poses", help_heading = OPTIMISATION)]
+    pose_reach: f64,
     /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
     #[arg(long, help_heading = OPTIMISATION)]
     visible_only: bool,
@@ -248,6 +252,7 @@ impl Args {
             coarse_to_fine: self.coarse_to_fine,
             exposure: self.exposure,
             refine_poses: self.refine_poses,
+            pose_reach: self.pose_reach,
             sh_degree: self.sh_degree,
             ssim_weight: self.ssim_weight,
             seed: self.seed,

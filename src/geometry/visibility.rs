@@ -64,7 +64,8 @@ impl TexelVisibility {
     }
 
     /// `[h·w]` Whether a texel enters what views show: those that are seen, and all that the mip levels mix with them there, one texel
-    /// around at least, be they hidden or in a gutter. No view shows anything of the others.
+    /// around at least, be they hidden or in a gutter. But for rims: the coarsest view of a triangle is that of its middle, and of a texel
+    /// that is seen in part the centre may be hidden, so that views may show a little of the others, too.
     #[must_use]
     pub fn reached(&self) -> Vec<bool> {
         let [width, height] = self.size;
@@ -110,9 +111,9 @@ fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize>
 /// of the cameras, `mesh` among them. A triangle that holds no texel's centre is looked at in its own middle, for the texel there; where
 /// triangles share a texel it is seen if any of them is.
 ///
-/// Triangles at the same place as the texel, its own and those on it but for f32 rounding, do not hide it. It takes two bytes a texel and some 250 a triangle. A texel costs a ray
-/// or little more where it is seen, else one per view that has it in the picture; the views that
-/// look at it from farthest away are tried first, and among these the one that saw the last.
+/// Triangles at the same place as the texel, its own and those on it but for f32 rounding, do not hide it. It takes two bytes a texel and
+/// some 250 a triangle. A texel costs a ray or little more where it is seen, else one per view that has it in the picture, and a triangle
+/// a sort of all views; the views that look at it from farthest away are tried first, and among these the one that saw the last.
 ///
 /// # Errors
 /// If `size` is empty or above 16384 a side, `near` is negative or not a number, or `layers` is 0.

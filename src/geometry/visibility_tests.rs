@@ -162,9 +162,8 @@ fn a_sphere_in_a_box_hides_what_it_must() {
     parts.push(sphere(96, Vec3::ZERO, 1.0));
     let mesh = unwrapped(&joined(&parts), 384);
     let eye = DVec3::new(-1.5, -1.3, -1.6);
-    let (right, down) = (-eye).normalize().any_orthonormal_pair();
+    let right = (-eye).normalize().any_orthonormal_vector();
     let rotation = DMat3::from_cols(right, (-eye).normalize().cross(right), (-eye).normalize()).transpose();
-    assert!(down.is_finite());
     let k = Intrinsics { width: 100, height: 80, fx: 50.0, fy: 45.0, cx: 48.0, cy: 41.0 };
     let camera = Camera::new(k, rotation, -(rotation * eye)).unwrap();
     let found = look(&mesh, 384, &viewers(&[camera], 1));

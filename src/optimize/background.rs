@@ -4,13 +4,13 @@
 
 use std::{f64::consts::TAU, sync::Arc};
 
-use glam::{DVec2, DVec3, Quat, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{TrainError, cells::Cells, state::logit};
+use super::{TrainError, cells::Cells, initialize::round_splats};
 use crate::{
     capture::{Capture, CaptureError, Photo, Point, View, extent},
-    scene::{Camera, Splats, sh},
+    scene::{Camera, Splats},
 };
 
 /// Directions that are looked at, all around: some 3° apart.
@@ -69,14 +69,9 @@ pub(super) fn behind_points(
     let kept: Vec<&(DVec3, [f32; 3])> = (0..n).map(|i| &found[i * found.len() / n]).collect();
 
     let apart = radius * (2.0 * TAU / DIRECTIONS as f64 * found.len() as f64 / n.max(1) as f64).sqrt();
-    let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
-    let mut coefficients = vec![[0.0; 3]; n * terms];
-    for (row, (_, color)) in coefficients.chunks_exact_mut(terms).zip(&kept) {
-        row[0] = sh::dc_from_rgb(*color);
-    }
-    let means: Vec<Vec3> = kept.iter().map(|(d, _)| (center + radius * *d).as_vec3()).collect();
-    let log_scales = vec![Vec3::splat((apart / 2.0).ln() as f32); n];
-    Ok(Splats::new(means, vec![Quat::IDENTITY; n], log_scales, vec![logit(0.5); n], sh_degree, coefficients)?)
+    let means = kept.iter().map(|(d, _)| (center + radius * *d).as_vec3()).collect();
+    let colors: Vec<[f32; 3]> = kept.iter().map(|(_, color)| *color).collect();
+    Ok(round_splats(means, &vec![(apart / 2.0) as f32; n], &colors, 0.5, sh_degree)?)
 }
 
 /// Where the splats lie: around the cameras, beyond all points but the outermost hundredth, which may be mismatched.

@@ -1,6 +1,6 @@
 //! A picture's plane in square cells, to tell where it shows points and where it does not.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, USizeVec2};
 
 use crate::scene::Camera;
 
@@ -30,7 +30,8 @@ impl Cells {
 
     /// The cell of a place in the picture, in pixels.
     pub(super) fn at(&self, uv: DVec2) -> usize {
-        let at = (uv / self.side).as_usizevec2();
+        // A place just inside the rim may be rounded onto it.
+        let at = (uv / self.side).as_usizevec2().min(USizeVec2::new(self.columns - 1, self.rows - 1));
         at.y * self.columns + at.x
     }
 
@@ -67,7 +68,7 @@ mod tests {
 
     #[test]
     fn cells_cover_the_picture_once() {
-        for (width, height) in [(100, 50), (176, 118), (1, 1), (20, 333)] {
+        for (width, height) in [(100, 50), (176, 118), (1, 1), (20, 333), (105, 63)] {
             let k = Intrinsics { width, height, fx: 90.0, fy: 90.0, cx: 10.0, cy: 5.0 };
             let cells = Cells::new(&Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap());
             let mut times = vec![0; (width * height) as usize];
@@ -80,6 +81,8 @@ mod tests {
             assert!(times.iter().all(|n| *n == 1), "{width}×{height}");
             assert_eq!(cells.of(cells.camera.ray(DVec2::new(0.5, 0.5))), Some(0));
             assert_eq!(cells.of(-DVec3::Z), None);
+            let last = DVec2::new(f64::from(width).next_down(), f64::from(height).next_down());
+            assert_eq!(cells.at(last), cells.len() - 1);
         }
     }
 

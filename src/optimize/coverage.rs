@@ -5,13 +5,14 @@
 
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3, Quat, Vec3};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::{TrainError, cells::Cells, state::logit};
+use super::{TrainError, cells::Cells, initialize::round_splats};
 use crate::{
     capture::{CaptureError, Photo, View},
-    scene::{Camera, Splats, sh},
+    geometry::MeshBvh,
+    scene::{Camera, Splats},
 };
 
 /// Views whose pictures are looked at, at most: each is decoded for it.
@@ -22,10 +23,24 @@ const MARGIN: f64 = 0.1;
 const NEARER: f64 = 0.8;
 /// … in more than this part of the views that show points there: it would float before what they see.
 const HIDING_VIEWS: f64 = 0.25;
+/// Coordinates of splats stay below this: f32 in which distances are squared now and then.
+const FARTHEST: f64 = 1e18;
 
-/// Splats in the cells of the views' pictures, and a little beyond, that show none of `points`, as deep as the points around them and in
+/// What there is already, in the capture's frame.
+pub(super) struct Known<'a> {
+    /// Points, and splats that lie farther away.
+    pub points: &'a [DVec3],
+    /// Meshes that are given.
+    pub meshes: &'a MeshBvh,
+    /// What is no farther from a camera than this, in camera-space z, it does not see.
+    pub near: f64,
+}
+
+/// Splats in the cells of the views' pictures, and a little beyond, that show no point and no mesh, as deep as the points around them and in
 /// the colours of the photograph; at most `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put
 /// somewhere, the next counts among its points.
+///
+/// A view shows all points before it, hidden or not: where it sees a bare wall and there are points behind that, nothing is put.
 ///
 /// `photo` decodes a view's picture. What it masks is left out.
 ///
@@ -33,40 +48,38 @@ const HIDING_VIEWS: f64 = 0.25;
 /// If a photograph cannot be read or `sh_degree` exceeds 3.
 pub(super) fn between_points(
     views: &[&View],
-    points: &[DVec3],
+    known: &Known,
     sh_degree: u32,
     max_splats: usize,
     photo: impl Fn(&View) -> Result<Arc<Photo>, CaptureError> + Sync,
 ) -> Result<Splats, TrainError> {
-    if max_splats == 0 || points.is_empty() {
+    if max_splats == 0 || known.points.is_empty() {
         return Ok(Splats::empty(sh_degree));
     }
     let stride = views.len().div_ceil(PICTURES).max(1);
     let maps = views
         .par_iter()
         .step_by(stride)
-        .map(|view| Ok(Shown::new(&view.camera, points, &*photo(view)?)))
+        .map(|view| Ok(Shown::new(&view.camera, known, &*photo(view)?)))
         .collect::<Result<Vec<Shown>, CaptureError>>()?;
     let mut found: Vec<Cover> = vec![];
     for map in &maps {
         let mut taken: Vec<bool> = map.points.iter().map(Option::is_some).collect();
         let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
         hits.into_iter().for_each(|cell| taken[cell] = true);
+        let eye = map.cells.camera.center();
         let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]).filter_map(|cell| map.cover(cell));
-        found.par_extend(own.filter(|cover| !hides(cover, &maps)));
+        let bare = own.filter(|cover| !known.meshes.any_hit(eye, cover.mean - eye, 0.0, f64::INFINITY));
+        found.par_extend(bare.filter(|cover| !hides(cover, &maps)));
     }
     let n = found.len().min(max_splats);
     let kept: Vec<&Cover> = (0..n).map(|i| &found[i * found.len() / n]).collect();
     // Fewer are larger.
     let wider = (found.len() as f64 / n.max(1) as f64).sqrt();
-    let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
-    let mut coefficients = vec![[0.0; 3]; n * terms];
-    for (row, cover) in coefficients.chunks_exact_mut(terms).zip(&kept) {
-        row[0] = sh::dc_from_rgb(cover.color);
-    }
     let means = kept.iter().map(|c| c.mean.as_vec3()).collect();
-    let log_scales = kept.iter().map(|c| Vec3::splat((c.scale * wider).ln() as f32)).collect();
-    Ok(Splats::new(means, vec![Quat::IDENTITY; n], log_scales, vec![logit(0.5); n], sh_degree, coefficients)?)
+    let scales: Vec<f32> = kept.iter().map(|c| (c.scale * wider) as f32).collect();
+    let colors: Vec<[f32; 3]> = kept.iter().map(|c| c.color).collect();
+    Ok(round_splats(means, &scales, &colors, 0.5, sh_degree)?)
 }
 
 /// A splat to be.
@@ -88,22 +101,23 @@ struct Shown {
 }
 
 impl Shown {
-    fn new(camera: &Camera, points: &[DVec3], photo: &Photo) -> Self {
+    fn new(camera: &Camera, known: &Known, photo: &Photo) -> Self {
+        let points = known.points;
         let margin = margin(camera);
         let cells = Cells::new(&camera.padded(margin));
         let camera = &cells.camera;
-        let mut sums = vec![(None::<f64>, 0.0, 0.0); cells.len()];
-        for p in points.iter().map(|p| camera.to_camera(*p)) {
-            let Some(cell) = cells.of(p) else { continue };
-            let (nearest, sum, count) = &mut sums[cell];
-            let nearness = p.z.recip();
-            *nearest = Some(nearest.map_or(nearness, |n| n.max(nearness)));
-            *sum += nearness;
-            *count += 1.0;
+        let mut seen: Vec<(usize, f64)> = (points.iter().map(|p| camera.to_camera(*p)))
+            .filter(|p| p.z > known.near)
+            .filter_map(|p| Some((cells.of(p)?, p.z.recip())))
+            .collect();
+        seen.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let (mut nearest, mut median) = (vec![None; cells.len()], vec![None; cells.len()]);
+        for cell in seen.chunk_by(|a, b| a.0 == b.0) {
+            nearest[cell[0].0] = Some(cell[cell.len() - 1].1);
+            median[cell[0].0] = Some(cell[cell.len() / 2].1);
         }
         let colors = (0..cells.len()).map(|cell| mean_color(cells.pixels(cell), margin, photo)).collect();
-        let nearness = spread(&cells, sums.iter().map(|s| s.0.map(|_| s.1 / s.2)).collect());
-        Self { points: sums.iter().map(|s| s.0).collect(), nearness, colors, cells }
+        Self { points: nearest, nearness: spread(&cells, median), colors, cells }
     }
 
     fn cell_of(&self, p: DVec3) -> Option<usize> {
@@ -116,7 +130,7 @@ impl Shown {
         let [x, y] = self.cells.pixels(cell).map(|[from, to]| f64::from(from + to) / 2.0);
         let mean = camera.center() + camera.rotation().transpose() * (depth * camera.ray(DVec2::new(x, y)));
         let scale = 0.5 * self.cells.side * depth / camera.intrinsics().fx;
-        (mean.as_vec3().is_finite() && (scale as f32).is_normal()).then_some(Cover { mean, scale, color })
+        (mean.abs().max_element() < FARTHEST && (scale as f32).is_normal()).then_some(Cover { mean, scale, color })
     }
 }
 
@@ -173,7 +187,7 @@ fn mean_color([x, y]: [[u32; 2]; 2], margin: u32, photo: &Photo) -> Option<[f32;
 
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
+    use glam::{DMat3, Vec3};
 
     use super::*;
     use crate::{
@@ -193,7 +207,19 @@ mod tests {
 
     fn cover(capture: &Capture, points: &[DVec3], most: usize) -> Splats {
         let views: Vec<&View> = capture.views.iter().collect();
-        between_points(&views, points, 1, most, |view| Ok(grey(&view.camera).into())).unwrap()
+        between_points(&views, &known(points, &bare()), 1, most, |view| Ok(grey(&view.camera).into())).unwrap()
+    }
+
+    fn bare() -> MeshBvh {
+        MeshBvh::new([])
+    }
+
+    fn known<'a>(points: &'a [DVec3], meshes: &'a MeshBvh) -> Known<'a> {
+        Known { points, meshes, near: 0.2 }
+    }
+
+    fn shown(camera: &Camera, points: &[DVec3], photo: &Photo) -> Shown {
+        Shown::new(camera, &known(points, &bare()), photo)
     }
 
     /// Cells, in all views, in which neither a point nor a splat is seen.
@@ -237,6 +263,21 @@ mod tests {
         assert!(cover(&capture, &points, 0).is_empty() && cover(&capture, &[], 100).is_empty());
     }
 
+    /// A floor below all of the demo, of two triangles.
+    #[test]
+    fn what_a_mesh_covers_stays_bare() {
+        let capture = demo();
+        let points: Vec<DVec3> = capture.points.iter().map(|p| p.position).take(50).collect();
+        let floor = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, -1.0));
+        let floor = MeshBvh::new([(&floor[..], &[[0, 1, 2], [0, 2, 3]][..])]);
+        let views: Vec<&View> = capture.views.iter().collect();
+        let photo = |view: &View| Ok(grey(&view.camera).into());
+        let splats = between_points(&views, &known(&points, &floor), 1, 100_000, photo).unwrap();
+        let all = cover(&capture, &points, 100_000);
+        // The rest is above the floor's horizon.
+        assert!(splats.len() < all.len() / 3, "{} of {}", splats.len(), all.len());
+    }
+
     fn facing(x: f64) -> Camera {
         let k = Intrinsics { width: 100, height: 100, fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0 };
         Camera::new(k, DMat3::IDENTITY, DVec3::new(-x, 0.0, 0.0)).unwrap()
@@ -244,7 +285,7 @@ mod tests {
 
     #[test]
     fn splats_are_as_deep_as_what_is_beside_them_and_as_wide_as_their_cell() {
-        let map = Shown::new(&facing(0.0), &[DVec3::new(0.0, 0.0, 4.0)], &grey(&facing(0.0)));
+        let map = shown(&facing(0.0), &[DVec3::new(0.0, 0.0, 4.0)], &grey(&facing(0.0)));
         let corner = map.cover(0).unwrap();
         // Ten pixels beyond the picture and four of them: the middle is eight beyond.
         let p = facing(0.0).to_camera(corner.mean);
@@ -253,7 +294,7 @@ mod tests {
         assert!((corner.scale - 0.072).abs() < 1e-9, "{}", corner.scale);
         // Between two depths is their mean, of nearness.
         let two = [DVec3::new(-2.0, 0.0, 4.0), DVec3::new(6.0, 0.0, 12.0)];
-        let map = Shown::new(&facing(0.0), &two, &grey(&facing(0.0)));
+        let map = shown(&facing(0.0), &two, &grey(&facing(0.0)));
         let row = map.cells.of(DVec3::new(0.0, 0.0, 1.0)).unwrap() / map.cells.columns * map.cells.columns;
         let depths: Vec<f64> = (row..row + map.cells.columns).map(|cell| map.nearness[cell].unwrap().recip()).collect();
         assert!(depths.is_sorted() && depths[0] == 4.0 && (depths[33] - 12.0).abs() < 1e-9, "{depths:?}");
@@ -267,24 +308,26 @@ mod tests {
             .map(|i| DVec3::new(f64::from(i % 60), f64::from(i / 60), 0.0) / 5.0 - DVec3::new(5.9, 5.9, -10.0))
             .collect();
         let photo = grey(&facing(0.0));
-        let first = Shown::new(&facing(0.0), &[near], &photo);
-        let others = [Shown::new(&facing(0.1), &far, &photo), Shown::new(&facing(-0.1), &far, &photo)];
+        let first = shown(&facing(0.0), &[near], &photo);
+        let others = [shown(&facing(0.1), &far, &photo), shown(&facing(-0.1), &far, &photo)];
         let middle = first.cells.of(DVec3::Z).unwrap();
         let cover = first.cover(middle).unwrap();
         assert!(hides(&cover, &others) && !hides(&cover, &[]));
         assert!(!hides(&Cover { mean: DVec3::new(0.0, 0.0, 9.0), ..cover }, &others));
         let mut masked = photo;
         masked.rgba[4 * (50 * 100 + 50) + 3] = 0;
-        let masked = Shown::new(&facing(0.0), &[near], &masked);
+        let masked = shown(&facing(0.0), &[near], &masked);
         assert!(masked.cover(middle).is_none() && masked.cover(middle + 2).is_some());
     }
 
     #[test]
     fn pictures_without_points_and_points_at_infinity_are_left_alone() {
         let photo = grey(&facing(0.0));
-        let nothing = Shown::new(&facing(0.0), &[-DVec3::Z], &photo);
+        let nothing = shown(&facing(0.0), &[-DVec3::Z], &photo);
         assert!((0..nothing.cells.len()).all(|cell| nothing.cover(cell).is_none()));
-        let far = Shown::new(&facing(0.0), &[DVec3::new(0.0, 0.0, 1e300)], &photo);
-        assert!((0..far.cells.len()).all(|cell| far.cover(cell).is_none()));
+        for z in [1e300, 1e19, 0.1] {
+            let map = shown(&facing(0.0), &[DVec3::new(0.0, 0.0, z)], &photo);
+            assert!((0..map.cells.len()).all(|cell| map.cover(cell).is_none()), "{z}");
+        }
     }
 }

@@ -24,15 +24,18 @@ impl Initial {
     /// For density control by gradients (METHODS 2.1).
     pub const INRIA: Self = Self { opacity: 0.1, scale: 1.0 };
 
-    /// For MCMC (METHODS 2.8): opacity 0.5, and a tenth of the distance in runs of 30,000 iterations.
+    /// For MCMC (METHODS 2.8).
+    pub const MCMC: Self = Self { opacity: 0.5, scale: 0.1 };
+
+    /// For MCMC at points, in a run of so many iterations: larger in one of less than 30,000.
     ///
-    /// Splats grow by half a percent in an iteration at most, so that for a run of 500 the first ones would be too small to cover what
+    /// Splats grow by half a percent in an iteration at most, so that in a run of 500 the first ones would be too small to cover what
     /// they stand for until its end. The factor is in inverse proportion to the cube root of the iterations, but at most 1
     /// (`docs/results.md`).
     #[must_use]
-    pub fn mcmc(iterations: u32) -> Self {
+    pub fn mcmc_in(iterations: u32) -> Self {
         let shorter = 30_000.0 / iterations.clamp(30, 30_000) as f32;
-        Self { opacity: 0.5, scale: 0.1 * shorter.cbrt() }
+        Self { scale: Self::MCMC.scale * shorter.cbrt(), ..Self::MCMC }
     }
 }
 
@@ -60,7 +63,7 @@ pub fn from_points(
     }
     let (means, colors): (Vec<_>, Vec<_>) =
         points.into_iter().map(|(mean, rgb)| (mean, rgb.map(|c| f32::from(c) / 255.0))).unzip();
-    round_splats(means, &colors, sh_degree, initial)
+    among_neighbors(means, &colors, sh_degree, initial)
 }
 
 /// `count` grey splats at random places that the cameras look at, for captures without points.
@@ -89,12 +92,29 @@ pub fn from_cameras(
             (center + DVec3::new(side(), side(), side())).as_vec3()
         })
         .collect();
-    round_splats(means, &vec![[0.5; 3]; count], sh_degree, initial)
+    among_neighbors(means, &vec![[0.5; 3]; count], sh_degree, initial)
 }
 
-fn round_splats(means: Vec<Vec3>, colors: &[[f32; 3]], sh_degree: u32, initial: Initial) -> Result<Splats, SceneError> {
+/// Round splats as large as they are far from each other.
+fn among_neighbors(
+    means: Vec<Vec3>,
+    colors: &[[f32; 3]],
+    sh_degree: u32,
+    initial: Initial,
+) -> Result<Splats, SceneError> {
+    let scales: Vec<f32> = neighbor_scales(&means).into_iter().map(|s| s * initial.scale).collect();
+    round_splats(means, &scales, colors, initial.opacity, sh_degree)
+}
+
+/// Round splats of one opacity, without view dependence. `colors` are RGB, 0 to 1.
+pub(super) fn round_splats(
+    means: Vec<Vec3>,
+    scales: &[f32],
+    colors: &[[f32; 3]],
+    opacity: f32,
+    sh_degree: u32,
+) -> Result<Splats, SceneError> {
     let n = means.len();
-    let scales = neighbor_scales(&means);
     let terms = sh::coefficients(sh_degree.min(sh::MAX_DEGREE));
     let mut coefficients = vec![[0.0; 3]; n * terms];
     for (row, &color) in coefficients.chunks_exact_mut(terms).zip(colors) {
@@ -103,8 +123,8 @@ fn round_splats(means: Vec<Vec3>, colors: &[[f32; 3]], sh_degree: u32, initial: 
     Splats::new(
         means,
         vec![Quat::IDENTITY; n],
-        scales.into_iter().map(|s| Vec3::splat((s * initial.scale).ln())).collect(),
-        vec![logit(initial.opacity); n],
+        scales.iter().map(|s| Vec3::splat(s.ln())).collect(),
+        vec![logit(opacity); n],
         sh_degree,
         coefficients,
     )
@@ -197,11 +217,11 @@ mod tests {
             assert!((splats.opacity_logits()[i] + 9.0_f32.ln()).abs() < 1e-6); // σ⁻¹(0.1)
             assert_eq!(splats.rotations()[i], Quat::IDENTITY);
         }
-        let mcmc = from_points(&grid(20, 0.5), 0, Initial::mcmc(30_000), 1000, 1).unwrap();
+        let mcmc = from_points(&grid(20, 0.5), 0, Initial::MCMC, 1000, 1).unwrap();
         assert_eq!(mcmc.opacity_logits()[0], 0.0);
         assert!((mcmc.log_scales()[25].x.exp() - 0.05).abs() < 1e-6);
         for (iterations, scale) in [(1, 1.0), (30, 1.0), (1111, 0.3), (100_000, 0.1)] {
-            assert!((Initial::mcmc(iterations).scale - scale).abs() < 1e-3, "{iterations}");
+            assert!((Initial::mcmc_in(iterations).scale - scale).abs() < 1e-3, "{iterations}");
         }
     }
 

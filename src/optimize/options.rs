@@ -51,6 +51,8 @@ pub struct TrainOptions {
     /// A small rotation and shift of each training camera, learnt along as long as splats are trained without a mesh and then kept; not
     /// with a given mesh: off. Held-out views keep their poses, and what all corrections have in common is taken out.
     pub refine_poses: bool,
+    /// Degrees that the steps of such a rotation add up to at most, and as a part of the extent, in radians, those of the shift: 0.6.
+    pub pose_reach: f64,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -117,6 +119,7 @@ impl Default for TrainOptions {
             coarse_to_fine: false,
             exposure: false,
             refine_poses: false,
+            pose_reach: 0.6,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,

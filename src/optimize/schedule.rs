@@ -184,9 +184,9 @@ pub fn vertex_rate(t: u32, iterations: u32) -> Option<f32> {
 
 /// Radians, and fractions of the extent, by which poses move at iteration `t` of `iterations`, of which each trains on one of `views`:
 /// nothing in the first twentieth, while all is blurred, then from a rate that falls to a hundredth, its logarithm linear in t. All
-/// steps of a view together reach 0.03, that is 1.7°, a single one at most 0.01.
+/// steps of a view together come as far as `reach`, a single one at most a third of that.
 #[must_use]
-pub fn pose_rate(t: u32, iterations: u32, views: usize) -> f32 {
+pub fn pose_rate(t: u32, iterations: u32, views: usize, reach: f64) -> f32 {
     let n = f64::from(iterations.max(1));
     let at = (f64::from(t) / n).min(1.0);
     if at < 0.05 {
@@ -194,7 +194,7 @@ pub fn pose_rate(t: u32, iterations: u32, views: usize) -> f32 {
     }
     let steps = (n / views.max(1) as f64).max(1.0);
     // The mean of 0.01^x over x from 0 to 1 is 0.99 / ln 100.
-    let begin = (0.03 / steps * 100f64.ln() / 0.99).min(0.01);
+    let begin = (reach / steps * 100f64.ln() / 0.99).min(reach / 3.0);
     (begin * 0.01f64.powf(at)) as f32
 }
 
@@ -218,13 +218,13 @@ mod tests {
     fn poses_reach_as_far_in_short_runs() {
         for (iterations, views) in [(30_000, 200), (1000, 42)] {
             let of_view =
-                (0..iterations).map(|t| f64::from(pose_rate(t, iterations, views))).sum::<f64>() / views as f64;
+                (0..iterations).map(|t| f64::from(pose_rate(t, iterations, views, 0.03))).sum::<f64>() / views as f64;
             // But for the beginning, when they rest.
             assert!((0.02..0.03).contains(&of_view), "{of_view}");
         }
-        assert_eq!([0, 49].map(|t| pose_rate(t, 1000, 42)), [0.0; 2]);
-        assert!(pose_rate(50, 1000, 42) > 50.0 * pose_rate(999, 1000, 42));
-        assert!((0..50).all(|t| pose_rate(t, 50, 42) <= 0.01) && pose_rate(0, 0, 0).is_finite());
+        assert_eq!([0, 49].map(|t| pose_rate(t, 1000, 42, 0.03)), [0.0; 2]);
+        assert!(pose_rate(50, 1000, 42, 0.03) > 50.0 * pose_rate(999, 1000, 42, 0.03));
+        assert!((0..50).all(|t| pose_rate(t, 50, 42, 0.03) <= 0.01) && pose_rate(0, 0, 0, 0.03).is_finite());
     }
 
     #[test]

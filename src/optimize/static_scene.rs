@@ -18,7 +18,8 @@ use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
 use glam::Vec2;
 
 use super::{
-    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background, coverage,
+    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background,
+    coverage::{self, Known},
     initialize::{self, Initial},
     memory,
     resume::{Identity, Saved},
@@ -27,7 +28,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, Photo, PhotoCache, Split, View},
-    geometry::{self, Contraction, Shell, Surface},
+    geometry::{self, Contraction, MeshBvh, Shell, Surface},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -44,9 +45,6 @@ const PHOTO_BUDGET: usize = 2 << 30;
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (METHODS 2.2), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
-
-/// Opacity logits of maps stay within this (`adam_texels.wgsl`).
-const MAX_LOGIT: f32 = 6.0;
 
 /// What a run is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -275,9 +273,7 @@ impl<'a> Run<'a> {
             (Some(saved), _) => saved.meshes.clone(),
             (None, MeshSource::Given { surface, corner_uvs }) => {
                 self.surface = Some(SurfaceOrigin::Given);
-                let meshes = vec![self.given(surface, corner_uvs)?];
-                self.within_budget(&meshes)?;
-                meshes
+                vec![self.given(surface, corner_uvs)?]
             }
             (None, _) => vec![],
         };
@@ -357,16 +353,16 @@ impl<'a> Run<'a> {
     fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
         let most = self.max_splats(beside);
-        let initial = if o.density == Density::Mcmc { Initial::mcmc(o.iterations) } else { Initial::INRIA };
+        let initial = if o.density == Density::Mcmc { Initial::mcmc_in(o.iterations) } else { Initial::INRIA };
         if points.is_empty() {
+            let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
             let count = self.initial_count(most);
             return Ok(initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?);
         }
-        let of_points =
-            |most| Ok(initialize::from_points(points, o.sh_degree, initial, most, o.seed)?) as Result<_, TrainError>;
+        let of_points = |most| initialize::from_points(points, o.sh_degree, initial, most, o.seed);
         // Density control by gradients begins with splats large enough to cover what has no points, and soon prunes larger ones.
         if o.density != Density::Mcmc || !begins {
-            return of_points(most);
+            return Ok(of_points(most)?);
         }
         let (room, cache) = (most / 4, &self.cache);
         let photo = |view: &View| cache.get(view);
@@ -378,6 +374,8 @@ impl<'a> Run<'a> {
         let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
         let far = behind.means().iter().map(|m| m.as_dvec3());
         let known: Vec<_> = points.iter().map(|p| p.position).chain(far).collect();
+        let meshes = MeshBvh::new(beside.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
+        let known = Known { points: &known, meshes: &meshes, near: f64::from(self.composition().near) };
         let between = coverage::between_points(&views, &known, o.sh_degree, room - behind.len(), photo)?;
         let mut all = of_points(most - behind.len() - between.len())?.into_arrays();
         all.append(behind.into_arrays());
@@ -431,6 +429,7 @@ impl<'a> Run<'a> {
                 surface::textured_as(unwrapped, self.options, size)
             })?,
         };
+        self.within_budget(std::slice::from_ref(&mesh))?;
         self.without_unseen(mesh)
     }
 

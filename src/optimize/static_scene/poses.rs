@@ -46,7 +46,7 @@ impl Run<'_> {
 
     /// What iteration `t` does to the pose of its view.
     pub(super) fn pose_step(&self, plan: &Plan, view: usize, t: u32) -> Option<PoseStep> {
-        let rate = schedule::pose_rate(t, plan.iterations, self.train.len());
+        let rate = schedule::pose_rate(t, plan.iterations, self.train.len(), self.options.pose_reach.to_radians());
         self.refines_poses(plan.phase).then_some(PoseStep { view, turn_rate: rate, shift_rate: rate * self.extent })
     }
 

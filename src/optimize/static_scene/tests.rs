@@ -58,7 +58,7 @@ fn what_no_view_sees_of_a_given_mesh_is_transparent() {
         let at = (a + b + c) / 3.0 * base.width() as f32;
         base.texels()[4 * (at.y as usize * base.width() as usize + at.x as usize) + 3]
     };
-    assert_eq!([logit_at(2), logit_at(3)], [-MAX_LOGIT; 2]);
+    assert_eq!([logit_at(2), logit_at(3)], [unseen::TRANSPARENT; 2]);
     assert!(logit_at(0) > -1.0 && logit_at(1) > -1.0);
 }
 
@@ -321,7 +321,8 @@ fn exposures_take_out_what_the_camera_changed() {
     let capture = unevenly_exposed(folder.path());
     let held_out = |exposure: bool| {
         let stop = AtomicBool::new(false);
-        let options = TrainOptions { exposure, iterations: 400, sh_degree: 0, ..options() };
+        // With 400, ten looks at each photograph, what they gain differs by as much from seed to seed.
+        let options = TrainOptions { exposure, iterations: 1000, sh_degree: 0, ..options() };
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         assert_eq!(trained.exposures.len(), if exposure { 42 } else { 0 });
@@ -369,7 +370,8 @@ fn poses_are_found_again() {
     let (gpu, capture) = (Gpu::open(None).unwrap(), unevenly_posed());
     let held_out = |refine_poses: bool| {
         let stop = AtomicBool::new(false);
-        let options = TrainOptions { refine_poses, iterations: 600, sh_degree: 0, ..options() };
+        // They are off by 1.5°.
+        let options = TrainOptions { refine_poses, pose_reach: 1.7, iterations: 600, sh_degree: 0, ..options() };
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         assert_eq!(trained.poses.len(), if refine_poses { 42 } else { 0 });

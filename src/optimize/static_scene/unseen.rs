@@ -1,8 +1,9 @@
 //! What no training view sees of a mesh that is brought along is transparent.
 
 use glam::DVec2;
+use rayon::prelude::*;
 
-use super::{MAX_LOGIT, Run};
+use super::Run;
 use crate::{
     geometry::{self, MeshBvh, TexelVisibility, Viewers},
     optimize::TrainError,
@@ -10,8 +11,11 @@ use crate::{
     scene::{Atlas, Mesh, Texture},
 };
 
+/// Opacity logit of what is not seen: the least that maps have (`adam_texels.wgsl`).
+pub(super) const TRANSPARENT: f32 = -6.0;
+
 /// Which pixels of a photograph a mask leaves in, 64 to a number.
-struct Shown {
+struct MaskBits {
     width: usize,
     pixels: Vec<u64>,
 }
@@ -23,7 +27,7 @@ impl Run<'_> {
         let base = mesh.atlas().base();
         let mut texels = base.texels().to_vec();
         for (texel, _) in texels.chunks_exact_mut(4).zip(&reached).filter(|(_, is_reached)| !**is_reached) {
-            texel[3] = -MAX_LOGIT;
+            texel[3] = TRANSPARENT;
         }
         let base = Texture::new(base.width(), base.height(), base.channels(), texels)?;
         let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
@@ -47,19 +51,20 @@ impl Run<'_> {
     }
 
     /// What masks leave of the training views; empty if there are none.
-    fn shown(&self) -> Result<Vec<Shown>, TrainError> {
+    fn shown(&self) -> Result<Vec<MaskBits>, TrainError> {
         if self.truth_alpha != TruthAlpha::Mask {
             return Ok(vec![]);
         }
+        let (cache, capture) = (&self.cache, self.capture);
         let of_view = |&i: &usize| {
-            let photo = self.cache.get(&self.capture.views[i])?;
-            Ok(Shown::new(photo.width as usize, &photo.rgba))
+            let photo = cache.get(&capture.views[i])?;
+            Ok(MaskBits::new(photo.width as usize, &photo.rgba))
         };
-        self.train.iter().map(of_view).collect()
+        self.train.par_iter().map(of_view).collect()
     }
 }
 
-impl Shown {
+impl MaskBits {
     fn new(width: usize, rgba: &[u8]) -> Self {
         let bits = |row: &[u8]| row.chunks_exact(4).rev().fold(0, |bits, rgba| bits << 1 | u64::from(rgba[3] > 0));
         Self { width, pixels: rgba.chunks(4 * 64).map(bits).collect() }
@@ -80,7 +85,7 @@ mod tests {
         // 9 pixels to a row, so that rows do not begin with a number.
         let alpha = |pixel: usize| u8::from(pixel % 7 == 3) * 200;
         let rgba: Vec<u8> = (0..9 * 20).flat_map(|pixel| [0, 0, 0, alpha(pixel)]).collect();
-        let shown = Shown::new(9, &rgba);
+        let shown = MaskBits::new(9, &rgba);
         for pixel in 0..9 * 20 {
             let at = DVec2::new((pixel % 9) as f64 + 0.9, (pixel / 9) as f64);
             assert_eq!(shown.holds(at), alpha(pixel) > 0, "{pixel}");
