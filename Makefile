@@ -7,7 +7,7 @@ export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
 # Mesa complains once per adapter where this is not set.
 export XDG_RUNTIME_DIR ?= /tmp
 # Sized for 2 cores without a GPU; on a GPU take the defaults: make demo DEMO_FLAGS=
-DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
+DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --max-splats 33000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
 ABLATIONS_ARGUMENTS ?=
