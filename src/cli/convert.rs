@@ -18,9 +18,9 @@ Examples:
   centaur convert garden.glb splats.ply --no-mesh --no-cameras --strict
   centaur convert table.ply chair.glb room.glb
   centaur convert garden.glb garden.usdz
-  centaur convert garden.glb mitsuba/garden.xml
+  mkdir mitsuba && centaur convert garden.glb mitsuba/garden.xml
   centaur convert garden.glb garden.blend.py
-  centaur convert head.glb smile/head.xml --time 1.5
+  centaur convert head.glb mitsuba/smile.xml --time 1.5
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
 

@@ -128,8 +128,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "MB", conflicts_with = "max_floats", value_parser = positive, help_heading = OPTIMISATION)]
     budget_mb: Option<f64>,
 
-    /// Surface to use: .glb, .obj or .ply; its UVs are kept [default: fused from the depth of splats,
-    /// see --surface-iterations]
+    /// Surface to use: .glb, .gltf, .obj or .ply; its UVs are kept [default: one made from the capture, see --surface]
     #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
     mesh: Option<PathBuf>,
     /// Splats alone
@@ -155,7 +154,7 @@ pub(super) struct Args {
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
     /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
     /// two from the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
-    /// (--mesh, --warmup 0): they take half of the budget at most
+    /// (--mesh, --warmup 0): they take half of the budget at most, as far as charts have room
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: Option<u32>,
     /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)

@@ -244,7 +244,7 @@ fn weighted([a, b, c]: [DVec3; 3], w: DVec3) -> DVec3 {
 }
 
 /// Barycentrics of the point of a triangle closest to `p`: inside the face, else on the closest edge.
-fn closest_barycentrics(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+pub(super) fn closest_barycentrics(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let n = ab.cross(ac);
     let area = n.length_squared();
@@ -274,6 +274,7 @@ fn closest_barycentrics(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::tests::meets;
     use rand::{RngExt, SeedableRng};
 
     type Soup = (Vec<Vec3>, Vec<[u32; 3]>);
@@ -286,23 +287,12 @@ mod tests {
         (positions, (0..count).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect())
     }
 
-    /// Möller–Trumbore, another formula than the one under test.
     fn brute_force(soups: &[Soup], origin: DVec3, dir: DVec3) -> Vec<(f64, u32, u32)> {
         let mut hits = Vec::new();
         for (mesh, (positions, triangles)) in (0u32..).zip(soups) {
             for (i, t) in (0u32..).zip(triangles) {
-                let [a, b, c] = t.map(|v| positions[v as usize].as_dvec3());
-                let (e1, e2) = (b - a, c - a);
-                let q = dir.cross(e2);
-                let det = e1.dot(q);
-                let s = origin - a;
-                let u = s.dot(q) / det;
-                let r = s.cross(e1);
-                let v = dir.dot(r) / det;
-                let t = e2.dot(r) / det;
-                if u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0 {
-                    hits.push((t, mesh, i));
-                }
+                let t = meets(origin, dir, t.map(|v| positions[v as usize].as_dvec3()));
+                hits.extend(t.filter(|t| *t >= 0.0).map(|t| (t, mesh, i)));
             }
         }
         hits.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -343,6 +333,10 @@ mod tests {
                     assert!(weighted(corners, h.barycentrics).distance(origin + h.t * dir) < 1e-4);
                 }
                 assert_eq!(tree.any_hit(origin, dir, 0.0, f64::INFINITY), !expected.is_empty());
+                for count in 0..4 {
+                    let has = tree.has_layers(count, origin, dir, 0.0, f64::INFINITY);
+                    assert_eq!(has, expected.len() >= count, "{count} of {}", expected.len());
+                }
                 if let [first, second, ..] = expected[..] {
                     let middle = (first.0 + second.0) / 2.0;
                     assert_eq!(tree.hits_before(origin, dir, middle), hits[..1]);
@@ -370,6 +364,8 @@ mod tests {
                 assert_eq!(tree.all_hits(eye, vertex - eye).len(), 6, "vertex {x} {y}");
                 let edge = (vertex + positions[y * 11 + x + 1].as_dvec3()) / 2.0;
                 assert_eq!(tree.all_hits(eye, edge - eye).len(), 2, "edge {x} {y}");
+                let layers = [1, 2].map(|count| tree.has_layers(count, eye, edge - eye, 0.0, f64::INFINITY));
+                assert_eq!(layers, [true, false], "edge {x} {y}");
             }
         }
     }

@@ -1,4 +1,4 @@
-use std::collections::HashMap;
+use std::{collections::HashMap, ops::RangeInclusive};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -33,7 +33,7 @@ pub struct FusionOptions {
     pub max_depth: f64,
     /// Accumulated weight from which a voxel counts as seen; with unit weights, the number of views.
     pub min_weight: f32,
-    /// Limit on the memory for voxels.
+    /// Limit on the memory for voxels, bytes.
     pub max_bytes: usize,
 }
 
@@ -41,6 +41,9 @@ pub struct FusionOptions {
 const VOXELS_BEHIND: f64 = 8.0;
 /// Farthest surface in radii of the contraction. Parallax ends there, and splats of the sky begin (`optimize/background.rs`, 15 or so).
 const FARTHEST: f64 = 12.0;
+
+/// Memory for voxels, bytes.
+const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
     /// The constants of 2DGS (METHODS 6): voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
@@ -77,7 +80,7 @@ impl FusionOptions {
             }
         }
         let truncation = 5.0 * voxel;
-        Ok(Self { voxel, truncation, bounds, contraction, max_depth, min_weight: 2.0, max_bytes: 2 << 30 })
+        Ok(Self { voxel, truncation, bounds, contraction, max_depth, min_weight: 2.0, max_bytes: MAX_BYTES })
     }
 
     /// Where a surface seen at the world point `p` along a ray comes to lie, and how far that ray leads from there within one
@@ -152,6 +155,35 @@ impl Fusion {
         }
         let extent = (voxels / f64::from(SIDE)).ceil().max(DVec3::ONE).as_ivec3().to_array();
         Ok(Self { options, blocks: Vec::new(), slots: HashMap::new(), extent, views: 0 })
+    }
+
+    /// The depth maps of all cameras, fused at the last of `resolutions` or, as far as need be, at less where voxels do not fit into memory.
+    /// `options` are those at a resolution; `depth_of` yields the depth map of a camera by its index, anew for every resolution.
+    ///
+    /// # Errors
+    /// As [`Self::new`] and [`Self::integrate`], and what `options` and `depth_of` return.
+    pub fn of_depths<E: From<GeometryError>>(
+        cameras: &[Camera],
+        resolutions: RangeInclusive<u32>,
+        options: impl Fn(u32) -> Result<FusionOptions, GeometryError>,
+        mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, E>,
+    ) -> Result<Self, E> {
+        let (least, mut resolution) = resolutions.into_inner();
+        'resolutions: loop {
+            let mut fusion = Self::new(options(resolution)?)?;
+            for (i, camera) in cameras.iter().enumerate() {
+                let depth = depth_of(i)?;
+                match fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }) {
+                    Err(GeometryError::FusionMemory { .. }) if resolution > least => {
+                        // Half of the voxels, about: they are near a surface.
+                        resolution = ((0.7 * f64::from(resolution)) as u32).max(least);
+                        continue 'resolutions;
+                    }
+                    fused => fused?,
+                }
+            }
+            return Ok(fusion);
+        }
     }
 
     /// What it was made with.

@@ -43,7 +43,7 @@ const CLOSING_PASSES: usize = 4;
 const CLOSING_COSINE: f64 = 0.5;
 /// No vertex is moved by more tolerances than that, be it onto the line between two planes.
 const FARTHEST: f64 = 3.0;
-/// Squared sine of the least angle between planes that have a line or point in common, 2°: else no vertex is set into both.
+/// Squared sine of the least angle between planes that have a line or point in common, 2°: else a vertex is set into the first only.
 const LEAST_SINE_SQUARED: f64 = 1.2e-3;
 /// Planes become coarser in so many passes, to the longest edge allowed: at once, triangles would be uneven.
 const PASSES: u32 = 6;
@@ -305,26 +305,23 @@ impl Sheet {
                 }
             }
         }
-        let set = |v: usize, on: &[u32]| {
+        // Where a vertex comes to lie in its planes. Those that are nearly as others before, or as their line, are left out.
+        let set = |v: usize, on: &mut Vec<u32>| {
             let (mut p, mut used) = (self.positions[v], Vec::<DVec3>::new());
-            for plane in on.iter().map(|&i| &planes[i as usize]) {
+            on.retain(|&i| {
+                let plane = &planes[i as usize];
                 // The shortest way into this plane along those before.
                 let along = used.iter().fold(plane.normal, |d, n| d - d.dot(*n) * n);
-                if along.length_squared() < LEAST_SINE_SQUARED {
-                    return None;
+                let differs = along.length_squared() >= LEAST_SINE_SQUARED;
+                if differs {
+                    p -= along * (plane.height(p) / along.dot(plane.normal));
+                    used.push(along.normalize());
                 }
-                p -= along * (plane.height(p) / along.dot(plane.normal));
-                used.push(along.normalize());
-            }
-            Some(p)
-        };
-        let mut positions = self.positions.clone();
-        for (v, on) in planes_of.iter_mut().enumerate() {
-            positions[v] = set(v, on).unwrap_or_else(|| {
-                on.truncate(1);
-                set(v, on).unwrap_or(self.positions[v])
+                differs
             });
-        }
+            p
+        };
+        let mut positions: Vec<DVec3> = planes_of.iter_mut().enumerate().map(|(v, on)| set(v, on)).collect();
         // Those that may not stay where they were set, first what goes too far and then what folds.
         let farthest = FARTHEST * self.options.tolerance;
         let is_far = |v: &usize| self.place(positions[*v]).distance(self.places[*v]) > farthest;
@@ -338,7 +335,7 @@ impl Sheet {
                 // From several planes into its own, from there to where it was.
                 let left = usize::from(planes_of[v].len() > 1);
                 planes_of[v].truncate(left);
-                positions[v] = set(v, &planes_of[v]).unwrap_or(self.positions[v]);
+                positions[v] = set(v, &mut planes_of[v]);
             }
             let folds = |t: &&[u32; 3]| {
                 let expected = match common_plane(&planes_of, t) {

@@ -267,3 +267,20 @@ fn anything_is_taken() {
         }
     }
 }
+
+/// Two planes 1.5° apart have no line in common that a vertex could be set onto; each has one with the floor.
+#[test]
+fn a_vertex_of_two_planes_that_are_nearly_one_is_still_set_onto_the_third() {
+    let tilt = 1.5_f64.to_radians();
+    let plane = |normal: DVec3| Plane { normal, offset: 0.0 };
+    let planes = [plane(DVec3::Z), plane(DVec3::new(-tilt.sin(), 0.0, tilt.cos())), plane(DVec3::Y)];
+    let positions = vec![Vec3::new(0.0, 0.3, 0.2), Vec3::new(5.0, 0.2, 0.0), Vec3::new(2.0, -0.3, 4.0)];
+    let surface = Surface { positions, triangles: vec![[0, 2, 1]] };
+    let sheet = Sheet::new(&surface, 1.0, None, PlanarOptions::default());
+    let (positions, planes_of) = sheet.snapped(&surface.triangles, &planes, &[0, 1, 2]);
+    assert_eq!(planes_of, [vec![0, 2], vec![1, 2], vec![2]]);
+    assert!(positions[0].abs_diff_eq(DVec3::ZERO, 1e-7), "{}", positions[0]);
+    assert!(
+        positions.iter().zip(&planes_of).all(|(p, on)| on.iter().all(|&i| planes[i as usize].height(*p).abs() < 1e-12))
+    );
+}

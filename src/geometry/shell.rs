@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::bvh::MeshBvh;
 use super::surface::{Surface, compact};
-use crate::scene::Camera;
+use crate::scene::{Camera, LARGEST_COORDINATE};
 
 /// Views that must see a triangle of it: as many as judge one.
 const LEAST_VIEWS: u32 = 2;
@@ -44,8 +44,7 @@ impl Shell {
         distances.sort_unstable_by(f64::total_cmp);
         let outer = distances.get(distances.len() * 99 / 100).map_or(0.0, |d| BEYOND_POINTS * d);
         let radius = outer.max(spread * focal.min(FARTHEST));
-        // Of f32, in which distances are squared now and then.
-        (radius > 0.0 && radius < 1e18).then(|| {
+        (radius > 0.0 && radius < LARGEST_COORDINATE).then(|| {
             let width = cameras.iter().map(field_of_view).fold(0.0, f64::max);
             // 63.4° to the edge of an icosahedron.
             let halvings = (63.4_f64.to_radians() * EDGES_ACROSS / width).log2().ceil();

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
 use super::bvh::MeshBvh;
-use super::fusion::{DepthView, Fusion, FusionOptions};
+use super::fusion::{Fusion, FusionOptions};
 use super::planar::PlanarOptions;
 use super::surface::{Surface, SurfaceOptions, SurfaceStats, surface_from_fusion};
 use super::{Contraction, GeometryError};
@@ -22,6 +22,9 @@ pub struct PointView {
     pub sees: Vec<u32>,
 }
 
+/// Voxels along the depth range, least and most.
+const LEAST_RESOLUTION: u32 = 48;
+const MAX_RESOLUTION: u32 = 384;
 /// Longer side in pixels of the depth maps that are fused. Points are some ten pixels apart in it.
 const SIDE: u32 = 320;
 
@@ -98,15 +101,12 @@ pub fn surface_from_points(
     let contraction = Contraction::if_unbounded(&cameras, points)?;
     // Half an edge: finer voxels only hold the same facets.
     let edge = median_edge(points, &clear, contraction.as_ref());
-    let resolution = (2.0 * space.radius / edge).clamp(48.0, 384.0) as u32;
-    let volume = FusionOptions::suggest(&cameras, points, resolution, contraction)?;
-    let mut fusion = Fusion::new(volume)?;
-    for (camera, triangles) in cameras.iter().zip(&clear) {
-        let depth = depth_map(camera, points, triangles);
-        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
-    }
+    let resolution = (2.0 * space.radius / edge).clamp(LEAST_RESOLUTION.into(), MAX_RESOLUTION.into()) as u32;
+    let options = |resolution: u32| FusionOptions::suggest(&cameras, points, resolution, contraction);
+    let depth_of = |i: usize| Ok::<_, GeometryError>(depth_map(&cameras[i], points, &clear[i]));
+    let fusion = Fusion::of_depths(&cameras, LEAST_RESOLUTION..=resolution, options, depth_of)?;
     let planar = planar.then(PlanarOptions::default);
-    let options = SurfaceOptions { target_triangles: triangles, planar, ..SurfaceOptions::new(volume) };
+    let options = SurfaceOptions { target_triangles: triangles, planar, ..SurfaceOptions::new(*fusion.options()) };
     let (surface, counts) = surface_from_fusion(&fusion, &options)?;
     stats.surface = counts;
     Ok((surface, stats))

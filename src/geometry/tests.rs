@@ -47,6 +47,36 @@ pub(super) fn unit_sphere(origin: DVec3, dir: DVec3) -> Option<f64> {
     (d >= 0.0).then(|| (-b - d.sqrt()) / a)
 }
 
+/// Möller–Trumbore, another formula than that of the hierarchy: the ray parameter at which a ray meets the plane within the triangle.
+pub(super) fn meets(origin: DVec3, dir: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
+    let (e1, e2) = (b - a, c - a);
+    let q = dir.cross(e2);
+    let det = e1.dot(q);
+    let s = origin - a;
+    let u = s.dot(q) / det;
+    let r = s.cross(e1);
+    let v = dir.dot(r) / det;
+    (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| e2.dot(r) / det)
+}
+
+/// A wall, seen from several places.
+#[test]
+fn voxels_grow_until_they_fit() {
+    let k = Intrinsics { width: 160, height: 120, fx: 600.0, fy: 600.0, cx: 80.0, cy: 60.0 };
+    let cameras: Vec<Camera> =
+        (0..4).map(|i| Camera::new(k, DMat3::IDENTITY, DVec3::new(0.02 * f64::from(i), 0.0, 2.0)).unwrap()).collect();
+    let points = [Vec3::new(-0.2, -0.2, -0.1), Vec3::new(0.2, 0.2, 0.1), Vec3::ZERO, Vec3::ZERO];
+    let bytes = |max_bytes: usize| {
+        let options = |n: u32| Ok(FusionOptions { max_bytes, ..FusionOptions::suggest(&cameras, &points, n, None)? });
+        let depth_of = |_| Ok::<_, GeometryError>(vec![2.0; 160 * 120]);
+        Fusion::of_depths(&cameras, 64..=400, options, depth_of).map(|fusion| fusion.bytes())
+    };
+    let all = bytes(2 << 30).unwrap();
+    let less = bytes(all / 3).unwrap();
+    assert!(less <= all / 3 && less > all / 10, "{less} of {all}");
+    assert!(matches!(bytes(1000), Err(GeometryError::FusionMemory { .. })));
+}
+
 fn fused_sphere(cameras: &[Camera], voxel: f64) -> Fusion {
     let options = FusionOptions {
         voxel,

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{
     GeometryError, MeshBvh,
-    raster::{texel_positions, texels_in},
+    raster::{texel_positions, texels_in, texels_touched},
 };
 use crate::scene::{Camera, Mesh, Texture};
 
@@ -36,11 +36,11 @@ pub struct Viewers<'a> {
 /// What views see of a texel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TexelSight {
-    /// Its centre lies in no triangle.
+    /// Its centre lies in no triangle, nor does a thin one touch it.
     Outside,
     /// No view sees the point at its centre.
     Hidden,
-    /// A view does, of those that do about the coarsest: a pixel there reads mip levels no higher than this.
+    /// A view does, and reads mip levels no higher than this there: the first that was tried. On a large triangle others may read higher ones.
     Seen(u8),
 }
 
@@ -63,17 +63,18 @@ impl TexelVisibility {
         (count(TexelSight::Hidden), count(TexelSight::Seen(0)))
     }
 
-    /// `[h·w]` Whether a texel enters what views show: those that are seen, and all that the mip levels mix with them there, one texel
-    /// around at least, be they hidden or in a gutter. But for rims: the coarsest view of a triangle is that of its middle, and of a texel
-    /// that is seen in part the centre may be hidden, so that views may show a little of the others, too.
+    /// `[h·w]` Whether a texel enters what views show whose pictures are up to 2^`coarser` times smaller: those that are seen, and all that the
+    /// mip levels mix with them there, one texel around at least, be they hidden or in a gutter. But for rims: the coarsest view of a
+    /// triangle is that of its middle, and of a texel that is seen in part the centre may be hidden, so that views may show a little of
+    /// the others, too.
     #[must_use]
-    pub fn reached(&self) -> Vec<bool> {
+    pub fn reached(&self, coarser: u8) -> Vec<bool> {
         let [width, height] = self.size;
         let levels = mip_levels(self.size);
         let mut reached: Vec<Vec<bool>> = (0..levels).map(|l| vec![false; (width >> l) * (height >> l)]).collect();
         for (i, sight) in self.texels.iter().enumerate() {
             let TexelSight::Seen(level) = *sight else { continue };
-            let level = usize::from(level).min(levels - 1);
+            let level = usize::from(level.saturating_add(coarser)).min(levels - 1);
             let (across, down) = (taps(i % width, level, width), taps(i / width, level, height));
             for y in down {
                 for x in across.clone() {
@@ -108,8 +109,9 @@ fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize>
 
 /// What `viewers` see of each texel of a map of `size` texels, (width, height), on `mesh`: whether the point at its centre is in a picture, farther
 /// than `near`, with fewer than `layers` triangles of `hidden_by` before it, from either side. `hidden_by` holds all meshes in the frame
-/// of the cameras, `mesh` among them. A triangle that holds no texel's centre is looked at in its own middle, for the texel there; where
-/// triangles share a texel it is seen if any of them is.
+/// of the cameras, `mesh` among them. A triangle that is narrower than a texel or holds no texel's centre is also looked at in those that it
+/// touches, if none holds their centre, at its point nearest to that, and in the latter case in the texel at its middle. Where triangles
+/// share a texel it is seen if any of them is.
 ///
 /// Triangles at the same place as the texel, its own and those on it but for f32 rounding, do not hide it. It takes two bytes a texel and
 /// some 250 a triangle. A texel costs a ray or little more where it is seen, else one per view that has it in the picture, and a triangle
@@ -139,16 +141,23 @@ pub fn texel_visibility(
     texels.par_chunks_mut(size[0] * ROWS).enumerate().for_each(|(part, texels)| {
         let rows = part * ROWS..part * ROWS + texels.len() / size[0];
         let mut look = Look::new(viewers, hidden_by, mip_levels(size) - 1);
-        for face in faces.iter().filter(|f| f.rows[0] < rows.end && f.rows[1] >= rows.start) {
+        let near: Vec<&Face> = faces.iter().filter(|f| f.rows[0] < rows.end && f.rows[1] >= rows.start).collect();
+        for face in near.iter().filter(|face| face.has_center) {
             look.at_face(face);
-            let mut mark = |x: usize, y: usize, weights: DVec3| {
+            texels_in(&face.uvs, size, rows.clone(), |x, y, weights| {
                 let texel = &mut texels[(y - rows.start) * size[0] + x];
                 *texel = (*texel).max(look.at(face, face.point(weights)));
-            };
-            match face.middle {
-                Some([x, y]) => mark(x, y, DVec3::splat(1.0 / 3.0)),
-                None => texels_in(&face.uvs, size, rows.clone(), mark),
-            }
+            });
+        }
+        let is_free: Vec<bool> = texels.iter().map(|texel| *texel == TexelSight::Outside).collect();
+        for face in near.iter().filter(|face| face.is_thin) {
+            look.at_face(face);
+            texels_touched(&face.uvs, size, rows.clone(), |x, y, weights| {
+                let i = (y - rows.start) * size[0] + x;
+                if is_free[i] || !face.has_center && [x, y] == face.middle {
+                    texels[i] = texels[i].max(look.at(face, face.point(weights)));
+                }
+            });
         }
         rays.fetch_add(look.rays, Ordering::Relaxed);
     });
@@ -162,8 +171,12 @@ struct Face {
     uvs: [Vec2; 3],
     /// First and last row that it may have texels in.
     rows: [usize; 2],
-    /// The texel at its middle, of a triangle that holds no texel's centre.
-    middle: Option<[usize; 2]>,
+    /// Whether the centre of a texel lies in it.
+    has_center: bool,
+    /// Whether it is narrower than a texel or has no centre, so that it may show texels whose centres lie beside it.
+    is_thin: bool,
+    /// The texel at its middle, column and row.
+    middle: [usize; 2],
     /// World space per texel to the right and down; `None` if it has no area in the map.
     texel: Option<[DVec3; 2]>,
 }
@@ -177,16 +190,10 @@ impl Face {
         let [a, b, c] = texel_positions(&uvs, size);
         let mut has_center = false;
         texels_in(&uvs, size, 0..size[1], |_, _, _| has_center = true);
-        let last = DVec2::new((size[0] - 1) as f64, (size[1] - 1) as f64);
-        let within = |p: DVec2| p.round().clamp(DVec2::ZERO, last);
-        let middle = within((a + b + c) / 3.0);
-        let row = |y: f64| y.clamp(0.0, last.y) as usize;
-        let rows = match has_center {
-            true => [row(a.y.min(b.y).min(c.y).floor()), row(a.y.max(b.y).max(c.y).ceil())],
-            false => [middle.y as usize; 2],
-        };
+        let row = |y: f64| y.clamp(0.0, (size[1] - 1) as f64) as usize;
+        let rows = [row(a.y.min(b.y).min(c.y).floor() - 1.0), row(a.y.max(b.y).max(c.y).ceil() + 1.0)];
         let (right, down) = (b - a, c - a);
-        let area = right.perp_dot(down);
+        let (area, middle) = (right.perp_dot(down), (a + b + c) / 3.0);
         // The inverse of what takes texels to weights.
         let texel = [(along * down.y - beside * right.y) / area, (beside * right.x - along * down.x) / area];
         Some(Self {
@@ -194,7 +201,9 @@ impl Face {
             normal,
             uvs,
             rows,
-            middle: (!has_center).then_some([middle.x as usize, middle.y as usize]),
+            has_center,
+            is_thin: !has_center || area.abs() < right.length().max(down.length()).max(b.distance(c)),
+            middle: [middle.x, middle.y].map(|at| at.round().max(0.0) as usize),
             texel: texel.iter().all(|d| d.is_finite()).then_some(texel),
         })
     }

@@ -6,7 +6,11 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::{
-    geometry::{Surface, tests::orbit, unwrap},
+    geometry::{
+        Surface,
+        tests::{meets, orbit},
+        unwrap,
+    },
     scene::{Atlas, Intrinsics},
 };
 
@@ -55,18 +59,6 @@ fn points(mesh: &Mesh, size: usize) -> Vec<Vec<(usize, DVec3)>> {
     found
 }
 
-/// Möller–Trumbore, of a segment from `from` to `to`: part of the way at which it meets the plane within the triangle.
-fn meets(from: DVec3, to: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
-    let (dir, e1, e2) = (to - from, b - a, c - a);
-    let q = dir.cross(e2);
-    let det = e1.dot(q);
-    let s = from - a;
-    let u = s.dot(q) / det;
-    let r = s.cross(e1);
-    let v = dir.dot(r) / det;
-    (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| e2.dot(r) / det)
-}
-
 fn soup(count: u32, seed: u64) -> Surface {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut point = || Vec3::from_array(random.random::<[f32; 3]>()) * 2.0 - 1.0;
@@ -102,7 +94,8 @@ fn rays_see_what_brute_force_sees() {
                     return false;
                 }
                 let others = corners.iter().enumerate().filter(|(other, _)| *other != face);
-                let hits: Vec<f64> = others.filter_map(|(_, t)| meets(camera.center(), point, *t)).collect();
+                let eye = camera.center();
+                let hits: Vec<f64> = others.filter_map(|(_, t)| meets(eye, point - eye, *t)).collect();
                 is_close |= hits.iter().any(|t| (t - 1.0).abs() < 1.5e-6);
                 hits.iter().filter(|&&t| t * p.z > near && t < 1.0).count() < layers
             });
@@ -275,12 +268,33 @@ fn mip_levels_are_those_of_the_footprint() {
     }
 }
 
+/// A rail: its chart holds no texel's centre, or few, and all of it is seen.
+#[test]
+fn charts_thinner_than_a_texel_are_seen_along_all_of_them() {
+    for (slant, thickness) in [(0.0, 0.4), (0.0, 0.1), (0.36, 0.3)] {
+        let along = Vec2::new(100.0, 100.0 * slant);
+        let uv = |t: f32, side: f32| (Vec2::new(10.0, 20.05 + side * thickness) + t * along) / 128.0;
+        let at = |t: f32, side: f32| Vec3::new(2.0 * t - 1.0, 0.02 * side, 4.0);
+        let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
+        let uvs = [[0, 1, 2], [0, 2, 3]].map(|t| t.map(|i: usize| uv(corners[i].0, corners[i].1)));
+        let positions = corners.map(|(t, side)| at(t, side)).to_vec();
+        let rail = mesh(positions, vec![[0, 1, 2], [0, 2, 3]], uvs.to_vec());
+        let found = look(&rail, 128, &viewers(&[ahead(100, 90.0)], 1));
+        assert!(!found.texels.contains(&TexelSight::Hidden));
+        let reached = found.reached(0);
+        for k in 0..400 {
+            let p = uv(k as f32 / 400.0, 0.5) * 128.0;
+            assert!(reached[p.y as usize * 128 + p.x as usize], "{slant} {thickness}: {p}");
+        }
+    }
+}
+
 #[test]
 fn what_is_mixed_in_is_reached() {
     let reached = |size: [usize; 2], seen: &[(usize, usize, u8)]| {
         let mut texels = vec![TexelSight::Hidden; size[0] * size[1]];
         seen.iter().for_each(|&(x, y, level)| texels[y * size[0] + x] = TexelSight::Seen(level));
-        let reached = TexelVisibility { size, texels, rays: 0 }.reached();
+        let reached = TexelVisibility { size, texels, rays: 0 }.reached(0);
         (0..size[0] * size[1]).filter(|&i| reached[i]).map(|i| (i % size[0], i / size[0])).collect::<Vec<_>>()
     };
     let block = |x: std::ops::Range<usize>, y: std::ops::Range<usize>| {

@@ -7,18 +7,20 @@ use std::{f64::consts::TAU, sync::Arc};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{TrainError, cells::Cells, initialize::round_splats};
+use super::{
+    TrainError,
+    cells::{Cells, evenly, stride},
+    initialize::round_splats,
+};
 use crate::{
     capture::{Capture, CaptureError, Photo, Point, View, extent},
-    scene::{Camera, Splats},
+    scene::{Camera, LARGEST_COORDINATE, Splats},
 };
 
 /// Directions that are looked at, all around: some 3° apart.
 const DIRECTIONS: usize = 4000;
 /// Part of the views into a direction that must find it clear: from elsewhere a tree may stand before the sky.
 const CLEAR_VIEWS: f64 = 0.6;
-/// Pictures that colours are taken from, at most: each is decoded for it.
-const PICTURES: usize = 128;
 /// Mean distance of the colours that those which find it clear show in a direction, above which they show something near: walls without
 /// points differ with the place that they are seen from, a sky does not.
 const SPREAD: f32 = 0.1;
@@ -52,8 +54,8 @@ pub(super) fn behind_points(
             clear > 0 && clear as f64 >= CLEAR_VIEWS * seen.len() as f64
         })
         .collect();
-    let stride = views.len().div_ceil(PICTURES).max(1);
-    let some: Vec<_> = views.iter().zip(&maps).step_by(if clear.is_empty() { usize::MAX } else { stride }).collect();
+    let step = if clear.is_empty() { usize::MAX } else { stride(views.len()) };
+    let some: Vec<_> = views.iter().zip(&maps).step_by(step).collect();
     // Of every picture the colours alone are kept.
     let shown: Vec<Vec<Option<Vec3>>> = (some.into_par_iter())
         .map(|(view, map)| photo(view).map(|photo| clear.iter().map(|d| map.color(*d, &photo)).collect()))
@@ -65,13 +67,11 @@ pub(super) fn behind_points(
         (!colors.is_empty() && spread <= SPREAD).then(|| mean.to_array())
     };
     let found: Vec<(DVec3, [f32; 3])> = (0..clear.len()).filter_map(|i| Some((clear[i], agreed(i)?))).collect();
-    let n = found.len().min(max_splats);
-    let kept: Vec<&(DVec3, [f32; 3])> = (0..n).map(|i| &found[i * found.len() / n]).collect();
-
-    let apart = radius * (2.0 * TAU / DIRECTIONS as f64 * found.len() as f64 / n.max(1) as f64).sqrt();
+    let kept = evenly(&found, max_splats);
+    let apart = radius * (2.0 * TAU / DIRECTIONS as f64 * found.len() as f64 / kept.len().max(1) as f64).sqrt();
     let means = kept.iter().map(|(d, _)| (center + radius * *d).as_vec3()).collect();
     let colors: Vec<[f32; 3]> = kept.iter().map(|(_, color)| *color).collect();
-    Ok(round_splats(means, &vec![(apart / 2.0) as f32; n], &colors, 0.5, sh_degree)?)
+    Ok(round_splats(means, &vec![(apart / 2.0) as f32; kept.len()], &colors, 0.5, sh_degree)?)
 }
 
 /// Where the splats lie: around the cameras, beyond all points but the outermost hundredth, which may be mismatched.
@@ -83,8 +83,7 @@ fn sphere(views: &[&View], points: &[Point]) -> Option<(DVec3, f64)> {
     let most = distances.len().checked_sub(1 + distances.len().div_ceil(100))?;
     let reach = *distances.select_nth_unstable_by(most, f64::total_cmp).1;
     let radius = (DISTANCE * extent(cameras())).max(1.5 * reach);
-    // Of f32, in which distances are squared now and then.
-    (radius > 0.0 && radius < 1e18).then_some((center, radius))
+    (radius > 0.0 && radius < LARGEST_COORDINATE).then_some((center, radius))
 }
 
 /// Unit vectors spread evenly over the sphere (Fibonacci's spiral).

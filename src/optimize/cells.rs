@@ -1,4 +1,5 @@
-//! A picture's plane in square cells, to tell where it shows points and where it does not.
+//! Splats where points are not: a picture's plane in square cells, to tell where it shows points and where it does not, and what else the
+//! two have in common that put them there.
 
 use glam::{DVec2, DVec3, USizeVec2};
 
@@ -6,6 +7,19 @@ use crate::scene::Camera;
 
 /// Side of a cell as a part of the picture's longer side.
 const CELL: f64 = 0.03;
+/// Pictures that are looked at, at most: each is decoded for it.
+const PICTURES: usize = 128;
+
+/// One in how many of `views` is looked at.
+pub(super) fn stride(views: usize) -> usize {
+    views.div_ceil(PICTURES).max(1)
+}
+
+/// `most` of all, or fewer, evenly.
+pub(super) fn evenly<T>(all: &[T], most: usize) -> Vec<&T> {
+    let n = all.len().min(most);
+    (0..n).map(|i| &all[i * all.len() / n]).collect()
+}
 
 /// The cells of what a camera sees, in rows from the top.
 pub(super) struct Cells {
@@ -84,6 +98,14 @@ mod tests {
             let last = DVec2::new(f64::from(width).next_down(), f64::from(height).next_down());
             assert_eq!(cells.at(last), cells.len() - 1);
         }
+    }
+
+    #[test]
+    fn some_are_taken_evenly() {
+        assert_eq!(evenly(&[1, 2, 3, 4, 5, 6], 3), [&1, &3, &5]);
+        assert_eq!(evenly(&[1, 2], 3), [&1, &2]);
+        assert!(evenly(&[1, 2], 0).is_empty() && evenly::<u8>(&[], 3).is_empty());
+        assert_eq!([0, 1, 128, 129, 400].map(stride), [1, 1, 1, 2, 4]);
     }
 
     #[test]

@@ -8,23 +8,23 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::{TrainError, cells::Cells, initialize::round_splats};
+use super::{
+    TrainError,
+    cells::{Cells, evenly, stride},
+    initialize::round_splats,
+};
 use crate::{
     capture::{CaptureError, Photo, View},
     geometry::MeshBvh,
-    scene::{Camera, Splats},
+    scene::{Camera, LARGEST_COORDINATE, Splats},
 };
 
-/// Views whose pictures are looked at, at most: each is decoded for it.
-const PICTURES: usize = 128;
 /// How far beyond its picture a view is covered, as a part of the longer side: others may see there what none of the training views do.
 const MARGIN: f64 = 0.1;
-/// A splat is not put where it would be nearer than this part of the depth of every point that a view shows there …
+/// A splat is not put where it would be nearer than this part of the depth of every point and mesh that a view shows there …
 const NEARER: f64 = 0.8;
-/// … in more than this part of the views that show points there: it would float before what they see.
+/// … in more than this part of the views that show anything there: it would float before what they see.
 const HIDING_VIEWS: f64 = 0.25;
-/// Coordinates of splats stay below this: f32 in which distances are squared now and then.
-const FARTHEST: f64 = 1e18;
 
 /// What there is already, in the capture's frame.
 pub(super) struct Known<'a> {
@@ -34,6 +34,14 @@ pub(super) struct Known<'a> {
     pub meshes: &'a MeshBvh,
     /// What is no farther from a camera than this, in camera-space z, it does not see.
     pub near: f64,
+}
+
+impl Known<'_> {
+    /// Whether a camera sees a mesh where it sees `p`, in between these parts of the way there.
+    fn has_mesh(&self, camera: &Camera, p: DVec3, from: f64, to: f64) -> bool {
+        let (eye, near) = (camera.center(), self.near / camera.to_camera(p).z);
+        self.meshes.any_hit(eye, p - eye, from.max(near), to)
+    }
 }
 
 /// Splats in the cells of the views' pictures, and a little beyond, that show no point and no mesh, as deep as the points around them and in
@@ -56,10 +64,9 @@ pub(super) fn between_points(
     if max_splats == 0 || known.points.is_empty() {
         return Ok(Splats::empty(sh_degree));
     }
-    let stride = views.len().div_ceil(PICTURES).max(1);
     let maps = views
         .par_iter()
-        .step_by(stride)
+        .step_by(stride(views.len()))
         .map(|view| Ok(Shown::new(&view.camera, known, &*photo(view)?)))
         .collect::<Result<Vec<Shown>, CaptureError>>()?;
     let mut found: Vec<Cover> = vec![];
@@ -67,15 +74,13 @@ pub(super) fn between_points(
         let mut taken: Vec<bool> = map.points.iter().map(Option::is_some).collect();
         let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
         hits.into_iter().for_each(|cell| taken[cell] = true);
-        let eye = map.cells.camera.center();
         let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]).filter_map(|cell| map.cover(cell));
-        let bare = own.filter(|cover| !known.meshes.any_hit(eye, cover.mean - eye, 0.0, f64::INFINITY));
-        found.par_extend(bare.filter(|cover| !hides(cover, &maps)));
+        let bare = own.filter(|cover| !known.has_mesh(&map.cells.camera, cover.mean, 0.0, f64::INFINITY));
+        found.par_extend(bare.filter(|cover| !hides(cover, &maps, known)));
     }
-    let n = found.len().min(max_splats);
-    let kept: Vec<&Cover> = (0..n).map(|i| &found[i * found.len() / n]).collect();
+    let kept = evenly(&found, max_splats);
     // Fewer are larger.
-    let wider = (found.len() as f64 / n.max(1) as f64).sqrt();
+    let wider = (found.len() as f64 / kept.len().max(1) as f64).sqrt();
     let means = kept.iter().map(|c| c.mean.as_vec3()).collect();
     let scales: Vec<f32> = kept.iter().map(|c| (c.scale * wider) as f32).collect();
     let colors: Vec<[f32; 3]> = kept.iter().map(|c| c.color).collect();
@@ -130,18 +135,31 @@ impl Shown {
         let [x, y] = self.cells.pixels(cell).map(|[from, to]| f64::from(from + to) / 2.0);
         let mean = camera.center() + camera.rotation().transpose() * (depth * camera.ray(DVec2::new(x, y)));
         let scale = 0.5 * self.cells.side * depth / camera.intrinsics().fx;
-        (mean.abs().max_element() < FARTHEST && (scale as f32).is_normal()).then_some(Cover { mean, scale, color })
+        (mean.abs().max_element() < LARGEST_COORDINATE && (scale as f32).is_normal()).then_some(Cover {
+            mean,
+            scale,
+            color,
+        })
     }
 }
 
-/// Whether a splat would stand before the points of too many views.
-fn hides(cover: &Cover, maps: &[Shown]) -> bool {
+/// Whether a splat would stand before the points and meshes of too many views.
+fn hides(cover: &Cover, maps: &[Shown], known: &Known) -> bool {
     let (mut before, mut shown) = (0, 0);
     for map in maps {
-        let p = map.cells.camera.to_camera(cover.mean);
-        let Some(nearest) = map.cells.of(p).and_then(|cell| map.points[cell]) else { continue };
-        shown += 1;
-        before += usize::from(p.z * nearest < NEARER);
+        let camera = &map.cells.camera;
+        let p = camera.to_camera(cover.mean);
+        let Some(cell) = map.cells.of(p) else { continue };
+        let has_mesh = |from: f64, to: f64| known.has_mesh(camera, cover.mean, from, to);
+        let is_before = if has_mesh(0.0, NEARER.recip()) {
+            Some(false)
+        } else if has_mesh(NEARER.recip(), f64::INFINITY) {
+            Some(true)
+        } else {
+            map.points[cell].map(|nearest| p.z * nearest < NEARER)
+        };
+        shown += usize::from(is_before.is_some());
+        before += usize::from(is_before == Some(true));
     }
     f64::from(before as u32) > HIDING_VIEWS * f64::from(shown as u32)
 }
@@ -312,8 +330,21 @@ mod tests {
         let others = [shown(&facing(0.1), &far, &photo), shown(&facing(-0.1), &far, &photo)];
         let middle = first.cells.of(DVec3::Z).unwrap();
         let cover = first.cover(middle).unwrap();
-        assert!(hides(&cover, &others) && !hides(&cover, &[]));
-        assert!(!hides(&Cover { mean: DVec3::new(0.0, 0.0, 9.0), ..cover }, &others));
+        let at = |z: f64| Cover { mean: DVec3::new(0.0, 0.0, z), ..cover };
+        let nothing = bare();
+        let known = |meshes| known(&[], meshes);
+        assert!(hides(&cover, &others, &known(&nothing)) && !hides(&cover, &[], &known(&nothing)));
+        assert!(!hides(&at(9.0), &others, &known(&nothing)));
+        // A mesh hides the points behind it, but for what is before the near plane.
+        let [wall, lens] = [5.0, 0.1].map(|z| {
+            let corners = [[-9.0, -9.0, z], [9.0, -9.0, z], [0.0, 9.0, z]].map(Vec3::from);
+            MeshBvh::new([(&corners[..], &[[0, 1, 2]][..])])
+        });
+        assert!(hides(&at(3.0), &others, &known(&wall)) && !hides(&at(4.5), &others, &known(&wall)));
+        assert!(hides(&at(4.5), &others, &known(&nothing)) && hides(&at(4.5), &others, &known(&lens)));
+        let camera = &first.cells.camera;
+        let has_mesh = |meshes| known(meshes).has_mesh(camera, DVec3::new(0.0, 0.0, 9.0), 0.0, f64::INFINITY);
+        assert_eq!([has_mesh(&wall), has_mesh(&lens), has_mesh(&nothing)], [true, false, false]);
         let mut masked = photo;
         masked.rgba[4 * (50 * 100 + 50) + 3] = 0;
         let masked = shown(&facing(0.0), &[near], &masked);

@@ -51,7 +51,8 @@ pub struct TrainOptions {
     /// A small rotation and shift of each training camera, learnt along as long as splats are trained without a mesh and then kept; not
     /// with a given mesh: off. Held-out views keep their poses, and what all corrections have in common is taken out.
     pub refine_poses: bool,
-    /// Degrees that the steps of such a rotation add up to at most, and as a part of the extent, in radians, those of the shift: 0.6.
+    /// Degrees that the steps of such a rotation about each axis add up to, about, and as a part of the extent, in radians, those of the
+    /// shift: 0.6.
     pub pose_reach: f64,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
@@ -62,8 +63,8 @@ pub struct TrainOptions {
     pub density: Density,
     /// No more splats than this: 1,000,000.
     pub max_splats: usize,
-    /// No more floats than this in splats, maps and vertices together; limits the splats, and to half of it maps that are not laid
-    /// out anew. For comparisons.
+    /// No more floats than this in splats, maps and vertices together; limits the splats, and to half of it, as far as charts have room, maps
+    /// that are not laid out anew. For comparisons.
     pub max_floats: Option<usize>,
     /// Only splats seen by an iteration's view are updated: off (3DGS updates all).
     pub visible_only: bool,

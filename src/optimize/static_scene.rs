@@ -287,6 +287,10 @@ impl<'a> Run<'a> {
                 return self.finish(&training, &scene, Outcome::Interrupted);
             }
             scene.meshes = vec![self.find_surface(&mut training, of_points)?];
+            // As below, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
+            if self.options.warmup == 0 && self.within_budget(&scene.meshes).is_err() {
+                scene.meshes.clear();
+            }
             let state = splat_state(&training)?;
             finite_splats(&state, self.reached.0, self.reached.1)?;
             scene.splats = state.to_splats()?;
@@ -353,15 +357,16 @@ impl<'a> Run<'a> {
     fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
         let most = self.max_splats(beside);
-        let initial = if o.density == Density::Mcmc { Initial::mcmc_in(o.iterations) } else { Initial::INRIA };
+        let is_mcmc = o.density == Density::Mcmc;
         if points.is_empty() {
-            let initial = if o.density == Density::Mcmc { Initial::MCMC } else { Initial::INRIA };
+            let initial = if is_mcmc { Initial::MCMC } else { Initial::INRIA };
             let count = self.initial_count(most);
             return Ok(initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?);
         }
+        let initial = if is_mcmc { Initial::mcmc_in(o.iterations) } else { Initial::INRIA };
         let of_points = |most| initialize::from_points(points, o.sh_degree, initial, most, o.seed);
         // Density control by gradients begins with splats large enough to cover what has no points, and soon prunes larger ones.
-        if o.density != Density::Mcmc || !begins {
+        if !is_mcmc || !begins {
             return Ok(of_points(most)?);
         }
         let (room, cache) = (most / 4, &self.cache);

@@ -6,8 +6,8 @@ use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture},
     geometry::{
-        self, Contraction, DepthView, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions,
-        SurfaceStats, UnwrappedMesh,
+        self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
+        UnwrappedMesh,
     },
     render::gpu::{Gpu, loss::TruthAlpha, training::Training},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
@@ -17,8 +17,6 @@ use crate::{
 const MAX_RESOLUTION: u32 = 1024;
 /// Least voxels along it.
 const LEAST_RESOLUTION: u32 = 64;
-/// Memory for voxels, bytes.
-const FUSION_BYTES: usize = 2 << 30;
 /// Pixels to a voxel at the focus. The depth of splats is noise below the size of a splat: smaller voxels hold crumbs,
 /// each a chart of its own, and what they would resolve is found by moving the vertices.
 const VOXEL_PIXELS: f64 = 3.0;
@@ -101,18 +99,25 @@ pub fn from_splats(
     })
 }
 
-/// Fuses median depths of the training views.
+/// Fuses median depths of the training views, in voxels of some pixels at the focus.
 ///
-/// `depths` yields every training camera with its depth map `[h·w]`, 0 where there is none.
+/// `depth_of` yields a camera's depth map `[h·w]`, 0 where there is none; more than once where voxels had to grow.
 pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
     contraction: Option<Contraction>,
     triangles: usize,
     planar: bool,
-    mut depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
+    depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
-    let fusion = fused(cameras, points, contraction, FUSION_BYTES, &mut depth_of)?;
+    // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
+    let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
+    let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(LEAST_RESOLUTION, MAX_RESOLUTION);
+    let options = |resolution: u32| {
+        let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
+        Ok(FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested })
+    };
+    let fusion = Fusion::of_depths(cameras, LEAST_RESOLUTION..=resolution, options, depth_of)?;
     let bounds = SurfaceOptions {
         target_triangles: triangles,
         min_component_faces: LEAST_FACES,
@@ -120,37 +125,6 @@ pub(super) fn from_depths(
         ..SurfaceOptions::new(*fusion.options())
     };
     Ok(geometry::surface_from_fusion(&fusion, &bounds)?)
-}
-
-/// Fuses depth maps in voxels of some pixels at the focus; in larger ones, as far as need be, where those do not fit into `max_bytes`.
-fn fused(
-    cameras: &[Camera],
-    points: &[Vec3],
-    contraction: Option<Contraction>,
-    max_bytes: usize,
-    depth_of: &mut impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
-) -> Result<Fusion, TrainError> {
-    // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
-    let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
-    let mut resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(LEAST_RESOLUTION, MAX_RESOLUTION);
-    let mut attempt = |resolution: u32| -> Result<Fusion, TrainError> {
-        let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
-        let truncation = TRUNCATION * suggested.voxel;
-        let mut fusion = Fusion::new(FusionOptions { truncation, max_bytes, ..suggested })?;
-        for (i, camera) in cameras.iter().enumerate() {
-            let depth = depth_of(i)?;
-            fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None })?;
-        }
-        Ok(fusion)
-    };
-    loop {
-        match attempt(resolution) {
-            Err(TrainError::Geometry(GeometryError::FusionMemory { .. })) if resolution > LEAST_RESOLUTION => {
-                resolution = (resolution * 7 / 10).max(LEAST_RESOLUTION);
-            }
-            fused => return fused,
-        }
-    }
 }
 
 /// What `make` makes of charts in an atlas of `size`² texels, or of up to `largest`² where they have no room in fewer.
@@ -193,30 +167,4 @@ pub(super) fn textured(
     });
     let atlas = Atlas::new(Texture::zeros(texture_size, texture_size, 4), bands)?;
     Ok(Mesh::new(surface.positions, surface.triangles, corner_uvs, atlas)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use glam::{DMat3, DVec3};
-
-    use super::*;
-    use crate::scene::Intrinsics;
-
-    /// A wall, seen from several places.
-    #[test]
-    fn voxels_grow_until_they_fit() {
-        let k = Intrinsics { width: 160, height: 120, fx: 600.0, fy: 600.0, cx: 80.0, cy: 60.0 };
-        let cameras: Vec<Camera> = (0..4)
-            .map(|i| Camera::new(k, DMat3::IDENTITY, DVec3::new(0.02 * f64::from(i), 0.0, 2.0)).unwrap())
-            .collect();
-        let points = [Vec3::new(-0.2, -0.2, -0.1), Vec3::new(0.2, 0.2, 0.1), Vec3::ZERO, Vec3::ZERO];
-        let bytes = |max: usize| {
-            let fusion = fused(&cameras, &points, None, max, &mut |_| Ok(vec![2.0; 160 * 120]));
-            fusion.map(|fusion| fusion.bytes())
-        };
-        let all = bytes(FUSION_BYTES).unwrap();
-        let less = bytes(all / 3).unwrap();
-        assert!(less <= all / 3 && less > all / 10, "{less} of {all}");
-        assert!(matches!(bytes(1000), Err(TrainError::Geometry(GeometryError::FusionMemory { .. }))));
-    }
 }

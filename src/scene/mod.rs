@@ -22,6 +22,9 @@ pub use mesh::{Atlas, Mesh, Texture};
 pub use morton::in_morton_order;
 pub use splats::{SplatArrays, Splats};
 
+/// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.
+pub(crate) const LARGEST_COORDINATE: f64 = 1e18;
+
 /// Splats, meshes and the rule by which they are blended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridScene {

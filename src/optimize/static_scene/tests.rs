@@ -11,6 +11,7 @@ use crate::{
     geometry::{MeshBvh, Surface, TexelSight},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
     render::gpu::Renderer,
+    scene::Texture,
 };
 
 fn demo() -> Capture {
@@ -60,6 +61,9 @@ fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     };
     assert_eq!([logit_at(2), logit_at(3)], [unseen::TRANSPARENT; 2]);
     assert!(logit_at(0) > -1.0 && logit_at(1) > -1.0);
+    // Beside the charts nothing is hidden: mip levels mix it with what is seen.
+    let hidden = base.texels().chunks_exact(4).filter(|texel| texel[3] == unseen::TRANSPARENT).count();
+    assert!(hidden * 2 < base.texels().len() / 4, "{hidden} of {}", base.texels().len() / 4);
 }
 
 /// Over a floor a ball with another in it, and half before it a third.
@@ -91,8 +95,8 @@ fn rays_reach_what_the_renderer_shows() {
         let options = TrainOptions { warmup: 84, texture_size: Some(256), layers, ..options() };
         with_mesh(balls(), &options, |run, training, scene| {
             let mesh = &scene.meshes[0];
-            let sights = run.texel_visibility(mesh).unwrap();
-            let reached = sights.reached();
+            let sights = run.texel_visibility(mesh, [256; 2]).unwrap();
+            let reached = sights.reached(0);
             let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
             let (mut pixels, mut off_center, mut missed) = (0, 0, 0);
             for camera in run.train_cameras.clone() {
@@ -114,11 +118,14 @@ fn rays_reach_what_the_renderer_shows() {
             }
             run.run_phase(training, scene, Phase::Warmup, None).unwrap();
             let second = training.read_texel_moments().unwrap().1;
-            // By what the rays say of a texel's centre: touched by a gradient or not, reached or not.
+            // By what the rays say of a texel's centre, if it lies in a triangle: touched by a gradient or not, reached or not.
+            let (one, uvs) = (Texture::new(1, 1, 1, vec![1.0]).unwrap(), mesh.corner_uvs());
+            let drawn = geometry::transfer(&one, uvs, uvs, 256, 0).unwrap();
             let mut counts = [[[0; 2]; 2]; 3];
             for (i, moments) in second.chunks_exact(4).take(256 * 256).enumerate() {
                 let sight = match sights.texels[i] {
-                    TexelSight::Outside => 0,
+                    _ if drawn.texels()[i] == 0.0 => 0,
+                    TexelSight::Outside => unreachable!("{i} is in a triangle"),
                     TexelSight::Hidden => 1,
                     TexelSight::Seen(_) => 2,
                 };
@@ -132,7 +139,7 @@ fn rays_reach_what_the_renderer_shows() {
             assert!(pixels > 20_000 && missed == 0 && off_center * 50 < pixels);
             assert_eq!(counts.map(|of_sight| of_sight[1][0]), [0; 3]);
             let too_many = counts[1][0][1] + counts[2][0][1];
-            assert!(too_many * 100 < counts[1..].as_flattened().as_flattened().iter().sum::<usize>());
+            assert!(too_many * 80 < counts[1..].as_flattened().as_flattened().iter().sum::<usize>());
             assert!(layers == 2 || counts[1][0][0] > 2000);
         });
     }

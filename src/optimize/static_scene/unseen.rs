@@ -5,12 +5,14 @@ use rayon::prelude::*;
 
 use super::Run;
 use crate::{
-    geometry::{self, MeshBvh, TexelVisibility, Viewers},
-    optimize::TrainError,
+    geometry::{self, MeshBvh, TexelSight, TexelVisibility, Viewers},
+    optimize::{TrainError, resolution::ResolutionSchedule},
     render::gpu::loss::TruthAlpha,
     scene::{Atlas, Mesh, Texture},
 };
 
+/// Texels along the side of the map on which rays are cast, at most: what nobody sees takes a ray for every view.
+const LONGEST_SIDE: usize = 1024;
 /// Opacity logit of what is not seen: the least that maps have (`adam_texels.wgsl`).
 pub(super) const TRANSPARENT: f32 = -6.0;
 
@@ -21,21 +23,36 @@ struct MaskBits {
 }
 
 impl Run<'_> {
-    /// The mesh with those texels transparent that enter nothing that the training views show: they would stay as they were made.
+    /// The mesh with those texels of charts transparent that enter nothing that the training views show: they would stay as they were made.
+    /// Between charts there is nothing to see, and mip levels would mix it with their rims.
     pub(super) fn without_unseen(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
-        let reached = self.texel_visibility(&mesh)?.reached();
         let base = mesh.atlas().base();
+        let [width, height] = [base.width() as usize, base.height() as usize];
+        let halvings = (0..16).find(|n| width.max(height) >> n <= LONGEST_SIDE).unwrap_or(16);
+        let sights = self.texel_visibility(&mesh, [width, height].map(|side| (side >> halvings).max(1)))?;
+        let reached = sights.reached(self.coarser());
+        let [columns, rows] = sights.size;
         let mut texels = base.texels().to_vec();
-        for (texel, _) in texels.chunks_exact_mut(4).zip(&reached).filter(|(_, is_reached)| !**is_reached) {
-            texel[3] = TRANSPARENT;
+        for (i, texel) in texels.chunks_exact_mut(4).enumerate() {
+            let [x, y] = [i % width, i / width].map(|at| at >> halvings);
+            let at = y.min(rows - 1) * columns + x.min(columns - 1);
+            if sights.texels[at] == TexelSight::Hidden && !reached[at] {
+                texel[3] = TRANSPARENT;
+            }
         }
         let base = Texture::new(base.width(), base.height(), base.channels(), texels)?;
         let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
         Ok(mesh.with_atlas(atlas))
     }
 
-    /// What the training views see of the map of colour and opacity, if there is no other mesh.
-    pub(super) fn texel_visibility(&self, mesh: &Mesh) -> Result<TexelVisibility, TrainError> {
+    /// Mip levels by which the smallest pictures of the run read coarser ones than those of full size.
+    fn coarser(&self) -> u8 {
+        let first = ResolutionSchedule { full_from: u32::from(self.options.coarse_to_fine) };
+        -first.scale(0, self.longest_side).log2().floor() as u8
+    }
+
+    /// What the training views see of a map of `size` texels, (width, height), if there is no other mesh.
+    pub(super) fn texel_visibility(&self, mesh: &Mesh, size: [usize; 2]) -> Result<TexelVisibility, TrainError> {
         let shown = self.shown()?;
         let shows = |view: usize, at: DVec2| shown.get(view).is_none_or(|shown| shown.holds(at));
         let viewers = Viewers {
@@ -44,8 +61,6 @@ impl Run<'_> {
             layers: self.options.layers as usize,
             shows: &shows,
         };
-        let base = mesh.atlas().base();
-        let size = [base.width() as usize, base.height() as usize];
         let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
         Ok(geometry::texel_visibility(mesh, size, &bvh, &viewers)?)
     }
