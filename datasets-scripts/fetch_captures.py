@@ -120,8 +120,8 @@ def download(url, target):
             part.unlink()
             return download(url, target)
         raise FetchError(f"{url}: {error}") from error
-    except (OSError, urllib.error.URLError) as error:
-        raise FetchError(f"{url}: {error}; run again to resume") from error
+    except (OSError, http.client.HTTPException) as error:
+        raise FetchError(f"{url}: {error or type(error).__name__}; run again to resume") from error
     if expected is not None and done != expected:
         raise FetchError(f"{url}: connection ended at {done} of {expected} bytes; run again to resume")
     part.rename(target)

@@ -181,12 +181,13 @@ def write(tensors, name, path):
             out.write(len(text).to_bytes(8, "little") + text)
             for _, (_, data) in sorted(tensors.items()):
                 out.write(data)
-            out.flush()
-            os.chmod(out.name, 0o644)
-            os.replace(out.name, path)
         except BaseException:
+            out.close()
             os.unlink(out.name)
             raise
+    # Closed: Windows renames no open file.
+    os.chmod(out.name, 0o644)
+    os.replace(out.name, path)
 
 
 def fetch(archive):

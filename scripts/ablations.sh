@@ -31,6 +31,7 @@ centaur=(cargo run --release --quiet --)
     --variant warmup-0="--warmup 0" \
     --variant warmup-200="--warmup 200" \
     --variant surface-of-splats="--surface splats" \
+    --variant surface-of-points="--surface points" \
     --variant inria="--density inria" \
     --variant antialias=--antialias \
     --variant splats-antialias="--no-mesh --antialias" \

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Hybrid against splats alone at the same allowance of floats, on the demo capture and on the captures in $CENTAUR_DATA:
-# the table in the README. `captures.sh [SEED…]`, by default 0 and 1; about 2 minutes a run on 2 cores without a GPU.
+# at larger sizes than `make equal-floats` and without filters. `captures.sh [SEED…]`, by default 0 and 1; about 2 minutes a run on 2 cores without a GPU.
 # Reports, pictures and JSON go to out/captures.
 set -euo pipefail
 cd "$(dirname "$0")/.."

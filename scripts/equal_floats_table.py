@@ -13,7 +13,7 @@ COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 2),
     ("SSIM", lambda e: e["ssim_inria"], 3),
     ("FLIP", lambda e: e.get("flip"), 4),
-    ("LPIPS", lambda e: (e.get("lpips") or {}).get("normalized"), 3),
+    ("LPIPS", lambda e: (e.get("lpips") or {}).get("unnormalized"), 3),
     ("splats", lambda e: e["splats"], 0),
     ("floats", lambda e: e["total_floats"], 0),
 ]
@@ -81,8 +81,8 @@ def caption(folders):
     nets = sorted({e["lpips"]["net"] for e in evaluations if e.get("lpips")})
     by = f" by {' and '.join(nets)}" if nets else ""
     return (
-        f"Held-out views, 8-bit; SSIM as INRIA computes it, FLIP, and LPIPS{by} of pictures in −1…1 (lower is better); "
-        "differences: hybrid less splats alone.\n"
+        f"Held-out views, 8-bit; SSIM as INRIA computes it, FLIP, and LPIPS{by} of pictures in 0…1, as INRIA's script has it "
+        "(lower is better); differences: hybrid less splats alone.\n"
     )
 
 

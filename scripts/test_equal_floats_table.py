@@ -21,7 +21,7 @@ class Table(unittest.TestCase):
         file.parent.mkdir(parents=True, exist_ok=True)
         evaluation = {"psnr": psnr, "ssim_inria": psnr / 100, "splats": splats, "total_floats": 400_000}
         if lpips is not None:
-            evaluation["lpips"] = {"net": "vgg", "normalized": lpips}
+            evaluation["lpips"] = {"net": "vgg", "unnormalized": lpips, "normalized": 2 * lpips}
         file.write_text(json.dumps({"job": {"scene": scene, "variant": variant, "seed": seed}, "evaluation": evaluation}))
 
     def rows(self):
@@ -32,7 +32,7 @@ class Table(unittest.TestCase):
             self.put("hybrid", "demo", seed, psnr, 3000, 0.2)
             self.put("splats", "demo", seed, 25.0, 6000, 0.25)
         head, _, demo, mean = self.rows()
-        self.assertIn("LPIPS by vgg of pictures in −1…1", caption([self.folder]))
+        self.assertIn("LPIPS by vgg of pictures in 0…1", caption([self.folder]))
         self.assertEqual(len(demo), len(head))
         self.assertEqual(demo[:6], ["demo", "400000", "2", "26.50", "25.00", "+1.50"])
         self.assertEqual(demo[6:9], ["0.265", "0.250", "+0.015"])
