@@ -7,10 +7,11 @@ export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
 # Mesa complains once per adapter where this is not set.
 export XDG_RUNTIME_DIR ?= /tmp
 # Sized for 2 cores without a GPU; on a GPU take the defaults: make demo DEMO_FLAGS=
-DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --max-splats 33000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
+DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --max-splats 20000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
 ABLATIONS_ARGUMENTS ?=
+UNBOUNDED_FLAGS ?=
 EQUAL_FLOATS_ARGUMENTS ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
@@ -47,7 +48,7 @@ demo: build ## train the small capture in demo/ into out/demo: scene.glb, pictur
 	@mkdir -p out/demo
 	$(CENTAUR) train demo -o out/demo/scene.glb --report out/demo/report $(DEMO_FLAGS)
 
-test: system lint test-rust test-data test-python test-end-to-end left-out ## everything that CI runs
+test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also compares pictures (crosscheck-quick)
 
 lint: fmt clippy doc ## formatting, clippy and rustdoc, warnings are errors
 
@@ -66,8 +67,8 @@ test-rust: ## unit, integration and documentation tests
 # Test files with a test that needs the shared data; all ignored tests of such a file run.
 DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs))
 
-test-data: ## tests on real captures and foreign files, in CENTAUR_DATA or ../shared/data
-	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA and no ../shared/data: not run")
+test-data: ## tests on real captures and foreign files, in the folder CENTAUR_DATA
+	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA: not run")
 
 test-python: ## unit tests of datasets-scripts and scripts; syntax of the scripts that exports hold
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
@@ -180,7 +181,7 @@ crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and pla
 
 $(ORACLES_FLIP)/installed:
 	$(PYTHON) -m venv $(ORACLES_FLIP)
-	$(ORACLES_FLIP)/bin/pip install --quiet --disable-pip-version-check flip-evaluator==1.7 numpy pillow
+	$(ORACLES_FLIP)/bin/pip install --quiet --disable-pip-version-check flip-evaluator==1.7 numpy==2.4.6 pillow==13.0.0
 	touch $@
 
 $(ORACLES_LPIPS)/installed: tests/oracles/requirements-lpips.txt
@@ -287,10 +288,10 @@ demo-capture: test-geometry ## render demo/ anew with Mitsuba
 test-geometry: .venv/installed ## unit tests of the scripts that make captures (PyPI's numpy)
 	.venv/bin/python -B -m unittest discover -s datasets-scripts -p '*_test.py'
 
-unbounded-captures: test-geometry target/unbounded/garden/sparse/0/points3D.bin target/unbounded/street/sparse/0/points3D.bin ## render two captures without bounds with Mitsuba into target/unbounded (20 minutes on 2 cores)
+unbounded-captures: test-geometry target/unbounded/garden/sparse/0/points3D.bin target/unbounded/street/sparse/0/points3D.bin ## render two captures without bounds with Mitsuba into target/unbounded (20 minutes on 2 cores; UNBOUNDED_FLAGS="--spp 64": 5)
 
 target/unbounded/%/sparse/0/points3D.bin: $(wildcard datasets-scripts/unbounded_*.py) $(addprefix datasets-scripts/,procedural.py demo_scene.py mitsuba_capture.py colmap_model.py triangulation.py) | .venv/installed
-	.venv/bin/python datasets-scripts/unbounded_capture.py $* target/unbounded/$*
+	.venv/bin/python datasets-scripts/unbounded_capture.py $* target/unbounded/$* $(UNBOUNDED_FLAGS)
 
 .venv/installed: datasets-scripts/requirements.txt
 	$(PYTHON) -m venv .venv
