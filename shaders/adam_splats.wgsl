@@ -1,5 +1,5 @@
-// A step of Adam for splats (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7), with MCMC's regularisers and noise
-// (2.8). `geometry`: one thread per splat; `harmonics`: one thread per active SH float.
+// A step of Adam for splats (β 0.9, 0.999; ε 1e-15 outside the root), with MCMC's regularisers and noise
+// (Kheradmand et al. 2024). `geometry`: one thread per splat; `harmonics`: one thread per active SH float.
 //
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
 // bandwidth, 1.7 kB per splat of degree 3.

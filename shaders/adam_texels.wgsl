@@ -1,4 +1,4 @@
-// One thread per channel of 2×2 texels of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root: METHODS 2.7),
+// One thread per channel of 2×2 texels of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root),
 // and the mean of the four, which is the float of level 1; build_mips does the levels beyond. A map without mips has one
 // thread per float.
 //
@@ -23,7 +23,7 @@ struct Step {
     holds_opacity: u32,     // leave opacity logits and their moments alone
 }
 
-const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can still fade (METHODS 6)
+const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can still fade
 
 @group(0) @binding(0) var<uniform> map: Map;
 @group(0) @binding(1) var<uniform> step: Step;

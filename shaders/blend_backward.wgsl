@@ -1,4 +1,4 @@
-// Gradients of the blend (METHODS 4.5, 2.5) with respect to mesh layers and, as moments, to splats.
+// Gradients of the blend with respect to mesh layers and, as moments, to splats.
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.

@@ -1,4 +1,4 @@
-// Blends a tile's depth-sorted splats and the mesh layers, front to back (METHODS 4.5). One traversal suffices: a
+// Blends a tile's depth-sorted splats and the mesh layers, front to back. One traversal suffices: a
 // splat lands in bucket b, the number of layers in front of it at this pixel, and "over" is associative, so every
 // bucket is accumulated on its own and all are composited with the layers at the end.
 // A thread owns PER_THREAD pixels of one tile column, so that a splat's record is read once for all of them.

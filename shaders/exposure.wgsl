@@ -1,4 +1,4 @@
-// Exposures of photographs (METHODS 2.9): the picture of a view is compared as E·(r, g, b, 1), where E is a 3×4 matrix of its own.
+// Exposures of photographs (as in INRIA 3DGS): the picture of a view is compared as E·(r, g, b, 1), where E is a 3×4 matrix of its own.
 //
 // `pull`: from the gradient by what was compared to that by the picture, Eᵀ·g, in place; and each workgroup's part of
 // g·(r, g, b, 1)ᵀ, the gradient by E. 48 bytes and 24 multiply-adds a pixel, 25 MB at 960 × 540: bound by bandwidth.

@@ -1,7 +1,7 @@
-// The 3-D filter of Mip-Splatting (METHODS 3): the standard deviation of the Gaussian with which a splat is smoothed so that it
+// The 3-D filter of Mip-Splatting: the standard deviation of the Gaussian with which a splat is smoothed so that it
 // has no detail that no training view could have sampled. √0.2 times the least size of a pixel, z/f, at its mean; views count
 // that have it in front and within 15 % of the image around it. Splats that none sees take the largest of the others'.
-// f is that of the view itself, where METHODS 3 takes the largest of all views: a view of shorter focal length samples more
+// f is that of the view itself, where Mip-Splatting's code takes the largest of all views: a view of shorter focal length samples more
 // coarsely at the same distance. Captures of one camera are the same by either.
 //
 // One thread per splat, 12 multiply-adds per view; run now and then. 48 bytes read per splat, 4 written.

@@ -1,4 +1,4 @@
-// (1 − w)·mean|x − y| + w·(1 − mean SSIM(x, y)) of a rendered image x and the truth y, and its gradient (METHODS 2.6):
+// (1 − w)·mean|x − y| + w·(1 − mean SSIM(x, y)) of a rendered image x and the truth y, and its gradient (Kerbl et al. 2023, eq. 7):
 // 11×11 Gaussian windows, σ = 1.5, zeros outside the image, mean over pixels and channels.
 //
 // With d = x − y, A = 2·m1·m2 + C1, B = 2·s12 + C2 the usual formula is S = AB / ((A + md²)(B + vd)), where md and vd

@@ -1,4 +1,4 @@
-// Decides, once per visible splat and mesh layer, how they are ordered (METHODS 4.4). Every mode comes down to one
+// Decides, once per visible splat and mesh layer, how they are ordered. Every mode comes down to one
 // threshold t: at a pixel whose layer depth is d, the splat lies behind that layer iff d < t. See render/contract.rs.
 //#import shared/view.wgsl
 

@@ -1,5 +1,5 @@
 // One thread per float of level `map.level`: adds a quarter of its parent's gradient. Run from the coarsest level but
-// one down to level 1; adam_texels does level 0 in passing (METHODS 4.3). 8 bytes read, 4 written.
+// one down to level 1; adam_texels does level 0 in passing. 8 bytes read, 4 written.
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl

@@ -1,6 +1,6 @@
 // One workgroup per bin: the LAYERS nearest triangles at every pixel, by depth and then by index.
 //
-// A triangle covers a pixel iff its three edge functions a_k = r·(v_i × v_j) have one sign there (METHODS 4.2); they
+// A triangle covers a pixel iff its three edge functions a_k = r·(v_i × v_j) have one sign there; they
 // are linear in the pixel, so each triangle is reduced to three of them relative to the bin's centre when it is
 // staged. No clipping and no division before the depth is needed: triangles through the camera plane are exact too.
 //
@@ -65,8 +65,8 @@ fn stage(triangle: u32, ray: vec2f) -> Staged {
     );
 }
 
-// Of the two triangles at an edge exactly one owns the pixel centres that lie on it, as in hardware (METHODS 4.2,
-// reference): those to whose inside the edge function grows to the right, or down where it does not change to the
+// Of the two triangles at an edge exactly one owns the pixel centres that lie on it, as in hardware and in the
+// reference: those to whose inside the edge function grows to the right, or down where it does not change to the
 // right. Otherwise a surface would be blended twice there.
 fn owns_edges(t: Staged, a: vec3f, sum: f32) -> bool {
     let inward = select(t.right, t.down, t.right == vec3f(0.0)) * sign(sum);

@@ -1,6 +1,6 @@
 // One thread per pixel and layer: colour and alpha of the mesh fragment there, or zeros.
 //
-// colour = max(0, 0.5 + Σ Y_k(direction) T_k(uv)), alpha = min(σ(A(uv)), 1 − 1e-4) (METHODS 4.1). Reads 4 bytes; per
+// colour = max(0, 0.5 + Σ Y_k(direction) T_k(uv)), alpha = min(σ(A(uv)), 1 − 1e-4). Reads 4 bytes; per
 // fragment 80 bytes of triangle, and per texel (4 if magnified, else 8) 16 bytes of base and 12·((d+1)²−1) of bands
 // at SH degree d: 96 at d = 2. About 200 flops + 6 per float of texels. Writes 16 bytes.
 

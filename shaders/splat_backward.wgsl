@@ -1,4 +1,4 @@
-// From the screen-space moments of `blend_backward` to gradients of a splat's parameters (METHODS 2.5), and the
+// From the screen-space moments of `blend_backward` to gradients of a splat's parameters, and the
 // statistics of density control. One thread a splat; culled splats get zeros. With POSES also its part of the gradient by the pose's
 // rotation: as W' = exp(ω)·W it turns t and the rows J of the projection. `pose` sums it, without barriers in this large function, of
 // which Mesa's software adapter would make coroutines for minutes.

@@ -2,7 +2,7 @@
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
 // times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient
-// flows to uv, mip level or direction (METHODS 4.5).
+// flows to uv, mip level or direction.
 //
 // Neighbouring pixels share texels: a footprint moves by at most about a texel from one to the next. The thread sums in
 // registers while a texel stays in the footprint and adds it to memory when it leaves. Per fragment 112 bytes read; per

@@ -1,6 +1,6 @@
 // One thread per pixel and layer: turns the gradient of the fragment's colour and alpha into that of its uv, in place.
 //
-// ∂L/∂uv = Σ over taps of (∂weight/∂uv) · (∂L/∂sample · texel), at constant mip level (METHODS 4.3). Must follow
+// ∂L/∂uv = Σ over taps of (∂weight/∂uv) · (∂L/∂sample · texel), at constant mip level. Must follow
 // texel_backward, which reads the gradient that is overwritten here. Reads what shade_layers reads and 16 bytes, writes
 // 16.
 

@@ -1,5 +1,5 @@
-// One thread per pixel and layer: the gradient of the fragment's uv by its triangle's vertices, along their normals
-// (METHODS 4.2: κ). Three atomic additions per fragment; 140 bytes read.
+// One thread per pixel and layer: the gradient of the fragment's uv by its triangle's vertices, along their normals.
+// Three atomic additions per fragment; 140 bytes read.
 
 //#import shared/view.wgsl
 //#import shared/mesh_fragment.wgsl

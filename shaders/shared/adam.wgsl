@@ -1,4 +1,4 @@
-// Adam's constants (METHODS 2.7).
+// Adam's constants (INRIA 3DGS, scene/gaussian_model.py).
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;

@@ -1,5 +1,5 @@
-// A mesh fragment: where a pixel's ray meets the triangle of one layer, and which texels it sees there (METHODS 4.2,
-// 4.3). Shared by shade_layers and texel_backward, so that the gradient goes exactly where the colour came from.
+// A mesh fragment: where a pixel's ray meets the triangle of one layer, and which texels it sees there (mip levels
+// as in nvdiffrast). Shared by shade_layers and texel_backward, so that the gradient goes exactly where the colour came from.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [LAYERS, h, w], index + 1, 0 = empty

@@ -1,4 +1,4 @@
-// EWA projection of one splat (METHODS 2.2, filters of section 3), shared by the forward and backward stages.
+// EWA projection of one splat (Kerbl et al. 2023, eq. 5; filters of Mip-Splatting), shared by the forward and backward stages.
 //#import shared/rotation.wgsl
 
 const CLAMP_MARGIN: f32 = 0.3;          // of half the image, for the Jacobian's clamp

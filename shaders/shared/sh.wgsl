@@ -1,4 +1,4 @@
-// Real spherical harmonics (METHODS 2.3) at unit direction d; `scene::sh::basis` is the host's copy.
+// Real spherical harmonics at unit direction d; `scene::sh::basis` is the host's copy.
 
 const SH_C0: f32 = 0.28209479177387814;         // Y₀
 

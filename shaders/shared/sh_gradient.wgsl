@@ -1,4 +1,4 @@
-// Gradients of the SH basis (METHODS 2.3) with respect to the direction's components.
+// Gradients of the SH basis with respect to the direction's components.
 
 fn sh_basis_gradient(d: vec3f) -> array<vec3f, 16> {
     let x = d.x; let y = d.y; let z = d.z;

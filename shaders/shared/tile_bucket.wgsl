@@ -1,4 +1,4 @@
-// The bucket that a splat is in at all pixels of a tile, if it is the same everywhere (METHODS 4.4, 4.5). Most splats
+// The bucket that a splat is in at all pixels of a tile, if it is the same everywhere. Most splats
 // are in front of the mesh throughout a tile or behind it: these need no decision and no state of other buckets.
 
 const MIXED: u32 = BUCKETS;             // the bucket differs from pixel to pixel

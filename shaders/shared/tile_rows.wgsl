@@ -1,5 +1,5 @@
 // Which tiles a splat touches, exactly: those that hold a pixel centre where its alpha can reach ALPHA_CUT, i.e.
-// inside the ellipse δᵀQδ ≤ 2·ln(255·opacity) (METHODS 2.2.5). Evaluated a tile row at a time.
+// inside the ellipse δᵀQδ ≤ 2·ln(255·opacity), as in gsplat. Evaluated a tile row at a time.
 
 const TILE_EPSILON: f32 = 0.01;         // px; keeps rounding from dropping a tile
 

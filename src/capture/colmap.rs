@@ -11,8 +11,8 @@ use super::views::{Frame, inside};
 use super::{CaptureError, LoadOptions, Point, colmap_binary, colmap_text};
 use crate::scene::Intrinsics;
 
-/// Number, name and parameter count of every camera model of COLMAP 4.2, parameters in COLMAP's order. Beyond
-/// METHODS 9.1 these are as pycolmap lists them (`tests/oracles/check_colmap_models.py`).
+/// Number, name and parameter count of every camera model of COLMAP 4.2, parameters in COLMAP's order. They
+/// are as pycolmap lists them (`tests/oracles/check_colmap_models.py`).
 const MODELS: [(i32, &str, usize); 18] = [
     (0, "SIMPLE_PINHOLE", 3),
     (1, "PINHOLE", 4),

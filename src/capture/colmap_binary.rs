@@ -1,4 +1,4 @@
-//! `cameras.bin`, `images.bin`, `points3D.bin` (METHODS 9.1): little endian, counts first.
+//! `cameras.bin`, `images.bin`, `points3D.bin` of COLMAP: little endian, counts first.
 
 use std::collections::HashMap;
 use std::path::Path;

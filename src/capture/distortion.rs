@@ -1,4 +1,4 @@
-//! Lens distortion: the camera models of COLMAP (METHODS 9.1), forward in closed form and backward by Newton's
+//! Lens distortion: the camera models of COLMAP, forward in closed form and backward by Newton's
 //! method, and the resampling of a photograph to a pinhole image.
 //!
 //! All functions work on the plane z = 1: `p = (x/z, y/z)` of a camera-space point.

@@ -223,7 +223,7 @@ fn mask(path: &Path, width: u32, height: u32) -> Result<GrayImage, CaptureError>
     Ok(imageops::resize(&mask, width, height, FilterType::Triangle))
 }
 
-/// Bicubic (a = −½) with the support scaled by the factor, as Pillow does and METHODS 2.10 B asks. Colours are
+/// Bicubic (a = −½) with the support scaled by the factor, as Pillow does. Colours are
 /// weighted by alpha.
 fn resize(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
     if rgba.dimensions() == (width, height) {

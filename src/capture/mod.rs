@@ -81,7 +81,7 @@ pub struct LoadOptions {
     pub masks: bool,
 }
 
-/// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (METHODS 2.10, B).
+/// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (INRIA 3DGS, `utils/general_utils.py`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Downscale {
     /// As stored.
@@ -112,7 +112,7 @@ impl Downscale {
 pub enum Split {
     /// None.
     All,
-    /// Every eighth by name, beginning with the first (METHODS 2.10). A capture that brings its own split
+    /// Every eighth by name, beginning with the first, as INRIA 3DGS does (`scene/dataset_readers.py`). A capture that brings its own split
     /// (`transforms_test.json`, `test_filenames`, `val_filenames`) keeps that instead.
     #[default]
     Every8th,
@@ -171,7 +171,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     Ok(Capture { name, views, points })
 }
 
-/// Size of the scene as the optimisers of METHODS 2.1 mean it: 1.1 × the largest distance of a camera from the mean
+/// Size of the scene as INRIA 3DGS means it (`scene/dataset_readers.py`): 1.1 × the largest distance of a camera from the mean
 /// of all camera centres, in world units. 0 without cameras.
 #[must_use]
 pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {

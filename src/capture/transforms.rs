@@ -1,4 +1,4 @@
-//! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes (METHODS 1).
+//! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -158,7 +158,7 @@ fn caption(view: &View, score: &ViewScore) -> String {
     format!("{}: {psnr:.2} dB, SSIM {ssim_inria:.4}, FLIP {flip:.4}{lpips}", view.name)
 }
 
-/// Photograph and render as they are compared: a mask multiplies both (METHODS 8, product black), transparency shows
+/// Photograph and render as they are compared: a mask multiplies both (as in HERA), transparency shows
 /// the background of the scene.
 fn comparable(photo: &Photo, mut render: Rgb32FImage, background: [f32; 3]) -> (Rgb32FImage, Rgb32FImage, bool) {
     let mut truth = Rgb32FImage::new(photo.width, photo.height);

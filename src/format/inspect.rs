@@ -22,7 +22,7 @@ pub struct Summary {
     pub bytes: u64,
     /// Where the bytes go: part → bytes.
     pub bytes_by_part: BTreeMap<&'static str, u64>,
-    /// Optimised floats (METHODS 8).
+    /// Optimised floats, see [`HybridScene::total_floats`].
     pub total_floats: usize,
     /// The splats, if any.
     pub splats: Option<SplatSummary>,

@@ -216,7 +216,7 @@ impl MeshBvh {
     fn intersect(&self, slot: usize, ray: &LocalRay) -> Option<Hit> {
         let t = &self.triangles[self.tree.primitive_indices[slot] as usize];
         let [a, b, c] = t.corners.map(|p| p.as_dvec3() - ray.nearest);
-        // Signed volumes of the ray with each edge (METHODS 4.2).
+        // Signed volumes of the ray with each edge.
         let volumes = DVec3::new(ray.dir.dot(b.cross(c)), ray.dir.dot(c.cross(a)), ray.dir.dot(a.cross(b)));
         let barycentrics = volumes / volumes.element_sum();
         let normal = (b - a).cross(c - a);

@@ -13,7 +13,7 @@ pub(super) struct Chart {
     pub(super) corners: Vec<[DVec2; 3]>,
 }
 
-/// A triangle joins a chart if its smoothed normal is within 60° of the seed's (METHODS 6): areas shrink at most to half.
+/// A triangle joins a chart if its smoothed normal is within 60° of the seed's: areas shrink at most to half.
 const CONE: f64 = 0.5;
 /// Normals of single triangles, which noise disturbs, may be up to 75° off the chart's axis; never folded over.
 const STEEPEST: f64 = 0.26;

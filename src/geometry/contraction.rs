@@ -8,7 +8,7 @@ const BEYOND: f64 = 0.1;
 /// Fewer points say nothing about that.
 const LEAST_POINTS: usize = 100;
 
-/// Unbounded space drawn into a ball (Mip-NeRF 360, METHODS 6): what is within `radius` of `center` keeps its place, and all the
+/// Unbounded space drawn into a ball (Mip-NeRF 360, Barron et al. 2022): what is within `radius` of `center` keeps its place, and all the
 /// rest comes to lie within twice that, x → (2 − 1/|x|) x/|x| in units of it. Lengths are world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contraction {

@@ -46,7 +46,7 @@ const FARTHEST: f64 = 12.0;
 const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
-    /// The constants of 2DGS (METHODS 6): voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
+    /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
     /// must agree. Bounded, `max_depth` is that radius, and the box holds all but the outermost 0.5 % of `points` on each side and
     /// lies within `max_depth` of what all cameras look at. With a `contraction` that is so of contracted points, and `max_depth` is
     /// what leaves room for some voxels behind a surface.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 /// The point itself and its three nearest neighbours.
 const NEIGHBORS: NonZero<usize> = NonZero::new(4).expect("4 is not 0");
 
-/// For every point the mean squared distance to its 3 nearest other points: the initial splat variance of METHODS 2.1
+/// For every point the mean squared distance to its 3 nearest other points: the initial splat variance of INRIA 3DGS
 /// (which floors it at 1e-7; this function does not).
 ///
 /// Points at the same place count as neighbours at distance 0. With fewer than 4 points the mean is over those there

@@ -68,7 +68,7 @@ pub(super) fn straighten(chart: &mut Chart) {
 const GUTTER_WORTH: f64 = 0.92;
 
 /// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are 4 texels on each side, hence
-/// 8 between charts (METHODS 4.3), but 2 or 1 where that would cost more than a twelfth of the resolution: maps are
+/// 8 between charts, but 2 or 1 where that would cost more than a twelfth of the resolution: maps are
 /// trained through their mips, and a texel is a float that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
 pub(super) fn pack(charts: &[Chart], area: f64, side: usize) -> Option<Packing> {
     // Scale at which the charts would fill the atlas.

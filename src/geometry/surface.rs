@@ -17,7 +17,7 @@ pub struct Surface {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// From depth maps to a mesh that is ready to be unwrapped. Sources: METHODS 6.
+/// From depth maps to a mesh that is ready to be unwrapped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceOptions {
     /// The volume.
@@ -34,7 +34,7 @@ pub struct SurfaceOptions {
     pub least_direction: f64,
     /// What counts as a plane, which is then made flat and meshed anew; `None` if none is sought.
     pub planar: Option<PlanarOptions>,
-    /// Triangles after simplification: 100 000, the lower end of METHODS 6.
+    /// Triangles after simplification: 100 000.
     pub target_triangles: usize,
 }
 

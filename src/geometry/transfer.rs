@@ -36,7 +36,7 @@ pub fn transfer(
     Texture::new(size, size, texture.channels(), redrawn)
 }
 
-/// Bilinear, clamped at the border (METHODS 4.3).
+/// Bilinear, clamped at the border.
 fn sample(texture: &Texture, uv: Vec2, out: &mut [f32]) {
     let (width, height) = (texture.width() as usize, texture.height() as usize);
     let last = Vec2::new((width - 1) as f32, (height - 1) as f32);

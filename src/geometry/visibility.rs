@@ -1,4 +1,4 @@
-//! Which texels of a mesh views see, by rays from the cameras (METHODS 11).
+//! Which texels of a mesh views see, by rays from the cameras.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -268,7 +268,7 @@ impl<'a> Look<'a> {
 }
 
 /// The highest mip level that a pixel reads at camera-space point `p` of a surface with these world-space steps per texel: by the longer axis of
-/// its footprint, as the renderer does (METHODS 4.3).
+/// its footprint, as the renderer does.
 fn mip_level(camera: &Camera, p: DVec3, texel: Option<[DVec3; 2]>, coarsest: usize) -> u8 {
     let Some(texel) = texel else { return 0 };
     let k = camera.intrinsics();

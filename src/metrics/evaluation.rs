@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::{Lpips, LpipsScore, MetricError, flip, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
 use crate::scene::HybridScene;
 
-/// How good a picture is, or the mean of several. By the conventions of METHODS 8, as numbers of different ones do not compare.
+/// How good a picture is, or the mean of several. Each number has a named convention: those of different ones do not compare.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scores {
     /// dB, on 8-bit-quantised images. Infinite (null in JSON) where they are equal.

@@ -96,7 +96,7 @@ pub enum LpipsError {
 }
 
 /// Learned perceptual distance, v0.1 (Zhang et al. 2018): features of a network at five depths, normalised per pixel, their
-/// squared differences weighted per channel and averaged over the image (METHODS 8).
+/// squared differences weighted per channel and averaged over the image.
 ///
 /// With VGG a pixel takes 768 bytes while two images are compared (three maps of 64 floats), besides 59 MB of weights.
 ///

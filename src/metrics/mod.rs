@@ -1,4 +1,4 @@
-//! Image metrics and reports (METHODS 8).
+//! Image metrics and reports.
 //!
 //! Images are RGB floats in display-referred \[0, 1\]. Numbers meant for comparison with published tables are taken
 //! on [`quantised`] images, as INRIA's scripts write PNGs and score what they read back.

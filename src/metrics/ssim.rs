@@ -128,7 +128,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// METHODS 12.1: X = (16i+j)/255, Y = clip(0.9·X + 0.05·((i+j) mod 2)), 16×16.
+    /// X = (16i+j)/255, Y = clip(0.9·X + 0.05·((i+j) mod 2)), 16×16. Their SSIM was computed apart, in float64.
     fn golden_planes() -> (Vec<f64>, Vec<f64>) {
         let x: Vec<f64> = (0..256).map(|p| f64::from(p) / 255.0).collect();
         let y = (0..256).map(|p| (0.9 * x[p] + 0.05 * ((p / 16 + p % 16) % 2) as f64).clamp(0.0, 1.0)).collect();
@@ -158,7 +158,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn window_of_methods_2_6() {
+    fn window_is_that_of_wang_et_al() {
         let half = [0.26601172, 0.21300554, 0.10936069, 0.03600077, 0.00759876, 0.00102838];
         let w = window();
         for (k, g) in half.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Density control (METHODS 2.8): where splats are added, moved and removed.
+//! Density control: where splats are added, moved and removed.
 //!
 //! Everything is a function of the splats, the statistics, the seed and the iteration, so a resumed run repeats it.
 
@@ -39,7 +39,7 @@ impl Statistics<'_> {
         finite_or_zero(absolute / views.max(1.0))
     }
 
-    /// Blend weight of splat `i` averaged over the views that saw it: its *effective contribution* (METHODS 13(7)).
+    /// Blend weight of splat `i` averaged over the views that saw it: its *effective contribution*.
     ///
     /// # Panics
     /// If `i` is out of range.
@@ -65,7 +65,7 @@ pub struct DensityReport {
     pub added: usize,
 }
 
-/// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (METHODS 2.8, every 3000 iterations of
+/// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (Every 3000 iterations of
 /// INRIA's strategy: what is not needed does not come back and is pruned.)
 pub fn reset_opacity(state: &mut SplatState) {
     for i in 0..state.len() {

@@ -1,4 +1,4 @@
-//! The splats that an optimisation starts from (METHODS 2.1).
+//! The splats that an optimisation starts from.
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng, seq::index};
@@ -21,10 +21,10 @@ pub struct Initial {
 }
 
 impl Initial {
-    /// For density control by gradients (METHODS 2.1).
+    /// For density control by gradients (INRIA 3DGS, `scene/gaussian_model.py`).
     pub const INRIA: Self = Self { opacity: 0.1, scale: 1.0 };
 
-    /// For MCMC (METHODS 2.8).
+    /// For MCMC (3DGS-MCMC's `scene/gaussian_model.py`).
     pub const MCMC: Self = Self { opacity: 0.5, scale: 0.1 };
 
     /// For MCMC at points, in a run of so many iterations: larger in one of less than 30,000.

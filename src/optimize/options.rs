@@ -2,7 +2,7 @@
 
 use crate::scene::OrderMode;
 
-/// How the number of splats changes (METHODS 2.8).
+/// How the number of splats changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Density {
@@ -73,19 +73,19 @@ pub struct TrainOptions {
     pub dense_texels: bool,
     /// Seed of everything random: 0.
     pub seed: u64,
-    /// Background: black (METHODS 4.7, static scenes).
+    /// Background: black (INRIA 3DGS).
     pub background: Background,
-    /// Mesh layers per pixel, 1, 2 or 4: 2 (METHODS 4.2 has both of 1 and 2 as the paper's).
+    /// Mesh layers per pixel, 1, 2 or 4: 2 (HERA does not say how many).
     pub layers: u32,
     /// Depth order of splats against layers: the paper's.
     pub mode: OrderMode,
-    /// λ as a fraction of the capture's extent: 0.01 (METHODS 4.8).
+    /// λ as a fraction of the capture's extent: 0.01 (HERA has 5 cm, but captures have no metric scale).
     pub lambda: f32,
     /// Side of the DC + opacity atlas, texels; that of the higher bands is a quarter. By default the power of two from
     /// the longer side of the images on, within 128 to 2048: about a texel per pixel. A surface made from the capture has
     /// it in the warm-up and is then laid out anew, no larger.
     pub texture_size: Option<u32>,
-    /// SH degree of the mesh: 2 (METHODS 4.1).
+    /// SH degree of the mesh: 2 (HERA does not say).
     pub band_degree: u32,
     /// Triangles of a mesh made from the capture, at most: 20,000.
     pub triangles: usize,

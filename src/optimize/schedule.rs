@@ -1,4 +1,4 @@
-//! Learning rates and the times at which something happens (METHODS 2.1, 2.7, 2.8, 4.7).
+//! Learning rates and the times at which something happens, after INRIA 3DGS, 3DGS-MCMC and HERA.
 
 use crate::scene::sh;
 
@@ -8,7 +8,7 @@ const FULL: u32 = 30_000;
 const PAPER_WARM_UP: u32 = 9_000;
 const PAPER_TEXEL_RATE: f64 = 5e-4;
 /// Iterations for which the opacity map is held after an opacity reset: with the splats in front of it gone the mesh
-/// would otherwise turn opaque to make up for them (METHODS 13(8)).
+/// would otherwise turn opaque to make up for them.
 const FREEZE: u32 = 200;
 
 /// Adam learning rates of the splats' parameters at one iteration.
@@ -29,7 +29,7 @@ pub struct AdamRates {
 }
 
 /// When what happens to the splats. Iterations `t` count from 1 and begin when the splats do, after the warm-up of the
-/// mesh (METHODS 4.7).
+/// mesh.
 ///
 /// At 30 000 iterations and above, everything has INRIA's constants, except that the position rate falls over the whole
 /// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
@@ -123,7 +123,7 @@ impl Schedule {
         (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
     }
 
-    /// Learning rates of iteration `t` in a scene of this extent (METHODS 2.7).
+    /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`).
     #[must_use]
     pub fn rates(&self, t: u32, extent: f32) -> AdamRates {
         AdamRates {
@@ -137,7 +137,7 @@ impl Schedule {
     }
 
     /// Learning rate of exposures in iteration `t`, of which each trains on one of `views`: from 1e-2 to 1e-3, its logarithm linear
-    /// in t/n (METHODS 2.9). That reaches half of the brightness where a view is seen 150 times, as in 30,000 iterations on 200
+    /// in t/n (as in INRIA 3DGS). That reaches half of the brightness where a view is seen 150 times, as in 30,000 iterations on 200
     /// photographs; where it is seen less often the rate is higher, up to ten times.
     #[must_use]
     pub fn exposure_rate(&self, t: u32, views: usize) -> f32 {
@@ -156,8 +156,8 @@ pub fn position_rate(t: u32, iterations: u32) -> f64 {
 
 /// Learning rate of texels during a warm-up of `iterations`.
 ///
-/// The paper's 5e-4 over 9000 iterations reaches 4.5, which is an opacity of 0.989 and a colour beyond black or white
-/// (METHODS 4.1). A shorter warm-up gets a higher rate, up to 0.07, for three times that reach: a texel is in view in
+/// The paper's 5e-4 over 9000 iterations reaches 4.5, which is an opacity of 0.989 and a colour beyond black or white.
+/// A shorter warm-up gets a higher rate, up to 0.07, for three times that reach: a texel is in view in
 /// only some of its iterations. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with the paper's reach, 25.23 with
 /// twice that, 25.36 with three times and no bands.)
 #[must_use]

@@ -1,4 +1,4 @@
-//! Static scenes: from posed photographs to a hybrid (METHODS 2.6–2.8, 4.7).
+//! Static scenes: from posed photographs to a hybrid, after HERA.
 //!
 //! Three phases: splats alone, for a surface (unless there is a mesh or none is wanted); the maps of the mesh alone;
 //! everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
@@ -43,7 +43,7 @@ use crate::{
 const PHOTO_BUDGET: usize = 2 << 30;
 /// Splats of a capture without points.
 const RANDOM_SPLATS: usize = 20_000;
-/// Near plane of static scenes in the capture's unit (METHODS 2.2), but never more than a twentieth of the extent.
+/// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
 
 /// What a run is doing.
@@ -494,7 +494,7 @@ fn longest_side(camera: &Camera) -> u32 {
 }
 
 /// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent; a mask
-/// multiplies both (METHODS 8).
+/// multiplies both, as in HERA.
 fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], background: [f32; 3]) -> f32 {
     let truth = &photo.rgba[4 * p..4 * p + 4];
     let a = f32::from(truth[3]) / 255.0;

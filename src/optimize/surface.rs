@@ -30,7 +30,7 @@ const LEAST_FACES: usize = 150;
 pub enum MeshSource {
     /// No mesh: plain 3DGS.
     None,
-    /// Splats are trained first and their median depths fused (METHODS 6).
+    /// Splats are trained first and their median depths fused.
     #[default]
     Splats,
     /// Splats are trained first all the same, to judge the surface; it is made of the points that the training views see
@@ -153,7 +153,7 @@ pub(super) fn textured_as(
     textured(Surface { positions, triangles }, corner_uvs, options, texture_size)
 }
 
-/// A mesh with empty maps: opacity one half, grey (METHODS 4.1).
+/// A mesh with empty maps (zeros, as in HERA): opacity one half, grey.
 pub(super) fn textured(
     surface: Surface,
     corner_uvs: Vec<[Vec2; 3]>,

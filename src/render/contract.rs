@@ -1,5 +1,6 @@
 //! The composition rule as plain functions: what a splat and a mesh fragment contribute at a pixel, and which of
-//! them is in front (METHODS 2.2–2.4, 4.2–4.5).
+//! them is in front. Splats are those of 3DGS, textured layers among them and their stable order those of HERA; what these leave open is
+//! decided here, and stated for others in `schema/EXT_gaussian_splatting_hybrid/README.md`.
 //!
 //! [`super::reference`] is written with these functions; the shaders implement the same rule and are tested against
 //! it. All lengths are world units, all positions continuous pixels, all depths camera-space z.
@@ -21,26 +22,26 @@ use glam::{DMat2, DVec2, DVec3};
 
 use crate::scene::{Intrinsics, OrderMode, PixelFilter};
 
-/// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, METHODS 2.4. Where it is
+/// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, `cuda_rasterizer/forward.cu`. Where it is
 /// reached the derivative of alpha is zero.
 pub const ALPHA_CAP: f64 = 0.99;
 
-/// A splat contributes at a pixel iff its alpha is at least this: one step of an 8-bit image. It is the only limit
-/// of a splat's extent (no 3σ cut). INRIA 3DGS, METHODS 2.4.
+/// A splat contributes at a pixel iff its alpha is at least this: one step of an 8-bit image (INRIA 3DGS,
+/// `cuda_rasterizer/forward.cu`). It is the only limit of a splat's extent (no 3σ cut).
 pub const ALPHA_CUT: f64 = 1.0 / 255.0;
 
-/// Transmittance below which nothing more is added. INRIA 3DGS, METHODS 2.4.
+/// Transmittance below which nothing more is added. INRIA 3DGS, `cuda_rasterizer/forward.cu`.
 pub const TRANSMITTANCE_STOP: f64 = 1e-4;
 
-/// Largest alpha of a mesh fragment, for the same reason as [`ALPHA_CAP`]. METHODS 4.1.
+/// Largest alpha of a mesh fragment, for the same reason as [`ALPHA_CAP`].
 pub const MESH_ALPHA_CAP: f64 = 1.0 - 1e-4;
 
 /// Relative depth within which a splat counts as in front of a surface: splats that start exactly on a face stay
-/// visible. METHODS 4.4.
+/// visible.
 pub const TIE_EPSILON: f64 = 1e-5;
 
-/// How far outside the image, in half images, the projection is linearised at the splat's own mean. gsplat,
-/// METHODS 2.2.
+/// How far outside the image, in half images, the projection is linearised at the splat's own mean. gsplat; the
+/// same as INRIA 3DGS where the principal point is centred.
 pub const JACOBIAN_MARGIN: f64 = 0.3;
 
 /// Largest number of mesh layers per pixel.
@@ -50,7 +51,7 @@ pub const MAX_LAYERS: usize = 4;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageModel {
     /// Its projection is linearised at its mean and widened by the scene's [`PixelFilter`]; splats are ordered by the depths of their
-    /// means and against mesh layers by the scene's mode. What training uses (METHODS 2.2, 4.4).
+    /// means and against mesh layers by the scene's mode. What training uses.
     #[default]
     Ewa,
     /// Its largest value along the pixel's own ray, see [`ray_peak`]; splats are ordered by the depths at which they have
@@ -92,7 +93,8 @@ pub fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Factor on the opacity of a splat whose projection has this covariance, px², before `filter` widens it (METHODS 3).
+/// Factor on the opacity of a splat whose projection has this covariance, px², before `filter` widens it
+/// (Mip-Splatting's 2-D filter).
 #[must_use]
 pub fn filter_opacity(filter: PixelFilter, covariance: DMat2) -> f64 {
     let widened = covariance + f64::from(filter.variance) * DMat2::IDENTITY;
@@ -100,7 +102,7 @@ pub fn filter_opacity(filter: PixelFilter, covariance: DMat2) -> f64 {
 }
 
 /// A splat with these log-scales after convolution with an isotropic Gaussian of standard deviation `deviation`: standard
-/// deviations, and the factor on its opacity that keeps its integral in space. Mip-Splatting's 3-D filter (METHODS 3).
+/// deviations, and the factor on its opacity that keeps its integral in space. Mip-Splatting's 3-D filter.
 #[must_use]
 pub fn smoothed(log_scale: DVec3, deviation: f64) -> (DVec3, f64) {
     let scale = log_scale.exp();
@@ -230,7 +232,7 @@ fn is_beyond(z: f64, surface: f64) -> bool {
 }
 
 /// The rule "follow the decision made at the surface nearest to the pixel's depth d if it is within λ of d, else
-/// compare z with d" (METHODS 4.4) as one threshold on d, the same for every layer.
+/// compare z with d" as one threshold on d, the same for every layer.
 ///
 /// Only two surfaces matter: the last one the mean is beyond and the first one it is not. Around the former the rule
 /// says "behind" up to `upper`, around the latter it says "in front" from `lower` on, and the mean of the two depths

@@ -1,6 +1,6 @@
 use super::SceneError;
 
-/// How the order of a splat and a mesh layer is decided (METHODS 4.4). `render::contract` has the formulas.
+/// How the order of a splat and a mesh layer is decided. `render::contract` has the formulas.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub enum OrderMode {
@@ -50,9 +50,9 @@ pub struct PixelFilter {
 }
 
 impl PixelFilter {
-    /// That of 3DGS (METHODS 2.2), which almost all files are made for.
+    /// That of INRIA 3DGS (`cuda_rasterizer/forward.cu`), which almost all files are made for.
     pub const DILATION: Self = Self { variance: 0.3, normalized: false };
-    /// That of Mip-Splatting (METHODS 3): about the box of a pixel.
+    /// That of Mip-Splatting, its 2-D filter: about the box of a pixel.
     pub const MIP: Self = Self { variance: 0.1, normalized: true };
     /// That of programs which know one bit, *antialiased*: gsplat, SPZ, SOG.
     pub const NORMALIZED_DILATION: Self = Self { normalized: true, ..Self::DILATION };

@@ -60,7 +60,7 @@ impl Texture {
     }
 
     /// Mip levels for trilinear sampling: halving while both sides stay even, at most [`Self::MAX_LEVELS`], so that
-    /// every coarser texel is the exact mean of 2×2 finer ones and charts do not bleed far (METHODS 4.3).
+    /// every coarser texel is the exact mean of 2×2 finer ones and charts do not bleed far.
     #[must_use]
     pub fn mip_levels(&self) -> u32 {
         Self::mip_levels_of(self.width, self.height)
@@ -72,11 +72,11 @@ impl Texture {
         (1 + width.trailing_zeros().min(height.trailing_zeros())).min(Self::MAX_LEVELS)
     }
 
-    /// Cap on mip levels (METHODS 4.3: at most 5 for densely packed charts). Charts `n` texels apart mix from level log₂ n on.
+    /// Cap on mip levels, as charts are packed densely. Charts `n` texels apart mix from level log₂ n on.
     pub const MAX_LEVELS: u32 = 5;
 }
 
-/// The maps of a mesh (METHODS 4.1): zeroth SH coefficient and opacity at one resolution, higher bands at another.
+/// The maps of a mesh (HERA's T and A): zeroth SH coefficient and opacity at one resolution, higher bands at another.
 ///
 /// Mesh colour = max(0, 0.5 + Σₖ Yₖ·Tₖ(uv)), opacity = σ(A(uv)).
 #[derive(Clone, Debug, PartialEq)]

@@ -39,7 +39,7 @@ pub struct HybridScene {
 impl HybridScene {
     /// Number of optimised floats: 11 + 3·(d+1)² per splat, the atlas texels, and 3 per mesh vertex.
     ///
-    /// This is the budget in which hybrids and pure splats are compared (METHODS 8, "total floats").
+    /// This is the budget in which hybrids and pure splats are compared (docs/results.md).
     #[must_use]
     pub fn total_floats(&self) -> usize {
         let splats = self.splats.len() * Splats::floats_each(self.splats.sh_degree());

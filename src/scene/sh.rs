@@ -1,4 +1,4 @@
-//! Real spherical harmonics in the sign convention of INRIA 3DGS and `KHR_gaussian_splatting` (METHODS 2.3).
+//! Real spherical harmonics in the sign convention of INRIA 3DGS (`utils/sh_utils.py`) and `KHR_gaussian_splatting`.
 
 mod rotation;
 

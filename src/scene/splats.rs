@@ -6,7 +6,7 @@ use super::{SceneError, check_finite, check_len, sh};
 /// How far rounding four components to f32 takes a quaternion's length from 1: 2 · 2⁻²⁵ where they are equal.
 const UNIT_TOLERANCE: f64 = 6e-8;
 
-/// `N` anisotropic 3D Gaussians in the parameters that are optimised (METHODS 2.1).
+/// `N` anisotropic 3D Gaussians in the parameters that are optimised (Kerbl et al. 2023).
 ///
 /// Every array has the same length and only finite values; rotations are not zero.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,7 +11,7 @@ use super::jobs::{MIPNERF360, Protocol};
 use super::record::Record;
 
 /// Means over the nine scenes of Mip-NeRF 360: PSNR, SSIM, LPIPS of VGG. Under protocol B as the papers of Mip-Splatting and
-/// HERA print them (LPIPS of colours 0…1), under A by `NerfBaselines` (colours −1…1). METHODS 10.2.
+/// HERA print them (LPIPS of colours 0…1), under A by `NerfBaselines` (colours −1…1).
 const PUBLISHED_B: [(&str, [f64; 3]); 6] = [
     ("Mip-NeRF 360", [27.57, 0.793, 0.234]),
     ("Zip-NeRF", [28.54, 0.828, 0.189]),

@@ -268,7 +268,7 @@ impl<'a> Layout<'a> {
         let mut document = json!({ "asset": asset, "extensionsUsed": used, "scene": 0, "scenes": scenes });
         let textures: Vec<Value> = (0..self.images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
         if !textures.is_empty() {
-            // Trilinear, clamped: how the maps were optimised (METHODS 4.3).
+            // Trilinear, clamped: how the maps were optimised.
             document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
         }
         let arrays = [

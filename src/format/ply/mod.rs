@@ -1,4 +1,4 @@
-//! PLY: the INRIA layout of splats (METHODS 1), that of `PlayCanvas`, and coloured points.
+//! PLY: the INRIA layout of splats (`save_ply` in `scene/gaussian_model.py`), that of `PlayCanvas`, and coloured points.
 
 mod attribute;
 pub mod compressed;

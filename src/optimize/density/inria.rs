@@ -1,6 +1,6 @@
 //! INRIA's adaptive density control: clone or split where the screen-space gradient is large, prune what is
-//! transparent or huge (METHODS 2.8); and that of AbsGS (Ye et al. 2024), which splits where the pixels' pulls are large even if
-//! they cancel: a large splat over fine texture.
+//! transparent or huge (Kerbl et al. 2023, sec. 5.2); and that of AbsGS (Ye et al. 2024), which splits where the pixels' pulls are
+//! large even if they cancel: a large splat over fine texture.
 
 use glam::{Quat, Vec3};
 

@@ -1,5 +1,5 @@
 //! 3DGS-MCMC's density control: dead splats are moved onto living ones, and a few are added each time, in such a way
-//! that the picture hardly changes (METHODS 2.8); for hybrids with the criteria of METHODS 13(7).
+//! that the picture hardly changes (Kheradmand et al. 2024); for hybrids also by what splats contribute.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
@@ -37,7 +37,7 @@ pub struct McmcOptions {
 }
 
 impl McmcOptions {
-    /// The paper's constants for pure splats, those of METHODS 13(7) for scenes with a mesh.
+    /// The paper's constants; for scenes with a mesh also contribution, which is not in the paper.
     #[must_use]
     pub fn new(max_splats: usize, has_mesh: bool) -> Self {
         Self {
@@ -139,7 +139,7 @@ pub fn relocate_and_add(
 }
 
 /// Opacity and factor on the scale of each of `copies` splats at one place that together look like one of `opacity`
-/// (METHODS 2.8, eq. 9 of the MCMC paper): at the centre they are as opaque, and along a line through it in sum.
+/// (eq. 9 of the MCMC paper): at the centre they are as opaque, and along a line through it in sum.
 #[must_use]
 pub fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
     let copies = copies.clamp(1, MAX_COPIES);

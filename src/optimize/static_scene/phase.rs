@@ -35,9 +35,9 @@ use crate::{
 
 /// Iterations between looks at the loss: each waits for the GPU.
 const REPORT_EVERY: u32 = 10;
-/// Iterations between measurements of how far splats are smoothed, and of the last ones in which that stays (METHODS 3).
+/// Iterations between measurements of how far splats are smoothed, and of the last ones in which that stays (Mip-Splatting).
 const SMOOTH_EVERY: u32 = 100;
-/// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (METHODS 2.7): a
+/// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (INRIA 3DGS): a
 /// texel is seen by few views, and all of them would otherwise be explained by its bands.
 const BAND_RATE_DIVISOR: f32 = 5.0;
 
@@ -380,7 +380,7 @@ fn random(seed: u64, phase: Phase, t: u32) -> Pcg64 {
     Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(t) << 2 | phase as u64))
 }
 
-/// PSNR of a picture as its 8-bit file would show it (METHODS 8), dB.
+/// PSNR of a picture as its 8-bit file would show it, dB.
 fn psnr(photo: &Photo, render: &[[f32; 3]], background: [f32; 3]) -> f64 {
     let shown = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() / 255.0;
     let error = |(p, rgb): (usize, &[f32; 3])| f64::from(squared_error(photo, p, &rgb.map(shown), background));

@@ -1,4 +1,5 @@
-//! Which triangles of a fused surface are worth their texels (METHODS 6: only smooth regions are worth a mesh).
+//! Which triangles of a fused surface are worth their texels: in HERA the mesh has the smooth regions. Huang et al. 2025 tell these by
+//! their shape; here photographs judge.
 
 use glam::Vec2;
 

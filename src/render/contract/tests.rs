@@ -3,7 +3,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// The rules of METHODS 4.4, one by one.
+/// The rules of HERA's stable order, one by one.
 fn is_behind(z: f64, d: f64, sample: SurfaceDepth, lambda: f64) -> bool {
     if z - d > lambda {
         return true;
@@ -15,7 +15,7 @@ fn is_behind(z: f64, d: f64, sample: SurfaceDepth, lambda: f64) -> bool {
     }
 }
 
-/// The improvement candidate of METHODS 4.4: the nearest of all surfaces decides if it is within λ.
+/// Mode `SurfaceConsistent` by its definition: the nearest of all surfaces decides if it is within λ.
 fn is_behind_surface_consistent(z: f64, d: f64, samples: &[SurfaceDepth], lambda: f64) -> bool {
     let nearest = samples
         .iter()

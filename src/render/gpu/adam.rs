@@ -15,7 +15,7 @@ pub(crate) struct SplatFloats<'a> {
     pub(crate) sh: &'a Buffer,
 }
 
-/// Learning rates (METHODS 2.7).
+/// Learning rates of the splats' parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SplatRates {
     pub(crate) mean: f32,

@@ -30,7 +30,7 @@ pub(crate) struct LossValues {
     pub(crate) ssim: f64,
 }
 
-/// L1 + D-SSIM (METHODS 2.6).
+/// L1 + D-SSIM (Kerbl et al. 2023, eq. 7).
 pub(crate) struct Loss {
     forward: Kernel,
     backward: Kernel,
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn ssim_of_a_known_pair() {
-        // METHODS 12.1, with zero padding. The truth is the one of the two that 8 bits can hold.
+        // The pair of `metrics::ssim`'s tests, with zero padding. The truth is the one of the two that 8 bits can hold.
         let mut images = Images { size: [16, 16], image: vec![], truth: vec![], alpha: TruthAlpha::Ignore };
         for i in 0..256usize {
             let y = (0.9 * i as f32 / 255.0 + 0.05 * ((i / 16 + i) % 2) as f32).clamp(0.0, 1.0);

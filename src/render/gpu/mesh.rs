@@ -1,4 +1,4 @@
-//! Mesh layers by compute (METHODS 4.2, 4.3): the L nearest fragments per pixel, their colour and alpha, and the way
+//! Mesh layers by compute: the L nearest fragments per pixel, their colour and alpha, and the way
 //! back from the gradient of these to the texels.
 //!
 //! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.

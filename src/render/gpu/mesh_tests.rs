@@ -109,7 +109,7 @@ pub(super) struct Hit {
     direction: DVec3,
 }
 
-/// Barycentrics and depth of METHODS 4.2 in camera space.
+/// Barycentrics and depth at which ray `r` meets the triangle `v`, in camera space.
 fn intersect(v: [DVec3; 3], r: DVec3) -> Option<(DVec3, f64)> {
     let a = DVec3::new(r.dot(v[1].cross(v[2])), r.dot(v[2].cross(v[0])), r.dot(v[0].cross(v[1])));
     let sum = a.element_sum();

@@ -7,7 +7,7 @@ use crate::scene::Camera;
 const THREADS: usize = 256;
 /// Words of a view.
 const VIEW: usize = 20;
-/// Part of the image's size around it within which means count as seen (METHODS 3).
+/// Part of the image's size around it within which means count as seen (Mip-Splatting's `scene/gaussian_model.py`).
 const MARGIN: f64 = 0.15;
 
 /// Mip-Splatting's 3-D filter for the views that splats are trained on.

@@ -1,4 +1,4 @@
-//! The maps of all meshes on the adapter: parameters, gradients, Adam moments (METHODS 4.1, 4.3).
+//! The maps of all meshes on the adapter: parameters, gradients, Adam moments.
 //!
 //! Zeroth coefficients and opacities of all meshes share one buffer, higher bands another, so that no kernel binds
 //! more than it needs and each buffer has the whole binding limit. In a buffer of texels or gradients every map is a

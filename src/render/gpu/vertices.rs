@@ -1,4 +1,4 @@
-//! Vertices of the meshes that move along their normals while a scene is optimised (METHODS 4.2).
+//! Vertices of the meshes that move along their normals while a scene is optimised.
 //!
 //! A fused surface is off by a pixel or so, and maps on it blur by as much. Backward: `uv_backward` (in place of the
 //! layers' gradient) → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 76 bytes per

@@ -1,4 +1,4 @@
-//! The closed forms of METHODS 2.5 and 4.5: all gradients in one pass over the pixels' lists, back to front.
+//! All gradients in closed form, in one pass over the pixels' lists, back to front. The tests compare them with finite differences.
 
 use glam::{DMat2, DMat3, DVec2, DVec3};
 
@@ -16,7 +16,7 @@ struct ProjectedGradient {
     weight: f64,
 }
 
-/// What density control reads of a splat in one view (METHODS 2.5, 13.7). Zeros if it is culled.
+/// What density control reads of a splat in one view. Zeros if it is culled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScreenStatistics {
     /// Derivative of the loss with respect to the projected mean, per pixel.

@@ -20,7 +20,7 @@ pub struct MeanRays {
     pub different_outside: usize,
 }
 
-/// As [`super::render`], but what is in front of a mean is asked by a ray from the camera to it (METHODS 11): exact where the depth
+/// As [`super::render`], but what is in front of a mean is asked by a ray from the camera to it: exact where the depth
 /// image of a layer has only the centres of pixels, and known outside the picture, too. To see what that is worth; the rule of the
 /// composition is the other.
 #[must_use]

@@ -1,4 +1,4 @@
-//! Mesh fragments of a pixel ray: intersection, texture filtering, shading (METHODS 4.1–4.3).
+//! Mesh fragments of a pixel ray: intersection, texture filtering (mip levels as in nvdiffrast), shading.
 
 use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ impl Hit {
     }
 
     /// Gradient with respect to the camera-space corners, from that of the colour before its clamp and of the opacity
-    /// logit (METHODS 4.2). The mip level is taken for constant.
+    /// logit. The mip level is taken for constant.
     pub(super) fn corner_gradient(&self, maps: &Maps, d_color: DVec3, d_logit: f64) -> [DVec3; 3] {
         let mut d_uv = DVec2::ZERO;
         for tap in &self.base {

@@ -47,7 +47,7 @@ fn with_mesh_logit(mut scene: HybridScene, logit: f32) -> HybridScene {
     scene
 }
 
-/// METHODS 12.1, to the nine digits given there.
+/// Values computed apart, in float64, to nine digits.
 #[test]
 fn projection_has_the_golden_values() {
     let splats = Splats::new(
@@ -86,7 +86,7 @@ fn projection_has_the_golden_values() {
     close(contract::splat_alpha(splat.opacity, power).unwrap(), 0.611110220);
 }
 
-/// METHODS 12.1.
+/// Values computed apart, in float64, to nine digits.
 #[test]
 fn spherical_harmonics_and_barycentrics_have_the_golden_values() {
     let basis = sh::basis(DVec3::new(1.0, 2.0, 3.0).normalize().to_array());
@@ -119,7 +119,7 @@ fn spherical_harmonics_and_barycentrics_have_the_golden_values() {
     }
 }
 
-/// Plain 3DGS (METHODS 2.4) written once more without layers, buckets or places.
+/// Plain 3DGS, blended as in INRIA's `cuda_rasterizer/forward.cu`, written once more without layers, buckets or places.
 #[test]
 fn without_meshes_it_is_plain_splatting() {
     let (scene, camera) = random_scene(3, 3000, 0, 2, 4, OrderMode::Stable);
@@ -177,7 +177,7 @@ fn transparent_meshes_do_not_show_and_opaque_ones_hide() {
     }
 }
 
-/// Blends with one accumulator per bucket (METHODS 4.5), in the splats' depth order: the same image.
+/// Blends with one accumulator per bucket, in the splats' depth order: the same image.
 #[test]
 fn one_pass_with_buckets_is_the_sorted_list() {
     let mut out_of_order = [0; 3];
