@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
 use centaur::format::mesh_import;
 use centaur::geometry::Surface;
-use centaur::optimize::{Density, MeshSource, Outcome, Phase, Progress, Session, TrainOptions, Trained, train};
+use centaur::optimize::{Density, MeshSource, Outcome, Phase, Session, TrainOptions, Trained, train};
 use centaur::render::gpu::Gpu;
 use centaur::scene::Camera;
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("demo")
@@ -76,8 +76,8 @@ impl Bench {
         train(&self.capture, self.mesh.clone(), &self.options, session).unwrap()
     }
 
-    /// Asserts that a run that is stopped and resumed reports what `straight` reports.
-    fn assert_same(&self, straight: &[Progress], stop_at: (Phase, u32)) {
+    /// Asserts that a run that is stopped and resumed reports what `straight` reports, and ends with its cameras.
+    fn assert_same(&self, straight: &Trained, stop_at: (Phase, u32)) {
         let first = self.run(false, Some(stop_at));
         assert_eq!(first.outcome, Outcome::Interrupted);
         let second = self.run(true, None);
@@ -85,11 +85,19 @@ impl Bench {
         let begin = second.history[0];
         assert!(begin.phase == stop_at.0 && begin.iteration > stop_at.1, "nothing was resumed: {begin:?}");
         let mut reports = first.history.iter().chain(&second.history);
-        for expected in straight {
+        for expected in &straight.history {
             let found = reports.find(|p| (p.phase, p.iteration) == (expected.phase, expected.iteration)).unwrap();
             let difference = (found.loss - expected.loss).abs();
             assert!(difference <= self.tolerance, "stopped at {stop_at:?}: expected {expected:?}, found {found:?}");
             assert_eq!(found.splats, expected.splats, "stopped at {stop_at:?}: {expected:?}");
+        }
+        for (expected, found) in straight.cameras.iter().zip(&second.cameras) {
+            let moved = expected.center().distance(found.center());
+            let turn = expected.rotation() * found.rotation().transpose() - DMat3::IDENTITY;
+            let turned = turn.to_cols_array().into_iter().fold(0.0, |most: f64, e| most.max(e.abs()));
+            // Rounding of the product of two rotations; where sums differ by chance, poses follow their noise.
+            let most = if self.tolerance > 0.0 { 0.01 } else { 1e-12 };
+            assert!(moved <= most && turned <= most, "stopped at {stop_at:?}: moved by {moved}, turned by {turned}");
         }
     }
 }
@@ -121,8 +129,20 @@ fn resumes_in_both_phases(options: TrainOptions) {
     let first = splats.iter().find(|n| **n > 0).unwrap();
     assert!(splats.last().unwrap() > first, "no density step was tested: {splats:?}");
     for stop_at in [(Phase::Warmup, 10), (Phase::Joint, 30)] {
-        bench.assert_same(&straight.history, stop_at);
+        bench.assert_same(&straight, stop_at);
     }
+}
+
+/// Poses are on their way until the end where there is no mesh.
+#[test]
+fn resumed_with_poses_and_without_a_mesh() {
+    on_one_thread("resumed_with_poses_and_without_a_mesh", || {
+        let options = TrainOptions { refine_poses: true, ..options(Density::Mcmc) };
+        let bench = Bench::new(MeshSource::None, options);
+        let straight = bench.run(false, None);
+        assert!(straight.poses.iter().any(|(_, pose)| pose.degrees > 0.01), "no pose was refined");
+        bench.assert_same(&straight, (Phase::Joint, 40));
+    });
 }
 
 #[test]
@@ -149,11 +169,11 @@ fn resumed_while_looking_for_a_surface() {
         // Poses are on their way before there is a surface, and a part of the state ever after.
         let options = TrainOptions { iterations: 50, warmup: 20, refine_poses: true, ..options(Density::Inria) };
         let bench = Bench::new(MeshSource::Splats, options);
-        let mut straight = bench.run(false, None).history;
-        assert!(straight.iter().any(|p| p.phase == Phase::Joint), "nothing is trained together");
+        let mut straight = bench.run(false, None);
+        assert!(straight.history.iter().any(|p| p.phase == Phase::Joint), "nothing is trained together");
         if bench.tolerance > 0.0 {
             // Simplification decides by comparisons: splats that differ in their last bits make another mesh.
-            straight.retain(|p| p.phase == Phase::Surface);
+            straight.history.retain(|p| p.phase == Phase::Surface);
         }
         // In the warm-up the vertices are on their way.
         for stop_at in [(Phase::Surface, 10), (Phase::Warmup, 10), (Phase::Joint, 10)] {
