@@ -8,6 +8,8 @@ use super::bvh::closest_barycentrics;
 
 /// A weight may be so far below 0: of a centre on an edge that two triangles share it is rounded to either side.
 const ON_EDGE: f64 = 1e-12;
+/// Texels within which places are taken for the same, so that rounding leaves none out.
+const ROUNDING: f64 = 1e-6;
 
 /// Calls `each` with column, row and the weights of the three corners for every texel of `rows` whose centre lies in the triangle with
 /// these UVs, in an atlas of `size` texels, (width, height); centres on its edges lie in it. Of one without area there are none.
@@ -32,17 +34,18 @@ pub(super) fn texels_in(
     }
 }
 
-/// The same for every texel whose centre's nearest point of the triangle lies in the texel, with the weights of that point: those that it
-/// touches, but for some of which it cuts off a corner. What has no area is the line that it is.
+/// The same for every texel that is `wanted` and that the triangle touches, with the weights of its point nearest to the texel's centre;
+/// but for texels of which it cuts off a corner, farther from the centre than that point. What has no area is the line that it is.
 pub(super) fn texels_touched(
     uvs: &[Vec2; 3],
     size: [usize; 2],
     rows: Range<usize>,
+    wanted: impl Fn(usize, usize) -> bool,
     mut each: impl FnMut(usize, usize, DVec3),
 ) {
     let corners = texel_positions(uvs, size);
     let [a, b, c] = corners.map(|p| p.extend(0.0));
-    for (x, y) in texels_around(&corners, 0.5, size, rows) {
+    for (x, y) in texels_around(&corners, 0.5, size, rows).filter(|&(x, y)| wanted(x, y)) {
         let p = DVec3::new(x as f64, y as f64, 0.0);
         let weights = closest_barycentrics(p, [a, b, c]);
         let nearest = a * weights.x + b * weights.y + c * weights.z;
@@ -52,19 +55,49 @@ pub(super) fn texels_touched(
     }
 }
 
-/// Columns and rows of the texels of `rows` whose centres are in the box around a triangle, or no farther from it than `reach`.
+/// Columns and rows of the texels of `rows` whose centres lie in the triangle or no farther than `reach` from it along both axes, and some
+/// beside them: no more than its length and area ask for, however it lies.
 fn texels_around(
-    [a, b, c]: &[DVec2; 3],
+    &corners: &[DVec2; 3],
     reach: f64,
-    size: [usize; 2],
+    [width, height]: [usize; 2],
     rows: Range<usize>,
 ) -> impl Iterator<Item = (usize, usize)> {
-    let (low, high) = (a.min(*b).min(*c) - reach, a.max(*b).max(*c) + reach);
+    let reach = reach + ROUNDING;
     let range = |low: f64, high: f64, all: Range<usize>| {
         (low.ceil().max(0.0) as usize).max(all.start)..((high.floor() + 1.0).max(0.0) as usize).min(all.end)
     };
-    let columns = range(low.x, high.x, 0..size[0]);
-    range(low.y, high.y, rows.start..rows.end.min(size[1])).flat_map(move |y| columns.clone().map(move |x| (x, y)))
+    let [low, high] = [f64::min, f64::max].map(|of| corners.into_iter().map(|p| p.y).reduce(of).unwrap_or(f64::NAN));
+    range(low - reach, high + reach, rows.start..rows.end.min(height)).flat_map(move |y| {
+        let (low, high) = span(&corners, y as f64 - reach, y as f64 + reach);
+        range(low - reach, high + reach, 0..width).map(move |x| (x, y))
+    })
+}
+
+/// From where to where a triangle's edges extend in x between two values of y; from infinity to −infinity where there are none.
+fn span(corners: &[DVec2; 3], low: f64, high: f64) -> (f64, f64) {
+    let mut found = (f64::INFINITY, f64::NEG_INFINITY);
+    for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (corners[i], corners[j])) {
+        let way = to - from;
+        // What is level has y in between all along or nowhere.
+        let [enter, leave] = match way.y == 0.0 {
+            true => {
+                if (low..=high).contains(&from.y) {
+                    [0.0, 1.0]
+                } else {
+                    [1.0, 0.0]
+                }
+            }
+            false => [low, high].map(|y| (y - from.y) / way.y),
+        };
+        let (enter, leave) = if way.y < 0.0 { (leave, enter) } else { (enter, leave) };
+        let (enter, leave) = (enter.max(0.0), leave.min(1.0));
+        if enter <= leave {
+            let [a, b] = [enter, leave].map(|t| from.x + t * way.x);
+            found = (found.0.min(a).min(b), found.1.max(a).max(b));
+        }
+    }
+    found
 }
 
 /// The same corners in texels, (0, 0) at the centre of the first.
@@ -74,22 +107,52 @@ pub(super) fn texel_positions(uvs: &[Vec2; 3], [width, height]: [usize; 2]) -> [
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
     use super::*;
 
-    /// The square of a few texels in two triangles whose common edge passes through centres.
+    /// Rectangles in two triangles whose common edge passes through centres.
     #[test]
     fn centres_on_a_common_edge_are_in_one_triangle_at_least() {
-        for n in 1..200_usize {
-            let at = |x: f32, y: f32| Vec2::new(x, y) / n as f32;
-            let (low, high) = (0.5, n as f32 - 0.5);
-            let [a, b, c, d] = [at(low, low), at(high, low), at(high, high), at(low, high)];
-            let mut times = vec![0; n * n];
+        for ([width, height], x, y) in
+            [([6, 3], 10, 20), ([30, 10], 7, 101), ([49, 7], 300, 3), ([33, 77], 111, 222), ([60, 36], 9, 400)]
+        {
+            let at = |i: usize, j: usize| Vec2::new((x + i) as f32 + 0.5, (y + j) as f32 + 0.5) / 512.0;
+            let [a, b, c, d] = [at(0, 0), at(width, 0), at(width, height), at(0, height)];
+            let mut times = vec![0; 512 * 512];
             for uvs in [[a, b, c], [a, c, d]] {
-                texels_in(&uvs, [n, n], 0..n, |x, y, _| times[y * n + x] += 1);
+                texels_in(&uvs, [512; 2], 0..512, |x, y, _| times[y * 512 + x] += 1);
             }
-            // f32 UVs may leave the outermost centres outside.
-            let inner = (0..n * n).filter(|i| (1..n - 1).contains(&(i % n)) && (1..n.max(2) - 1).contains(&(i / n)));
-            inner.for_each(|i| assert!(times[i] >= 1, "{n}: {}, {}", i % n, i / n));
+            for (i, n) in times.into_iter().enumerate() {
+                let is_in = (x..=x + width).contains(&(i % 512)) && (y..=y + height).contains(&(i / 512));
+                assert_eq!(n > 0, is_in, "{width}×{height}: {}, {}", i % 512, i / 512);
+            }
+        }
+    }
+
+    /// However long, a sliver asks for texels along it only.
+    #[test]
+    fn texels_around_a_triangle_are_those_in_its_box_that_are_near() {
+        let mut random = Pcg64::seed_from_u64(8);
+        for i in 0..200 {
+            let mut point = || DVec2::new(random.random_range(-9.0..40.0), random.random_range(-9.0..40.0));
+            let a = point();
+            // Every other one is thin.
+            let corners = if i % 2 == 0 { [a, point(), point()] } else { [a, point(), a + 0.02 * point()] };
+            for reach in [0.0, 0.5] {
+                let around: Vec<_> = texels_around(&corners, reach, [32; 2], 3..30).collect();
+                let area = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]).abs();
+                let length = corners[0].distance(corners[1]) + corners[0].distance(corners[2]) + 2.0;
+                assert!(around.len() as f64 <= area + 6.0 * length, "{} {area} {length}", around.len());
+                let [a, b, c] = corners.map(|p| p.extend(0.0));
+                for (x, y) in (3..30).flat_map(|y| (0..32).map(move |x| (x, y))) {
+                    let p = DVec3::new(x as f64, y as f64, 0.0);
+                    let w = closest_barycentrics(p, [a, b, c]);
+                    let away = (a * w.x + b * w.y + c * w.z - p).abs().max_element();
+                    assert!(away > reach - 1e-9 || around.contains(&(x, y)), "{x} {y} {reach} {corners:?}");
+                }
+            }
         }
     }
 
@@ -97,10 +160,16 @@ mod tests {
     fn what_is_thinner_than_a_texel_touches_all_texels_along_it() {
         let touched = |uvs: [[f32; 2]; 3], rows: Range<usize>| {
             let mut found = vec![];
-            texels_touched(&uvs.map(|uv| Vec2::from(uv) / 16.0), [16; 2], rows, |x, y, w| {
-                assert!(w.min_element() >= 0.0 && (w.element_sum() - 1.0).abs() < 1e-12);
-                found.push((x, y));
-            });
+            texels_touched(
+                &uvs.map(|uv| Vec2::from(uv) / 16.0),
+                [16; 2],
+                rows,
+                |x, y| (x, y) != (15, 0),
+                |x, y, w| {
+                    assert!(w.min_element() >= 0.0 && (w.element_sum() - 1.0).abs() < 1e-12);
+                    found.push((x, y));
+                },
+            );
             found
         };
         // Between two rows of centres, from column 2 to 12, and a line of it.
@@ -110,6 +179,7 @@ mod tests {
             assert!(found.iter().all(|(x, y)| (1..=12).contains(x) && (2..=3).contains(y)), "{found:?}");
         }
         assert_eq!(touched([[5.5; 2]; 3], 0..16), [(5, 5)]);
+        assert_eq!(touched([[14.5, 0.5], [15.5, 0.5], [15.5, 0.6]], 0..16), [(14, 0)], "the other is not wanted");
         assert!(touched([[5.5; 2]; 3], 6..16).is_empty());
         assert!(touched([[f32::NAN; 2]; 3], 0..16).is_empty() && touched([[1e30; 2]; 3], 0..16).is_empty());
         assert!(touched([[-1e30; 2]; 3], 0..16).is_empty());

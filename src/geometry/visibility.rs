@@ -66,15 +66,15 @@ impl TexelVisibility {
     /// `[h·w]` Whether a texel enters what views show whose pictures are up to 2^`coarser` times smaller: those that are seen, and all that the
     /// mip levels mix with them there, one texel around at least, be they hidden or in a gutter. But for rims: the coarsest view of a
     /// triangle is that of its middle, and of a texel that is seen in part the centre may be hidden, so that views may show a little of
-    /// the others, too.
+    /// the others, too. No mip level above `coarsest` is read.
     #[must_use]
-    pub fn reached(&self, coarser: u8) -> Vec<bool> {
+    pub fn reached(&self, coarser: u8, coarsest: u8) -> Vec<bool> {
         let [width, height] = self.size;
         let levels = mip_levels(self.size);
         let mut reached: Vec<Vec<bool>> = (0..levels).map(|l| vec![false; (width >> l) * (height >> l)]).collect();
         for (i, sight) in self.texels.iter().enumerate() {
             let TexelSight::Seen(level) = *sight else { continue };
-            let level = usize::from(level.saturating_add(coarser)).min(levels - 1);
+            let level = usize::from(level.saturating_add(coarser).min(coarsest)).min(levels - 1);
             let (across, down) = (taps(i % width, level, width), taps(i / width, level, height));
             for y in down {
                 for x in across.clone() {
@@ -109,9 +109,10 @@ fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize>
 
 /// What `viewers` see of each texel of a map of `size` texels, (width, height), on `mesh`: whether the point at its centre is in a picture, farther
 /// than `near`, with fewer than `layers` triangles of `hidden_by` before it, from either side. `hidden_by` holds all meshes in the frame
-/// of the cameras, `mesh` among them. A triangle that is narrower than a texel or holds no texel's centre is also looked at in those that it
-/// touches, if none holds their centre, at its point nearest to that, and in the latter case in the texel at its middle. Where triangles
-/// share a texel it is seen if any of them is.
+/// of the cameras, `mesh` among them. Where triangles share a texel it is seen if any of them is.
+///
+/// Of some triangles few texels have their centres in it, or none. One that is narrower than a texel is also looked at in those texels that
+/// it touches and that no triangle holds the centre of, at its point nearest to the centre; one that holds no centre also at its middle.
 ///
 /// Triangles at the same place as the texel, its own and those on it but for f32 rounding, do not hide it. It takes two bytes a texel and
 /// some 250 a triangle. A texel costs a ray or little more where it is seen, else one per view that has it in the picture, and a triangle
@@ -152,12 +153,16 @@ pub fn texel_visibility(
         let is_free: Vec<bool> = texels.iter().map(|texel| *texel == TexelSight::Outside).collect();
         for face in near.iter().filter(|face| face.is_thin) {
             look.at_face(face);
-            texels_touched(&face.uvs, size, rows.clone(), |x, y, weights| {
-                let i = (y - rows.start) * size[0] + x;
-                if is_free[i] || !face.has_center && [x, y] == face.middle {
-                    texels[i] = texels[i].max(look.at(face, face.point(weights)));
-                }
-            });
+            let index = |x: usize, y: usize| (y - rows.start) * size[0] + x;
+            let mut mark = |x: usize, y: usize, weights: DVec3| {
+                let texel = &mut texels[index(x, y)];
+                *texel = (*texel).max(look.at(face, face.point(weights)));
+            };
+            let [x, y] = face.middle;
+            if !face.has_center && rows.contains(&y) {
+                mark(x, y, DVec3::splat(1.0 / 3.0));
+            }
+            texels_touched(&face.uvs, size, rows.clone(), |x, y| is_free[index(x, y)], mark);
         }
         rays.fetch_add(look.rays, Ordering::Relaxed);
     });
@@ -203,7 +208,8 @@ impl Face {
             rows,
             has_center,
             is_thin: !has_center || area.abs() < right.length().max(down.length()).max(b.distance(c)),
-            middle: [middle.x, middle.y].map(|at| at.round().max(0.0) as usize),
+            middle: [(middle.x, size[0]), (middle.y, size[1])]
+                .map(|(at, side)| (at.round().max(0.0) as usize).min(side - 1)),
             texel: texel.iter().all(|d| d.is_finite()).then_some(texel),
         })
     }

@@ -281,7 +281,7 @@ fn charts_thinner_than_a_texel_are_seen_along_all_of_them() {
         let rail = mesh(positions, vec![[0, 1, 2], [0, 2, 3]], uvs.to_vec());
         let found = look(&rail, 128, &viewers(&[ahead(100, 90.0)], 1));
         assert!(!found.texels.contains(&TexelSight::Hidden));
-        let reached = found.reached(0);
+        let reached = found.reached(0, u8::MAX);
         for k in 0..400 {
             let p = uv(k as f32 / 400.0, 0.5) * 128.0;
             assert!(reached[p.y as usize * 128 + p.x as usize], "{slant} {thickness}: {p}");
@@ -291,12 +291,13 @@ fn charts_thinner_than_a_texel_are_seen_along_all_of_them() {
 
 #[test]
 fn what_is_mixed_in_is_reached() {
-    let reached = |size: [usize; 2], seen: &[(usize, usize, u8)]| {
+    let reached_from = |coarser: u8, coarsest: u8, size: [usize; 2], seen: &[(usize, usize, u8)]| {
         let mut texels = vec![TexelSight::Hidden; size[0] * size[1]];
         seen.iter().for_each(|&(x, y, level)| texels[y * size[0] + x] = TexelSight::Seen(level));
-        let reached = TexelVisibility { size, texels, rays: 0 }.reached(0);
+        let reached = TexelVisibility { size, texels, rays: 0 }.reached(coarser, coarsest);
         (0..size[0] * size[1]).filter(|&i| reached[i]).map(|i| (i % size[0], i / size[0])).collect::<Vec<_>>()
     };
+    let reached = |size: [usize; 2], seen: &[(usize, usize, u8)]| reached_from(0, u8::MAX, size, seen);
     let block = |x: std::ops::Range<usize>, y: std::ops::Range<usize>| {
         y.flat_map(|y| x.clone().map(move |x| (x, y))).collect::<Vec<_>>()
     };
@@ -308,6 +309,9 @@ fn what_is_mixed_in_is_reached() {
     // A side of 5 has no mips, whatever a texel says.
     assert_eq!(reached([5, 8], &[(2, 2, 3)]), block(1..4, 1..4));
     assert_eq!(reached([16, 16], &[]), []);
+    // Smaller pictures read coarser levels, and no texture has those beyond its last.
+    assert_eq!(reached_from(2, u8::MAX, [64, 32], &[(5, 9, 0)]), block(0..8, 4..12));
+    assert_eq!(reached_from(2, 1, [64, 32], &[(5, 9, 3)]), reached([64, 32], &[(5, 9, 1)]));
 }
 
 #[test]

@@ -51,8 +51,8 @@ pub struct TrainOptions {
     /// A small rotation and shift of each training camera, learnt along as long as splats are trained without a mesh and then kept; not
     /// with a given mesh: off. Held-out views keep their poses, and what all corrections have in common is taken out.
     pub refine_poses: bool,
-    /// Degrees that the steps of such a rotation about each axis add up to, about, and as a part of the extent, in radians, those of the
-    /// shift: 0.6.
+    /// How far the steps of such a pose lead, about: degrees of rotation about each axis, and as an angle at the distance of the extent, shift
+    /// along each: 0.6.
     pub pose_reach: f64,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,

@@ -1,5 +1,6 @@
 //! 3DGS-MCMC's density control: dead splats are moved onto living ones, and a few are added each time, in such a way
-//! that the picture hardly changes (Kheradmand et al. 2024); for hybrids also by what splats contribute.
+//! that the picture hardly changes (Kheradmand et al. 2024). In hybrids, what splats contribute says which are dead and where
+//! copies go.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;

@@ -99,8 +99,8 @@ impl<'a> Run<'a> {
         self.exposures.as_ref().map_or(rgb, |exposures| exposures.apply(view, rgb))
     }
 
-    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does (as in HERA, only
-    /// smooth regions are worth a mesh): a splat goes if the mesh alone has no larger squared error than the splats
+    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does, which has the smooth
+    /// regions, as in HERA: a splat goes if the mesh alone has no larger squared error than the splats
     /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
     pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
         let mut state = splat_state(training)?;

@@ -48,22 +48,42 @@ fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     surface.positions.extend(above);
     surface.triangles.extend([[4, 5, 6], [4, 6, 7]]);
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-    let source = MeshSource::Given { surface, corner_uvs: None };
-    // However few of the 42 views it has looked at.
-    let trained = train(&capture, source, &options(), session).unwrap();
-    let mesh = &trained.scene.meshes[0];
-    let base = mesh.atlas().base();
-    let logit_at = |face: usize| {
-        let [a, b, c] = mesh.corner_uvs()[face];
-        let at = (a + b + c) / 3.0 * base.width() as f32;
-        base.texels()[4 * (at.y as usize * base.width() as usize + at.x as usize) + 3]
-    };
-    assert_eq!([logit_at(2), logit_at(3)], [unseen::TRANSPARENT; 2]);
-    assert!(logit_at(0) > -1.0 && logit_at(1) > -1.0);
-    // Beside the charts nothing is hidden: mip levels mix it with what is seen.
-    let hidden = base.texels().chunks_exact(4).filter(|texel| texel[3] == unseen::TRANSPARENT).count();
-    assert!(hidden * 2 < base.texels().len() / 4, "{hidden} of {}", base.texels().len() / 4);
+    // On the larger map rays go to every other texel.
+    for size in [64, 2048] {
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
+        // However few of the 42 views it has looked at.
+        let options = TrainOptions { texture_size: Some(size), ..options() };
+        let trained = train(&capture, source, &options, session).unwrap();
+        let mesh = &trained.scene.meshes[0];
+        let logits: Vec<f32> = mesh.atlas().base().texels().iter().skip(3).step_by(4).copied().collect();
+        let one = Texture::new(1, 1, 1, vec![1.0]).unwrap();
+        let texels_of = |faces: std::ops::Range<usize>, rim: u32| {
+            let uvs = &mesh.corner_uvs()[faces];
+            let drawn = geometry::transfer(&one, uvs, uvs, size, rim).unwrap();
+            let logits = logits.iter().zip(drawn.texels()).filter(|(_, drawn)| **drawn > 0.0);
+            logits.map(|(logit, _)| *logit).collect::<Vec<f32>>()
+        };
+        let (seen, hidden) = (texels_of(0..2, 0), texels_of(2..4, 0));
+        // But for what coarser levels mix with the chart beside it, all of it, and a texel around it.
+        let is_grey = |logit: &&f32| **logit != unseen::TRANSPARENT;
+        let rim = texels_of(2..4, 1);
+        assert!(hidden.len() * 8 > logits.len() && hidden.iter().filter(is_grey).count() * 15 < hidden.len());
+        assert!(rim.len() > hidden.len() && rim.iter().filter(is_grey).count() * 15 < rim.len());
+        // Its corners are beyond the table, and learn to be transparent.
+        let opaque = seen.iter().filter(|logit| **logit > -1.0).count();
+        assert!(opaque * 2 > seen.len(), "{size}: {opaque} of {}", seen.len());
+        // Between charts there is nothing to hide.
+        assert!(logits.iter().filter(|logit| **logit == unseen::TRANSPARENT).count() < 2 * hidden.len());
+    }
+}
+
+/// Pictures of 64 pixels begin at half of the size: 32 are the least.
+#[test]
+fn growing_pictures_read_coarser_levels_at_first() {
+    for (coarse_to_fine, levels) in [(false, 0), (true, 1)] {
+        with_run(&TrainOptions { coarse_to_fine, ..options() }, |run, _, _| assert_eq!(run.coarser(), levels));
+    }
 }
 
 /// Over a floor a ball with another in it, and half before it a third.
@@ -96,7 +116,7 @@ fn rays_reach_what_the_renderer_shows() {
         with_mesh(balls(), &options, |run, training, scene| {
             let mesh = &scene.meshes[0];
             let sights = run.texel_visibility(mesh, [256; 2]).unwrap();
-            let reached = sights.reached(0);
+            let reached = sights.reached(0, u8::MAX);
             let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
             let (mut pixels, mut off_center, mut missed) = (0, 0, 0);
             for camera in run.train_cameras.clone() {

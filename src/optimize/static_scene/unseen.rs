@@ -13,6 +13,8 @@ use crate::{
 
 /// Texels along the side of the map on which rays are cast, at most: what nobody sees takes a ray for every view.
 const LONGEST_SIDE: usize = 1024;
+/// Texels around charts that nobody sees in which they end: half of a gutter, the other half is that of the next chart.
+const RIM: usize = 2;
 /// Opacity logit of what is not seen: the least that maps have (`adam_texels.wgsl`).
 pub(super) const TRANSPARENT: f32 = -6.0;
 
@@ -23,20 +25,21 @@ struct MaskBits {
 }
 
 impl Run<'_> {
-    /// The mesh with those texels of charts transparent that enter nothing that the training views show: they would stay as they were made.
-    /// Between charts there is nothing to see, and mip levels would mix it with their rims.
+    /// The mesh with those texels of charts and their rims transparent that enter nothing that the training views show: they would stay as they
+    /// were made. What else is between charts stays so: nobody sees it, and mip levels mix it with the rims of what is seen.
     pub(super) fn without_unseen(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
         let base = mesh.atlas().base();
         let [width, height] = [base.width() as usize, base.height() as usize];
         let halvings = (0..16).find(|n| width.max(height) >> n <= LONGEST_SIDE).unwrap_or(16);
         let sights = self.texel_visibility(&mesh, [width, height].map(|side| (side >> halvings).max(1)))?;
-        let reached = sights.reached(self.coarser());
+        let coarsest = base.mip_levels().saturating_sub(1 + halvings);
+        let reached = sights.reached(self.coarser(), coarsest as u8);
+        let hidden = hidden(&sights, &reached, (RIM >> halvings).max(1));
         let [columns, rows] = sights.size;
         let mut texels = base.texels().to_vec();
         for (i, texel) in texels.chunks_exact_mut(4).enumerate() {
             let [x, y] = [i % width, i / width].map(|at| at >> halvings);
-            let at = y.min(rows - 1) * columns + x.min(columns - 1);
-            if sights.texels[at] == TexelSight::Hidden && !reached[at] {
+            if hidden[y.min(rows - 1) * columns + x.min(columns - 1)] {
                 texel[3] = TRANSPARENT;
             }
         }
@@ -46,7 +49,7 @@ impl Run<'_> {
     }
 
     /// Mip levels by which the smallest pictures of the run read coarser ones than those of full size.
-    fn coarser(&self) -> u8 {
+    pub(super) fn coarser(&self) -> u8 {
         let first = ResolutionSchedule { full_from: u32::from(self.options.coarse_to_fine) };
         -first.scale(0, self.longest_side).log2().floor() as u8
     }
@@ -79,6 +82,25 @@ impl Run<'_> {
     }
 }
 
+/// Texels of charts that are neither seen nor reached, and of what is between charts those up to `rim` away, with which they are filtered.
+fn hidden(sights: &TexelVisibility, reached: &[bool], rim: usize) -> Vec<bool> {
+    let [width, height] = sights.size;
+    let mut hidden: Vec<bool> =
+        (sights.texels.iter().zip(reached)).map(|(t, is_reached)| *t == TexelSight::Hidden && !is_reached).collect();
+    for _ in 0..rim {
+        let is_beside = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            let rows = y.saturating_sub(1)..(y + 2).min(height);
+            let columns = x.saturating_sub(1)..(x + 2).min(width);
+            rows.into_iter().any(|row| columns.clone().any(|column| hidden[row * width + column]))
+        };
+        let free = |i: &usize| sights.texels[*i] == TexelSight::Outside && !reached[*i] && !hidden[*i];
+        let added: Vec<usize> = (0..hidden.len()).filter(free).filter(|&i| is_beside(i)).collect();
+        added.into_iter().for_each(|i| hidden[i] = true);
+    }
+    hidden
+}
+
 impl MaskBits {
     fn new(width: usize, rgba: &[u8]) -> Self {
         let bits = |row: &[u8]| row.chunks_exact(4).rev().fold(0, |bits, rgba| bits << 1 | u64::from(rgba[3] > 0));
@@ -94,6 +116,24 @@ impl MaskBits {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rims_of_what_is_hidden_are_too_but_for_those_of_what_is_seen() {
+        let texels: Vec<TexelSight> = (0..10 * 4)
+            .map(|i| match i % 10 {
+                0 | 1 => TexelSight::Hidden,
+                8 | 9 => TexelSight::Seen(0),
+                _ => TexelSight::Outside,
+            })
+            .collect();
+        let sights = TexelVisibility { size: [10, 4], texels, rays: 0 };
+        // Two mip levels there are of this map.
+        for (coarser, rim, last) in [(0, 2, 3), (0, 9, 6), (1, 9, 5), (3, 1, 2), (3, 9, 5)] {
+            let hidden = hidden(&sights, &sights.reached(coarser, 9), rim);
+            let expected: Vec<bool> = (0..10 * 4).map(|i| i % 10 <= last).collect();
+            assert_eq!(hidden, expected, "{coarser} {rim}");
+        }
+    }
 
     #[test]
     fn masks_are_kept_by_the_bit() {
