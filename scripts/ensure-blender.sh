@@ -4,7 +4,7 @@ set -euo pipefail
 
 python=$(realpath -s "$1")
 cd "$(dirname "$0")"
-lacks_library() { "$python" -c 'import bpy' 2>&1 | grep -q 'cannot open shared object file'; }
+lacks_library() { [[ $("$python" -c 'import bpy' 2>&1 || true) == *'cannot open shared object file'* ]]; }
 
 [ "$(uname)" = Linux ] && lacks_library || exit 0
 ./install.sh libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libvulkan1

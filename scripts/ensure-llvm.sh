@@ -4,7 +4,8 @@ set -euo pipefail
 cd "$(dirname "$0")"
 
 [ "$(uname)" = Linux ] || exit 0 # hybrid_rf.py looks where Homebrew puts it, and Windows' wheels bring it.
-installed() { ls /usr/lib/*/libLLVM*.so* /usr/lib/llvm-*/lib/libLLVM*.so* 2>/dev/null | grep -qE 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])'; }
+# `ls` fails where one of the two folders is not there.
+installed() { { ls /usr/lib/*/libLLVM*.so* /usr/lib/llvm-*/lib/libLLVM*.so* 2>/dev/null || true; } | grep -E 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])' >/dev/null; }
 
 if [ -n "${DRJIT_LIBLLVM_PATH:-}" ] || installed; then exit 0; fi
 ./install.sh libllvm19

@@ -2,9 +2,10 @@
 # Succeeds if a Vulkan adapter is to be expected: the loader is there, and a driver that is either software (lavapipe,
 # SwiftShader) or has a device to drive. Driver manifests alone say little: Mesa installs those of all vendors.
 set -euo pipefail
+# No `grep -q` here: it closes the pipe at the first match, and what writes into it then fails now and then.
 
 loader() {
-    PATH=$PATH:/sbin:/usr/sbin ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1'
+    PATH=$PATH:/sbin:/usr/sbin ldconfig -p 2>/dev/null | grep 'libvulkan\.so\.1' >/dev/null
 }
 
 drivers() {
@@ -20,4 +21,4 @@ device() {
     compgen -G '/dev/dri/renderD*' >/dev/null || [ -e /dev/nvidia0 ] || [ -e /dev/dxg ]
 }
 
-loader && [ -n "$(drivers)" ] && { drivers | grep -Eqi 'lvp_icd|lavapipe|swiftshader' || device; }
+loader && [ -n "$(drivers)" ] && { drivers | grep -Ei 'lvp_icd|lavapipe|swiftshader' >/dev/null || device; }
