@@ -43,7 +43,8 @@ const CLOSING_PASSES: usize = 4;
 const CLOSING_COSINE: f64 = 0.5;
 /// No vertex is moved by more tolerances than that, be it onto the line between two planes.
 const FARTHEST: f64 = 3.0;
-/// Squared sine of the least angle between planes that have a line or point in common, 2°: else a vertex is set into the first of the two only.
+/// Squared sine of the least angle between planes that have a line or point in common, 2°: else a vertex is set into the first of the two
+/// only.
 const LEAST_SINE_SQUARED: f64 = 1.2e-3;
 /// Planes become coarser in so many passes, to the longest edge allowed: at once, triangles would be uneven.
 const PASSES: u32 = 6;

@@ -79,16 +79,11 @@ fn span(corners: &[DVec2; 3], low: f64, high: f64) -> (f64, f64) {
     let mut found = (f64::INFINITY, f64::NEG_INFINITY);
     for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (corners[i], corners[j])) {
         let way = to - from;
-        // What is level has y in between all along or nowhere.
-        let [enter, leave] = match way.y == 0.0 {
-            true => {
-                if (low..=high).contains(&from.y) {
-                    [0.0, 1.0]
-                } else {
-                    [1.0, 0.0]
-                }
-            }
-            false => [low, high].map(|y| (y - from.y) / way.y),
+        // What is level is in between all along or nowhere.
+        let [enter, leave] = match (way.y == 0.0, (low..=high).contains(&from.y)) {
+            (true, true) => [0.0, 1.0],
+            (true, false) => [1.0, 0.0],
+            (false, _) => [low, high].map(|y| (y - from.y) / way.y),
         };
         let (enter, leave) = if way.y < 0.0 { (leave, enter) } else { (enter, leave) };
         let (enter, leave) = (enter.max(0.0), leave.min(1.0));

@@ -17,6 +17,8 @@ const ROWS: usize = 8;
 const SAME_PLACE: f64 = 1e-6;
 /// The same where rays graze the surface, so that roundings along its normal are far apart along the ray.
 const SAME_PLACE_GRAZING: f64 = 1e-2;
+/// A triangle narrower than this many texels is thin: nearly level, it may pass between two rows of centres for long.
+const THIN: f64 = 1.0;
 /// Roundings of f32 positions, relative to their largest coordinate, within which triangles lie on each other.
 const ROUNDING: f64 = 4.0 * (f32::EPSILON as f64);
 
@@ -178,7 +180,7 @@ struct Face {
     rows: [usize; 2],
     /// Whether the centre of a texel lies in it.
     has_center: bool,
-    /// Whether it is narrower than a texel or has no centre, so that it may show texels whose centres lie beside it.
+    /// Whether it is narrower than [`THIN`] or has no centre, so that it may show texels whose centres lie beside it.
     is_thin: bool,
     /// The texel at its middle, column and row.
     middle: [usize; 2],
@@ -207,7 +209,7 @@ impl Face {
             uvs,
             rows,
             has_center,
-            is_thin: !has_center || area.abs() < right.length().max(down.length()).max(b.distance(c)),
+            is_thin: !has_center || area.abs() < THIN * right.length().max(down.length()).max(b.distance(c)),
             middle: [(middle.x, size[0]), (middle.y, size[1])]
                 .map(|(at, side)| (at.round().max(0.0) as usize).min(side - 1)),
             texel: texel.iter().all(|d| d.is_finite()).then_some(texel),

@@ -158,6 +158,7 @@ fn rays_reach_what_the_renderer_shows() {
             eprintln!("outside, hidden, seen × untouched, touched × not reached, reached: {counts:?}");
             assert!(pixels > 20_000 && missed == 0 && off_center * 50 < pixels);
             assert_eq!(counts.map(|of_sight| of_sight[1][0]), [0; 3]);
+            // Beside slivers at the poles, which are filtered with them where a pixel falls on one: of these few pixels hardly any does.
             let too_many = counts[1][0][1] + counts[2][0][1];
             assert!(too_many * 80 < counts[1..].as_flattened().as_flattened().iter().sum::<usize>());
             assert!(layers == 2 || counts[1][0][0] > 2000);
