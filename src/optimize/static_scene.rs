@@ -465,7 +465,12 @@ impl<'a> Run<'a> {
         let (phase, iteration) = self.reached;
         check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
-        let meshes = training.read_meshes(&scene.meshes)?;
+        let mut meshes = training.read_meshes(&scene.meshes)?;
+        // The checkpoint of what was interrupted has all of them; of the user's mesh nothing goes.
+        if self.hands_over && outcome == Outcome::Finished {
+            let left: Result<Vec<Option<Mesh>>, _> = meshes.into_iter().map(|mesh| self.without_faint(mesh)).collect();
+            meshes = left?.into_iter().flatten().collect();
+        }
         let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
             self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()

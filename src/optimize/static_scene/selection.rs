@@ -26,6 +26,9 @@ const COVERAGE: f64 = 0.6;
 /// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
 const GUTTER: u32 = 4;
 
+/// Mean opacity below which a triangle goes after training.
+const FAINT: f64 = 0.02;
+
 /// What the judging views say of a triangle.
 #[derive(Clone, Copy, Default)]
 struct Score {
@@ -68,6 +71,22 @@ impl<'a> Run<'a> {
             lay_out(unwrapped, &uvs, &atlas, size)
         })
         .map(Some)
+    }
+
+    /// The trained mesh without the triangles that show next to nothing and before nothing of it. The maps stay as they are. `None` if
+    /// nothing is left.
+    pub(super) fn without_faint(&self, mesh: Mesh) -> Result<Option<Mesh>, TrainError> {
+        let near = f64::from(self.composition().near);
+        let faint = geometry::faint_triangles(&mesh, FAINT, &self.train_cameras, near);
+        let keep: Vec<bool> = faint.iter().map(|faint| !faint).collect();
+        if !keep.contains(&false) {
+            return Ok(Some(mesh));
+        }
+        if !keep.contains(&true) {
+            return Ok(None);
+        }
+        let Surface { positions, triangles } = geometry::compact(part(&mesh, &keep));
+        Ok(Some(Mesh::new(positions, triangles, kept(mesh.corner_uvs(), &keep), mesh.atlas().clone())?))
     }
 
     /// Scores of all triangles, and the number of pixels judged.

@@ -11,7 +11,7 @@ use crate::{
     geometry::{MeshBvh, Surface, TexelSight},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
     render::gpu::Renderer,
-    scene::Texture,
+    scene::{Atlas, Texture},
 };
 
 fn demo() -> Capture {
@@ -186,6 +186,39 @@ fn with_mesh<T>(
     let scene = HybridScene { splats, meshes: vec![mesh], composition: run.composition() };
     let mut training = run.training(&scene).unwrap();
     test(&mut run, &mut training, &scene)
+}
+
+/// What became invisible of a surface that was found goes after training; nothing does of a run that goes on, or of the user's mesh.
+#[test]
+fn what_ended_faint_is_dropped_after_training() {
+    let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
+    // Below, where nothing is behind it.
+    surface.positions.extend(surface.positions.clone().iter().map(|p| *p - Vec3::Z));
+    surface.triangles.extend([[4, 5, 6], [4, 6, 7]]);
+    with_mesh(surface, &options(), |run, _, scene| {
+        let mesh = &scene.meshes[0];
+        let one = Texture::new(1, 1, 1, vec![1.0]).unwrap();
+        let upper = &mesh.corner_uvs()[..2];
+        let drawn = geometry::transfer(&one, upper, upper, 64, 1).unwrap();
+        let texels = drawn.texels().iter().flat_map(|drawn| [0.0, 0.0, 0.0, if *drawn > 0.0 { 2.0 } else { -5.0 }]);
+        let base = Texture::new(64, 64, 4, texels.collect()).unwrap();
+        let mesh = mesh.clone().with_atlas(Atlas::new(base, mesh.atlas().bands().cloned()).unwrap());
+        let scene = HybridScene { meshes: vec![mesh.clone()], ..scene.clone() };
+        let training = run.training(&scene).unwrap();
+        for (hands_over, outcome, left) in
+            [(true, Outcome::Finished, 2), (true, Outcome::Interrupted, 4), (false, Outcome::Finished, 4)]
+        {
+            run.hands_over = hands_over;
+            let trained = run.finish(&training, &scene, outcome).unwrap();
+            let [found] = trained.scene.meshes.try_into().unwrap();
+            assert_eq!(
+                (found.triangles(), found.corner_uvs()),
+                (&mesh.triangles()[..left], &mesh.corner_uvs()[..left])
+            );
+            assert_eq!(found.positions(), &mesh.positions()[..2 * left]);
+            assert_eq!(found.atlas(), mesh.atlas());
+        }
+    });
 }
 
 /// Trains with `value` at float `at` of the geometry or the SH coefficients.
