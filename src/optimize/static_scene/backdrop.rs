@@ -115,3 +115,124 @@ fn sample(photo: &Photo, at: DVec2) -> [f32; 3] {
         row(y) * (1.0 - fy) + row(below) * fy
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{fs, path::Path, sync::atomic::AtomicBool};
+
+    use glam::{DMat3, DVec2};
+
+    use super::*;
+    use crate::{
+        capture::{self, Capture, LoadOptions, Point},
+        optimize::{MeshSource, Session, TrainOptions, train},
+        render::{gpu::Gpu, reference},
+        scene::{HybridScene, Intrinsics, Splats},
+    };
+
+    /// Radius of the ground, which is all that is near.
+    const GROUND: f64 = 1.5;
+
+    /// What is seen from `origin`: the ground, or the sky, by direction alone.
+    fn seen(origin: DVec3, direction: DVec3) -> ([f64; 3], Option<DVec3>) {
+        let t = -origin.z / direction.z;
+        let hit = origin + t * direction;
+        if t > 0.0 && hit.truncate().length() < GROUND {
+            return ([0.3 + 0.2 * (4.0 * hit.x).sin(), 0.4 + 0.2 * (5.0 * hit.y).cos(), 0.2], Some(hit));
+        }
+        let d = direction.normalize();
+        ([0.5 + 0.3 * (2.0 * d.y.atan2(d.x)).sin(), 0.5 + 0.3 * (6.0 * d.z).sin(), 0.9], None)
+    }
+
+    fn pixels(camera: &Camera) -> impl Iterator<Item = ([f64; 3], Option<DVec3>)> {
+        let k = camera.intrinsics();
+        let at = move |i: u32| DVec2::new(f64::from(i % k.width) + 0.5, f64::from(i / k.width) + 0.5);
+        (0..k.width * k.height).map(move |i| seen(camera.center(), camera.rotation().transpose() * camera.ray(at(i))))
+    }
+
+    /// 48 views around a round ground under a sky, with points on the ground.
+    fn under_a_sky(folder: &Path) -> Capture {
+        let intrinsics = Intrinsics { width: 64, height: 48, fx: 48.0, fy: 48.0, cx: 32.0, cy: 24.0 };
+        let mut frames = vec![];
+        for i in 0..48 {
+            let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 48.0).sin_cos();
+            let center = DVec3::new(2.5 * cos, 2.5 * sin, 1.0);
+            let forward = (DVec3::Z * 0.6 - center).normalize();
+            let right = forward.cross(DVec3::Z).normalize();
+            let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+            let camera = Camera::new(intrinsics, rotation, -(rotation * center)).unwrap();
+            let bytes = pixels(&camera).flat_map(|(rgb, _)| rgb.map(|c| (255.0 * c).round() as u8)).collect();
+            let name = format!("{i:02}.png");
+            image::RgbImage::from_raw(64, 48, bytes).unwrap().save(folder.join(&name)).unwrap();
+            let [x, y, z] = [right, -forward.cross(right), -forward].map(|axis| axis.to_array());
+            let row = |k: usize| [x[k], y[k], z[k], center[k]];
+            frames.push(serde_json::json!({
+                "file_path": name, "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            }));
+        }
+        let transforms = serde_json::json!({
+            "w": 64, "h": 48, "fl_x": 48.0, "fl_y": 48.0, "cx": 32.0, "cy": 24.0, "frames": frames,
+        });
+        fs::write(folder.join("transforms.json"), transforms.to_string()).unwrap();
+        let mut capture = capture::open(folder, &LoadOptions::default()).unwrap();
+        let corners =
+            (-12..=12).flat_map(|x| (-12..=12).map(move |y| DVec3::new(f64::from(x), f64::from(y), 0.0) / 8.0));
+        capture.points = (corners.filter(|p| p.length() < GROUND))
+            .map(|position| Point { position, rgb: seen(position + DVec3::Z, -DVec3::Z).0.map(|c| (255.0 * c) as u8) })
+            .collect();
+        for view in &mut capture.views {
+            let is_seen = |i: &u32| {
+                let p = capture.points[*i as usize].position;
+                view.camera.in_picture(view.camera.to_camera(p)).is_some()
+            };
+            view.sees = (0..capture.points.len() as u32).filter(is_seen).collect();
+        }
+        capture
+    }
+
+    /// What a mesh alone shows of the sky in held-out views: mean absolute difference from it.
+    fn sky_error(scene: &HybridScene, capture: &Capture) -> f64 {
+        let scene = HybridScene { splats: Splats::empty(0), ..scene.clone() };
+        let (mut sum, mut count) = (0.0, 0.0);
+        for view in capture.views.iter().step_by(8) {
+            let shown = reference::render(&scene, &view.camera);
+            for (rgb, (truth, hit)) in shown.rgb.iter().zip(pixels(&view.camera)) {
+                if hit.is_none() {
+                    sum += (0..3).map(|c| (rgb[c] - truth[c]).abs()).sum::<f64>() / 3.0;
+                    count += 1.0;
+                }
+            }
+        }
+        sum / count
+    }
+
+    #[test]
+    fn a_sky_becomes_a_shell() {
+        let (folder, gpu, stop) = (tempfile::tempdir().unwrap(), Gpu::open(None).unwrap(), AtomicBool::new(false));
+        let capture = under_a_sky(folder.path());
+        let trained = |shell: bool| {
+            let options = TrainOptions {
+                iterations: 120,
+                warmup: 120,
+                surface_iterations: Some(60),
+                max_splats: 800,
+                texture_size: Some(128),
+                shell,
+                checkpoint_every: 0,
+                eval_every: 0,
+                ..TrainOptions::default()
+            };
+            let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+            train(&capture, MeshSource::Points, &options, session).unwrap()
+        };
+        let (with, without) = (trained(true), trained(false));
+        let psnr = |trained: &crate::optimize::Trained| trained.history.last().unwrap().psnr.unwrap();
+        let errors = [&with, &without].map(|trained| sky_error(&trained.scene, &capture));
+        let found = [&with, &without].map(|t| (t.shell_triangles, psnr(t)));
+        eprintln!("shell triangles and PSNR {found:?}, errors of the mesh alone {errors:?}");
+        assert!(with.shell_triangles > 50, "{}", with.shell_triangles);
+        assert_eq!(without.shell_triangles, 0);
+        assert!(errors[0] < 0.2 * errors[1], "{errors:?}");
+        assert!(found[0].1 > found[1].1 + 1.0, "{found:?}");
+    }
+}
