@@ -16,7 +16,7 @@
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure
+@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure; z: 1 to lay the truth over the background; w: 1 to weigh by its alpha
 @group(0) @binding(2) var<storage, read> image: array<f32>;               // rgb and transmittance per pixel
 @group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
 @group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3
@@ -67,16 +67,12 @@ fn colors(pixel: u32, channel: u32) -> vec3f {
     x = dot(row.xyz, vec3f(image[4u * pixel], image[4u * pixel + 1u], image[4u * pixel + 2u])) + row.w;
     //#end
     var y = f32((word >> (8u * channel)) & 255u) * (1.0 / 255.0);
-    var slope = 1.0;
-    //#if COMPOSITE
-    y = mix(view.background[channel], y, f32(word >> 24u) * (1.0 / 255.0));
-    //#end
-    //#if MASK
-    slope = f32(word >> 24u) * (1.0 / 255.0);
-    x *= slope;
-    y *= slope;
-    //#end
-    return vec3f(x, y, slope);
+    let alpha = f32(word >> 24u) * (1.0 / 255.0);
+    let slope = mix(1.0, alpha, weights.w);
+    let part = mix(1.0, alpha, weights.z);
+    // Not `mix`: y itself where the part is 1.
+    y = part * y + (1.0 - part) * view.background[channel];
+    return vec3f(x * slope, y * slope, slope);
 }
 
 // Sum over the workgroup's 128 threads; valid in thread 0.

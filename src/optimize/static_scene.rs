@@ -16,6 +16,7 @@ pub use poses::RefinedPose;
 use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
 
 use glam::Vec2;
+use rayon::prelude::*;
 
 use super::{
     Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background,
@@ -27,7 +28,7 @@ use super::{
     surface,
 };
 use crate::{
-    capture::{self, Capture, Photo, PhotoCache, Split, View},
+    capture::{self, Capture, CaptureError, Photo, PhotoCache, Split, View},
     geometry::{self, Contraction, MeshBvh, Shell, Surface},
     render::gpu::{
         Gpu,
@@ -161,7 +162,8 @@ struct Run<'a> {
     cache: PhotoCache,
     small: Option<Small>,
     longest_side: u32,
-    truth_alpha: TruthAlpha,
+    /// Photographs have masks or alpha: nothing is behind what they show.
+    is_cut_out: bool,
     extent: f32,
     start: Instant,
     history: Vec<Progress>,
@@ -206,16 +208,16 @@ impl<'a> Run<'a> {
         };
         let identity = Identity { options, input: serde_json::json!({ "views": views, "mesh": mesh }) };
         let cache = PhotoCache::new(PHOTO_BUDGET);
-        let first = cache.get(&capture.views[train[0]])?;
-        let truth_alpha = match (first.masked, first.has_alpha) {
-            (true, _) => TruthAlpha::Mask,
-            (false, true) => TruthAlpha::Composite,
-            (false, false) => TruthAlpha::Ignore,
-        };
+        // All of them: any may have alpha, and one that cannot be read is better known now than in an hour.
+        let has_alpha = |&i: &usize| cache.get(&capture.views[i]).map(|photo| photo.has_alpha && !photo.masked);
+        let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
+        let is_masked = |view: &View| view.source.mask().is_some();
+        let is_cut_out =
+            train.par_iter().map(has_alpha).try_reduce(|| false, any)? || capture.views.iter().any(is_masked);
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = capture::extent(&train_cameras) as f32;
-        let wants_shell = options.shell && source.is_found() && truth_alpha == TruthAlpha::Ignore;
+        let wants_shell = options.shell && source.is_found() && !is_cut_out;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
         Ok(Self {
@@ -230,7 +232,7 @@ impl<'a> Run<'a> {
             test,
             cache,
             small: None,
-            truth_alpha,
+            is_cut_out,
             extent: if extent > 0.0 { extent } else { 1.0 },
             start: Instant::now(),
             history: vec![],
@@ -333,8 +335,7 @@ impl<'a> Run<'a> {
     }
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
-        let mut training =
-            Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight, self.truth_alpha)?;
+        let mut training = Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight)?;
         if self.options.density == Density::Absgs {
             training.sum_absolute_gradients()?;
         }
@@ -371,10 +372,7 @@ impl<'a> Run<'a> {
         }
         let (room, cache) = (most / 4, &self.cache);
         let photo = |view: &View| cache.get(view);
-        // An object that is cut out has nothing behind it.
-        let is_cut_out = self.truth_alpha == TruthAlpha::Composite
-            || self.capture.views.iter().any(|view| view.source.mask().is_some());
-        let far_room = if is_cut_out { 0 } else { room };
+        let far_room = if self.is_cut_out { 0 } else { room };
         let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, photo)?;
         let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
         let far = behind.means().iter().map(|m| m.as_dvec3());
@@ -496,6 +494,15 @@ impl<'a> Run<'a> {
 
 fn longest_side(camera: &Camera) -> u32 {
     camera.intrinsics().width.max(camera.intrinsics().height)
+}
+
+/// What a photograph's alpha means, as in its evaluation.
+fn truth_alpha(photo: &Photo) -> TruthAlpha {
+    match (photo.masked, photo.has_alpha) {
+        (true, _) => TruthAlpha::Mask,
+        (false, true) => TruthAlpha::Composite,
+        (false, false) => TruthAlpha::Ignore,
+    }
 }
 
 /// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent; a mask

@@ -9,7 +9,7 @@ use crate::{
         self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
         UnwrappedMesh,
     },
-    render::gpu::{Gpu, loss::TruthAlpha, training::Training},
+    render::gpu::{Gpu, training::Training},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
 };
 
@@ -81,7 +81,7 @@ pub fn from_splats(
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition: Composition::default() };
     let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
-    let mut training = Training::new(gpu, &scene, &cameras, 0.0, TruthAlpha::Ignore)?;
+    let mut training = Training::new(gpu, &scene, &cameras, 0.0)?;
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     let contraction = Contraction::if_unbounded(&cameras, &points)?;
     let points = if points.len() < 100 { splats.means() } else { &points };

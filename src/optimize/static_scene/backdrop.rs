@@ -95,24 +95,28 @@ impl Face {
             return;
         }
         for spot in &mut self.spots {
-            let rgb = sample(photo, camera.project(camera.to_camera(spot.position)));
+            let Some(rgb) = sample(photo, camera.project(camera.to_camera(spot.position))) else { continue };
             spot.sum = [0, 1, 2].map(|k| spot.sum[k] + rgb[k]);
             spot.views += 1.0;
         }
     }
 }
 
-/// Colour at a place in pixels, between their centres; at the border that of the last.
-fn sample(photo: &Photo, at: DVec2) -> [f32; 3] {
+/// Colour at a place in pixels, between their centres; at the border that of the last. `None` where a pixel there has none, as where
+/// undistortion reached outside the photograph.
+fn sample(photo: &Photo, at: DVec2) -> Option<[f32; 3]> {
     let last = DVec2::new(f64::from(photo.width) - 1.0, f64::from(photo.height) - 1.0);
     let at = (at - 0.5).clamp(DVec2::ZERO, last);
     let (x, y) = (at.x as usize, at.y as usize);
     let (fx, fy) = (at.x.fract() as f32, at.y.fract() as f32);
     let (right, below) = ((x + 1).min(last.x as usize), (y + 1).min(last.y as usize));
     let value = |x: usize, y: usize, k: usize| f32::from(photo.rgba[4 * (y * photo.width as usize + x) + k]) / 255.0;
-    [0, 1, 2].map(|k| {
-        let row = |y: usize| value(x, y, k) * (1.0 - fx) + value(right, y, k) * fx;
-        row(y) * (1.0 - fy) + row(below) * fy
+    let has_color = [(x, y), (right, y), (x, below), (right, below)].iter().all(|&(x, y)| value(x, y, 3) > 0.0);
+    has_color.then(|| {
+        [0, 1, 2].map(|k| {
+            let row = |y: usize| value(x, y, k) * (1.0 - fx) + value(right, y, k) * fx;
+            row(y) * (1.0 - fy) + row(below) * fy
+        })
     })
 }
 

@@ -4,7 +4,7 @@ use super::{Run, arrays, splat_state, squared_error};
 use crate::{
     geometry::{self, Contraction, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
-    render::gpu::{loss::TruthAlpha, training::Training},
+    render::gpu::training::Training,
     scene::{Camera, HybridScene, Mesh},
 };
 
@@ -28,12 +28,11 @@ impl<'a> Run<'a> {
         let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
         let contraction = Contraction::if_unbounded(&self.train_cameras, &points)?;
         let points = if points.len() < 100 { splat_state(training)?.to_splats()?.means().to_vec() } else { points };
-        let masked = self.truth_alpha != TruthAlpha::Ignore;
         let (triangles, planar) = (self.options.triangles, self.options.planar);
         let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
-            if masked {
-                let photo = self.cache.get(&self.capture.views[self.train[i]])?;
+            let photo = self.cache.get(&self.capture.views[self.train[i]])?;
+            if photo.masked || photo.has_alpha {
                 for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
                     if pixel[3] < 128 {
                         *d = 0.0;

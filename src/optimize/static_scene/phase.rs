@@ -7,7 +7,8 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrays, check_finite, finite_splats, splat_state, squared_error,
+    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrays, check_finite, finite_splats, splat_state,
+    squared_error, truth_alpha,
 };
 use crate::{
     capture::{Photo, PhotoCache},
@@ -245,6 +246,7 @@ impl Run<'_> {
             // Where it was found to be, at the size of the picture.
             camera: &self.cameras[index].resized(photo.width, photo.height),
             truth: &photo.rgba,
+            truth_alpha: truth_alpha(&photo),
             background,
             sh_degree,
             band_degree,

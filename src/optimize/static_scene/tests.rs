@@ -354,8 +354,8 @@ fn without_any_splats_the_maps_are_trained() {
     }
 }
 
-/// The demo, whose photographs but for those held out are brighter or darker, and of another tint, by up to a third.
-fn unevenly_exposed(folder: &Path) -> Capture {
+/// The demo, with its photographs changed: by name from 0.
+fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
     let [sparse, images] = ["sparse/0", "images"].map(|name| folder.join(name));
     [&sparse, &images].into_iter().for_each(|folder| std::fs::create_dir_all(folder).unwrap());
@@ -366,14 +366,45 @@ fn unevenly_exposed(folder: &Path) -> Capture {
         std::fs::read_dir(demo.join("images")).unwrap().map(|entry| entry.unwrap().path()).collect();
     names.sort();
     for (i, file) in names.iter().enumerate() {
-        let mut picture = image::open(file).unwrap().into_rgb8();
+        let mut picture = image::open(file).unwrap().into_rgba8();
+        change(i, &mut picture);
+        // Whatever the name says.
+        picture.save_with_format(images.join(file.file_name().unwrap()), image::ImageFormat::Png).unwrap();
+    }
+    capture::open(folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()
+}
+
+/// The demo, whose photographs but for those held out are brighter or darker, and of another tint, by up to a third.
+fn unevenly_exposed(folder: &Path) -> Capture {
+    changed(folder, |i, picture| {
         let gain = |c: usize| if i % 8 == 0 { 1.0 } else { 1.0 + 0.33 * (2.4 * i as f32 + 0.7 * c as f32).sin() };
         picture
             .pixels_mut()
             .for_each(|p| [0, 1, 2].into_iter().for_each(|c| p.0[c] = (gain(c) * f32::from(p.0[c])).min(255.0) as u8));
-        picture.save(images.join(file.file_name().unwrap())).unwrap();
-    }
-    capture::open(folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()
+    })
+}
+
+/// What a photograph is transparent for does not count, whatever the others are.
+#[test]
+fn each_photograph_has_its_own_alpha() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let losses = |hidden: [u8; 3]| {
+        let capture = changed(&folder.path().join(format!("{hidden:?}")), |i, picture| {
+            // Not that of the first training view.
+            for (x, _, p) in picture.enumerate_pixels_mut().filter(|_| i % 3 == 0) {
+                if x < 100 {
+                    p.0 = [hidden[0], hidden[1], hidden[2], 0];
+                }
+            }
+        });
+        let stop = AtomicBool::new(false);
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let options = TrainOptions { iterations: 60, ..options() };
+        let trained = train(&capture, MeshSource::None, &options, session).unwrap();
+        trained.history.iter().map(|p| p.loss).collect::<Vec<_>>()
+    };
+    let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(losses);
+    assert!(red.len() == 6 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
 }
 
 #[test]

@@ -7,7 +7,6 @@ use super::Run;
 use crate::{
     geometry::{self, MeshBvh, TexelSight, TexelVisibility, Viewers},
     optimize::{TrainError, resolution::ResolutionSchedule},
-    render::gpu::loss::TruthAlpha,
     scene::{Atlas, Mesh, Texture},
 };
 
@@ -57,7 +56,7 @@ impl Run<'_> {
     /// What the training views see of a map of `size` texels, (width, height), if there is no other mesh.
     pub(super) fn texel_visibility(&self, mesh: &Mesh, size: [usize; 2]) -> Result<TexelVisibility, TrainError> {
         let shown = self.shown()?;
-        let shows = |view: usize, at: DVec2| shown.get(view).is_none_or(|shown| shown.holds(at));
+        let shows = |view: usize, at: DVec2| shown[view].as_ref().is_none_or(|shown| shown.holds(at));
         let viewers = Viewers {
             cameras: &self.train_cameras,
             near: f64::from(self.composition().near),
@@ -68,15 +67,12 @@ impl Run<'_> {
         Ok(geometry::texel_visibility(mesh, size, &bvh, &viewers)?)
     }
 
-    /// What masks leave of the training views; empty if there are none.
-    fn shown(&self) -> Result<Vec<MaskBits>, TrainError> {
-        if self.truth_alpha != TruthAlpha::Mask {
-            return Ok(vec![]);
-        }
+    /// What masks leave of the training views, where there are any.
+    fn shown(&self) -> Result<Vec<Option<MaskBits>>, TrainError> {
         let (cache, capture) = (&self.cache, self.capture);
         let of_view = |&i: &usize| {
             let photo = cache.get(&capture.views[i])?;
-            Ok(MaskBits::new(photo.width as usize, &photo.rgba))
+            Ok(photo.masked.then(|| MaskBits::new(photo.width as usize, &photo.rgba)))
         };
         self.train.par_iter().map(of_view).collect()
     }

@@ -55,7 +55,7 @@ fn exposures() -> ExposureState {
 }
 
 fn training<'g>(gpu: &'g Gpu, scene: &HybridScene, ssim_weight: f32) -> Training<'g> {
-    Training::new(gpu, scene, &[camera()], ssim_weight, TruthAlpha::Ignore).unwrap()
+    Training::new(gpu, scene, &[camera()], ssim_weight).unwrap()
 }
 
 fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
@@ -74,6 +74,7 @@ fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
         .step(&Step {
             camera: &camera(),
             truth,
+            truth_alpha: TruthAlpha::Ignore,
             background: [0.1, 0.2, 0.3],
             sh_degree: 0,
             band_degree: 0,

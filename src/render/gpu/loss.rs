@@ -61,29 +61,27 @@ impl Loss {
         gradient: &Buffer,
         view_uniform: &Buffer,
         ssim_weight: f32,
-        truth_alpha: TruthAlpha,
         exposures: Option<&Buffer>,
     ) -> Result<Self, GpuError> {
-        let defines: Defines = gpu
-            .defines()
-            .with("EXPOSURE", u32::from(exposures.is_some()))
-            .with("COMPOSITE", u32::from(truth_alpha == TruthAlpha::Composite))
-            .with("MASK", u32::from(truth_alpha == TruthAlpha::Mask));
+        let defines: Defines = gpu.defines().with("EXPOSURE", u32::from(exposures.is_some()));
         let forward = Kernel::new(gpu, "loss.wgsl", "forward", &defines);
         let backward = Kernel::new(gpu, "loss.wgsl", "backward", &defines);
         let n_groups = 3 * groups(width, WIDTH) * groups(height, HEIGHT);
         let weights = gpu.uniform("loss weights", 4)?;
-        gpu.write(&weights, 0, &[ssim_weight, 0.0, 0.0, 0.0]);
         let slopes = gpu.storage("SSIM slopes", 12 * width * height)?;
         let means = gpu.storage("loss means", 2 * n_groups)?;
         let buffers = [view_uniform, &weights, image, truth, &slopes, gradient, &means];
         let bindings = forward.bind(gpu, &buffers.into_iter().chain(exposures).collect::<Vec<_>>());
-        Ok(Self { forward, backward, bindings, means, weights, ssim_weight, n_groups })
+        let loss = Self { forward, backward, bindings, means, weights, ssim_weight, n_groups };
+        loss.set_truth(gpu, TruthAlpha::Ignore, 0);
+        Ok(loss)
     }
 
-    /// Whose exposure counts in frames from now on.
-    pub(crate) fn set_view(&self, gpu: &Gpu, view: usize) {
-        gpu.write(&self.weights, 0, &[self.ssim_weight, view as f32, 0.0, 0.0]);
+    /// What alpha means in frames from now on, and the view whose exposure counts, with exposures.
+    pub(crate) fn set_truth(&self, gpu: &Gpu, alpha: TruthAlpha, view: usize) {
+        let is = |wanted: TruthAlpha| f32::from(u8::from(alpha == wanted));
+        let weights = [self.ssim_weight, view as f32, is(TruthAlpha::Composite), is(TruthAlpha::Mask)];
+        gpu.write(&self.weights, 0, &weights);
     }
 
     /// Appends loss and gradient to a frame.
@@ -196,8 +194,8 @@ mod tests {
             let truth = gpu.storage_with("truth", &self.truth).unwrap();
             let gradient = gpu.storage_with("gradient", &vec![[7f32; 4]; w * h]).unwrap();
             // One tile more than needed, as for a smaller view of a set.
-            let loss = Loss::new(gpu, w + WIDTH, h, &image, &truth, &gradient, &uniform, ssim_weight, self.alpha, None)
-                .unwrap();
+            let loss = Loss::new(gpu, w + WIDTH, h, &image, &truth, &gradient, &uniform, ssim_weight, None).unwrap();
+            loss.set_truth(gpu, self.alpha, 0);
             let mut frame = Frame::new(gpu);
             loss.record(&mut frame);
             frame.submit();

@@ -101,7 +101,7 @@ pub struct StepTimes {
 /// If the adapter fails.
 pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: usize) -> Result<StepTimes, GpuError> {
     let truth = vec![128; camera.intrinsics().width as usize * camera.intrinsics().height as usize * 4];
-    let mut training = Training::new(gpu, scene, &[*camera], 0.2, TruthAlpha::Ignore)?;
+    let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
     let step = Step {
         vertices: None,
@@ -109,6 +109,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
         pose: None,
         camera,
         truth: &truth,
+        truth_alpha: TruthAlpha::Ignore,
         background: scene.composition.background,
         sh_degree: scene.splats.sh_degree(),
         band_degree: sh::MAX_DEGREE,

@@ -4,7 +4,6 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 use super::{
     Gpu, LayeredRenderer, Renderer,
-    loss::TruthAlpha,
     memory::{TrainingSize, training_bytes},
     training::Training,
 };
@@ -48,7 +47,7 @@ fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
     // A fresh adapter each time, as the peak of one never falls. Nothing is read back, as staging counts too.
     let gpu = Gpu::open(None).unwrap();
     match kind {
-        Kind::Training => drop(Training::new(&gpu, &scene, &[camera], 0.2, TruthAlpha::Ignore).unwrap()),
+        Kind::Training => drop(Training::new(&gpu, &scene, &[camera], 0.2).unwrap()),
         Kind::Rendering => drop(Renderer::new(&gpu, &scene, &[camera]).unwrap()),
         Kind::Layers(model) => drop(LayeredRenderer::new(&gpu, &scene, &[camera], model).unwrap()),
     }

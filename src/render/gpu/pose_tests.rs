@@ -60,6 +60,7 @@ fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<P
         .step(&Step {
             camera,
             truth: &truth(camera),
+            truth_alpha: TruthAlpha::Ignore,
             background: [0.3, 0.2, 0.1],
             sh_degree,
             band_degree: 0,
@@ -85,7 +86,7 @@ fn l1(scene: &HybridScene, camera: &Camera, truth: &[u8]) -> f64 {
 fn assert_gradient(gpu: &Gpu, mut scene: HybridScene, camera: &Camera, h: f64, tolerance: f64) {
     scene.meshes.clear();
     scene.composition.background = [0.3, 0.2, 0.1];
-    let training = Training::new(gpu, &scene, &[*camera], 0.0, TruthAlpha::Ignore).unwrap();
+    let training = Training::new(gpu, &scene, &[*camera], 0.0).unwrap();
     assert_gradient_of(training, &scene, camera, h, tolerance);
 }
 
@@ -159,10 +160,10 @@ fn more_splats_than_there_was_room_for_pull_at_poses() {
         (0..10).flat_map(|i| scene.splats.sh_of(i)).copied().collect(),
     );
     let few = HybridScene { splats: few.unwrap(), meshes: vec![], composition: scene.composition };
-    let mut training = Training::new(&gpu, &few, &[camera], 0.0, TruthAlpha::Ignore).unwrap();
+    let mut training = Training::new(&gpu, &few, &[camera], 0.0).unwrap();
     training.sum_absolute_gradients().unwrap();
     training.refine_poses(&poses()).unwrap();
-    let all = Training::new(&gpu, &scene, &[camera], 0.0, TruthAlpha::Ignore).unwrap().read_splats().unwrap();
+    let all = Training::new(&gpu, &scene, &[camera], 0.0).unwrap().read_splats().unwrap();
     assert!(training.pipeline.splats.capacity < 300);
     training.write_splats(&all).unwrap();
     assert_gradient_of(training, &scene, &camera, 1e-8, 2e-4);
@@ -174,7 +175,7 @@ fn no_change_and_no_rate_change_nothing() {
     let (mut scene, camera) = testing::random_scene(3, 100, 0, 1, 1, OrderMode::Stable);
     scene.meshes.clear();
     let learnt = |refined: bool| {
-        let mut training = Training::new(&gpu, &scene, &[camera], 0.2, TruthAlpha::Ignore).unwrap();
+        let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
         if refined {
             training.refine_poses(&PoseState::new(2)).unwrap();
         }

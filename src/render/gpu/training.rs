@@ -31,6 +31,8 @@ pub(crate) struct Step<'a> {
     pub(crate) camera: &'a Camera,
     /// RGBA8, `[h·w·4]`.
     pub(crate) truth: &'a [u8],
+    /// What its alpha means.
+    pub(crate) truth_alpha: TruthAlpha,
     pub(crate) background: [f32; 3],
     pub(crate) sh_degree: u32,
     pub(crate) band_degree: u32,
@@ -53,7 +55,6 @@ pub(crate) struct Training<'g> {
     truth: Buffer,
     size: (usize, usize),
     ssim_weight: f32,
-    truth_alpha: TruthAlpha,
     list_check: ListCheck,
     loss: Loss,
     adam: SplatAdam,
@@ -71,14 +72,13 @@ impl<'g> Training<'g> {
         scene: &HybridScene,
         cameras: &[Camera],
         ssim_weight: f32,
-        truth_alpha: TruthAlpha,
     ) -> Result<Self, GpuError> {
         let capacity = with_headroom(gpu, scene.splats.len(), scene.splats.sh_degree());
         let pipeline = Pipeline::new(gpu, scene, capacity, cameras, true)?;
         let width = cameras.iter().map(|c| c.intrinsics().width).max().unwrap_or(1) as usize;
         let height = cameras.iter().map(|c| c.intrinsics().height).max().unwrap_or(1) as usize;
         let truth = gpu.storage("photograph", width * height)?;
-        let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, truth_alpha, None)?;
+        let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, None)?;
         let (adam, moments) = new_adam(gpu, &pipeline)?;
         let list_check = new_list_check(gpu, &pipeline);
         let size = (width, height);
@@ -89,7 +89,6 @@ impl<'g> Training<'g> {
             truth,
             size,
             ssim_weight,
-            truth_alpha,
             list_check,
             loss,
             adam,
@@ -123,9 +122,7 @@ impl<'g> Training<'g> {
         self.pipeline.record_forward(self.gpu, &mut frame, &view);
         self.list_check.record(&mut frame);
         let exposure = self.exposures.as_mut().zip(step.exposure);
-        if let Some((_, step)) = &exposure {
-            self.loss.set_view(self.gpu, step.view);
-        }
+        self.loss.set_truth(self.gpu, step.truth_alpha, exposure.as_ref().map_or(0, |(_, step)| step.view));
         self.loss.record(&mut frame);
         if let Some((exposures, step)) = exposure {
             exposures.record(self.gpu, &mut frame, &view, &step);
@@ -420,9 +417,9 @@ impl<'g> Training<'g> {
     }
 
     fn bind_loss(&mut self) -> Result<(), GpuError> {
-        let Self { gpu, pipeline, truth, size, ssim_weight, truth_alpha, .. } = &*self;
+        let Self { gpu, pipeline, truth, size, ssim_weight, .. } = &*self;
         let exposures = self.exposures.as_ref().map(|exposures| &exposures.values);
-        self.loss = new_loss(gpu, pipeline, truth, *size, *ssim_weight, *truth_alpha, exposures)?;
+        self.loss = new_loss(gpu, pipeline, truth, *size, *ssim_weight, exposures)?;
         if let Some(exposures) = &mut self.exposures {
             exposures.bind(self.gpu, &self.pipeline);
         }
@@ -454,12 +451,11 @@ fn new_loss(
     truth: &Buffer,
     (width, height): (usize, usize),
     ssim_weight: f32,
-    truth_alpha: TruthAlpha,
     exposures: Option<&Buffer>,
 ) -> Result<Loss, GpuError> {
     let gradient = &pipeline.backward.as_ref().expect("made for training").image_gradient;
     let image = &pipeline.blend.image;
-    Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, truth_alpha, exposures)
+    Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, exposures)
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {

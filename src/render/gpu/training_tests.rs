@@ -62,6 +62,7 @@ fn step(training: &mut Training, camera: &Camera) {
         .step(&Step {
             camera,
             truth: &truth,
+            truth_alpha: TruthAlpha::Ignore,
             background: [0.0; 3],
             sh_degree: 0,
             band_degree: 0,
@@ -92,7 +93,7 @@ fn a_step_with_lists_too_short_changes_nothing() {
         let scene = scene(n, triangles);
         // From far away everything is small.
         let (near, far) = (camera(3.0), camera(1e5));
-        let mut training = Training::new(&gpu, &scene, &[near], 0.2, TruthAlpha::Ignore).unwrap();
+        let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
         training.refine_poses(&PoseState::new(1)).unwrap();
         let before = learnt(&training);
         step(&mut training, &near);
@@ -118,7 +119,7 @@ fn what_is_not_finite_is_found_in_the_step() {
     let gpu = Gpu::open(None).unwrap();
     let scene = scene(2, 1);
     let broken = |change: fn(&mut SplatArrays, &mut Vec<f32>)| {
-        let mut training = Training::new(&gpu, &scene, &[camera(3.0)], 0.2, TruthAlpha::Ignore).unwrap();
+        let mut training = Training::new(&gpu, &scene, &[camera(3.0)], 0.2).unwrap();
         step(&mut training, &camera(3.0));
         training.grow_if_short().unwrap();
         let mut splats = training.read_splats().unwrap();

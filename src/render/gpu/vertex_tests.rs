@@ -58,7 +58,7 @@ fn rms_height(meshes: &[Mesh]) -> f32 {
 fn a_bent_sheet_flattens_to_its_photographs() {
     let gpu = Gpu::open(None).unwrap();
     let cameras: Vec<Camera> = (0..5).map(|i| camera(1.3 * f64::from(i))).collect();
-    let mut flat = Training::new(&gpu, &sheet(|_, _| 0.0), &cameras, 0.2, TruthAlpha::Ignore).unwrap();
+    let mut flat = Training::new(&gpu, &sheet(|_, _| 0.0), &cameras, 0.2).unwrap();
     let photographs: Vec<Vec<u8>> = (cameras.iter())
         .map(|c| {
             let picture = flat.render(c, [0.0; 3], false).unwrap();
@@ -68,7 +68,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
         .collect();
     // One and a half pixels.
     let scene = sheet(|x, y| 0.035 * (2.0 * x).cos() * (1.5 * y + 0.5).cos());
-    let mut training = Training::new(&gpu, &scene, &cameras, 0.2, TruthAlpha::Ignore).unwrap();
+    let mut training = Training::new(&gpu, &scene, &cameras, 0.2).unwrap();
     training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 2.2 / SIDE as f32)).unwrap();
     for t in 0..150_u32 {
         let view = t as usize % cameras.len();
@@ -77,6 +77,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
             .step(&Step {
                 camera: &cameras[view],
                 truth: &photographs[view],
+                truth_alpha: TruthAlpha::Ignore,
                 background: [0.0; 3],
                 sh_degree: 0,
                 band_degree: 0,
