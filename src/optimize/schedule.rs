@@ -89,6 +89,21 @@ impl Schedule {
         Self { white_background: true, ..self }
     }
 
+    /// The same where splats are handed over to a mesh after iteration `at`: density control, which ended with the splats' own run, goes on for the
+    /// first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing changes where it goes on longer.
+    #[must_use]
+    pub fn handed_over(self, at: u32) -> Self {
+        let half = at + self.iterations.saturating_sub(at) / 2;
+        let again = half > self.densify_until;
+        Self {
+            densify_from: if again { at + self.densify_from } else { self.densify_from },
+            densify_until: half.max(self.densify_until),
+            // It was for the beginning.
+            white_background: false,
+            ..self
+        }
+    }
+
     /// SH degree in use at iteration `t`, at most `max_degree`.
     #[must_use]
     pub fn sh_degree(&self, t: u32, max_degree: u32) -> u32 {
@@ -212,6 +227,24 @@ mod tests {
         assert!((Schedule::new(30_000).exposure_rate(0, 400) - 2e-2).abs() < 1e-8);
         assert!((Schedule::new(100).exposure_rate(0, 50) - 0.1).abs() < 1e-7);
         assert!((Schedule::new(30_000).exposure_rate(0, 10) - 1e-2).abs() < 1e-8);
+    }
+
+    #[test]
+    fn density_control_goes_on_beside_a_mesh() {
+        let splats = Schedule::new(30_000).with_white_background();
+        let joint = splats.handed_over(15_000);
+        let during = |s: &Schedule, when: fn(&Schedule, u32) -> bool| {
+            (15_001..30_000).filter(|t| when(s, *t)).collect::<Vec<_>>()
+        };
+        assert!(during(&splats, Schedule::densifies_after).is_empty());
+        let densifies = during(&joint, Schedule::densifies_after);
+        assert_eq!((densifies[0], densifies[densifies.len() - 1], densifies.len()), (15_600, 22_400, 69));
+        assert_eq!(during(&joint, Schedule::resets_opacity_after), [18_000, 21_000]);
+        assert!(joint.freezes_mesh_opacity(18_100) && !joint.freezes_mesh_opacity(18_300));
+        // MCMC's goes on anyway, and what is short stays in order.
+        let mcmc = Schedule::new(30_000).for_mcmc();
+        assert_eq!(mcmc.handed_over(15_000), mcmc);
+        assert!(Schedule::new(20).handed_over(20).densify_until <= 20);
     }
 
     #[test]

@@ -91,6 +91,7 @@ impl Run<'_> {
         };
         let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
         let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
+        let schedule = if phase == Phase::Joint && self.hands_over { schedule.handed_over(before) } else { schedule };
         let from = saved.as_ref().map_or(0, |s| s.iteration);
         let moves_vertices = phase == Phase::Warmup && self.hands_over;
         let has_mesh = !scene.meshes.is_empty();
