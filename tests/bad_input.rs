@@ -165,8 +165,16 @@ fn folders_that_take_no_files() {
 #[test]
 fn adapters_that_do_not_exist() {
     let folder = folder_with_capture(3);
-    let line = failure(folder.path(), &mut train(folder.path(), ["--adapter", "abacus"]));
-    assert!(line.contains(r#"no adapter matches "abacus"; available: "#), "{line}");
+    for wanted in ["abacus", "#99", "ffff:ff:1f.7"] {
+        let expected = format!("error: no adapter matches {wanted:?}; available: #0 ");
+        let line = failure(folder.path(), &mut train(folder.path(), ["--adapter", wanted]));
+        assert!(line.starts_with(&expected), "{line}");
+        // From the environment, too, where the flag says nothing else.
+        let line = failure(folder.path(), train(folder.path(), []).env("CENTAUR_ADAPTER", wanted));
+        assert!(line.starts_with(&expected), "{line}");
+        let line = failure(folder.path(), train(folder.path(), ["--adapter", "none"]).env("CENTAUR_ADAPTER", wanted));
+        assert!(line.starts_with(r#"error: no adapter matches "none""#), "{line}");
+    }
 }
 
 /// Vulkan's loader is told of no driver: as on a machine without one.

@@ -60,7 +60,12 @@ fn help_and_version_are_answers_not_errors() {
 fn devices_as_json_is_an_array_with_or_without_a_gpu() {
     let output = centaur(&["devices", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert!(serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap().is_array());
+    let listed: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
+    for (i, adapter) in listed.iter().enumerate() {
+        assert_eq!(adapter["index"], i, "{adapter}");
+        let bus = &adapter["pci_bus_id"];
+        assert!(bus.is_null() || bus.as_str().unwrap().contains(':'), "{adapter}");
+    }
 }
 
 #[test]

@@ -39,7 +39,7 @@ struct Options {
     /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// The first adapter whose name contains this, instead of the best one.
+    /// The adapter, as `centaur train --adapter` takes it, instead of the best one.
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
     /// What cargo calls benchmarks with.

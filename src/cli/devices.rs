@@ -10,7 +10,8 @@ Examples:
 
 /// List the GPU adapters that can run Centaur, best first
 ///
-/// `--adapter NAME` of the other commands takes any part of a name shown here; without it the first is used.
+/// `--adapter` of the other commands, or `CENTAUR_ADAPTER` in the environment, takes an index (`#1`), a PCI bus id or any part of a name shown
+/// here; without it the first is used.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -30,7 +31,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::print(&adapters.iter().map(describe).collect::<Vec<_>>().join("\n"))
 }
 
-/// Three lines: name, then what decides speed and size.
+/// Three lines: how to ask for it, then what decides speed and size.
 fn describe(a: &AdapterSummary) -> String {
     let yes = |b: bool, what: &'static str, not: &'static str| if b { what } else { not };
     let subgroups = match a.subgroup_size {
@@ -39,8 +40,7 @@ fn describe(a: &AdapterSummary) -> String {
         (low, high) => format!("subgroups of {low} to {high}"),
     };
     format!(
-        "{}\n  {} {}, {}\n  buffers up to {} MiB, {}, {subgroups}, {}",
-        a.name,
+        "{a}\n  {} {}, {}\n  buffers up to {} MiB, {}, {subgroups}, {}",
         a.backend,
         a.kind,
         a.driver,

@@ -138,8 +138,8 @@ pub(super) struct MessageArgs {
 /// Where it runs.
 #[derive(clap::Args)]
 pub(super) struct AdapterArgs {
-    /// GPU adapter: any part of a name that `centaur devices` lists [default: the first of them]
-    #[arg(long, value_name = "NAME")]
+    /// GPU adapter: any part of a name, an index such as `#1`, or a PCI bus id, as `centaur devices` lists them [default: the first]
+    #[arg(long, value_name = "NAME", env = "CENTAUR_ADAPTER")]
     adapter: Option<String>,
 }
 

@@ -1,4 +1,8 @@
-//! Which adapters there are and what they can do.
+//! Which adapters there are, what they can do, and which of them is meant.
+
+use std::fmt;
+
+use super::error::GpuError;
 
 /// What shaders may use on this adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +20,10 @@ pub struct Profile {
 /// One line of `centaur devices`.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct AdapterSummary {
+    /// Position in the list, from 0.
+    pub index: usize,
+    /// PCI bus id, such as `0000:41:00.0`, where the driver tells it.
+    pub pci_bus_id: Option<String>,
     /// Name as the driver gives it.
     pub name: String,
     /// Vulkan, Metal, Dx12, …
@@ -32,6 +40,14 @@ pub struct AdapterSummary {
     pub subgroup_size: (u32, u32),
     /// Timestamp queries.
     pub timestamps: bool,
+}
+
+/// How to ask for it: `#0 NAME (0000:41:00.0)`.
+impl fmt::Display for AdapterSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "#{} {}", self.index, self.name)?;
+        self.pci_bus_id.as_ref().map_or(Ok(()), |bus| write!(f, " ({bus})"))
+    }
 }
 
 fn instance() -> wgpu::Instance {
@@ -59,21 +75,119 @@ pub(super) fn adapters() -> Vec<wgpu::Adapter> {
 /// All adapters that can run the pipeline, best first.
 #[must_use]
 pub fn list_adapters() -> Vec<AdapterSummary> {
-    adapters()
-        .iter()
-        .map(|a| {
-            let (info, features) = (a.get_info(), a.features());
-            let subgroups = features.contains(wgpu::Features::SUBGROUP);
-            AdapterSummary {
-                name: info.name,
-                backend: format!("{:?}", info.backend),
-                kind: format!("{:?}", info.device_type),
-                driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
-                max_binding_bytes: a.limits().max_storage_buffer_binding_size,
-                float_atomics: features.contains(wgpu::Features::SHADER_FLOAT32_ATOMIC),
-                subgroup_size: if subgroups { (info.subgroup_min_size, info.subgroup_max_size) } else { (0, 0) },
-                timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
-            }
-        })
-        .collect()
+    summaries(&adapters())
+}
+
+/// In the same order.
+pub(super) fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
+    let summary = |(index, a): (usize, &wgpu::Adapter)| {
+        let (info, features) = (a.get_info(), a.features());
+        let subgroups = features.contains(wgpu::Features::SUBGROUP);
+        AdapterSummary {
+            index,
+            pci_bus_id: Some(info.device_pci_bus_id).filter(|bus| !bus.is_empty()),
+            name: info.name,
+            backend: format!("{:?}", info.backend),
+            kind: format!("{:?}", info.device_type),
+            driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+            max_binding_bytes: a.limits().max_storage_buffer_binding_size,
+            float_atomics: features.contains(wgpu::Features::SHADER_FLOAT32_ATOMIC),
+            subgroup_size: if subgroups { (info.subgroup_min_size, info.subgroup_max_size) } else { (0, 0) },
+            timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+        }
+    };
+    adapters.iter().enumerate().map(summary).collect()
+}
+
+/// The index of the adapter that is meant by `wanted`, as [`super::Gpu::open`] has it.
+pub(super) fn choose(wanted: Option<&str>, all: &[AdapterSummary]) -> Result<usize, GpuError> {
+    if all.is_empty() {
+        return Err(GpuError::NoAdapter);
+    }
+    let Some(wanted) = wanted else { return Ok(0) };
+    let found = if let Some(index) = wanted.strip_prefix('#') {
+        index.parse().ok().filter(|index| *index < all.len())
+    } else if let Some(bus) = parse_bus_id(wanted) {
+        all.iter().position(|a| a.pci_bus_id.as_deref().and_then(parse_bus_id) == Some(bus))
+    } else {
+        let part = wanted.to_lowercase();
+        all.iter().position(|a| a.name.to_lowercase().contains(&part))
+    };
+    found.ok_or_else(|| GpuError::NoSuchAdapter {
+        wanted: wanted.to_owned(),
+        available: all.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
+    })
+}
+
+/// Domain, bus, device and function. Programs differ in digits of the domain, which some leave out, and in case.
+fn parse_bus_id(text: &str) -> Option<[u32; 4]> {
+    let (rest, function) = text.rsplit_once('.')?;
+    let (rest, device) = rest.rsplit_once(':')?;
+    let (domain, bus) = rest.rsplit_once(':').unwrap_or(("0", rest));
+    let number = |digits: &str| u32::from_str_radix(digits, 16).ok();
+    Some([number(domain)?, number(bus)?, number(device)?, number(function)?])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adapter(index: usize, name: &str, bus: Option<&str>) -> AdapterSummary {
+        AdapterSummary {
+            index,
+            pci_bus_id: bus.map(str::to_owned),
+            name: name.to_owned(),
+            backend: "Vulkan".to_owned(),
+            kind: "DiscreteGpu".to_owned(),
+            driver: String::new(),
+            max_binding_bytes: 1 << 30,
+            float_atomics: true,
+            subgroup_size: (32, 32),
+            timestamps: true,
+        }
+    }
+
+    fn node() -> [AdapterSummary; 4] {
+        [
+            adapter(0, "NVIDIA H100", Some("0000:41:00.0")),
+            adapter(1, "NVIDIA H100", Some("0000:c1:00.0")),
+            adapter(2, "NVIDIA H100", Some("0001:41:00.0")),
+            adapter(3, "llvmpipe (LLVM 15)", None),
+        ]
+    }
+
+    #[test]
+    fn equal_adapters_are_told_apart_by_index_and_bus() {
+        for (wanted, expected) in [
+            ("#0", 0),
+            ("#1", 1),
+            ("#3", 3),
+            ("0000:41:00.0", 0),
+            ("0000:c1:00.0", 1),
+            ("41:00.0", 0),
+            // As nvidia-smi writes them.
+            ("00000000:C1:00.0", 1),
+            ("00000001:41:00.0", 2),
+            ("h100", 0),
+            // Without # a digit is part of a name.
+            ("15", 3),
+            ("", 0),
+        ] {
+            assert_eq!(choose(Some(wanted), &node()).unwrap(), expected, "{wanted}");
+        }
+        assert_eq!(choose(None, &node()).unwrap(), 0);
+    }
+
+    #[test]
+    fn what_is_not_there_is_an_error_that_lists_what_is() {
+        for wanted in ["#4", "#-1", "#", "#h100", "0000:42:00.0", "0000:41:00.1", "abacus"] {
+            let expected = format!(
+                "no adapter matches {wanted:?}; available: #0 NVIDIA H100 (0000:41:00.0), #1 NVIDIA H100 (0000:c1:00.0), \
+                 #2 NVIDIA H100 (0001:41:00.0), #3 llvmpipe (LLVM 15)"
+            );
+            assert_eq!(choose(Some(wanted), &node()).unwrap_err().to_string(), expected);
+        }
+        assert!(matches!(choose(Some("#0"), &[]), Err(GpuError::NoAdapter)));
+        assert!(matches!(choose(None, &[]), Err(GpuError::NoAdapter)));
+    }
 }

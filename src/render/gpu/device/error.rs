@@ -9,12 +9,12 @@ pub enum GpuError {
          (Debian/Ubuntu: apt install mesa-vulkan-drivers)"
     )]
     NoAdapter,
-    /// No adapter with the requested name.
+    /// None of the requested name, index or PCI bus id.
     #[error("no adapter matches {wanted:?}; available: {available}")]
     NoSuchAdapter {
         /// What was asked for.
         wanted: String,
-        /// Names of all adapters.
+        /// All adapters, as they can be asked for.
         available: String,
     },
     /// The adapter refused a device.

@@ -11,8 +11,8 @@ use std::{
     sync::{Arc, Mutex, PoisonError, atomic::Ordering},
 };
 
-use adapters::adapters;
 pub use adapters::{AdapterSummary, Profile, list_adapters};
+use adapters::{adapters, choose, summaries};
 pub(crate) use buffer::Buffer;
 use buffer::Memory;
 use error::Failure;
@@ -37,7 +37,8 @@ pub struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the best adapter, or the first whose name contains `wanted` (case-insensitive).
+    /// Opens the best adapter, or that which `wanted` says: `#1` is the one of that index in [`list_adapters`], `0000:41:00.0` the one with
+    /// that PCI bus id, anything else the first whose name contains it (case-insensitive).
     ///
     /// # Errors
     /// If there is no (such) adapter or its driver refuses a device.
@@ -52,19 +53,7 @@ impl Gpu {
     /// As [`Gpu::open`].
     pub fn open_restricted(wanted: Option<&str>, float_atomics: bool, subgroups: bool) -> Result<Self, GpuError> {
         let all = adapters();
-        if all.is_empty() {
-            return Err(GpuError::NoAdapter);
-        }
-        let name_of = |a: &wgpu::Adapter| a.get_info().name;
-        let adapter = match wanted {
-            None => &all[0],
-            Some(w) => all.iter().find(|a| name_of(a).to_lowercase().contains(&w.to_lowercase())).ok_or_else(|| {
-                GpuError::NoSuchAdapter {
-                    wanted: w.to_owned(),
-                    available: all.iter().map(name_of).collect::<Vec<_>>().join(", "),
-                }
-            })?,
-        };
+        let adapter = &all[choose(wanted, &summaries(&all))?];
         let info = adapter.get_info();
         let mut wanted_features = wgpu::Features::TIMESTAMP_QUERY;
         wanted_features.set(wgpu::Features::SHADER_FLOAT32_ATOMIC, float_atomics);
