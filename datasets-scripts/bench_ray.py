@@ -4,13 +4,18 @@
   python bench_ray.py [--address ADDRESS] [--gpus 1] [--cpus 4] DATASET -o OUT [options of centaur bench]
 
 All nodes must see DATASET and OUT under the same paths and have `centaur` (or what --program says). A task that is lost with its
-node is started again and goes on from its checkpoint; jobs that are done are not done again.
+node is started again and goes on from its checkpoint; jobs that are done are not done again. On nodes of several GPUs a job has the one
+that Ray assigned to it.
 """
 
 import argparse
+import os
 import shlex
 import subprocess
 import sys
+
+import assigned_adapter
+from assigned_adapter import adapter_of
 
 
 def open_jobs(program, options):
@@ -28,6 +33,25 @@ def with_option(options, option):
     return [*options[:end], option, *options[end:]]
 
 
+def run(program, command):
+    """Exit status of a job, the last line it said, and where."""
+    import ray
+
+    context = ray.get_runtime_context()
+    where = context.get_node_id()[:8]
+    environment = dict(os.environ)
+    gpus = context.get_accelerator_ids().get("GPU")
+    try:
+        adapter = adapter_of(gpus[0] if gpus else None, program)
+    except LookupError as e:
+        return 1, str(e), where
+    if adapter:
+        environment["CENTAUR_ADAPTER"] = adapter
+        where += f" ({adapter})"
+    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    return done.returncode, (done.stderr.strip().splitlines() or [""])[-1], where
+
+
 def main(arguments):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", default="centaur", help="how to call it (default: centaur)")
@@ -42,14 +66,11 @@ def main(arguments):
     except ImportError:
         raise SystemExit("ray is missing: pip install ray")
     ray.init(address=args.address, log_to_driver=False)
-
-    def run(command):
-        """Exit status of a job, the last line it said, and where. A function within, so that nodes need not have this file."""
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        return done.returncode, (done.stderr.strip().splitlines() or [""])[-1], ray.get_runtime_context().get_node_id()[:8]
-
+    # Nodes need not have these files.
+    for module in [sys.modules[__name__], assigned_adapter]:
+        ray.cloudpickle.register_pickle_by_value(module)
     task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
-    names = {task.remote(job): job[job.index("--only") + 1] for job in jobs}
+    names = {task.remote(program, job): job[job.index("--only") + 1] for job in jobs}
     failed, pending = 0, list(names)
     while pending:
         (ready,), pending = ray.wait(pending, num_returns=1)

@@ -115,6 +115,45 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert_eq!(said(&alone).0, table);
 }
 
+/// `bench.sbatch` in each task of an array, with what Slurm sets; `--list` in place of trainings.
+#[test]
+#[cfg(target_os = "linux")]
+fn tasks_of_slurm_do_every_job_once() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for scene in ["one", "two", "three"] {
+        std::fs::create_dir_all(at("scenes").join(scene).join("sparse")).unwrap();
+    }
+    // No GPU is assigned, and so there is nothing for Python to say.
+    std::fs::create_dir(at("bin")).unwrap();
+    std::fs::write(at("bin/python3"), "#!/bin/sh\n").unwrap();
+    std::fs::set_permissions(at("bin/python3"), std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", at("bin").display(), std::env::var("PATH").unwrap());
+    let options = ["scenes", "-o", "out", "--seeds", "0,1,2", "--variant", "a", "--variant", "b=--no-mesh", "--list"];
+    let flags = ["--", "--antialias"];
+    let all = said(&centaur(folder.path()).arg("bench").args(options).args(flags).output().unwrap()).0;
+    let root = env!("CARGO_MANIFEST_DIR");
+    let mut listed = vec![];
+    for task in 0..4 {
+        let mut command = Command::new("bash");
+        command.current_dir(folder.path()).arg(format!("{root}/datasets-scripts/bench.sbatch"));
+        command.args(options).args(flags).env("PATH", &path);
+        command.env("SLURM_SUBMIT_DIR", root).env("CENTAUR_PROGRAM", env!("CARGO_BIN_EXE_centaur"));
+        for (name, value) in [("ID", task), ("MIN", 0), ("MAX", 3), ("COUNT", 4)] {
+            command.env(format!("SLURM_ARRAY_TASK_{name}"), value.to_string());
+        }
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{:?}", said(&output));
+        listed.extend(said(&output).0.lines().map(str::to_owned));
+    }
+    let mut expected: Vec<_> = all.lines().collect();
+    assert_eq!(expected.len(), 18);
+    expected.sort_unstable();
+    listed.sort_unstable();
+    assert_eq!(listed, expected);
+}
+
 /// A runner of a training that does not end.
 #[cfg(target_os = "linux")]
 fn endless(folder: &Path) -> std::process::Child {

@@ -1,6 +1,7 @@
 """bench_ray.py on a cluster of two nodes on this machine: `check_bench_ray.py "PROGRAM" CAPTURE FOLDER`.
 
-Two scenes (links to one capture) times two variants, coarse; each node takes one job at a time, so both must work.
+Two scenes (links to one capture) times two variants, coarse; each node takes one job at a time, so both must work. Then two jobs of a
+made-up program on the second node, which says of itself that it has two GPUs: each must have its own.
 """
 
 import contextlib
@@ -8,6 +9,7 @@ import io
 import json
 import os
 import pathlib
+import signal
 import sys
 
 import ray
@@ -20,31 +22,78 @@ COARSE = ["--max-side", "48", "--iterations", "20", "--surface-iterations", "10"
           "--texture-size", "64", "--max-splats", "2000"]
 
 
+# Both jobs wait until both run. Vulkan's order is not that of NVIDIA's tools.
+STAND_IN = """
+import json, os, pathlib, sys, time
+folder = pathlib.Path(__file__).parent
+if sys.argv[1] == "devices":
+    buses = ["0000:c1:00.0", "0000:41:00.0"]
+    print(json.dumps([{"index": i, "name": "A GPU", "kind": "DiscreteGpu", "pci_bus_id": bus} for i, bus in enumerate(buses)]))
+elif "--list" in sys.argv:
+    print("centaur bench --only a/one-0\\ncentaur bench --only a/two-0")
+elif "--only" in sys.argv:
+    job = folder / sys.argv[-1].replace("/", "-")
+    job.with_suffix(".json").write_text(json.dumps([os.environ["CUDA_VISIBLE_DEVICES"], os.environ.get("CENTAUR_ADAPTER")]))
+    end = time.monotonic() + 120
+    while len(list(folder.glob("*.json"))) < 2:
+        if time.monotonic() > end:
+            sys.exit("error: expected another job at the same time, found none in two minutes")
+        time.sleep(0.1)
+"""
+NVIDIA_SMI = "#!/bin/sh\nprintf '0, GPU-aa, 00000000:41:00.0\\n1, GPU-bb, 00000000:C1:00.0\\n'\n"
+
+
+def bench(arguments):
+    """What bench_ray.py prints."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        try:
+            bench_ray.main(arguments)
+        except SystemExit as end:
+            assert end.code == 0, (end.code, said.getvalue())
+    ray.shutdown()
+    print(said.getvalue())
+    return said.getvalue()
+
+
+def check_gpus(address, folder):
+    (folder / "stand_in.py").write_text(STAND_IN)
+    bench(["--program", f"{sys.executable} {folder / 'stand_in.py'}", "--address", address, "--gpus", "1", "--cpus", "0.5", "none", "-o", "none"])
+    adapters = dict(json.loads(path.read_text()) for path in folder.glob("*.json"))
+    assert adapters == {"0": "0000:41:00.0", "1": "0000:c1:00.0"}, adapters
+
+
+def give_up(*_):
+    raise TimeoutError("expected an end within ten minutes, found none")
+
+
 def main():
+    signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(600)
     program, capture, folder = sys.argv[1], pathlib.Path(sys.argv[2]).resolve(), pathlib.Path(sys.argv[3]).resolve()
     scenes, out = folder / "scenes", folder / "out"
     scenes.mkdir(parents=True)
     for name in ["one", "two"]:
         os.symlink(capture, scenes / name)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    cluster.add_node(num_cpus=1)
+    # Found by the nodes, which are started with this path.
+    gpus = folder / "gpus"
+    gpus.mkdir()
+    (gpus / "nvidia-smi").write_text(NVIDIA_SMI)
+    (gpus / "nvidia-smi").chmod(0o755)
+    os.environ["PATH"] = f"{gpus}:{os.environ['PATH']}"
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "num_gpus": 0})
+    cluster.add_node(num_cpus=1, num_gpus=2)
     options = [str(scenes), "-o", str(out), "--variant", "hybrid", "--variant", "splats=--no-mesh", "--", *COARSE]
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
-        try:
-            bench_ray.main(["--program", program, "--address", cluster.address, "--gpus", "0", "--cpus", "1", *options])
-        except SystemExit as end:
-            assert end.code == 0, end.code
-    print(said.getvalue())
-    nodes = {line.split(" on node ")[1] for line in said.getvalue().splitlines()}
-    assert "4/4" in said.getvalue() and len(nodes) == 2, nodes
+    said = bench(["--program", program, "--address", cluster.address, "--gpus", "0", "--cpus", "1", *options])
+    nodes = {line.split(" on node ")[1] for line in said.splitlines()}
+    assert "4/4" in said and len(nodes) == 2, nodes
     table = json.loads((out / "table.json").read_text())
     assert [len(v["rows"]) for v in table["variants"]] == [2, 2]
     assert all(row["psnr"] > 5 for v in table["variants"] for row in v["rows"])
     assert bench_ray.open_jobs(program.split(), options) == [], "what is done is done"
-    ray.shutdown()
+    check_gpus(cluster.address, gpus)
     cluster.shutdown()
-    print("two nodes, four jobs: agreed")
+    print("two nodes, four jobs; two GPUs, a job each: agreed")
 
 
 if __name__ == "__main__":

@@ -24,9 +24,10 @@ Examples:
   centaur bench data/mipnerf360 -o out/m360 --table
 
 Elsewhere, with the same DATASET and OUT:
-  sbatch --array=0-8 --wrap 'centaur bench data/mipnerf360 -o out/m360 --shard $SLURM_ARRAY_TASK_ID/9'
+  CENTAUR_ADAPTER='#1' centaur bench data/mipnerf360 -o out/m360 --shard 1/2  # second of 2 GPUs
+  sbatch --array=0-8 datasets-scripts/bench.sbatch data/mipnerf360 -o out/m360  # Slurm
   centaur bench data/mipnerf360 -o out/m360 --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
-  python datasets-scripts/bench_ray.py data/mipnerf360 -o out/m360        # on a Ray cluster";
+  python datasets-scripts/bench_ray.py data/mipnerf360 -o out/m360  # Ray";
 
 /// Train and score every capture of a data set, and put the results beside published ones
 ///
