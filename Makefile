@@ -32,8 +32,8 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: crosscheck crosscheck-quick crosscheck-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+.PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup ablations equal-floats unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -48,7 +48,7 @@ demo: build ## train the small capture in demo/ into out/demo: scene.glb, pictur
 	@mkdir -p out/demo
 	$(CENTAUR) train demo -o out/demo/scene.glb --report out/demo/report $(DEMO_FLAGS)
 
-test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also compares pictures (crosscheck-quick)
+test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also compares pictures (crosscheck-quick) and runs Ray (bench-ray)
 
 lint: fmt clippy doc ## formatting, clippy and rustdoc, warnings are errors
 
@@ -93,7 +93,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd bench-ray ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
@@ -127,7 +127,7 @@ oracle-flip: $(ORACLES_FLIP)/installed ## FLIP of `centaur eval` by its own pack
 	$(CENTAUR) eval target/oracles/flip.glb demo --max-side 112 -o target/oracles/flip --quiet
 	$(ORACLES_FLIP)/bin/python tests/oracles/check_flip.py target/oracles/flip
 
-bench-ray: $(BENCH_RAY)/installed ## `centaur bench` on two nodes of Ray on this machine (PyPI's ray)
+bench-ray: $(BENCH_RAY)/installed ## `centaur bench` on two nodes of Ray on this machine (PyPI's ray; 300 MB, a minute on 2 cores)
 	cargo build --release --quiet
 	@rm -rf target/bench-ray && mkdir -p target/bench-ray
 	$(BENCH_RAY)/bin/python tests/oracles/check_bench_ray.py "$(CENTAUR)" demo target/bench-ray
@@ -215,8 +215,10 @@ SAMPLES := $(CENTAUR_DATA)/meshes_gltf_samples
 MOVING = target/crosscheck/head.glb $(wildcard $(SAMPLES)/Fox/glTF-Binary/Fox.glb $(SAMPLES)/RiggedFigure/glTF-Binary/RiggedFigure.glb \
 	$(SAMPLES)/MorphStressTest/glTF-Binary/MorphStressTest.glb $(SAMPLES)/SimpleSkin/glTF/SimpleSkin.gltf $(SAMPLES)/SimpleMorph/glTF/SimpleMorph.gltf)
 
-# What crosscheck-quick installs, so that a machine without PyPI can be told from a picture that differs.
-crosscheck-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))/installed
+# What bench-ray and crosscheck-quick install, so that a machine without PyPI can be told from a failure.
+bench-ray-setup: $(BENCH_RAY)/installed
+
+crosscheck-quick-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))/installed
 	@scripts/ensure-llvm.sh
 
 crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
