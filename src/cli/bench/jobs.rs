@@ -43,6 +43,11 @@ impl fmt::Display for Protocol {
 /// Flags of `centaur train` that a protocol decides, and that would win over its own.
 const OF_PROTOCOL: [&str; 4] = ["--images", "--downscale", "--max-side", "--masks"];
 
+/// Whether a word among flags of `centaur train` is one that decides which pictures are taken, of which size, or which part of them.
+pub(super) fn chooses_pictures(word: &str) -> bool {
+    word.split('=').next().is_some_and(|name| OF_PROTOCOL.contains(&name))
+}
+
 /// A way to train.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Variant {
@@ -102,8 +107,8 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
         ensure!(variants[..i].iter().all(|v| v.name != variant.name), "--variant {}: given twice", variant.name);
     }
     if let Some(protocol) = args.protocol {
-        let is_its = |flag: &&String| flag.split('=').next().is_some_and(|name| OF_PROTOCOL.contains(&name));
-        let given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags)).find(is_its);
+        let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags));
+        let given = given.find(|flag| chooses_pictures(flag));
         if let Some(flag) = given {
             bail!("--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`");
         }

@@ -1,6 +1,7 @@
 //! A data set: its captures trained and scored as independent jobs, on this machine or by any scheduler, and one table.
 
 mod jobs;
+mod published;
 mod record;
 mod table;
 mod work;
@@ -34,7 +35,9 @@ Elsewhere, with the same DATASET and OUT:
 /// Every folder in DATASET that holds a capture is a scene; every scene, variant and seed is a job of its own: OUT/VARIANT/SCENE-SEED.json is
 /// there once it is done, and what is there is not done again, nor what another runner is at. Results of other flags are refused.
 /// Ctrl-C leaves checkpoints, from which the same command goes on. OUT/table.md has all results in OUT and their means over the scenes
-/// that every variant has, beside published rows where these are those of a known set at the sizes of a protocol.
+/// that every variant has, beside published rows where these are those of a known set: Mip-NeRF 360 by either protocol; train and truck of
+/// Tanks and Temples, or drjohnson and playroom of Deep Blending, with pictures as they come, not by protocol a, whose SSIM is another. What
+/// the rows are of is said below them.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {

@@ -7,28 +7,9 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use serde::Serialize;
 
-use super::jobs::{MIPNERF360, Protocol};
+use super::jobs::{self, Protocol};
+use super::published::{self, Known};
 use super::record::Record;
-
-/// Means over the nine scenes of Mip-NeRF 360: PSNR, SSIM, LPIPS of VGG. Under protocol B as the papers of Mip-Splatting and
-/// HERA print them (LPIPS of colours 0…1), under A by `NerfBaselines` (colours −1…1).
-const PUBLISHED_B: [(&str, [f64; 3]); 6] = [
-    ("Mip-NeRF 360", [27.57, 0.793, 0.234]),
-    ("Zip-NeRF", [28.54, 0.828, 0.189]),
-    ("3DGS, retrained", [27.70, 0.826, 0.202]),
-    ("Mip-Splatting", [27.79, 0.827, 0.205]),
-    ("HERA", [27.61, 0.828, 0.199]),
-    ("HERA, filtered", [27.75, 0.829, 0.194]),
-];
-const PUBLISHED_A: [(&str, [f64; 3]); 7] = [
-    ("Zip-NeRF", [28.553, 0.829, 0.218]),
-    ("3DGS-MCMC", [27.983, 0.835, 0.224]),
-    ("Scaffold-GS", [27.714, 0.813, 0.262]),
-    ("Mip-NeRF 360", [27.681, 0.792, 0.272]),
-    ("Mip-Splatting", [27.492, 0.815, 0.258]),
-    ("3DGS", [27.434, 0.814, 0.257]),
-    ("2DGS", [26.815, 0.796, 0.297]),
-];
 
 /// One scene, or the mean of a variant's scenes.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -72,10 +53,14 @@ struct Section {
 #[derive(Clone, Debug, Serialize)]
 struct Published {
     method: &'static str,
+    /// Of what, where not of these scenes.
+    over: Option<&'static str>,
     psnr: f64,
-    ssim: f64,
+    ssim: Option<f64>,
     /// None where ours is not of the same network.
     lpips: Option<f64>,
+    /// Whether that is of colours −1…1; else 0…1.
+    lpips_normalized: bool,
 }
 
 /// Results by variant and scene.
@@ -88,6 +73,8 @@ pub(super) struct Table {
     common: BTreeSet<String>,
     variants: Vec<Section>,
     published: Vec<Published>,
+    /// What those are.
+    published_note: Option<&'static str>,
 }
 
 impl Table {
@@ -117,30 +104,34 @@ impl Table {
             }
             variants.push(Section::new(name, &own, &common));
         }
-        let is_known_set =
-            common.len() == MIPNERF360.len() && MIPNERF360.iter().all(|(name, _)| common.contains(*name));
-        let rows: &[(&str, [f64; 3])] = match protocol {
-            Some(Protocol::A) if is_known_set => &PUBLISHED_A,
-            Some(Protocol::B) if is_known_set => &PUBLISHED_B,
-            _ => &[],
-        };
+        let resized = done.iter().any(|record| record.made.flags.iter().any(|flag| jobs::chooses_pictures(flag)));
+        let known = published::of(&common, protocol, resized);
         let has_vgg =
             variants.iter().any(|v| v.mean.as_ref().and_then(|m| m.lpips.as_ref()).is_some_and(|l| l.net == "vgg"));
-        let published = |&(method, [psnr, ssim, lpips]): &(&'static str, [f64; 3])| Published {
-            method,
-            psnr,
-            ssim,
-            lpips: has_vgg.then_some(lpips),
-        };
         let word = |record: &Record, name: &str| record.result["evaluation"][name].as_str().map(str::to_owned);
         Ok(Self {
             protocol,
             scores: done.iter().find_map(|record| word(record, "protocol")).unwrap_or_default(),
             adapters: done.iter().filter_map(|record| word(record, "adapter")).collect(),
-            published: rows.iter().map(published).collect(),
+            published: known.map_or(vec![], |known| Published::of(known, has_vgg)),
+            published_note: known.map(|known| known.note),
             common,
             variants,
         })
+    }
+}
+
+impl Published {
+    fn of(known: &Known, with_lpips: bool) -> Vec<Self> {
+        let row = |mean: &published::Mean| Self {
+            method: mean.method,
+            over: mean.over,
+            psnr: mean.psnr,
+            ssim: mean.ssim,
+            lpips: mean.lpips.filter(|_| with_lpips),
+            lpips_normalized: known.normalized,
+        };
+        known.means.iter().map(row).collect()
     }
 }
 
@@ -262,12 +253,22 @@ impl fmt::Display for Table {
                 writeln!(f, "| **{}** | **{}** | {} |", section.variant, mean.scene, mean.cells())?;
             }
         }
+        let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| v.to_string());
         for p in &self.published {
-            let lpips = p.lpips.map_or("–".to_owned(), |lpips| lpips.to_string());
+            let (lpips, net) = (number(p.lpips), if p.lpips.is_some() { "vgg" } else { "–" });
             // Each source has LPIPS by one convention.
-            let (a, b) = if self.protocol == Some(Protocol::A) { (&*lpips, "–") } else { ("–", &*lpips) };
-            let net = if p.lpips.is_some() { "vgg" } else { "–" };
-            writeln!(f, "| *{}* | published | | {} | {} | | {net} | {a} | {b} | | | | | |", p.method, p.psnr, p.ssim)?;
+            let (a, b) = if p.lpips_normalized { (&*lpips, "–") } else { ("–", &*lpips) };
+            let over = p.over.map_or("published".to_owned(), |over| format!("published: {over}"));
+            writeln!(
+                f,
+                "| *{}* | {over} | | {} | {} | | {net} | {a} | {b} | | | | | |",
+                p.method,
+                p.psnr,
+                number(p.ssim)
+            )?;
+        }
+        if let Some(note) = self.published_note {
+            writeln!(f, "\nPublished rows: {note}.")?;
         }
         Ok(())
     }
@@ -342,16 +343,19 @@ mod tests {
     #[test]
     fn a_set_that_is_whole_meets_published_rows() {
         let with = |change: &dyn Fn(usize, &mut Record)| {
-            let mut records: Vec<Record> = MIPNERF360.iter().map(|(scene, _)| record("a", scene, 0, 27.0)).collect();
+            let mut records: Vec<Record> =
+                jobs::MIPNERF360.iter().map(|(scene, _)| record("a", scene, 0, 27.0)).collect();
             records.iter_mut().enumerate().for_each(|(i, record)| change(i, record));
             table(&records).to_string()
         };
         let b = with(&|_, _| {});
         assert!(b.contains("| *HERA, filtered* | published | | 27.75 | 0.829 | | vgg | – | 0.194 |"), "{b}");
+        assert!(b.contains("\nPublished rows: the nine scenes of Mip-NeRF 360") && b.contains("colours 0…1."), "{b}");
         let a = with(&|_, r| r.made.protocol = Some(Protocol::A));
         assert!(a.contains("| *2DGS* | published | | 26.815 | 0.796 | | vgg | 0.297 | – |"), "{a}");
         assert!(a.contains("| a | room | 1 | 27.00 | 0.700 |") && a.contains("inside the picture"), "{a}");
-        assert!(!with(&|_, r| r.made.protocol = None).contains("published"), "of any size");
+        let free = with(&|_, r| r.made.protocol = None);
+        assert!(!free.to_lowercase().contains("published"), "of any size: {free}");
         let alex = with(&|_, r| r.result["evaluation"]["lpips"]["net"] = json!("alex"));
         assert!(alex.contains("| *HERA* | published | | 27.61 | 0.828 | | – | – | – |"), "{alex}");
         let mixed = with(&|i, r| r.result["evaluation"]["lpips"]["net"] = json!(if i == 4 { "alex" } else { "vgg" }));
@@ -361,6 +365,55 @@ mod tests {
             let crowded = with(&|_, r| r.made.at_a_time = at_a_time);
             assert!(b.contains("| 9.5 |") && !crowded.contains("| 9.5 |"), "{crowded}");
         }
+    }
+
+    #[test]
+    fn sets_that_come_in_one_size_meet_published_rows() {
+        let with = |scenes: &[&str], change: &dyn Fn(&mut Record)| {
+            let mut records: Vec<Record> = scenes.iter().map(|scene| record("a", scene, 0, 24.0)).collect();
+            for record in &mut records {
+                record.made.protocol = None;
+                change(record);
+            }
+            table(&records)
+        };
+        let tanks = with(&["train", "truck"], &|_| {}).to_string();
+        for part in [
+            "| *HERA, filtered* | published: five scenes, unnamed | | 24.39 | 0.824 | | vgg | – | 0.206 |",
+            "| *3DGS* | published | | 23.14 | 0.841 | | vgg | – | 0.183 |",
+            "| *MeshSplatting* | published | | 20.52 | – | | – | – | – |",
+            "\nPublished rows: train and truck of Tanks and Temples",
+            "which does not name them",
+        ] {
+            assert!(tanks.contains(part), "{part}: {tanks}");
+        }
+        assert_eq!(with(&["train", "truck"], &|r| r.made.protocol = Some(Protocol::B)).published.len(), 16);
+        let rooms = with(&["drjohnson", "playroom"], &|_| {}).to_string();
+        assert!(
+            rooms.contains("| *Brush* | published: nvs-bench, scenes not checked | | 29.85 | 0.911 | | – | – | – |"),
+            "{rooms}"
+        );
+        // Neither of a part, nor of more, nor of pictures of another size, nor where SSIM is another.
+        let size = |flag: &'static str| move |r: &mut Record| r.made.flags.extend([flag.to_owned(), "2".to_owned()]);
+        for other in [
+            with(&["truck"], &|_| {}),
+            with(&["train", "truck", "Barn"], &|_| {}),
+            with(&["train", "playroom"], &|_| {}),
+            with(&["train", "truck"], &size("--downscale")),
+            with(&["train", "truck"], &size("--max-side=300")),
+            with(&["train", "truck"], &|r| r.made.protocol = Some(Protocol::A)),
+        ] {
+            assert!(other.published.is_empty() && other.published_note.is_none(), "{other}");
+        }
+        // One variant's size is enough: rows stand for all.
+        let mut records = vec![];
+        for (variant, flag) in [("a", "--antialias"), ("b", "--images")] {
+            records.extend(["train", "truck"].map(|scene| record(variant, scene, 0, 24.0)));
+            records.iter_mut().filter(|r| r.made.variant == variant).for_each(|r| r.made.flags = vec![flag.to_owned()]);
+        }
+        assert!(table(&records).published.is_empty());
+        records.truncate(2);
+        assert_eq!(table(&records).published.len(), 16);
     }
 
     #[test]

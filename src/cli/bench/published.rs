@@ -1,0 +1,137 @@
+//! What others print of whole data sets, as plain figures with what they are of.
+
+use std::collections::BTreeSet;
+
+use super::jobs::{MIPNERF360, Protocol};
+
+/// Means over a data set, taken in one way.
+pub(super) struct Known {
+    /// What the means are over: all of these and no others.
+    scenes: &'static [&'static str],
+    pictures: Pictures,
+    /// Whose the means are and by which conventions, for below the table.
+    pub(super) note: &'static str,
+    /// Whether LPIPS, by VGG, is of colours −1…1; else 0…1.
+    pub(super) normalized: bool,
+    pub(super) means: &'static [Mean],
+}
+
+/// Of which size.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Pictures {
+    Of(Protocol),
+    /// As they come; SSIM as INRIA computes it.
+    Distributed,
+}
+
+pub(super) struct Mean {
+    pub(super) method: &'static str,
+    /// Where that is not the data set: of what.
+    pub(super) over: Option<&'static str>,
+    pub(super) psnr: f64,
+    pub(super) ssim: Option<f64>,
+    /// None where none is printed, or by a convention that is not said.
+    pub(super) lpips: Option<f64>,
+}
+
+const fn mean(method: &'static str, [psnr, ssim, lpips]: [f64; 3]) -> Mean {
+    Mean { method, over: None, psnr, ssim: Some(ssim), lpips: Some(lpips) }
+}
+
+const fn partly(method: &'static str, psnr: f64, ssim: Option<f64>) -> Mean {
+    Mean { method, over: None, psnr, ssim, lpips: None }
+}
+
+/// From HERA's paper, which does not name its five scenes of Tanks and Temples.
+const fn of_five(method: &'static str, figures: [f64; 3]) -> Mean {
+    Mean { over: Some("five scenes, unnamed"), ..mean(method, figures) }
+}
+
+const fn names<const N: usize>(of: &[(&'static str, u32); N]) -> [&'static str; N] {
+    let mut names = [""; N];
+    let mut i = 0;
+    while i < N {
+        names[i] = of[i].0;
+        i += 1;
+    }
+    names
+}
+
+const OF_MIPNERF360: [&str; MIPNERF360.len()] = names(&MIPNERF360);
+
+static KNOWN: [Known; 4] = [
+    Known {
+        scenes: &OF_MIPNERF360,
+        pictures: Pictures::Of(Protocol::B),
+        note: "the nine scenes of Mip-NeRF 360 as the papers of Mip-Splatting and HERA print them; LPIPS by VGG of colours 0…1",
+        normalized: false,
+        means: &[
+            mean("Mip-NeRF 360", [27.57, 0.793, 0.234]),
+            mean("Zip-NeRF", [28.54, 0.828, 0.189]),
+            mean("3DGS, retrained", [27.70, 0.826, 0.202]),
+            mean("Mip-Splatting", [27.79, 0.827, 0.205]),
+            mean("HERA", [27.61, 0.828, 0.199]),
+            mean("HERA, filtered", [27.75, 0.829, 0.194]),
+        ],
+    },
+    Known {
+        scenes: &OF_MIPNERF360,
+        pictures: Pictures::Of(Protocol::A),
+        note: "the nine scenes of Mip-NeRF 360 as `NerfBaselines` scores them; LPIPS by VGG of colours −1…1",
+        normalized: true,
+        means: &[
+            mean("Zip-NeRF", [28.553, 0.829, 0.218]),
+            mean("3DGS-MCMC", [27.983, 0.835, 0.224]),
+            mean("Scaffold-GS", [27.714, 0.813, 0.262]),
+            mean("Mip-NeRF 360", [27.681, 0.792, 0.272]),
+            mean("Mip-Splatting", [27.492, 0.815, 0.258]),
+            mean("3DGS", [27.434, 0.814, 0.257]),
+            mean("2DGS", [26.815, 0.796, 0.297]),
+        ],
+    },
+    Known {
+        scenes: &["train", "truck"],
+        pictures: Pictures::Distributed,
+        note: "train and truck of Tanks and Temples as they come (about 980×546), from papers and READMEs of the methods, gsplat's from a survey of compression; \
+               LPIPS by VGG of colours 0…1, – where none is known of that convention. Rows of five scenes are from HERA's paper, which does not name \
+               them: such means do not compare with those of two. nvs-bench's row is over scenes that were not checked",
+        normalized: false,
+        means: &[
+            mean("3DGS", [23.14, 0.841, 0.183]),
+            mean("Scaffold-GS", [23.96, 0.853, 0.177]),
+            mean("Mini-Splatting-D", [23.23, 0.853, 0.140]),
+            mean("Taming 3DGS, large", [24.04, 0.851, 0.170]),
+            mean("Octree-GS", [24.68, 0.866, 0.153]),
+            mean("gsplat, 4 M splats", [24.47, 0.872, 0.132]),
+            partly("3DGS-MCMC", 24.29, Some(0.86)),
+            partly("Beta Splatting", 24.85, Some(0.870)),
+            partly("NeST-Splatting", 23.02, None),
+            partly("MeshSplatting", 20.52, None),
+            Mean { over: Some("nvs-bench, scenes not checked"), ..partly("Brush", 24.531, Some(0.8709)) },
+            of_five("Mip-NeRF 360", [23.61, 0.765, 0.283]),
+            of_five("3DGS, retrained", [24.01, 0.814, 0.228]),
+            of_five("Mip-Splatting", [24.21, 0.822, 0.216]),
+            of_five("HERA", [24.29, 0.822, 0.207]),
+            of_five("HERA, filtered", [24.39, 0.824, 0.206]),
+        ],
+    },
+    Known {
+        scenes: &["drjohnson", "playroom"],
+        pictures: Pictures::Distributed,
+        note: "Deep Blending by nvs-bench, over scenes that were not checked; its LPIPS, 0.312, is of a convention that is not said",
+        normalized: false,
+        means: &[Mean { over: Some("nvs-bench, scenes not checked"), ..partly("Brush", 29.85, Some(0.911)) }],
+    },
+];
+
+/// What is known of exactly these scenes. `resized`: flags choose their pictures or the size of these.
+pub(super) fn of(scenes: &BTreeSet<String>, protocol: Option<Protocol>, resized: bool) -> Option<&'static Known> {
+    KNOWN.iter().find(|known| {
+        let is_so = match known.pictures {
+            Pictures::Of(wanted) => protocol == Some(wanted),
+            // Protocol A takes SSIM of windows inside the picture.
+            Pictures::Distributed => protocol != Some(Protocol::A) && !resized,
+        };
+        is_so && scenes.len() == known.scenes.len() && known.scenes.iter().all(|name| scenes.contains(*name))
+    })
+}
