@@ -2,7 +2,8 @@
 
     python3 fetch_captures.py mipnerf360 ../captures          # nine scenes, about 13 GB
     python3 fetch_captures.py tandt_db ../captures            # Tanks and Temples' truck and train, Deep Blending, 650 MB
-    python3 fetch_captures.py tandt ../captures --scenes Barn,Ignatius   # six more of Tanks and Temples, 8 GB
+    python3 fetch_captures.py tandt ../captures               # Tanks and Temples: truck, train and six larger ones, 9 GB
+    python3 fetch_captures.py tandt ../captures --scenes Barn,Ignatius   # two of the six, and truck and train in any case
     python3 fetch_captures.py nerf_synthetic ../captures      # eight rendered objects with alpha and their own test views
 
 Shows where the licences stand, asks for the sizes of all archives and stops where the disk is too small. An interrupted
@@ -34,6 +35,8 @@ OUTDOOR, INDOOR = ("bicycle", "flowers", "garden", "stump", "treehill"), ("room"
 # Of these, the scenes that came later, in an archive of their own.
 EXTRA = {"flowers", "treehill"}
 SYNTHETIC = ("chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship")
+TRUCK_AND_TRAIN = ("tandt/truck", "tandt/train")
+OF_GOF = tuple(f"TNT_GOF/TrainingSet/{s}" for s in ("Barn", "Caterpillar", "Courthouse", "Ignatius", "Meetingroom", "Truck"))
 TANKS = "Tanks and Temples: for research that is not commercial, https://www.tanksandtemples.org/license/"
 
 
@@ -47,9 +50,11 @@ class Collection:
     scenes: dict
     # Scenes of every archive, where there are several.
     scenes_in: dict = field(default_factory=dict)
+    # Scenes that are fetched whichever are chosen.
+    always: tuple = ()
     # SHA-256 of archives, where known.
     sums: dict = field(default_factory=dict)
-    # What `centaur bench` needs beyond its defaults to be comparable, and a word to say.
+    # What `centaur bench` needs to be comparable where that is not the flags of the scenes, and a word to say.
     bench: str = ""
     remark: str = ""
 
@@ -67,22 +72,22 @@ CAPTURES = {
     "tandt_db": Collection(
         [INRIA + "tandt_db.zip"],
         TANKS + "; Deep Blending: see https://github.com/Phog/DeepBlending",
-        {"tandt/truck": "", "tandt/train": "", "db/drjohnson": "", "db/playroom": ""},
+        dict.fromkeys((*TRUCK_AND_TRAIN, "db/drjohnson", "db/playroom"), ""),
     ),
     "tandt": Collection(
-        [GOF + "TNT_GOF.zip"],
+        [INRIA + "tandt_db.zip", GOF + "TNT_GOF.zip"],
         TANKS,
-        {f"TNT_GOF/TrainingSet/{s}": "--downscale 2" for s in ("Barn", "Caterpillar", "Courthouse", "Ignatius", "Meetingroom", "Truck")},
+        dict.fromkeys(TRUCK_AND_TRAIN, "") | dict.fromkeys(OF_GOF, "--downscale 2"),
+        scenes_in={"tandt_db.zip": set(TRUCK_AND_TRAIN), "TNT_GOF.zip": set(OF_GOF)},
+        always=TRUCK_AND_TRAIN,
         sums={"TNT_GOF.zip": "772c034d40c1a1332757a7d2b10b91d56ede3e82930c74537278ca09940928ba"},
-        bench="-- --downscale 2",
-        remark="published rows are of truck and train at the size of tandt_db: score those in any case",
+        remark="published rows of truck and train are of tandt/truck and tandt/train; Truck is GOF's, larger",
     ),
     "nerf_synthetic": Collection(
         [f"{NERFBASELINES}{s}.zip" for s in SYNTHETIC],
         "NeRF-synthetic, rendered from models of Blend Swap: chair, ficus, hotdog, materials, mic CC0; drums CC BY; lego CC BY-NC; ship CC BY-SA",
         {s: "--background white" for s in SYNTHETIC},
         scenes_in={f"{s}.zip": {s} for s in SYNTHETIC},
-        bench="-- --background white",
         remark="the test views are those of transforms_test.json; published scores are over white",
     ),
 }
@@ -209,12 +214,25 @@ def unpack(archive, folder, wanted=lambda path: True):
 
 
 def chosen(collection, names):
-    """Folders of the scenes with these names, of all without any; an error names those that there are."""
+    """Folders of the scenes with these names and of those that come always, of all without any; an error names those that there are."""
     known = {Path(scene).name: scene for scene in collection.scenes}
     for name in names or ():
         if name not in known:
             raise FetchError(f"--scenes: expected {', '.join(known)}, found {name}")
-    return [scene for name, scene in known.items() if not names or name in names]
+    return [scene for name, scene in known.items() if not names or name in names or scene in collection.always]
+
+
+def holds(collection, file):
+    """Whether an archive of this name is one of the collection's."""
+    return any(url.endswith("/" + file) for url in collection.archives)
+
+
+def bench_flags(collection, scenes):
+    """Flags of `centaur bench` for scenes in one folder: the collection's, or those that all of the scenes train with."""
+    flags = {collection.scenes[s] for s in scenes}
+    if collection.bench or flags == {""} or len(flags) > 1:
+        return collection.bench
+    return f"-- {flags.pop()}"
 
 
 def is_captured(folder):
@@ -241,7 +259,8 @@ def fetch(name, folder, mirror=None, names=None):
         if not zipfile.is_zipfile(archive):
             raise FetchError(f"{archive}: not a zip file; delete it and run again")
         verify(archive, collection.sums.get(archive.name))
-        others = [PurePosixPath(s) for s in collection.scenes if s not in scenes]
+        # What the archive holds for other collections is left in it, too.
+        others = [PurePosixPath(s) for c in CAPTURES.values() if holds(c, archive.name) for s in c.scenes if s not in scenes]
         try:
             unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others))
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
@@ -250,8 +269,10 @@ def fetch(name, folder, mirror=None, names=None):
     for scene in found:
         flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
         print(f"centaur train {scenes_folder / scene}{flags} -o out/{Path(scene).name}/scene.glb")
-    for parent in sorted({(scenes_folder / s).parent for s in found}):
-        print(f"centaur bench {parent} -o out/{parent.name} {collection.bench}".rstrip())
+    for parent in sorted({PurePosixPath(s).parent for s in found}):
+        here = scenes_folder / parent
+        flags = bench_flags(collection, [s for s in found if PurePosixPath(s).parent == parent])
+        print(f"centaur bench {here} -o out/{here.name} {flags}".rstrip())
     if collection.remark:
         print(f"Note: {collection.remark}.")
 
@@ -261,7 +282,9 @@ def main():
     parser.add_argument("name", choices=CAPTURES)
     parser.add_argument("folder", type=Path, help="where archives/ and the scenes go")
     parser.add_argument(
-        "--scenes", metavar="NAMES", help="unpack only these, comma separated (and download no other archives) [default: all]"
+        "--scenes",
+        metavar="NAMES",
+        help="unpack only these, comma separated, and download no other archives; of tandt truck and train come in any case [default: all]",
     )
     parser.add_argument("--mirror", help="address of a folder that holds the same archives")
     arguments = parser.parse_args()

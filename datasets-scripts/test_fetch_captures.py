@@ -38,32 +38,42 @@ def link(name):
 SCENE = [("tandt/truck/sparse/0/cameras.bin", b"c"), ("tandt/truck/images/000001.jpg", bytes(range(256)) * 400)]
 
 
-class Server(http.server.BaseHTTPRequestHandler):
-    """Serves Server.content with ranges; stops after Server.cut bytes where that is set."""
+# What the archives of Tanks and Temples hold: INRIA's has Deep Blending besides, GOF's scenes of its own.
+TANKS = {
+    "/x/tandt_db.zip": archive(SCENE + [(f"{s}/sparse/0/cameras.bin", b"c") for s in ("tandt/train", "db/drjohnson", "db/playroom")]),
+    "/x/TNT_GOF.zip": archive([(f"TNT_GOF/TrainingSet/{s}/sparse/0/cameras.bin", b"c") for s in ("Barn", "Ignatius", "Truck")]),
+}
 
-    content, etag, cut, requests, paths = b"", '"one"', None, [], []
+
+class Server(http.server.BaseHTTPRequestHandler):
+    """Serves Server.content, or that of Server.contents by path, with ranges; stops after Server.cut bytes where that is set."""
+
+    content, contents, etag, cut, requests, paths = b"", {}, '"one"', None, [], []
+
+    def body(self):
+        return type(self).contents.get(self.path, type(self).content)
 
     def do_HEAD(self):
         self.send_response(200)
-        self.send_header("Content-Length", str(len(type(self).content)))
+        self.send_header("Content-Length", str(len(self.body())))
         self.end_headers()
 
     def do_GET(self):
-        cls, start = type(self), 0
+        cls, content, start = type(self), self.body(), 0
         asked = self.headers.get("Range")
         cls.requests.append(asked)
         cls.paths.append(self.path)
         if asked and self.headers.get("If-Range") == cls.etag:
             start = int(re.match(r"bytes=(\d+)-", asked)[1])
-        if start > len(cls.content):
+        if start > len(content):
             return self.send_error(416)
         self.send_response(206 if start else 200)
         if start:
-            self.send_header("Content-Range", f"bytes {start}-{len(cls.content) - 1}/{len(cls.content)}")
+            self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
         self.send_header("ETag", cls.etag)
-        self.send_header("Content-Length", str(len(cls.content) - start))
+        self.send_header("Content-Length", str(len(content) - start))
         self.end_headers()
-        self.wfile.write(cls.content[start : cls.cut])
+        self.wfile.write(content[start : cls.cut])
 
     def log_message(self, *_):
         pass
@@ -79,6 +89,7 @@ class Fetch(unittest.TestCase):
         self.addCleanup(self.server.server_close)
         self.addCleanup(self.server.shutdown)
         Server.content, Server.etag, Server.cut, Server.requests, Server.paths = archive(SCENE), '"one"', None, [], []
+        Server.contents = {}
 
     def fetch(self, name="tandt_db", scenes=None):
         printed = io.StringIO()
@@ -192,6 +203,61 @@ class Fetch(unittest.TestCase):
         self.assertIn(f"centaur train {folder / 'lego'} --background white -o out/lego/scene.glb", printed)
         self.assertIn(f"centaur bench {folder} -o out/nerf_synthetic -- --background white", printed)
 
+    def tanks(self, scenes=None):
+        """Fetches Tanks and Temples, whose checksum is not that of the archive here."""
+        collection = dataclasses.replace(fetch_captures.CAPTURES["tandt"], sums={})
+        with mock.patch.dict(fetch_captures.CAPTURES, tandt=collection):
+            return self.fetch("tandt", scenes)
+
+    def captures(self):
+        return sorted(str(p.parent.parent.relative_to(self.folder / "tandt")) for p in self.folder.glob("tandt/**/sparse/0"))
+
+    def test_truck_and_train_come_with_tanks_and_temples(self):
+        Server.contents = TANKS
+        printed = self.tanks()
+        self.assertEqual(sorted(Server.paths), sorted(TANKS))
+        larger = [f"TNT_GOF/TrainingSet/{s}" for s in ("Barn", "Ignatius", "Truck")]
+        self.assertEqual(self.captures(), larger + ["tandt/train", "tandt/truck"], "Deep Blending stays in its archive")
+        folder = self.folder / "tandt"
+        self.assertIn(f"centaur train {folder / larger[0]} --downscale 2 -o", printed)
+        self.assertIn(f"centaur bench {folder / 'TNT_GOF/TrainingSet'} -o out/TrainingSet -- --downscale 2\n", printed)
+        self.assertIn(f"centaur train {folder / 'tandt/train'} -o", printed)
+        self.assertIn(f"centaur bench {folder / 'tandt'} -o out/tandt\n", printed)
+        # Both archives are recorded, and not downloaded again: neither for this nor for the other name of INRIA's.
+        names = [line.split()[1] for line in (self.folder / "archives/SHA256SUMS").read_text().splitlines()]
+        self.assertEqual(sorted(names), ["TNT_GOF.zip", "tandt_db.zip"])
+        Server.paths = []
+        self.tanks()
+        self.assertIn("db/playroom", self.fetch())
+        self.assertEqual(Server.paths, [])
+
+    def test_truck_and_train_come_with_any_scene_of_tanks_and_temples(self):
+        Server.contents = TANKS
+        self.tanks(["Barn"])
+        self.assertEqual(self.captures(), ["TNT_GOF/TrainingSet/Barn", "tandt/train", "tandt/truck"])
+
+    def test_truck_and_train_alone_need_one_archive(self):
+        Server.contents = TANKS
+        self.tanks(["train"])
+        self.assertEqual(Server.paths, ["/x/tandt_db.zip"], "of 650 MB, not of 8 GB")
+        self.assertEqual(self.captures(), ["tandt/train", "tandt/truck"])
+
+    def test_tanks_and_temples_need_space_for_both_archives(self):
+        Server.contents = TANKS
+        both = sum(map(len, TANKS.values()))
+        with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=2 * both - 1)):
+            with self.assertRaisesRegex(FetchError, "needs .* GB for archives"):
+                self.tanks()
+        self.assertEqual(Server.paths, [])
+
+    def test_tanks_and_temples_go_on_where_they_stopped(self):
+        Server.contents, Server.cut = TANKS, 60_000
+        with self.assertRaisesRegex(FetchError, "tandt_db.zip.*run again to resume"):
+            self.tanks()
+        Server.cut = None
+        self.tanks()
+        self.assertEqual(Server.requests, [None, "bytes=60000-", None])
+
     def test_no_archive_without_a_chosen_scene(self):
         for scene, file in (("flowers", "360_extra_scenes.zip"), ("room", "360_v2.zip")):
             Server.paths, Server.content = [], archive([(f"{scene}/sparse/0/cameras.bin", b"c")])
@@ -204,7 +270,9 @@ class Fetch(unittest.TestCase):
             {s for s, flags in scenes.items() if flags == "--downscale 4"}, {"bicycle", "flowers", "garden", "stump", "treehill"}
         )
         self.assertEqual({s for s, flags in scenes.items() if flags == "--downscale 2"}, {"room", "counter", "kitchen", "bonsai"})
-        self.assertLessEqual({"tandt/truck", "tandt/train"}, set(fetch_captures.CAPTURES["tandt_db"].scenes))
+        for name in ("tandt_db", "tandt"):
+            flags = [fetch_captures.CAPTURES[name].scenes[s] for s in ("tandt/truck", "tandt/train")]
+            self.assertEqual(flags, ["", ""], f"{name}: at the size that they come in")
 
 
 if __name__ == "__main__":
