@@ -13,7 +13,7 @@ COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 2),
     ("SSIM", lambda e: e["ssim_inria"], 3),
     ("FLIP", lambda e: e.get("flip"), 4),
-    ("LPIPS", lambda e: (e.get("lpips") or {}).get("unnormalized"), 3),
+    ("LPIPS 0…1", lambda e: (e.get("lpips") or {}).get("unnormalized"), 3),
     ("splats", lambda e: e["splats"], 0),
     ("floats", lambda e: e["total_floats"], 0),
 ]

@@ -34,6 +34,7 @@ class Table(unittest.TestCase):
         head, _, demo, mean = self.rows()
         self.assertIn("LPIPS by vgg of pictures in 0…1", caption([self.folder]))
         self.assertEqual(len(demo), len(head))
+        self.assertIn("LPIPS 0…1: hybrid", head)
         self.assertEqual(demo[:6], ["demo", "400000", "2", "26.50", "25.00", "+1.50"])
         self.assertEqual(demo[6:9], ["0.265", "0.250", "+0.015"])
         self.assertEqual(demo[9:15], ["–"] * 3 + ["0.200", "0.250", "-0.050"], "no FLIP in older results")

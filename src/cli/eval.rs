@@ -122,7 +122,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
         scores.push(score.with_context(|| view.name.clone())?);
         if let Some(folder) = details.folder {
             let sheet = side_by_side(&truth, &render)?;
-            let caption = caption(view, &scores[scores.len() - 1]);
+            let caption = caption(&scores[scores.len() - 1]);
             pictures.push(Picture::new(caption, &sheet).with_context(|| view.name.clone())?);
             write_png(&folder.join(picture), &sheet)?;
         }
@@ -151,10 +151,13 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     Ok(evaluation)
 }
 
-fn caption(view: &View, score: &ViewScore) -> String {
-    let lpips =
-        score.scores.lpips.map_or_else(String::new, |l| format!(", LPIPS {} {:.4}", l.net.name(), l.normalized));
-    let Scores { psnr, ssim_inria, flip, .. } = score.scores;
+/// Of a view's picture in the report.
+fn caption(view: &ViewScore) -> String {
+    let Scores { psnr, ssim_inria, flip, lpips, .. } = view.scores;
+    let lpips = lpips.map_or_else(String::new, |l| {
+        let net = l.net.name();
+        format!(", LPIPS {net} {:.4} (colours −1…1), {:.4} (0…1)", l.normalized, l.unnormalized)
+    });
     format!("{}: {psnr:.2} dB, SSIM {ssim_inria:.4}, FLIP {flip:.4}{lpips}", view.name)
 }
 
@@ -187,7 +190,19 @@ pub(super) fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use centaur::metrics::{LpipsNet, LpipsScore};
+
     use super::*;
+
+    #[test]
+    fn captions_name_network_and_colours_of_lpips() {
+        let grey = |v| Rgb32FImage::from_pixel(16, 16, Rgb([v; 3]));
+        let mut view = ViewScore::new("a.jpg", &grey(0.5), &grey(0.6), false, None).unwrap();
+        assert!(caption(&view).starts_with("a.jpg: 20.17 dB, SSIM ") && !caption(&view).contains("LPIPS"));
+        view.scores.lpips = Some(LpipsScore { net: LpipsNet::Vgg, normalized: 0.25, unnormalized: 0.125 });
+        let caption = caption(&view);
+        assert!(caption.ends_with(", LPIPS VGG 0.2500 (colours −1…1), 0.1250 (0…1)"), "{caption}");
+    }
 
     #[test]
     fn masks_multiply_both_and_transparency_shows_the_background() {

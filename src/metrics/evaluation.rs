@@ -76,7 +76,7 @@ impl Scores {
             ("FLIP".to_owned(), format!("{:.4}", self.flip)),
         ];
         if let Some(l) = &self.lpips {
-            columns.push((format!("LPIPS {}", l.net.name()), format!("{:.4}", l.normalized)));
+            columns.push((format!("LPIPS {} −1…1", l.net.name()), format!("{:.4}", l.normalized)));
             columns.push((format!("LPIPS {} 0…1", l.net.name()), format!("{:.4}", l.unnormalized)));
         }
         columns
@@ -291,7 +291,7 @@ pub(super) mod tests {
         e.views.iter_mut().for_each(|v| v.scores.lpips = lpips);
         let scene = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
         let text = Evaluation::new(&scene, e.views, e.measured).to_string();
-        for part in ["LPIPS VGG  LPIPS VGG 0…1", "0.2500         0.1250", "LPIPS v0.1 VGG"] {
+        for part in ["LPIPS VGG −1…1  LPIPS VGG 0…1", "0.2500         0.1250", "LPIPS v0.1 VGG"] {
             assert!(text.contains(part), "{text}");
         }
     }
