@@ -277,7 +277,7 @@ captures: system ## hybrid against splats alone at equal floats, two seeds, on t
 equal-floats: system ## hybrid against splats alone at equal floats and three budgets, filters on both, on all captures at hand
 	scripts/equal-floats.sh $(EQUAL_FLOATS_ARGUMENTS)
 
-ablations: system ## what each choice of the hybrid is worth, on the demo and the captures in CENTAUR_DATA (ABLATIONS_ARGUMENTS="--scenes demo")
+ablations: system ## what each choice of the hybrid is worth, on all captures at hand (ABLATIONS_ARGUMENTS="--scenes demo")
 	scripts/ablations.sh $(ABLATIONS_ARGUMENTS)
 
 bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # What each choice of the hybrid is worth, at equal floats: `ablations.sh [options of centaur bench]`, such as `--scenes demo` or `--jobs 2`.
-# On the demo capture and on those of $CENTAUR_DATA; about 2 minutes a run on 2 cores without a GPU. The table goes to out/ablations.
+# On the demo capture, on those of $CENTAUR_DATA and on those of `make unbounded-captures`, as far as they are there: 25 runs a capture and seed,
+# about 2 minutes a run on 2 cores without a GPU. The table goes to out/ablations.
 # ABLATIONS_FLAGS="--max-side 176 …" (in place of those of training below), ABLATIONS_OUT=FOLDER, ABLATIONS_CENTAUR=PROGRAM,
 # ABLATIONS_LPIPS=out/lpips-vgg.safetensors (of `make lpips-weights`: scores LPIPS, too).
 set -euo pipefail
@@ -11,7 +12,20 @@ ln -sfn "$PWD/demo" $scenes/demo
 for name in banana16 skull66; do
     [ ! -d "${CENTAUR_DATA:-/none}/capture_$name" ] || ln -sfn "$CENTAUR_DATA/capture_$name" $scenes/$name
 done
+for name in garden street; do
+    [ ! -d target/unbounded/$name/sparse ] || ln -sfn "$PWD/target/unbounded/$name" $scenes/$name
+done
 read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600 --warmup 600 --max-side 356 --max-floats 1000000}"
+# Warm-ups in the proportion to joint iterations that 3,000 and 9,000 have to 30,000; by default half of the iterations are before the surface.
+value() { # flag, value where it is not given
+    local found=$2 i
+    for ((i = 0; i < ${#flags[@]}; i++)); do
+        case "${flags[i]}" in "$1") found=${flags[i + 1]} ;; "$1="*) found=${flags[i]#*=} ;; esac
+    done
+    echo "$found"
+}
+iterations=$(value --iterations 30000)
+joint=$((iterations - $(value --surface-iterations $((iterations / 2)))))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")
 centaur=(cargo run --release --quiet --)
 [ -z "${ABLATIONS_CENTAUR:-}" ] || centaur=("$ABLATIONS_CENTAUR")
@@ -24,15 +38,22 @@ centaur=(cargo run --release --quiet --)
     --variant layers-2="--layers 2" \
     --variant layers-4="--layers 4" \
     --variant lambda-0="--lambda 0" \
+    --variant lambda-0-003="--lambda 0.003" \
+    --variant lambda-0-03="--lambda 0.03" \
     --variant lambda-0-1="--lambda 0.1" \
     --variant lambda-inf="--lambda inf" \
     --variant texture-128="--texture-size 128" \
     --variant texture-256="--texture-size 256" \
     --variant warmup-0="--warmup 0" \
+    --variant warmup-tenth="--warmup $((joint / 10))" \
+    --variant warmup-three-tenths="--warmup $((joint * 3 / 10))" \
     --variant warmup-200="--warmup 200" \
     --variant surface-of-splats="--surface splats" \
     --variant surface-of-points="--surface points" \
+    --variant planar-off="--planar off" \
+    --variant shell-off="--shell off" \
     --variant inria="--density inria" \
+    --variant absgs="--density absgs" \
     --variant antialias=--antialias \
     --variant splats-antialias="--no-mesh --antialias" \
     -- --layers 1 --triangles 6000 --texture-size 512 "${flags[@]}"
