@@ -124,16 +124,21 @@ const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, 
 fn images_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap();
     let (mut pixels, mut all_excused) = (0, 0);
-    for seed in 0..24_u64 {
-        let n = [0, 1, 40, 300, 1500, 5000][seed as usize % 6];
-        let n_meshes = [1, 2, 0, 3][seed as usize % 4];
-        let layers = [1, 2, 4][seed as usize / 2 % 3];
-        let mode = MODES[seed as usize % 3];
-        let (scene, camera) = testing::random_scene(seed, n, n_meshes, (seed % 4) as u32, layers, mode);
+    for seed in 0..54_usize {
+        // Every number of splats with every number of layers in every mode; beside each of these every number of meshes and every
+        // degree, in turns that are not those of one another.
+        let (size, rule) = (seed % 6, seed / 6);
+        let n = [0, 1, 40, 300, 1500, 5000][size];
+        let (layers, mode) = ([1, 2, 4][rule % 3], MODES[rule / 3]);
+        // A splat alone may lie outside.
+        let n_meshes = if n > 1 { [1, 2, 0, 3][(size + rule) % 4] } else { 1 + (rule + rule / 3) % 3 };
+        let sh_degree = ((size + rule / 2) % 4) as u32;
+        let (scene, camera) = testing::random_scene(seed as u64, n, n_meshes, sh_degree, layers, mode);
         let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
+        assert!(found.transmittance.iter().any(|rest| *rest < 0.9), "scene {seed} shows nothing");
         let (mean, most, excused) = compare(&found, &scene, &camera);
         eprintln!(
-            "scene {seed}: {n} splats, {n_meshes} meshes, {layers} layers, {mode:?}: mean {mean:.2e}, max {most:.2e}, \
+            "scene {seed}: {n} splats, {n_meshes} meshes, degree {sh_degree}, {layers} layers, {mode:?}: mean {mean:.2e}, max {most:.2e}, \
              {excused} threshold pixels of {}",
             found.rgb.len()
         );
