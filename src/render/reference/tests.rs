@@ -86,6 +86,19 @@ fn projection_has_the_golden_values() {
     close(contract::splat_alpha(splat.opacity, power).unwrap(), 0.611110220);
 }
 
+/// Values computed apart, in float64, to nine digits. Variances of filters are f32.
+#[test]
+fn factors_of_the_pixel_filter_have_the_golden_values() {
+    let symmetric = |xx: f64, xy: f64, yy: f64| DMat2::from_cols_array(&[xx, xy, xy, yy]);
+    let (wide, narrow) = (symmetric(133.394387324, 68.329074881, 61.107197163), symmetric(0.05, 0.01, 0.02));
+    for (covariance, variance, golden) in
+        [(wide, 0.1, 0.997217658), (narrow, 0.1, 0.224230528), (narrow, 0.3, 0.089682191)]
+    {
+        let found = contract::filter_opacity(PixelFilter { variance, normalized: true }, covariance);
+        assert!((found - golden).abs() < 1e-8, "{found} is not {golden}");
+    }
+}
+
 /// Values computed apart, in float64, to nine digits.
 #[test]
 fn spherical_harmonics_and_barycentrics_have_the_golden_values() {
