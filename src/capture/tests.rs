@@ -277,16 +277,6 @@ fn transforms_in_opengl_axes() {
     assert!(message(&file, &full()).contains("rotation"));
 }
 
-#[derive(serde::Deserialize)]
-struct ModelCase {
-    model: String,
-    id: i32,
-    params: Vec<f64>,
-    points: Vec<[f64; 3]>,
-    pixels: Vec<[f64; 2]>,
-}
-
-/// Values by pycolmap: `tests/oracles/check_colmap_models.py`.
 #[test]
 fn of_two_files_the_one_at_fault_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -310,6 +300,16 @@ fn of_two_files_the_one_at_fault_is_named() {
     }
 }
 
+#[derive(serde::Deserialize)]
+struct ModelCase {
+    model: String,
+    id: i32,
+    params: Vec<f64>,
+    points: Vec<[f64; 3]>,
+    pixels: Vec<[f64; 2]>,
+}
+
+/// Values by pycolmap: `tests/oracles/check_colmap_models.py`.
 #[test]
 fn camera_models_project_as_in_colmap() {
     let cases: Vec<ModelCase> = serde_json::from_str(include_str!("../../tests/data/colmap_models.json")).unwrap();
