@@ -78,6 +78,7 @@ fn main(
     var q: array<array<f32, BUCKETS>, PER_THREAD>;
     var before: array<array<f32, BUCKETS>, PER_THREAD>;
     var end: array<array<u32, BUCKETS>, PER_THREAD>;
+    var last = 0u;
 //#for j in 0..PER_THREAD
     let y$j = y + $ju * (THREADS / TILE);
     let py$j = f32(y$j) + 0.5;
@@ -113,7 +114,7 @@ fn main(
         seen = bucket$b.xyz + bucket$b.w * seen;
         q[$j][$b] = dot(g$j, seen);
         end[$j][$b] = ends[$bu * n_pixels + pixel$j];
-        atomicMax(&last_end, end[$j][$b]);
+        last = max(last, end[$j][$b]);
 //#end
         var p = 1.0;
 //#for b in 0..BUCKETS
@@ -138,6 +139,7 @@ fn main(
 //#end
     include_depths($lu, low$l, high$l);
 //#end
+    atomicMax(&last_end, last);
     workgroupBarrier();
     if thread == 0u { tile_range = vec2u(ranges[tile].x, atomicLoad(&last_end)); }
     let range = workgroupUniformLoad(&tile_range);
