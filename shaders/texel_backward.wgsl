@@ -48,6 +48,10 @@ fn backward(
     //#end
     //#end
     //#end
+    //#if BANDS
+    // Coefficients that are learnt now: what is 0 for all texels need not be added.
+    let terms = (view.band_degree + 1u) * (view.band_degree + 1u);
+    //#end
     // One step more than there are pixels: it holds nothing, so that everything leaves.
     for (var step = 0u; step <= RUN; step += 1u) {
         let y = top + step;
@@ -109,9 +113,11 @@ fn backward(
                     let stays$s = band_held$l_$s == to$s;
                     if !stays$s && band_held$l_$s != NONE {
                         //#for k in 0..BANDS
-                        add_band_gradient(band_held$l_$s + 3u * $ku, band_sum$l_$s_$k.x);
-                        add_band_gradient(band_held$l_$s + 3u * $ku + 1u, band_sum$l_$s_$k.y);
-                        add_band_gradient(band_held$l_$s + 3u * $ku + 2u, band_sum$l_$s_$k.z);
+                        if $ku + 1u < terms {
+                            add_band_gradient(band_held$l_$s + 3u * $ku, band_sum$l_$s_$k.x);
+                            add_band_gradient(band_held$l_$s + 3u * $ku + 1u, band_sum$l_$s_$k.y);
+                            add_band_gradient(band_held$l_$s + 3u * $ku + 2u, band_sum$l_$s_$k.z);
+                        }
                         //#end
                     }
                     //#for k in 0..BANDS

@@ -8,10 +8,12 @@ use super::{
     mesh_tests::{Random, Rig, atlas, hits, mip_level, shade, soup, sphere, view},
     status::status_buffer,
     texels::TexelStep,
+    view::View,
 };
 use crate::scene::{Atlas, Mesh, Texture};
 
-/// Gradients of every class of texel, with and without native atomics, against central differences of the oracle.
+/// Gradients of every class of texel, with native atomics and all bands, without and fewer bands than are stored, against
+/// central differences of the oracle.
 /// The loss is Σ w·(r, g, b, alpha) with random weights over all fragments; it is linear in the texels except where a
 /// channel is clamped or through σ, so a small step keeps all thresholds where they are.
 #[test]
@@ -28,12 +30,13 @@ fn texel_gradients_match_finite_differences() {
     let levels = hits.iter().flatten().map(|h| mip_level(meshes[h.mesh].atlas().base(), h));
     let coarse = levels.filter(|&l| l > 1.5).count();
     assert!(coarse > 100, "only {coarse} fragments see the third mip level or beyond");
-    let loss = |meshes: &[Mesh]| {
+    let loss = |meshes: &[Mesh], band_degree: u32| {
         let fragments = hits.iter().enumerate().flat_map(|(p, h)| h.iter().enumerate().map(move |(l, h)| (p, l, h)));
         let weight = |p: usize, l: usize| DVec4::from_array(weights[l * view.pixels() + p].map(f64::from));
-        fragments.map(|(p, l, h)| weight(p, l).dot(shade(h, meshes, view.band_degree))).sum::<f64>()
+        fragments.map(|(p, l, h)| weight(p, l).dot(shade(h, meshes, band_degree))).sum::<f64>()
     };
-    for float_atomics in [true, false] {
+    for (float_atomics, band_degree) in [(true, 3), (false, 2)] {
+        let view = View { band_degree, ..view };
         let gpu = Gpu::open_restricted(None, float_atomics, true).unwrap();
         let rig = Rig::new(gpu, &view, &meshes, true);
         rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
@@ -65,7 +68,7 @@ fn texel_gradients_match_finite_differences() {
                         let bands = atlas.bands().map(|t| change(t, 1));
                         let atlas = Atlas::new(change(atlas.base(), 0), bands).unwrap();
                         meshes[m] = meshes[m].clone().with_atlas(atlas);
-                        loss(&meshes)
+                        loss(&meshes, band_degree)
                     };
                     let texel = if class == 0 { meshes[m].atlas().base() } else { meshes[m].atlas().bands().unwrap() };
                     // The step that f32 really takes.
