@@ -9,7 +9,13 @@
 //#import shared/mesh_fragment.wgsl
 
 @group(0) @binding(5) var<storage, read> base_texels: array<vec4f>;     // [texels]: DC rgb, opacity logit
-@group(0) @binding(6) var<storage, read> band_texels: array<f32>;       // [texels, (d+1)²−1, 3]
+// [texels, (d+1)²−1, 3]. Where texels begin at multiples of four floats, as at degree 2 alone, they are read in fours: a
+// software adapter takes each lane in turn, and for four floats of one as long as for two reads of one.
+//#if FOURS
+@group(0) @binding(6) var<storage, read> band_texels: array<vec4f>;
+//#else
+@group(0) @binding(6) var<storage, read> band_texels: array<f32>;
+//#end
 @group(0) @binding(7) var<storage, read_write> layer_color: array<vec4f>;   // [LAYERS, h, w]: rgb, alpha
 
 fn sample_base(pyramid: Pyramid, f: Fragment) -> vec4f {
@@ -27,9 +33,19 @@ fn sample_base(pyramid: Pyramid, f: Fragment) -> vec4f {
 }
 
 //#if BANDS
+//#if FOURS
+// Σ of four coefficients, y their basis functions, from the i-th four floats on.
+fn four_rgb(y: vec4f, i: u32) -> vec3f {
+    let a = band_texels[i];
+    let b = band_texels[i + 1u];
+    let c = band_texels[i + 2u];
+    return y.x * a.xyz + y.y * vec3f(a.w, b.xy) + y.z * vec3f(b.zw, c.x) + y.w * c.yzw;
+}
+//#else
 fn band_rgb(i: u32) -> vec3f {
     return vec3f(band_texels[i], band_texels[i + 1u], band_texels[i + 2u]);
 }
+//#end
 
 // Σ_k≥1 Y_k T_k.
 fn sample_bands(map: Maps, f: Fragment, degree: u32) -> vec3f {
@@ -38,12 +54,19 @@ fn sample_bands(map: Maps, f: Fragment, degree: u32) -> vec3f {
     let finer = u32(level);
     let share = level - f32(finer);
     let stride = 3u * ((map.degree + 1u) * (map.degree + 1u) - 1u);
+    //#if FOURS
+    let low = vec4f(basis[1], basis[2], basis[3], select(0.0, basis[4], degree >= 2u));
+    let high = select(vec4f(0.0), vec4f(basis[5], basis[6], basis[7], basis[8]), degree >= 2u);
+    //#end
     var sum = vec3f(0.0);
     for (var i = 0u; i < 2u; i += 1u) {
         if i == 1u && share == 0.0 { break; }
         let t = taps(map.bands, finer + i, select(share, 1.0 - share, i == 0u), f.uv);
         for (var k = 0u; k < 4u; k += 1u) {
             let texel = map.band_offset + stride * t.texel[k];
+            //#if FOURS
+            let rgb = four_rgb(low, texel / 4u) + four_rgb(high, texel / 4u + 3u);
+            //#else
             var rgb = vec3f(0.0);
             //#for k in 1..4
             rgb += basis[$k] * band_rgb(texel + 3u * ($ku - 1u));
@@ -58,6 +81,7 @@ fn sample_bands(map: Maps, f: Fragment, degree: u32) -> vec3f {
                 rgb += basis[$k] * band_rgb(texel + 3u * ($ku - 1u));
                 //#end
             }
+            //#end
             sum += t.weight[k] * rgb;
         }
     }

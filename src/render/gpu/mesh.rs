@@ -135,14 +135,15 @@ impl Screen {
 }
 
 impl Kernels {
-    fn new(gpu: &Gpu, layers: u32, bands: u32) -> Self {
+    fn new(gpu: &Gpu, layers: u32, texels: &Texels) -> Self {
         // On a software adapter a lane is a loop iteration and workgroup memory is plain memory: a thread that owns
         // many pixels saves loads. Hardware wants the lanes.
         let per_thread = if gpu.profile().is_cpu { 8 } else { 1 };
         let defines: Defines = gpu
             .defines()
             .with("LAYERS", layers)
-            .with("BANDS", bands)
+            .with("BANDS", texels.band_coefficients())
+            .with("FOURS", u32::from(texels.bands_are_in_fours()))
             .with("RUN", run_length(gpu))
             .with("BIN", BIN)
             .with("PER_THREAD", per_thread);
@@ -168,7 +169,7 @@ impl MeshStage {
     pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], layers: u32, status: Option<&Buffer>) -> Result<Self, GpuError> {
         let trainable = status.is_some();
         let texels = Texels::new(gpu, meshes, status)?;
-        let kernels = Kernels::new(gpu, layers, texels.band_coefficients());
+        let kernels = Kernels::new(gpu, layers, &texels);
         Ok(Self {
             layers,
             n_triangles: meshes.iter().map(|m| m.triangles().len()).sum(),

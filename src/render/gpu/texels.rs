@@ -254,6 +254,11 @@ impl Texels {
         self.degrees.iter().map(|&d| sh::coefficients(d) as u32 - 1).max().unwrap_or(0)
     }
 
+    /// Whether every texel of the bands begins at a multiple of four floats.
+    pub(crate) fn bands_are_in_fours(&self) -> bool {
+        self.bands.maps.iter().flatten().all(|map| map.channels % 4 == 0)
+    }
+
     /// Zeroth coefficients and opacity logits, `[texels, 4]`.
     pub(crate) fn base(&self) -> &Buffer {
         &self.base.texels
