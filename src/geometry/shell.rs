@@ -15,6 +15,8 @@ const LEAST_VIEWS: u32 = 2;
 const FARTHEST: f64 = 1000.0;
 /// So many times as far away as all but the outermost hundredth of the points.
 const BEYOND_POINTS: f64 = 4.0;
+/// Part of its radius that surfaces within may reach: parallax between cameras is at most 4 pixels from there on.
+const FARTHEST_SURFACE: f64 = 0.25;
 /// Edges across the field of view: its triangles are judged one by one.
 const EDGES_ACROSS: f64 = 6.0;
 /// Subdivisions of the icosahedron, at most.
@@ -52,19 +54,29 @@ impl Shell {
         })
     }
 
-    /// Whether a point is one of it, and not of what is within or, where a surface reaches so far that there is no shell, beyond.
+    /// Whether a point is one of it, and not of what is within.
     #[must_use]
     pub fn holds(&self, point: Vec3) -> bool {
         (point.as_dvec3().distance(self.center) / self.radius - 1.0).abs() < 0.01
     }
 
-    /// Its triangles that at least two of the cameras see past `near`, wound to be seen from within. Empty if there are none, or where
-    /// `near` reaches as far as the shell itself.
+    /// The surface with those triangles of the shell that at least two of the cameras see past it, wound to be seen from within. What of
+    /// the surface is farther than a quarter of the way to the shell goes: depth hardly shows there, and the shell takes its place.
     #[must_use]
-    pub fn seen_past(&self, near: &Surface, cameras: &[Camera]) -> Surface {
-        if near.positions.iter().any(|p| p.as_dvec3().distance(self.center) > 0.25 * self.radius) {
-            return Surface::default();
-        }
+    pub fn around_surface(&self, mut surface: Surface, cameras: &[Camera]) -> Surface {
+        let is_near = |p: &Vec3| p.as_dvec3().distance(self.center) <= FARTHEST_SURFACE * self.radius;
+        let near: Vec<bool> = surface.positions.iter().map(is_near).collect();
+        surface.triangles.retain(|t| t.iter().all(|&v| near[v as usize]));
+        let mut surface = compact(surface);
+        let far = self.seen_past(&surface, cameras);
+        let first = surface.positions.len() as u32;
+        surface.positions.extend(far.positions);
+        surface.triangles.extend(far.triangles.into_iter().map(|t| t.map(|v| first + v)));
+        surface
+    }
+
+    /// Its triangles that at least two of the cameras see past `near`.
+    fn seen_past(&self, near: &Surface, cameras: &[Camera]) -> Surface {
         let (directions, triangles) = icosphere(self.subdivisions);
         let corners: Vec<DVec3> = directions.iter().map(|d| self.center + *d * self.radius).collect();
         let bvh = MeshBvh::new([(near.positions.as_slice(), near.triangles.as_slice())]);
@@ -208,9 +220,27 @@ mod tests {
         assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras()), Surface::default());
         let beside = shell.seen_past(&wall(9.0, 9.0), &cameras());
         assert!(beside.triangles.len() > 10 && beside.triangles.len() < open.triangles.len() * 3 / 4);
-        // One view is too few, and a surface that is as far away leaves no room.
+        // One view is too few.
         assert_eq!(shell.seen_past(&Surface::default(), &cameras()[..1]), Surface::default());
-        let far = Surface { positions: vec![Vec3::new(0.0, 0.0, 100.0)], triangles: vec![] };
-        assert_eq!(shell.seen_past(&far, &cameras()), Surface::default());
+    }
+
+    #[test]
+    fn it_takes_the_place_of_what_is_nearly_as_far() {
+        let shell = Shell::around(&cameras(), &[]).unwrap();
+        let all = shell.around_surface(Surface::default(), &cameras());
+        let at = |scale: f32| {
+            let Surface { positions, triangles } = wall(0.0, 9.0);
+            Surface { positions: positions.into_iter().map(|p| p * scale).collect(), triangles }
+        };
+        // Corners at 13.1 × scale; the radius is 150.
+        assert_eq!(shell.around_surface(at(2.9), &cameras()), all);
+        assert_eq!(shell.around_surface(at(2.8), &cameras()), at(2.8));
+        let beside = shell.around_surface(wall(9.0, 9.0), &cameras());
+        assert_eq!(
+            (&beside.positions[..4], &beside.triangles[..2]),
+            (&*wall(9.0, 9.0).positions, &[[0, 1, 2], [0, 2, 3]][..])
+        );
+        assert!(beside.triangles.len() > 12 && beside.triangles[2..].iter().flatten().all(|&v| v >= 4));
+        assert!(beside.positions[4..].iter().all(|p| shell.holds(*p)));
     }
 }

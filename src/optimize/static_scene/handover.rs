@@ -45,14 +45,12 @@ impl<'a> Run<'a> {
         self.textured(surface)
     }
 
-    /// With empty maps, and with what training views see past the surface on a shell around it, painted.
-    fn textured(&self, mut surface: Surface) -> Result<Mesh, TrainError> {
-        if let Some(shell) = &self.shell {
-            let far = shell.seen_past(&surface, &self.train_cameras);
-            let first = surface.positions.len() as u32;
-            surface.positions.extend(far.positions);
-            surface.triangles.extend(far.triangles.into_iter().map(|t| t.map(|v| first + v)));
-        }
+    /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
+    fn textured(&self, surface: Surface) -> Result<Mesh, TrainError> {
+        let surface = match &self.shell {
+            Some(shell) => shell.around_surface(surface, &self.train_cameras),
+            None => surface,
+        };
         let charts_in = self.charts_in()?;
         let mesh = surface::with_room_for_charts(self.texture_size(), self.largest_texture(), |size| {
             let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), size)?;
