@@ -295,14 +295,23 @@ fn a_surface_is_compared_with_what_it_should_be() {
     let folder = tempfile::tempdir().unwrap();
     let demo = demo().display().to_string();
     let mesh = |args: &[&str]| {
-        let output =
-            common::centaur(folder.path()).args(["mesh", &demo, "--triangles", "3000"]).args(args).output().unwrap();
+        let output = common::centaur(folder.path()).args(["mesh", &demo]).args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));
         String::from_utf8(output.stdout).unwrap()
     };
-    mesh(&["-o", "a.glb", "--quiet"]);
-    let found: serde_json::Value =
-        serde_json::from_str(&mesh(&["-o", "b.glb", "--truth", "a.glb", "--within", "1e-4", "--json"])).unwrap();
+    mesh(&["-o", "a.glb", "--triangles", "3000", "--quiet"]);
+    let found: serde_json::Value = serde_json::from_str(&mesh(&[
+        "-o",
+        "b.glb",
+        "--truth",
+        "a.glb",
+        "--within",
+        "1e-4",
+        "--triangles",
+        "3000",
+        "--json",
+    ]))
+    .unwrap();
     let of = |key: &str| found["truth"][key].as_f64().unwrap();
     assert!(of("accuracy") < 1e-6 && of("completeness") < 1e-6 && of("f_score") == 1.0, "{found}");
     assert!(of("counted") > 0.5 && of("counted") <= 1.0, "{found}");
@@ -310,6 +319,26 @@ fn a_surface_is_compared_with_what_it_should_be() {
     // All but what was made around corners: the surface is of what views see.
     let seen = found["atlas"]["seen"].as_f64().unwrap();
     assert!(seen > 0.8 && seen <= 1.0, "{found}");
+    assert_eq!(of("chamfer"), 0.5 * (of("accuracy") + of("completeness")));
+    // The same surface as a mesh of one's own: nothing to mend, fewer triangles, new charts.
+    let own: serde_json::Value = serde_json::from_str(&mesh(&[
+        "--mesh",
+        "a.glb",
+        "-o",
+        "c.glb",
+        "--triangles",
+        "1000",
+        "--truth",
+        "a.glb",
+        "--json",
+    ]))
+    .unwrap();
+    let of_triangles = |json: &serde_json::Value, step: &str| json["triangles"][step].as_u64().unwrap();
+    let (whole, read) = (of_triangles(&own, "cleaned"), of_triangles(&found, "simplified"));
+    assert!(own["origin"] == "given" && of_triangles(&own, "extracted") == read && whole * 10 > read * 8, "{own}");
+    let left = of_triangles(&own, "simplified");
+    assert!((500..=1000).contains(&left) && own["truth"]["f_score"].as_f64().unwrap() > 0.9, "{own}");
+    assert_eq!(mesh_import::read(&folder.path().join("c.glb")).unwrap().triangles.len() as u64, left);
     // What no camera sees does not count: a square above all of them, as large as the surface.
     let seen = mesh_import::read(&folder.path().join("a.glb")).unwrap();
     let area = |[a, b, c]: [Vec3; 3]| 0.5 * (b - a).cross(c - a).length();
@@ -332,8 +361,18 @@ fn a_surface_is_compared_with_what_it_should_be() {
         writeln!(obj, "f {} {} {}", a + 1, b + 1, c + 1).unwrap();
     }
     std::fs::write(folder.path().join("more.obj"), obj).unwrap();
-    let with_more: serde_json::Value =
-        serde_json::from_str(&mesh(&["-o", "b.glb", "--truth", "more.obj", "--within", "1e-4", "--json"])).unwrap();
+    let with_more: serde_json::Value = serde_json::from_str(&mesh(&[
+        "-o",
+        "b.glb",
+        "--triangles",
+        "3000",
+        "--truth",
+        "more.obj",
+        "--within",
+        "1e-4",
+        "--json",
+    ]))
+    .unwrap();
     let counted = with_more["truth"]["counted"].as_f64().unwrap();
     assert!((counted - 0.5 * of("counted")).abs() < 0.01, "{found} {with_more}");
     assert!(with_more["truth"]["completeness"].as_f64().unwrap() < 1e-6, "{with_more}");

@@ -19,9 +19,10 @@ const EXAMPLES: &str = "\
 Examples:
   centaur mesh splats.glb captures/garden --downscale 4 -o surface.glb
   centaur mesh captures/garden -o coarse.glb
+  centaur mesh captures/garden --mesh scan.obj --triangles 50000 -o scan.glb
   centaur train captures/garden --mesh surface.glb -o garden.glb --downscale 4";
 
-/// Make a surface from trained splats, or a coarse one from a capture's points alone
+/// Make a surface from trained splats, a coarse one from a capture's points alone, or one of a mesh that you have
 ///
 /// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
 /// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
@@ -29,6 +30,9 @@ Examples:
 ///
 /// Without SPLATS, in seconds: the points that structure from motion found in each view are triangulated, triangles
 /// that hide what other views see are dropped, and the rest is fused.
+///
+/// With --mesh nothing is fused: vertices at the same place are welded, broken triangles and crumbs dropped, small holes closed, and what is
+/// left is simplified and cut into charts. (`centaur train --mesh` takes any mesh as it is, with its own texture coordinates.)
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, allow_missing_positional = true)]
 pub(super) struct Args {
@@ -37,6 +41,9 @@ pub(super) struct Args {
     splats: Option<PathBuf>,
     /// Folder with photographs and poses, or a transforms*.json
     capture: PathBuf,
+    /// Take the surface of this file, in the frame of the capture (.glb, .gltf, .obj, .ply)
+    #[arg(long, value_name = "MESH", conflicts_with_all = ["splats", "planar"])]
+    mesh: Option<PathBuf>,
     /// Surface to write
     #[arg(short, long, value_name = "SURFACE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
     output: PathBuf,
@@ -71,15 +78,20 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
     let capture = args.loading.open(&args.capture)?;
-    let (surface, steps, origin) = match &args.splats {
-        Some(splats) => {
+    let (surface, steps, origin) = match (&args.mesh, &args.splats) {
+        (Some(file), _) => {
+            let (surface, steps) = geometry::tidy(read(file)?, args.triangles)
+                .with_context(|| format!("{}: expected a mesh to make a surface of", file.display()))?;
+            (surface, steps, SurfaceOrigin::Given)
+        }
+        (None, Some(splats)) => {
             let scene = read_scene(splats)?;
             let gpu = args.adapter.open()?;
             let (surface, steps) =
                 surface_from_splats(&gpu, &scene.splats, &capture, args.triangles, args.planar.is_auto())?;
             (surface, steps, SurfaceOrigin::Splats)
         }
-        None => from_points(&capture, args)?,
+        (None, None) => from_points(&capture, args)?,
     };
     let compare = |(file, truth): &(&Path, Surface)| {
         compare(&surface, truth, args.within, &capture).with_context(|| {
@@ -113,9 +125,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     if let Some(distance) = compared {
         output::print(&format!(
-            "to the truth {:.5} on average, from it {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
+            "to the truth {:.5} on average, from it {:.5}, Chamfer distance {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
             distance.accuracy,
             distance.completeness,
+            distance.chamfer,
             distance.within,
             distance.precision,
             distance.recall,
@@ -123,22 +136,32 @@ pub(super) fn run(args: &Args) -> Result<()> {
             100.0 * distance.counted,
         ))?;
     }
+    let made = if origin == SurfaceOrigin::Given {
+        format!(
+            "triangles: {} read, {} whole and no crumbs ({} holes closed), {} after simplification",
+            steps.extracted, steps.cleaned, steps.holes, steps.simplified
+        )
+    } else {
+        format!(
+            "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
+             planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}",
+            steps.views,
+            if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },
+            steps.extracted,
+            steps.cleaned,
+            steps.holes,
+            steps.even,
+            steps.simplified,
+            steps.planar.planes,
+            100.0 * steps.planar.before as f64 / steps.even as f64,
+            steps.planar.before,
+            steps.planar.after,
+        )
+    };
     output::print(&format!(
-        "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
-         planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}\n\
+        "{made}\n\
          {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels\n\
          wrote {}",
-        steps.views,
-        if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },
-        steps.extracted,
-        steps.cleaned,
-        steps.holes,
-        steps.even,
-        steps.simplified,
-        steps.planar.planes,
-        100.0 * steps.planar.before as f64 / steps.even as f64,
-        steps.planar.before,
-        steps.planar.after,
         charts.charts,
         100.0 * charts.coverage,
         charts.gutter,

@@ -17,6 +17,8 @@ pub struct SurfaceDistance {
     pub accuracy: f64,
     /// Mean distance of the truth's points to the surface.
     pub completeness: f64,
+    /// Chamfer distance: mean of both.
+    pub chamfer: f64,
     /// Within which points count for the three below.
     pub within: f64,
     /// Part of the surface that is so near to the truth.
@@ -27,14 +29,6 @@ pub struct SurfaceDistance {
     pub f_score: f64,
     /// Part of the truth that counts.
     pub counted: f64,
-}
-
-impl SurfaceDistance {
-    /// Mean of accuracy and completeness.
-    #[must_use]
-    pub fn chamfer(&self) -> f64 {
-        0.5 * (self.accuracy + self.completeness)
-    }
 }
 
 /// Compares a surface with the truth, of whose points those count that `counts` says: nobody expects what no view sees.
@@ -56,7 +50,8 @@ pub fn surface_distance(
     let sum = precision + recall;
     let f_score = if sum > 0.0 { 2.0 * precision * recall / sum } else { 0.0 };
     let counted = of_truth.len() as f64 / all.len() as f64;
-    Some(SurfaceDistance { accuracy, completeness, within, precision, recall, f_score, counted })
+    let chamfer = 0.5 * (accuracy + completeness);
+    Some(SurfaceDistance { accuracy, completeness, chamfer, within, precision, recall, f_score, counted })
 }
 
 /// Mean distance of points to a surface, and the part of them that is near it.
@@ -112,7 +107,7 @@ mod tests {
     #[test]
     fn distances_are_those_of_planes() {
         let found = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.25, |_| true).unwrap();
-        assert!((found.accuracy - 0.25).abs() < 1e-12 && (found.chamfer() - 0.25).abs() < 1e-12);
+        assert!((found.accuracy - 0.25).abs() < 1e-12 && (found.chamfer - 0.25).abs() < 1e-12);
         assert_eq!((found.precision, found.recall, found.f_score, found.counted), (1.0, 1.0, 1.0, 1.0));
         let far = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.2, |_| true).unwrap();
         assert_eq!((far.precision, far.recall, far.f_score), (0.0, 0.0, 0.0));

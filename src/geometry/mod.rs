@@ -16,6 +16,7 @@ mod shell;
 mod smooth;
 mod sparse;
 mod surface;
+mod tidy;
 mod transfer;
 mod unwrap;
 mod visibility;
@@ -37,6 +38,7 @@ pub use surface::{
     Surface, SurfaceOptions, SurfaceStats, clean, compact, components, simplify, surface_from_depths,
     surface_from_fusion,
 };
+pub use tidy::tidy;
 pub use transfer::transfer;
 pub use unwrap::{UnwrapStats, UnwrappedMesh, unwrap};
 pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};

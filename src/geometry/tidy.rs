@@ -1,0 +1,118 @@
+//! A surface that somebody else made, on the way to charts: what an iso-surface has by itself it may lack.
+
+use std::collections::HashMap;
+
+use super::surface::{Surface, SurfaceStats, compact, components, simplify, without_broken};
+use super::{GeometryError, without_holes};
+
+/// A connected piece is a crumb if it has fewer triangles, as of an iso-surface (2DGS), ...
+const CRUMB_FACES: usize = 50;
+/// ... and less than this part of the whole area: a box has twelve triangles.
+const CRUMB_AREA: f64 = 0.01;
+/// Edges around the largest hole that is closed, as of an iso-surface.
+const HOLE_EDGES: usize = 40;
+
+/// Welds vertices at the same place, drops broken triangles and crumbs, closes small holes (see [`without_holes`]) and simplifies to at
+/// most about `target_triangles`. The statistics call what came in extracted. The cost is linear.
+///
+/// # Errors
+/// If no triangle is left; the message names the step.
+pub fn tidy(surface: Surface, target_triangles: usize) -> Result<(Surface, SurfaceStats), GeometryError> {
+    let mut stats = SurfaceStats { extracted: surface.triangles.len(), ..SurfaceStats::default() };
+    let whole = without_broken(welded(surface));
+    let kept = without_crumbs(whole);
+    stats.cleaned = kept.triangles.len();
+    if stats.cleaned == 0 {
+        let hint = "no triangle has an area, finite corners and indices in range";
+        return Err(GeometryError::EmptySurface { step: "cleaning", hint });
+    }
+    let closed;
+    (closed, stats.holes) = without_holes(kept, HOLE_EDGES);
+    stats.even = closed.triangles.len();
+    let simplified = simplify(&closed, &[], target_triangles);
+    stats.simplified = simplified.triangles.len();
+    if stats.simplified == 0 {
+        return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
+    }
+    Ok((simplified, stats))
+}
+
+/// Vertices at the very same place become one: files have them apart where texture coordinates or normals are.
+fn welded(mut surface: Surface) -> Surface {
+    let mut first: HashMap<[u32; 3], u32> = HashMap::new();
+    let positions = surface.positions.iter().enumerate();
+    // Zero has two signs.
+    let same: Vec<u32> =
+        positions.map(|(i, p)| *first.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_insert(i as u32)).collect();
+    for v in surface.triangles.iter_mut().flatten() {
+        *v = same.get(*v as usize).copied().unwrap_or(*v);
+    }
+    surface
+}
+
+fn without_crumbs(surface: Surface) -> Surface {
+    let component = components(&surface);
+    let mut pieces = vec![(0_usize, 0.0_f64); surface.positions.len()];
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| surface.positions[v as usize].as_dvec3());
+        0.5 * (b - a).cross(c - a).length()
+    };
+    let mut whole = 0.0;
+    for (t, &c) in surface.triangles.iter().zip(&component) {
+        let (faces, sum) = &mut pieces[c as usize];
+        *faces += 1;
+        *sum += area(t);
+        whole += area(t);
+    }
+    let stays = |c: &u32| pieces[*c as usize].0 >= CRUMB_FACES || pieces[*c as usize].1 >= CRUMB_AREA * whole;
+    let kept = surface.triangles.iter().zip(&component).filter(|(_, c)| stays(c)).map(|(t, _)| *t);
+    let triangles = kept.collect();
+    compact(Surface { positions: surface.positions, triangles })
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    /// `n`² squares of two triangles each, without those that `leaves_out`, every triangle with corners of its own.
+    fn sheet(n: u32, leaves_out: impl Fn(u32, u32) -> bool) -> Surface {
+        let mut surface = Surface::default();
+        for (x, y) in (0..n).flat_map(|y| (0..n).map(move |x| (x, y))).filter(|&(x, y)| !leaves_out(x, y)) {
+            for corners in [[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]] {
+                let first = surface.positions.len() as u32;
+                let place = |[a, b]: [u32; 2]| Vec3::new((x + a) as f32 / n as f32, (y + b) as f32 / n as f32, -0.0);
+                surface.positions.extend(corners.map(place));
+                surface.triangles.push([first, first + 1, first + 2]);
+            }
+        }
+        surface
+    }
+
+    #[test]
+    fn a_soup_with_a_hole_and_crumbs_is_made_whole() {
+        let mut soup = sheet(20, |x, y| (9..11).contains(&x) && (9..11).contains(&y));
+        let (whole, broken) = (soup.triangles.len(), [[0, 1, 1], [0, 1, 999_999]]);
+        let first = soup.positions.len() as u32;
+        soup.positions.extend([[2.0, 0.0, 0.0], [2.01, 0.0, 0.0], [2.0, 0.01, 0.0], [f32::NAN; 3]].map(Vec3::from));
+        soup.triangles.extend([[first, first + 1, first + 2], [0, 1, first + 3]]);
+        soup.triangles.extend(broken);
+        let (tidied, stats) = tidy(soup.clone(), 10_000).unwrap();
+        assert_eq!((stats.extracted, stats.cleaned, stats.holes), (whole + 4, whole, 1));
+        assert!(tidied.triangles.len() > whole && stats.simplified == tidied.triangles.len());
+        assert!(tidied.positions.len() < 21 * 21 + 5 && tidied.positions.iter().all(|p| p.is_finite() && p.x <= 1.0));
+        assert!(tidy(soup, 100).unwrap().0.triangles.len() <= 100);
+    }
+
+    #[test]
+    fn few_large_triangles_are_no_crumbs() {
+        let mut two = sheet(1, |_, _| false);
+        let first = two.positions.len() as u32;
+        two.positions.extend(sheet(1, |_, _| false).positions.iter().map(|p| *p + Vec3::X * 3.0));
+        two.triangles.extend([[first, first + 1, first + 2], [first + 3, first + 4, first + 5]]);
+        assert_eq!(tidy(two, 10_000).unwrap().1.simplified, 4);
+        let nothing = Surface { positions: vec![Vec3::ZERO; 3], triangles: vec![[0, 1, 2]] };
+        assert!(matches!(tidy(nothing, 10_000), Err(GeometryError::EmptySurface { step: "cleaning", .. })));
+        assert!(tidy(Surface::default(), 10_000).is_err());
+    }
+}
