@@ -1,10 +1,13 @@
 //! A coarse surface from the points of structure from motion alone, in seconds: per view a Delaunay triangulation of the
-//! points that it sees, lifted to their depths; triangles that hide what another view sees are dropped; the rest is
-//! rasterised to depth maps and fused.
+//! points that it sees, lifted to their depths; triangles that hide what another view sees are dropped. What is left says which edges
+//! lie on the surface: those that most views found are constraints of a second triangulation of every view. Its triangles are
+//! judged alike, rasterised to depth maps and fused.
+
+use std::collections::{HashMap, HashSet};
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
-use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation as _};
+use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
 use super::bvh::MeshBvh;
 use super::fusion::{Fusion, FusionOptions};
@@ -32,6 +35,8 @@ const SIDE: u32 = 320;
 const LEAST_COSINE: f64 = 0.17;
 /// Nor if it is longer than so many times the median edge of its view, both as seen: it spans what has no points.
 const LONGEST_EDGE: f64 = 6.0;
+/// Views that must have an edge for it to be a constraint in others.
+const LEAST_AGREEING: u32 = 5;
 /// Rays from cameras to points that a triangle may stand in the way of: some points are wrong.
 const ALLOWED_RAYS: u32 = 1;
 /// A triangle is in the way if it is nearer than the point by more than this part of its depth.
@@ -81,8 +86,11 @@ pub fn surface_from_points(
             sees => sees.iter().copied().filter(|&i| (i as usize) < points.len()).collect(),
         })
         .collect();
-    let lifted: Vec<Vec<[u32; 3]>> =
-        views.par_iter().zip(&seen).map(|(view, seen)| lift(&view.camera, points, seen)).collect();
+    let lifted = |constraints: &[[u32; 2]]| -> Vec<Vec<[u32; 3]>> {
+        views.par_iter().zip(&seen).map(|(view, seen)| lift(&view.camera, points, seen, constraints)).collect()
+    };
+    let first = without_hiding(views, points, &seen, &lifted(&[]));
+    let lifted = lifted(&agreed(points.len(), &seen, &first));
     let clear = without_hiding(views, points, &seen, &lifted);
     let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
     let mut stats = SparseStats {
@@ -158,12 +166,48 @@ impl HasPosition for Seen {
     }
 }
 
-/// Delaunay triangles of what a camera sees, without those that cannot be a surface.
-fn lift(camera: &Camera, points: &[Vec3], seen: &[u32]) -> Vec<[u32; 3]> {
+/// Edges of triangles that most of the views have which see both ends, [`LEAST_AGREEING`] at least: first those that more have. Edges of few views are
+/// those of where a view has points that others have not.
+fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<[u32; 2]> {
+    let mut found: HashMap<[u32; 2], u32> = HashMap::new();
+    for triangles in triangles {
+        let edges: HashSet<[u32; 2]> = triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+            .map(|[a, b]| [a.min(b), a.max(b)])
+            .collect();
+        edges.into_iter().for_each(|edge| *found.entry(edge).or_default() += 1);
+    }
+    let mut by: Vec<Vec<u32>> = vec![vec![]; points];
+    for (view, seen) in (0u32..).zip(seen) {
+        seen.iter().for_each(|&i| by[i as usize].push(view));
+    }
+    let both = |[a, b]: [u32; 2]| {
+        let (a, b) = (&by[a as usize], &by[b as usize]);
+        a.iter().filter(|view| b.binary_search(view).is_ok()).count() as u32
+    };
+    let mut edges: Vec<([u32; 2], u32)> =
+        found.into_iter().filter(|&(edge, n)| n >= LEAST_AGREEING && 2 * n > both(edge)).collect();
+    edges.sort_unstable_by_key(|&(edge, n)| (std::cmp::Reverse(n), edge));
+    edges.into_iter().map(|(edge, _)| edge).collect()
+}
+
+/// Delaunay triangles of what a camera sees, without those that cannot be a surface. They have those of the edges `constraints` that are
+/// between points it sees, but for edges that cross earlier ones.
+fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]) -> Vec<[u32; 3]> {
     let project = |&i: &u32| project(camera, points[i as usize]).map(|(pixel, _)| Seen { pixel, point: i });
-    let Ok(delaunay) = DelaunayTriangulation::<Seen>::bulk_load(seen.iter().filter_map(project).collect()) else {
+    let seen = seen.iter().filter_map(project).collect();
+    let Ok(mut delaunay) = ConstrainedDelaunayTriangulation::<Seen>::bulk_load(seen) else {
         return vec![];
     };
+    let handles: HashMap<u32, _> = delaunay.vertices().map(|v| (v.data().point, v.fix())).collect();
+    for [a, b] in constraints {
+        if let (Some(&a), Some(&b)) = (handles.get(a), handles.get(b))
+            && delaunay.can_add_constraint(a, b)
+        {
+            delaunay.add_constraint(a, b);
+        }
+    }
     let mut edges: Vec<f64> =
         delaunay.undirected_edges().map(|edge| edge.length_2()).filter(|length| *length > 0.0).collect();
     if edges.is_empty() {
@@ -172,7 +216,7 @@ fn lift(camera: &Camera, points: &[Vec3], seen: &[u32]) -> Vec<[u32; 3]> {
     let middle = edges.len() / 2;
     let median = *edges.select_nth_unstable_by(middle, f64::total_cmp).1;
     let longest = median * LONGEST_EDGE * LONGEST_EDGE; // of squares
-    let surface = |face: spade::handles::FaceHandle<'_, spade::handles::InnerTag, Seen, (), (), ()>| {
+    let surface = |face: spade::handles::FaceHandle<'_, spade::handles::InnerTag, Seen, (), CdtEdge<()>, ()>| {
         let corners = face.vertices().map(|v| v.data().point);
         let pixels = face.vertices().map(|v| v.data().pixel);
         let sides = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| pixels[a].distance_squared(pixels[b]));
@@ -343,6 +387,32 @@ mod tests {
         let seen = |p: &&Vec3| !(f64::from(p.y) > 0.5 && f64::from(p.x.hypot(p.z)) < 1.2);
         let known: Vec<f64> = points[..5000].iter().filter(seen).map(distance).collect();
         [accuracy, known.iter().sum::<f64>() / known.len() as f64]
+    }
+
+    #[test]
+    fn edges_that_views_agree_on_are_kept_in_all() {
+        let k = Intrinsics { width: 400, height: 400, fx: 300.0, fy: 300.0, cx: 200.0, cy: 200.0 };
+        let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+        // A kite, across whose shorter diagonal Delaunay triangles lie.
+        let points = [[-1.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.5, 3.0], [0.0, -0.5, 3.0]].map(Vec3::from);
+        let has = |triangles: &[[u32; 3]], edge: [u32; 2]| {
+            triangles.len() == 2 && triangles.iter().all(|t| edge.iter().all(|v| t.contains(v)))
+        };
+        let lift = |constraints: &[[u32; 2]]| lift(&camera, &points, &[0, 1, 2, 3], constraints);
+        assert!(has(&lift(&[]), [2, 3]) && has(&lift(&[[0, 1]]), [0, 1]));
+        // The first of those that cross, and none to what is not seen.
+        assert!(has(&lift(&[[0, 1], [2, 3]]), [0, 1]) && has(&lift(&[[2, 3], [0, 1], [0, 9]]), [2, 3]));
+        let (long, short) = (lift(&[[0, 1]]), lift(&[]));
+        let agreed = |[n_long, n_short]: [usize; 2], seen: usize| {
+            let triangles = [vec![long.clone(); n_long], vec![short.clone(); n_short]].concat();
+            agreed(4, &vec![vec![0, 1, 2, 3]; seen], &triangles)
+        };
+        let rim = [[0, 2], [0, 3], [1, 2], [1, 3]];
+        assert_eq!(agreed([5, 4], 9), [&rim[..], &[[0, 1]]].concat());
+        // Not where half of the views that see both ends have it, nor where few are all.
+        assert_eq!(agreed([5, 5], 10), rim);
+        assert_eq!(agreed([4, 0], 4), [[0; 2]; 0]);
+        assert_eq!(agreed([5, 0], 11), [[0; 2]; 0]);
     }
 
     #[test]
