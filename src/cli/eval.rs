@@ -2,10 +2,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{self, Capture, Photo, Split, View};
-use centaur::format::{atomic_write, read_scene};
+use centaur::format::gltf::Source;
+use centaur::format::{ReadOptions, atomic_write, read_file};
 use centaur::metrics::{
     Evaluation, Lpips, Measured, Scores, ViewScore,
-    plot::Plot,
     report::{self, Picture, Report},
     side_by_side,
 };
@@ -13,6 +13,7 @@ use centaur::render::gpu::{Gpu, Renderer};
 use centaur::scene::{Camera, HybridScene};
 use image::{Rgb, Rgb32FImage, RgbImage};
 
+use super::history::Record;
 use super::output;
 use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs};
 
@@ -25,7 +26,8 @@ Examples:
 ///
 /// Prints PSNR, SSIM, FLIP and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
-/// --max-side, --images and --masks as in training.
+/// --max-side, --images and --masks as in training. Seconds per iteration and the curves of the training stand in scenes that
+/// `centaur train` wrote, and in no others.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -69,7 +71,10 @@ const TIMED_FRAMES: u32 = 5;
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.output.as_deref().map_or(Ok(()), output::check_folder)?;
-    let scene = read_scene(&args.scene)?;
+    let file = read_file(&args.scene, &ReadOptions::default())?;
+    let training = file.source.as_ref().and_then(Source::extras).and_then(Record::read);
+    drop(file.source);
+    let scene = file.scene;
     let capture = args.loading.open(&args.capture)?;
     let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
@@ -81,9 +86,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
             scene_file: &args.scene,
             lpips: lpips.as_ref(),
             folder: args.output.as_deref(),
-            settings: &[],
-            plots: &[],
-            seconds_per_iteration: None,
+            settings: &training.as_ref().map_or_else(Vec::new, Record::settings),
+            training: training.as_ref(),
         },
     )?;
     if args.messages.json { output::print_json(&evaluation) } else { output::print(evaluation.to_string().trim_end()) }
@@ -99,10 +103,8 @@ pub(super) struct Details<'a> {
     pub(super) folder: Option<&'a Path>,
     /// Shown in the report.
     pub(super) settings: &'a [(String, String)],
-    /// Shown in the report.
-    pub(super) plots: &'a [Plot],
-    /// From the training, if it has just been done.
-    pub(super) seconds_per_iteration: Option<f64>,
+    /// What is known of the training: its time, and the curves of the report.
+    pub(super) training: Option<&'a Record>,
 }
 
 /// Renders and scores every held-out view; writes the folder of `details`.
@@ -131,7 +133,8 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     let seconds = timed.iter().map(|c| renderer.seconds_per_frame(c, TIMED_FRAMES)).sum::<Result<f64, _>>()?;
     let measured = Measured {
         file_bytes: std::fs::metadata(details.scene_file).map_or(0, |m| m.len()),
-        seconds_per_iteration: details.seconds_per_iteration,
+        seconds_per_iteration: details.training.and_then(|t| t.seconds_per_iteration),
+        trained_on: details.training.and_then(|t| t.adapter.clone()).filter(|name| name != gpu.adapter()),
         fps: Some(timed.len() as f64 / seconds.max(1e-9)),
         peak_gpu_bytes: Some(gpu.peak_bytes()),
         adapter: gpu.adapter().to_owned(),
@@ -142,7 +145,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
             title: &capture.name,
             evaluation: &evaluation,
             settings: details.settings,
-            plots: details.plots,
+            plots: &details.training.map_or_else(Vec::new, Record::plots),
             pictures: &pictures,
         });
         atomic_write(&folder.join("report.html"), page.as_bytes())?;

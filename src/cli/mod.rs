@@ -6,6 +6,7 @@ mod convert;
 mod devices;
 mod edits;
 mod eval;
+mod history;
 mod inspect;
 mod mesh;
 mod output;

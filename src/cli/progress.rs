@@ -1,8 +1,7 @@
-//! One training run, told to a person (a bar), a program (JSON lines) or no one; remembered for the report.
+//! One training run, told to a person (a bar), a program (JSON lines) or no one.
 
 use std::io::{self, Write as _};
 
-use centaur::metrics::plot::Plot;
 use centaur::optimize::{Phase, Progress};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -14,9 +13,6 @@ pub(super) struct Reporter {
     json: bool,
     phase: Option<Phase>,
     held_out: Option<f64>,
-    loss: Vec<(f64, f64)>,
-    psnr: Vec<(f64, f64)>,
-    splats: Vec<(f64, f64)>,
 }
 
 impl Reporter {
@@ -26,22 +22,10 @@ impl Reporter {
         bar.set_style(ProgressStyle::with_template(style).expect("the template is a constant"));
         // --quiet silences the lines too: --json --quiet leaves the one object on stdout.
         let json = messages.json && !messages.quiet;
-        Self { bar, json, phase: None, held_out: None, loss: vec![], psnr: vec![], splats: vec![] }
+        Self { bar, json, phase: None, held_out: None }
     }
 
     pub(super) fn update(&mut self, p: &Progress) {
-        // The curves begin with the mesh: the surface phase counts iterations of its own, and the mesh replaces most of
-        // its splats.
-        let at = match p.phase {
-            Phase::Surface => None,
-            Phase::Warmup => Some(f64::from(p.iteration) - f64::from(p.of)),
-            Phase::Joint => Some(f64::from(p.iteration)),
-        };
-        if let Some(at) = at {
-            self.loss.push((at, p.loss));
-            self.splats.push((at, p.splats as f64));
-            self.psnr.extend(p.psnr.map(|db| (at, db)));
-        }
         if self.json {
             // Progress is a courtesy: a reader that has gone away does not stop the training.
             let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": p }));
@@ -63,13 +47,8 @@ impl Reporter {
         self.bar.set_message(format!("loss {:.4}  {} splats{held_out}", p.loss, p.splats));
     }
 
-    /// Leaves the last state of the bar on the terminal and gives the curves.
-    pub(super) fn finish(self) -> Vec<Plot> {
+    /// Leaves the last state of the bar on the terminal.
+    pub(super) fn finish(self) {
         self.bar.abandon();
-        [("loss", true, self.loss), ("held-out PSNR (dB)", false, self.psnr), ("splats", false, self.splats)]
-            .into_iter()
-            .filter(|(_, _, points)| !points.is_empty())
-            .map(|(title, log_y, points)| Plot { title: title.into(), x_label: "iteration".into(), log_y, points })
-            .collect()
     }
 }

@@ -8,17 +8,18 @@ use centaur::capture::Capture;
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
-use centaur::metrics::{Evaluation, Lpips, plot::Plot};
+use centaur::metrics::{Evaluation, Lpips};
 use centaur::optimize::{
     self, Background, Density, MeshSource, Outcome, RefinedPose, Session, SurfaceOrigin, TrainError, TrainOptions,
     Trained,
 };
 use centaur::render::gpu::Gpu;
-use centaur::scene::OrderMode;
+use centaur::scene::{HybridScene, OrderMode};
 use clap::ValueEnum;
 
 use super::edits::positive;
 use super::eval::{self, Details};
+use super::history::Record;
 use super::output;
 use super::progress::Reporter;
 use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
@@ -358,25 +359,25 @@ pub(super) fn run(args: &Args) -> Result<()> {
         progress: &mut |progress| reporter.update(progress),
     };
     let trained = optimize::train(&capture, mesh, &options, session);
-    let plots = reporter.finish();
+    reporter.finish();
     let trained = trained.map_err(with_advice)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         return report_interruption(args);
     }
-    let mut settings = settings(&options)?;
+    let record = Record::new(&capture.name, &options, gpu.adapter(), &trained)?;
+    let mut settings = record.settings();
     settings.extend(trained.surface.map(|origin| ("surface".to_owned(), in_words(origin).to_owned())));
     let moved = moved(&trained);
     settings.extend(moved.iter().map(|moved| ("poses".to_owned(), moved.clone())));
     let cameras: Vec<_> = capture.views.iter().zip(&trained.cameras).map(|(v, c)| (v.name.clone(), *c)).collect();
-    let extras = serde_json::json!({ "capture": capture.name, "settings": options });
-    gltf::write_glb(&args.output, &trained.scene, &cameras, Some(extras))?;
+    gltf::write_glb(&args.output, &trained.scene, &cameras, Some(serde_json::to_value(&record)?))?;
     if let Some(path) = &args.ply {
         ply::write(path, &trained.scene.splats)?;
     }
     let evaluation = if args.no_eval {
         None
     } else {
-        Some(evaluate(args, &gpu, &capture, &trained, lpips.as_ref(), &settings, &plots)?)
+        Some(evaluate(args, &gpu, &capture, &trained.scene, lpips.as_ref(), &settings, &record)?)
     };
     let notes: Vec<String> = note(args, trained.surface).into_iter().collect();
     if args.messages.json {
@@ -439,20 +440,19 @@ fn evaluate(
     args: &Args,
     gpu: &Gpu,
     capture: &Capture,
-    trained: &Trained,
+    scene: &HybridScene,
     lpips: Option<&Lpips>,
     settings: &[(String, String)],
-    plots: &[Plot],
+    record: &Record,
 ) -> Result<Evaluation> {
     let details = Details {
         scene_file: &args.output,
         lpips,
         folder: args.report.as_deref(),
         settings,
-        plots,
-        seconds_per_iteration: trained.seconds_per_iteration,
+        training: Some(record),
     };
-    eval::evaluate(gpu, &trained.scene, capture, &details)
+    eval::evaluate(gpu, scene, capture, &details)
         .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
 }
 
@@ -490,11 +490,4 @@ fn report_interruption(args: &Args) -> Result<()> {
         return output::print_json(&serde_json::json!({ "outcome": "interrupted", "checkpoint": checkpoint }));
     }
     output::print(&format!("stopped; saved {}; the same command with --resume continues", checkpoint.display()))
-}
-
-/// Options as rows of the report's table.
-fn settings(options: &TrainOptions) -> Result<Vec<(String, String)>> {
-    let serde_json::Value::Object(fields) = serde_json::to_value(options)? else { return Ok(vec![]) };
-    let text = |v: serde_json::Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-    Ok(fields.into_iter().map(|(name, value)| (name.replace('_', " "), text(value))).collect())
 }

@@ -132,6 +132,9 @@ pub struct Measured {
     pub file_bytes: u64,
     /// Mean wall time of a training iteration.
     pub seconds_per_iteration: Option<f64>,
+    /// Name of the adapter that trained, if it is another than [`Self::adapter`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trained_on: Option<String>,
     /// Rendered frames per second at the size of the views, reading pictures back excluded.
     pub fps: Option<f64>,
     /// Most GPU memory held at once, in bytes.
@@ -193,7 +196,8 @@ impl Evaluation {
             ("total floats", thousands(self.total_floats as u64)),
             ("file", format!("{} bytes", thousands(m.file_bytes))),
         ];
-        rows.extend(m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s"))));
+        let on = m.trained_on.as_ref().map_or_else(String::new, |name| format!(" on {name}"));
+        rows.extend(m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s{on}"))));
         rows.extend(m.fps.map(|f| ("frames per second", format!("{f:.1}"))));
         let mib = |b: u64| format!("{} MiB", thousands(b.div_ceil(1 << 20)));
         rows.extend(m.peak_gpu_bytes.map(|b| ("peak GPU memory", mib(b))));

@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use super::buffer::Buffer;
 use super::container::Bin;
-use super::extension::{HYBRID, MOVED_NODE, SceneContract};
+use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract};
 use super::lift::Asset;
 use super::motion::Clip;
 use super::moving::Moving;
@@ -91,6 +91,12 @@ impl Source {
             cameras: fingerprint_of_cameras(cameras),
             moving: Arc::new(moving),
         }
+    }
+
+    /// What [`super::write_glb`] was given as extras.
+    #[must_use]
+    pub fn extras(&self) -> Option<&Value> {
+        self.root.pointer("/asset/extras")?.get(EXTRAS)
     }
 
     /// Whether animations of the document move anything of the scene besides cameras.

@@ -1,0 +1,164 @@
+//! How a scene was trained, kept in its file: for reports, at once and later.
+
+use centaur::metrics::plot::Plot;
+use centaur::optimize::{Phase, Progress, TrainOptions, Trained};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+/// About as many points of the curves are kept: some kilobytes, and as many as a plot can show.
+const MOST_POINTS: usize = 300;
+
+/// `asset.extras.centaur` of a scene that was trained here. Older files end after the settings.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Record {
+    /// Name of the capture.
+    capture: String,
+    /// `TrainOptions`, by their names.
+    settings: Map<String, Value>,
+    /// Name of the adapter that trained.
+    #[serde(default)]
+    pub(super) adapter: Option<String>,
+    /// Mean wall time of a joint iteration.
+    #[serde(default)]
+    pub(super) seconds_per_iteration: Option<f64>,
+    /// In the order of training, without what a resumed run did before.
+    #[serde(default)]
+    history: Vec<Curves>,
+}
+
+/// Reports of one phase, thinned; columns are as long as one another.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Curves {
+    phase: Phase,
+    /// Iterations of the phase.
+    of: u32,
+    /// The last of those that a point stands for.
+    iteration: Vec<u32>,
+    /// Mean over these, to a millionth.
+    loss: Vec<f64>,
+    splats: Vec<usize>,
+    /// Mean of what was measured meanwhile, to a thousandth of a dB.
+    psnr: Vec<Option<f64>>,
+}
+
+impl Record {
+    pub(super) fn new(
+        capture: &str,
+        options: &TrainOptions,
+        adapter: &str,
+        trained: &Trained,
+    ) -> serde_json::Result<Self> {
+        Ok(Self {
+            capture: capture.to_owned(),
+            settings: serde_json::from_value(serde_json::to_value(options)?)?,
+            adapter: Some(adapter.to_owned()),
+            seconds_per_iteration: trained.seconds_per_iteration,
+            history: thinned(&trained.history),
+        })
+    }
+
+    /// Of the extras of a file; none where these are something else.
+    pub(super) fn read(extras: &Value) -> Option<Self> {
+        Self::deserialize(extras).ok()
+    }
+
+    /// Options as rows of a table.
+    pub(super) fn settings(&self) -> Vec<(String, String)> {
+        let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
+        self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(value))).collect()
+    }
+
+    /// The curves from where there is a mesh on: the surface phase counts iterations of its own, and the mesh replaces most of
+    /// its splats. The warm-up ends at iteration 0.
+    pub(super) fn plots(&self) -> Vec<Plot> {
+        let (mut loss, mut psnr, mut splats) = (vec![], vec![], vec![]);
+        for curves in self.history.iter().filter(|curves| curves.phase != Phase::Surface) {
+            let before = if curves.phase == Phase::Warmup { f64::from(curves.of) } else { 0.0 };
+            let at = || curves.iteration.iter().map(|&i| f64::from(i) - before);
+            loss.extend(at().zip(curves.loss.iter().copied()));
+            splats.extend(at().zip(curves.splats.iter().map(|&n| n as f64)));
+            psnr.extend(at().zip(&curves.psnr).filter_map(|(at, db)| Some((at, (*db)?))));
+        }
+        [("loss", true, loss), ("held-out PSNR (dB)", false, psnr), ("splats", false, splats)]
+            .into_iter()
+            .filter(|(_, _, points)| !points.is_empty())
+            .map(|(title, log_y, points)| Plot { title: title.into(), x_label: "iteration".into(), log_y, points })
+            .collect()
+    }
+}
+
+fn thinned(history: &[Progress]) -> Vec<Curves> {
+    let group = history.len().div_ceil(MOST_POINTS).max(1);
+    let rounded = |v: f64, steps: f64| (v * steps).round() / steps;
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let curves = |reports: &[Progress]| {
+        let Progress { phase, of, .. } = reports[0];
+        let mut curves = Curves { phase, of, iteration: vec![], loss: vec![], splats: vec![], psnr: vec![] };
+        for reports in reports.chunks(group) {
+            let Progress { iteration, splats, .. } = reports[reports.len() - 1];
+            let losses: Vec<f64> = reports.iter().map(|p| p.loss).collect();
+            let psnr: Vec<f64> = reports.iter().filter_map(|p| p.psnr).collect();
+            curves.iteration.push(iteration);
+            curves.loss.push(rounded(mean(&losses), 1e6));
+            curves.splats.push(splats);
+            curves.psnr.push((!psnr.is_empty()).then(|| rounded(mean(&psnr), 1e3)));
+        }
+        curves
+    };
+    history.chunk_by(|a, b| a.phase == b.phase).map(curves).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(phase: Phase, iteration: u32, of: u32) -> Progress {
+        let psnr = iteration.is_multiple_of(500).then_some(20.0);
+        Progress { phase, iteration, of, loss: 1.0 / 3.0, splats: 7, psnr, seconds: 0.0 }
+    }
+
+    /// Reports after every tenth iteration.
+    fn history(phases: &[(Phase, u32)]) -> Vec<Progress> {
+        phases.iter().flat_map(|&(phase, of)| (10..=of).step_by(10).map(move |i| report(phase, i, of))).collect()
+    }
+
+    fn record(history: &[Progress]) -> Record {
+        let extras = serde_json::json!({ "capture": "garden", "settings": { "ssim_weight": 0.2, "mode": "stable" } });
+        Record { history: thinned(history), ..Record::read(&extras).unwrap() }
+    }
+
+    #[test]
+    fn long_histories_are_thinned_to_what_a_plot_shows() {
+        let long = record(&history(&[(Phase::Surface, 15_000), (Phase::Warmup, 9000), (Phase::Joint, 15_000)]));
+        let text = serde_json::to_string(&long).unwrap();
+        assert!(text.len() < 12_000, "{} bytes", text.len());
+        let back = Record::read(&serde_json::from_str(&text).unwrap()).unwrap();
+        assert_eq!(back.history, long.history);
+        let plots = back.plots();
+        assert_eq!(plots.iter().map(|p| &*p.title).collect::<Vec<_>>(), ["loss", "held-out PSNR (dB)", "splats"]);
+        let points = &plots[0].points;
+        assert!((150..=310).contains(&points.len()), "{} points", points.len());
+        // The warm-up lies before 0, what was before the mesh is left out.
+        assert!(points[0].0 < -8000.0 && points.is_sorted_by(|a, b| a.0 < b.0), "{points:?}");
+        assert_eq!(*points.last().unwrap(), (15_000.0, 0.333_333));
+        assert_eq!(plots[1].points.len(), 48, "a mean of PSNR where there was one");
+    }
+
+    #[test]
+    fn short_histories_are_kept_whole() {
+        let points = &record(&history(&[(Phase::Joint, 200)])).plots()[0].points;
+        assert_eq!(points.iter().map(|p| p.0 as u32).collect::<Vec<_>>(), (10..=200).step_by(10).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn files_without_a_history_have_no_plots_and_other_extras_are_not_ours() {
+        let old = record(&[]);
+        assert!(old.plots().is_empty() && old.seconds_per_iteration.is_none());
+        let row = |name: &str, value: &str| (name.to_owned(), value.to_owned());
+        assert_eq!(old.settings(), [row("mode", "stable"), row("ssim weight", "0.2")]);
+        for extras in [serde_json::json!("a note"), serde_json::json!({ "capture": "c", "settings": {}, "history": 3 })]
+        {
+            assert!(Record::read(&extras).is_none(), "{extras}");
+        }
+    }
+}
