@@ -265,6 +265,59 @@ fn a_checkpoint_stays_until_all_is_written() {
     assert_eq!(outcome["evaluation"]["seconds_per_iteration"], serde_json::Value::Null);
 }
 
+/// The lines of progress on stderr.
+fn progress(output: &std::process::Output) -> Vec<serde_json::Value> {
+    let line = |line: &str| serde_json::from_str::<serde_json::Value>(line).unwrap()["progress"].take();
+    common::stderr(output).lines().map(line).collect()
+}
+
+/// Also after the training, of which the scene tells.
+#[test]
+fn evaluations_say_how_far_they_are_and_what_the_training_took() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = demo().display().to_string();
+    let run = |command: &str, args: &str| {
+        let mut centaur = common::centaur(folder.path());
+        let output = centaur.args(command.split(' ').chain([&*demo]).chain(args.split(' '))).output().unwrap();
+        assert!(output.status.success(), "{}", common::stderr(&output));
+        output
+    };
+    let json = |output: &std::process::Output| serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap();
+    let flags = "--no-mesh --max-side 64 --max-splats 500 --iterations 40 --eval-every 20 --json -o scene.glb";
+    let training = run("train", flags);
+    let (trained, told) = (json(&training), progress(&training));
+    let views = trained["evaluation"]["views"].as_array().unwrap().len();
+    assert!(views > 0 && trained["seconds_per_iteration"].as_f64().unwrap() > 0.0);
+
+    let evaluation = run("eval scene.glb", "--max-side 64 --json -o scores");
+    let (evaluated, scored) = (json(&evaluation), progress(&evaluation));
+    assert_eq!(scored.len(), views);
+    for (i, line) in scored.iter().enumerate() {
+        assert_eq!((&line["phase"], &line["view"], &line["of"]), (&"scoring".into(), &(i + 1).into(), &views.into()));
+        assert!(line["seconds"].as_f64().unwrap() >= 0.0);
+    }
+    assert_eq!(told.iter().filter(|line| line["phase"] == "scoring").count(), views, "as after training");
+    assert_eq!(evaluated["seconds_per_iteration"], trained["seconds_per_iteration"]);
+    let report = || std::fs::read_to_string(folder.path().join("scores/report.html")).unwrap();
+    for part in
+        ["time per iteration", "ssim weight", "aria-label=\"loss\"", "aria-label=\"held-out PSNR (dB)\"", "<polyline"]
+    {
+        assert!(report().contains(part), "{part}");
+    }
+
+    // Splats alone say nothing of it.
+    let mut convert = common::centaur(folder.path());
+    assert!(convert.args(["convert", "scene.glb", "splats.ply", "--quiet"]).status().unwrap().success());
+    let evaluation = run("eval splats.ply", "--max-side 64 --json --quiet -o scores");
+    assert!(evaluation.stderr.is_empty() && json(&evaluation)["seconds_per_iteration"].is_null());
+    assert!(!report().contains("<polyline") && !report().contains("ssim weight"));
+
+    let rendering =
+        common::centaur(folder.path()).args(["render", "scene.glb", "--json", "-o", "pictures"]).output().unwrap();
+    let (pictures, told) = (json(&rendering)["pictures"].as_array().unwrap().len(), progress(&rendering));
+    assert!(told.len() == pictures && told.iter().all(|line| line["phase"] == "rendering"), "{told:?}");
+}
+
 /// The demo does not say which views see its points.
 #[test]
 fn what_a_surface_was_made_of_is_said() {

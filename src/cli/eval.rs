@@ -15,6 +15,7 @@ use image::{Rgb, Rgb32FImage, RgbImage};
 
 use super::history::Record;
 use super::output;
+use super::progress::Views;
 use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs};
 
 const EXAMPLES: &str = "\
@@ -88,6 +89,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             folder: args.output.as_deref(),
             settings: &training.as_ref().map_or_else(Vec::new, Record::settings),
             training: training.as_ref(),
+            messages: &args.messages,
         },
     )?;
     if args.messages.json { output::print_json(&evaluation) } else { output::print(evaluation.to_string().trim_end()) }
@@ -105,6 +107,8 @@ pub(super) struct Details<'a> {
     pub(super) settings: &'a [(String, String)],
     /// What is known of the training: its time, and the curves of the report.
     pub(super) training: Option<&'a Record>,
+    /// Who is told how far it is.
+    pub(super) messages: &'a MessageArgs,
 }
 
 /// Renders and scores every held-out view; writes the folder of `details`.
@@ -117,6 +121,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let mut renderer = Renderer::new(gpu, scene, &cameras)?;
     let (mut scores, mut pictures) = (vec![], vec![]);
+    let mut progress = Views::new(details.messages, "scoring", views.len());
     for (view, picture) in views.into_iter().zip(names) {
         let render = shared::image(renderer.render(&view.camera)?);
         let (truth, render, masked) = comparable(&capture::decode(view)?, render, scene.composition.background);
@@ -128,7 +133,9 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
             pictures.push(Picture::new(caption, &sheet).with_context(|| view.name.clone())?);
             write_png(&folder.join(picture), &sheet)?;
         }
+        progress.advance();
     }
+    progress.finish();
     let timed = &cameras[..cameras.len().min(TIMED_VIEWS)];
     let seconds = timed.iter().map(|c| renderer.seconds_per_frame(c, TIMED_FRAMES)).sum::<Result<f64, _>>()?;
     let measured = Measured {

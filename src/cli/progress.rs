@@ -1,6 +1,7 @@
-//! One training run, told to a person (a bar), a program (JSON lines) or no one.
+//! How far a command is, told to a person (a bar), a program (JSON lines) or no one.
 
 use std::io::{self, Write as _};
+use std::time::Instant;
 
 use centaur::optimize::{Phase, Progress};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -8,6 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::output;
 use super::shared::MessageArgs;
 
+/// One training run.
 pub(super) struct Reporter {
     bar: ProgressBar,
     json: bool,
@@ -17,18 +19,13 @@ pub(super) struct Reporter {
 
 impl Reporter {
     pub(super) fn new(messages: &MessageArgs) -> Self {
-        let bar = output::bar(messages, 0);
-        let style = "{prefix:9} {bar:16} {pos}/{len}  {per_sec}  ETA {eta}  {wide_msg}";
-        bar.set_style(ProgressStyle::with_template(style).expect("the template is a constant"));
-        // --quiet silences the lines too: --json --quiet leaves the one object on stdout.
-        let json = messages.json && !messages.quiet;
-        Self { bar, json, phase: None, held_out: None }
+        let bar = bar(messages, 0, "{prefix:9} {bar:16} {pos}/{len}  {per_sec}  ETA {eta}  {wide_msg}");
+        Self { bar, json: tells_programs(messages), phase: None, held_out: None }
     }
 
     pub(super) fn update(&mut self, p: &Progress) {
         if self.json {
-            // Progress is a courtesy: a reader that has gone away does not stop the training.
-            let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": p }));
+            tell(p);
         }
         if self.phase != Some(p.phase) {
             self.phase = Some(p.phase);
@@ -51,4 +48,56 @@ impl Reporter {
     pub(super) fn finish(self) {
         self.bar.abandon();
     }
+}
+
+/// What is done view by view.
+pub(super) struct Views {
+    bar: ProgressBar,
+    json: bool,
+    phase: &'static str,
+    view: usize,
+    of: usize,
+    start: Instant,
+}
+
+impl Views {
+    /// `phase` is one word for what happens to the views.
+    pub(super) fn new(messages: &MessageArgs, phase: &'static str, of: usize) -> Self {
+        let bar = bar(messages, of as u64, "{prefix:9} {bar:16} {pos}/{len} views  ETA {eta}");
+        bar.set_prefix(phase);
+        bar.tick();
+        Self { bar, json: tells_programs(messages), phase, view: 0, of, start: Instant::now() }
+    }
+
+    /// One more is done.
+    pub(super) fn advance(&mut self) {
+        self.view += 1;
+        self.bar.inc(1);
+        if self.json {
+            let Self { phase, view, of, start, .. } = self;
+            let seconds = start.elapsed().as_secs_f64();
+            tell(&serde_json::json!({ "phase": phase, "view": view, "of": of, "seconds": seconds }));
+        }
+    }
+
+    /// Takes the bar off the terminal.
+    pub(super) fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn bar(messages: &MessageArgs, length: u64, template: &str) -> ProgressBar {
+    let bar = output::bar(messages, length);
+    bar.set_style(ProgressStyle::with_template(template).expect("the template is a constant"));
+    bar
+}
+
+/// --quiet silences the lines too: --json --quiet leaves the one object on stdout.
+fn tells_programs(messages: &MessageArgs) -> bool {
+    messages.json && !messages.quiet
+}
+
+/// Progress is a courtesy: a reader that has gone away does not stop the command.
+fn tell(progress: &impl serde::Serialize) {
+    let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": progress }));
 }

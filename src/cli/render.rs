@@ -16,6 +16,7 @@ use image::Rgb32FImage;
 
 use super::eval::write_png;
 use super::output;
+use super::progress::Views;
 use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs, SamplingArgs};
 use super::video;
 
@@ -216,7 +217,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let extension = if format == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
-    let bar = output::bar(&args.messages, cameras.len() as u64);
+    let mut progress = Views::new(&args.messages, "rendering", cameras.len());
     let composition = rest.composition;
     let mut kept: Option<AnyRenderer<'_>> = None;
     for (i, ((name, camera), path)) in cameras.iter().zip(&written).enumerate() {
@@ -244,9 +245,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
             }
             Rendered::Whole(image) => write_frame(path, image, format, camera, &composition, &args.look)?,
         }
-        bar.inc(1);
+        progress.advance();
     }
-    bar.finish_and_clear();
+    progress.finish();
     let fps = shot.fps.unwrap_or(DEFAULT_FPS);
     if let Some(path) = &args.video {
         video::write(path, &written, fps)?;

@@ -451,6 +451,7 @@ fn evaluate(
         folder: args.report.as_deref(),
         settings,
         training: Some(record),
+        messages: &args.messages,
     };
     eval::evaluate(gpu, scene, capture, &details)
         .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
