@@ -125,12 +125,16 @@ fn poses_and_points_that_are_no_numbers() {
 }
 
 #[test]
-fn captures_without_points_start_from_random_splats() {
+fn captures_without_points_start_from_random_splats_and_say_so() {
     let folder = folder_with_capture(8);
     std::fs::write(folder.path().join("capture/sparse/0/points3D.txt"), "").unwrap();
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert!(stderr(&output).is_empty(), "{}", stderr(&output));
+    let note = "capture: has no points: splats begin at random places that its cameras look at";
+    assert_eq!(stderr(&output), format!("note: {note}\n"));
+    let output = train(folder.path(), ["--no-mesh", "--max-splats", "500", "--json"]).output().unwrap();
+    let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((stderr(&output), &outcome["notes"]), (String::new(), &serde_json::json!([note])));
     let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
     assert_eq!(scene.splats.len(), 500);
 }

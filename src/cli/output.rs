@@ -18,6 +18,11 @@ pub(super) fn print(text: &str) -> Result<()> {
     Ok(writeln!(io::stdout().lock(), "{text}")?)
 }
 
+/// Prints a line on stderr that is no error; a reader that has gone away does not stop the command.
+pub(super) fn note(text: &str) {
+    let _ = writeln!(io::stderr(), "note: {text}");
+}
+
 /// A bar over `length` items; hidden on request and where stderr is no terminal.
 pub(super) fn bar(messages: &MessageArgs, length: u64) -> ProgressBar {
     if messages.quiet || messages.json { ProgressBar::hidden() } else { ProgressBar::new(length) }

@@ -350,6 +350,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
             flag.store(true, Ordering::Relaxed);
         });
     }
+    let no_points = without_points(args, &capture);
+    if let Some(note) = no_points.as_ref().filter(|_| !args.messages.json) {
+        output::note(note);
+    }
     let mut reporter = Reporter::new(&args.messages);
     let session = Session {
         gpu: &gpu,
@@ -386,7 +390,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
-            "shell_triangles": trained.shell_triangles, "notes": notes,
+            "shell_triangles": trained.shell_triangles,
+            "notes": no_points.iter().chain(&notes).collect::<Vec<_>>(),
             "exposures": exposures, "poses": poses,
             "settings": options, "evaluation": evaluation,
         });
@@ -420,6 +425,13 @@ fn moved(trained: &Trained) -> Option<String> {
     };
     let (distance, degrees) = (median(|pose| pose.distance)?, median(|pose| pose.degrees)?);
     Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
+}
+
+/// Said before the training: a capture that has lost its points is better mended than trained for hours.
+fn without_points(args: &Args, capture: &Capture) -> Option<String> {
+    let place =
+        || format!("{}: has no points: splats begin at random places that its cameras look at", args.capture.display());
+    capture.points.is_empty().then(place)
 }
 
 /// Where a surface of points was asked for and is less than that.
