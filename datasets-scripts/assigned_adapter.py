@@ -8,12 +8,14 @@ otherwise than `centaur devices`. Prints nothing where there is no choice: witho
 
 import json
 import os
+import re
 import subprocess
 import sys
 
 VARIABLES = ["CUDA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES"]
 # What stands there where none is assigned; the last is Slurm's.
 NONE = ["", "-1", "none", "NoDevFiles"]
+BUS = re.compile(r"[0-9A-Fa-f]{4,8}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}\.[0-7]")
 
 
 def assigned_gpu(environment):
@@ -54,7 +56,11 @@ def parse_buses(text):
     """From lines such as `0, GPU-5e1c…, 00000000:C1:00.0`."""
     buses = {}
     for line in text.splitlines():
-        index, uuid, bus = (word.strip() for word in line.split(","))
+        words = [word.strip() for word in line.split(",")]
+        # It says in words, too, that there is no GPU, or of one that it does not know where it is.
+        if len(words) != 3 or not BUS.fullmatch(words[2]):
+            continue
+        index, uuid, bus = words
         domain, rest = bus.lower().split(":", 1)
         buses[index] = buses[uuid] = f"{int(domain, 16):04x}:{rest}"
     return buses
@@ -74,7 +80,7 @@ def adapter_of(gpu, program):
 def main(program):
     try:
         adapter = adapter_of(assigned_gpu(os.environ), program)
-    except (LookupError, OSError) as e:
+    except (LookupError, OSError, ValueError) as e:
         raise SystemExit(f"error: {e}")
     if adapter:
         print(adapter)

@@ -43,7 +43,7 @@ def run(program, command):
     gpus = context.get_accelerator_ids().get("GPU")
     try:
         adapter = adapter_of(gpus[0] if gpus else None, program)
-    except LookupError as e:
+    except (LookupError, OSError, ValueError) as e:
         return 1, str(e), where
     if adapter:
         environment["CENTAUR_ADAPTER"] = adapter

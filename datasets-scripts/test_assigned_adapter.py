@@ -43,6 +43,8 @@ class Mapping(unittest.TestCase):
                 choose(gpu, TWO, buses)
 
     def test_domains_are_shortened_and_kept(self):
+        said = "No devices were found\n0, GPU-aa, [N/A]\nUnable to determine the device handle for GPU0: 0000:41:00.0: Unknown Error\n"
+        self.assertEqual(parse_buses(said), {})
         self.assertEqual(parse_buses("7, GPU-aa, 00000009:0A:00.0\n"), dict.fromkeys(["7", "GPU-aa"], "0009:0a:00.0"))
 
 

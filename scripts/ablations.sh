@@ -20,12 +20,13 @@ read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600
 value() { # flag, value where it is not given
     local found=$2 i
     for ((i = 0; i < ${#flags[@]}; i++)); do
-        case "${flags[i]}" in "$1") found=${flags[i + 1]} ;; "$1="*) found=${flags[i]#*=} ;; esac
+        case "${flags[i]}" in "$1") found=${flags[i + 1]:?$1 needs a value} ;; "$1="*) found=${flags[i]#*=} ;; esac
     done
     echo "$found"
 }
 iterations=$(value --iterations 30000)
 joint=$((iterations - $(value --surface-iterations $((iterations / 2)))))
+joint=$((joint > 0 ? joint : 0))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")
 centaur=(cargo run --release --quiet --)
 [ -z "${ABLATIONS_CENTAUR:-}" ] || centaur=("$ABLATIONS_CENTAUR")

@@ -28,7 +28,7 @@ Examples:
 /// Prints PSNR, SSIM, FLIP and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
 /// --max-side, --images and --masks as in training. Seconds per iteration and the curves of the training stand in scenes that
-/// `centaur train` wrote, and in no others.
+/// `centaur train` wrote, and in what `centaur convert` made of them as glTF, whatever it left out.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {

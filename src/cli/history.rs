@@ -59,7 +59,10 @@ impl Record {
 
     /// Of the extras of a file; none where these are something else.
     pub(super) fn read(extras: &Value) -> Option<Self> {
-        Self::deserialize(extras).ok()
+        let mut record = Self::deserialize(extras).ok()?;
+        // It goes to a terminal.
+        record.adapter = record.adapter.map(|name| name.chars().filter(|c| !c.is_control()).take(200).collect());
+        Some(record)
     }
 
     /// Options as rows of a table.

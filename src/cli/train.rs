@@ -149,7 +149,7 @@ pub(super) struct Args {
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
     planar: Choice,
     /// Whether what views see past a surface made from the capture, sky and far background, is tried on a sphere far around it, unless
-    /// photographs have alpha or masks; its triangles are kept where they are worth it, as all are (not in the paper)
+    /// photographs have alpha or masks or there is no warm-up; its triangles are kept where they are worth it, as all are (not in the paper)
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
     shell: Choice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles

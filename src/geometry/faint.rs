@@ -42,9 +42,13 @@ pub fn faint_triangles(mesh: &Mesh, least: f64, cameras: &[Camera], near: f64) -
     };
     faint.par_iter_mut().enumerate().filter(|(_, is_faint)| **is_faint).for_each(|(face, is_faint)| {
         let corners = mesh.triangles()[face].map(|v| mesh.positions()[v as usize].as_dvec3());
-        for_each_texel(mesh, face, size, |_, _, w| {
-            *is_faint = *is_faint && !hides(corners[0] * w.x + corners[1] * w.y + corners[2] * w.z);
-        });
+        // What hides something mostly does so in the middle.
+        *is_faint = !hides((corners[0] + corners[1] + corners[2]) / 3.0);
+        if *is_faint {
+            for_each_texel(mesh, face, size, |_, _, w| {
+                *is_faint = *is_faint && !hides(corners[0] * w.x + corners[1] * w.y + corners[2] * w.z);
+            });
+        }
     });
     faint
 }

@@ -15,7 +15,8 @@ const LEAST_VIEWS: u32 = 2;
 const FARTHEST: f64 = 1000.0;
 /// So many times as far away as all but the outermost hundredth of the points.
 const BEYOND_POINTS: f64 = 4.0;
-/// Part of its radius that surfaces within may reach: parallax between cameras is at most 4 pixels from there on.
+/// Part of its radius that surfaces within may reach: from there on parallax between the centre and a camera is at most four times that at
+/// the shell.
 const FARTHEST_SURFACE: f64 = 0.25;
 /// Edges across the field of view: its triangles are judged one by one.
 const EDGES_ACROSS: f64 = 6.0;
@@ -23,7 +24,7 @@ const EDGES_ACROSS: f64 = 6.0;
 const MOST_SUBDIVISIONS: u32 = 4;
 
 /// A sphere so far around the cameras that they all see it alike: from its centre and from the outermost camera its points are a
-/// pixel apart or less.
+/// pixel apart or less; with focal lengths of more than a thousand pixels, a thousandth of a radian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shell {
     center: DVec3,

@@ -7,7 +7,7 @@ use super::{GeometryError, without_holes};
 
 /// A connected piece is a crumb if it has fewer triangles, as of an iso-surface (2DGS), ...
 const CRUMB_FACES: usize = 50;
-/// ... and less than this part of the whole area: a box has twelve triangles.
+/// ... and less than this part of the area of the largest: a box has twelve triangles.
 const CRUMB_AREA: f64 = 0.01;
 /// Edges around the largest hole that is closed, as of an iso-surface.
 const HOLE_EDGES: usize = 40;
@@ -57,14 +57,13 @@ fn without_crumbs(surface: Surface) -> Surface {
         let [a, b, c] = t.map(|v| surface.positions[v as usize].as_dvec3());
         0.5 * (b - a).cross(c - a).length()
     };
-    let mut whole = 0.0;
     for (t, &c) in surface.triangles.iter().zip(&component) {
         let (faces, sum) = &mut pieces[c as usize];
         *faces += 1;
         *sum += area(t);
-        whole += area(t);
     }
-    let stays = |c: &u32| pieces[*c as usize].0 >= CRUMB_FACES || pieces[*c as usize].1 >= CRUMB_AREA * whole;
+    let largest = pieces.iter().map(|piece| piece.1).fold(0.0, f64::max);
+    let stays = |c: &u32| pieces[*c as usize].0 >= CRUMB_FACES || pieces[*c as usize].1 >= CRUMB_AREA * largest;
     let kept = surface.triangles.iter().zip(&component).filter(|(_, c)| stays(c)).map(|(t, _)| *t);
     let triangles = kept.collect();
     compact(Surface { positions: surface.positions, triangles })
@@ -111,6 +110,14 @@ mod tests {
         two.positions.extend(sheet(1, |_, _| false).positions.iter().map(|p| *p + Vec3::X * 3.0));
         two.triangles.extend([[first, first + 1, first + 2], [first + 3, first + 4, first + 5]]);
         assert_eq!(tidy(two, 10_000).unwrap().1.simplified, 4);
+        // Nor are a hundred and fifty pieces that are all alike.
+        let mut many = Surface::default();
+        for i in 0..150_u32 {
+            let square = sheet(1, |_, _| false);
+            many.positions.extend(square.positions.iter().map(|p| *p + Vec3::X * 2.0 * i as f32));
+            many.triangles.extend(square.triangles.iter().map(|t| t.map(|v| v + 6 * i)));
+        }
+        assert_eq!(tidy(many, 10_000).unwrap().1.cleaned, 300);
         let nothing = Surface { positions: vec![Vec3::ZERO; 3], triangles: vec![[0, 1, 2]] };
         assert!(matches!(tidy(nothing, 10_000), Err(GeometryError::EmptySurface { step: "cleaning", .. })));
         assert!(tidy(Surface::default(), 10_000).is_err());

@@ -94,7 +94,7 @@ pub struct TrainOptions {
     pub planar: bool,
     /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
     /// far background. Its triangles are judged as all others, and it has no vertex that `triangles` counts. Not where
-    /// photographs have alpha or masks. On, see docs/results.md.
+    /// photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/results.md.
     pub shell: bool,
     /// Iterations between checkpoints, 0 for none but the last: 2,000.
     pub checkpoint_every: u32,

@@ -93,10 +93,10 @@ impl Schedule {
     /// first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing changes where it goes on longer.
     #[must_use]
     pub fn handed_over(self, at: u32) -> Self {
-        let half = at + self.iterations.saturating_sub(at) / 2;
+        let half = at.saturating_add(self.iterations.saturating_sub(at) / 2);
         let again = half > self.densify_until;
         Self {
-            densify_from: if again { at + self.densify_from } else { self.densify_from },
+            densify_from: if again { at.saturating_add(self.densify_from) } else { self.densify_from },
             densify_until: half.max(self.densify_until),
             // It was for the beginning.
             white_background: false,

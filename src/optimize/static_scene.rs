@@ -42,6 +42,8 @@ use crate::{
 
 /// Decoded photographs are kept up to this many bytes, of whatever size.
 const PHOTO_BUDGET: usize = 2 << 30;
+/// Photographs that are decoded at once before training.
+const DECODED_AT_ONCE: usize = 4;
 /// Splats of a capture without points.
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
@@ -209,15 +211,18 @@ impl<'a> Run<'a> {
         let identity = Identity { options, input: serde_json::json!({ "views": views, "mesh": mesh }) };
         let cache = PhotoCache::new(PHOTO_BUDGET);
         // All of them: any may have alpha, and one that cannot be read is better known now than in an hour.
-        let has_alpha = |&i: &usize| cache.get(&capture.views[i]).map(|photo| photo.has_alpha && !photo.masked);
+        let has_alpha = |&i: &usize| cache.get(&capture.views[i]).map(|photo| photo.has_alpha);
         let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
-        let is_masked = |view: &View| view.source.mask().is_some();
-        let is_cut_out =
-            train.par_iter().map(has_alpha).try_reduce(|| false, any)? || capture.views.iter().any(is_masked);
+        let mut is_cut_out = capture.views.iter().any(|view| view.source.mask().is_some());
+        // Few at once: while they are decoded they have their full size.
+        for part in train.chunks(DECODED_AT_ONCE) {
+            is_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
+        }
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = capture::extent(&train_cameras) as f32;
-        let wants_shell = options.shell && source.is_found() && !is_cut_out;
+        // Without a warm-up nothing would be judged.
+        let wants_shell = options.shell && source.is_found() && !is_cut_out && options.warmup > 0;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
         Ok(Self {

@@ -48,7 +48,11 @@ impl<'a> Run<'a> {
     /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
     fn textured(&self, surface: Surface) -> Result<Mesh, TrainError> {
         let surface = match &self.shell {
-            Some(shell) => shell.around_surface(surface, &self.train_cameras),
+            Some(shell) => match shell.around_surface(surface.clone(), &self.train_cameras) {
+                // All of it is far away, and no two views see the same part of the shell.
+                both if both.triangles.is_empty() => surface,
+                both => both,
+            },
             None => surface,
         };
         let charts_in = self.charts_in()?;
