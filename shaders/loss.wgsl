@@ -16,7 +16,7 @@
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure; z: 1 to lay the truth over the background; w: 1 to weigh by its alpha
+@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure; z, w: `set_truth`
 @group(0) @binding(2) var<storage, read> image: array<f32>;               // rgb and transmittance per pixel
 @group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
 @group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3

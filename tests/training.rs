@@ -347,24 +347,14 @@ fn what_a_surface_was_made_of_is_said() {
 fn a_surface_is_compared_with_what_it_should_be() {
     let folder = tempfile::tempdir().unwrap();
     let demo = demo().display().to_string();
-    let mesh = |args: &[&str]| {
-        let output = common::centaur(folder.path()).args(["mesh", &demo]).args(args).output().unwrap();
+    let mesh = |args: &str| {
+        let output = common::centaur(folder.path()).args(["mesh", &demo]).args(args.split(' ')).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));
         String::from_utf8(output.stdout).unwrap()
     };
-    mesh(&["-o", "a.glb", "--triangles", "3000", "--quiet"]);
-    let found: serde_json::Value = serde_json::from_str(&mesh(&[
-        "-o",
-        "b.glb",
-        "--truth",
-        "a.glb",
-        "--within",
-        "1e-4",
-        "--triangles",
-        "3000",
-        "--json",
-    ]))
-    .unwrap();
+    mesh("-o a.glb --triangles 3000 --quiet");
+    let found: serde_json::Value =
+        serde_json::from_str(&mesh("-o b.glb --truth a.glb --within 1e-4 --triangles 3000 --json")).unwrap();
     let of = |key: &str| found["truth"][key].as_f64().unwrap();
     assert!(of("accuracy") < 1e-6 && of("completeness") < 1e-6 && of("f_score") == 1.0, "{found}");
     assert!(of("counted") > 0.5 && of("counted") <= 1.0, "{found}");
@@ -374,18 +364,8 @@ fn a_surface_is_compared_with_what_it_should_be() {
     assert!(seen > 0.8 && seen <= 1.0, "{found}");
     assert_eq!(of("chamfer"), 0.5 * (of("accuracy") + of("completeness")));
     // The same surface as a mesh of one's own: nothing to mend, fewer triangles, new charts.
-    let own: serde_json::Value = serde_json::from_str(&mesh(&[
-        "--mesh",
-        "a.glb",
-        "-o",
-        "c.glb",
-        "--triangles",
-        "1000",
-        "--truth",
-        "a.glb",
-        "--json",
-    ]))
-    .unwrap();
+    let own: serde_json::Value =
+        serde_json::from_str(&mesh("--mesh a.glb -o c.glb --triangles 1000 --truth a.glb --json")).unwrap();
     let of_triangles = |json: &serde_json::Value, step: &str| json["triangles"][step].as_u64().unwrap();
     let (whole, read) = (of_triangles(&own, "cleaned"), of_triangles(&found, "simplified"));
     assert!(own["origin"] == "given" && of_triangles(&own, "extracted") == read && whole * 10 > read * 8, "{own}");
@@ -414,18 +394,8 @@ fn a_surface_is_compared_with_what_it_should_be() {
         writeln!(obj, "f {} {} {}", a + 1, b + 1, c + 1).unwrap();
     }
     std::fs::write(folder.path().join("more.obj"), obj).unwrap();
-    let with_more: serde_json::Value = serde_json::from_str(&mesh(&[
-        "-o",
-        "b.glb",
-        "--triangles",
-        "3000",
-        "--truth",
-        "more.obj",
-        "--within",
-        "1e-4",
-        "--json",
-    ]))
-    .unwrap();
+    let with_more: serde_json::Value =
+        serde_json::from_str(&mesh("-o b.glb --triangles 3000 --truth more.obj --within 1e-4 --json")).unwrap();
     let counted = with_more["truth"]["counted"].as_f64().unwrap();
     assert!((counted - 0.5 * of("counted")).abs() < 0.01, "{found} {with_more}");
     assert!(with_more["truth"]["completeness"].as_f64().unwrap() < 1e-6, "{with_more}");

@@ -390,7 +390,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
-            "shell_triangles": trained.shell_triangles,
+            "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
             "notes": no_points.iter().chain(&notes).collect::<Vec<_>>(),
             "exposures": exposures, "poses": poses,
             "settings": options, "evaluation": evaluation,

@@ -12,10 +12,10 @@ use crate::scene::{Camera, Mesh};
 /// From this part of a ray's length to a point on, what it meets is behind that point and not beside it.
 const BEHIND: f64 = 1.0 + 1e-6;
 
-/// Which triangles `[F]` have a mean opacity below `least`, in 0..=1, over the texels of the finest level whose centres lie in them, and have no
-/// triangle behind them that is not such a one, as seen from any of the `cameras` that draw what is farther than `near`. Only a pixel's first
-/// layers are drawn: without such a triangle another would come to be drawn where a view sees one behind it, of which nobody has
-/// trained what it shows from there.
+/// Which triangles `[F]` have a mean opacity below `least`, in 0..=1, over the texels of the finest level whose centres lie in
+/// them, and have no triangle behind them that is not such a one, as seen from any of the `cameras`, which draw what is farther
+/// than `near`. Only a pixel's first layers are drawn: with a faint triangle gone one behind it would come to be drawn, of which
+/// nobody has trained what it shows from there.
 #[must_use]
 pub fn faint_triangles(mesh: &Mesh, least: f64, cameras: &[Camera], near: f64) -> Vec<bool> {
     let base = mesh.atlas().base();
@@ -53,7 +53,8 @@ pub fn faint_triangles(mesh: &Mesh, least: f64, cameras: &[Camera], near: f64) -
     faint
 }
 
-/// Column, row and the corners' weights of the texels whose centres lie in a triangle; of the texel at its middle where there are none.
+/// Column, row and the corners' weights of the texels whose centres lie in a triangle; of the texel at its middle where there are
+/// none.
 fn for_each_texel(mesh: &Mesh, face: usize, size: [usize; 2], mut each: impl FnMut(usize, usize, DVec3)) {
     let uvs = &mesh.corner_uvs()[face];
     let mut is_empty = true;

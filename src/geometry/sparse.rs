@@ -1,7 +1,7 @@
 //! A coarse surface from the points of structure from motion alone, in seconds: per view a Delaunay triangulation of the
-//! points that it sees, lifted to their depths; triangles that hide what another view sees are dropped. What is left says which edges
-//! lie on the surface: those that most views found are constraints of a second triangulation of every view. Its triangles are
-//! judged alike, rasterised to depth maps and fused.
+//! points that it sees, lifted to their depths; triangles that hide what another view sees are dropped. What is left says
+//! which edges lie on the surface: those that most views found are constraints of a second triangulation of every view. Its
+//! triangles are judged alike, rasterised to depth maps and fused.
 
 use std::collections::{HashMap, HashSet};
 
@@ -166,8 +166,8 @@ impl HasPosition for Seen {
     }
 }
 
-/// Edges of triangles that most of the views have which see both ends, [`LEAST_AGREEING`] at least: first those that more have. Edges of few views are
-/// those of where a view has points that others have not.
+/// Edges of triangles that most of the views have which see both ends, [`LEAST_AGREEING`] at least: first those that more have.
+/// What few views have comes of points that the others lack.
 fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<[u32; 2]> {
     let mut found: HashMap<[u32; 2], u32> = HashMap::new();
     for triangles in triangles {
@@ -192,8 +192,8 @@ fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<
     edges.into_iter().map(|(edge, _)| edge).collect()
 }
 
-/// Delaunay triangles of what a camera sees, without those that cannot be a surface. They have those of the edges `constraints` that are
-/// between points it sees, but for edges that cross earlier ones.
+/// Delaunay triangles of what a camera sees, without those that cannot be a surface. They have those of the edges `constraints`
+/// that are between points it sees, but for edges that cross earlier ones.
 fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]) -> Vec<[u32; 3]> {
     let project = |&i: &u32| project(camera, points[i as usize]).map(|(pixel, _)| Seen { pixel, point: i });
     let seen = seen.iter().filter_map(project).collect();

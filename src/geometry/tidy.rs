@@ -12,8 +12,8 @@ const CRUMB_AREA: f64 = 0.01;
 /// Edges around the largest hole that is closed, as of an iso-surface.
 const HOLE_EDGES: usize = 40;
 
-/// Welds vertices at the same place, drops broken triangles and crumbs, closes small holes (see [`without_holes`]) and simplifies to at
-/// most about `target_triangles`. The statistics call what came in extracted. The cost is linear.
+/// Welds vertices at the same place, drops broken triangles and crumbs, closes small holes (see [`without_holes`]) and simplifies
+/// to at most about `target_triangles`. The statistics call what came in extracted. The cost is linear.
 ///
 /// # Errors
 /// If no triangle is left; the message names the step.
@@ -74,6 +74,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
+
     /// `n`² squares of two triangles each, without those that `leaves_out`, every triangle with corners of its own.
     fn sheet(n: u32, leaves_out: impl Fn(u32, u32) -> bool) -> Surface {
         let mut surface = Surface::default();

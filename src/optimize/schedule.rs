@@ -89,8 +89,9 @@ impl Schedule {
         Self { white_background: true, ..self }
     }
 
-    /// The same where splats are handed over to a mesh after iteration `at`: density control, which ended with the splats' own run, goes on for the
-    /// first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing changes where it goes on longer.
+    /// The same where splats are handed over to a mesh after iteration `at`: density control, which ended with the splats' own
+    /// run, goes on for the first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing
+    /// changes where it goes on longer.
     #[must_use]
     pub fn handed_over(self, at: u32) -> Self {
         let half = at.saturating_add(self.iterations.saturating_sub(at) / 2);

@@ -98,6 +98,8 @@ pub struct Trained {
     pub surface: Option<SurfaceOrigin>,
     /// Triangles of its mesh that are of the shell around everything else, see [`TrainOptions::shell`].
     pub shell_triangles: usize,
+    /// Triangles of a found surface that went after training, having become invisible.
+    pub faint_triangles: usize,
     /// Why the run ended.
     pub outcome: Outcome,
     /// All reports of this run.
@@ -469,6 +471,8 @@ impl<'a> Run<'a> {
         check_finite(training, phase, iteration)?;
         let state = splat_state(training)?;
         let mut meshes = training.read_meshes(&scene.meshes)?;
+        let triangles = |meshes: &[Mesh]| meshes.iter().map(|mesh| mesh.triangles().len()).sum::<usize>();
+        let trained = triangles(&meshes);
         // The checkpoint of what was interrupted has all of them; of the user's mesh nothing goes.
         if self.hands_over && outcome == Outcome::Finished {
             let left: Result<Vec<Option<Mesh>>, _> = meshes.into_iter().map(|mesh| self.without_faint(mesh)).collect();
@@ -483,6 +487,7 @@ impl<'a> Run<'a> {
         let far_of = |mesh: &Mesh| mesh.triangles().iter().filter(|t| is_far(mesh, t)).count();
         Ok(Trained {
             shell_triangles: scene.meshes.iter().map(far_of).sum(),
+            faint_triangles: trained - triangles(&scene.meshes),
             exposures,
             poses: self.refined_poses(),
             cameras: self.cameras.clone(),

@@ -26,7 +26,7 @@ const COVERAGE: f64 = 0.6;
 /// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
 const GUTTER: u32 = 4;
 
-/// Mean opacity below which a triangle goes after training.
+/// Mean opacity below which a triangle goes after training: 0.02, at most 5 of 255 steps.
 const FAINT: f64 = 0.02;
 
 /// What the judging views say of a triangle.
@@ -73,8 +73,8 @@ impl<'a> Run<'a> {
         .map(Some)
     }
 
-    /// The trained mesh without the triangles that show next to nothing and before nothing of it. The maps stay as they are. `None` if
-    /// nothing is left.
+    /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
+    /// [`geometry::faint_triangles`]. The maps stay as they are. `None` if nothing is left.
     pub(super) fn without_faint(&self, mesh: Mesh) -> Result<Option<Mesh>, TrainError> {
         let near = f64::from(self.composition().near);
         let faint = geometry::faint_triangles(&mesh, FAINT, &self.train_cameras, near);

@@ -210,6 +210,7 @@ fn what_ended_faint_is_dropped_after_training() {
         {
             run.hands_over = hands_over;
             let trained = run.finish(&training, &scene, outcome).unwrap();
+            assert_eq!(trained.faint_triangles, 4 - left);
             let [found] = trained.scene.meshes.try_into().unwrap();
             assert_eq!(
                 (found.triangles(), found.corner_uvs()),
@@ -405,6 +406,34 @@ fn each_photograph_has_its_own_alpha() {
     };
     let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(losses);
     assert!(red.len() == 6 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
+}
+
+/// Also where undistorted frames reach outside the photographs, which is a mask and no alpha.
+#[test]
+fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
+    let gpu = Gpu::open(None).unwrap();
+    for (k1, opacity, is_cut_out) in [(0.0, 0, true), (0.3, 0, true), (0.3, 255, false), (0.0, 255, false)] {
+        let folder = tempfile::tempdir().unwrap();
+        let frame = |i: u32| {
+            let name = format!("{i}.png");
+            let alpha = |x: u32| image::Rgba([200, 100, 50, if x == 16 { opacity } else { 255 }]);
+            image::RgbaImage::from_fn(32, 32, |x, _| alpha(x)).save(folder.path().join(&name)).unwrap();
+            let pose =
+                [[1.0, 0.0, 0.0, f64::from(i)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
+            serde_json::json!({ "file_path": name, "transform_matrix": pose })
+        };
+        let transforms = serde_json::json!({
+            "w": 32, "h": 32, "fl_x": 32.0, "fl_y": 32.0, "cx": 16.0, "cy": 16.0, "k1": k1,
+            "frames": (0..4).map(frame).collect::<Vec<_>>(),
+        });
+        std::fs::write(folder.path().join("transforms.json"), transforms.to_string()).unwrap();
+        let capture = capture::open(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!(capture::decode(&capture.views[1]).unwrap().masked, k1 > 0.0, "{k1}");
+        let (options, stop) = (options(), AtomicBool::new(false));
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
+        assert_eq!((run.is_cut_out, run.shell.is_none()), (is_cut_out, is_cut_out), "{k1} {opacity}");
+    }
 }
 
 #[test]

@@ -77,7 +77,8 @@ impl Loss {
         Ok(loss)
     }
 
-    /// What alpha means in frames from now on, and the view whose exposure counts, with exposures.
+    /// What alpha means in frames from now on, and the view whose exposure counts, with exposures. The shader lays the truth over
+    /// the background where the third weight is 1, and weighs both images by its alpha where the fourth is.
     pub(crate) fn set_truth(&self, gpu: &Gpu, alpha: TruthAlpha, view: usize) {
         let is = |wanted: TruthAlpha| f32::from(u8::from(alpha == wanted));
         let weights = [self.ssim_weight, view as f32, is(TruthAlpha::Composite), is(TruthAlpha::Mask)];
