@@ -143,19 +143,19 @@ pub(crate) fn random_scene(
 
 /// A scene in which every parameter has a derivative and finite differences cross no threshold: 24×18 pixels, five
 /// splats each so wide that its alpha is above the cut in every pixel and below the cap, colours away from 0, SH
-/// degree 3, and two sheets, the farther one minified so that it is sampled between mips 1 and 3.
+/// degree 3, and as many sheets as `layers`, two at least, the second minified so that it is sampled between mips 1 and 3.
 pub(crate) fn smooth_scene(seed: u64, layers: u32, mode: OrderMode) -> (HybridScene, Camera) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let (camera, to_world) = random_camera(&mut rng, 24, 18);
-    let mut sheet = |z: f64, size: f64, tilt: f64, texels: u32| {
-        let base = random_texture(&mut rng, [texels, texels], 4, 0.3, |_| 0.2);
-        let bands = random_texture(&mut rng, [texels / 2, texels / 2], 45, 0.04, |_| 0.0);
+    let sheet = |rng: &mut Pcg64Mcg, z: f64, size: f64, tilt: f64, texels: u32| {
+        let base = random_texture(rng, [texels, texels], 4, 0.3, |_| 0.2);
+        let bands = random_texture(rng, [texels / 2, texels / 2], 45, 0.04, |_| 0.0);
         let atlas = Atlas::new(base, Some(bands)).unwrap();
         grid_mesh([3, 2], atlas, |u, v| {
             to_world(DVec3::new((u - 0.51) * size, (v - 0.47) * size, z + tilt * u + 0.1 * (7.0 * v).sin()))
         })
     };
-    let meshes = vec![sheet(3.1, 2.0, 0.4, 16), sheet(4.2, 7.0, -0.3, 128)];
+    let mut meshes = vec![sheet(&mut rng, 3.1, 2.0, 0.4, 16), sheet(&mut rng, 4.2, 7.0, -0.3, 128)];
     let (mut means, mut rotations, mut log_scales, mut logits, mut sh) = (vec![], vec![], vec![], vec![], vec![]);
     for z in [2.0, 2.9, 3.6, 4.4, 5.0] {
         means.push(to_world(DVec3::new(rng.random_range(-0.3..0.3), rng.random_range(-0.2..0.2), z)));
@@ -163,6 +163,11 @@ pub(crate) fn smooth_scene(seed: u64, layers: u32, mode: OrderMode) -> (HybridSc
         log_scales.push(Vec3::from_array([0; 3].map(|_| (0.35 * z as f32).ln() + rng.random_range(-0.2..0.2))));
         logits.push(rng.random_range(-1.0..0.5));
         sh.extend((0..16).map(|i| [0; 3].map(|_| if i == 0 { 0.8 } else { 0.08 } * rng.random_range(-0.5..1.0_f32))));
+    }
+    for (z, size, tilt, texels) in
+        [(2.4, 1.8, 0.2, 32), (5.6, 6.0, 0.3, 64)].into_iter().take(layers.max(2) as usize - 2)
+    {
+        meshes.push(sheet(&mut rng, z, size, tilt, texels));
     }
     let splats = Splats::new(means, rotations, log_scales, logits, 3, sh).unwrap();
     let composition = Composition { mode, lambda: 0.3, layers, background: [0.3, 0.5, 0.2], ..Composition::default() };

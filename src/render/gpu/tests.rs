@@ -216,6 +216,8 @@ fn gradients_equal_the_reference() {
         for seed in 0..seeds {
             let (layers, mode) = ([1, 2, 4][seed as usize % 3], MODES[seed as usize / 2]);
             let (mut scene, camera) = testing::smooth_scene(seed, layers, mode);
+            let filled = reference::mesh_layers(&scene, &camera).iter().map(Vec::len).max();
+            assert_eq!(filled, Some(layers as usize));
             if seed == 5 {
                 scene.meshes.clear();
             }
