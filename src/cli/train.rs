@@ -391,6 +391,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
             "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
+            "occluded_splats": trained.occluded_splats,
             "notes": no_points.iter().chain(&notes).collect::<Vec<_>>(),
             "exposures": exposures, "poses": poses,
             "settings": options, "evaluation": evaluation,

@@ -6,6 +6,7 @@
 
 mod backdrop;
 mod handover;
+mod occluded;
 mod phase;
 mod poses;
 mod selection;
@@ -100,6 +101,8 @@ pub struct Trained {
     pub shell_triangles: usize,
     /// Triangles of a found surface that went after training, having become invisible.
     pub faint_triangles: usize,
+    /// Splats that went after training, since opaque triangles hide them from all training views.
+    pub occluded_splats: usize,
     /// Why the run ended.
     pub outcome: Outcome,
     /// All reports of this run.
@@ -293,7 +296,7 @@ impl<'a> Run<'a> {
         if self.hands_over && after_surface.is_none() {
             let mut training = self.training(&scene)?;
             if self.run_phase(&mut training, &scene, Phase::Surface, saved)? == Outcome::Interrupted {
-                return self.finish(&training, &scene, Outcome::Interrupted);
+                return self.finish(&mut training, &scene, Outcome::Interrupted);
             }
             scene.meshes = vec![self.find_surface(&mut training, of_points)?];
             // As below, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
@@ -338,7 +341,7 @@ impl<'a> Run<'a> {
             }
             outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
         }
-        self.finish(&training, &scene, outcome)
+        self.finish(&mut training, &scene, outcome)
     }
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
@@ -466,19 +469,29 @@ impl<'a> Run<'a> {
         self.options.max_splats.min(by_floats).min(by_adapter)
     }
 
-    fn finish(&mut self, training: &Training, scene: &HybridScene, outcome: Outcome) -> Result<Trained, TrainError> {
+    fn finish(
+        &mut self,
+        training: &mut Training,
+        scene: &HybridScene,
+        outcome: Outcome,
+    ) -> Result<Trained, TrainError> {
         let (phase, iteration) = self.reached;
         check_finite(training, phase, iteration)?;
-        let state = splat_state(training)?;
-        let mut meshes = training.read_meshes(&scene.meshes)?;
+        let (state, mut meshes) = (splat_state(training)?, training.read_meshes(&scene.meshes)?);
+        let all = state.len();
+        // The checkpoint of what was interrupted has all of them.
+        let splats = match outcome {
+            Outcome::Finished => self.without_occluded(training, state, &meshes)?,
+            Outcome::Interrupted => state.to_splats()?,
+        };
         let triangles = |meshes: &[Mesh]| meshes.iter().map(|mesh| mesh.triangles().len()).sum::<usize>();
         let trained = triangles(&meshes);
-        // The checkpoint of what was interrupted has all of them; of the user's mesh nothing goes.
+        // As above; of the user's mesh nothing goes.
         if self.hands_over && outcome == Outcome::Finished {
             let left: Result<Vec<Option<Mesh>>, _> = meshes.into_iter().map(|mesh| self.without_faint(mesh)).collect();
             meshes = left?.into_iter().flatten().collect();
         }
-        let scene = HybridScene { splats: state.to_splats()?, meshes, composition: scene.composition };
+        let scene = HybridScene { splats, meshes, composition: scene.composition };
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
             self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
         });
@@ -488,6 +501,7 @@ impl<'a> Run<'a> {
         Ok(Trained {
             shell_triangles: scene.meshes.iter().map(far_of).sum(),
             faint_triangles: trained - triangles(&scene.meshes),
+            occluded_splats: all - scene.splats.len(),
             exposures,
             poses: self.refined_poses(),
             cameras: self.cameras.clone(),

@@ -18,7 +18,7 @@ const RIM: usize = 2;
 pub(super) const TRANSPARENT: f32 = -6.0;
 
 /// Which pixels of a photograph a mask leaves in, 64 to a number.
-struct MaskBits {
+pub(super) struct MaskBits {
     width: usize,
     pixels: Vec<u64>,
 }
@@ -68,7 +68,7 @@ impl Run<'_> {
     }
 
     /// What masks leave of the training views, where there are any.
-    fn shown(&self) -> Result<Vec<Option<MaskBits>>, TrainError> {
+    pub(super) fn shown(&self) -> Result<Vec<Option<MaskBits>>, TrainError> {
         let (cache, capture) = (&self.cache, self.capture);
         let of_view = |&i: &usize| {
             let photo = cache.get(&capture.views[i])?;
@@ -103,7 +103,7 @@ impl MaskBits {
         Self { width, pixels: rgba.chunks(4 * 64).map(bits).collect() }
     }
 
-    fn holds(&self, at: DVec2) -> bool {
+    pub(super) fn holds(&self, at: DVec2) -> bool {
         let pixel = at.y as usize * self.width + at.x as usize;
         self.pixels.get(pixel / 64).is_some_and(|bits| bits >> (pixel % 64) & 1 == 1)
     }

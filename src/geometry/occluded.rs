@@ -1,0 +1,180 @@
+//! Splats that opaque triangles hide.
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use super::{Hit, MeshBvh, raster::texel_positions, visibility::Viewers};
+use crate::scene::{Mesh, Splats};
+
+/// Standard deviations of the points at which a splat is looked for, along its axes to either side.
+const DEVIATIONS: f64 = 2.0;
+/// A triangle farther than this part of the way to a point does not hide it but has it on itself.
+const BEFORE: f64 = 1.0 - 1e-6;
+/// Part of the ray parameter within which hits are one layer: at an edge that triangles share.
+const ONE_LAYER: f64 = 1e-8;
+
+/// Which splats `[N]` lie behind what is opaque: their mean and both ends of their axes, at two standard deviations, wherever one of the
+/// cameras has them in its picture, which must be one of them once at least. What is behind the first `layers` triangles of a
+/// ray, of which less than `transmittance` passes, in 0..=1, is hidden. A splat may still be seen between these points.
+///
+/// A splat that is seen takes a ray or little more, one that is hidden seven for every camera.
+#[must_use]
+pub fn occluded_splats(splats: &Splats, meshes: &[Mesh], transmittance: f64, viewers: &Viewers) -> Vec<bool> {
+    let bvh = MeshBvh::new(meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
+    let veil = Veil { bvh: &bvh, meshes, transmittance, viewers };
+    let is_occluded = |i: usize| {
+        let points = samples(splats, i);
+        let mut is_hidden = false;
+        for view in 0..viewers.cameras.len() {
+            for &point in &points {
+                match veil.hides(view, point) {
+                    Some(true) => is_hidden = true,
+                    Some(false) => return false,
+                    None => {}
+                }
+            }
+        }
+        is_hidden
+    };
+    (0..splats.len()).into_par_iter().map(is_occluded).collect()
+}
+
+/// The mean of a splat and the ends of its axes.
+fn samples(splats: &Splats, i: usize) -> [DVec3; 7] {
+    let mean = splats.means()[i].as_dvec3();
+    let axes = DMat3::from_quat(splats.rotations()[i].as_dquat())
+        * DMat3::from_diagonal(DEVIATIONS * splats.log_scales()[i].as_dvec3().exp());
+    let [x, y, z] = [axes.x_axis, axes.y_axis, axes.z_axis];
+    [mean, mean + x, mean - x, mean + y, mean - y, mean + z, mean - z]
+}
+
+/// What hides points from cameras.
+struct Veil<'a> {
+    bvh: &'a MeshBvh,
+    meshes: &'a [Mesh],
+    transmittance: f64,
+    viewers: &'a Viewers<'a>,
+}
+
+impl Veil<'_> {
+    /// Whether a point is hidden from a camera; `None` if that one does not have it in its picture.
+    fn hides(&self, view: usize, point: DVec3) -> Option<bool> {
+        let camera = &self.viewers.cameras[view];
+        let p = camera.to_camera(point);
+        let at = camera.in_picture(p).filter(|_| p.z > self.viewers.near)?;
+        (self.viewers.shows)(view, at).then_some(())?;
+        let (mut passes, mut layers, mut last) = (1.0, 0, f64::NEG_INFINITY);
+        for hit in self.bvh.hits_before(camera.center(), point - camera.center(), BEFORE) {
+            if hit.t < self.viewers.near / p.z || hit.t - last <= ONE_LAYER * hit.t {
+                continue;
+            }
+            last = hit.t;
+            passes *= 1.0 - opacity(&self.meshes[hit.mesh as usize], &hit);
+            layers += 1;
+            if passes < self.transmittance || layers == self.viewers.layers {
+                break;
+            }
+        }
+        Some(passes < self.transmittance)
+    }
+}
+
+/// The least opacity of the texels of the finest level that are mixed at a hit.
+fn opacity(mesh: &Mesh, hit: &Hit) -> f64 {
+    let base = mesh.atlas().base();
+    let size = [base.width() as usize, base.height() as usize];
+    let corners = texel_positions(&mesh.corner_uvs()[hit.triangle as usize], size);
+    let at = corners[0] * hit.barycentrics.x + corners[1] * hit.barycentrics.y + corners[2] * hit.barycentrics.z;
+    let taps = |at: f64, side: usize| [at.floor(), at.floor() + 1.0].map(|t| (t.max(0.0) as usize).min(side - 1));
+    let logit = |x: usize, y: usize| f64::from(base.texels()[4 * (y * size[0] + x) + 3]);
+    let rows = taps(at.y, size[1]).into_iter();
+    let least = rows.flat_map(|y| taps(at.x, size[0]).map(|x| logit(x, y))).fold(f64::INFINITY, f64::min);
+    1.0 / (1.0 + (-least).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec2, Quat, Vec2, Vec3};
+
+    use super::*;
+    use crate::scene::{Atlas, Camera, Intrinsics, SplatArrays, Texture};
+
+    /// A square of side 2 across z, at this depth and with this opacity.
+    fn square(z: f32, opacity: f32) -> Mesh {
+        let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+        let positions = corners.map(|[x, y]: [f32; 2]| Vec3::new(x, y, z)).to_vec();
+        let triangles = vec![[0, 1, 2], [0, 2, 3]];
+        let uv = |k: u32| Vec2::from(corners[k as usize]) * 0.5 + 0.5;
+        let uvs = triangles.iter().map(|t: &[u32; 3]| t.map(uv)).collect();
+        let logit = (opacity / (1.0 - opacity)).ln();
+        let base = Texture::new(4, 4, 4, [0.0, 0.0, 0.0, logit].repeat(16)).unwrap();
+        Mesh::new(positions, triangles, uvs, Atlas::new(base, None).unwrap()).unwrap()
+    }
+
+    /// At (x, 0, z), with these standard deviations along x and z.
+    fn splats(at: &[(f32, f32, f32, f32)]) -> Splats {
+        let arrays = SplatArrays {
+            sh_degree: 0,
+            means: at.iter().map(|&(x, z, ..)| Vec3::new(x, 0.0, z)).collect(),
+            rotations: vec![Quat::IDENTITY; at.len()],
+            log_scales: at.iter().map(|&(.., a, b)| Vec3::new(a.ln(), 0.01_f32.ln(), b.ln())).collect(),
+            opacity_logits: vec![0.0; at.len()],
+            sh: vec![[0.0; 3]; at.len()],
+        };
+        arrays.check().unwrap()
+    }
+
+    /// Looks along z, from here.
+    fn camera(z: f64) -> Camera {
+        let intrinsics = Intrinsics { width: 100, height: 100, fx: 50.0, fy: 50.0, cx: 50.0, cy: 50.0 };
+        Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, -z)).unwrap()
+    }
+
+    fn occluded(splats: &Splats, meshes: &[Mesh], cameras: &[Camera], near: f64, layers: usize) -> Vec<bool> {
+        let viewers = Viewers { cameras, near, layers, shows: &|_, _| true };
+        occluded_splats(splats, meshes, 0.02, &viewers)
+    }
+
+    #[test]
+    fn what_is_all_behind_what_is_opaque_is_occluded() {
+        let splats = splats(&[
+            (0.0, 3.0, 0.1, 0.1),  // behind, on the line through an edge
+            (0.0, 1.0, 0.1, 0.1),  // before
+            (0.0, 2.3, 0.1, 0.1),  // behind
+            (0.0, 2.3, 0.1, 0.2),  // stands out of it
+            (0.0, 3.0, 1.0, 0.1),  // beyond its rim
+            (2.0, 3.0, 0.1, 0.1),  // beside
+            (0.0, 2.0, 0.1, 1e-9), // on it
+            (9.0, 3.0, 0.1, 0.1),  // out of the picture
+            (4.0, 3.0, 2.0, 0.1),  // of which one end is hidden, the rest is out of the picture
+        ]);
+        let opaque = [square(2.0, 0.99)];
+        let expected = [true, false, true, false, false, false, false, false, true];
+        assert_eq!(occluded(&splats, &opaque, &[camera(0.0)], 0.1, 1), expected);
+        assert_eq!(occluded(&splats, &opaque, &[camera(0.0), camera(0.1)], 0.1, 1), expected);
+        // One that is past the square, or draws only what is farther than it, sees them.
+        assert_eq!(occluded(&splats, &opaque, &[camera(0.0), camera(2.1)], 0.1, 1)[..2], [false, false]);
+        assert_eq!(occluded(&splats, &opaque, &[camera(0.0)], 2.1, 1), [false; 9]);
+        assert_eq!(occluded(&splats, &opaque, &[], 0.1, 1), [false; 9]);
+        assert_eq!(occluded(&splats, &[], &[camera(0.0)], 0.1, 1), [false; 9]);
+        assert_eq!(occluded(&splats, &[square(2.0, 0.97)], &[camera(0.0)], 0.1, 1), [false; 9]);
+    }
+
+    #[test]
+    fn layers_hide_together_as_far_as_they_are_drawn() {
+        let splats = splats(&[(0.0, 3.0, 0.1, 0.1)]);
+        // A ray through the edge between two triangles passes one layer.
+        for (meshes, layers, expected) in [(1, 4, false), (2, 1, false), (2, 2, true), (3, 4, true)] {
+            let meshes: Vec<Mesh> = (0..meshes).map(|i| square(2.0 + 0.1 * i as f32, 0.9)).collect();
+            assert_eq!(occluded(&splats, &meshes, &[camera(0.0)], 0.1, layers), [expected], "{layers}");
+        }
+    }
+
+    #[test]
+    fn what_is_masked_says_nothing() {
+        let (splats, cameras) = (splats(&[(0.0, 3.0, 0.1, 0.1)]), [camera(0.0), camera(2.1)]);
+        let shows = |view: usize, _: DVec2| view == 0;
+        let viewers = Viewers { cameras: &cameras, near: 0.1, layers: 1, shows: &shows };
+        assert_eq!(occluded_splats(&splats, &[square(2.0, 0.99)], 0.02, &viewers), [true]);
+    }
+}

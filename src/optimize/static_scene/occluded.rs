@@ -1,0 +1,57 @@
+//! Splats that end behind an opaque mesh are dropped after training.
+
+use super::Run;
+use crate::{
+    geometry::{self, Viewers},
+    optimize::{TrainError, state::SplatState},
+    render::gpu::training::Training,
+    scene::{HybridScene, Mesh, Splats},
+};
+
+/// Part of what a splat would show of itself without the mesh that it shows at most beside it.
+const SHOWN: f64 = 0.02;
+
+impl Run<'_> {
+    /// The trained splats without those that the mesh hides from all training views: by rays to them, see
+    /// [`geometry::occluded_splats`], and, since these miss what is between, by their blend weights with the mesh and without it.
+    pub(super) fn without_occluded(
+        &self,
+        training: &mut Training,
+        mut state: SplatState,
+        meshes: &[Mesh],
+    ) -> Result<Splats, TrainError> {
+        let splats = state.to_splats()?;
+        if meshes.is_empty() {
+            return Ok(splats);
+        }
+        let shown = self.shown()?;
+        let viewers = Viewers {
+            cameras: &self.train_cameras,
+            near: f64::from(self.composition().near),
+            layers: self.options.layers as usize,
+            shows: &|view, at| shown[view].as_ref().is_none_or(|shown| shown.holds(at)),
+        };
+        let occluded = geometry::occluded_splats(&splats, meshes, SHOWN, &viewers);
+        if !occluded.contains(&true) {
+            return Ok(splats);
+        }
+        let beside = self.blend_weights(training)?;
+        let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
+        let alone = self.blend_weights(&mut self.training(&scene)?)?;
+        let keep: Vec<bool> = (0..occluded.len()).map(|i| !occluded[i] || beside[i] > SHOWN * alone[i]).collect();
+        state.retain(&keep);
+        Ok(state.to_splats()?)
+    }
+
+    /// Σ of the blend weights of every splat `[N]` over all pixels of all training views.
+    fn blend_weights(&self, training: &mut Training) -> Result<Vec<f64>, TrainError> {
+        let mut sums = vec![];
+        for camera in &self.train_cameras {
+            let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
+            let weights = training.gather(camera, &vec![[0.0; 3]; pixels])?;
+            sums.resize(weights.len(), 0.0);
+            sums.iter_mut().zip(weights).for_each(|(sum, [.., weight])| *sum += f64::from(weight));
+        }
+        Ok(sums)
+    }
+}
