@@ -273,7 +273,7 @@ fn progress(output: &std::process::Output) -> Vec<serde_json::Value> {
 
 /// Also after the training, of which the scene tells.
 #[test]
-fn evaluations_say_how_far_they_are_and_what_the_training_took() {
+fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
     let folder = tempfile::tempdir().unwrap();
     let demo = demo().display().to_string();
     let run = |command: &str, args: &str| {
@@ -316,6 +316,11 @@ fn evaluations_say_how_far_they_are_and_what_the_training_took() {
         common::centaur(folder.path()).args(["render", "scene.glb", "--json", "-o", "pictures"]).output().unwrap();
     let (pictures, told) = (json(&rendering)["pictures"].as_array().unwrap().len(), progress(&rendering));
     assert!(told.len() == pictures && told.iter().all(|line| line["phase"] == "rendering"), "{told:?}");
+
+    let fusion = run("mesh scene.glb", "--max-side 64 --triangles 500 --texture-size 128 --json -o surface.glb");
+    let (fused, told) = (json(&fusion), progress(&fusion));
+    assert_eq!((fused["origin"].as_str(), told.len()), (Some("splats"), 48));
+    assert!(told.iter().zip(1..).all(|(line, view)| line["phase"] == "fusing" && line["view"] == view), "{told:?}");
 }
 
 /// The demo does not say which views see its points.

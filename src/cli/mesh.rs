@@ -13,6 +13,7 @@ use glam::{DVec3, Vec3};
 
 use super::edits::positive;
 use super::output;
+use super::progress::Views;
 use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
 
 const EXAMPLES: &str = "\
@@ -87,8 +88,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         (None, Some(splats)) => {
             let scene = read_scene(splats)?;
             let gpu = args.adapter.open()?;
+            let mut views = Views::new(&args.messages, "fusing", capture.views.len());
+            let (triangles, planar) = (args.triangles, args.planar.is_auto());
             let (surface, steps) =
-                surface_from_splats(&gpu, &scene.splats, &capture, args.triangles, args.planar.is_auto())?;
+                surface_from_splats(&gpu, &scene.splats, &capture, triangles, planar, |view| views.reach(view + 1))?;
+            views.finish();
             (surface, steps, SurfaceOrigin::Splats)
         }
         (None, None) => from_points(&capture, args)?,

@@ -71,8 +71,13 @@ impl Views {
 
     /// One more is done.
     pub(super) fn advance(&mut self) {
-        self.view += 1;
-        self.bar.inc(1);
+        self.reach(self.view + 1);
+    }
+
+    /// So many are done; fewer than before where all begins again.
+    pub(super) fn reach(&mut self, view: usize) {
+        self.view = view;
+        self.bar.set_position(view as u64);
         if self.json {
             let Self { phase, view, of, start, .. } = self;
             let seconds = start.elapsed().as_secs_f64();

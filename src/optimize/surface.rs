@@ -70,6 +70,8 @@ impl MeshSource {
 /// A surface of trained splats: their median depths from all cameras of a capture, fused, and flat regions made flat if `planar`. Of
 /// the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
 ///
+/// `on_view` hears of every view when it is fused, by its index; from 0 again where they did not fit and voxels had to grow.
+///
 /// # Errors
 /// If a photograph cannot be read, the adapter fails or no surface is found.
 pub fn from_splats(
@@ -78,6 +80,7 @@ pub fn from_splats(
     capture: &Capture,
     triangles: usize,
     planar: bool,
+    mut on_view: impl FnMut(usize),
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition: Composition::default() };
     let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
@@ -95,6 +98,7 @@ pub fn from_splats(
                 }
             }
         }
+        on_view(i);
         Ok(depth)
     })
 }
