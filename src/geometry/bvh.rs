@@ -67,7 +67,7 @@ impl Boundable for Boxed {
 const EDGE_TOLERANCE: f64 = 1e-9;
 
 /// Part of the ray parameter within which hits are at one place: at an edge, as far as its tolerance lets them differ.
-const ONE_PLACE: f64 = 1e-8;
+pub(super) const ONE_PLACE: f64 = 1e-8;
 
 /// Padding of the boxes in units of the scene radius: some 30 f32 roundings of coordinates up to 3 radii.
 const BOX_PADDING: f64 = 1e-5;

@@ -3,15 +3,13 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{Hit, MeshBvh, raster::texel_positions, visibility::Viewers};
+use super::{Hit, MeshBvh, bvh::ONE_PLACE, raster::texel_positions, visibility::Viewers};
 use crate::scene::{Mesh, Splats};
 
 /// Standard deviations of the points at which a splat is looked for, along its axes to either side.
 const DEVIATIONS: f64 = 2.0;
 /// A triangle farther than this part of the way to a point does not hide it but has it on itself.
 const BEFORE: f64 = 1.0 - 1e-6;
-/// Part of the ray parameter within which hits are one layer: at an edge that triangles share.
-const ONE_LAYER: f64 = 1e-8;
 
 /// Which splats `[N]` lie behind what is opaque: their mean and both ends of their axes, at two standard deviations, wherever one of the
 /// cameras has them in its picture, which must be one of them once at least. What is behind the first `layers` triangles of a
@@ -65,7 +63,7 @@ impl Veil<'_> {
         (self.viewers.shows)(view, at).then_some(())?;
         let (mut passes, mut layers, mut last) = (1.0, 0, f64::NEG_INFINITY);
         for hit in self.bvh.hits_before(camera.center(), point - camera.center(), BEFORE) {
-            if hit.t < self.viewers.near / p.z || hit.t - last <= ONE_LAYER * hit.t {
+            if hit.t < self.viewers.near / p.z || hit.t - last <= ONE_PLACE * hit.t {
                 continue;
             }
             last = hit.t;
@@ -95,27 +93,36 @@ fn opacity(mesh: &Mesh, hit: &Hit) -> f64 {
 #[cfg(test)]
 mod tests {
     use glam::{DVec2, Quat, Vec2, Vec3};
+    use rand::{RngExt, SeedableRng};
 
     use super::*;
+    use crate::geometry::tests::{orbit, sphere};
     use crate::scene::{Atlas, Camera, Intrinsics, SplatArrays, Texture};
 
-    /// A square of side 2 across z, at this depth and with this opacity.
-    fn square(z: f32, opacity: f32) -> Mesh {
+    /// A square of side 2 across z, at this depth, with this opacity in its quarters by (u, v): (0, 0), (1, 0), (0, 1), (1, 1).
+    fn quarters(z: f32, opacities: [f32; 4]) -> Mesh {
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         let positions = corners.map(|[x, y]: [f32; 2]| Vec3::new(x, y, z)).to_vec();
         let triangles = vec![[0, 1, 2], [0, 2, 3]];
         let uv = |k: u32| Vec2::from(corners[k as usize]) * 0.5 + 0.5;
         let uvs = triangles.iter().map(|t: &[u32; 3]| t.map(uv)).collect();
-        let logit = (opacity / (1.0 - opacity)).ln();
-        let base = Texture::new(4, 4, 4, [0.0, 0.0, 0.0, logit].repeat(16)).unwrap();
+        let texel = |i: usize| {
+            let opacity = opacities[i / 32 * 2 + i % 8 / 4];
+            [0.0, 0.0, 0.0, (opacity / (1.0 - opacity)).ln()]
+        };
+        let base = Texture::new(8, 8, 4, (0..64).flat_map(texel).collect()).unwrap();
         Mesh::new(positions, triangles, uvs, Atlas::new(base, None).unwrap()).unwrap()
     }
 
-    /// At (x, 0, z), with these standard deviations along x and z.
-    fn splats(at: &[(f32, f32, f32, f32)]) -> Splats {
+    fn square(z: f32, opacity: f32) -> Mesh {
+        quarters(z, [opacity; 4])
+    }
+
+    /// At (x, y, z), with these standard deviations along x and z.
+    fn splats(at: &[([f32; 3], f32, f32)]) -> Splats {
         let arrays = SplatArrays {
             sh_degree: 0,
-            means: at.iter().map(|&(x, z, ..)| Vec3::new(x, 0.0, z)).collect(),
+            means: at.iter().map(|(mean, ..)| Vec3::from(*mean)).collect(),
             rotations: vec![Quat::IDENTITY; at.len()],
             log_scales: at.iter().map(|&(.., a, b)| Vec3::new(a.ln(), 0.01_f32.ln(), b.ln())).collect(),
             opacity_logits: vec![0.0; at.len()],
@@ -138,15 +145,15 @@ mod tests {
     #[test]
     fn what_is_all_behind_what_is_opaque_is_occluded() {
         let splats = splats(&[
-            (0.0, 3.0, 0.1, 0.1),  // behind, on the line through an edge
-            (0.0, 1.0, 0.1, 0.1),  // before
-            (0.0, 2.3, 0.1, 0.1),  // behind
-            (0.0, 2.3, 0.1, 0.2),  // stands out of it
-            (0.0, 3.0, 1.0, 0.1),  // beyond its rim
-            (2.0, 3.0, 0.1, 0.1),  // beside
-            (0.0, 2.0, 0.1, 1e-9), // on it
-            (9.0, 3.0, 0.1, 0.1),  // out of the picture
-            (4.0, 3.0, 2.0, 0.1),  // of which one end is hidden, the rest is out of the picture
+            ([0.0, 0.0, 3.0], 0.1, 0.1),  // behind, on the line through an edge
+            ([0.0, 0.0, 1.0], 0.1, 0.1),  // before
+            ([0.0, 0.0, 2.3], 0.1, 0.1),  // behind
+            ([0.0, 0.0, 2.3], 0.1, 0.2),  // stands out of it
+            ([0.0, 0.0, 3.0], 1.0, 0.1),  // beyond its rim
+            ([2.0, 0.0, 3.0], 0.1, 0.1),  // beside
+            ([0.0, 0.0, 2.0], 0.1, 1e-9), // on it
+            ([9.0, 0.0, 3.0], 0.1, 0.1),  // out of the picture
+            ([4.0, 0.0, 3.0], 2.0, 0.1),  // of which one end is hidden, the rest is out of the picture
         ]);
         let opaque = [square(2.0, 0.99)];
         let expected = [true, false, true, false, false, false, false, false, true];
@@ -162,7 +169,7 @@ mod tests {
 
     #[test]
     fn layers_hide_together_as_far_as_they_are_drawn() {
-        let splats = splats(&[(0.0, 3.0, 0.1, 0.1)]);
+        let splats = splats(&[([0.0, 0.0, 3.0], 0.1, 0.1)]);
         // A ray through the edge between two triangles passes one layer.
         for (meshes, layers, expected) in [(1, 4, false), (2, 1, false), (2, 2, true), (3, 4, true)] {
             let meshes: Vec<Mesh> = (0..meshes).map(|i| square(2.0 + 0.1 * i as f32, 0.9)).collect();
@@ -171,8 +178,53 @@ mod tests {
     }
 
     #[test]
+    fn opacities_are_those_of_the_texels_that_are_met() {
+        let at = |x: f32, y: f32| ([1.5 * x, 1.5 * y, 3.0], 0.1, 0.1);
+        let splats = splats(&[at(-0.5, -0.5), at(0.5, -0.5), at(-0.5, 0.5), at(0.5, 0.5), at(0.0, 0.5)]);
+        let found = |meshes: &[Mesh]| occluded(&splats, meshes, &[camera(0.0)], 0.1, 2);
+        let (upper, lower) = (quarters(2.0, [0.99, 0.1, 0.99, 0.1]), quarters(2.2, [0.1, 0.1, 0.99, 0.99]));
+        assert_eq!(found(&[quarters(2.0, [0.99, 0.1, 0.1, 0.1])]), [true, false, false, false, false]);
+        assert_eq!(found(&[quarters(2.0, [0.1, 0.99, 0.1, 0.1])]), [false, true, false, false, false]);
+        // Where texels of both kinds are mixed, the most transparent counts.
+        assert_eq!(found(&[quarters(2.0, [0.1, 0.1, 0.99, 0.99])]), [false, false, true, true, true]);
+        assert_eq!(found(std::slice::from_ref(&upper)), [true, false, true, false, false]);
+        for meshes in [[upper.clone(), lower.clone()], [lower, upper]] {
+            assert_eq!(found(&meshes), [true, false, true, true, true]);
+        }
+    }
+
+    #[test]
+    #[ignore = "a measurement"]
+    fn time_of_many_splats() {
+        let n = 1_000_000;
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
+        let mut near = |least: f32, most: f32| {
+            let p = Vec3::from_array([0; 3].map(|_| rng.random_range(-1.0..1.0_f32))).normalize_or(Vec3::X);
+            p * rng.random_range(least..most)
+        };
+        // Nine in ten outside a sphere, the others in it.
+        let means: Vec<Vec3> = (0..n).map(|i| if i % 10 == 0 { near(0.1, 0.8) } else { near(1.01, 1.2) }).collect();
+        let arrays = SplatArrays {
+            sh_degree: 0,
+            means,
+            rotations: vec![Quat::IDENTITY; n],
+            log_scales: vec![Vec3::splat(0.01_f32.ln()); n],
+            opacity_logits: vec![0.0; n],
+            sh: vec![[0.0; 3]; n],
+        };
+        let sphere = sphere(200, Vec3::ZERO, 1.0);
+        let base = Texture::new(1, 1, 4, vec![0.0, 0.0, 0.0, 6.0]).unwrap();
+        let uvs = vec![[Vec2::splat(0.5); 3]; sphere.triangles.len()];
+        let mesh = Mesh::new(sphere.positions, sphere.triangles, uvs, Atlas::new(base, None).unwrap()).unwrap();
+        let cameras = orbit(200, 1920, 1080);
+        let (splats, start) = (arrays.check().unwrap(), std::time::Instant::now());
+        let found = occluded(&splats, &[mesh], &cameras, 0.1, 1).iter().filter(|o| **o).count();
+        eprintln!("{found} of {n} occluded, {:.1} s", start.elapsed().as_secs_f64());
+    }
+
+    #[test]
     fn what_is_masked_says_nothing() {
-        let (splats, cameras) = (splats(&[(0.0, 3.0, 0.1, 0.1)]), [camera(0.0), camera(2.1)]);
+        let (splats, cameras) = (splats(&[([0.0, 0.0, 3.0], 0.1, 0.1)]), [camera(0.0), camera(2.1)]);
         let shows = |view: usize, _: DVec2| view == 0;
         let viewers = Viewers { cameras: &cameras, near: 0.1, layers: 1, shows: &shows };
         assert_eq!(occluded_splats(&splats, &[square(2.0, 0.99)], 0.02, &viewers), [true]);

@@ -29,6 +29,20 @@ pub(super) fn orbit(count: u32, width: u32, height: u32) -> Vec<Camera> {
         .collect()
 }
 
+/// A latitude-longitude sphere.
+pub(super) fn sphere(n: u32, center: Vec3, radius: f32) -> Surface {
+    let ring = 2 * n;
+    let at = |i: u32, j: u32| {
+        let [a, b] = [i, j].map(|k| std::f32::consts::PI * k as f32 / n as f32);
+        center + radius * Vec3::new(a.sin() * b.cos(), a.sin() * b.sin(), a.cos())
+    };
+    let triangles = (0..n).flat_map(|i| (0..ring).map(move |j| (i * ring + j, i * ring + (j + 1) % ring)));
+    Surface {
+        positions: (0..=n).flat_map(|i| (0..ring).map(move |j| at(i, j))).collect(),
+        triangles: triangles.flat_map(|(a, b)| [[a, a + ring, b], [b, a + ring, b + ring]]).collect(),
+    }
+}
+
 /// Depth map of what `hit(origin, dir)` returns: the ray parameter of a ray with z = 1 is the depth.
 pub(super) fn depth_map(camera: &Camera, hit: impl Fn(DVec3, DVec3) -> Option<f64>) -> Vec<f32> {
     let k = *camera.intrinsics();

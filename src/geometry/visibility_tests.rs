@@ -8,7 +8,7 @@ use super::*;
 use crate::{
     geometry::{
         Surface,
-        tests::{meets, orbit},
+        tests::{meets, orbit, sphere},
         unwrap,
     },
     scene::{Atlas, Intrinsics},
@@ -105,20 +105,6 @@ fn rays_see_what_brute_force_sees() {
         }
     }
     assert!(close < 5 && counts.iter().all(|&n| n > 1000), "{close}, {counts:?}");
-}
-
-/// A latitude-longitude sphere.
-fn sphere(n: u32, center: Vec3, radius: f32) -> Surface {
-    let ring = 2 * n;
-    let at = |i: u32, j: u32| {
-        let [a, b] = [i, j].map(|k| std::f32::consts::PI * k as f32 / n as f32);
-        center + radius * Vec3::new(a.sin() * b.cos(), a.sin() * b.sin(), a.cos())
-    };
-    let triangles = (0..n).flat_map(|i| (0..ring).map(move |j| (i * ring + j, i * ring + (j + 1) % ring)));
-    Surface {
-        positions: (0..=n).flat_map(|i| (0..ring).map(move |j| at(i, j))).collect(),
-        triangles: triangles.flat_map(|(a, b)| [[a, a + ring, b], [b, a + ring, b + ring]]).collect(),
-    }
 }
 
 fn joined(parts: &[Surface]) -> Surface {

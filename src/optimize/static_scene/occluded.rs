@@ -1,6 +1,8 @@
 //! Splats that end behind an opaque mesh are dropped after training.
 
-use super::Run;
+use glam::DVec2;
+
+use super::{Run, unseen::MaskBits};
 use crate::{
     geometry::{self, Viewers},
     optimize::{TrainError, state::SplatState},
@@ -13,7 +15,8 @@ const SHOWN: f64 = 0.02;
 
 impl Run<'_> {
     /// The trained splats without those that the mesh hides from all training views: by rays to them, see
-    /// [`geometry::occluded_splats`], and, since these miss what is between, by their blend weights with the mesh and without it.
+    /// [`geometry::occluded_splats`], and, since these miss what is between, by their blend weights with the mesh and without it, both
+    /// as far as masks leave the views.
     pub(super) fn without_occluded(
         &self,
         training: &mut Training,
@@ -35,22 +38,27 @@ impl Run<'_> {
         if !occluded.contains(&true) {
             return Ok(splats);
         }
-        let beside = self.blend_weights(training)?;
+        let beside = self.blend_weights(training, &shown)?;
         let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
-        let alone = self.blend_weights(&mut self.training(&scene)?)?;
+        let alone = self.blend_weights(&mut self.training(&scene)?, &shown)?;
         let keep: Vec<bool> = (0..occluded.len()).map(|i| !occluded[i] || beside[i] > SHOWN * alone[i]).collect();
         state.retain(&keep);
         Ok(state.to_splats()?)
     }
 
-    /// Σ of the blend weights of every splat `[N]` over all pixels of all training views.
-    fn blend_weights(&self, training: &mut Training) -> Result<Vec<f64>, TrainError> {
+    /// Σ of the blend weights of every splat `[N]` over all pixels that the training views show.
+    fn blend_weights(&self, training: &mut Training, shown: &[Option<MaskBits>]) -> Result<Vec<f64>, TrainError> {
         let mut sums = vec![];
-        for camera in &self.train_cameras {
-            let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
-            let weights = training.gather(camera, &vec![[0.0; 3]; pixels])?;
+        for (camera, shown) in self.train_cameras.iter().zip(shown) {
+            let (width, height) = (camera.intrinsics().width as usize, camera.intrinsics().height as usize);
+            let is_shown = |p: usize| {
+                let at = DVec2::new((p % width) as f64, (p / width) as f64) + 0.5;
+                shown.as_ref().is_none_or(|shown| shown.holds(at))
+            };
+            let values: Vec<[f32; 3]> = (0..width * height).map(|p| [f32::from(u8::from(is_shown(p))); 3]).collect();
+            let weights = training.gather(camera, &values)?;
             sums.resize(weights.len(), 0.0);
-            sums.iter_mut().zip(weights).for_each(|(sum, [.., weight])| *sum += f64::from(weight));
+            sums.iter_mut().zip(weights).for_each(|(sum, [weight, ..])| *sum += f64::from(weight));
         }
         Ok(sums)
     }
