@@ -131,6 +131,17 @@ struct Outline {
 }
 
 impl Outline {
+    /// A chart of separate parts may leave columns empty: they take no room, as high as the nearest one before them, or else after.
+    fn close(&mut self) {
+        let mut last = self.low.iter().copied().find(|low| *low != usize::MAX).unwrap_or(0);
+        for (low, high) in self.low.iter_mut().zip(&mut self.high) {
+            if *low == usize::MAX {
+                (*low, *high) = (last, last);
+            }
+            last = *low;
+        }
+    }
+
     fn height(&self) -> usize {
         self.high.iter().copied().max().unwrap_or(0)
     }
@@ -167,12 +178,12 @@ fn footprint(chart: &Chart, scale: f64, side: usize, gutter: usize) -> Option<Fo
             outline_edge(&mut rows, DVec2::new(a.y, a.x), DVec2::new(b.y, b.x));
         }
     }
+    [&mut columns, &mut rows].into_iter().for_each(Outline::close);
     let [w, h] = size;
     let turned = |o: &Outline, reverse: bool, flip: Option<usize>| {
         let mut o = match flip {
             None => o.clone(),
             Some(n) => {
-                // A chart of separate parts may leave columns empty: their low is `usize::MAX`.
                 let flip = |v: &usize| n.saturating_sub(*v);
                 Outline { low: o.high.iter().map(flip).collect(), high: o.low.iter().map(flip).collect() }
             }
@@ -263,4 +274,46 @@ fn drop_onto(skyline: &[usize], outline: &Outline) -> Option<(usize, usize, usiz
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is left of a chart that was split may have gaps as wide as others are.
+    #[test]
+    fn charts_in_parts_do_not_lie_on_others() {
+        let triangle = |x: f64, y: f64, side: f64| [DVec2::new(x, y), DVec2::new(x + side, y), DVec2::new(x, y + side)];
+        for gap in [6.0, 30.0] {
+            // The parts of a chart beside, and then also above each other; its first columns may be empty.
+            let in_parts = |i: usize| {
+                let shift = if i.is_multiple_of(3) { 4.0 } else { 0.0 };
+                let corners = vec![triangle(shift, 0.0, 3.0), triangle(shift + gap, 0.3 * gap, 4.0)];
+                Chart { faces: vec![0, 1], corners }
+            };
+            let whole = |i: usize| Chart { faces: vec![0], corners: vec![triangle(0.0, 0.0, 2.0 + 0.1 * i as f64)] };
+            let charts: Vec<Chart> = (0..20).map(in_parts).chain((0..30).map(whole)).collect();
+            let corners = charts.iter().flat_map(|c| &c.corners);
+            let area = corners.map(|[a, b, c]| (b - a).perp_dot(c - a) / 2.0).sum();
+            let side = 256;
+            let packing = pack(&charts, area, side).unwrap();
+            let mut taken = vec![false; side * side];
+            for (chart, place) in charts.iter().zip(&packing.places) {
+                for corners in &chart.corners {
+                    let [a, b, c] = corners.map(|p| place.apply(p * packing.scale));
+                    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+                    assert!(low.min_element() >= 0.0 && high.max_element() <= side as f64);
+                    for y in low.y as usize..=(high.y as usize).min(side - 1) {
+                        for x in low.x as usize..=(high.x as usize).min(side - 1) {
+                            let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                            let inside = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s) > 0.0;
+                            if inside(a, b) && inside(b, c) && inside(c, a) {
+                                assert!(!std::mem::replace(&mut taken[y * side + x], true), "{gap}: {x} {y}");
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
 }
