@@ -234,7 +234,7 @@ mod tests {
         let unsized_ = error(&format!(r#"{{ "fl_x": 30, "frames": {frames} }}"#));
         assert!(unsized_.ends_with("expected its image, or its size as w and h, found neither"), "{unsized_}");
         let large = error(&format!(r#"{{ "fl_x": 30, "w": 1e9, "h": 9, "frames": {frames} }}"#));
-        assert!(large.contains("pixels, found 500000000×5"), "{large}");
+        assert!(large.contains("pixels, found 500000000×4"), "{large}");
         assert!(
             error(&format!(r#"{{ {lens}, "frames": [] }}"#))
                 .ends_with("/frames: expected at least 1 camera, found none")

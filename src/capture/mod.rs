@@ -87,7 +87,7 @@ pub enum Downscale {
     /// As stored.
     #[default]
     Full,
-    /// Both sides divided by this and rounded; 0 is taken as 1.
+    /// Both sides divided by this and rounded, halves to even as Python's `round` does for INRIA 3DGS; 0 is taken as 1.
     Factor(u32),
     /// The longer side at most this many pixels.
     MaxSide(u32),
@@ -102,7 +102,7 @@ impl Downscale {
             Self::Factor(n) => 1.0 / f64::from(n.max(1)),
             Self::MaxSide(n) => (f64::from(n) / f64::from(width.max(height))).min(1.0),
         };
-        let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
+        let side = |n: u32| ((f64::from(n) * scale).round_ties_even() as u32).max(1);
         (side(width), side(height))
     }
 }

@@ -135,6 +135,8 @@ fn downscale_and_other_folders_keep_the_field_of_view() {
     assert_eq!(Downscale::MaxSide(1600).size(4000, 3000), (1600, 1200));
     assert_eq!(Downscale::MaxSide(1600).size(400, 300), (400, 300));
     assert_eq!(Downscale::Factor(0).size(4, 3), (4, 3));
+    // As Python rounds halves.
+    assert_eq!(Downscale::Factor(4).size(4946, 14), (1236, 4));
 }
 
 #[test]
@@ -265,6 +267,16 @@ fn transforms_in_opengl_axes() {
     assert_eq!(capture.views[1].source.lens().distortion, brown);
     assert_eq!(Split::Every8th.split(&capture.views), (vec![0], vec![1]));
     assert!(capture.points.is_empty());
+    for lists in [
+        r#","val_filenames":["train/r_0.png"]"#,
+        r#","train_filenames":["train/r_1.png"],"val_filenames":["train/r_0.png"]"#,
+    ] {
+        std::fs::write(&file, frames(lists)).unwrap();
+        assert_eq!(Split::Every8th.split(&open(&file, &full()).unwrap().views), (vec![1], vec![0]), "{lists}");
+    }
+    // What is in no list is left out.
+    std::fs::write(&file, frames(r#","train_filenames":["train/r_1.png"]"#)).unwrap();
+    assert!(message(&file, &full()).contains("at least 2 posed images, found 1"));
 
     for (extra, expected) in
         [(r#","camera_model":"EQUIRECTANGULAR""#, "EQUIRECTANGULAR"), (r#","k4":0.5"#, "k4"), (r#","w":NaN"#, "line 1")]

@@ -102,13 +102,17 @@ pub(super) fn parse(
 ) -> Result<(Vec<Frame>, Option<f64>), CaptureError> {
     let file: Transforms =
         serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a transforms.json with frames", &e))?;
-    let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty();
+    let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty() || !file.val_filenames.is_empty();
     let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
+    let trains = |name: &str| file.train_filenames.iter().flatten().any(|t| plain(t) == name);
+    // Of neither list where there is one of what to train on: left out, as by nerfstudio.
+    let is_listed = |name: &str| file.train_filenames.is_none() || trains(name) || tests(name);
     let list: Arc<Path> = path.into();
     let frames = file
         .frames
         .par_iter()
         .enumerate()
+        .filter(|(_, fields)| is_listed(plain(&fields.file_path)))
         .map(|(i, fields)| {
             let name = plain(&fields.file_path);
             let at = format!("/frames/{i}");
@@ -141,7 +145,13 @@ pub(super) fn parse(
                 sees: vec![],
             })
         })
-        .collect::<Result<_, CaptureError>>()?;
+        .collect::<Result<Vec<Frame>, CaptureError>>()?;
+    if let (Some(first), Some(_), true) = (frames.first(), &options.images, photographs)
+        && !frames.iter().any(|frame| Path::new(&frame.name).starts_with("images"))
+    {
+        let expected = "a path that begins with images/, for another folder to take its place";
+        return Err(CaptureError::invalid(path, format!("{}/file_path", first.at), expected, &first.name));
+    }
     Ok((frames, file.fps))
 }
 
