@@ -382,11 +382,17 @@ impl MeshStage {
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
-        let Some(Bound { backward: Some(bindings), runs, fragments, vertices, .. }) = &self.bound else { return };
+        let Some(Bound { backward: Some(bindings), runs, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
         frame.dispatch(&self.kernels.backward, bindings, groups(*runs, RUN_GROUP));
         self.texels.record_pull(frame);
-        if let (Some(bindings), Some(free)) = (vertices, &self.vertices) {
+    }
+
+    /// Gradients of free vertices from `layer_gradient`, which is used up, and the maps as they were rendered. They add up until
+    /// the next step of vertices.
+    pub(crate) fn record_vertex_backward(&self, frame: &mut Frame) {
+        let Some(Bound { vertices: Some(bindings), fragments, .. }) = &self.bound else { return };
+        if let Some(free) = &self.vertices {
             free.record_backward(frame, bindings, *fragments);
         }
     }

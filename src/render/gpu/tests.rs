@@ -360,6 +360,7 @@ fn vertex_gradients_equal_the_reference() {
             let mut frame = Frame::new(&gpu);
             pipeline.record_forward(&gpu, &mut frame, &view);
             pipeline.record_backward(&mut frame, &view);
+            pipeline.mesh.as_ref().unwrap().record_vertex_backward(&mut frame);
             frame.submit();
             let found = pipeline.mesh.as_ref().unwrap().vertices().unwrap().read_gradient(&gpu).unwrap();
             let normals = state.normals.chunks_exact(3).map(|n| Vec3::from_slice(n).as_dvec3());

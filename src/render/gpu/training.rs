@@ -128,6 +128,9 @@ impl<'g> Training<'g> {
             exposures.record(self.gpu, &mut frame, &view, &step);
         }
         self.pipeline.record_backward(&mut frame, &view);
+        if let (Some(_), Some(mesh)) = (&step.vertices, &self.pipeline.mesh) {
+            mesh.record_vertex_backward(&mut frame);
+        }
         if let Some(poses) = pose {
             poses.record_update(&mut frame);
         }
