@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 scenes=target/ablations
 mkdir -p $scenes
 ln -sfn "$PWD/demo" $scenes/demo
-for name in banana16 skull66; do
+for name in banana16 skull66 maryrose69; do
     [ ! -d "${CENTAUR_DATA:-/none}/capture_$name" ] || ln -sfn "$CENTAUR_DATA/capture_$name" $scenes/$name
 done
 for name in garden street; do
@@ -30,7 +30,7 @@ joint=$((joint > 0 ? joint : 0))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")
 centaur=(cargo run --release --quiet --)
 [ -z "${ABLATIONS_CENTAUR:-}" ] || centaur=("$ABLATIONS_CENTAUR")
-# The first is what the others change; --warmup 0 leaves every triangle in place, with maps of half the budget.
+# Captures without masks/ are trained whole. The first is what the others change; --warmup 0 leaves every triangle in place, with maps of half the budget.
 "${centaur[@]}" bench $scenes -o "${ABLATIONS_OUT:-out/ablations}" "$@" \
     --variant hybrid \
     --variant splats=--no-mesh \
@@ -57,4 +57,4 @@ centaur=(cargo run --release --quiet --)
     --variant absgs="--density absgs" \
     --variant antialias=--antialias \
     --variant splats-antialias="--no-mesh --antialias" \
-    -- --layers 1 --triangles 6000 --texture-size 512 "${flags[@]}"
+    -- --layers 1 --triangles 6000 --texture-size 512 --masks "${flags[@]}"
