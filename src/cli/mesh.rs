@@ -27,7 +27,7 @@ Examples:
 ///
 /// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
 /// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
-/// takes the result; without a mesh of yours it does the same by itself.
+/// takes the result; without a mesh of yours it does the same by itself, from the training views alone.
 ///
 /// Without SPLATS, in seconds: the points that structure from motion found in each view are triangulated, triangles
 /// that hide what other views see are dropped, and the rest is fused.
@@ -91,7 +91,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             let mut views = Views::new(&args.messages, "fusing", capture.views.len());
             let (triangles, planar) = (args.triangles, args.planar.is_auto());
             let (surface, steps) =
-                surface_from_splats(&gpu, &scene.splats, &capture, triangles, planar, |view| views.reach(view + 1))?;
+                surface_from_splats(&gpu, &scene, &capture, triangles, planar, |view| views.reach(view + 1))?;
             views.finish();
             (surface, steps, SurfaceOrigin::Splats)
         }

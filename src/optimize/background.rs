@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::{
     TrainError,
-    cells::{Cells, evenly, stride},
+    cells::{Cells, evenly, is_needless, stride},
     initialize::round_splats,
 };
 use crate::{
@@ -29,7 +29,7 @@ const DISTANCE: f64 = 30.0;
 
 /// Splats in the directions in which most of the views that look there look past all points, with the colours that are seen there;
 /// at most `max_splats`, evenly. Round, about as wide as they are apart, of opacity ½. None where points say nothing of the size of
-/// the scene.
+/// the scene, nor in the colour of the `background`, which is there without them (RGB; `None` if it is another every time).
 ///
 /// `photo` decodes a view's picture.
 ///
@@ -40,6 +40,7 @@ pub(super) fn behind_points(
     views: &[usize],
     sh_degree: u32,
     max_splats: usize,
+    background: Option<[f32; 3]>,
     photo: impl Fn(&View) -> Result<Arc<Photo>, CaptureError> + Sync,
 ) -> Result<Splats, TrainError> {
     let views: Vec<&View> = views.iter().map(|&i| &capture.views[i]).collect();
@@ -64,7 +65,8 @@ pub(super) fn behind_points(
         let colors: Vec<Vec3> = shown.iter().filter_map(|colors| colors[i]).collect();
         let mean = colors.iter().sum::<Vec3>() / colors.len() as f32;
         let spread = colors.iter().map(|c| c.distance(mean)).sum::<f32>() / colors.len() as f32;
-        (!colors.is_empty() && spread <= SPREAD).then(|| mean.to_array())
+        let is_agreed = !colors.is_empty() && spread <= SPREAD;
+        Some(mean.to_array()).filter(|mean| is_agreed && !is_needless(*mean, background))
     };
     let found: Vec<(DVec3, [f32; 3])> = (0..clear.len()).filter_map(|i| Some((clear[i], agreed(i)?))).collect();
     let kept = evenly(&found, max_splats);
@@ -172,15 +174,16 @@ mod tests {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
         let mut capture = open(&folder, &LoadOptions::default()).unwrap();
         let views: Vec<usize> = (0..capture.views.len()).collect();
-        let of = |capture: &Capture, shade: &(dyn Fn(&View) -> u8 + Sync)| {
+        let in_front_of = |background, capture: &Capture, shade: &(dyn Fn(&View) -> u8 + Sync)| {
             let photo = |view: &View| {
                 let k = view.camera.intrinsics();
                 let rgba = [shade(view), 100, 200, 255].repeat(k.width as usize * k.height as usize);
                 let (width, height) = (k.width, k.height);
                 Ok(Photo { width, height, rgba, has_alpha: false, masked: false }.into())
             };
-            behind_points(capture, &views, 1, 1000, photo).unwrap()
+            behind_points(capture, &views, 1, 1000, background, photo).unwrap()
         };
+        let of = |capture: &Capture, shade: &(dyn Fn(&View) -> u8 + Sync)| in_front_of(None, capture, shade);
         let many = of(&capture, &|_| 50);
         assert!(!many.is_empty());
         capture.points.truncate(3);
@@ -194,6 +197,10 @@ mod tests {
         assert!(low > 100 && high > 100, "{low} {high}");
         let color = all.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
         assert!((color[0] - 50.0 / 255.0).abs() < 1e-5 && (color[2] - 200.0 / 255.0).abs() < 1e-5, "{color:?}");
+        // What the background shows needs no splats.
+        let [same, other] = [51.0, 53.0].map(|red: f32| Some([red / 255.0, 100.0 / 255.0, 200.0 / 255.0]));
+        assert!(in_front_of(same, &capture, &|_| 50).is_empty());
+        assert_eq!(in_front_of(other, &capture, &|_| 50), all);
         // Views that do not agree see something near; where there is one only, it agrees with itself.
         let differing = of(&capture, &|view| view.name.bytes().fold(0_u8, |a, b| a.wrapping_mul(31).wrapping_add(b)));
         assert!(differing.len() < all.len() / 2, "{} of {}", differing.len(), all.len());

@@ -9,10 +9,17 @@ use crate::scene::Camera;
 const CELL: f64 = 0.03;
 /// Pictures that are looked at, at most: each is decoded for it.
 const PICTURES: usize = 128;
+/// Colours no farther apart in any channel are one: two steps of 255.
+const ONE_COLOR: f32 = 2.0 / 255.0;
 
 /// One in how many of `views` is looked at.
 pub(super) fn stride(views: usize) -> usize {
     views.div_ceil(PICTURES).max(1)
+}
+
+/// Whether a splat of this colour would show what is seen without it, too: the background, unless that changes (`None`).
+pub(super) fn is_needless(color: [f32; 3], background: Option<[f32; 3]>) -> bool {
+    background.is_some_and(|empty| color.iter().zip(empty).all(|(c, e)| (c - e).abs() < ONE_COLOR))
 }
 
 /// `most` of all, or fewer, evenly.

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{
     TrainError,
-    cells::{Cells, evenly, stride},
+    cells::{Cells, evenly, is_needless, stride},
     initialize::round_splats,
 };
 use crate::{
@@ -34,6 +34,8 @@ pub(super) struct Known<'a> {
     pub meshes: &'a MeshBvh,
     /// What is no farther from a camera than this, in camera-space z, it does not see.
     pub near: f64,
+    /// What is behind everything, RGB; `None` if that is another colour every time.
+    pub background: Option<[f32; 3]>,
 }
 
 impl Known<'_> {
@@ -48,7 +50,7 @@ impl Known<'_> {
 /// the colours of the photograph; at most `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put
 /// somewhere, the next counts among its points.
 ///
-/// A view shows all points before it, hidden or not: where it sees a bare wall and there are points behind that, nothing is put.
+/// Where a view shows the background there may be nothing, and nothing is put. It shows all points before it, hidden or not: where it sees a bare wall and there are points behind that, nothing is put.
 ///
 /// `photo` decodes a view's picture. What it masks is left out.
 ///
@@ -75,6 +77,7 @@ pub(super) fn between_points(
         let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
         hits.into_iter().for_each(|cell| taken[cell] = true);
         let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]).filter_map(|cell| map.cover(cell));
+        let own = own.filter(|cover| !is_needless(cover.color, known.background));
         let bare = own.filter(|cover| !known.has_mesh(&map.cells.camera, cover.mean, 0.0, f64::INFINITY));
         found.par_extend(bare.filter(|cover| !hides(cover, &maps, known)));
     }
@@ -233,7 +236,7 @@ mod tests {
     }
 
     fn known<'a>(points: &'a [DVec3], meshes: &'a MeshBvh) -> Known<'a> {
-        Known { points, meshes, near: 0.2 }
+        Known { points, meshes, near: 0.2, background: None }
     }
 
     fn shown(camera: &Camera, points: &[DVec3], photo: &Photo) -> Shown {
@@ -268,6 +271,24 @@ mod tests {
         let color = splats.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
         assert!([0.2, 0.4, 0.8].iter().zip(color).all(|(a, b)| (a - b).abs() < 1e-5), "{color:?}");
         assert_eq!(splats, cover(&capture, &points, 100_000));
+    }
+
+    /// The demo's table stands before nothing.
+    #[test]
+    fn what_shows_the_background_stays_bare() {
+        let capture = demo();
+        let views: Vec<&View> = capture.views.iter().collect();
+        let points: Vec<DVec3> = capture.points.iter().map(|p| p.position).filter(|p| p.x > 0.0).collect();
+        let nothing = bare();
+        let cover = |background| {
+            let known = Known { background, ..known(&points, &nothing) };
+            between_points(&views, &known, 0, 100_000, |view| Ok(crate::capture::decode(view)?.into())).unwrap()
+        };
+        let [all, over_black, over_white] = [None, Some([0.0; 3]), Some([1.0; 3])].map(cover);
+        let is_black = |sh: &[f32; 3]| sh.iter().all(|c| 0.5 + 0.282_094_8 * c < 1.9 / 255.0);
+        let black = all.sh().iter().filter(|sh| is_black(sh)).count();
+        assert!(black > 100 && over_white == all, "{black} of {}", all.len());
+        assert!(over_black.len() > 100 && !over_black.sh().iter().any(is_black), "{}", over_black.len());
     }
 
     #[test]

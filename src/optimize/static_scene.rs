@@ -14,7 +14,11 @@ mod unseen;
 
 pub use poses::RefinedPose;
 
-use std::{path::PathBuf, sync::atomic::AtomicBool, time::Instant};
+use std::{
+    path::{Path, PathBuf},
+    sync::atomic::AtomicBool,
+    time::Instant,
+};
 
 use glam::Vec2;
 use rayon::prelude::*;
@@ -30,7 +34,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, CaptureError, Photo, PhotoCache, Split, View},
-    geometry::{self, Contraction, MeshBvh, Shell, Surface},
+    geometry::{self, Contraction, GeometryError, MeshBvh, Shell, Surface},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -206,7 +210,10 @@ impl<'a> Run<'a> {
             return Err(TrainError::PosesBesideMesh);
         }
         let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
-        let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera))).collect();
+        // A file is told by its length: paths and times change where a capture is copied.
+        let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
+        let files = |v: &View| (length(v.source.path()), v.source.mask().map(length));
+        let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera), files(v))).collect();
         let mesh = match source {
             MeshSource::None => "none".to_owned(),
             MeshSource::Splats => "splats".to_owned(),
@@ -298,7 +305,11 @@ impl<'a> Run<'a> {
             if self.run_phase(&mut training, &scene, Phase::Surface, saved)? == Outcome::Interrupted {
                 return self.finish(&mut training, &scene, Outcome::Interrupted);
             }
-            scene.meshes = vec![self.find_surface(&mut training, of_points)?];
+            scene.meshes = match self.find_surface(&mut training, of_points) {
+                // What the splats have learnt is worth more than a mesh.
+                Err(TrainError::Geometry(GeometryError::EmptySurface { .. })) => vec![],
+                found => vec![found?],
+            };
             // As below, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
             if self.options.warmup == 0 && self.within_budget(&scene.meshes).is_err() {
                 scene.meshes.clear();
@@ -334,10 +345,15 @@ impl<'a> Run<'a> {
                 if meshes != scene.meshes {
                     let state = splat_state(&training)?;
                     scene.meshes = meshes;
+                    // Two hybrids at once are more than was asked for.
+                    drop(training);
                     training = self.training(&scene)?;
                     training.write_splats(&arrays(state))?;
                 }
-                self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
+                // Nothing takes the splats' place without a mesh.
+                if !scene.meshes.is_empty() {
+                    self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
+                }
             }
             outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
         }
@@ -383,12 +399,14 @@ impl<'a> Run<'a> {
         let (room, cache) = (most / 4, &self.cache);
         let photo = |view: &View| cache.get(view);
         let far_room = if self.is_cut_out { 0 } else { room };
-        let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, photo)?;
+        let empty = (o.background != Background::Random).then(|| self.composition().background);
+        let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, empty, photo)?;
         let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
         let far = behind.means().iter().map(|m| m.as_dvec3());
         let known: Vec<_> = points.iter().map(|p| p.position).chain(far).collect();
         let meshes = MeshBvh::new(beside.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
-        let known = Known { points: &known, meshes: &meshes, near: f64::from(self.composition().near) };
+        let near = f64::from(self.composition().near);
+        let known = Known { points: &known, meshes: &meshes, near, background: empty };
         let between = coverage::between_points(&views, &known, o.sh_degree, room - behind.len(), photo)?;
         let mut all = of_points(most - behind.len() - between.len())?.into_arrays();
         all.append(behind.into_arrays());
@@ -402,7 +420,7 @@ impl<'a> Run<'a> {
             lambda: self.options.lambda * self.extent,
             layers: self.options.layers,
             background: if self.options.background == Background::White { [1.0; 3] } else { [0.0; 3] },
-            near: NEAR.min(0.05 * self.extent),
+            near: surface::near_plane(&self.train_cameras, NEAR),
             pixel_filter: if self.options.antialias { PixelFilter::MIP } else { PixelFilter::DILATION },
             ..Composition::default()
         }

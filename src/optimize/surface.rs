@@ -4,13 +4,13 @@ use glam::{Vec2, Vec3};
 
 use super::{TrainError, TrainOptions};
 use crate::{
-    capture::{self, Capture},
+    capture::{self, Capture, Photo},
     geometry::{
         self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
         UnwrappedMesh,
     },
     render::gpu::{Gpu, training::Training},
-    scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture, sh},
+    scene::{Atlas, Camera, Composition, HybridScene, Mesh, Texture, sh},
 };
 
 /// Most voxels along the depth range (2DGS has 1024).
@@ -67,7 +67,13 @@ impl MeshSource {
     }
 }
 
-/// A surface of trained splats: their median depths from all cameras of a capture, fused, and flat regions made flat if `planar`. Of
+/// Near plane for these cameras: as wanted, but no more than a twentieth of their extent.
+pub(super) fn near_plane(cameras: &[Camera], wanted: f32) -> f32 {
+    let extent = capture::extent(cameras) as f32;
+    if extent > 0.0 { wanted.min(0.05 * extent) } else { wanted.min(0.05) }
+}
+
+/// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, and flat regions made flat if `planar`. Of
 /// the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
 ///
 /// `on_view` hears of every view when it is fused, by its index; from 0 again where they did not fit and voxels had to grow.
@@ -76,31 +82,34 @@ impl MeshSource {
 /// If a photograph cannot be read, the adapter fails or no surface is found.
 pub fn from_splats(
     gpu: &Gpu,
-    splats: &Splats,
+    scene: &HybridScene,
     capture: &Capture,
     triangles: usize,
     planar: bool,
     mut on_view: impl FnMut(usize),
 ) -> Result<(Surface, SurfaceStats), TrainError> {
-    let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition: Composition::default() };
     let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
+    let splats = &scene.splats;
+    let composition = Composition { near: near_plane(&cameras, scene.composition.near), ..scene.composition };
+    let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition };
     let mut training = Training::new(gpu, &scene, &cameras, 0.0)?;
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     let contraction = Contraction::if_unbounded(&cameras, &points)?;
     let points = if points.len() < 100 { splats.means() } else { &points };
     from_depths(&cameras, points, contraction, triangles, planar, |i| {
         let mut depth = training.median_depth(&cameras[i])?;
-        let photo = capture::decode(&capture.views[i])?;
-        if photo.masked || photo.has_alpha {
-            for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
-                if pixel[3] < 128 {
-                    *d = 0.0;
-                }
-            }
-        }
+        clear_unseen(&mut depth, &capture::decode(&capture.views[i])?);
         on_view(i);
         Ok(depth)
     })
+}
+
+/// Takes out the depths `[h·w]` of what a photograph's mask or alpha leaves out.
+pub(super) fn clear_unseen(depth: &mut [f32], photo: &Photo) {
+    if photo.masked || photo.has_alpha {
+        let pixels = depth.iter_mut().zip(photo.rgba.chunks_exact(4));
+        pixels.filter(|(_, rgba)| rgba[3] < 128).for_each(|(depth, _)| *depth = 0.0);
+    }
 }
 
 /// Fuses median depths of the training views, in voxels of some pixels at the focus.

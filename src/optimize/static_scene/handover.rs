@@ -31,14 +31,7 @@ impl<'a> Run<'a> {
         let (triangles, planar) = (self.options.triangles, self.options.planar);
         let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
-            let photo = self.cache.get(&self.capture.views[self.train[i]])?;
-            if photo.masked || photo.has_alpha {
-                for (d, pixel) in depth.iter_mut().zip(photo.rgba.chunks_exact(4)) {
-                    if pixel[3] < 128 {
-                        *d = 0.0;
-                    }
-                }
-            }
+            surface::clear_unseen(&mut depth, &*self.cache.get(&self.capture.views[self.train[i]])?);
             Ok(depth)
         })?;
         self.surface = Some(SurfaceOrigin::Splats);

@@ -152,12 +152,17 @@ impl Run<'_> {
                 state.center(&self.cameras, &self.train);
                 training.refine_poses(&state)?;
             }
+            let stop = self.session.stop.load(Ordering::Relaxed);
+            let reports = done % REPORT_EVERY == 0 || done == plan.iterations || stop;
             if phase == Phase::Joint {
+                if reports {
+                    // Steps are only on their way until then, and the report that waits for them is no part of them.
+                    self.session.gpu.wait()?;
+                }
                 self.joint_seconds += begin.elapsed().as_secs_f64();
                 self.joint_iterations += 1;
             }
-            let stop = self.session.stop.load(Ordering::Relaxed);
-            if done % REPORT_EVERY == 0 || done == plan.iterations || stop {
+            if reports {
                 self.report(training, &plan, done)?;
             }
             if (stop || is_due(done, o.checkpoint_every))
@@ -237,7 +242,7 @@ impl Run<'_> {
                 base_rate,
                 band_rate: base_rate / BAND_RATE_DIVISOR,
                 visited_only: !o.dense_texels,
-                holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age),
+                holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age + 1),
             }
         });
         let rate = if plan.moves_vertices { schedule::vertex_rate(t, plan.iterations) } else { None };
