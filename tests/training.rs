@@ -240,6 +240,72 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
     assert_eq!(scene.splats.len(), 1000);
 }
 
+/// Forgetting --resume costs nothing, and photographs are not exchanged in between.
+#[test]
+fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    std::fs::create_dir_all(&capture).unwrap();
+    let picture = |i: u32, shade: u8| {
+        image::RgbImage::from_fn(24, 24, |x, y| image::Rgb([(x * y) as u8, shade, x as u8]))
+            .save(capture.join(format!("{i}.png")))
+            .unwrap();
+    };
+    let frame = |i: u32| {
+        picture(i, 9);
+        let pose = [[1.0, 0.0, 0.0, f64::from(i)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
+        serde_json::json!({ "file_path": format!("{i}.png"), "transform_matrix": pose })
+    };
+    let frames: Vec<_> = (0..4).map(frame).collect();
+    let write = |more: serde_json::Value| {
+        let mut file = serde_json::json!({ "w": 24, "h": 24, "fl_x": 24.0, "frames": frames });
+        file.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        std::fs::write(capture.join("transforms.json"), file.to_string()).unwrap();
+    };
+    write(serde_json::json!({}));
+    let flags = "train capture --no-mesh --iterations 20 --checkpoint-every 10 --max-splats 50 -o scene.glb";
+    let run = |more: &str| {
+        let args = flags.split(' ').chain(more.split(' ').filter(|word| !word.is_empty()));
+        let output = common::centaur(folder.path()).args(args).output().unwrap();
+        (output.status.code(), common::stderr(&output), String::from_utf8(output.stdout).unwrap())
+    };
+    std::fs::create_dir_all(folder.path().join("report/report.html")).unwrap();
+    assert_eq!(run("--report report --quiet").0, Some(1), "it leaves a checkpoint");
+    let [checkpoint, aside] =
+        ["scene.glb.checkpoint", "scene.glb.checkpoint.before"].map(|name| folder.path().join(name));
+    let bytes = std::fs::read(&checkpoint).unwrap();
+
+    let (code, _, said) = run("--no-eval --quiet --json");
+    let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert!(code == Some(0) && !checkpoint.exists() && std::fs::read(&aside).unwrap() == bytes, "{said}");
+    assert!(said["notes"][1].as_str().unwrap().contains("was left by another run and is now"), "{said}");
+
+    std::fs::rename(&aside, &checkpoint).unwrap();
+    picture(2, 0);
+    image::RgbImage::new(24, 24).save(capture.join("2.png")).unwrap();
+    let (code, said, _) = run("--resume --no-eval --quiet");
+    assert!(code == Some(1) && said.contains("of the same photographs"), "{said}");
+    picture(2, 9);
+    assert_eq!(run("--resume --no-eval --quiet").0, Some(0));
+
+    // Everything that a capture lacks is said before it is trained on.
+    let notes = |more: &str| {
+        let (code, error, said) = run(more);
+        assert_eq!(code, Some(0), "{error}");
+        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+        assert!(said["evaluation"].is_null());
+        said["notes"].as_array().unwrap().iter().map(|note| note.as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    write(serde_json::json!({ "train_filenames": ["0.png", "1.png", "2.png", "3.png"] }));
+    let all = notes("--masks --quiet --json");
+    assert!(all[1].ends_with("has no masks: nothing is masked") && all[2].contains("holds no view out"), "{all:?}");
+    assert_eq!(all.len(), 3);
+    let (code, said, _) = run("--images images_4 --quiet");
+    assert!(code == Some(1) && said.contains("/frames/0/file_path") && said.contains("begins with images/"), "{said}");
+    let (code, said, _) = run("--max-splats 0");
+    assert!(code == Some(2) && said.contains("from 1"), "{said}");
+}
+
 /// What fails after the training does not cost the training.
 #[test]
 fn a_checkpoint_stays_until_all_is_written() {

@@ -42,7 +42,7 @@ pub(super) struct CaptureArgs {
     images: Option<String>,
     /// Use only what the capture's `masks/` leave white; scores multiply photograph and render by the mask
     #[arg(long)]
-    masks: bool,
+    pub(super) masks: bool,
 }
 
 impl CaptureArgs {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use centaur::capture::Capture;
+use centaur::capture::{Capture, Split};
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
@@ -70,7 +70,7 @@ pub(super) struct Args {
     #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
     density: DensityKind,
     /// Most splats there may be; also limited by the largest buffer that the adapter binds
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().max_splats, help_heading = OPTIMISATION)]
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().max_splats, value_parser = at_least_one, help_heading = OPTIMISATION)]
     max_splats: usize,
     /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
@@ -225,6 +225,10 @@ fn layers(text: &str) -> Result<u32, String> {
     }
 }
 
+fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "expected a whole number from 1".into())
+}
+
 fn share(text: &str) -> Result<f32, String> {
     text.parse().ok().filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a number from 0 to 1".into())
 }
@@ -350,9 +354,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
             flag.store(true, Ordering::Relaxed);
         });
     }
-    let no_points = without_points(args, &capture);
-    if let Some(note) = no_points.as_ref().filter(|_| !args.messages.json) {
-        output::note(note);
+    let scores = !args.no_eval && !Split::Every8th.split(&capture.views).1.is_empty();
+    let mut notes = before_training(args, &capture, scores);
+    notes.extend(set_aside(args)?);
+    if !args.messages.json {
+        notes.iter().for_each(|note| output::note(note));
     }
     let mut reporter = Reporter::new(&args.messages);
     let session = Session {
@@ -378,12 +384,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(path) = &args.ply {
         ply::write(path, &trained.scene.splats)?;
     }
-    let evaluation = if args.no_eval {
-        None
-    } else {
+    let evaluation = if scores {
         Some(evaluate(args, &gpu, &capture, &trained.scene, lpips.as_ref(), &settings, &record)?)
+    } else {
+        None
     };
-    let notes: Vec<String> = note(args, trained.surface).into_iter().collect();
+    let last = note(args, trained.surface);
     if args.messages.json {
         let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
         let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
@@ -392,7 +398,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
             "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
             "occluded_splats": trained.occluded_splats,
-            "notes": no_points.iter().chain(&notes).collect::<Vec<_>>(),
+            "notes": notes.iter().chain(&last).collect::<Vec<_>>(),
             "exposures": exposures, "poses": poses,
             "settings": options, "evaluation": evaluation,
         });
@@ -400,7 +406,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     } else {
         evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
         moved.map_or(Ok(()), |moved| output::print(&format!("poses: {moved}")))?;
-        notes.iter().try_for_each(|note| output::print(&format!("note: {note}")))?;
+        last.map_or(Ok(()), |note| output::print(&format!("note: {note}")))?;
         output::print(&format!("wrote {}", args.output.display()))?;
     }
     // Everything is written and said; what was kept for resuming has served.
@@ -428,20 +434,37 @@ fn moved(trained: &Trained) -> Option<String> {
     Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
 }
 
-/// Said before the training: a capture that has lost its points is better mended than trained for hours.
-fn without_points(args: &Args, capture: &Capture) -> Option<String> {
-    let place =
-        || format!("{}: has no points: splats begin at random places that its cameras look at", args.capture.display());
-    capture.points.is_empty().then(place)
+/// Said before the training: a capture that lacks something is better mended than trained for hours.
+fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> {
+    let has_masks = capture.views.iter().any(|view| view.source.mask().is_some());
+    let lacks = [
+        (capture.points.is_empty(), "has no points: splats begin at random places that its cameras look at"),
+        (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
+        (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
+    ];
+    let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
+    said.map(|(_, what)| format!("{}: {what}", args.capture.display())).collect()
 }
 
-/// Where a surface of points was asked for and is less than that.
+/// What an interrupted run left stays where this one does not go on from it.
+fn set_aside(args: &Args) -> Result<Option<String>> {
+    let checkpoint = args.checkpoint();
+    if args.resume || !checkpoint.is_file() {
+        return Ok(None);
+    }
+    let aside = checkpoint.with_extension("checkpoint.before");
+    std::fs::rename(&checkpoint, &aside).with_context(|| format!("cannot rename {}", checkpoint.display()))?;
+    Ok(Some(format!("{}: was left by another run and is now {}", checkpoint.display(), aside.display())))
+}
+
+/// Where a surface was wanted, or one of points, and there is less than that.
 fn note(args: &Args, surface: Option<SurfaceOrigin>) -> Option<String> {
-    let note = match (args.surface?, surface?) {
-        (SurfaceOf::Points, SurfaceOrigin::GuessedPoints) => {
+    let note = match (args.surface, surface) {
+        (_, None) if !args.no_mesh => "no surface explains it as well as splats do: the scene has none",
+        (Some(SurfaceOf::Points), Some(SurfaceOrigin::GuessedPoints)) => {
             "does not say of half of its views or more which points they see: for the surface, each was taken for seen where none is nearer"
         }
-        (SurfaceOf::Points, SurfaceOrigin::Splats) => {
+        (Some(SurfaceOf::Points), Some(SurfaceOrigin::Splats)) => {
             "its points make no surface: it was fused from the depth of splats"
         }
         _ => return None,
