@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Hybrid and splats alone, with and without the filters of Mip-Splatting, trained on pictures of a quarter of the size and scored at
 # ×½, ×1, ×2 and ×4 of that: `scales.sh [NAME…]`, by default skull66 and banana16, captures in $CENTAUR_DATA. About 4 minutes a run on 2 cores
-# without a GPU, four runs a capture; what is done is not done again. Scenes and scores go to out/scales, the table to out/scales/table.md.
+# without a GPU, four runs a capture; what is done is not done again. Scenes, scores and table.md go to out/scales/FLOATS-ITERATIONS.
 # SCALES_FLOATS=1475000, SCALES_ITERATIONS=1000, SCALES_CENTAUR=PROGRAM, SCALES_OUT=FOLDER.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-out=${SCALES_OUT:-out/scales}
 floats=${SCALES_FLOATS:-1475000}
 iterations=${SCALES_ITERATIONS:-1000}
+out=${SCALES_OUT:-out/scales}/$floats-$iterations
 [ -n "${SCALES_CENTAUR:-}" ] || cargo build --release --quiet
 centaur() { if [ -n "${SCALES_CENTAUR:-}" ]; then "$SCALES_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
 
@@ -28,6 +28,7 @@ for name in "$@"; do
             [ $filters = none ] || flags+=(--antialias)
             [ -f "$scene.glb" ] || centaur train "$capture" -o "$scene.glb" --downscale 4 --iterations "$iterations" --max-floats "$floats" "${flags[@]}"
             for size in 8 4 2 1; do
+                [ ! -f "$scene-$size.json" ] || continue
                 # Written whole or not at all.
                 centaur eval "$scene.glb" "$capture" --downscale $size --json --quiet >"$scene.part"
                 mv "$scene.part" "$scene-$size.json"

@@ -272,7 +272,7 @@ fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     std::fs::create_dir_all(folder.path().join("report/report.html")).unwrap();
     assert_eq!(run("--report report --quiet").0, Some(1), "it leaves a checkpoint");
     let [checkpoint, aside] =
-        ["scene.glb.checkpoint", "scene.glb.checkpoint.before"].map(|name| folder.path().join(name));
+        ["scene.glb.checkpoint", "scene.glb.checkpoint.before-1"].map(|name| folder.path().join(name));
     let bytes = std::fs::read(&checkpoint).unwrap();
 
     let (code, _, said) = run("--no-eval --quiet --json");

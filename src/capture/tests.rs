@@ -277,6 +277,8 @@ fn transforms_in_opengl_axes() {
     // What is in no list is left out.
     std::fs::write(&file, frames(r#","train_filenames":["train/r_1.png"]"#)).unwrap();
     assert!(message(&file, &full()).contains("at least 2 posed images, found 1"));
+    std::fs::write(&file, frames(r#","train_filenames":["train/r_1.png","train/r_0"]"#)).unwrap();
+    assert!(message(&file, &full()).ends_with("expected the file_path of a frame, found train/r_0"));
 
     for (extra, expected) in
         [(r#","camera_model":"EQUIRECTANGULAR""#, "EQUIRECTANGULAR"), (r#","k4":0.5"#, "k4"), (r#","w":NaN"#, "line 1")]

@@ -1,5 +1,6 @@
 //! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -105,8 +106,13 @@ pub(super) fn parse(
     let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty() || !file.val_filenames.is_empty();
     let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
     let trains = |name: &str| file.train_filenames.iter().flatten().any(|t| plain(t) == name);
-    // Of neither list where there is one of what to train on: left out, as by nerfstudio.
-    let is_listed = |name: &str| file.train_filenames.is_none() || trains(name) || tests(name);
+    // Of neither list where there is one of what to train on: left out, as by nerfstudio, which also refuses names of no frame.
+    let is_listed = |name: &str| !photographs || file.train_filenames.is_none() || trains(name) || tests(name);
+    let names: HashSet<&str> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
+    let lists = file.train_filenames.iter().flatten().chain(&file.test_filenames).chain(&file.val_filenames);
+    if let Some(name) = lists.map(|name| plain(name)).find(|name| photographs && !names.contains(name)) {
+        return Err(CaptureError::invalid(path, "train_, test_ or val_filenames", "the file_path of a frame", name));
+    }
     let list: Arc<Path> = path.into();
     let frames = file
         .frames
@@ -146,8 +152,8 @@ pub(super) fn parse(
             })
         })
         .collect::<Result<Vec<Frame>, CaptureError>>()?;
-    if let (Some(first), Some(_), true) = (frames.first(), &options.images, photographs)
-        && !frames.iter().any(|frame| Path::new(&frame.name).starts_with("images"))
+    if let (Some(first), Some(folder), true) = (frames.first(), &options.images, photographs)
+        && !frames.iter().map(|frame| Path::new(&frame.name)).any(|p| p.starts_with("images") || p.starts_with(folder))
     {
         let expected = "a path that begins with images/, for another folder to take its place";
         return Err(CaptureError::invalid(path, format!("{}/file_path", first.at), expected, &first.name));

@@ -355,8 +355,16 @@ pub(super) fn run(args: &Args) -> Result<()> {
         });
     }
     let scores = !args.no_eval && !Split::Every8th.split(&capture.views).1.is_empty();
+    ensure!(
+        scores || args.report.is_none(),
+        "{}: expected held-out views for --report, found none",
+        args.capture.display()
+    );
     let mut notes = before_training(args, &capture, scores);
-    notes.extend(set_aside(args)?);
+    let aside = set_aside(args)?;
+    notes.extend(aside.iter().map(|aside| {
+        format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.display())
+    }));
     if !args.messages.json {
         notes.iter().for_each(|note| output::note(note));
     }
@@ -370,9 +378,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let trained = optimize::train(&capture, mesh, &options, session);
     reporter.finish();
+    if let (Err(_), Some(aside), false) = (&trained, &aside, args.checkpoint().exists()) {
+        // Nothing has taken its place.
+        let _ = std::fs::rename(aside, args.checkpoint());
+    }
     let trained = trained.map_err(with_advice)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
-        return report_interruption(args);
+        return report_interruption(args, &notes);
     }
     let record = Record::new(&capture.name, &options, gpu.adapter(), &trained)?;
     let mut settings = record.settings();
@@ -446,21 +458,24 @@ fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> 
     said.map(|(_, what)| format!("{}: {what}", args.capture.display())).collect()
 }
 
-/// What an interrupted run left stays where this one does not go on from it.
-fn set_aside(args: &Args) -> Result<Option<String>> {
+/// What an interrupted run left stays, under the name that is returned, where this one does not go on from it.
+fn set_aside(args: &Args) -> Result<Option<PathBuf>> {
     let checkpoint = args.checkpoint();
     if args.resume || !checkpoint.is_file() {
         return Ok(None);
     }
-    let aside = checkpoint.with_extension("checkpoint.before");
+    let mut names = (1..).map(|n| checkpoint.with_extension(format!("checkpoint.before-{n}")));
+    let aside = names.find(|name| !name.exists()).context("no name is left for an earlier checkpoint")?;
     std::fs::rename(&checkpoint, &aside).with_context(|| format!("cannot rename {}", checkpoint.display()))?;
-    Ok(Some(format!("{}: was left by another run and is now {}", checkpoint.display(), aside.display())))
+    Ok(Some(aside))
 }
 
 /// Where a surface was wanted, or one of points, and there is less than that.
 fn note(args: &Args, surface: Option<SurfaceOrigin>) -> Option<String> {
     let note = match (args.surface, surface) {
-        (_, None) if !args.no_mesh => "no surface explains it as well as splats do: the scene has none",
+        (_, None) if !args.no_mesh => {
+            "the scene has no mesh: no surface was found, showed the photographs as well as splats, or had room in the budget"
+        }
         (Some(SurfaceOf::Points), Some(SurfaceOrigin::GuessedPoints)) => {
             "does not say of half of its views or more which points they see: for the surface, each was taken for seen where none is nearer"
         }
@@ -521,10 +536,12 @@ pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
 }
 
 /// Ctrl-C is no failure: the work so far is in the checkpoint.
-fn report_interruption(args: &Args) -> Result<()> {
+fn report_interruption(args: &Args, notes: &[String]) -> Result<()> {
     let checkpoint = args.checkpoint();
     if args.messages.json {
-        return output::print_json(&serde_json::json!({ "outcome": "interrupted", "checkpoint": checkpoint }));
+        return output::print_json(
+            &serde_json::json!({ "outcome": "interrupted", "checkpoint": checkpoint, "notes": notes }),
+        );
     }
     output::print(&format!("stopped; saved {}; the same command with --resume continues", checkpoint.display()))
 }

@@ -196,7 +196,7 @@ mod tests {
     #[test]
     #[ignore = "a measurement"]
     fn time_of_many_splats() {
-        let n = 1_000_000;
+        let n = 100_000;
         let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
         let mut near = |least: f32, most: f32| {
             let p = Vec3::from_array([0; 3].map(|_| rng.random_range(-1.0..1.0_f32))).normalize_or(Vec3::X);

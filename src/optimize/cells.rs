@@ -9,7 +9,7 @@ use crate::scene::Camera;
 const CELL: f64 = 0.03;
 /// Pictures that are looked at, at most: each is decoded for it.
 const PICTURES: usize = 128;
-/// Colours no farther apart in any channel are one: two steps of 255.
+/// Colours that differ by less in all channels are one: two steps of 255.
 const ONE_COLOR: f32 = 2.0 / 255.0;
 
 /// One in how many of `views` is looked at.

@@ -33,7 +33,7 @@ pub(super) fn check(
         gpu.ensure_bindable("the mesh layers of an image", 16 * (hybrid.layers as u64 + 1) * pixels)?;
     }
     gpu.ensure_bindable("the loss of an image", 48 * pixels)?;
-    let (what, bytes) = needed(&hybrid, texture_size);
+    let (what, bytes) = needed(&hybrid, source.is_found(), texture_size);
     Ok(gpu.ensure_free(&what, bytes)?)
 }
 
@@ -67,10 +67,10 @@ fn size(
 }
 
 /// What the memory is for, and the bytes at the time when most of them are in use.
-fn needed(hybrid: &TrainingSize, texture_size: u32) -> (String, u64) {
+fn needed(hybrid: &TrainingSize, hands_over: bool, texture_size: u32) -> (String, u64) {
     let mut bytes = training_bytes(hybrid);
-    if hybrid.layers > 0 {
-        // When the splats of the surface phase are handed over, and after training, they are rendered alone beside the hybrid.
+    if hands_over {
+        // When the splats of the surface phase are handed over, they are rendered alone beside the hybrid.
         let alone = training_bytes(&TrainingSize { layers: 0, ..*hybrid });
         bytes.splats = bytes.splats.saturating_add(alone.splats);
         bytes.images = bytes.images.saturating_add(alone.images);
@@ -131,7 +131,9 @@ mod tests {
     #[test]
     fn the_message_names_every_part() {
         let (options, cameras) = (TrainOptions::default(), [camera(1920, 100), camera(80, 1080)]);
-        let of = |source: &MeshSource| needed(&size(&options, &cameras, source, 1_000_000, 2048), 2048);
+        let of = |source: &MeshSource| {
+            needed(&size(&options, &cameras, source, 1_000_000, 2048), *source == MeshSource::Splats, 2048)
+        };
         let (what, hybrid) = of(&MeshSource::Splats);
         let expected = "training (1000000 splats of SH degree 3: 3439 MiB, the mesh with maps of 2048² texels 413 MiB, \
                         images of 1920×1080: 651 MiB)";

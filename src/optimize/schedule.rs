@@ -8,7 +8,7 @@ const FULL: u32 = 30_000;
 const PAPER_WARM_UP: u32 = 9_000;
 const PAPER_TEXEL_RATE: f64 = 5e-4;
 /// Iterations for which the opacity map is held after an opacity reset: with the splats in front of it gone the mesh
-/// would otherwise turn opaque to make up for them.
+/// might otherwise turn opaque to make up for them.
 const FREEZE: u32 = 200;
 
 /// Adam learning rates of the splats' parameters at one iteration.
@@ -47,6 +47,8 @@ pub struct Schedule {
     /// Iterations between opacity resets: 3000, at least 1000. None in runs below 3000, which end before the splats
     /// are opaque again, and with MCMC.
     pub opacity_reset_interval: Option<u32>,
+    /// Opacities are reset after this iteration: 0, or that after which splats were handed over.
+    pub opacity_reset_from: u32,
     /// Splats are pruned for their size after this iteration: 3000.
     pub prune_large_from: u32,
     /// Iterations between two SH degrees: 1000, at least 100.
@@ -70,6 +72,7 @@ impl Schedule {
             densify_until: of_full(15_000, 0),
             densify_interval,
             opacity_reset_interval: (iterations >= 3000).then(|| of_full(3000, 1000)),
+            opacity_reset_from: 0,
             prune_large_from: of_full(3000, densify_interval),
             sh_interval: of_full(1000, 100),
             white_background: false,
@@ -99,6 +102,7 @@ impl Schedule {
         Self {
             densify_from: if again { at.saturating_add(self.densify_from) } else { self.densify_from },
             densify_until: half.max(self.densify_until),
+            opacity_reset_from: at,
             // It was for the beginning.
             white_background: false,
             ..self
@@ -127,7 +131,7 @@ impl Schedule {
     #[must_use]
     pub fn resets_opacity_after(&self, t: u32) -> bool {
         self.opacity_reset_interval.is_some_and(|interval| {
-            t > 0
+            t > self.opacity_reset_from
                 && t < self.densify_until
                 && (t.is_multiple_of(interval) || (self.white_background && t == self.densify_from))
         })
@@ -242,9 +246,10 @@ mod tests {
         assert_eq!((densifies[0], densifies[densifies.len() - 1], densifies.len()), (15_600, 22_400, 69));
         assert_eq!(during(&joint, Schedule::resets_opacity_after), [18_000, 21_000]);
         assert!(joint.freezes_mesh_opacity(18_100) && !joint.freezes_mesh_opacity(18_300));
+        assert!(!joint.freezes_mesh_opacity(15_001), "the phase before reset nothing there");
         // MCMC's goes on anyway, and what is short stays in order.
         let mcmc = Schedule::new(30_000).for_mcmc();
-        assert_eq!(mcmc.handed_over(15_000), mcmc);
+        assert_eq!(mcmc.handed_over(15_000), Schedule { opacity_reset_from: 15_000, ..mcmc });
         assert!(Schedule::new(20).handed_over(20).densify_until <= 20);
     }
 
@@ -286,6 +291,7 @@ mod tests {
                 densify_until: 15_000,
                 densify_interval: 100,
                 opacity_reset_interval: Some(3000),
+                opacity_reset_from: 0,
                 prune_large_from: 3000,
                 sh_interval: 1000,
                 white_background: false,

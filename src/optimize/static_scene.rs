@@ -141,8 +141,8 @@ pub struct Session<'a> {
 /// Trains a static scene on the training views of a capture (all but every eighth).
 ///
 /// # Errors
-/// If a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, no surface is found, the
-/// adapter fails or a parameter is no longer finite.
+/// If a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, the adapter
+/// fails or a parameter is no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
     mesh: MeshSource,
@@ -176,6 +176,8 @@ struct Run<'a> {
     /// Photographs have masks or alpha: nothing is behind what they show.
     is_cut_out: bool,
     extent: f32,
+    /// Near plane, by the poses as they were given.
+    near: f32,
     start: Instant,
     history: Vec<Progress>,
     joint_seconds: f64,
@@ -233,6 +235,7 @@ impl<'a> Run<'a> {
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = capture::extent(&train_cameras) as f32;
+        let near = surface::near_plane(&train_cameras, NEAR);
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !is_cut_out && options.warmup > 0;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
@@ -251,6 +254,7 @@ impl<'a> Run<'a> {
             small: None,
             is_cut_out,
             extent: if extent > 0.0 { extent } else { 1.0 },
+            near,
             start: Instant::now(),
             history: vec![],
             joint_seconds: 0.0,
@@ -420,7 +424,7 @@ impl<'a> Run<'a> {
             lambda: self.options.lambda * self.extent,
             layers: self.options.layers,
             background: if self.options.background == Background::White { [1.0; 3] } else { [0.0; 3] },
-            near: surface::near_plane(&self.train_cameras, NEAR),
+            near: self.near,
             pixel_filter: if self.options.antialias { PixelFilter::MIP } else { PixelFilter::DILATION },
             ..Composition::default()
         }

@@ -40,7 +40,12 @@ impl Run<'_> {
         }
         let beside = self.blend_weights(training, &shown)?;
         let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
-        let alone = self.blend_weights(&mut self.training(&scene)?, &shown)?;
+        let mut alone = match self.training(&scene) {
+            // What stays costs little, what has been trained much.
+            Err(TrainError::Gpu(e)) if e.is_lack_of_memory() => return Ok(scene.splats),
+            alone => alone?,
+        };
+        let alone = self.blend_weights(&mut alone, &shown)?;
         let keep: Vec<bool> = (0..occluded.len()).map(|i| !occluded[i] || beside[i] > SHOWN * alone[i]).collect();
         state.retain(&keep);
         Ok(state.to_splats()?)

@@ -154,9 +154,10 @@ impl Run<'_> {
             }
             let stop = self.session.stop.load(Ordering::Relaxed);
             let reports = done % REPORT_EVERY == 0 || done == plan.iterations || stop;
+            let saves = stop || is_due(done, o.checkpoint_every);
             if phase == Phase::Joint {
-                if reports {
-                    // Steps are only on their way until then, and the report that waits for them is no part of them.
+                if reports || saves {
+                    // Steps are only on their way until then, and what waits for them is no part of them.
                     self.session.gpu.wait()?;
                 }
                 self.joint_seconds += begin.elapsed().as_secs_f64();
@@ -165,9 +166,7 @@ impl Run<'_> {
             if reports {
                 self.report(training, &plan, done)?;
             }
-            if (stop || is_due(done, o.checkpoint_every))
-                && let Some(path) = &self.session.checkpoint
-            {
+            if saves && let Some(path) = &self.session.checkpoint {
                 check_finite(training, phase, done)?;
                 Saved::capture(training, scene, (phase, done), self.surface, self.poses.as_ref(), &epoch)?
                     .write(path, &self.identity)?;
