@@ -239,7 +239,7 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     let line = resumed(&["--seed", "7"]);
     assert!(line.ends_with("expected a checkpoint of a run with the same options, but seed was 0 and is 7"), "{line}");
     let line = resumed(&["--max-side", "40"]);
-    assert!(line.contains("expected a checkpoint of the same photographs at the same size"), "{line}");
+    assert!(line.contains("expected a checkpoint of the same photographs and masks at the same size"), "{line}");
     std::fs::write(&checkpoint, &whole[..whole.len() - 7]).unwrap();
     assert!(resumed(&[]).contains("truncated"));
 }

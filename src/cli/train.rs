@@ -90,7 +90,7 @@ pub(super) struct Args {
     /// Measure a held-out view for the progress bar after every N iterations; 0 for never
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
     eval_every: u32,
-    /// Continue from SCENE.glb.checkpoint; give the other options as before
+    /// Continue from SCENE.glb.checkpoint; give the other options as before. Without this flag such a file is set aside
     #[arg(long, help_heading = OPTIMISATION)]
     resume: bool,
     /// Stop, as by Ctrl-C, when standard input ends: `centaur bench` holds its other end, whichever way it goes
@@ -380,7 +380,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     reporter.finish();
     if let (Err(_), Some(aside), false) = (&trained, &aside, args.checkpoint().exists()) {
         // Nothing has taken its place.
-        let _ = std::fs::rename(aside, args.checkpoint());
+        if std::fs::rename(aside, args.checkpoint()).is_ok() {
+            output::note(&format!("{}: is back, since this run left none", args.checkpoint().display()));
+        }
     }
     let trained = trained.map_err(with_advice)?;
     if matches!(trained.outcome, Outcome::Interrupted) {

@@ -50,7 +50,8 @@ impl Known<'_> {
 /// the colours of the photograph; at most `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put
 /// somewhere, the next counts among its points.
 ///
-/// Where a view shows the background there may be nothing, and nothing is put. It shows all points before it, hidden or not: where it sees a bare wall and there are points behind that, nothing is put.
+/// Where a view shows the background there may be nothing, and nothing is put. It shows all points before it, hidden or not: where it
+/// sees a bare wall and there are points behind that, nothing is put either.
 ///
 /// `photo` decodes a view's picture. What it masks is left out.
 ///

@@ -32,6 +32,20 @@ fn options() -> TrainOptions {
     }
 }
 
+/// Four views of 32×32 side by side, without points, of pictures that are this colour in column x, through a lens with radial distortion `k1`.
+fn in_a_row(folder: &Path, k1: f64, color: impl Fn(u32) -> image::Rgba<u8>) -> Capture {
+    let frame = |i: u32| {
+        let name = format!("{i}.png");
+        image::RgbaImage::from_fn(32, 32, |x, _| color(x)).save(folder.join(&name)).unwrap();
+        let pose = [[1.0, 0.0, 0.0, f64::from(i)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
+        serde_json::json!({ "file_path": name, "transform_matrix": pose })
+    };
+    let frames = (0..4).map(frame).collect::<Vec<_>>();
+    let transforms = serde_json::json!({ "w": 32, "h": 32, "fl_x": 32.0, "k1": k1, "frames": frames });
+    std::fs::write(folder.join("transforms.json"), transforms.to_string()).unwrap();
+    capture::open(folder, &LoadOptions::default()).unwrap()
+}
+
 /// A square of the demo's size at its middle.
 fn square() -> MeshSource {
     let positions = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]].map(Vec3::from).to_vec();
@@ -226,16 +240,7 @@ fn what_ended_faint_is_dropped_after_training() {
 #[test]
 fn without_a_surface_splats_are_trained_alone() {
     let (gpu, folder, stop) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap(), AtomicBool::new(false));
-    let frame = |i: u32| {
-        let name = format!("{i}.png");
-        image::RgbImage::new(32, 32).save(folder.path().join(&name)).unwrap();
-        let pose = [[1.0, 0.0, 0.0, f64::from(i)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
-        serde_json::json!({ "file_path": name, "transform_matrix": pose })
-    };
-    let frames = (0..4).map(frame).collect::<Vec<_>>();
-    let transforms = serde_json::json!({ "w": 32, "h": 32, "fl_x": 32.0, "frames": frames });
-    std::fs::write(folder.path().join("transforms.json"), transforms.to_string()).unwrap();
-    let capture = capture::open(folder.path(), &LoadOptions::default()).unwrap();
+    let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
     // Hardly any splats, all transparent by the end of the surface phase.
     let options = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: 5, ..options() };
     for source in [MeshSource::Splats, MeshSource::Points] {
@@ -482,20 +487,8 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
     let gpu = Gpu::open(None).unwrap();
     for (k1, opacity, is_cut_out) in [(0.0, 0, true), (0.3, 0, true), (0.3, 255, false), (0.0, 255, false)] {
         let folder = tempfile::tempdir().unwrap();
-        let frame = |i: u32| {
-            let name = format!("{i}.png");
-            let alpha = |x: u32| image::Rgba([200, 100, 50, if x == 16 { opacity } else { 255 }]);
-            image::RgbaImage::from_fn(32, 32, |x, _| alpha(x)).save(folder.path().join(&name)).unwrap();
-            let pose =
-                [[1.0, 0.0, 0.0, f64::from(i)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
-            serde_json::json!({ "file_path": name, "transform_matrix": pose })
-        };
-        let transforms = serde_json::json!({
-            "w": 32, "h": 32, "fl_x": 32.0, "fl_y": 32.0, "cx": 16.0, "cy": 16.0, "k1": k1,
-            "frames": (0..4).map(frame).collect::<Vec<_>>(),
-        });
-        std::fs::write(folder.path().join("transforms.json"), transforms.to_string()).unwrap();
-        let capture = capture::open(folder.path(), &LoadOptions::default()).unwrap();
+        let alpha = |x: u32| if x == 16 { opacity } else { 255 };
+        let capture = in_a_row(folder.path(), k1, |x| image::Rgba([200, 100, 50, alpha(x)]));
         assert_eq!(capture::decode(&capture.views[1]).unwrap().masked, k1 > 0.0, "{k1}");
         let (options, stop) = (options(), AtomicBool::new(false));
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
