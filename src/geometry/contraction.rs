@@ -1,7 +1,7 @@
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 
 use super::GeometryError;
-use crate::scene::Camera;
+use crate::scene::{Camera, OpticalAxes};
 
 /// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
 const BEYOND: f64 = 0.1;
@@ -29,7 +29,10 @@ impl Contraction {
             return Err(GeometryError::argument("cameras", "at least one camera", &"none"));
         }
         let inner = quantile_box(points.iter().map(|p| p.as_dvec3()), 0.25);
-        let center = focus_point(cameras, inner.map(|(low, high)| (low + high) / 2.0));
+        let mean_center = || cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len() as f64;
+        // Axes that hardly cross leave it where the points are, or else among the cameras.
+        let expected = inner.map_or_else(mean_center, |(low, high)| (low + high) / 2.0);
+        let center = OpticalAxes::of(cameras).meeting_point_near(expected);
         let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(center)).collect();
         distances.sort_unstable_by(f64::total_cmp);
         let (least, median) = (distances[0], distances[distances.len() / 2]);
@@ -92,21 +95,6 @@ impl Contraction {
         let radial = outward * d.dot(outward);
         (radial / distance + (d - radial) * (2.0 - 1.0 / distance)) / distance
     }
-}
-
-/// The point closest to all optical axes in the least-squares sense; axes that hardly cross leave it near `prior`.
-fn focus_point(cameras: &[Camera], prior: Option<DVec3>) -> DVec3 {
-    let count = cameras.len() as f64;
-    let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / count;
-    let prior = prior.unwrap_or(mean);
-    let (mut matrix, mut rhs) = (DMat3::from_diagonal(DVec3::splat(1e-3 * count)), prior * (1e-3 * count));
-    for camera in cameras {
-        let axis = camera.rotation().row(2);
-        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        matrix += across;
-        rhs += across * camera.center();
-    }
-    matrix.inverse() * rhs
 }
 
 /// Per axis, the `q` and 1−`q` quantiles of the finite points.

@@ -1,6 +1,6 @@
 //! The splats that an optimisation starts from.
 
-use glam::{DMat3, DVec3, Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng, seq::index};
 use rand_pcg::Pcg64;
 
@@ -8,7 +8,7 @@ use super::state::logit;
 use crate::{
     capture::{Point, extent},
     geometry::mean_squared_distance_to_3_neighbors,
-    scene::{Camera, SceneError, Splats, sh},
+    scene::{Camera, OpticalAxes, SceneError, Splats, sh},
 };
 
 /// How opaque and how large the first splats are.
@@ -154,21 +154,12 @@ fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
 fn focus(cameras: &[Camera]) -> (DVec3, f64) {
     let rays: Vec<(DVec3, DVec3)> = cameras.iter().map(|c| (c.center(), c.rotation().row(2))).collect();
     let n = rays.len().max(1) as f64;
-    // Σ(I − ddᵀ)·x = Σ(I − ddᵀ)·c.
-    let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for &(center, axis) in &rays {
-        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        matrix += across / n;
-        right += across * center / n;
-    }
-    // The determinant is about the squared spread of the axes in radians: nothing can be said below half a degree.
-    if matrix.determinant() > 1e-4 {
-        let point = matrix.inverse() * right;
+    if let Some(point) = OpticalAxes::of(cameras).meeting_point() {
         let mut distances: Vec<f64> = rays.iter().map(|&(center, _)| center.distance(point)).collect();
         let middle = distances.len() / 2;
         let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
         let in_front = rays.iter().filter(|&&(center, axis)| (point - center).dot(axis) > 0.5 * median).count();
-        if point.is_finite() && median > 0.0 && 2 * in_front > rays.len() {
+        if median > 0.0 && 2 * in_front > rays.len() {
             return (point, median);
         }
     }
@@ -183,6 +174,8 @@ fn focus(cameras: &[Camera]) -> (DVec3, f64) {
 
 #[cfg(test)]
 mod tests {
+    use glam::DMat3;
+
     use super::*;
     use crate::scene::Intrinsics;
 

@@ -3,11 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::PathError;
-use crate::scene::Camera;
-
-/// Least eigenvalue, of at most 2/3, of the mean of I − d dᵀ over the directions d of optical axes, at which these meet in a
-/// point: directions that spread by half a degree.
-const LEAST_SPREAD: f64 = 1e-4;
+use crate::scene::{Camera, OpticalAxes};
 
 /// Cosine of the angle between up and an orbit's axis from which on the orbit is level instead.
 const STEEPEST: f64 = std::f64::consts::FRAC_1_SQRT_2;
@@ -18,6 +14,7 @@ const LEAST_WIDTH: f64 = 1e-4;
 pub(super) struct Rig {
     pub(super) centers: Vec<DVec3>,
     forwards: Vec<DVec3>,
+    axes: OpticalAxes,
     /// Of length 1.
     pub(super) up: DVec3,
 }
@@ -33,23 +30,12 @@ impl Rig {
         let sum: DVec3 = views.iter().map(|view| -row(1)(view)).sum();
         // Views upright and upside down in equal parts have no mean.
         let up = if sum.length() > 0.01 * views.len() as f64 { sum.normalize() } else { first_up };
-        Ok(Self { centers, forwards, up })
+        Ok(Self { centers, forwards, axes: OpticalAxes::of(views), up })
     }
 
-    /// The point nearest to all optical axes: Σ (I − d dᵀ)(p − c) = 0.
+    /// The point nearest to all optical axes, if it is in front of most views.
     pub(super) fn focus(&self) -> Result<DVec3, PathError> {
-        let n = self.centers.len() as f64;
-        let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
-        for (&c, &d) in self.centers.iter().zip(&self.forwards) {
-            let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-            a += across * n.recip();
-            b += across * c / n;
-        }
-        let (values, _) = symmetric_eigen(a);
-        if values[0] < LEAST_SPREAD {
-            return Err(PathError::NoFocus);
-        }
-        let focus = a.inverse() * b;
+        let focus = self.axes.meeting_point().ok_or(PathError::NoFocus)?;
         let in_front = self.centers.iter().zip(&self.forwards).filter(|(c, d)| (focus - **c).dot(**d) > 0.0).count();
         if 2 * in_front <= self.centers.len() {
             return Err(PathError::Outwards);

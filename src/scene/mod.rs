@@ -9,6 +9,7 @@ pub mod color;
 mod composition;
 mod mesh;
 mod morton;
+mod optical_axes;
 pub(crate) mod placement;
 pub mod rig;
 pub mod sh;
@@ -20,6 +21,7 @@ pub use camera::{Camera, Intrinsics};
 pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
 pub use mesh::{Atlas, Mesh, Texture};
 pub use morton::in_morton_order;
+pub(crate) use optical_axes::OpticalAxes;
 pub use splats::{SplatArrays, Splats};
 
 /// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.
