@@ -42,6 +42,8 @@ pub(super) struct Identity<'a> {
     pub(super) options: &'a TrainOptions,
     /// Views and source of the mesh.
     pub(super) input: Value,
+    /// The run makes its surface itself: vertices move during the warm-up.
+    pub(super) finds_surface: bool,
 }
 
 impl Saved {
@@ -196,8 +198,7 @@ impl Saved {
         }
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
-        // As for `MeshSource::is_found`.
-        let moves = phase == Phase::Warmup && ["splats", "points"].iter().any(|found| run.input["mesh"] == *found);
+        let moves = phase == Phase::Warmup && run.finds_surface;
         if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
             return Err(damaged("vertices"));
         }

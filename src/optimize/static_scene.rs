@@ -8,6 +8,7 @@ mod backdrop;
 mod handover;
 mod occluded;
 mod phase;
+mod plan;
 mod poses;
 mod selection;
 mod unseen;
@@ -222,7 +223,8 @@ impl<'a> Run<'a> {
             MeshSource::Points => "points".to_owned(),
             MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
         };
-        let identity = Identity { options, input: serde_json::json!({ "views": views, "mesh": mesh }) };
+        let input = serde_json::json!({ "views": views, "mesh": mesh });
+        let identity = Identity { options, input, finds_surface: source.is_found() };
         let cache = PhotoCache::new(PHOTO_BUDGET);
         // All of them: any may have alpha, and one that cannot be read is better known now than in an hour.
         let has_alpha = |&i: &usize| cache.get(&capture.views[i]).map(|photo| photo.has_alpha);

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrays, check_finite, finite_splats, splat_state,
+    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrays, check_finite, finite_splats, plan::Plan, splat_state,
     squared_error, truth_alpha,
 };
 use crate::{
@@ -20,9 +20,8 @@ use crate::{
             inria::{self, InriaOptions},
             mcmc::{self, EpochWeight, McmcOptions},
         },
-        resolution::ResolutionSchedule,
         resume::Saved,
-        schedule::{self, Schedule},
+        schedule,
     },
     render::gpu::{
         adam::{AdamStep, SplatRates},
@@ -42,20 +41,6 @@ const SMOOTH_EVERY: u32 = 100;
 /// texel is seen by few views, and all of them would otherwise be explained by its bands.
 const BAND_RATE_DIVISOR: f32 = 5.0;
 
-/// What one phase does.
-pub(super) struct Plan {
-    pub(super) phase: Phase,
-    /// Iterations done before this run.
-    pub(super) from: u32,
-    pub(super) iterations: u32,
-    /// Iterations of the splats before this phase.
-    pub(super) clock: u32,
-    pub(super) schedule: Schedule,
-    pub(super) resolution: ResolutionSchedule,
-    pub(super) has_mesh: bool,
-    pub(super) moves_vertices: bool,
-}
-
 impl Run<'_> {
     /// Runs a phase from its beginning or from where `saved` left it.
     pub(super) fn run_phase(
@@ -65,7 +50,9 @@ impl Run<'_> {
         phase: Phase,
         saved: Option<Saved>,
     ) -> Result<Outcome, TrainError> {
-        let outcome = self.iterate(training, scene, phase, saved)?;
+        let plan = self.plan(phase, saved.as_ref().map_or(0, |s| s.iteration), !scene.meshes.is_empty());
+        let mut epoch = self.begin(training, scene, &plan, saved)?;
+        let outcome = self.iterate(training, scene, &plan, &mut epoch)?;
         self.exposures = training.read_exposures()?;
         if let Some(poses) = training.read_poses()? {
             self.fix_poses(poses);
@@ -73,89 +60,52 @@ impl Run<'_> {
         Ok(outcome)
     }
 
-    fn iterate(
-        &mut self,
+    /// Sets vertices and poses free as far as the phase moves them, and puts what was saved in place.
+    fn begin(
+        &self,
         training: &mut Training,
         scene: &HybridScene,
-        phase: Phase,
+        plan: &Plan,
         saved: Option<Saved>,
-    ) -> Result<Outcome, TrainError> {
-        let o = self.options;
-        // Surface and joint phase are two parts of one run of the splats: their clock goes on.
-        let before = o.before_surface();
-        let (iterations, clock, schedule) = match phase {
-            Phase::Surface => (before, 0, Schedule::new(o.iterations)),
-            Phase::Warmup => (o.warmup, 0, Schedule::new(o.warmup)),
-            Phase::Joint if self.hands_over => (o.iterations - before, before, Schedule::new(o.iterations)),
-            Phase::Joint => (o.iterations, 0, Schedule::new(o.iterations)),
-        };
-        let schedule = if o.density == Density::Mcmc { schedule.for_mcmc() } else { schedule };
-        let schedule = if o.background == Background::White { schedule.with_white_background() } else { schedule };
-        let schedule = if phase == Phase::Joint && self.hands_over { schedule.handed_over(before) } else { schedule };
-        let from = saved.as_ref().map_or(0, |s| s.iteration);
-        let moves_vertices = phase == Phase::Warmup && self.hands_over;
-        let has_mesh = !scene.meshes.is_empty();
-        // A surface is made of splats, and maps are warmed up, at full size.
-        let half = o.iterations / 2;
-        let full_from = match phase {
-            _ if !o.coarse_to_fine => 0,
-            Phase::Warmup => 0,
-            _ if self.hands_over => half.min(before - before / 4),
-            _ => half,
-        };
-        let resolution = ResolutionSchedule { full_from };
-        let plan = Plan { phase, from, iterations, clock, schedule, resolution, has_mesh, moves_vertices };
-        let mut epoch = EpochWeight::default();
-        if moves_vertices {
-            let state = match &saved {
-                Some(saved) => saved.vertices.clone(),
-                None => {
-                    VertexState::new(&scene.meshes, pixel_size(&self.train_cameras, &scene.meshes, self.shell.as_ref()))
-                }
-            };
+    ) -> Result<EpochWeight, TrainError> {
+        if plan.moves_vertices {
+            let pixel = || pixel_size(&self.train_cameras, &scene.meshes, self.shell.as_ref());
+            let before = saved.as_ref().map(|saved| saved.vertices.clone());
+            let state = before.unwrap_or_else(|| VertexState::new(&scene.meshes, pixel()));
             training.free_vertices(&scene.meshes, &state)?;
         }
-        if self.refines_poses(phase) {
+        if self.refines_poses(plan.phase) {
             let before = saved.as_ref().and_then(|saved| saved.poses.clone());
             training.refine_poses(&before.unwrap_or_else(|| self.given_poses()))?;
         }
         match saved {
-            Some(saved) => epoch = saved.restore(training)?,
-            None => training.smooth(),
+            Some(saved) => saved.restore(training),
+            None => {
+                training.smooth();
+                Ok(EpochWeight::default())
+            }
         }
+    }
+
+    fn iterate(
+        &mut self,
+        training: &mut Training,
+        scene: &HybridScene,
+        plan: &Plan,
+        epoch: &mut EpochWeight,
+    ) -> Result<Outcome, TrainError> {
         let most = self.max_splats(&scene.meshes);
-        let epoch_length = self.train.len() as u32;
         for t in plan.from..plan.iterations {
             let begin = Instant::now();
             self.resize(plan.resolution.scale(plan.clock + t, self.longest_side));
-            self.step(training, &plan, t)?;
+            self.step(training, plan, t)?;
             let done = t + 1;
-            self.reached = (phase, done);
-            if self.session.gpu.profile().is_cpu || done % 16 == 0 || done <= epoch_length {
-                training.grow_if_short()?;
-            }
-            if phase != Phase::Warmup {
-                let initial = self.initial_count(most);
-                let max_splats = plan.resolution.max_splats(plan.clock + t, self.longest_side, initial, most);
-                self.control_density(training, &plan, &mut epoch, max_splats, done)?;
-                if is_due(done, SMOOTH_EVERY) && plan.iterations - done >= SMOOTH_EVERY {
-                    training.smooth();
-                }
-            }
-            if self.exposures.is_some() && phase != Phase::Warmup && is_due(done, epoch_length) {
-                let mut state = training.read_exposures()?.unwrap_or_default();
-                state.center(&self.train);
-                training.expose(&state)?;
-            }
-            if self.refines_poses(phase) && is_due(done, epoch_length) {
-                let mut state = training.read_poses()?.unwrap_or_default();
-                state.center(&self.cameras, &self.train);
-                training.refine_poses(&state)?;
-            }
+            self.reached = (plan.phase, done);
+            self.after_step(training, plan, epoch, most, done)?;
             let stop = self.session.stop.load(Ordering::Relaxed);
             let reports = done % REPORT_EVERY == 0 || done == plan.iterations || stop;
-            let saves = stop || is_due(done, o.checkpoint_every);
-            if phase == Phase::Joint {
+            let saves = stop || is_due(done, self.options.checkpoint_every);
+            if plan.phase == Phase::Joint {
                 if reports || saves {
                     // Steps are only on their way until then, and what waits for them is no part of them.
                     self.session.gpu.wait()?;
@@ -164,11 +114,11 @@ impl Run<'_> {
                 self.joint_iterations += 1;
             }
             if reports {
-                self.report(training, &plan, done)?;
+                self.report(training, plan, done)?;
             }
             if saves && let Some(path) = &self.session.checkpoint {
-                check_finite(training, phase, done)?;
-                Saved::capture(training, scene, (phase, done), self.surface, self.poses.as_ref(), &epoch)?
+                check_finite(training, plan.phase, done)?;
+                Saved::capture(training, scene, self.reached, self.surface, self.poses.as_ref(), epoch)?
                     .write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
@@ -176,6 +126,44 @@ impl Run<'_> {
             }
         }
         Ok(Outcome::Finished)
+    }
+
+    /// What happens between steps, each at its own interval: longer lists, density control, smoothing, and exposures and poses about
+    /// their means.
+    fn after_step(
+        &self,
+        training: &mut Training,
+        plan: &Plan,
+        epoch: &mut EpochWeight,
+        most: usize,
+        done: u32,
+    ) -> Result<(), TrainError> {
+        let epoch_length = self.train.len() as u32;
+        if self.session.gpu.profile().is_cpu || done % 16 == 0 || done <= epoch_length {
+            training.grow_if_short()?;
+        }
+        if plan.phase != Phase::Warmup {
+            let max_splats =
+                plan.resolution.max_splats(plan.clock + done - 1, self.longest_side, self.initial_count(most), most);
+            self.control_density(training, plan, epoch, max_splats, done)?;
+            if is_due(done, SMOOTH_EVERY) && plan.iterations - done >= SMOOTH_EVERY {
+                training.smooth();
+            }
+        }
+        if !is_due(done, epoch_length) {
+            return Ok(());
+        }
+        if self.exposures.is_some() && plan.phase != Phase::Warmup {
+            let mut state = training.read_exposures()?.unwrap_or_default();
+            state.center(&self.train);
+            training.expose(&state)?;
+        }
+        if self.refines_poses(plan.phase) {
+            let mut state = training.read_poses()?.unwrap_or_default();
+            state.center(&self.cameras, &self.train);
+            training.refine_poses(&state)?;
+        }
+        Ok(())
     }
 
     /// From now on steps see the pictures with their sides scaled so.

@@ -1,6 +1,6 @@
 //! Poses of the training views, refined along with splats as long as there is no mesh.
 
-use super::{Phase, Run, phase::Plan};
+use super::{Phase, Run, plan::Plan};
 use crate::{
     optimize::schedule,
     render::gpu::pose::{PoseState, PoseStep},

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::{phase::Plan, *};
+use super::{plan::Plan, *};
 use crate::{
     capture::{Downscale, LoadOptions},
     format::gltf,

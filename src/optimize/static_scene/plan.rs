@@ -1,0 +1,55 @@
+//! What each phase of a run does, and when.
+
+use super::{Phase, Run};
+use crate::optimize::{Background, Density, resolution::ResolutionSchedule, schedule::Schedule};
+
+/// What one phase does.
+pub(super) struct Plan {
+    pub(super) phase: Phase,
+    /// Iterations done before this run.
+    pub(super) from: u32,
+    pub(super) iterations: u32,
+    /// Iterations of the splats before this phase.
+    pub(super) clock: u32,
+    pub(super) schedule: Schedule,
+    pub(super) resolution: ResolutionSchedule,
+    pub(super) has_mesh: bool,
+    pub(super) moves_vertices: bool,
+}
+
+impl Run<'_> {
+    /// For a phase of which `from` iterations are done.
+    pub(super) fn plan(&self, phase: Phase, from: u32, has_mesh: bool) -> Plan {
+        let o = self.options;
+        // Surface and joint phase are two parts of one run of the splats: their clock goes on.
+        let before = o.before_surface();
+        let is_second_part = phase == Phase::Joint && self.hands_over;
+        let (iterations, clock, of) = match phase {
+            Phase::Surface => (before, 0, o.iterations),
+            Phase::Warmup => (o.warmup, 0, o.warmup),
+            Phase::Joint if is_second_part => (o.iterations - before, before, o.iterations),
+            Phase::Joint => (o.iterations, 0, o.iterations),
+        };
+        let mut schedule = Schedule::new(of);
+        if o.density == Density::Mcmc {
+            schedule = schedule.for_mcmc();
+        }
+        if o.background == Background::White {
+            schedule = schedule.with_white_background();
+        }
+        if is_second_part {
+            schedule = schedule.handed_over(before);
+        }
+        // A surface is made of splats, and maps are warmed up, at full size.
+        let half = o.iterations / 2;
+        let full_from = match phase {
+            _ if !o.coarse_to_fine => 0,
+            Phase::Warmup => 0,
+            _ if self.hands_over => half.min(before - before / 4),
+            _ => half,
+        };
+        let resolution = ResolutionSchedule { full_from };
+        let moves_vertices = phase == Phase::Warmup && self.hands_over;
+        Plan { phase, from, iterations, clock, schedule, resolution, has_mesh, moves_vertices }
+    }
+}
