@@ -341,6 +341,34 @@ fn floats_stay_within_their_budget() {
     assert!(error.starts_with("expected a budget of at least the ") && error.ends_with("take, found 1000"), "{error}");
 }
 
+/// Structure from motion leaves points right before cameras, in the sky and a thousand times as far: neither what is near, nor bounds,
+/// nor how large splats begin may follow them.
+#[test]
+fn a_few_wild_points_do_little_harm() {
+    let (gpu, stop) = (Gpu::open(None).unwrap(), AtomicBool::new(false));
+    let (clean, mut wild) = (demo(), demo());
+    let centers: Vec<DVec3> = wild.views.iter().map(|view| view.camera.center()).collect();
+    let mut random = Pcg64::seed_from_u64(7);
+    for (i, point) in wild.points.iter_mut().step_by(20).enumerate() {
+        let mut side = || 2.0 * random.random::<f64>() - 1.0;
+        let direction = DVec3::new(side(), side(), side()).normalize();
+        let reach = [0.1, 30.0, 3000.0][i % 3];
+        point.position = centers[i % centers.len()] + reach * direction;
+    }
+    let options =
+        TrainOptions { iterations: 100, warmup: 40, surface_iterations: Some(50), max_splats: 2000, ..options() };
+    for source in [MeshSource::Points, MeshSource::Splats] {
+        let [clean, wild] = [&clean, &wild].map(|capture| {
+            let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+            let trained = train(capture, source.clone(), &options, session).unwrap();
+            assert!(trained.scene.composition.near == NEAR && !trained.scene.meshes.is_empty());
+            trained.history.last().unwrap().psnr.unwrap()
+        });
+        println!("{source:?}: {clean:.2} dB held out, {wild:.2} dB with wild points");
+        assert!(wild > clean - 0.5, "{source:?}: {clean} dB held out, {wild} dB with wild points");
+    }
+}
+
 #[test]
 fn a_nan_is_found_and_named() {
     // Such a splat is not drawn, so that the loss says nothing; it is found by the first look at the run all the same.
