@@ -15,6 +15,7 @@ there for both protocols of `centaur bench`: the full pictures (b) and images_2,
 import argparse
 import hashlib
 import http.client
+import shlex
 import shutil
 import stat
 import sys
@@ -143,16 +144,18 @@ def size_of(url):
         return None
 
 
-def ensure_space(folder, urls):
-    """Stops unless what is missing of the archives fits on the disk, and as much again: photographs do not shrink."""
+def ensure_space(folder, urls, all_scenes):
+    """Stops unless what is missing of the archives fits on the disk, and as much again where all scenes are wanted: photographs do not
+    shrink. What parts take of it is known when an archive is there."""
     missing = 0
     for archive, url in urls.items():
         part = Path(f"{archive}.part")
         if not archive.exists() and (size := size_of(url)) is not None:
-            missing += 2 * size - (part.stat().st_size if part.exists() else 0)
+            missing += (2 if all_scenes else 1) * size - (part.stat().st_size if part.exists() else 0)
     free = shutil.disk_usage(folder).free
     if missing > free:
-        raise FetchError(f"{folder}: needs {missing / 1e9:.1f} GB for archives and what is in them, has {free / 1e9:.1f} GB free")
+        for_what = "archives and what is in them" if all_scenes else "archives"
+        raise FetchError(f"{folder}: needs {missing / 1e9:.1f} GB for {for_what}, has {free / 1e9:.1f} GB free")
 
 
 def sha256(file):
@@ -164,16 +167,15 @@ def sha256(file):
 
 
 def verify(archive, published=None):
-    """Compares with the published sum, then with SHA256SUMS beside the archive; records the sum where none is there."""
+    """Compares with the published sum, then with SHA256SUMS beside the archive; returns the line to record where it has none."""
     found, sums = sha256(archive), archive.parent / "SHA256SUMS"
     if published not in (None, found):
         raise FetchError(f"{archive}: SHA-256 is {found}, its publisher says {published}; delete it and run again")
-    known = dict(reversed(line.split(maxsplit=1)) for line in sums.read_text().splitlines()) if sums.exists() else {}
-    if archive.name not in known:
-        with sums.open("a") as out:
-            out.write(f"{found}  {archive.name}\n")
-    elif known[archive.name] != found:
+    lines = (line.split(maxsplit=1) for line in sums.read_text().splitlines()) if sums.exists() else ()
+    known = {line[1]: line[0] for line in lines if len(line) == 2}
+    if known.get(archive.name, found) != found:
         raise FetchError(f"{archive}: SHA-256 is {found}, {sums} says {known[archive.name]}")
+    return None if archive.name in known else f"{found}  {archive.name}\n"
 
 
 def lies(path, size):
@@ -197,9 +199,9 @@ def unpack(archive, folder, wanted=lambda path: True):
         root = folder.resolve()
         for e in entries:
             target = folder / e.filename
-            target.parent.mkdir(parents=True, exist_ok=True)
             if not target.parent.resolve().is_relative_to(root):  # a link that lay there before
                 raise FetchError(f"{target}: leads out of {folder}")
+            target.parent.mkdir(parents=True, exist_ok=True)
             if lies(target, e.file_size):
                 continue
             with tempfile.NamedTemporaryFile(dir=target.parent, delete=False) as out:
@@ -252,29 +254,38 @@ def fetch(name, folder, mirror=None, names=None):
         file = url.rsplit("/", 1)[1]
         if collection.scenes_in.get(file, set(scenes)) & set(scenes):
             urls[archives / file] = f"{mirror.rstrip('/')}/{file}" if mirror else url
-    ensure_space(folder, urls)
+    ensure_space(folder, urls, len(scenes) == len(collection.scenes))
     for archive, url in urls.items():
         if not archive.exists():
             download(url, archive)
         if not zipfile.is_zipfile(archive):
             raise FetchError(f"{archive}: not a zip file; delete it and run again")
-        verify(archive, collection.sums.get(archive.name))
+        record = verify(archive, collection.sums.get(archive.name))
         # What the archive holds for other collections is left in it, too.
         others = [PurePosixPath(s) for c in CAPTURES.values() if holds(c, archive.name) for s in c.scenes if s not in scenes]
         try:
             unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others))
-        except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+        except OSError as error:
             raise FetchError(f"{archive}: {error}") from error
+        # A damaged one, an encrypted one, one of unknown compression.
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
+            raise FetchError(f"{archive}: {error}; delete it and run again") from error
+        if record:  # of what is known to be whole
+            with (archive.parent / "SHA256SUMS").open("a") as out:
+                out.write(record)
     found = [s for s in scenes if is_captured(scenes_folder / s)]
     for scene in found:
         flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
-        print(f"centaur train {scenes_folder / scene}{flags} -o out/{Path(scene).name}/scene.glb")
+        print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {Path(scene).name}.glb")
     for parent in sorted({PurePosixPath(s).parent for s in found}):
         here = scenes_folder / parent
         flags = bench_flags(collection, [s for s in found if PurePosixPath(s).parent == parent])
-        print(f"centaur bench {here} -o out/{here.name} {flags}".rstrip())
+        print(f"centaur bench {shlex.quote(str(here))} -o {shlex.quote(f'out/{here.name}')} {flags}".rstrip())
     if collection.remark:
         print(f"Note: {collection.remark}.")
+    if len(found) < len(scenes):
+        missing = ", ".join(s for s in scenes if s not in found)
+        raise FetchError(f"{scenes_folder}: expected a capture in each of {len(scenes)} folders, found none in {missing}: archives are laid out otherwise")
 
 
 def main():
@@ -290,7 +301,7 @@ def main():
     arguments = parser.parse_args()
     try:
         fetch(arguments.name, arguments.folder, arguments.mirror, arguments.scenes and arguments.scenes.split(","))
-    except FetchError as error:
+    except (FetchError, OSError) as error:
         sys.exit(f"error: {error}")
 
 

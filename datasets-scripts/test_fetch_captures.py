@@ -36,12 +36,12 @@ def link(name):
 
 
 SCENE = [("tandt/truck/sparse/0/cameras.bin", b"c"), ("tandt/truck/images/000001.jpg", bytes(range(256)) * 400)]
-
+SCENE += [(f"{s}/sparse/0/cameras.bin", b"c") for s in ("tandt/train", "db/drjohnson", "db/playroom")]
 
 # What the archives of Tanks and Temples hold: INRIA's has Deep Blending besides, GOF's scenes of its own.
 TANKS = {
-    "/x/tandt_db.zip": archive(SCENE + [(f"{s}/sparse/0/cameras.bin", b"c") for s in ("tandt/train", "db/drjohnson", "db/playroom")]),
-    "/x/TNT_GOF.zip": archive([(f"TNT_GOF/TrainingSet/{s}/sparse/0/cameras.bin", b"c") for s in ("Barn", "Ignatius", "Truck")]),
+    "/x/tandt_db.zip": archive(SCENE),
+    "/x/TNT_GOF.zip": archive([(f"{s}/sparse/0/cameras.bin", b"c") for s in fetch_captures.OF_GOF]),
 }
 
 
@@ -140,7 +140,7 @@ class Fetch(unittest.TestCase):
                 self.refused("leaves the folder")
                 self.assertFalse((self.folder / "tandt_db/tandt").exists(), "nothing of a bad archive is unpacked")
                 (self.folder / "archives/tandt_db.zip").unlink()
-                (self.folder / "archives/SHA256SUMS").unlink()
+                self.assertFalse((self.folder / "archives/SHA256SUMS").exists())
 
     def test_links_are_refused(self):
         Server.content = archive([(link("tandt/away"), "/etc")])
@@ -152,7 +152,29 @@ class Fetch(unittest.TestCase):
         (self.folder / "tandt_db").mkdir()
         (self.folder / "tandt_db/tandt").symlink_to(outside)
         self.refused("leads out")
-        self.assertFalse(any(p.is_file() for p in outside.rglob("*")))
+        self.assertEqual(list(outside.iterdir()), [])
+
+    def test_a_damaged_archive_is_not_what_later_ones_must_match(self):
+        whole = Server.content
+        place = whole.index(SCENE[1][1]) + 1000
+        Server.content = whole[:place] + b"!" + whole[place + 1 :]
+        self.refused("Bad CRC-32.*; delete it and run again")
+        (self.folder / "archives/tandt_db.zip").unlink()
+        Server.content = whole
+        self.fetch()
+
+    def test_lines_of_checksums_that_say_nothing_are_passed_over(self):
+        (self.folder / "archives").mkdir()
+        (self.folder / "archives/SHA256SUMS").write_text("\nnonsense\n")
+        self.fetch()
+
+    def test_scenes_that_an_archive_lacks_are_named(self):
+        Server.content = archive(SCENE[:2] + [(f"other/{n}", c) for n, c in SCENE[2:]])
+        self.refused("found none in tandt/train, db/drjohnson, db/playroom")
+
+    def test_commands_can_be_pasted(self):
+        self.folder = self.folder / "my captures"
+        self.assertIn(f"centaur train '{self.folder}/tandt_db/tandt/truck' -o truck.glb\n", self.fetch())
 
     def test_not_a_zip(self):
         Server.content = b"<html>moved</html>"
@@ -160,8 +182,11 @@ class Fetch(unittest.TestCase):
 
     def test_a_small_disk_is_found_before_any_download(self):
         with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=int(1.5 * len(Server.content)))):
-            self.refused("needs .* GB for archives")
-        self.assertEqual(Server.requests, [])
+            self.refused("needs .* GB for archives and")
+            self.assertEqual(Server.requests, [])
+            # Of chosen scenes nobody knows how large they are before the archive is there.
+            self.fetch(scenes=["train"])
+        (self.folder / "archives/tandt_db.zip").unlink()
         with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=3 * len(Server.content))):
             self.fetch()
 
@@ -176,7 +201,7 @@ class Fetch(unittest.TestCase):
             self.assertGreater(len(collection.licence), 20, name)
 
     def test_only_chosen_scenes(self):
-        Server.content = archive(SCENE + [("tandt/train/sparse/0/cameras.bin", b"c"), ("readme.txt", b"r")])
+        Server.content = archive([*SCENE, ("readme.txt", b"r")])
         printed = self.fetch(scenes=["train"])
         self.assertFalse((self.folder / "tandt_db/tandt/truck").exists())
         self.assertTrue((self.folder / "tandt_db/readme.txt").exists(), "what belongs to no scene")
@@ -200,7 +225,7 @@ class Fetch(unittest.TestCase):
         self.assertEqual(Server.paths, ["/x/lego.zip"])
         folder = self.folder / "nerf_synthetic"
         self.assertEqual(sorted(p.name for p in folder.iterdir()), ["lego"])
-        self.assertIn(f"centaur train {folder / 'lego'} --background white -o out/lego/scene.glb", printed)
+        self.assertIn(f"centaur train {folder / 'lego'} --background white -o lego.glb", printed)
         self.assertIn(f"centaur bench {folder} -o out/nerf_synthetic -- --background white", printed)
 
     def tanks(self, scenes=None):
@@ -216,7 +241,7 @@ class Fetch(unittest.TestCase):
         Server.contents = TANKS
         printed = self.tanks()
         self.assertEqual(sorted(Server.paths), sorted(TANKS))
-        larger = [f"TNT_GOF/TrainingSet/{s}" for s in ("Barn", "Ignatius", "Truck")]
+        larger = sorted(fetch_captures.OF_GOF)
         self.assertEqual(self.captures(), larger + ["tandt/train", "tandt/truck"], "Deep Blending stays in its archive")
         folder = self.folder / "tandt"
         self.assertIn(f"centaur train {folder / larger[0]} --downscale 2 -o", printed)
