@@ -75,10 +75,9 @@ fn logistic(x: f32) -> f32 {
 @compute @workgroup_size(256)
 fn geometry(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = (group.x + group.y * groups.x) * 256u + thread;
+    let i = (group.x + group.y * WIDEST) * 256u + thread;
     if i >= step.n_splats || status.is_short != 0u || (step.visible_only != 0u && visible[i] == 0u) { return; }
     let place = 3u * i;
 
@@ -120,10 +119,9 @@ fn geometry(
 @compute @workgroup_size(256)
 fn harmonics(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let index = (group.x + group.y * groups.x) * 256u + thread;
+    let index = (group.x + group.y * WIDEST) * 256u + thread;
     let splat = index / step.active_floats;
     if splat >= step.n_splats || status.is_short != 0u { return; }
     if step.visible_only != 0u && visible[splat] == 0u { return; }

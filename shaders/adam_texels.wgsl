@@ -35,10 +35,9 @@ const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can
 @compute @workgroup_size(256)
 fn adam(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     let level = min(map.levels - 1u, 1u);
     let width = map.width >> level;
     if i >= width * (map.height >> level) * map.channels || status.is_short != 0u { return; }

@@ -5,6 +5,7 @@
 // atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin.
 
 //#import shared/view.wgsl
+//#import shared/saturating_add.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> corners: array<vec4f>;                 // [F, 3]
@@ -54,10 +55,9 @@ fn may_touch(a: vec3f, b: vec3f, c: vec3f, bin: vec2u) -> bool {
 @compute @workgroup_size(256)
 fn count(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= view.n_triangles { return; }
     let first = bin_at(boxes[i].x);
     let last = bin_at(boxes[i].y);
@@ -71,10 +71,6 @@ fn count(
             }
         }
     }
-}
-
-fn saturating_add(a: u32, b: u32) -> u32 {
-    return select(a + b, 0xffffffffu, a + b < a);
 }
 
 // One workgroup: every thread sums a run of bins, the runs are scanned, every thread scans its run.
@@ -111,10 +107,9 @@ fn scan(@builtin(local_invocation_index) thread: u32) {
 @compute @workgroup_size(256)
 fn scatter(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= view.n_triangles { return; }
     let first = bin_at(boxes[i].x);
     let last = bin_at(boxes[i].y);
@@ -122,12 +117,16 @@ fn scatter(
     let b = corners[3u * i + 1u].xyz;
     let c = corners[3u * i + 2u].xyz;
     let capacity = arrayLength(&pairs);
+    let n_bins = bins().x * bins().y;
     for (var y = first.y; y <= last.y; y += 1u) {
         for (var x = first.x; x <= last.x; x += 1u) {
             if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
                 let bin = y * bins().x + x;
                 let slot = saturating_add(bin_start[bin], atomicAdd(&bin_fill[bin], 1u));
-                if slot < capacity { pairs[slot] = i; }
+                // Two kernels may round differently: what was not counted must not take the place of the next bin's first.
+                var end = capacity;
+                if bin + 1u < n_bins { end = min(bin_start[bin + 1u], capacity); }
+                if slot < end { pairs[slot] = i; }
             }
         }
     }

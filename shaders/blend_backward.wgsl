@@ -53,15 +53,17 @@ var<workgroup> tile_range: vec2u;
 @compute @workgroup_size(THREADS)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 //#if SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
-    @builtin(subgroup_size) lanes: u32,
 //#end
 ) {
-    let tile = group_index(group, groups);
+    let tile = group_index(group);
     if tile >= view.tiles.x * view.tiles.y { return; }
+//#if SUBGROUPS
+    // Counted: some drivers say another subgroup_size than they compile for.
+    let lanes = subgroupAdd(1u);
+//#end
     if thread == 0u {
         atomicStore(&last_end, 0u);
 //#if LAYERS

@@ -27,10 +27,9 @@ fn peak_depth(i: u32, pixel: vec2f, mean_depth: f32) -> f32 {
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let tile = group_index(group, groups);
+    let tile = group_index(group);
     let place = tile_pixel(view, tile, thread);
     if any(place >= view.size) { return; }
     let pixel = vec2f(place) + 0.5;

@@ -41,10 +41,9 @@ var<workgroup> tile_range: vec2u;
 @compute @workgroup_size(THREADS)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let tile = group_index(group, groups);
+    let tile = group_index(group);
     if tile >= view.tiles.x * view.tiles.y { return; }
     if thread == 0u {
         tile_range = ranges[tile];

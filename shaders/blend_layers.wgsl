@@ -13,10 +13,9 @@ const STOP: f32 = 1e-4;                 // as in blend_forward
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let tile = group_index(group, groups);
+    let tile = group_index(group);
     let place = tile_pixel(view, tile, thread);
     if any(place >= view.size) { return; }
     let at = vec2f(place) + 0.5;

@@ -54,10 +54,9 @@ fn radiance(i: u32, basis: array<f32, 16>) -> vec3f {
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let tile = group_index(group, groups);
+    let tile = group_index(group);
     let place = tile_pixel(view, tile, thread);
     if any(place >= view.size) { return; }
     let at = vec2f(place) + 0.5;

@@ -10,10 +10,9 @@
 @compute @workgroup_size(256)
 fn build(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     let width = map.width >> map.level;
     if i >= width * (map.height >> map.level) * map.channels { return; }
     let texel = divide(i, map.channels);        // index, channel

@@ -1,5 +1,6 @@
 // Lists visible splats with their depth as sort key. z > near > 0, so float bits order like depths; counting from
-// `near` leaves 28 significant bits for every depth up to 2³² · near.
+// `near` leaves 28 significant bits for every depth up to 2³² · near. Near planes of others may be as good as 0: from
+// LEAST on, up to 43,000 units.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -9,14 +10,16 @@
 @group(0) @binding(4) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> splats: array<u32>;
 
+const LEAST: f32 = 1e-5;
+
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= view.n_splats || visible[i] == 0u { return; }
-    keys[slots[i]] = min(bitcast<u32>(projected[3u * i].z) - bitcast<u32>(view.near), 0x0fffffffu);
+    let first = bitcast<u32>(max(view.near, LEAST));
+    keys[slots[i]] = min(max(bitcast<u32>(projected[3u * i].z), first) - first, 0x0fffffffu);
     splats[slots[i]] = i;
 }

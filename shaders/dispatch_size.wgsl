@@ -10,8 +10,7 @@ fn main() {
     let items = min(counts[COUNT_WORD], CAPACITY);
     let groups = (items + BLOCK - 1u) / BLOCK;
     // As Frame::dispatch folds: kernels index their groups row by row and leave out those that are too many.
-    let rows = max((groups + WIDEST - 1u) / WIDEST, 1u);
-    size[0] = (groups + rows - 1u) / rows;
-    size[1] = rows;
+    size[0] = min(groups, WIDEST);
+    size[1] = max((groups + WIDEST - 1u) / WIDEST, 1u);
     size[2] = 1u;
 }

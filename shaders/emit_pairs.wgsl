@@ -2,6 +2,7 @@
 // alone leaves every tile's list in depth order.
 //#import shared/view.wgsl
 //#import shared/tile_rows.wgsl
+//#import shared/saturating_add.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;
@@ -15,10 +16,9 @@
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let k = group_index(group, groups) * 256u + thread;
+    let k = group_index(group) * 256u + thread;
     if k == 0u {
         // More pairs than fit: the frame is incomplete. The host sees the total, grows the buffers and repeats it.
         counts[COUNT_STORED_PAIRS] = min(counts[COUNT_PAIRS], view.pair_capacity);
@@ -28,7 +28,7 @@ fn main(
     let a = projected[3u * i];
     let e = ellipse(a.xy, projected[3u * i + 1u].xyz, projected[3u * i + 2u].w, a.w);
     var at = offsets[k];
-    let end = min(at + tile_count[i], view.pair_capacity);
+    let end = min(saturating_add(at, tile_count[i]), view.pair_capacity);
     let rows = row_span(e, view.tiles);
     for (var row = rows.x; row < rows.y; row++) {
         let columns = column_span(e, row, view.tiles);

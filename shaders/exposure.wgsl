@@ -33,9 +33,8 @@ const PER_THREAD: u32 = 16u;            // PIXELS in exposure.rs is 256 times as
 fn pull(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
 ) {
-    let index = group_index(group, groups);
+    let index = group_index(group);
     let n_pixels = view.size.x * view.size.y;
     let e0 = exposures[3u * step.view].xyz;
     let e1 = exposures[3u * step.view + 1u].xyz;

@@ -34,10 +34,9 @@ const SAMPLING: f32 = 0.4472136;        // √0.2
 @compute @workgroup_size(256)
 fn measure(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= run.n_splats { return; }
     let mean = vec4f(geometry[3u * i].xyz, 1.0);
     var least = 3e38;
@@ -56,10 +55,9 @@ fn measure(
 @compute @workgroup_size(256)
 fn complete(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i < run.n_splats && geometry[3u * i + 2u].w == 0.0 {
         geometry[3u * i + 2u].w = bitcast<f32>(atomicLoad(&largest));
     }

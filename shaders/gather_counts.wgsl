@@ -9,10 +9,9 @@
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let k = group_index(group, groups) * 256u + thread;
+    let k = group_index(group) * 256u + thread;
     if k >= counts[COUNT_VISIBLE] { return; }
     sorted_count[k] = tile_count[splats[k]];
 }

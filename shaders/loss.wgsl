@@ -96,12 +96,11 @@ fn workgroup_sum(thread: u32, value: f32) -> f32 {
 fn forward(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
 ) {
-    let index = group_index(group, groups);
+    let index = group_index(group);
     let tile = tile_of(index);
     if !tile.inside {
-        if thread == 0u { means[index].x = 0.0; }
+        if thread == 0u && index < arrayLength(&means) { means[index].x = 0.0; }
         return;
     }
     let size = view.size;
@@ -165,12 +164,11 @@ fn forward(
 fn backward(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
 ) {
-    let index = group_index(group, groups);
+    let index = group_index(group);
     let tile = tile_of(index);
     if !tile.inside {
-        if thread == 0u { means[index].y = 0.0; }
+        if thread == 0u && index < arrayLength(&means) { means[index].y = 0.0; }
         return;
     }
     let size = view.size;

@@ -30,10 +30,9 @@ struct Step {
 @compute @workgroup_size(256)
 fn start(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let v = group_index(group, n_groups) * 256u + thread;
+    let v = group_index(group) * 256u + thread;
     if v >= step.n_vertices { return; }
     let g = gradient[v];
     gradient[v] = 0.0;
@@ -53,10 +52,9 @@ fn start(
 @compute @workgroup_size(256)
 fn diffuse(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let v = group_index(group, n_groups) * 256u + thread;
+    let v = group_index(group) * 256u + thread;
     if v >= step.n_vertices { return; }
     let degree = first[v + 1u] - first[v];
     var sum = 0.0;
@@ -70,10 +68,9 @@ fn diffuse(
 @compute @workgroup_size(256)
 fn displace(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let v = group_index(group, n_groups) * 256u + thread;
+    let v = group_index(group) * 256u + thread;
     if v >= step.n_vertices { return; }
     let shift = -step.rate * steps[v].y * normals[v].xyz;
     positions[3u * v] += shift.x;

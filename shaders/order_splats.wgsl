@@ -54,10 +54,9 @@ fn surface_depth(center: vec2f, layer: u32) -> f32 {
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= view.n_splats || visible[i] == 0u { return; }
     let a = projected[3u * i];
     let z = a.z;

@@ -57,9 +57,8 @@ fn correct() {
 fn pull(
     @builtin(local_invocation_index) thread: u32,
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
 ) {
-    let part = group_index(group, groups);
+    let part = group_index(group);
     var by_turn = vec4f();
     var by_shift = vec3f();
     for (var i = part * 256u + thread; i < view.n_splats; i += PARTS * 256u) {

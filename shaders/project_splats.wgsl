@@ -17,10 +17,9 @@
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= view.n_splats { return; }
     tile_count[i] = 0u;
     visible[i] = 0u;

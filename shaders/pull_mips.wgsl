@@ -10,10 +10,9 @@
 @compute @workgroup_size(256)
 fn pull(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     let width = map.width >> map.level;
     if i >= width * (map.height >> map.level) * map.channels { return; }
     let parent = parent_of(map, map.level, i);

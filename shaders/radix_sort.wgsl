@@ -60,11 +60,10 @@ fn count_digits(thread: u32, start: u32, n: u32) {
 @compute @workgroup_size(256)
 fn count(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * groups.x;
+    let block = group.x + group.y * WIDEST;
     count_digits(thread, block * BLOCK + thread * 8u, n);
     // 32 threads per pair of digits add eight words each.
     var sum = 0u;
@@ -106,11 +105,10 @@ fn scan(@builtin(local_invocation_index) thread: u32) {
 @compute @workgroup_size(256)
 fn scatter(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * groups.x;
+    let block = group.x + group.y * WIDEST;
     let first = block * BLOCK;
     let start = first + thread * 8u;
     count_digits(thread, start, n);

@@ -76,11 +76,10 @@ fn owns_edges(t: Staged, a: vec3f, sum: f32) -> bool {
 @compute @workgroup_size(THREADS)
 fn raster(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
     let bins = (view.size + BIN - 1u) / BIN;
-    let bin = group_index(group, n_groups);
+    let bin = group_index(group);
     let exists = bin < bins.x * bins.y;
     if thread == 0u {
         range = vec2u(0u);

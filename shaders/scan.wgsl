@@ -1,4 +1,4 @@
-// Exclusive prefix sum of the first counts[COUNT_WORD] words of `input`; the total goes to counts[TOTAL_WORD].
+// Exclusive prefix sum of the first counts[COUNT_WORD] words of `input`; the total goes to counts[TOTAL_WORD]. Sums saturate.
 // Three dispatches: sums of blocks, their scan by one workgroup, scan inside blocks. No workgroup waits for another
 // (WGSL promises no forward progress), at the price of reading the input twice.
 
@@ -18,15 +18,14 @@ fn item_count() -> u32 {
 @compute @workgroup_size(256)
 fn sum_blocks(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * groups.x;
+    let block = group.x + group.y * WIDEST;
     var sum = 0u;
     for (var k = 0u; k < PER_THREAD; k++) {
         let i = block * BLOCK + k * 256u + thread;
-        if i < n { sum += input[i]; }
+        if i < n { sum = saturating_add(sum, input[i]); }
     }
     workgroup_scan(thread, sum);
     if thread == 0u && block * BLOCK < n { block_sums[block] = workgroup_total; }
@@ -41,8 +40,8 @@ fn scan_sums(@builtin(local_invocation_index) thread: u32) {
         var sum = 0u;
         if i < n_blocks { sum = block_sums[i]; }
         let before = workgroup_scan(thread, sum);
-        if i < n_blocks { block_sums[i] = carry + before; }
-        carry += workgroup_total;
+        if i < n_blocks { block_sums[i] = saturating_add(carry, before); }
+        carry = saturating_add(carry, workgroup_total);
         workgroupBarrier();
     }
     if thread == 0u { counts[TOTAL_WORD] = carry; }
@@ -51,19 +50,18 @@ fn scan_sums(@builtin(local_invocation_index) thread: u32) {
 @compute @workgroup_size(256)
 fn scan_blocks(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * groups.x;
+    let block = group.x + group.y * WIDEST;
     let start = block * BLOCK + thread * PER_THREAD;
     let end = min(start + PER_THREAD, n);
     var sum = 0u;
-    for (var i = start; i < end; i++) { sum += input[i]; }
-    var before = block_sums[block] + workgroup_scan(thread, sum);
+    for (var i = start; i < end; i++) { sum = saturating_add(sum, input[i]); }
+    var before = saturating_add(block_sums[block], workgroup_scan(thread, sum));
     for (var i = start; i < end; i++) {
         let value = input[i];           // again: from the cache
         output[i] = before;
-        before += value;
+        before = saturating_add(before, value);
     }
 }

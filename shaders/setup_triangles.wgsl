@@ -48,10 +48,9 @@ fn include_edge(box: Box, a: vec3f, b: vec3f) -> Box {
 @compute @workgroup_size(256)
 fn setup(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= view.n_triangles { return; }
     let t = triangles[i];
     let a = position(t.x);

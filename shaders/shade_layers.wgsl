@@ -92,10 +92,9 @@ fn sample_bands(map: Maps, f: Fragment, degree: u32) -> vec3f {
 @compute @workgroup_size(256)
 fn shade(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     let area = view.size.x * view.size.y;
     if i >= LAYERS * area { return; }
     let triangle = layer_triangle[i];

@@ -24,10 +24,9 @@ const NONE: u32 = 0xffffffffu;
 @compute @workgroup_size(64)
 fn backward(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 64u + thread;
+    let i = group_index(group) * 64u + thread;
     let strips = (view.size.y + RUN - 1u) / RUN;
     let strip = i / view.size.x;
     let x = i - strip * view.size.x;

@@ -9,10 +9,9 @@
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     let n = counts[COUNT_STORED_PAIRS];
     let tiles = view.tiles.x * view.tiles.y;
     if i >= n { return; }

@@ -5,16 +5,15 @@
 //#import shared/mesh_fragment.wgsl
 
 @group(0) @binding(5) var<storage, read> layer_gradient: array<vec4f>;  // [L, h, w]: of uv, see uv_backward
-@group(0) @binding(6) var<storage, read> corner_normals: array<vec4f>;  // [F, 3]: world, unit; w: vertex, bits
+@group(0) @binding(6) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]: world, unit, bits of floats; w: vertex
 //#import shared/atomic_add.wgsl with TARGET=vertex_gradient BINDING=7
 
 @compute @workgroup_size(256)
 fn backward(
     @builtin(workgroup_id) group: vec3u,
-    @builtin(num_workgroups) n_groups: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group, n_groups) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     let area = view.size.x * view.size.y;
     if i >= LAYERS * area || layer_triangle[i] == 0u { return; }
     let triangle = layer_triangle[i] - 1u;
@@ -32,9 +31,9 @@ fn backward(
     let a = vec3f(cross2(w1, w2), cross2(w2, w0), cross2(w0, w1));
     let sum = a.x + a.y + a.z;
     if sum == 0.0 { return; }
-    let uv01 = corner_uvs[2u * triangle];
-    let uv2 = corner_uvs[2u * triangle + 1u];
-    let gamma = vec3f(dot(d_uv, uv01.xy), dot(d_uv, uv01.zw), dot(d_uv, uv2.xy));
+    let uv01 = bitcast<vec4f>(corner_uvs[2u * triangle]);
+    let uv2 = bitcast<vec2f>(corner_uvs[2u * triangle + 1u].xy);
+    let gamma = vec3f(dot(d_uv, uv01.xy), dot(d_uv, uv01.zw), dot(d_uv, uv2));
     let kappa = (gamma - dot(gamma, a) / sum) / sum;
     // v × r in the same relative coordinates.
     let x0 = cross(v0, ray);
@@ -44,6 +43,6 @@ fn backward(
     for (var k = 0u; k < 3u; k += 1u) {
         let n = corner_normals[3u * triangle + k];
         let world = d[k].x * view.row_x.xyz + d[k].y * view.row_y.xyz + d[k].z * view.row_z.xyz;
-        add_vertex_gradient(bitcast<u32>(n.w), dot(world, n.xyz));
+        add_vertex_gradient(n.w, dot(world, bitcast<vec3f>(n.xyz)));
     }
 }

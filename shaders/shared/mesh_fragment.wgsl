@@ -4,7 +4,9 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [LAYERS, h, w], index + 1, 0 = empty
 @group(0) @binding(2) var<storage, read> corners: array<vec4f>;         // [F, 3], camera space; w unused here
-@group(0) @binding(3) var<storage, read> corner_uvs: array<vec4f>;      // [F, 2]: uv of corners 0, 1; of 2, mesh, 0
+// [F, 2]: uv of corners 0 and 1; of corner 2, mesh, 0. The floats' bits, since small integers may not survive as floats: adapters take
+// denormals for 0.
+@group(0) @binding(3) var<storage, read> corner_uvs: array<vec4u>;
 @group(0) @binding(4) var<storage, read> maps: array<Maps>;             // [meshes]
 
 const MAX_ALPHA: f32 = 0.9999;          // of a fragment: the blend divides by 1 − alpha
@@ -62,12 +64,12 @@ fn fragment(pixel: vec2u, triangle: u32) -> Fragment {
     let b = clamp(a * inverse, vec3f(0.0), vec3f(1.0));
     let b_x = (a_x - b * (a_x.x + a_x.y + a_x.z)) * inverse;
     let b_y = (a_y - b * (a_y.x + a_y.y + a_y.z)) * inverse;
-    let uv01 = corner_uvs[2u * triangle];
-    let uv2 = corner_uvs[2u * triangle + 1u];
-    let to_uv = mat3x2f(uv01.xy, uv01.zw, uv2.xy);
+    let uv01 = bitcast<vec4f>(corner_uvs[2u * triangle]);
+    let uv2_mesh = corner_uvs[2u * triangle + 1u];
+    let to_uv = mat3x2f(uv01.xy, uv01.zw, bitcast<vec2f>(uv2_mesh.xy));
     let toward = ray.x * view.row_x.xyz + ray.y * view.row_y.xyz + view.row_z.xyz;
     return Fragment(
-        bitcast<u32>(uv2.z),
+        uv2_mesh.z,
         to_uv * b,
         clamp(to_uv * b_x, vec2f(-MAX_SLOPE), vec2f(MAX_SLOPE)),
         clamp(to_uv * b_y, vec2f(-MAX_SLOPE), vec2f(MAX_SLOPE)),

@@ -40,7 +40,8 @@ fn tile_pixel(v: View, tile: u32, thread: u32) -> vec2u {
     return TILE * vec2u(tile % v.tiles.x, tile / v.tiles.x) + vec2u(thread % TILE, thread / TILE);
 }
 
-// Index of this thread's workgroup in a dispatch that may be folded into two dimensions.
-fn group_index(group: vec3u, groups: vec3u) -> u32 {
-    return group.x + group.y * groups.x;
+// Index of this thread's workgroup in a dispatch that may be folded into rows of WIDEST. Not by num_workgroups, which is zero in
+// indirect dispatches on DX12 unless the driver interface validates them.
+fn group_index(group: vec3u) -> u32 {
+    return group.x + group.y * WIDEST;
 }

@@ -1,5 +1,6 @@
 // Exclusive prefix sum over the 256 threads of a workgroup, in two serial levels of 16: four barriers, no subgroups.
-// Every thread must call it. `workgroup_total` holds the sum of all values afterwards.
+// Every thread must call it. `workgroup_total` holds the sum of all values afterwards. Sums saturate.
+//#import shared/saturating_add.wgsl
 
 const ROW: u32 = 17u;                   // 16 values and a gap, so that the 16 walkers hit different banks
 
@@ -17,7 +18,7 @@ fn workgroup_scan(thread: u32, value: u32) -> u32 {
         //#for i in 0..16
         let v$i = row_values[thread * ROW + $iu];
         row_values[thread * ROW + $iu] = sum;
-        sum += v$i;
+        sum = saturating_add(sum, v$i);
         //#end
         row_sums[thread] = sum;
     }
@@ -27,12 +28,12 @@ fn workgroup_scan(thread: u32, value: u32) -> u32 {
         //#for i in 0..16
         let r$i = row_sums[$i];
         row_sums[$i] = sum;
-        sum += r$i;
+        sum = saturating_add(sum, r$i);
         //#end
         workgroup_total = sum;
     }
     workgroupBarrier();
-    let before = row_sums[row] + row_values[place];
+    let before = saturating_add(row_sums[row], row_values[place]);
     workgroupBarrier();                 // the arrays may be used again
     return before;
 }

@@ -5,7 +5,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
     mesh::MeshStage,
     pipeline::PAIRS_PER_SPLAT,
-    splats::{ImageCapacity, SplatBuffers, SplatLists},
+    splats::{ImageCapacity, SplatBuffers, SplatLists, longer_list},
     view::{VIEW_WORDS, View},
 };
 use crate::render::contract::{ImageModel, ShDirection};
@@ -106,7 +106,7 @@ impl<'g> LayeredRenderer<'g> {
                 None => false,
             };
             if pairs > self.lists.pair_capacity() {
-                self.renew(pairs + pairs / 2)?;
+                self.renew(longer_list(self.gpu, pairs))?;
             } else if !mesh_grew {
                 break;
             }

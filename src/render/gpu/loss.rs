@@ -42,7 +42,7 @@ pub(crate) struct Loss {
 }
 
 impl Loss {
-    /// For views of at most `width` × `height` pixels: the size of a frame's image is the one in `view_uniform`.
+    /// For views of these (width, height), pixels: the size of a frame's image is the one in `view_uniform`.
     ///
     /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
     /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied
@@ -54,8 +54,7 @@ impl Loss {
     #[allow(clippy::too_many_arguments, reason = "each buffer is another stage's")]
     pub(crate) fn new(
         gpu: &Gpu,
-        width: usize,
-        height: usize,
+        sizes: &[(usize, usize)],
         image: &Buffer,
         truth: &Buffer,
         gradient: &Buffer,
@@ -66,9 +65,10 @@ impl Loss {
         let defines: Defines = gpu.defines().with("EXPOSURE", u32::from(exposures.is_some()));
         let forward = Kernel::new(gpu, "loss.wgsl", "forward", &defines);
         let backward = Kernel::new(gpu, "loss.wgsl", "backward", &defines);
-        let n_groups = 3 * groups(width, WIDTH) * groups(height, HEIGHT);
+        let n_groups = sizes.iter().map(|&(w, h)| 3 * groups(w, WIDTH) * groups(h, HEIGHT)).max().unwrap_or(0);
+        let pixels = sizes.iter().map(|&(w, h)| w * h).max().unwrap_or(0);
         let weights = gpu.uniform("loss weights", 4)?;
-        let slopes = gpu.storage("SSIM slopes", 12 * width * height)?;
+        let slopes = gpu.storage("SSIM slopes", 12 * pixels)?;
         let means = gpu.storage("loss means", 2 * n_groups)?;
         let buffers = [view_uniform, &weights, image, truth, &slopes, gradient, &means];
         let bindings = forward.bind(gpu, &buffers.into_iter().chain(exposures).collect::<Vec<_>>());
@@ -195,7 +195,8 @@ mod tests {
             let truth = gpu.storage_with("truth", &self.truth).unwrap();
             let gradient = gpu.storage_with("gradient", &vec![[7f32; 4]; w * h]).unwrap();
             // One tile more than needed, as for a smaller view of a set.
-            let loss = Loss::new(gpu, w + WIDTH, h, &image, &truth, &gradient, &uniform, ssim_weight, None).unwrap();
+            let loss =
+                Loss::new(gpu, &[(w + WIDTH, h)], &image, &truth, &gradient, &uniform, ssim_weight, None).unwrap();
             loss.set_truth(gpu, self.alpha, 0);
             let mut frame = Frame::new(gpu);
             loss.record(&mut frame);

@@ -7,6 +7,7 @@
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
+use super::splats::longer_list;
 #[cfg(test)]
 use super::texels::AtlasGradient;
 use super::texels::{TexelStep, Texels};
@@ -100,8 +101,11 @@ impl Geometry {
             let first = (positions.len() / 3) as u32;
             positions.extend(mesh.positions().iter().flat_map(glam::Vec3::to_array));
             triangles.extend(mesh.triangles().iter().map(|t| [first + t[0], first + t[1], first + t[2], 0]));
-            let record =
-                |c: &[glam::Vec2; 3]| [c[0].x, c[0].y, c[1].x, c[1].y, c[2].x, c[2].y, f32::from_bits(m as u32), 0.0];
+            let record = |c: &[glam::Vec2; 3]| {
+                let uv = |k: usize| c[k].to_array().map(f32::to_bits);
+                let ([u0, v0], [u1, v1], [u2, v2]) = (uv(0), uv(1), uv(2));
+                [u0, v0, u1, v1, u2, v2, m as u32, 0]
+            };
             uvs.extend(mesh.corner_uvs().iter().map(record));
         }
         Ok(Self {
@@ -224,7 +228,7 @@ impl MeshStage {
         if needed <= self.screen.capacity {
             return Ok(false);
         }
-        self.lengthen(gpu, view_uniform, needed.saturating_add(needed / 4))
+        self.lengthen(gpu, view_uniform, longer_list(gpu, needed))
     }
 
     /// Pairs that fit.

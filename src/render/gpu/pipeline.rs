@@ -5,7 +5,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     mesh::MeshStage,
     renderer::Picture,
-    splats::{GEOMETRY, ImageCapacity, SplatBuffers, SplatLists},
+    splats::{GEOMETRY, ImageCapacity, SplatBuffers, SplatLists, longer_list},
     status::status_buffer,
     view::{VIEW_WORDS, View},
 };
@@ -158,9 +158,14 @@ impl Pipeline {
         };
         let short = pairs > self.lists.pair_capacity();
         if short {
-            self.renew_lists(gpu, pairs + pairs / 2)?;
+            self.renew_lists(gpu, longer_list(gpu, pairs))?;
         }
         Ok(short || mesh_grew)
+    }
+
+    /// Pixels of the largest image.
+    pub(crate) fn pixels(&self) -> usize {
+        self.image.pixels
     }
 
     /// Entries that the lists of (tile, splat) and (bin, triangle) pairs hold.

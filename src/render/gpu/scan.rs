@@ -127,8 +127,24 @@ mod tests {
             let [x, y, z] = gpu.read::<u32>(&size.size, 3).unwrap()[..] else { unreachable!() };
             let needed = items.min(capacity).div_ceil(256);
             assert!(x <= widest && y <= widest && z == 1, "{items}: {x} {y} {z}");
-            assert!((needed..needed + y).contains(&(x * y)), "{items}: {x} {y}");
+            assert!((needed..needed + widest).contains(&(x * y)), "{items}: {x} {y}");
         }
+    }
+
+    #[test]
+    fn sums_beyond_32_bits_do_not_come_round() {
+        let gpu = Gpu::open(None).unwrap();
+        let n = 100_000;
+        let input = gpu.storage_with("input", &vec![90_000u32; n]).unwrap();
+        let output = gpu.storage("output", n).unwrap();
+        let counts = gpu.storage_with("counts", &[0, n as u32, 0, 0]).unwrap();
+        let scan = Scan::new(&gpu, n, &input, &output, &counts, 1, 3).unwrap();
+        let mut frame = Frame::new(&gpu);
+        scan.record(&mut frame);
+        frame.submit();
+        let expected: Vec<u32> = (0..n as u64).map(|i| (90_000 * i).min(u64::from(u32::MAX)) as u32).collect();
+        assert!(gpu.read::<u32>(&output, n).unwrap() == expected);
+        assert_eq!(gpu.read::<u32>(&counts, 4).unwrap()[3], u32::MAX);
     }
 
     fn check(gpu: &Gpu) {

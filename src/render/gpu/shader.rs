@@ -55,6 +55,7 @@ embed![
     "shared/mesh_fragment.wgsl",
     "shared/projection.wgsl",
     "shared/rotation.wgsl",
+    "shared/saturating_add.wgsl",
     "shared/sh.wgsl",
     "shared/sh_gradient.wgsl",
     "shared/status.wgsl",

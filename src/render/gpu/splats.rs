@@ -111,6 +111,11 @@ pub(crate) struct SplatLists {
     order: Option<(Kernel, Bindings)>,
 }
 
+/// Entries of a list that was too short for `needed`: half as many again, as far as the adapter binds so many.
+pub(crate) fn longer_list(gpu: &Gpu, needed: usize) -> usize {
+    needed.saturating_add(needed / 2).min(gpu.max_binding_bytes() as usize / 4).max(needed)
+}
+
 impl SplatLists {
     /// Stages for these parameters. `layer_depth` is the mesh stage's, if there are meshes (with `layers` of them) that
     /// splats are ordered against by thresholds.

@@ -24,17 +24,18 @@ fn gpu_frame(
     camera: &Camera,
     cotangent: Option<&Image>,
 ) -> (Image, Option<Parameters>) {
-    smoothed_frame(gpu, scene, camera, &[], cotangent)
+    let (image, gradients, _) = smoothed_frame(gpu, scene, camera, &[], cotangent);
+    (image, gradients)
 }
 
-/// The same of splats that are smoothed, by `deviations` or not at all.
+/// The same of splats that are smoothed, by `deviations` or not at all, and the statistics of density control `[N]`.
 fn smoothed_frame(
     gpu: &Gpu,
     scene: &HybridScene,
     camera: &Camera,
     deviations: &[f64],
     cotangent: Option<&Image>,
-) -> (Image, Option<Parameters>) {
+) -> (Image, Option<Parameters>, Vec<[f32; 4]>) {
     let k = *camera.intrinsics();
     let mut pipeline = Pipeline::new(gpu, scene, 0, &[*camera], cotangent.is_some()).unwrap();
     let n = scene.splats.len();
@@ -85,7 +86,8 @@ fn smoothed_frame(
         }
         out
     });
-    (rendered, gradients)
+    let statistics = pipeline.backward.as_ref().map_or(vec![], |b| gpu.read(&b.statistics, n).unwrap());
+    (rendered, gradients, statistics)
 }
 
 /// f32 depths, alphas and barycentrics resolve decisions down to about this.
@@ -161,6 +163,22 @@ fn folded_dispatches_equal_the_reference() {
     }
 }
 
+/// A near plane of others that is as good as 0, before a scene that is far from it.
+#[test]
+fn depths_are_ordered_far_from_a_tiny_near_plane() {
+    let gpu = Gpu::open(None).unwrap();
+    let (mut scene, camera) = testing::random_scene(3, 500, 0, 1, 2, OrderMode::Stable);
+    let mut arrays = scene.splats.into_arrays();
+    arrays.means.iter_mut().for_each(|mean| *mean *= 1000.0);
+    arrays.log_scales.iter_mut().for_each(|scale| *scale += 1000f32.ln());
+    scene.splats = arrays.check().unwrap();
+    scene.composition.near = 1e-8;
+    let camera = Camera::new(*camera.intrinsics(), camera.rotation(), 1000.0 * camera.translation()).unwrap();
+    let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
+    let (mean, most, _) = compare(&found, &scene, &camera);
+    assert!(mean < MEAN && most < MOST, "mean {mean:e}, max {most:e}");
+}
+
 /// Relative error of a whole class: ‖found − expected‖ / ‖expected‖.
 fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64>) -> f64 {
     let (mut difference, mut norm) = (0.0, 0.0);
@@ -205,6 +223,21 @@ fn random_cotangent(camera: &Camera, seed: u64) -> Image {
     }
 }
 
+/// What density control goes by: the norm of the centre's gradient where the picture is two wide and two high, views, weight.
+fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics], camera: &Camera) {
+    let k = camera.intrinsics();
+    let half = 0.5 * glam::DVec2::new(f64::from(k.width), f64::from(k.height));
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().map(|e| (half * e.center).length()).fold(0.0, f64::max);
+    assert!(largest > 0.0 && expected.iter().any(|e| e.weight > 0.1));
+    for (i, ([norm, views, weight, _], e)) in found.iter().zip(expected).enumerate() {
+        let expected = (half * e.center).length();
+        assert!((f64::from(*norm) - expected).abs() <= 1e-3 * expected + 1e-5 * largest, "{i}: {norm} {expected}");
+        assert!((f64::from(*weight) - e.weight).abs() <= 1e-3 * e.weight + 1e-4, "{i}: {weight} {}", e.weight);
+        assert!(*views == 1.0 || *views == 0.0 && e.weight == 0.0, "{i}: {views} views, weight {}", e.weight);
+    }
+}
+
 /// Every parameter class, mips included, with and without native atomics and subgroups. The reference's own gradients
 /// are proven by finite differences (`render/reference`); on these scenes no decision changes within f32's reach.
 #[test]
@@ -222,8 +255,11 @@ fn gradients_equal_the_reference() {
                 scene.meshes.clear();
             }
             let cotangent = random_cotangent(&camera, seed);
-            let expected = reference::backward(&scene, &camera, &cotangent);
-            let found = gpu_frame(&gpu, &scene, &camera, Some(&cotangent)).1.unwrap();
+            let (expected, of_splats) =
+                reference::backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent);
+            let (_, found, statistics) = smoothed_frame(&gpu, &scene, &camera, &[], Some(&cotangent));
+            check_statistics(&statistics, &of_splats, &camera);
+            let found = found.unwrap();
             let errors = class_errors(&found, &expected);
             eprintln!("{:?}, scene {seed}: {errors:?}", gpu.profile());
             assert!(errors.len() >= 5);
@@ -299,7 +335,7 @@ fn filters_equal_the_reference() {
         parameters.smoothing.clone_from(&deviations);
         let cotangent = random_cotangent(&camera, 3);
         let expected = reference::backward_parameters(&scene, &camera, &parameters, &cotangent).0;
-        let (image, found) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some(&cotangent));
+        let (image, found, _) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some(&cotangent));
         let reference = reference::render_parameters(&scene, &camera, &parameters);
         let pairs = image.rgb.iter().flatten().zip(reference.rgb.iter().flatten());
         let most = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

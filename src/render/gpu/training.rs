@@ -9,7 +9,7 @@ use super::{
     pose::{PoseState, PoseStep, Poses},
     renderer::Picture,
     smoothing::Smoothing,
-    splats::{GEOMETRY, SplatBuffers},
+    splats::{GEOMETRY, SplatBuffers, longer_list},
     status::{ListCheck, Status},
     texels::TexelStep,
     vertices::{VertexState, VertexStep},
@@ -53,12 +53,15 @@ pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
     pub(crate) pipeline: Pipeline,
     truth: Buffer,
-    size: (usize, usize),
+    /// Of pictures, (width, height), each once.
+    sizes: Vec<(usize, usize)>,
     ssim_weight: f32,
     list_check: ListCheck,
     loss: Loss,
     adam: SplatAdam,
     moments: [Buffer; 4],
+    /// Splats that `moments` have room for.
+    moments_of: usize,
     smoothing: Option<Smoothing>,
     exposures: Option<Exposures>,
     poses: Option<Poses>,
@@ -75,23 +78,26 @@ impl<'g> Training<'g> {
     ) -> Result<Self, GpuError> {
         let capacity = with_headroom(gpu, scene.splats.len(), scene.splats.sh_degree());
         let pipeline = Pipeline::new(gpu, scene, capacity, cameras, true)?;
-        let width = cameras.iter().map(|c| c.intrinsics().width).max().unwrap_or(1) as usize;
-        let height = cameras.iter().map(|c| c.intrinsics().height).max().unwrap_or(1) as usize;
-        let truth = gpu.storage("photograph", width * height)?;
-        let loss = new_loss(gpu, &pipeline, &truth, (width, height), ssim_weight, None)?;
-        let (adam, moments) = new_adam(gpu, &pipeline)?;
+        let size = |c: &Camera| (c.intrinsics().width as usize, c.intrinsics().height as usize);
+        let mut sizes: Vec<_> = cameras.iter().map(size).collect();
+        sizes.sort_unstable();
+        sizes.dedup();
+        let truth = gpu.storage("photograph", pipeline.pixels())?;
+        let loss = new_loss(gpu, &pipeline, &truth, &sizes, ssim_weight, None)?;
+        let moments = new_moments(gpu, &pipeline)?;
+        let adam = new_adam(gpu, &pipeline, &moments)?;
         let list_check = new_list_check(gpu, &pipeline);
-        let size = (width, height);
         let (smoothing, exposures, poses, timer) = (None, None, None, None);
         Ok(Self {
             gpu,
             pipeline,
             truth,
-            size,
+            sizes,
             ssim_weight,
             list_check,
             loss,
             adam,
+            moments_of: capacity,
             moments,
             smoothing,
             exposures,
@@ -156,7 +162,7 @@ impl<'g> Training<'g> {
             exposures.write(self.gpu, state);
             return Ok(());
         }
-        self.exposures = Some(Exposures::new(self.gpu, state, self.size.0 * self.size.1)?);
+        self.exposures = Some(Exposures::new(self.gpu, state, self.pipeline.pixels())?);
         self.bind_loss()
     }
 
@@ -299,7 +305,7 @@ impl<'g> Training<'g> {
         let lengths = self.pipeline.list_lengths();
         let short = needed[0] > lengths[0] || needed[1] > lengths[1];
         if short {
-            let longer = |i: usize| if needed[i] > lengths[i] { needed[i] + needed[i] / 2 } else { 0 };
+            let longer = |i: usize| if needed[i] > lengths[i] { longer_list(self.gpu, needed[i]) } else { 0 };
             self.lengthen_lists([longer(0), longer(1)])?;
         }
         Ok(short)
@@ -404,41 +410,29 @@ impl<'g> Training<'g> {
         self.timer.as_ref().map_or(Ok(vec![]), |t| t.seconds(self.gpu))
     }
 
-    /// Binds what reads the pipeline's buffers to their replacements; moments of a larger capacity start at zero.
+    /// Binds what reads the pipeline's buffers to their replacements; moments of another capacity start at zero.
     fn rebind(&mut self) -> Result<(), GpuError> {
-        let old = self.read_moments_if_any()?;
         self.list_check = new_list_check(self.gpu, &self.pipeline);
         self.bind_loss()?;
         if let Some(poses) = &mut self.poses {
             poses.bind(self.gpu, &self.pipeline);
         }
-        (self.adam, self.moments) = new_adam(self.gpu, &self.pipeline)?;
-        for (buffer, values) in self.moments.iter().zip(&old) {
-            self.gpu.write(buffer, 0, values);
+        if self.moments_of != self.pipeline.splats.capacity {
+            self.moments = new_moments(self.gpu, &self.pipeline)?;
+            self.moments_of = self.pipeline.splats.capacity;
         }
+        self.adam = new_adam(self.gpu, &self.pipeline, &self.moments)?;
         Ok(())
     }
 
     fn bind_loss(&mut self) -> Result<(), GpuError> {
-        let Self { gpu, pipeline, truth, size, ssim_weight, .. } = &*self;
+        let Self { gpu, pipeline, truth, sizes, ssim_weight, .. } = &*self;
         let exposures = self.exposures.as_ref().map(|exposures| &exposures.values);
-        self.loss = new_loss(gpu, pipeline, truth, *size, *ssim_weight, exposures)?;
+        self.loss = new_loss(gpu, pipeline, truth, sizes, *ssim_weight, exposures)?;
         if let Some(exposures) = &mut self.exposures {
             exposures.bind(self.gpu, &self.pipeline);
         }
         Ok(())
-    }
-
-    fn read_moments_if_any(&self) -> Result<[Vec<f32>; 4], GpuError> {
-        let n = self.pipeline.n_splats;
-        let terms = 3 * sh::coefficients(self.pipeline.splats.sh_degree);
-        let [gm, gv, sm, sv] = &self.moments;
-        Ok([
-            self.gpu.read(gm, n * GEOMETRY)?,
-            self.gpu.read(gv, n * GEOMETRY)?,
-            self.gpu.read(sm, n * terms)?,
-            self.gpu.read(sv, n * terms)?,
-        ])
     }
 }
 
@@ -452,13 +446,13 @@ fn new_loss(
     gpu: &Gpu,
     pipeline: &Pipeline,
     truth: &Buffer,
-    (width, height): (usize, usize),
+    sizes: &[(usize, usize)],
     ssim_weight: f32,
     exposures: Option<&Buffer>,
 ) -> Result<Loss, GpuError> {
     let gradient = &pipeline.backward.as_ref().expect("made for training").image_gradient;
     let image = &pipeline.blend.image;
-    Loss::new(gpu, width, height, image, truth, gradient, &pipeline.view, ssim_weight, exposures)
+    Loss::new(gpu, sizes, image, truth, gradient, &pipeline.view, ssim_weight, exposures)
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {
@@ -466,25 +460,27 @@ fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {
     ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref(), status)
 }
 
-fn new_adam(gpu: &Gpu, pipeline: &Pipeline) -> Result<(SplatAdam, [Buffer; 4]), GpuError> {
+fn new_moments(gpu: &Gpu, pipeline: &Pipeline) -> Result<[Buffer; 4], GpuError> {
     let (n, terms) = (pipeline.splats.capacity, 3 * sh::coefficients(pipeline.splats.sh_degree));
-    let moments = [
+    Ok([
         gpu.storage("geometry moment 1", n * GEOMETRY)?,
         gpu.storage("geometry moment 2", n * GEOMETRY)?,
         gpu.storage("SH moment 1", n * terms)?,
         gpu.storage("SH moment 2", n * terms)?,
-    ];
+    ])
+}
+
+fn new_adam(gpu: &Gpu, pipeline: &Pipeline, moments: &[Buffer; 4]) -> Result<SplatAdam, GpuError> {
     let backward = pipeline.backward.as_ref().expect("made for training");
-    let [geometry_m, geometry_v, sh_m, sh_v] = &moments;
-    let adam = SplatAdam::new(
+    let [geometry_m, geometry_v, sh_m, sh_v] = moments;
+    SplatAdam::new(
         gpu,
-        terms,
+        3 * sh::coefficients(pipeline.splats.sh_degree),
         SplatFloats { geometry: &pipeline.splats.geometry, sh: &pipeline.splats.sh },
         SplatFloats { geometry: &backward.geometry_gradient, sh: &backward.sh_gradient },
         SplatFloats { geometry: geometry_m, sh: sh_m },
         SplatFloats { geometry: geometry_v, sh: sh_v },
         &pipeline.lists.visible,
         &backward.status,
-    )?;
-    Ok((adam, moments))
+    )
 }

@@ -81,10 +81,10 @@ impl Vertices {
         }
         let normal = |v: u32| {
             let n = &state.normals[3 * v as usize..][..3];
-            [n[0], n[1], n[2], f32::from_bits(v)]
+            [n[0].to_bits(), n[1].to_bits(), n[2].to_bits(), v]
         };
-        let corner_normals: Vec<[f32; 4]> = triangles.iter().flatten().map(|&v| normal(v)).collect();
-        let padded: Vec<[f32; 4]> = (0..count as u32).map(normal).collect();
+        let corner_normals: Vec<[u32; 4]> = triangles.iter().flatten().map(|&v| normal(v)).collect();
+        let padded: Vec<[u32; 4]> = (0..count as u32).map(normal).collect();
         let rings = Rings::new(count, &triangles);
         let gradient = gpu.storage("vertex gradients", count)?;
         let moments = gpu.storage_with("vertex moments", &state.moments)?;

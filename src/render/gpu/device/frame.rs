@@ -46,14 +46,13 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// Runs `groups` workgroups, folded into two dimensions where one is too short (see `group_index` in WGSL).
+    /// Runs `groups` workgroups, folded into rows where one is too short (see `group_index` in WGSL), the last of which is full, too.
     pub(crate) fn dispatch(&mut self, kernel: &Kernel, bindings: &Bindings, groups: usize) {
         if groups == 0 {
             return;
         }
         let widest = self.gpu.widest_dispatch() as usize;
-        let y = groups.div_ceil(widest);
-        let x = groups.div_ceil(y);
+        let (x, y) = (groups.min(widest), groups.div_ceil(widest));
         let pass = self.pass(kernel);
         pass.set_pipeline(&kernel.pipeline);
         pass.set_bind_group(0, &bindings.group, &[]);

@@ -176,6 +176,7 @@ impl Gpu {
         Defines::default()
             .with("FLOAT_ATOMICS", u32::from(self.profile.float_atomics))
             .with("SUBGROUPS", u32::from(self.profile.subgroups))
+            .with("WIDEST", self.widest_dispatch())
     }
 }
 
