@@ -30,6 +30,9 @@ pub(super) fn check(
     if hybrid.layers > 0 {
         gpu.ensure_bindable("the map of colour and opacity", 4 * base)?;
         gpu.ensure_bindable("the map of view dependence", 4 * bands)?;
+        // Two floats for one of a map, but none for its coarser levels.
+        let longest = map_floats(options, texture_size).into_iter().max().unwrap_or(0) as u64;
+        gpu.ensure_bindable("the moments of a map", 8 * longest)?;
         gpu.ensure_bindable("the mesh layers of an image", 16 * (hybrid.layers as u64 + 1) * pixels)?;
     }
     gpu.ensure_bindable("the loss of an image", 48 * pixels)?;

@@ -10,7 +10,7 @@ use super::{
     checkpoint::Checkpoint,
     density::mcmc::EpochWeight,
     state::SplatState,
-    static_scene::{arrays, splat_state},
+    static_scene::{arrays, finite, splat_state},
 };
 use crate::{
     render::gpu::{exposure::ExposureState, pose::PoseState, training::Training, vertices::VertexState},
@@ -70,6 +70,12 @@ impl Saved {
             epoch: epoch.clone(),
             lists: training.pipeline.list_lengths(),
         })
+    }
+
+    /// Names the parameter group that holds a NaN or an infinity.
+    pub(super) fn check_finite(&self) -> Result<(), TrainError> {
+        let (first, second) = &self.texel_moments;
+        finite(&self.splats, [first, second], self.phase, self.iteration)
     }
 
     /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.

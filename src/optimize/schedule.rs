@@ -174,32 +174,38 @@ pub fn position_rate(t: u32, iterations: u32) -> f64 {
     (1.6e-4_f64.ln() * (1.0 - at) + 1.6e-6_f64.ln() * at).exp()
 }
 
-/// Learning rate of texels during a warm-up of `iterations`.
+/// Learning rate of texels during a warm-up of `iterations`, `dense` if texels move in every iteration.
 ///
-/// The paper's 5e-4 over 9000 iterations reaches 4.5, which is an opacity of 0.989 and a colour beyond black or white.
-/// A shorter warm-up gets a higher rate, up to 0.07, for three times that reach: a texel is in view in
-/// only some of its iterations. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with the paper's reach, 25.23 with
+/// The paper's 5e-4 over 9000 iterations reaches 4.5, which is an opacity of 0.989 and a colour beyond black or white, and so
+/// does a shorter warm-up, at a higher rate, up to 0.07. Texels that move only where a view shows them get three times that reach,
+/// since a view in five or so does. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with the paper's reach, 25.23 with
 /// twice that, 25.36 with three times and no bands.)
 #[must_use]
-pub fn texel_rate(iterations: u32) -> f32 {
+pub fn texel_rate(iterations: u32, dense: bool) -> f32 {
     let shorter = f64::from(PAPER_WARM_UP) / f64::from(iterations.clamp(1, PAPER_WARM_UP));
-    (PAPER_TEXEL_RATE * (1.0 + 3.0 * (shorter - 1.0))).min(0.07) as f32
+    let reach = if dense { 1.0 } else { 3.0 };
+    (PAPER_TEXEL_RATE * reach * shorter).min(0.07) as f32
 }
 
-/// Rate of texels at joint iteration `t`: from where a warm-up of `warmup` iterations left it to three tenths of that,
-/// its logarithm linear in t, but not below the paper's 5e-4. After the paper's warm-up it is 5e-4 throughout.
+/// Rate of texels at joint iteration `t`: from `warm`, where the warm-up left it, to three tenths of that, its logarithm linear in t,
+/// but not below the paper's 5e-4.
 #[must_use]
-pub fn joint_texel_rate(warmup: u32, t: u32, iterations: u32) -> f32 {
+pub fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
-    (f64::from(texel_rate(warmup)) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
+    (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
 
-/// Pixels that vertices of a fused surface move at iteration `t` of a warm-up: nothing in its first eighth, while the maps
-/// are still grey, then 0.1 falling to 0.01, its logarithm linear in t.
+/// Pixels that vertices of a fused surface move at iteration `t` of a warm-up, where pictures have sides up to `longest`: nothing in its
+/// first eighth, while the maps are still grey, then 0.1 falling to 0.01, its logarithm linear in t; in a longer warm-up less, so that
+/// all steps together come no farther than a thirteenth of that side.
 #[must_use]
-pub fn vertex_rate(t: u32, iterations: u32) -> Option<f32> {
-    let at = f64::from(t) / f64::from(iterations.max(1));
-    (at >= 0.125).then(|| (0.1 * 0.1_f64.powf(at)) as f32)
+pub fn vertex_rate(t: u32, iterations: u32, longest: u32) -> Option<f32> {
+    let n = f64::from(iterations.max(1));
+    let at = f64::from(t) / n;
+    // The integral of 0.1^x over x from 1/8 to 1.
+    let steps = n * (0.1_f64.powf(0.125) - 0.1) / 10f64.ln();
+    let first = (f64::from(longest) / 13.0 / steps).min(0.1);
+    (at >= 0.125).then(|| (first * 0.1_f64.powf(at)) as f32)
 }
 
 /// Radians, and fractions of the extent, by which poses move at iteration `t` of `iterations`, of which each trains on one of `views`:
@@ -337,14 +343,32 @@ mod tests {
 
     #[test]
     fn texels_reach_further_in_a_shorter_warm_up() {
-        assert_eq!([9000, 30_000].map(texel_rate), [5e-4; 2]);
-        for n in [300, 3000, 8999] {
-            let reach = texel_rate(n) * n as f32;
-            assert!((4.5..=3.0 * 4.5).contains(&reach), "{n}: {reach}");
+        assert_eq!([9000, 30_000].map(|n| texel_rate(n, true)), [5e-4; 2], "the paper's");
+        assert_eq!([0, 1, 50].map(|n| texel_rate(n, false)), [0.07; 3]);
+        assert_eq!(joint_texel_rate(texel_rate(9000, true), 10, 1000), 5e-4);
+        assert_eq!(joint_texel_rate(0.02, 0, 1000), 0.02);
+        assert!((joint_texel_rate(0.02, 1000, 1000) - 0.006).abs() < 1e-7);
+    }
+
+    #[test]
+    fn texels_reach_as_far_in_warm_ups_of_any_length() {
+        for n in [300, 3000, 8999, 9000] {
+            for (dense, expected) in [(true, 4.5), (false, 13.5)] {
+                let reach = texel_rate(n, dense) * n as f32;
+                assert!((reach / expected - 1.0).abs() < 1e-5, "{n}: {reach}");
+            }
         }
-        assert_eq!([0, 1, 50].map(texel_rate), [0.07; 3]);
-        assert_eq!(joint_texel_rate(9000, 10, 1000), 5e-4);
-        assert_eq!(joint_texel_rate(200, 0, 1000), texel_rate(200));
-        assert!((joint_texel_rate(200, 1000, 1000) / texel_rate(200) - 0.3).abs() < 1e-6);
+    }
+
+    #[test]
+    fn vertices_come_no_farther_in_longer_warm_ups() {
+        let reach = |n, side| (0..n).filter_map(|t| vertex_rate(t, n, side)).sum::<f32>();
+        assert_eq!([0, 59, 60].map(|t| vertex_rate(t, 480, 176).is_some()), [false, false, true]);
+        assert!((vertex_rate(60, 480, 176).unwrap() - 0.075).abs() < 1e-3);
+        for (n, side) in [(480, 176), (9000, 1300), (100_000, 1300)] {
+            let part = reach(n, side) / side as f32;
+            assert!((0.07..0.0775).contains(&part), "{n}: {part}");
+        }
+        assert!(reach(0, 0) == 0.0 && reach(100, 1300) < 3.0, "a pixel in ten steps at most");
     }
 }

@@ -14,6 +14,7 @@ mod selection;
 mod unseen;
 
 pub use poses::RefinedPose;
+pub use selection::Selection;
 
 use std::{
     path::{Path, PathBuf},
@@ -102,6 +103,8 @@ pub struct Trained {
     pub scene: HybridScene,
     /// What the surface of its mesh was made of, if it has one.
     pub surface: Option<SurfaceOrigin>,
+    /// What became of the triangles that were found, if this run judged them.
+    pub selection: Option<Selection>,
     /// Triangles of its mesh that are of the shell around everything else, see [`TrainOptions::shell`].
     pub shell_triangles: usize,
     /// Triangles of a found surface that went after training, having become invisible.
@@ -188,6 +191,7 @@ struct Run<'a> {
     hands_over: bool,
     /// What the meshes were made of.
     surface: Option<SurfaceOrigin>,
+    selection: Option<Selection>,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
     /// Of all views of the capture, after the last phase.
@@ -265,6 +269,7 @@ impl<'a> Run<'a> {
             reached: (Phase::Surface, 0),
             hands_over: false,
             surface: None,
+            selection: None,
             shell,
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
             poses: None,
@@ -342,7 +347,9 @@ impl<'a> Run<'a> {
                 let mut meshes = scene.meshes.clone();
                 // Maps that have not learnt anything cannot be judged.
                 if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
-                    meshes = self.select_faces(&mut training, mesh)?.into_iter().collect();
+                    let (kept, selection) = self.select_faces(&mut training, mesh)?;
+                    self.selection = Some(selection);
+                    meshes = kept.into_iter().collect();
                 }
                 // Plain splats make more of a budget that is too small for a mesh.
                 if self.within_budget(&meshes).is_err() {
@@ -444,7 +451,7 @@ impl<'a> Run<'a> {
 
     /// Side of the maps that a mesh has at most.
     fn largest_texture(&self) -> u32 {
-        self.options.texture_size.unwrap_or_else(|| self.longest_side.next_power_of_two().clamp(128, 2048))
+        self.options.texture_size.unwrap_or_else(|| (self.longest_side / 2 * 3).next_power_of_two().clamp(128, 2048))
     }
 
     /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest, as far
@@ -530,6 +537,7 @@ impl<'a> Run<'a> {
             poses: self.refined_poses(),
             cameras: self.cameras.clone(),
             surface: self.surface.filter(|_| !scene.meshes.is_empty()),
+            selection: self.selection,
             scene,
             outcome,
             history: std::mem::take(&mut self.history),
@@ -582,10 +590,20 @@ pub(super) fn arrays(s: SplatState) -> SplatArrays {
 
 /// Names the parameter group that holds a NaN or an infinity. Waits.
 fn check_finite(training: &Training, phase: Phase, iteration: u32) -> Result<(), TrainError> {
-    finite_splats(&splat_state(training)?, phase, iteration)?;
-    // The maps themselves are refused when read; their moments follow their gradients.
     let (first, second) = training.read_texel_moments()?;
-    if first.iter().chain(&second).all(|v| v.is_finite()) {
+    finite(&splat_state(training)?, [&first, &second], phase, iteration)
+}
+
+/// Names the parameter group that holds a NaN or an infinity: splats, or the maps of which these are the moments.
+pub(super) fn finite(
+    splats: &SplatState,
+    moments: [&[f32]; 2],
+    phase: Phase,
+    iteration: u32,
+) -> Result<(), TrainError> {
+    finite_splats(splats, phase, iteration)?;
+    // The maps themselves are refused when read; their moments follow their gradients.
+    if moments.iter().all(|values| values.iter().all(|v| v.is_finite())) {
         return Ok(());
     }
     Err(TrainError::NotFinite { phase, iteration, group: "a map of the mesh".to_owned() })

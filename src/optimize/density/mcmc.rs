@@ -51,9 +51,10 @@ impl McmcOptions {
     }
 }
 
-/// Blend weight of every splat, summed until all training views have been seen.
+/// Blend weight of every splat, summed until all training views have been seen for certain.
 ///
-/// A density interval is usually shorter than an epoch, and a splat that none of its views shows is not yet useless.
+/// A density interval is usually shorter than an epoch, and a splat that none of its views shows is not yet useless. Each run of as many
+/// iterations as there are views, n, has all of them in some order, so any 2n − 1 iterations hold a whole one.
 /// Part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EpochWeight {
@@ -75,7 +76,7 @@ impl EpochWeight {
 /// One step. Afterwards all splats are at their old place, followed by those added; a relocated splat takes over the
 /// whole row of its source.
 ///
-/// `epoch`, to which these statistics have been added, is judged and begun anew when it has seen `views` iterations.
+/// `epoch`, to which these statistics have been added, is judged and begun anew when all `views` have been in it.
 ///
 /// The paper forgets the moments of sources only; this forgets those of relocated splats as well, which describe
 /// another place.
@@ -94,7 +95,7 @@ pub fn relocate_and_add(
     let n = state.len();
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
-    let epoch_ends = epoch.iterations >= views;
+    let epoch_ends = epoch.iterations >= views.saturating_mul(2).saturating_sub(1);
     let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
     let dead: Vec<usize> =
         (0..n).filter(|&i| state.seen_opacity(i) <= options.min_opacity || epoch.weight[i] < min_weight).collect();
@@ -158,8 +159,30 @@ pub fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
     if scale.is_finite() { (each, scale) } else { (each, 1.0) }
 }
 
-/// `count` indices with probabilities proportional to `scores`, with repetition; none if all scores are 0.
+/// `count` indices with probabilities proportional to `scores`, each so often that it becomes [`MAX_COPIES`] at most; fewer if all have
+/// been drawn so often, none if all scores are 0.
 fn sample(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<usize> {
+    let (mut drawn, mut times, mut scores) = (Vec::with_capacity(count), vec![0; scores.len()], scores.to_vec());
+    while drawn.len() < count {
+        let more = sample_with_repetition(&scores, count - drawn.len(), rng);
+        if more.is_empty() {
+            break;
+        }
+        for i in more {
+            // Beyond that, what they look like together would change.
+            if times[i] < MAX_COPIES - 1 {
+                times[i] += 1;
+                drawn.push(i);
+            } else {
+                scores[i] = 0.0;
+            }
+        }
+    }
+    drawn
+}
+
+/// `count` indices with probabilities proportional to `scores`, or none if all of those are 0.
+fn sample_with_repetition(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<usize> {
     let mut total = 0.0;
     let cumulative: Vec<f64> = scores
         .iter()
@@ -211,9 +234,22 @@ mod tests {
     fn run(s: &mut SplatState, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> (DensityReport, EpochWeight) {
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(rows), 100);
-        let report = relocate_and_add(s, Statistics(rows), &mut epoch, 100, options, 600, seed);
+        let report = relocate_and_add(s, Statistics(rows), &mut epoch, 50, options, 600, seed);
         assert_eq!(s.first_non_finite(), None);
         (report, epoch)
+    }
+
+    /// However much of all there is to see one of them shows.
+    #[test]
+    fn no_splat_becomes_more_than_51() {
+        let mut scores = vec![1.0; 1000];
+        scores[3] = 1e9;
+        let mut rng = step_rng(1, 600);
+        let drawn = sample(&scores, 400, &mut rng);
+        assert_eq!((drawn.len(), drawn.iter().filter(|i| **i == 3).count()), (400, MAX_COPIES - 1));
+        // Nor do all of them together.
+        assert_eq!(sample(&[1.0, 0.0, 2.0], 1000, &mut rng).len(), 2 * (MAX_COPIES - 1));
+        assert!(sample(&[0.0; 3], 10, &mut rng).is_empty());
     }
 
     #[test]
@@ -311,14 +347,15 @@ mod tests {
     #[test]
     fn samples_in_proportion() {
         let mut rng = step_rng(3, 4);
-        let picks = sample(&[1.0, 0.0, 3.0, f64::NAN, 4.0, 0.0], 40_000, &mut rng);
+        let picks = sample_with_repetition(&[1.0, 0.0, 3.0, f64::NAN, 4.0, 0.0], 40_000, &mut rng);
         let count = |i| picks.iter().filter(|&&p| p == i).count() as f64 / 40_000.0;
         assert_eq!([count(1), count(3), count(5)], [0.0; 3]);
         // Five standard errors: 5·√(¼/40000) = 0.0125.
         for (i, share) in [(0, 0.125), (2, 0.375), (4, 0.5)] {
             assert!((count(i) - share).abs() < 0.0125, "{i}: {}", count(i));
         }
-        assert!(sample(&[0.0; 3], 5, &mut rng).is_empty() && sample(&[], 5, &mut rng).is_empty());
+        assert!(sample_with_repetition(&[0.0; 3], 5, &mut rng).is_empty());
+        assert!(sample(&[], 5, &mut rng).is_empty());
     }
 
     #[test]
@@ -330,10 +367,11 @@ mod tests {
         let mut s = state(8, 0);
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&rows), 60);
-        let early = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 100, &options, 600, 1);
+        // Of 60 views in 60 iterations some may be in none, of 119 none.
+        let early = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 60, &options, 600, 1);
         assert_eq!(early, DensityReport::default());
         epoch.add(Statistics(&rows), 60);
-        let late = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 100, &options, 660, 1);
+        let late = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 60, &options, 660, 1);
         assert_eq!(late, DensityReport { relocated: 2, ..DensityReport::default() });
         assert_ne!((s.row(2)[0], s.row(5)[0]), (2.0, 5.0));
         assert_eq!(epoch, EpochWeight { weight: vec![0.0; 8], iterations: 0 });

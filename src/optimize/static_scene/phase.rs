@@ -117,9 +117,9 @@ impl Run<'_> {
                 self.report(training, plan, done)?;
             }
             if saves && let Some(path) = &self.session.checkpoint {
-                check_finite(training, plan.phase, done)?;
-                Saved::capture(training, scene, self.reached, self.surface, self.poses.as_ref(), epoch)?
-                    .write(path, &self.identity)?;
+                let saved = Saved::capture(training, scene, self.reached, self.surface, self.poses.as_ref(), epoch)?;
+                saved.check_finite()?;
+                saved.write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
@@ -139,7 +139,7 @@ impl Run<'_> {
         done: u32,
     ) -> Result<(), TrainError> {
         let epoch_length = self.train.len() as u32;
-        if self.session.gpu.profile().is_cpu || done % 16 == 0 || done <= epoch_length {
+        if self.session.gpu.profile().is_cpu || done.is_multiple_of(16) || done <= epoch_length {
             training.grow_if_short()?;
         }
         if plan.phase != Phase::Warmup {
@@ -219,10 +219,8 @@ impl Run<'_> {
         });
         let texels = plan.has_mesh.then(|| {
             let is_joint = plan.phase == Phase::Joint;
-            let base_rate = match plan.phase {
-                Phase::Warmup => schedule::texel_rate(o.warmup),
-                _ => schedule::joint_texel_rate(o.warmup, t, plan.iterations),
-            };
+            let warm = schedule::texel_rate(o.warmup, o.dense_texels);
+            let base_rate = if is_joint { schedule::joint_texel_rate(warm, t, plan.iterations) } else { warm };
             TexelStep {
                 // Maps that were laid out anew have no moments from the warm-up.
                 number: if is_joint && !self.hands_over { o.warmup + t + 1 } else { t + 1 },
@@ -232,7 +230,8 @@ impl Run<'_> {
                 holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age + 1),
             }
         });
-        let rate = if plan.moves_vertices { schedule::vertex_rate(t, plan.iterations) } else { None };
+        let rate =
+            if plan.moves_vertices { schedule::vertex_rate(t, plan.iterations, self.longest_side) } else { None };
         let vertices = rate.map(|rate| VertexStep { number: t + 1, rate });
         let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
         training.step(&Step {
@@ -261,7 +260,8 @@ impl Run<'_> {
     }
 
     /// Training views that judge a fused surface (`true`) or that its maps are warmed up on (`false`): every fourth judges,
-    /// so that maps are not taken for good where they merely repeat the views that they were made from.
+    /// so that maps are not taken for good where they merely repeat the views that they were made from. Splats have learnt from all:
+    /// of few views they cannot spare any.
     pub(super) fn views(&self, judges: bool) -> Vec<usize> {
         if !self.hands_over || self.train.len() < 8 {
             return self.train.clone();

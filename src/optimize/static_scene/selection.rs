@@ -29,6 +29,27 @@ const GUTTER: u32 = 4;
 /// Mean opacity below which a triangle goes after training: 0.02, at most 5 of 255 steps.
 const FAINT: f64 = 0.02;
 
+/// What became of the triangles of a surface that was made from the capture when held-back training views judged them. The others were kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Selection {
+    /// All that were judged.
+    pub triangles: usize,
+    /// Seen by fewer than two of the views that judge.
+    pub unseen: usize,
+    /// Of which maps explain what is around much worse than splats do.
+    pub worse: usize,
+    /// In connected pieces that are too small in the views.
+    pub small: usize,
+}
+
+impl Selection {
+    /// Those that were kept.
+    #[must_use]
+    pub fn kept(&self) -> usize {
+        self.triangles - self.unseen - self.worse - self.small
+    }
+}
+
 /// What the judging views say of a triangle.
 #[derive(Clone, Copy, Default)]
 struct Score {
@@ -41,17 +62,30 @@ struct Score {
 impl<'a> Run<'a> {
     /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
     /// the rest anew at about a texel per pixel. `None` if nothing is left.
-    pub(super) fn select_faces(&self, training: &mut Training<'a>, mesh: &Mesh) -> Result<Option<Mesh>, TrainError> {
+    pub(super) fn select_faces(
+        &self,
+        training: &mut Training<'a>,
+        mesh: &Mesh,
+    ) -> Result<(Option<Mesh>, Selection), TrainError> {
         let (scores, seen) = self.score(training, mesh)?;
         let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)))
             .map(|(s, [maps, splats])| s.views >= LEAST_VIEWS && maps <= WORST_RATIO * splats)
             .collect();
+        let count = |keep: &[bool]| keep.iter().filter(|k| **k).count();
+        let (all, unseen) = (keep.len(), scores.iter().filter(|s| s.views < LEAST_VIEWS).count());
+        let large_or_small = count(&keep);
         drop_small(mesh, &scores, &mut keep);
-        if !keep.contains(&true) {
-            return Ok(None);
+        let selection = Selection {
+            triangles: all,
+            unseen,
+            worse: all - unseen - large_or_small,
+            small: large_or_small - count(&keep),
+        };
+        if selection.kept() == 0 {
+            return Ok((None, selection));
         }
         let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
-        let Some(atlas) = training.read_atlases()?.into_iter().next() else { return Ok(None) };
+        let Some(atlas) = training.read_atlases()?.into_iter().next() else { return Ok((None, selection)) };
         let per_texel = 4.0 + atlas.bands().map_or(0.0, |b| f64::from(b.channels()) / 16.0);
         // With a budget, maps get a part of it in proportion to what they cover of the pictures: where splats are spread
         // thinly, so are texels.
@@ -66,11 +100,11 @@ impl<'a> Run<'a> {
         let (part, uvs) = (geometry::compact(part(mesh, &keep)), kept(mesh.corner_uvs(), &keep));
         // Many small charts may need more room than their area says; at the old size they had it.
         let charts_in = self.charts_in()?;
-        surface::with_room_for_charts(size, largest, |size| {
+        let mesh = surface::with_room_for_charts(size, largest, |size| {
             let unwrapped = geometry::unwrap(&part, charts_in.as_ref(), size)?;
             lay_out(unwrapped, &uvs, &atlas, size)
-        })
-        .map(Some)
+        })?;
+        Ok((Some(mesh), selection))
     }
 
     /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see

@@ -364,7 +364,7 @@ fn a_few_wild_points_do_little_harm() {
             assert!(trained.scene.composition.near == NEAR && !trained.scene.meshes.is_empty());
             trained.history.last().unwrap().psnr.unwrap()
         });
-        println!("{source:?}: {clean:.2} dB held out, {wild:.2} dB with wild points");
+        eprintln!("{source:?}: {clean:.2} dB held out, {wild:.2} dB with wild points");
         assert!(wild > clean - 0.5, "{source:?}: {clean} dB held out, {wild} dB with wild points");
     }
 }
