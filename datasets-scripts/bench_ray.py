@@ -33,8 +33,8 @@ def with_option(options, option):
     return [*options[:end], option, *options[end:]]
 
 
-def run(program, command):
-    """Exit status of a job, the last line it said, and where."""
+def run(program, command, folder):
+    """Exit status of a job, the last line it said, and where. Its paths are relative to `folder`: a worker runs where its node began."""
     import ray
 
     context = ray.get_runtime_context()
@@ -42,6 +42,7 @@ def run(program, command):
     environment = dict(os.environ)
     gpus = context.get_accelerator_ids().get("GPU")
     try:
+        os.chdir(folder)
         adapter = adapter_of(gpus[0] if gpus else None, program)
     except (LookupError, OSError, ValueError) as e:
         return 1, str(e), where
@@ -70,15 +71,19 @@ def main(arguments):
     for module in [sys.modules[__name__], assigned_adapter]:
         ray.cloudpickle.register_pickle_by_value(module)
     task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
-    names = {task.remote(program, job): job[job.index("--only") + 1] for job in jobs}
+    names = {task.remote(program, job, os.getcwd()): job[job.index("--only") + 1] for job in jobs}
     failed, pending = 0, list(names)
     while pending:
         (ready,), pending = ray.wait(pending, num_returns=1)
         status, message, node = ray.get(ready)
         failed += status != 0
-        print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]} on node {node}: {'done' if status == 0 else message}", flush=True)
+        print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]} on node {node}: {'ended' if status == 0 else message}", flush=True)
     if failed:
         raise SystemExit(f"{failed} of {len(jobs)} jobs failed")
+    # A job that another runner is at ends here at once, and well.
+    left = [job[job.index("--only") + 1] for job in open_jobs(program, options)]
+    if left:
+        raise SystemExit(f"{len(left)} of {len(jobs)} jobs are left to another runner, first {left[0]}: run again for the table of all")
     raise SystemExit(subprocess.run([*program, "bench", *with_option(options, "--table")]).returncode)
 
 

@@ -144,7 +144,7 @@ def size_of(url):
         return None
 
 
-def ensure_space(folder, urls, all_scenes):
+def ensure_space(folder, urls, all_scenes=True):
     """Stops unless what is missing of the archives fits on the disk, and as much again where all scenes are wanted: photographs do not
     shrink. What parts take of it is known when an archive is there."""
     missing = 0

@@ -8,13 +8,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 scenes=target/ablations
 mkdir -p $scenes
-ln -sfn "$PWD/demo" $scenes/demo
-for name in banana16 skull66 maryrose69; do
-    [ ! -d "${CENTAUR_DATA:-/none}/capture_$name" ] || ln -sfn "$CENTAUR_DATA/capture_$name" $scenes/$name
-done
-for name in garden street; do
-    [ ! -d target/unbounded/$name/sparse ] || ln -sfn "$PWD/target/unbounded/$name" $scenes/$name
-done
+. scripts/link-captures.sh
 read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600 --warmup 600 --max-side 356 --max-floats 1000000}"
 # Warm-ups in the proportion to joint iterations that 3,000 and 9,000 have to 30,000; by default half of the iterations are before the surface.
 value() { # flag, value where it is not given

@@ -16,19 +16,10 @@ read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 224 --iterations 1000 --surf
 centaur() { if [ -n "${EQUAL_FLOATS_CENTAUR:-}" ]; then "$EQUAL_FLOATS_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
 
 mkdir -p $scenes "$out"
-link() { # name, capture
-    # A link that is right stays: another run may be reading through it.
-    if [ -d "$2/sparse" ]; then
-        [ "$(readlink "$scenes/$1")" = "$(realpath "$2")" ] || ln -sfn "$(realpath "$2")" "$scenes/$1"
-    else
-        [ -d "$scenes/$1/" ] || rm -f "$scenes/$1"
-        echo "$1: left out, $2 is not there"
-    fi
-}
-link demo demo
-for name in banana16 skull66 maryrose69; do link $name "${CENTAUR_DATA:-/none}/capture_$name"; done
-for name in garden street; do link $name target/unbounded/$name; done
+. scripts/link-captures.sh
 
+# A bench that is stopped ends in its own way, which a shell takes for the end of that command alone.
+trap 'exit 130' INT
 failed=0
 for budget in "${budgets[@]}"; do
     # Captures without masks/ are trained whole. Nothing else is set per scene.

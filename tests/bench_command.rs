@@ -28,6 +28,12 @@ fn bench(folder: &Path, more: &[&str], flags: &str) -> Output {
     command.args(more).arg("--").args(flags.split(' ')).output().unwrap()
 }
 
+/// A capture by its files, and none to train on.
+fn no_cameras(folder: &Path) {
+    std::fs::create_dir_all(folder.join("sparse/0")).unwrap();
+    std::fs::write(folder.join("sparse/0/cameras.bin"), []).unwrap();
+}
+
 fn said(output: &Output) -> (String, String) {
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     (text(&output.stdout), text(&output.stderr))
@@ -100,7 +106,7 @@ fn a_data_set_is_trained_once_and_tabled() {
     // A job that fails is named with its reason; what is done stays, and is tabled.
     std::fs::remove_file(at("out/hybrid/one-0.json")).unwrap();
     std::fs::remove_file(at("scenes/one")).unwrap();
-    std::fs::create_dir_all(at("scenes/one/sparse/0")).unwrap();
+    no_cameras(&at("scenes/one"));
     std::fs::remove_file(at("out/table.md")).unwrap();
     let failed = bench(folder.path(), &["--quiet"], COARSE);
     assert_eq!(failed.status.code(), Some(1));
@@ -123,7 +129,7 @@ fn tasks_of_slurm_do_every_job_once() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     for scene in ["one", "two", "three"] {
-        std::fs::create_dir_all(at("scenes").join(scene).join("sparse")).unwrap();
+        no_cameras(&at("scenes").join(scene));
     }
     // No GPU is assigned, and so there is nothing for Python to say.
     std::fs::create_dir(at("bin")).unwrap();

@@ -135,6 +135,12 @@ impl Split {
     }
 }
 
+/// Whether [`open`] finds a capture in this folder: a COLMAP model or a `transforms*.json`.
+#[must_use]
+pub fn is_capture(folder: &Path) -> bool {
+    colmap::find_model(folder).is_some() || !transforms::find(folder).is_empty()
+}
+
 /// Reads the capture at `path`, a folder or a `transforms*.json`.
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,

@@ -10,7 +10,8 @@ use centaur::metrics::{
     side_by_side,
 };
 use centaur::render::gpu::{Gpu, Renderer};
-use centaur::scene::{Camera, HybridScene};
+use centaur::scene::color::linear_to_srgb;
+use centaur::scene::{Camera, ColorSpace, HybridScene};
 use image::{Rgb, Rgb32FImage, RgbImage};
 
 use super::history::Record;
@@ -75,8 +76,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let file = read_file(&args.scene, &ReadOptions::default())?;
     let training = file.source.as_ref().and_then(Source::extras).and_then(Record::read);
     drop(file.source);
+    let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
     let scene = file.scene;
     let capture = args.loading.open(&args.capture)?;
+    notes.extend(other_size(&file.cameras, &capture));
+    if args.loading.masks && capture.views.iter().all(|view| view.source.mask().is_none()) {
+        notes.push(format!("{}: has no masks: nothing is masked", args.capture.display()));
+    }
+    notes.iter().for_each(|note| output::note(note));
     let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
     let evaluation = evaluate(
@@ -93,6 +100,20 @@ pub(super) fn run(args: &Args) -> Result<()> {
         },
     )?;
     if args.messages.json { output::print_json(&evaluation) } else { output::print(evaluation.to_string().trim_end()) }
+}
+
+/// Where pictures are of another size than those that the scene was trained on, if it says so.
+fn other_size(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
+    let size = |camera: &Camera| (camera.intrinsics().width, camera.intrinsics().height);
+    let pair = |view: &View| {
+        let (_, camera) = trained_on.iter().find(|(name, _)| *name == view.name)?;
+        (size(camera) != size(&view.camera)).then(|| (size(camera), size(&view.camera)))
+    };
+    let ((w, h), (width, height)) = capture.views.iter().find_map(pair)?;
+    Some(format!(
+        "pictures are {width}×{height}, those that the scene was trained on {w}×{h}: for its scores at that size give the same \
+         --downscale, --max-side or --images"
+    ))
 }
 
 /// What `evaluate` is told besides scene and capture.
@@ -124,7 +145,14 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     let mut progress = Views::new(details.messages, "scoring", views.len());
     for (view, picture) in views.into_iter().zip(names) {
         let render = shared::image(renderer.render(&view.camera)?);
-        let (truth, render, masked) = comparable(&capture::decode(view)?, render, scene.composition.background);
+        // Photographs are sRGB-encoded.
+        let (render, background) = match scene.composition.color_space {
+            ColorSpace::SrgbDisplay => (render, scene.composition.background),
+            ColorSpace::LinearDisplay => {
+                (shared::mapped(render, linear_to_srgb), scene.composition.background.map(linear_to_srgb))
+            }
+        };
+        let (truth, render, masked) = comparable(&capture::decode(view)?, render, background);
         let score = ViewScore::new(&view.name, &truth, &render, masked, details.lpips);
         scores.push(score.with_context(|| view.name.clone())?);
         if let Some(folder) = details.folder {

@@ -94,12 +94,12 @@ struct LookArgs {
     /// Write EXR files with splats, meshes, depth and normals in channels of their own
     #[arg(long)]
     layers: bool,
-    /// Samples of EXR files; depths and counts are 32 bits in either
-    #[arg(long, value_enum, default_value_t = ExrType::Float)]
-    exr_type: ExrType,
-    /// Compression of EXR files; both are lossless
-    #[arg(long, value_enum, default_value_t = Compression::Zip)]
-    exr_compression: Compression,
+    /// Samples of EXR files; depths and counts are 32 bits in either [default: float]
+    #[arg(long, value_enum)]
+    exr_type: Option<ExrType>,
+    /// Compression of EXR files; both are lossless [default: zip]
+    #[arg(long, value_enum)]
+    exr_compression: Option<Compression>,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -156,8 +156,8 @@ impl LookArgs {
             color_space,
             pixel_aspect: format::pixel_aspect(camera.intrinsics()),
             comment: comment.to_owned(),
-            samples: if self.exr_type == ExrType::Half { SampleType::Half } else { SampleType::Float },
-            compression: if self.exr_compression == Compression::Piz {
+            samples: if self.exr_type == Some(ExrType::Half) { SampleType::Half } else { SampleType::Float },
+            compression: if self.exr_compression == Some(Compression::Piz) {
                 ExrCompression::Piz
             } else {
                 ExrCompression::Zip
@@ -178,6 +178,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     ensure!(
         args.video.is_none() || !(args.look.layers || args.format == Some(Format::Exr)),
         "--video is made of PNG pictures: leave --format exr and --layers away"
+    );
+    let look = &args.look;
+    ensure!(
+        look.layers || args.format == Some(Format::Exr) || (look.exr_type.is_none() && look.exr_compression.is_none()),
+        "--exr-type and --exr-compression are of EXR files: say --format exr or --layers"
     );
     output::check_folder(&args.output)?;
     let at = if let Some(When::At(time)) = args.time { Some(time) } else { None };
@@ -347,15 +352,12 @@ fn write_frame(
 ) -> Result<()> {
     match (format, composition.color_space) {
         (Format::Png, ColorSpace::SrgbDisplay) => write_png(path, &to_rgb8(&image)),
-        (Format::Png, ColorSpace::LinearDisplay) => write_png(path, &to_rgb8(&mapped(image, linear_to_srgb))),
-        (Format::Exr, ColorSpace::SrgbDisplay) => write_linear(path, &mapped(image, srgb_to_linear), camera, look),
+        (Format::Png, ColorSpace::LinearDisplay) => write_png(path, &to_rgb8(&shared::mapped(image, linear_to_srgb))),
+        (Format::Exr, ColorSpace::SrgbDisplay) => {
+            write_linear(path, &shared::mapped(image, srgb_to_linear), camera, look)
+        }
         (Format::Exr, ColorSpace::LinearDisplay) => write_linear(path, &image, camera, look),
     }
-}
-
-fn mapped(mut image: Rgb32FImage, f: fn(f32) -> f32) -> Rgb32FImage {
-    image.iter_mut().for_each(|v| *v = f(*v));
-    image
 }
 
 fn write_linear(path: &Path, image: &Rgb32FImage, camera: &Camera, look: &LookArgs) -> Result<()> {

@@ -149,6 +149,12 @@ impl AdapterArgs {
     }
 }
 
+/// `f` of every channel.
+pub(super) fn mapped(mut image: Rgb32FImage, f: fn(f32) -> f32) -> Rgb32FImage {
+    image.iter_mut().for_each(|v| *v = f(*v));
+    image
+}
+
 /// A render as an image.
 pub(super) fn image(picture: Picture) -> Rgb32FImage {
     Rgb32FImage::from_raw(picture.width, picture.height, picture.rgb.into_flattened())

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use centaur::capture::{Capture, Split};
+use centaur::capture::{Capture, Split, View};
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
 use centaur::metrics::{Evaluation, Lpips};
 use centaur::optimize::{
-    self, Background, Density, MeshSource, Outcome, RefinedPose, Session, SurfaceOrigin, TrainError, TrainOptions,
-    Trained,
+    self, Background, Density, MeshSource, Outcome, RefinedPose, Selection, Session, SurfaceOrigin, TrainError,
+    TrainOptions, Trained,
 };
 use centaur::render::gpu::Gpu;
 use centaur::scene::{HybridScene, OrderMode};
@@ -55,7 +55,7 @@ pub(super) struct Args {
     #[command(flatten)]
     lpips: eval::LpipsArgs,
     /// Do not score the held-out views at the end
-    #[arg(long)]
+    #[arg(long, conflicts_with = "lpips_weights")]
     no_eval: bool,
     #[command(flatten)]
     adapter: AdapterArgs,
@@ -403,14 +403,19 @@ pub(super) fn run(args: &Args) -> Result<()> {
     } else {
         None
     };
-    let last = note(args, trained.surface);
+    let capped = capped(args, &trained);
+    if !args.messages.json {
+        capped.iter().for_each(|note| output::note(note));
+    }
+    notes.extend(capped);
+    let last = note(args, &trained);
     if args.messages.json {
         let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
         let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
-            "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
+            "selection": trained.selection, "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
             "occluded_splats": trained.occluded_splats,
             "notes": notes.iter().chain(&last).collect::<Vec<_>>(),
             "exposures": exposures, "poses": poses,
@@ -448,6 +453,9 @@ fn moved(trained: &Trained) -> Option<String> {
     Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
 }
 
+/// To this INRIA 3DGS scales larger photographs down unless told otherwise (`utils/camera_utils.py`).
+const USUAL_SIDE: u32 = 1600;
+
 /// Said before the training: a capture that lacks something is better mended than trained for hours.
 fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> {
     let has_masks = capture.views.iter().any(|view| view.source.mask().is_some());
@@ -457,7 +465,24 @@ fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> 
         (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
-    said.map(|(_, what)| format!("{}: {what}", args.capture.display())).collect()
+    let longest = |view: &View| view.camera.intrinsics().width.max(view.camera.intrinsics().height);
+    let side = capture.views.iter().map(longest).max().unwrap_or(0);
+    let large = (side > USUAL_SIDE).then(|| {
+        format!(
+            "has pictures of {side} pixels a side, as they are trained on: results are usually given for {USUAL_SIDE} \
+             (--max-side {USUAL_SIDE}) or --downscale"
+        )
+    });
+    said.map(|(_, what)| what.to_owned())
+        .chain(large)
+        .map(|what| format!("{}: {what}", args.capture.display()))
+        .collect()
+}
+
+/// Where density control by gradients was held back, which has no number of its own to come to.
+fn capped(args: &Args, trained: &Trained) -> Option<String> {
+    let is_held_back = !matches!(args.density, DensityKind::Mcmc) && trained.scene.splats.len() >= args.max_splats;
+    is_held_back.then(|| format!("--max-splats {} was reached: without it there would be more", args.max_splats))
 }
 
 /// What an interrupted run left stays, under the name that is returned, where this one does not go on from it.
@@ -472,11 +497,24 @@ fn set_aside(args: &Args) -> Result<Option<PathBuf>> {
     Ok(Some(aside))
 }
 
+fn why_no_mesh(selection: Option<&Selection>) -> String {
+    match selection {
+        None => "no surface was found, or had room in the budget".to_owned(),
+        Some(s) if s.kept() > 0 => format!("the {} triangles that were kept had no room in the budget", s.kept()),
+        Some(Selection { triangles, unseen, worse, small }) => format!(
+            "of {triangles} triangles {unseen} were seen by too few training views, {worse} showed those worse than splats and {small} \
+             were in pieces too small"
+        ),
+    }
+}
+
 /// Where a surface was wanted, or one of points, and there is less than that.
-fn note(args: &Args, surface: Option<SurfaceOrigin>) -> Option<String> {
-    let note = match (args.surface, surface) {
+fn note(args: &Args, trained: &Trained) -> Option<String> {
+    let no_mesh;
+    let note = match (args.surface, trained.surface) {
         (_, None) if !args.no_mesh => {
-            "the scene has no mesh: no surface was found, showed the photographs as well as splats, or had room in the budget"
+            no_mesh = format!("the scene has no mesh: {}", why_no_mesh(trained.selection.as_ref()));
+            &no_mesh
         }
         (Some(SurfaceOf::Points), Some(SurfaceOrigin::GuessedPoints)) => {
             "does not say of half of its views or more which points they see: for the surface, each was taken for seen where none is nearer"
@@ -520,7 +558,8 @@ fn with_advice(error: TrainError) -> anyhow::Error {
     anyhow!("{error}; {advice}")
 }
 
-/// The flag that the trainer polls. A second Ctrl-C does what it does to any program.
+/// The flag that the trainer polls, set by Ctrl-C and, on Unix, by a termination. A second Ctrl-C does what it does to any program, as does
+/// a hangup: `nohup` has it ignored.
 pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
@@ -534,6 +573,8 @@ pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
         flag.store(true, Ordering::Relaxed);
     })
     .context("cannot handle Ctrl-C")?;
+    #[cfg(unix)]
+    signal_hook::flag::register(signal_hook::consts::SIGTERM, Arc::clone(&stop)).context("cannot handle SIGTERM")?;
     Ok(stop)
 }
 

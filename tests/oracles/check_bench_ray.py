@@ -30,7 +30,9 @@ if sys.argv[1] == "devices":
     buses = ["0000:c1:00.0", "0000:41:00.0"]
     print(json.dumps([{"index": i, "name": "A GPU", "kind": "DiscreteGpu", "pci_bus_id": bus} for i, bus in enumerate(buses)]))
 elif "--list" in sys.argv:
-    print("centaur bench --only a/one-0\\ncentaur bench --only a/two-0")
+    for job in "a/one-0", "a/two-0":
+        if not (folder / job.replace("/", "-")).with_suffix(".json").exists():
+            print("centaur bench --only", job)
 elif "--only" in sys.argv:
     job = folder / sys.argv[-1].replace("/", "-")
     job.with_suffix(".json").write_text(json.dumps([os.environ["CUDA_VISIBLE_DEVICES"], os.environ.get("CENTAUR_ADAPTER")]))

@@ -5,6 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
+use centaur::capture;
 use clap::{Parser as _, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -200,6 +201,11 @@ impl Job {
         }
     }
 
+    /// Whether its flags name weights of LPIPS.
+    pub(super) fn scores_lpips(&self) -> bool {
+        self.command().iter().any(|flag| flag.to_string_lossy().starts_with("--lpips-weights"))
+    }
+
     /// Whether `centaur train` takes the flags.
     pub(super) fn check(&self) -> Result<()> {
         let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".into()).chain(self.command()));
@@ -212,20 +218,19 @@ impl Job {
 
 /// Names of the folders that hold a capture.
 fn scenes(dataset: &Path) -> Result<Vec<String>> {
-    let is_capture = |folder: &Path| {
-        folder.join("sparse").is_dir()
-            || folder.join("transforms.json").is_file()
-            || folder.join("transforms_train.json").is_file()
-    };
     let mut names = vec![];
     for entry in std::fs::read_dir(dataset).with_context(|| dataset.display().to_string())? {
         let path = entry.with_context(|| dataset.display().to_string())?.path();
-        if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| is_capture(&path)) {
+        if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| capture::is_capture(&path)) {
             names.push(name.to_owned());
         }
     }
     names.sort();
-    ensure!(!names.is_empty(), "{}: expected folders with sparse/ or transforms.json, found none", dataset.display());
+    ensure!(
+        !names.is_empty(),
+        "{}: expected folders with a COLMAP model or transforms.json, found none",
+        dataset.display()
+    );
     Ok(names)
 }
 
@@ -255,7 +260,11 @@ mod tests {
 
     fn dataset(scenes: &[&str]) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
-        scenes.iter().for_each(|scene| std::fs::create_dir_all(folder.path().join(scene).join("sparse")).unwrap());
+        for scene in scenes {
+            let model = folder.path().join(scene).join("sparse/0");
+            std::fs::create_dir_all(&model).unwrap();
+            std::fs::write(model.join("cameras.bin"), []).unwrap();
+        }
         std::fs::create_dir(folder.path().join("notes")).unwrap();
         folder
     }
@@ -342,7 +351,7 @@ mod tests {
         }
         all(&args(folder.path(), &["--", "--max-side=300"])).unwrap();
         let empty = tempfile::tempdir().unwrap();
-        assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected folders with sparse/"));
+        assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected folders with a COLMAP model"));
         assert!(variant("=--no-mesh").is_err() && variant("a/b").is_err() && variant("a").unwrap().flags.is_empty());
         assert!(shard("4/4").is_err() && shard("x").is_err() && shard("3/4").is_ok());
         assert_eq!(size_of("room", Protocol::A), ["--images", "images_2"]);

@@ -106,16 +106,25 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // A misspelt flag is found now and not after hours.
     open.iter().try_for_each(|job| job.check())?;
     shared::make_folder(&args.output)?;
-    let failed = work::work(&open, args)?;
-    let done = record::all(&args.output)?;
-    // A shard may be empty, and be the first.
-    if !done.is_empty() {
-        write_table(args, &done)?;
+    if !args.messages.quiet && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {
+        output::note("LPIPS will not be scored: that needs -- --lpips-weights FILE");
     }
+    let failed = work::work(&open, args)?;
+    let mut done = record::all(&args.output)?;
+    // A shard may be empty, and be the first.
+    let mut printed = if done.is_empty() { Ok(()) } else { write_table(args, &done) };
+    // Another runner may have written the table of more results meanwhile, and this one's have taken its place.
+    let mut now = record::all(&args.output)?;
+    while now.len() > done.len() {
+        done = now;
+        printed = write_table(args, &done);
+        now = record::all(&args.output)?;
+    }
+    // Also where nobody reads the table.
     if let Some((job, reason)) = failed.first() {
         bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());
     }
-    Ok(())
+    printed
 }
 
 fn write_table(args: &Args, done: &[Record]) -> Result<()> {

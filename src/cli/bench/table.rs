@@ -111,7 +111,10 @@ impl Table {
         let word = |record: &Record, name: &str| record.result["evaluation"][name].as_str().map(str::to_owned);
         Ok(Self {
             protocol,
-            scores: done.iter().find_map(|record| word(record, "protocol")).unwrap_or_default(),
+            scores: {
+                let said: BTreeSet<String> = done.iter().filter_map(|record| word(record, "protocol")).collect();
+                said.into_iter().collect::<Vec<_>>().join("; or: ")
+            },
             adapters: done.iter().filter_map(|record| word(record, "adapter")).collect(),
             published: known.map_or(vec![], |known| Published::of(known, has_vgg)),
             published_note: known.map(|known| known.note),

@@ -3,8 +3,8 @@
 use std::fs::{OpenOptions, TryLockError};
 use std::io::{self, Write as _};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, Once};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
@@ -89,7 +89,11 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => return Ok(Ended::Elsewhere),
-        Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
+        Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {
+            static SAID: Once = Once::new();
+            let folder = path.display();
+            SAID.call_once(|| output::note(&format!("{folder}: files cannot be locked here: jobs may be done twice")));
+        }
         Err(TryLockError::Error(e)) => return Err(e).with_context(|| path.display().to_string()),
     }
     if job.result.is_file() {
