@@ -5,6 +5,7 @@
 // bandwidth, 1.7 kB per splat of degree 3.
 
 //#import shared/adam.wgsl
+//#import shared/group_index.wgsl
 //#import shared/rotation.wgsl
 //#import shared/status.wgsl
 
@@ -77,7 +78,7 @@ fn geometry(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = (group.x + group.y * WIDEST) * 256u + thread;
+    let i = group_index(group) * 256u + thread;
     if i >= step.n_splats || status.is_short != 0u || (step.visible_only != 0u && visible[i] == 0u) { return; }
     let place = 3u * i;
 
@@ -121,7 +122,7 @@ fn harmonics(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let index = (group.x + group.y * WIDEST) * 256u + thread;
+    let index = group_index(group) * 256u + thread;
     let splat = index / step.active_floats;
     if splat >= step.n_splats || status.is_short != 0u { return; }
     if step.visible_only != 0u && visible[splat] == 0u { return; }

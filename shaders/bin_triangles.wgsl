@@ -17,6 +17,8 @@
 @group(0) @binding(6) var<storage, read_write> pairs_needed: array<u32>;        // [1]: largest total so far
 
 const SCAN: u32 = 256u;
+// Two kernels may round differently, and what is scattered must have been counted.
+const COUNTED_MARGIN: f32 = 0.01;
 var<workgroup> partial: array<u32, SCAN>;
 
 fn bins() -> vec2u {
@@ -37,9 +39,9 @@ fn edge_range(p: vec3f, q: vec3f, half: vec2f) -> vec2f {
 }
 
 // False only if no pixel of the bin can be inside: a pixel is inside iff all three edge functions have one sign.
-// Half a bin is measured to its border, half a pixel beyond the outermost centres: the margin for rounding.
-fn may_touch(a: vec3f, b: vec3f, c: vec3f, bin: vec2u) -> bool {
-    let half = 0.5 * f32(BIN) / view.focal;
+// Half a bin is measured to its border, half a pixel beyond the outermost centres, and farther by `margin` of that: both for rounding.
+fn may_touch(a: vec3f, b: vec3f, c: vec3f, bin: vec2u, margin: f32) -> bool {
+    let half = (0.5 + 0.5 * margin) * f32(BIN) / view.focal;
     let ray = (f32(BIN) * (vec2f(bin) + 0.5) - view.principal) / view.focal;
     let p = vec3f(a.xy - a.z * ray, a.z);
     let q = vec3f(b.xy - b.z * ray, b.z);
@@ -66,7 +68,7 @@ fn count(
     let c = corners[3u * i + 2u].xyz;
     for (var y = first.y; y <= last.y; y += 1u) {
         for (var x = first.x; x <= last.x; x += 1u) {
-            if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
+            if all(first == last) || may_touch(a, b, c, vec2u(x, y), COUNTED_MARGIN) {
                 atomicAdd(&bin_fill[y * bins().x + x], 1u);
             }
         }
@@ -120,10 +122,10 @@ fn scatter(
     let n_bins = bins().x * bins().y;
     for (var y = first.y; y <= last.y; y += 1u) {
         for (var x = first.x; x <= last.x; x += 1u) {
-            if all(first == last) || may_touch(a, b, c, vec2u(x, y)) {
+            if all(first == last) || may_touch(a, b, c, vec2u(x, y), 0.0) {
                 let bin = y * bins().x + x;
                 let slot = saturating_add(bin_start[bin], atomicAdd(&bin_fill[bin], 1u));
-                // Two kernels may round differently: what was not counted must not take the place of the next bin's first.
+                // Should one have slipped through uncounted, it must not take the place of the next bin's first.
                 var end = capacity;
                 if bin + 1u < n_bins { end = min(bin_start[bin + 1u], capacity); }
                 if slot < end { pairs[slot] = i; }

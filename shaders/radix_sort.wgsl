@@ -19,6 +19,7 @@ struct Pass {
 @group(0) @binding(5) var<storage, read_write> histograms: array<u32>;  // [digit][block]
 @group(0) @binding(6) var<uniform> digit_bits: Pass;
 
+//#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
 const DIGITS: u32 = 16u;
@@ -63,7 +64,7 @@ fn count(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * WIDEST;
+    let block = group_index(group);
     count_digits(thread, block * BLOCK + thread * 8u, n);
     // 32 threads per pair of digits add eight words each.
     var sum = 0u;
@@ -108,7 +109,7 @@ fn scatter(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * WIDEST;
+    let block = group_index(group);
     let first = block * BLOCK;
     let start = first + thread * 8u;
     count_digits(thread, start, n);

@@ -16,6 +16,7 @@ struct Pass {
 @group(0) @binding(5) var<storage, read_write> histograms: array<u32>;  // [chunk][digit]
 @group(0) @binding(6) var<uniform> digit_bits: Pass;
 
+//#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
 const DIGITS: u32 = 256u;
@@ -33,10 +34,11 @@ fn chunk_length(n: u32) -> u32 {
 }
 
 @compute @workgroup_size(8)
-fn count(@builtin(local_invocation_index) lane: u32, @builtin(global_invocation_id) id: vec3u) {
+fn count(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let n = item_count();
     let length = chunk_length(n);
-    let start = id.x * length;
+    let chunk = group_index(group) * LANES + lane;
+    let start = chunk * length;
     if start >= n { return; }
     let end = min(start + length, n);
     let mine = lane * DIGITS;
@@ -44,7 +46,7 @@ fn count(@builtin(local_invocation_index) lane: u32, @builtin(global_invocation_
     for (var i = start; i < end; i++) {
         counters[mine + ((keys_in[i] >> digit_bits.shift) & digit_bits.mask)] += 1u;
     }
-    for (var d = 0u; d <= digit_bits.mask; d++) { histograms[id.x * DIGITS + d] = counters[mine + d]; }
+    for (var d = 0u; d <= digit_bits.mask; d++) { histograms[chunk * DIGITS + d] = counters[mine + d]; }
 }
 
 @compute @workgroup_size(256)
@@ -67,14 +69,15 @@ fn scan(@builtin(local_invocation_index) digit: u32) {
 }
 
 @compute @workgroup_size(8)
-fn scatter(@builtin(local_invocation_index) lane: u32, @builtin(global_invocation_id) id: vec3u) {
+fn scatter(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let n = item_count();
     let length = chunk_length(n);
-    let start = id.x * length;
+    let chunk = group_index(group) * LANES + lane;
+    let start = chunk * length;
     if start >= n { return; }
     let end = min(start + length, n);
     let mine = lane * DIGITS;
-    for (var d = 0u; d <= digit_bits.mask; d++) { counters[mine + d] = histograms[id.x * DIGITS + d]; }
+    for (var d = 0u; d <= digit_bits.mask; d++) { counters[mine + d] = histograms[chunk * DIGITS + d]; }
     for (var i = start; i < end; i++) {
         let key = keys_in[i];
         let slot = mine + ((key >> digit_bits.shift) & digit_bits.mask);

@@ -85,7 +85,9 @@ fn raster(
         range = vec2u(0u);
         if exists {
             let start = min(bin_start[bin], arrayLength(&pairs));
-            range = vec2u(start, start + min(bin_fill[bin], arrayLength(&pairs) - start));
+            var end = arrayLength(&pairs);
+            if bin + 1u < bins.x * bins.y { end = min(bin_start[bin + 1u], end); }
+            range = vec2u(start, start + min(bin_fill[bin], end - start));
             bin_fill[bin] = 0u;
         }
     }

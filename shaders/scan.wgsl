@@ -7,6 +7,7 @@
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<u32>;
 
+//#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
 const BLOCK: u32 = 256u * PER_THREAD;
@@ -21,7 +22,7 @@ fn sum_blocks(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * WIDEST;
+    let block = group_index(group);
     var sum = 0u;
     for (var k = 0u; k < PER_THREAD; k++) {
         let i = block * BLOCK + k * 256u + thread;
@@ -53,7 +54,7 @@ fn scan_blocks(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
-    let block = group.x + group.y * WIDEST;
+    let block = group_index(group);
     let start = block * BLOCK + thread * PER_THREAD;
     let end = min(start + PER_THREAD, n);
     var sum = 0u;

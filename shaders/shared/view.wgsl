@@ -1,5 +1,7 @@
 // What every stage knows of the view being rendered. `View::words` in render/gpu/view.rs writes the same layout.
 
+//#import shared/group_index.wgsl
+
 const TILE: u32 = 16u;                  // pixels per tile side
 const PIXELS: u32 = 256u;               // pixels per tile
 
@@ -38,10 +40,4 @@ fn to_camera(v: View, p: vec3f) -> vec3f {
 // Pixel of one of a tile's PIXELS threads; beyond the image where that ends within the tile, or there is no such tile.
 fn tile_pixel(v: View, tile: u32, thread: u32) -> vec2u {
     return TILE * vec2u(tile % v.tiles.x, tile / v.tiles.x) + vec2u(thread % TILE, thread / TILE);
-}
-
-// Index of this thread's workgroup in a dispatch that may be folded into rows of WIDEST. Not by num_workgroups, which is zero in
-// indirect dispatches on DX12 unless the driver interface validates them.
-fn group_index(group: vec3u) -> u32 {
-    return group.x + group.y * WIDEST;
 }

@@ -55,7 +55,8 @@ fn size(
         }
         MeshSource::Given { surface, .. } => surface.triangles.len(),
     };
-    let side = |of: fn(&Camera) -> u32| cameras.iter().map(of).max().unwrap_or(1) as usize;
+    let size = |c: &Camera| (c.intrinsics().width as usize, c.intrinsics().height as usize);
+    let (width, height) = cameras.iter().map(size).max_by_key(|(w, h)| w * h).unwrap_or((1, 1));
     let has_mesh = *source != MeshSource::None;
     TrainingSize {
         splats,
@@ -64,8 +65,8 @@ fn size(
         triangles,
         map_floats: if has_mesh { map_floats(options, texture_size).iter().sum() } else { 0 },
         layers: if has_mesh { options.layers as usize } else { 0 },
-        width: side(|c| c.intrinsics().width),
-        height: side(|c| c.intrinsics().height),
+        width,
+        height,
     }
 }
 
@@ -133,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_message_names_every_part() {
-        let (options, cameras) = (TrainOptions::default(), [camera(1920, 100), camera(80, 1080)]);
+        let (options, cameras) = (TrainOptions::default(), [camera(1920, 1080), camera(80, 1200)]);
         let of = |source: &MeshSource| {
             needed(&size(&options, &cameras, source, 1_000_000, 2048), *source == MeshSource::Splats, 2048)
         };

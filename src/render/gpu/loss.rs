@@ -42,7 +42,7 @@ pub(crate) struct Loss {
 }
 
 impl Loss {
-    /// For views of these (width, height), pixels: the size of a frame's image is the one in `view_uniform`.
+    /// For views of these (width, height), pixels, and smaller ones of the same shape: the size of a frame's image is the one in `view_uniform`.
     ///
     /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
     /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied

@@ -257,26 +257,23 @@ impl Pipeline {
         })
     }
 
-    /// Median depth of the splats alone in a view, `[h·w]`, 0 where there is none.
-    pub(crate) fn median_depth(&mut self, gpu: &Gpu, camera: &Camera) -> Result<Vec<f32>, GpuError> {
-        loop {
-            let view = self.prepare(gpu, camera)?;
-            let kernel = Kernel::new(gpu, "blend_depth.wgsl", "main", &gpu.defines());
-            let depth = gpu.storage("median depth", view.pixels())?;
-            let lists = &self.lists;
-            let bindings = kernel.bind(
-                gpu,
-                &[&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth, &self.splats.geometry],
-            );
-            let mut frame = Frame::new(gpu);
-            self.record_forward(gpu, &mut frame, &view);
-            let (x, y) = view.tiles();
-            frame.dispatch(&kernel, &bindings, x as usize * y as usize);
-            frame.submit();
-            if !self.grow_if_short(gpu)? {
-                return gpu.read(&depth, view.pixels());
-            }
-        }
+    /// Median depth of the splats alone in a view, `[h·w]`, 0 where there is none; `None` if lists were too short for it and are longer now:
+    /// bind them anew wherever they are bound, and ask again.
+    pub(crate) fn median_depth(&mut self, gpu: &Gpu, camera: &Camera) -> Result<Option<Vec<f32>>, GpuError> {
+        let view = self.prepare(gpu, camera)?;
+        let kernel = Kernel::new(gpu, "blend_depth.wgsl", "main", &gpu.defines());
+        let depth = gpu.storage("median depth", view.pixels())?;
+        let lists = &self.lists;
+        let bindings = kernel.bind(
+            gpu,
+            &[&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth, &self.splats.geometry],
+        );
+        let mut frame = Frame::new(gpu);
+        self.record_forward(gpu, &mut frame, &view);
+        let (x, y) = view.tiles();
+        frame.dispatch(&kernel, &bindings, x as usize * y as usize);
+        frame.submit();
+        if self.grow_if_short(gpu)? { Ok(None) } else { gpu.read(&depth, view.pixels()).map(Some) }
     }
 }
 

@@ -50,6 +50,7 @@ embed![
     "shared/adam.wgsl",
     "shared/atomic_add.wgsl",
     "shared/blend.wgsl",
+    "shared/group_index.wgsl",
     "shared/layered.wgsl",
     "shared/map.wgsl",
     "shared/mesh_fragment.wgsl",

@@ -111,9 +111,10 @@ pub(crate) struct SplatLists {
     order: Option<(Kernel, Bindings)>,
 }
 
-/// Entries of a list that was too short for `needed`: half as many again, as far as the adapter binds so many.
+/// Entries of a list that was too short for `needed`: half as many again, as far as the adapter binds so many and 32 bits count them.
 pub(crate) fn longer_list(gpu: &Gpu, needed: usize) -> usize {
-    needed.saturating_add(needed / 2).min(gpu.max_binding_bytes() as usize / 4).max(needed)
+    let most = (gpu.max_binding_bytes() as usize / 4).min(u32::MAX as usize - 1);
+    needed.saturating_add(needed / 2).min(most).max(needed)
 }
 
 impl SplatLists {

@@ -53,7 +53,7 @@ pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
     pub(crate) pipeline: Pipeline,
     truth: Buffer,
-    /// Of pictures, (width, height), each once.
+    /// Of the largest pictures, (width, height), each once.
     sizes: Vec<(usize, usize)>,
     ssim_weight: f32,
     list_check: ListCheck,
@@ -84,7 +84,7 @@ impl<'g> Training<'g> {
         sizes.dedup();
         let truth = gpu.storage("photograph", pipeline.pixels())?;
         let loss = new_loss(gpu, &pipeline, &truth, &sizes, ssim_weight, None)?;
-        let moments = new_moments(gpu, &pipeline)?;
+        let (moments, moments_of) = (new_moments(gpu, &pipeline)?, pipeline.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &moments)?;
         let list_check = new_list_check(gpu, &pipeline);
         let (smoothing, exposures, poses, timer) = (None, None, None, None);
@@ -97,7 +97,7 @@ impl<'g> Training<'g> {
             list_check,
             loss,
             adam,
-            moments_of: capacity,
+            moments_of,
             moments,
             smoothing,
             exposures,
@@ -279,7 +279,12 @@ impl<'g> Training<'g> {
 
     /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
     pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
-        self.pipeline.median_depth(self.gpu, camera)
+        loop {
+            if let Some(depths) = self.pipeline.median_depth(self.gpu, camera)? {
+                return Ok(depths);
+            }
+            self.rebind()?;
+        }
     }
 
     /// Index + 1 of the nearest triangle at each pixel of the view that was rendered last, `[h·w]`; 0 where there is none,

@@ -10,7 +10,10 @@ use super::{
     texels::TexelStep,
     training::{SplatArrays, Step, Training},
 };
-use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
+use crate::{
+    render::testing,
+    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture},
+};
 
 const SIDE: u32 = 256;
 
@@ -44,12 +47,13 @@ fn scene(n: usize, triangles: usize) -> HybridScene {
 }
 
 fn step(training: &mut Training, camera: &Camera) {
-    let truth = vec![200; 4 * (SIDE * SIDE) as usize];
+    let (size, sh_degree) = (camera.intrinsics(), training.pipeline.splats.sh_degree);
+    let truth = vec![200; 4 * (size.width * size.height) as usize];
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
     let splats = AdamStep {
         number: 1,
         n_splats: training.pipeline.n_splats as u32,
-        sh_degree: 0,
+        sh_degree,
         rates,
         opacity_weight: 0.0,
         scale_weight: 0.0,
@@ -64,8 +68,8 @@ fn step(training: &mut Training, camera: &Camera) {
             truth: &truth,
             truth_alpha: TruthAlpha::Ignore,
             background: [0.0; 3],
-            sh_degree: 0,
-            band_degree: 0,
+            sh_degree,
+            band_degree: 2,
             splats: Some(splats),
             texels: Some(texels),
             vertices: None,
@@ -111,6 +115,84 @@ fn a_step_with_lists_too_short_changes_nothing() {
         assert!(after.0.geometry != before.0.geometry && after.1 != before.1 && after.2 != before.2);
         assert!(after.4 != before.4);
         assert_eq!(training.take_status().unwrap().skipped, 0);
+    }
+}
+
+/// Depths of the splats alone lengthen lists as pictures do: a step after them is that of lists that were long from the beginning.
+#[test]
+fn a_step_after_depths_that_were_long_learns() {
+    let (gpu, scene, near) = (Gpu::open(None).unwrap(), scene(4, 1), camera(3.0));
+    let made = || {
+        let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
+        training.refine_poses(&PoseState::new(1)).unwrap();
+        training
+    };
+    let [mut short, mut long] = [made(), made()];
+    let lengths = short.pipeline.list_lengths();
+    let depths = short.median_depth(&near).unwrap();
+    assert!(depths[(SIDE * SIDE / 2 + SIDE / 2) as usize] > 0.0);
+    assert!(short.pipeline.list_lengths()[0] > lengths[0], "nothing was too short");
+    long.lengthen_lists(short.pipeline.list_lengths()).unwrap();
+    let losses = [&mut short, &mut long].map(|training| {
+        step(training, &near);
+        assert_eq!(training.take_status().unwrap().skipped, 0);
+        training.loss().unwrap()
+    });
+    assert!((losses[0].l1 - losses[1].l1).abs() < 1e-6 && (losses[0].ssim - losses[1].ssim).abs() < 1e-6, "{losses:?}");
+}
+
+/// First moments of all that is learnt: a tenth of the gradients of a first step.
+fn first_moments(training: &Training) -> Vec<f32> {
+    let (splats, _, _, (texels, _), (_, [poses, _])) = learnt(training);
+    [&splats.geometry[1], &splats.sh[1], &texels, &poses].into_iter().flatten().copied().collect()
+}
+
+fn relative(found: &[f32], expected: &[f32]) -> f64 {
+    let square = |v: f32| f64::from(v) * f64::from(v);
+    let difference: f64 = found.iter().zip(expected).map(|(a, b)| square(a - b)).sum();
+    (difference / expected.iter().copied().map(square).sum::<f64>()).sqrt()
+}
+
+/// A step of this adapter, for pictures of these cameras.
+fn stepped<'g>(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], at: &Camera) -> Training<'g> {
+    let mut training = Training::new(gpu, scene, cameras, 0.2).unwrap();
+    training.refine_poses(&PoseState::new(1)).unwrap();
+    loop {
+        step(&mut training, at);
+        if !training.grow_if_short().unwrap() {
+            return training;
+        }
+    }
+}
+
+/// Rows of 7 workgroups, as those of 65,535 in long dispatches.
+#[test]
+fn folded_steps_learn_the_same() {
+    let (scene, camera) = testing::random_scene(31, 3000, 1, 2, 2, OrderMode::Stable);
+    let (plain, folded) = (Gpu::open(None).unwrap(), Gpu::open(None).unwrap().narrowed(7));
+    let [expected, found] = [&plain, &folded].map(|gpu| first_moments(&stepped(gpu, &scene, &[camera], &camera)));
+    assert_eq!(found.len(), expected.len());
+    let error = relative(&found, &expected);
+    assert!(error < 1e-4, "relative error {error:e}");
+}
+
+/// Wide and high pictures in one run, of which neither side fits the other.
+#[test]
+fn pictures_of_other_shapes_are_learnt_from_alike() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = testing::random_scene(32, 300, 1, 1, 2, OrderMode::Stable);
+    let of = |width: u32, height: u32| {
+        let middle = |side: u32| 0.5 * f64::from(side);
+        let intrinsics = Intrinsics { width, height, fx: 40.0, fy: 40.0, cx: middle(width), cy: middle(height) };
+        Camera::new(intrinsics, camera.rotation(), camera.translation()).unwrap()
+    };
+    let cameras = [of(90, 20), of(17, 70)];
+    for at in &cameras {
+        let [alone, both] = [std::slice::from_ref(at), &cameras].map(|cameras| stepped(&gpu, &scene, cameras, at));
+        let error = relative(&first_moments(&both), &first_moments(&alone));
+        assert!(error < 1e-4, "relative error {error:e}");
+        let [alone, both] = [alone, both].map(|training| training.loss().unwrap());
+        assert!((alone.l1 - both.l1).abs() < 1e-6 && (alone.ssim - both.ssim).abs() < 1e-6, "{alone:?}, {both:?}");
     }
 }
 
