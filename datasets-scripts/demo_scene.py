@@ -6,8 +6,8 @@ Units: the table has radius 1 and lies in z = 0; z is up. Shapes and textures ar
 
 import numpy as np
 
-from procedural import (as_texture, blade, directions_on_sphere, flat, glyph_band, gradient, layers, leaf, revolve, shape, smooth_profile,
-                        sphere, strips, upward, waves)
+from procedural import (as_texture, blade, directions_on_sphere, flat, glyph_band, gradient, layers, leaf, plant, revolve, shape,
+                        smooth_profile, sphere, strips, upward, waves)
 
 CREAM, COBALT, NAVY = (244, 236, 216), (34, 72, 160), (18, 30, 74)
 TERRACOTTA, TEAL, OCHRE, RUST = (178, 84, 52), (30, 104, 104), (222, 170, 70), (140, 48, 36)
@@ -138,26 +138,26 @@ def build(seed=20):
 
     root, out = planted(900, VASE + [0, 0, 0.9], 0.18)
     heading = upward(900, 0.35, rng) + 0.55 * out
-    shapes.append(shape(*strips(root, heading, rng.uniform(0.3, 0.62, 900), rng.uniform(0.008, 0.016, 900),
+    shapes.append(plant(strips(root, heading, rng.uniform(0.3, 0.62, 900), rng.uniform(0.008, 0.016, 900),
                                 rng.uniform(0.3, 2.2, 900), blade, rng), gradient((38, 66, 22), (158, 196, 84), rng)))
     # Broad leaves over the rim.
     root, out = planted(26, VASE + [0, 0, 0.9], 0.19)
     heading = out / np.linalg.norm(out, axis=1, keepdims=True) + [0, 0, 0.9]
-    shapes.append(shape(*strips(root, heading, rng.uniform(0.3, 0.45, 26), rng.uniform(0.07, 0.1, 26),
+    shapes.append(plant(strips(root, heading, rng.uniform(0.3, 0.45, 26), rng.uniform(0.07, 0.1, 26),
                                 rng.uniform(1.2, 2.6, 26), leaf, rng, 12), gradient((30, 84, 54), (96, 150, 90), rng)))
     # Flowers: a stem each and a head of thin petals.
     root, out = planted(24, VASE + [0, 0, 0.9], 0.15)
     heading = upward(24, 0.3, rng) + 0.5 * out
     positions, uvs, triangles = strips(root, heading, rng.uniform(0.4, 0.62, 24), np.full(24, 0.008), np.full(24, 0.5),
                                        lambda s: np.ones_like(s), rng, 10)
-    shapes.append(shape(positions, uvs, triangles, gradient((50, 80, 30), (96, 120, 50), rng)))
+    shapes.append(plant((positions, uvs, triangles), gradient((50, 80, 30), (96, 120, 50), rng)))
     heads = positions.reshape(24, 11, 2, 3)[:, -1].mean(1)
     colours = [((222, 92, 120), (252, 214, 214)), ((240, 170, 40), (252, 226, 130)), ((110, 90, 190), (206, 196, 246))]
     for i, (inner, outer) in enumerate(colours):
         mine = heads[i::3]
         petals = np.repeat(mine, 60, 0)
         n = len(petals)
-        shapes.append(shape(*strips(petals, directions_on_sphere(n, rng) + [0, 0, 0.3], rng.uniform(0.03, 0.055, n), np.full(n, 0.013),
+        shapes.append(plant(strips(petals, directions_on_sphere(n, rng) + [0, 0, 0.3], rng.uniform(0.03, 0.055, n), np.full(n, 0.013),
                                     np.full(n, 0.4), leaf, rng, 3), gradient(inner, outer, rng, spread=8)))
 
     # Fur ball.
@@ -167,19 +167,19 @@ def build(seed=20):
     clump = waves(d[None] * 1.0, rng, 24, 5, 12)[0]
     swirl = np.cross(d, [0.3, 0.5, 0.8])
     heading = d + 0.5 * swirl + 0.18 * rng.normal(size=d.shape)
-    shapes.append(shape(*strips(centre + d * radius, heading, 0.075 + 0.012 * np.clip(clump, -2, 1.2),
+    shapes.append(plant(strips(centre + d * radius, heading, 0.075 + 0.012 * np.clip(clump, -2, 1.2),
                                 rng.uniform(0.0035, 0.006, hairs), np.full(hairs, 0.5), blade, rng, 6, curl=0.5),
                         gradient((92, 50, 24), (250, 196, 120), rng, spread=20)))
 
     # A tuft of grass between the tiles, and fallen leaves.
     root, out = planted(420, (0.5, 0.52, 0.0), 0.17)
-    shapes.append(shape(*strips(root, upward(420, 0.5, rng) + 0.5 * out, rng.uniform(0.12, 0.36, 420), rng.uniform(0.006, 0.013, 420),
+    shapes.append(plant(strips(root, upward(420, 0.5, rng) + 0.5 * out, rng.uniform(0.12, 0.36, 420), rng.uniform(0.006, 0.013, 420),
                                 rng.uniform(0.2, 1.6, 420), blade, rng), gradient((60, 76, 20), (206, 204, 96), rng)))
     n = 20
     turn, r = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.55, 0.9, n)
     root = np.stack([r * np.cos(turn), r * np.sin(turn), np.full(n, 0.012)], 1)
     turn = rng.uniform(0, 2 * np.pi, n)
     heading = np.stack([np.cos(turn), np.sin(turn), np.full(n, 0.25)], 1)
-    shapes.append(shape(*strips(root, heading, rng.uniform(0.1, 0.16, n), rng.uniform(0.045, 0.06, n), np.full(n, 0.45), leaf, rng, 10),
+    shapes.append(plant(strips(root, heading, rng.uniform(0.1, 0.16, n), rng.uniform(0.045, 0.06, n), np.full(n, 0.45), leaf, rng, 10),
                         gradient((150, 50, 20), (232, 150, 40), rng)))
     return shapes

@@ -1,7 +1,8 @@
 """Procedural geometry and textures that the scenes of this folder are made of: NumPy and Pillow only, no input files.
 
 z is up. Textures are sRGB uint8 [H, W, 3], row 0 at v = 1.
-A shape is a dict: positions [N, 3], normals [N, 3] or None, uvs [N, 2], triangles [M, 3], texture, gloss (0 = matt).
+A shape is a dict: positions [N, 3], normals [N, 3] or None, uvs [N, 2], triangles [M, 3], texture, gloss (0 = matt), grows (whether it is
+made of blades and leaves, as no smooth surface is).
 """
 
 import numpy as np
@@ -16,10 +17,23 @@ def shape(positions, uvs, triangles, texture, normals=None, gloss=0.0):
         triangles=np.asarray(triangles, np.int32),
         texture=texture,
         gloss=gloss,
+        grows=False,
     )
 
 
+def plant(blades, texture):
+    """The shape of what `strips` returns."""
+    return {**shape(*blades, texture), "grows": True}
+
+
 # ---------------------------------------------------------------- geometry
+
+
+def merged(parts):
+    """One (positions, uvs, triangles) of many."""
+    positions, uvs, triangles = zip(*parts)
+    starts = np.cumsum([0] + [len(p) for p in positions])
+    return np.concatenate(positions), np.concatenate(uvs), np.concatenate([t + s for t, s in zip(triangles, starts)])
 
 
 def grid_triangles(rows, cols, offset=0):

@@ -5,7 +5,7 @@ A scene: shapes, sky [H, W, 3], sun (the direction of its light), poses, camera;
 import numpy as np
 
 from demo_scene import globe_texture, tile_texture, vase_texture
-from procedural import as_texture, directions_on_sphere, flat, gradient, leaf, shape, smooth_profile, sphere, strips
+from procedural import as_texture, directions_on_sphere, flat, gradient, leaf, merged, plant, shape, smooth_profile, sphere, strips
 from unbounded_buildings import house, tower
 from unbounded_land import FIELDS, hills, meadow, sky
 from unbounded_parts import (
@@ -72,8 +72,8 @@ def garden(seed=31):
         shapes.append(shape(positions, uvs, triangles, speckled, normals, 1.0))
     stems = np.repeat([[-0.2, 0.12, 1.28]], 160, 0) + rng.normal(size=(160, 3)) * [0.035, 0.035, 0]
     shapes.append(
-        shape(
-            *strips(
+        plant(
+            strips(
                 stems,
                 rng.normal(size=(160, 3)) * [0.5, 0.5, 0] + [0, 0, 1],
                 rng.uniform(0.2, 0.45, 160),
@@ -148,7 +148,7 @@ def garden(seed=31):
                 2,
             )
         )
-    shapes.append(joined(far, gradient((36, 62, 34), (110, 134, 74), rng)))
+    shapes.append(plant(merged(far), gradient((36, 62, 34), (110, 134, 74), rng)))
 
     walls = [(226, 206, 170), (196, 150, 128), (214, 220, 214), (168, 86, 68), (232, 196, 140), (202, 190, 170)]
     for i, (spot, size, turn) in enumerate(

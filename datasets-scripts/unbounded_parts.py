@@ -3,7 +3,7 @@
 import numpy as np
 
 from colmap_model import Camera, facing
-from procedural import as_texture, blade, directions_on_sphere, gradient, grid_triangles, leaf, revolve, shape, strips
+from procedural import as_texture, blade, directions_on_sphere, gradient, grid_triangles, leaf, merged, plant, revolve, shape, strips
 
 CAMERA = Camera(256, 160, 210.0, (128.0, 80.0))
 VIEWS = 40
@@ -53,13 +53,7 @@ def quad(corners, texture, repeat=(1, 1)):
 
 def joined(parts, texture):
     """One shape of many (positions, uvs, triangles)."""
-    starts = np.cumsum([0] + [len(p[0]) for p in parts])
-    return shape(
-        np.concatenate([p[0] for p in parts]),
-        np.concatenate([p[1] for p in parts]),
-        np.concatenate([p[2] + s for p, s in zip(parts, starts)]),
-        texture,
-    )
+    return shape(*merged(parts), texture)
 
 
 def box_part(centre, size, turn=0.0):
@@ -148,8 +142,8 @@ def tree(base, height, rng, leaves=3000, leaf_size=0.22, dark=(28, 58, 20), ligh
     roots = np.array(ends)[blob] + out * radius[:, None] * [1, 1, 0.8]
     heading = out + 0.9 * rng.normal(size=out.shape) + [0, 0, -0.3]
     size = leaf_size * rng.uniform(0.7, 1.3, leaves)
-    positions, uvs, triangles = strips(roots, heading, size, size * 0.62, np.full(leaves, 0.5), leaf, rng, 3)
-    shapes.append(shape(positions, uvs, triangles, gradient(dark, light, rng)))
+    blades = strips(roots, heading, size, size * 0.62, np.full(leaves, 0.5), leaf, rng, 3)
+    shapes.append(plant(blades, gradient(dark, light, rng)))
     return shapes
 
 
@@ -157,8 +151,8 @@ def grass(centre, radius, count, height, width, rng, root=(40, 64, 24), tip=(150
     r, t = radius * np.sqrt(rng.uniform(size=count)), rng.uniform(0, 2 * np.pi, count)
     roots = np.asarray(centre, float) + np.stack([r * np.cos(t), r * np.sin(t), 0 * r], 1)
     heading = rng.normal(size=(count, 3)) * 0.35 + [0, 0, 1]
-    return shape(
-        *strips(
+    return plant(
+        strips(
             roots,
             heading,
             height * rng.uniform(0.5, 1.1, count),
@@ -181,4 +175,4 @@ def bush(centre, size, rng, count=2500, leaf_size=0.1, dark=(30, 62, 34), light=
     roots = np.asarray(centre, float) + out * (radius * bumps)[:, None] * size + [0, 0, 0.06]
     length = leaf_size * rng.uniform(0.7, 1.3, count)
     heading = out + 0.8 * rng.normal(size=out.shape)
-    return shape(*strips(roots, heading, length, length * 0.6, np.full(count, 0.6), leaf, rng, 3), gradient(dark, light, rng))
+    return plant(strips(roots, heading, length, length * 0.6, np.full(count, 0.6), leaf, rng, 3), gradient(dark, light, rng))

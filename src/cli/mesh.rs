@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
 use centaur::geometry::{
-    self, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats, Viewers,
+    self, Ball, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats, Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture};
@@ -60,7 +60,12 @@ pub(super) struct Args {
     /// Compare the surface with this one, in the frame of the capture; what no view sees of it does not count
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
-    /// Distance within which points count for precision, recall and F-score [default: 1 % of the truth's diagonal]
+    /// Compare only what is no farther than this from what the cameras look at [default: in captures without bounds twice the
+    /// cameras' distance, in others everything]
+    #[arg(long, value_name = "D", requires = "truth", value_parser = positive)]
+    truth_radius: Option<f64>,
+    /// Distance within which points count for precision, recall and F-score [default: 1 % of the diagonal of the truth, or of
+    /// the box about what is compared of it]
     #[arg(long, value_name = "D", requires = "truth", value_parser = positive)]
     within: Option<f64>,
     #[command(flatten)]
@@ -98,8 +103,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         (None, None) => from_points(&capture, args)?,
     };
     let compare = |(file, truth): &(&Path, Surface)| {
-        compare(&surface, truth, args.within, &capture).with_context(|| {
-            format!("{}: expected a surface that views of the capture see, found none", file.display())
+        compare(&surface, truth, args, &capture)?.with_context(|| {
+            format!(
+                "{}: expected a surface that views of the capture see where this one is, found none",
+                file.display()
+            )
         })
     };
     let compared = truth.as_ref().map(compare).transpose()?;
@@ -189,10 +197,18 @@ fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
 }
 
 /// The surface against the truth, as far as a camera of the capture sees that; `None` if none does.
-fn compare(surface: &Surface, truth: &Surface, within: Option<f64>, capture: &Capture) -> Option<SurfaceDistance> {
+fn compare(surface: &Surface, truth: &Surface, args: &Args, capture: &Capture) -> Result<Option<SurfaceDistance>> {
     let (low, high) =
         truth.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
-    let diagonal = f64::from(low.distance(high));
+    let cameras: Vec<_> = capture.views.iter().map(|view| view.camera).collect();
+    let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
+    let ball = match args.truth_radius {
+        Some(radius) => Ball { center: Contraction::around(&cameras, &points)?.center, radius },
+        None => Contraction::if_unbounded(&cameras, &points)?
+            .map_or(Ball::EVERYTHING, |Contraction { center, radius }| Ball { center, radius }),
+    };
+    let box_of_ball = |side: f64| (ball.center + DVec3::splat(side * ball.radius)).as_vec3();
+    let diagonal = f64::from(low.max(box_of_ball(-1.0)).distance(high.min(box_of_ball(1.0))));
     let bvh = MeshBvh::new([(truth.positions.as_slice(), truth.triangles.as_slice())]);
     let is_seen = |p: DVec3| {
         capture.views.iter().any(|View { camera, .. }| {
@@ -200,8 +216,8 @@ fn compare(surface: &Surface, truth: &Surface, within: Option<f64>, capture: &Ca
             camera.in_picture(camera.to_camera(p)).is_some() && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
         })
     };
-    let within = within.unwrap_or(0.01 * diagonal);
-    geometry::surface_distance(surface, truth, within, is_seen)
+    let within = args.within.unwrap_or(0.01 * diagonal);
+    Ok(geometry::surface_distance(surface, truth, within, ball, is_seen))
 }
 
 fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {

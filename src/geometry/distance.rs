@@ -27,25 +27,50 @@ pub struct SurfaceDistance {
     pub recall: f64,
     /// Harmonic mean of both.
     pub f_score: f64,
-    /// Part of the truth that counts.
+    /// Part of the truth, as far as it is in the ball, that counts.
     pub counted: f64,
 }
 
-/// Compares a surface with the truth, of whose points those count that `counts` says: nobody expects what no view sees.
-/// `None` if one of them has no area, or nothing counts.
+/// A ball in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    /// Its centre.
+    pub center: DVec3,
+    /// Its radius.
+    pub radius: f64,
+}
+
+impl Ball {
+    /// All there is.
+    pub const EVERYTHING: Self = Self { center: DVec3::ZERO, radius: f64::INFINITY };
+
+    fn contains(&self, p: DVec3) -> bool {
+        p.distance(self.center) <= self.radius
+    }
+
+    /// Whether it may meet a triangle: it does meet the triangle's box.
+    fn may_meet(&self, [a, b, c]: &[DVec3; 3]) -> bool {
+        self.contains(self.center.clamp(a.min(*b).min(*c), a.max(*b).max(*c)))
+    }
+}
+
+/// Compares a surface with the truth. Of both those points count that are in the ball, and of the truth's those that `counts` says:
+/// nobody expects what no view sees. The nearest point of the other may lie outside.
+/// `None` if one of them has no area in the ball, or nothing counts.
 #[must_use]
 pub fn surface_distance(
     surface: &Surface,
     truth: &Surface,
     within: f64,
+    ball: Ball,
     counts: impl Fn(DVec3) -> bool + Sync,
 ) -> Option<SurfaceDistance> {
-    let all = spread(truth)?;
+    let (all, of_surface) = (spread(truth, ball)?, spread(surface, ball)?);
     let of_truth: Vec<DVec3> = all.par_iter().copied().filter(|p| counts(*p)).collect();
-    if of_truth.is_empty() {
+    if of_truth.is_empty() || of_surface.is_empty() {
         return None;
     }
-    let (accuracy, precision) = to(&spread(surface)?, truth, within);
+    let (accuracy, precision) = to(&of_surface, truth, within);
     let (completeness, recall) = to(&of_truth, surface, within);
     let sum = precision + recall;
     let f_score = if sum > 0.0 { 2.0 * precision * recall / sum } else { 0.0 };
@@ -63,11 +88,13 @@ fn to(points: &[DVec3], surface: &Surface, within: f64) -> (f64, f64) {
     (distances.iter().sum::<f64>() / points.len() as f64, near as f64 / points.len() as f64)
 }
 
-/// [`SAMPLES`] points, as many on each part as it has of the area; `None` if there is none.
-fn spread(surface: &Surface) -> Option<Vec<DVec3>> {
+/// Of [`SAMPLES`] points on the triangles in or about the ball, as many on each part as it has of the area, those in the ball; `None` if
+/// there is no such area.
+fn spread(surface: &Surface, ball: Ball) -> Option<Vec<DVec3>> {
     let corner = |v: u32| surface.positions.get(v as usize).map(|p| p.as_dvec3()).filter(|p| p.is_finite());
     let corners = |t: &[u32; 3]| Some([corner(t[0])?, corner(t[1])?, corner(t[2])?]);
-    let triangles: Vec<[DVec3; 3]> = surface.triangles.iter().filter_map(corners).collect();
+    let triangles: Vec<[DVec3; 3]> =
+        surface.triangles.iter().filter_map(corners).filter(|t| ball.may_meet(t)).collect();
     let areas = triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length());
     let mut end = 0.0;
     let ends: Vec<f64> = areas
@@ -88,7 +115,7 @@ fn spread(surface: &Surface) -> Option<Vec<DVec3>> {
         let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
         a + u * (b - a) + v * (c - a)
     };
-    Some((0..SAMPLES).into_par_iter().map(point).collect())
+    Some((0..SAMPLES).into_par_iter().map(point).filter(|p| ball.contains(*p)).collect())
 }
 
 #[cfg(test)]
@@ -106,10 +133,10 @@ mod tests {
 
     #[test]
     fn distances_are_those_of_planes() {
-        let found = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.25, |_| true).unwrap();
+        let found = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.25, Ball::EVERYTHING, |_| true).unwrap();
         assert!((found.accuracy - 0.25).abs() < 1e-12 && (found.chamfer - 0.25).abs() < 1e-12);
         assert_eq!((found.precision, found.recall, found.f_score, found.counted), (1.0, 1.0, 1.0, 1.0));
-        let far = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.2, |_| true).unwrap();
+        let far = surface_distance(&squares(2, 0.25), &squares(2, 0.0), 0.2, Ball::EVERYTHING, |_| true).unwrap();
         assert_eq!((far.precision, far.recall, far.f_score), (0.0, 0.0, 0.0));
     }
 
@@ -117,13 +144,26 @@ mod tests {
     fn what_is_missing_counts_where_it_is_seen() {
         // One square of four: the mean distance of the others to it is 1.5 · 3/4.
         let (part, whole) = (squares(1, 0.0), squares(4, 0.0));
-        let found = surface_distance(&part, &whole, 0.5, |_| true).unwrap();
+        let found = surface_distance(&part, &whole, 0.5, Ball::EVERYTHING, |_| true).unwrap();
         assert!(found.accuracy < 1e-9 && (found.completeness - 1.125).abs() < 1e-4, "{found:?}");
         assert!((found.recall - 0.375).abs() < 1e-4 && found.precision == 1.0, "{found:?}");
         assert!((found.f_score - 2.0 * 0.375 / 1.375).abs() < 1e-4);
-        let seen = surface_distance(&part, &whole, 0.5, |p| p.x < 1.0).unwrap();
+        let seen = surface_distance(&part, &whole, 0.5, Ball::EVERYTHING, |p| p.x < 1.0).unwrap();
         assert!((seen.recall, seen.f_score) == (1.0, 1.0) && (seen.counted - 0.25).abs() < 1e-4, "{seen:?}");
-        assert_eq!(surface_distance(&part, &whole, 0.5, |_| false), None);
-        assert_eq!(surface_distance(&Surface::default(), &whole, 0.5, |_| true), None);
+        assert_eq!(surface_distance(&part, &whole, 0.5, Ball::EVERYTHING, |_| false), None);
+        assert_eq!(surface_distance(&Surface::default(), &whole, 0.5, Ball::EVERYTHING, |_| true), None);
+    }
+
+    #[test]
+    fn only_what_is_in_the_ball_counts() {
+        // Of a surface that ends after one square of forty, the second is missing within two of the end.
+        let (part, whole) = (squares(1, 0.0), squares(40, 0.0));
+        let ball = Ball { center: DVec3::new(0.0, 0.5, 0.0), radius: 2.0 };
+        let found = surface_distance(&part, &whole, 0.25, ball, |_| true).unwrap();
+        assert!(found.precision == 1.0 && found.counted == 1.0, "{found:?}");
+        // The ball's edge is an arc about x = 2: half of a chord of 1 at 2 is 0.02 of a square.
+        assert!((found.recall - 1.25 / 1.98).abs() < 0.01 && (found.completeness - 0.24).abs() < 0.01, "{found:?}");
+        let elsewhere = Ball { center: DVec3::new(20.0, 0.0, 0.0), ..ball };
+        assert_eq!(surface_distance(&part, &whole, 0.25, elsewhere, |_| true), None, "nothing of the surface is there");
     }
 }

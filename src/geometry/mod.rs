@@ -26,7 +26,7 @@ use std::fmt::Display;
 
 pub use bvh::{ClosestPoint, Hit, MeshBvh};
 pub use contraction::Contraction;
-pub use distance::{SurfaceDistance, surface_distance};
+pub use distance::{Ball, SurfaceDistance, surface_distance};
 pub use faint::faint_triangles;
 pub use fusion::{DepthView, Fusion, FusionOptions};
 pub use holes::without_holes;
