@@ -1,12 +1,12 @@
 # Sourced in the root of the repository: links the demo, the captures of $CENTAUR_DATA and those of `make unbounded-captures`, as far as they
 # are there, into the folder $scenes.
 link() { # name, capture
-    # A link that is right stays: another run may be reading through it.
+    # A link to a capture stays: another run may be reading through it.
     if [ -d "$2/sparse" ]; then
         [ "$(readlink "$scenes/$1")" = "$(realpath "$2")" ] || ln -sfn "$(realpath "$2")" "$scenes/$1"
     else
-        rm -f "$scenes/$1"
-        echo "$1: left out, $2 is not there"
+        [ -d "$scenes/$1/" ] || rm -f "$scenes/$1"
+        [ -d "$scenes/$1/" ] || echo "$1: left out, $2 is not there"
     fi
 }
 link demo demo

@@ -79,11 +79,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
     let scene = file.scene;
     let capture = args.loading.open(&args.capture)?;
-    notes.extend(other_size(&file.cameras, &capture));
+    // Cameras of other programs may have no size of their own.
+    notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
     if args.loading.masks && capture.views.iter().all(|view| view.source.mask().is_none()) {
         notes.push(format!("{}: has no masks: nothing is masked", args.capture.display()));
     }
-    notes.iter().for_each(|note| output::note(note));
+    if !args.messages.json {
+        notes.iter().for_each(|note| output::note(note));
+    }
     let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
     let evaluation = evaluate(
@@ -99,7 +102,19 @@ pub(super) fn run(args: &Args) -> Result<()> {
             messages: &args.messages,
         },
     )?;
-    if args.messages.json { output::print_json(&evaluation) } else { output::print(evaluation.to_string().trim_end()) }
+    if args.messages.json {
+        output::print_json(&Noted { evaluation: &evaluation, notes: &notes })
+    } else {
+        output::print(evaluation.to_string().trim_end())
+    }
+}
+
+/// What `--json` prints.
+#[derive(serde::Serialize)]
+struct Noted<'a> {
+    #[serde(flatten)]
+    evaluation: &'a Evaluation,
+    notes: &'a [String],
 }
 
 /// Where pictures are of another size than those that the scene was trained on, if it says so.

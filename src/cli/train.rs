@@ -154,7 +154,7 @@ pub(super) struct Args {
     shell: Choice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
     /// get about a texel per pixel; that of view dependence has a quarter [default: the power of
-    /// two from the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
+    /// two from one and a half times the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
     /// (--mesh, --warmup 0): they take half of the budget at most, as far as charts have room
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
     texture_size: Option<u32>,
@@ -481,7 +481,8 @@ fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> 
 
 /// Where density control by gradients was held back, which has no number of its own to come to.
 fn capped(args: &Args, trained: &Trained) -> Option<String> {
-    let is_held_back = !matches!(args.density, DensityKind::Mcmc) && trained.scene.splats.len() >= args.max_splats;
+    let grown = trained.scene.splats.len() + trained.occluded_splats;
+    let is_held_back = !matches!(args.density, DensityKind::Mcmc) && grown >= args.max_splats;
     is_held_back.then(|| format!("--max-splats {} was reached: without it there would be more", args.max_splats))
 }
 
@@ -497,8 +498,9 @@ fn set_aside(args: &Args) -> Result<Option<PathBuf>> {
     Ok(Some(aside))
 }
 
-fn why_no_mesh(selection: Option<&Selection>) -> String {
-    match selection {
+fn why_no_mesh(trained: &Trained) -> String {
+    match &trained.selection {
+        _ if trained.faint_triangles > 0 => "its triangles became invisible in training".to_owned(),
         None => "no surface was found, or had room in the budget".to_owned(),
         Some(s) if s.kept() > 0 => format!("the {} triangles that were kept had no room in the budget", s.kept()),
         Some(Selection { triangles, unseen, worse, small }) => format!(
@@ -513,7 +515,7 @@ fn note(args: &Args, trained: &Trained) -> Option<String> {
     let no_mesh;
     let note = match (args.surface, trained.surface) {
         (_, None) if !args.no_mesh => {
-            no_mesh = format!("the scene has no mesh: {}", why_no_mesh(trained.selection.as_ref()));
+            no_mesh = format!("the scene has no mesh: {}", why_no_mesh(trained));
             &no_mesh
         }
         (Some(SurfaceOf::Points), Some(SurfaceOrigin::GuessedPoints)) => {
@@ -558,7 +560,7 @@ fn with_advice(error: TrainError) -> anyhow::Error {
     anyhow!("{error}; {advice}")
 }
 
-/// The flag that the trainer polls, set by Ctrl-C and, on Unix, by a termination. A second Ctrl-C does what it does to any program, as does
+/// The flag that the trainer polls, set by Ctrl-C and, on Unix, by a termination. A second of them does what it does to any program, as does
 /// a hangup: `nohup` has it ignored.
 pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
@@ -574,7 +576,15 @@ pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
     })
     .context("cannot handle Ctrl-C")?;
     #[cfg(unix)]
-    signal_hook::flag::register(signal_hook::consts::SIGTERM, Arc::clone(&stop)).context("cannot handle SIGTERM")?;
+    {
+        use signal_hook::{consts::SIGTERM, flag};
+        let asked = Arc::new(AtomicBool::new(false));
+        // In this order: the first finds it not asked for, the second 128 + SIGTERM, as shells have it.
+        flag::register_conditional_shutdown(SIGTERM, 143, Arc::clone(&asked))
+            .and_then(|_| flag::register(SIGTERM, asked))
+            .and_then(|_| flag::register(SIGTERM, Arc::clone(&stop)))
+            .context("cannot handle SIGTERM")?;
+    }
     Ok(stop)
 }
 

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::{
-    Phase, SurfaceOrigin, TrainError, TrainOptions,
+    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions,
     checkpoint::Checkpoint,
     density::mcmc::EpochWeight,
     state::SplatState,
@@ -24,6 +24,8 @@ pub(super) struct Saved {
     pub(super) iteration: u32,
     /// What the meshes were made of.
     pub(super) surface: Option<SurfaceOrigin>,
+    /// What became of their triangles, once it is known.
+    pub(super) selection: Option<Selection>,
     pub(super) meshes: Vec<Mesh>,
     splats: SplatState,
     statistics: Vec<f32>,
@@ -47,35 +49,34 @@ pub(super) struct Identity<'a> {
 }
 
 impl Saved {
-    /// Reads back everything from the GPU; `poses` are those that are no longer there.
+    /// Reads back everything from the GPU; `poses` are those that are no longer there. Names the parameter group that holds a NaN or an
+    /// infinity, if one does.
     pub(super) fn capture(
         training: &Training,
         scene: &HybridScene,
         (phase, iteration): (Phase, u32),
-        surface: Option<SurfaceOrigin>,
+        (surface, selection): (Option<SurfaceOrigin>, Option<Selection>),
         poses: Option<&PoseState>,
         epoch: &EpochWeight,
     ) -> Result<Self, TrainError> {
+        let (splats, texel_moments) = (splat_state(training)?, training.read_texel_moments()?);
+        // Before meshes refuse them, which do not know the iteration.
+        finite(&splats, [&texel_moments.0, &texel_moments.1], phase, iteration)?;
         Ok(Self {
             phase,
             iteration,
             surface,
+            selection,
             meshes: training.read_meshes(&scene.meshes)?,
             vertices: training.read_vertex_state()?,
             exposures: training.read_exposures()?,
             poses: training.read_poses()?.or_else(|| poses.cloned()),
-            splats: splat_state(training)?,
+            splats,
             statistics: training.read_statistics()?,
-            texel_moments: training.read_texel_moments()?,
+            texel_moments,
             epoch: epoch.clone(),
             lists: training.pipeline.list_lengths(),
         })
-    }
-
-    /// Names the parameter group that holds a NaN or an infinity.
-    pub(super) fn check_finite(&self) -> Result<(), TrainError> {
-        let (first, second) = &self.texel_moments;
-        finite(&self.splats, [first, second], self.phase, self.iteration)
     }
 
     /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.
@@ -127,6 +128,7 @@ impl Saved {
             "phase": self.phase,
             "iteration": self.iteration,
             "surface": self.surface,
+            "selection": self.selection,
             "options": run.options,
             "input": run.input,
             "lists": self.lists,
@@ -221,6 +223,7 @@ impl Saved {
             phase,
             iteration: serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?,
             surface: serde_json::from_value(field("surface")?).map_err(|_| damaged("surface"))?,
+            selection: serde_json::from_value(field("selection")?).map_err(|_| damaged("selection"))?,
             meshes,
             splats,
             statistics,

@@ -291,7 +291,7 @@ impl<'a> Run<'a> {
             self.max_splats(&[]),
             self.texture_size(),
         )?;
-        self.surface = saved.as_ref().and_then(|s| s.surface);
+        (self.surface, self.selection) = saved.as_ref().map_or((None, None), |s| (s.surface, s.selection));
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
             && let Some(poses) = saved.poses.clone()
@@ -451,7 +451,9 @@ impl<'a> Run<'a> {
 
     /// Side of the maps that a mesh has at most.
     fn largest_texture(&self) -> u32 {
-        self.options.texture_size.unwrap_or_else(|| (self.longest_side / 2 * 3).next_power_of_two().clamp(128, 2048))
+        self.options
+            .texture_size
+            .unwrap_or_else(|| (3 * self.longest_side).div_ceil(2).next_power_of_two().clamp(128, 2048))
     }
 
     /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest, as far

@@ -221,7 +221,9 @@ fn scenes(dataset: &Path) -> Result<Vec<String>> {
     let mut names = vec![];
     for entry in std::fs::read_dir(dataset).with_context(|| dataset.display().to_string())? {
         let path = entry.with_context(|| dataset.display().to_string())?.path();
-        if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| capture::is_capture(&path)) {
+        // One that has lost its cameras is to fail by its name, not to be missing from the table.
+        let is_one = capture::is_capture(&path) || path.join("sparse").is_dir();
+        if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| is_one) {
             names.push(name.to_owned());
         }
     }

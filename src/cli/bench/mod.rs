@@ -94,7 +94,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let before = record::all(&args.output)?;
     if args.table {
         ensure!(!before.is_empty(), "{}: expected results of jobs, found none", args.output.display());
-        return write_table(args, &before);
+        return print_table(args, &write_table(args, &before)?);
     }
     let all = jobs::all(args)?;
     let mine = jobs::chosen(&all, args)?;
@@ -106,20 +106,25 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // A misspelt flag is found now and not after hours.
     open.iter().try_for_each(|job| job.check())?;
     shared::make_folder(&args.output)?;
-    if !args.messages.quiet && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {
+    if !args.messages.quiet && !args.messages.json && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {
         output::note("LPIPS will not be scored: that needs -- --lpips-weights FILE");
     }
     let failed = work::work(&open, args)?;
     let mut done = record::all(&args.output)?;
     // A shard may be empty, and be the first.
-    let mut printed = if done.is_empty() { Ok(()) } else { write_table(args, &done) };
-    // Another runner may have written the table of more results meanwhile, and this one's have taken its place.
-    let mut now = record::all(&args.output)?;
-    while now.len() > done.len() {
-        done = now;
-        printed = write_table(args, &done);
-        now = record::all(&args.output)?;
-    }
+    let printed = if done.is_empty() {
+        Ok(())
+    } else {
+        let mut table = write_table(args, &done)?;
+        // Another runner may have written the table of more results meanwhile, and this one's have taken its place.
+        let mut now = record::all(&args.output)?;
+        while now.len() > done.len() {
+            done = now;
+            table = write_table(args, &done)?;
+            now = record::all(&args.output)?;
+        }
+        print_table(args, &table)
+    };
     // Also where nobody reads the table.
     if let Some((job, reason)) = failed.first() {
         bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());
@@ -127,11 +132,15 @@ pub(super) fn run(args: &Args) -> Result<()> {
     printed
 }
 
-fn write_table(args: &Args, done: &[Record]) -> Result<()> {
+fn write_table(args: &Args, done: &[Record]) -> Result<table::Table> {
     let table = table::Table::new(done, &args.output)?;
     atomic_write(&args.output.join("table.md"), table.to_string().as_bytes())?;
     atomic_write(&args.output.join("table.json"), &serde_json::to_vec_pretty(&table)?)?;
-    if args.messages.json { output::print_json(&table) } else { output::print(table.to_string().trim_end()) }
+    Ok(table)
+}
+
+fn print_table(args: &Args, table: &table::Table) -> Result<()> {
+    if args.messages.json { output::print_json(table) } else { output::print(table.to_string().trim_end()) }
 }
 
 /// Prints this command again, for one job.

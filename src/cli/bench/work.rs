@@ -101,7 +101,10 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     }
     let mut command = Command::new(std::env::current_exe().context("cannot find this program")?);
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    if cfg!(unix) {
+    #[cfg(unix)]
+    {
+        // Of its own, so that the hangup of a terminal that goes away ends this process alone.
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
         // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
         // checkpoint. On Windows a lock is of one process, and keeps others from writing.
         lock.set_len(0)

@@ -117,9 +117,9 @@ impl Run<'_> {
                 self.report(training, plan, done)?;
             }
             if saves && let Some(path) = &self.session.checkpoint {
-                let saved = Saved::capture(training, scene, self.reached, self.surface, self.poses.as_ref(), epoch)?;
-                saved.check_finite()?;
-                saved.write(path, &self.identity)?;
+                let found = (self.surface, self.selection);
+                Saved::capture(training, scene, self.reached, found, self.poses.as_ref(), epoch)?
+                    .write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
@@ -287,7 +287,8 @@ impl Run<'_> {
         max_splats: usize,
         done: u32,
     ) -> Result<(), TrainError> {
-        let (o, schedule, done) = (self.options, &plan.schedule, plan.clock + done);
+        // The clock of the schedule runs on from phase to phase.
+        let (o, schedule, in_phase, done) = (self.options, &plan.schedule, done, plan.clock + done);
         let (densify, reset) = (schedule.densifies_after(done), schedule.resets_opacity_after(done));
         if !densify && !reset {
             return Ok(());
@@ -309,7 +310,8 @@ impl Run<'_> {
                 }
                 Density::Mcmc => {
                     let options = McmcOptions::new(max_splats, plan.has_mesh);
-                    epoch.add(statistics, schedule.densify_interval);
+                    // After a handover less than an interval may have passed.
+                    epoch.add(statistics, schedule.densify_interval.min(in_phase));
                     let views = self.train.len() as u32;
                     mcmc::relocate_and_add(&mut state, statistics, epoch, views, &options, done, o.seed);
                 }

@@ -30,7 +30,7 @@ const GUTTER: u32 = 4;
 const FAINT: f64 = 0.02;
 
 /// What became of the triangles of a surface that was made from the capture when held-back training views judged them. The others were kept.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Selection {
     /// All that were judged.
     pub triangles: usize,

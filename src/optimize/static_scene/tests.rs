@@ -341,8 +341,8 @@ fn floats_stay_within_their_budget() {
     assert!(error.starts_with("expected a budget of at least the ") && error.ends_with("take, found 1000"), "{error}");
 }
 
-/// Structure from motion leaves points right before cameras, in the sky and a thousand times as far: neither what is near, nor bounds,
-/// nor how large splats begin may follow them.
+/// Structure from motion leaves points right before cameras, in the sky and a thousand times as far: neither bounds nor how
+/// large splats begin may follow them.
 #[test]
 fn a_few_wild_points_do_little_harm() {
     let (gpu, stop) = (Gpu::open(None).unwrap(), AtomicBool::new(false));
@@ -361,7 +361,7 @@ fn a_few_wild_points_do_little_harm() {
         let [clean, wild] = [&clean, &wild].map(|capture| {
             let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
             let trained = train(capture, source.clone(), &options, session).unwrap();
-            assert!(trained.scene.composition.near == NEAR && !trained.scene.meshes.is_empty());
+            assert!(!trained.scene.meshes.is_empty());
             trained.history.last().unwrap().psnr.unwrap()
         });
         eprintln!("{source:?}: {clean:.2} dB held out, {wild:.2} dB with wild points");
