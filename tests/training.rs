@@ -91,6 +91,10 @@ impl Bench {
             assert!(difference <= self.tolerance, "stopped at {stop_at:?}: expected {expected:?}, found {found:?}");
             assert_eq!(found.splats, expected.splats, "stopped at {stop_at:?}: {expected:?}");
         }
+        assert_eq!(straight.surface, second.surface);
+        if self.tolerance == 0.0 {
+            assert_eq!(straight.selection, second.selection, "stopped at {stop_at:?}");
+        }
         assert_eq!(straight.cameras.len(), second.cameras.len());
         for ((expected, found), given) in straight.cameras.iter().zip(&second.cameras).zip(&self.capture.views) {
             let moved = expected.center().distance(found.center());
@@ -180,6 +184,7 @@ fn resumed_while_looking_for_a_surface() {
         let bench = Bench::new(MeshSource::Splats, options);
         let mut straight = bench.run(false, None);
         assert!(straight.history.iter().any(|p| p.phase == Phase::Joint), "nothing is trained together");
+        assert!(straight.selection.is_some(), "no triangle was judged");
         if bench.tolerance > 0.0 {
             // Simplification decides by comparisons: splats that differ in their last bits make another mesh.
             straight.history.retain(|p| p.phase == Phase::Surface);
