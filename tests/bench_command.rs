@@ -193,7 +193,15 @@ fn trainings(folder: &Path) -> Vec<String> {
     processes.filter(is_ours).map(|process| process.file_name().unwrap().to_str().unwrap().to_owned()).collect()
 }
 
-/// Neither an interruption that only this process gets nor its end leaves a training behind, and no two train the same.
+/// Whether the process has come to handle hangups, the signal of number 1.
+#[cfg(target_os = "linux")]
+fn handles_hangups(process: &str) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    caught.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 1 == 1)
+}
+
+/// Neither an interruption that only this process gets, nor a hangup that all get, nor its end leaves a training behind, and no two train the same.
 #[test]
 #[cfg(target_os = "linux")]
 fn no_training_is_left_behind_or_done_twice() {
@@ -206,19 +214,24 @@ fn no_training_is_left_behind_or_done_twice() {
         assert!(second.status.success() && said(&second).1.contains("another runner"), "{:?}", said(&second));
     };
     let mut before = 0;
-    for signal in ["INT", "KILL"] {
+    for signal in ["INT", "HUP", "KILL"] {
         let runner = endless(folder.path());
         wait_for("a training", || trainings(folder.path()).len() == 1);
         is_left_to_another();
         let training = trainings(folder.path()).pop().unwrap();
-        if signal == "KILL" {
-            common::send("STOP", &training);
+        match signal {
+            "HUP" => {
+                wait_for("a training that handles hangups", || handles_hangups(&training));
+                common::send("HUP", &training);
+            }
+            "KILL" => common::send("STOP", &training),
+            _ => {}
         }
         common::send(signal, &runner.id().to_string());
         let ended = runner.wait_with_output().unwrap();
         if signal == "INT" {
             assert_eq!(said(&ended).1, "error: stopped; the same command goes on\n");
-        } else {
+        } else if signal == "KILL" {
             // It outlives its runner, and is still at it.
             is_left_to_another();
             common::send("CONT", &training);

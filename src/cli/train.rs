@@ -347,6 +347,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let options = args.options();
     let stop = stop_on_ctrl_c()?;
     if args.stop_at_eof {
+        // A terminal that goes away hangs up on all: where that ends whoever holds the other end, it is heard of by that.
+        #[cfg(unix)]
+        signal_hook::flag::register(signal_hook::consts::SIGHUP, Arc::default()).context("cannot handle SIGHUP")?;
         let flag = Arc::clone(&stop);
         std::thread::spawn(move || {
             // However it ends.

@@ -101,10 +101,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     }
     let mut command = Command::new(std::env::current_exe().context("cannot find this program")?);
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    #[cfg(unix)]
-    {
-        // Of its own, so that the hangup of a terminal that goes away ends this process alone.
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    if cfg!(unix) {
         // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
         // checkpoint. On Windows a lock is of one process, and keeps others from writing.
         lock.set_len(0)
@@ -113,7 +110,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
             .context("cannot hold a lock")?;
     }
     let mut child = command.spawn().context("cannot start a training")?;
-    // It stops, with a checkpoint, when this ends: at Ctrl-C, a termination, and where this process is killed.
+    // It stops, with a checkpoint, when this ends: at Ctrl-C, a termination, a hangup, and where this process is killed.
     let mut input = child.stdin.take();
     let waiting = std::thread::spawn(move || child.wait_with_output());
     while !waiting.is_finished() {
