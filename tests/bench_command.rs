@@ -180,7 +180,7 @@ fn wait_for(what: &str, is_so: impl Fn() -> bool) {
     panic!("{what}: not after two minutes");
 }
 
-/// Processes of trainings in `folder`; those that have ended have no arguments.
+/// Processes of trainings in `folder`; those that are ending have no arguments.
 #[cfg(target_os = "linux")]
 fn trainings(folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().unwrap();
@@ -191,6 +191,13 @@ fn trainings(folder: &Path) -> Vec<String> {
                 .is_ok_and(|arguments| arguments.split(|c| *c == 0).any(|argument| argument == b"train"))
     };
     processes.filter(is_ours).map(|process| process.file_name().unwrap().to_str().unwrap().to_owned()).collect()
+}
+
+/// Whether the process is gone, with the locks that it held: its arguments go before.
+#[cfg(target_os = "linux")]
+fn has_ended(process: &str) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    stat.rsplit(") ").next().is_none_or(|rest| rest.is_empty() || rest.starts_with('Z'))
 }
 
 /// Whether the process has come to handle hangups, the signal of number 1.
@@ -236,7 +243,7 @@ fn no_training_is_left_behind_or_done_twice() {
             is_left_to_another();
             common::send("CONT", &training);
         }
-        wait_for("the end of the training", || trainings(folder.path()).is_empty());
+        wait_for("the end of the training", || has_ended(&training));
         // None is written but by the end, and each run does an iteration at least.
         let checkpoint = Checkpoint::read(&at("out/default/one-0.glb.checkpoint")).unwrap();
         let iteration = checkpoint.meta["iteration"].as_u64().unwrap();
