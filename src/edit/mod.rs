@@ -12,8 +12,8 @@ mod similarity;
 mod tests;
 
 pub use axes::Axes;
-pub use join::{gather, join, with_mesh_sh_degree, with_sh_degree};
+pub use join::{join, with_mesh_sh_degree, with_sh_degree};
 pub use select::{Crop, Volume, crop_mesh, in_crops, most_important, not_below_opacity};
 pub use similarity::Similarity;
 
-pub use crate::scene::in_morton_order;
+pub use crate::scene::{gather, in_morton_order};

@@ -262,9 +262,9 @@ mod tests {
 
     fn checkpoint() -> Checkpoint {
         let mut splats = state(7, 2);
-        splats.row_mut(3)[0] = -0.0;
-        splats.row_mut(4)[1] = f32::MIN_POSITIVE / 8.0; // subnormal
-        splats.row_mut(5)[2] = 0.1;
+        splats.geometry[3 * GEOMETRY_FLOATS] = -0.0;
+        splats.geometry[4 * GEOMETRY_FLOATS + 1] = f32::MIN_POSITIVE / 8.0; // subnormal
+        splats.geometry[5 * GEOMETRY_FLOATS + 2] = 0.1;
         Checkpoint {
             meta: json!({ "iteration": 1200, "seed": u64::MAX, "rng": format!("{:x}", u128::MAX), "options": "c0ffee" }),
             splats,
@@ -307,7 +307,7 @@ mod tests {
         checkpoint().write(&path).unwrap();
         assert_eq!(Checkpoint::read(&path).unwrap(), checkpoint());
         let mut broken = checkpoint();
-        broken.splats.row_mut(2)[3] = f32::NAN;
+        broken.splats.geometry[2 * GEOMETRY_FLOATS + 3] = f32::NAN;
         let error = broken.write(&path).unwrap_err().to_string();
         assert!(
             error.ends_with("c.safetensors: opacity logits of splat 2: expected finite numbers, found another"),

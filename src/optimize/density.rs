@@ -8,7 +8,10 @@ pub mod mcmc;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::state::{GEOMETRY_FLOATS, OPACITY, SplatState, logit};
+use super::{
+    arrangement::Arrangement,
+    state::{OPACITY, logit},
+};
 
 /// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of
 /// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
@@ -67,18 +70,14 @@ pub struct DensityReport {
 
 /// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (Every 3000 iterations of
 /// INRIA's strategy: what is not needed does not come back and is pruned.)
-pub fn reset_opacity(state: &mut SplatState) {
-    for i in 0..state.len() {
-        let most = 0.01 / state.smoothing_factor(i);
-        if state.opacity(i) > most {
-            state.row_mut(i)[OPACITY] = logit(most);
+pub fn reset_opacity(splats: &mut Arrangement) {
+    for i in 0..splats.len() {
+        let most = 0.01 / splats.smoothing_factor(i);
+        if splats.opacity(i) > most {
+            splats.row_mut(i)[OPACITY] = logit(most);
         }
     }
-    for moments in [&mut state.geometry_m, &mut state.geometry_v] {
-        for row in moments.chunks_exact_mut(GEOMETRY_FLOATS) {
-            row[OPACITY] = 0.0;
-        }
-    }
+    splats.clear_opacity_moments();
 }
 
 fn finite_or_zero(x: f32) -> f32 {
@@ -105,7 +104,10 @@ fn normal3(rng: &mut Pcg64) -> glam::Vec3 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::optimize::state::{LOG_SCALE, ROTATION, SMOOTHING};
+    use crate::optimize::{
+        state::{GEOMETRY_FLOATS, LOG_SCALE, ROTATION, SMOOTHING, SplatState},
+        static_scene::arrays,
+    };
 
     /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, unequal SH, and moments that are nowhere zero.
     pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
@@ -125,9 +127,22 @@ pub(super) mod tests {
         s
     }
 
+    /// The same at their places.
+    pub(crate) fn arrangement(n: usize) -> Arrangement {
+        Arrangement::new(state(n, 0).geometry)
+    }
+
+    /// What a rearrangement leaves of these.
+    pub(crate) fn rearranged(before: &SplatState, splats: &Arrangement) -> SplatState {
+        let (geometry, sources) = (splats.geometry(), splats.sources());
+        let after = arrays(before.clone()).rearranged(geometry, sources, before.sh_floats());
+        let ([geometry, geometry_m, geometry_v], [sh, sh_m, sh_v]) = (after.geometry, after.sh);
+        SplatState { sh_degree: before.sh_degree, geometry, sh, geometry_m, geometry_v, sh_m, sh_v }
+    }
+
     #[test]
     fn reset_limits_opacity_and_forgets_only_its_moments() {
-        let mut s = state(3, 0);
+        let mut s = arrangement(3);
         s.row_mut(1)[OPACITY] = logit(0.004);
         s.row_mut(2)[SMOOTHING] = 0.01;
         let before = s.clone();
@@ -136,14 +151,16 @@ pub(super) mod tests {
         assert_eq!(s.opacity(1), before.opacity(1));
         // As large as what smooths it: √2 as wide along each axis.
         assert!((s.opacity(2) - 0.01 * 8.0_f32.sqrt()).abs() < 1e-6);
+        let all = state(3, 1);
+        let after = rearranged(&all, &s);
         for i in 0..3 {
             for c in 0..GEOMETRY_FLOATS {
                 let at = i * GEOMETRY_FLOATS + c;
-                let expected = if c == OPACITY { 0.0 } else { before.geometry_m[at] };
-                assert_eq!((s.geometry_m[at], s.geometry_v[at]), (expected, expected));
+                let expected = if c == OPACITY { 0.0 } else { all.geometry_m[at] };
+                assert_eq!((after.geometry_m[at], after.geometry_v[at]), (expected, expected));
             }
         }
-        assert_eq!((s.sh, s.sh_m), (before.sh, before.sh_m));
+        assert_eq!((after.sh, after.sh_m), (all.sh, all.sh_m));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! From a capture to a scene.
 
+pub mod arrangement;
 mod background;
 mod cells;
 pub mod checkpoint;

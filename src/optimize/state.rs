@@ -104,115 +104,6 @@ impl SplatState {
         3 * sh::coefficients(self.sh_degree)
     }
 
-    /// Drops the splats for which `keep` `[N]` is false; the others keep their order and moments.
-    ///
-    /// # Panics
-    /// If `keep` has not one entry per splat.
-    pub fn retain(&mut self, keep: &[bool]) {
-        assert_eq!(keep.len(), self.len(), "one entry per splat");
-        let sh_floats = self.sh_floats();
-        for rows in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
-            retain_rows(rows, GEOMETRY_FLOATS, keep);
-        }
-        for rows in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            retain_rows(rows, sh_floats, keep);
-        }
-    }
-
-    /// Appends a copy of splat `i` with moments of zero: what it has learnt of its gradients is not the copy's, which
-    /// will share them.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    pub fn push_copy(&mut self, i: usize) {
-        let sh_floats = self.sh_floats();
-        self.geometry.extend_from_within(i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS);
-        self.sh.extend_from_within(i * sh_floats..(i + 1) * sh_floats);
-        self.geometry_m.resize(self.geometry.len(), 0.0);
-        self.geometry_v.resize(self.geometry.len(), 0.0);
-        self.sh_m.resize(self.sh.len(), 0.0);
-        self.sh_v.resize(self.sh.len(), 0.0);
-    }
-
-    /// Overwrites splat `to` by the parameters of splat `from`, with moments of zero.
-    ///
-    /// # Panics
-    /// If one is out of range.
-    pub fn copy_over(&mut self, from: usize, to: usize) {
-        let sh_floats = self.sh_floats();
-        self.geometry.copy_within(from * GEOMETRY_FLOATS..(from + 1) * GEOMETRY_FLOATS, to * GEOMETRY_FLOATS);
-        self.sh.copy_within(from * sh_floats..(from + 1) * sh_floats, to * sh_floats);
-        self.clear_moments(to);
-    }
-
-    /// Sets the moments of splat `i` to zero.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    pub fn clear_moments(&mut self, i: usize) {
-        let sh_floats = self.sh_floats();
-        for rows in [&mut self.geometry_m, &mut self.geometry_v] {
-            rows[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS].fill(0.0);
-        }
-        for rows in [&mut self.sh_m, &mut self.sh_v] {
-            rows[i * sh_floats..(i + 1) * sh_floats].fill(0.0);
-        }
-    }
-
-    /// Geometry of splat `i`.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    #[must_use]
-    pub fn row(&self, i: usize) -> &[f32] {
-        &self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
-    }
-
-    /// Geometry of splat `i`, to be changed.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    pub fn row_mut(&mut self, i: usize) -> &mut [f32] {
-        &mut self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
-    }
-
-    /// Opacity of splat `i`, 0 to 1.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    #[must_use]
-    pub fn opacity(&self, i: usize) -> f32 {
-        sigmoid(self.row(i)[OPACITY])
-    }
-
-    /// What smoothing leaves of the opacity of splat `i`, 0 to 1.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    #[must_use]
-    pub fn smoothing_factor(&self, i: usize) -> f32 {
-        let row = self.row(i);
-        contract::smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
-    }
-
-    /// Opacity of splat `i` as it is seen: smoothed.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    #[must_use]
-    pub fn seen_opacity(&self, i: usize) -> f32 {
-        self.opacity(i) * self.smoothing_factor(i)
-    }
-
-    /// Largest standard deviation of splat `i`, world units.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    #[must_use]
-    pub fn largest_scale(&self, i: usize) -> f32 {
-        self.row(i)[LOG_SCALE].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()
-    }
-
     /// The first value that is not finite: its group of parameters and its splat.
     #[must_use]
     pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
@@ -222,24 +113,29 @@ impl SplatState {
             ("second moments", &self.geometry_v, &self.sh_v),
         ];
         for (kind, geometry, sh) in arrays {
-            if let Some(at) = geometry.iter().position(|v| !v.is_finite()) {
-                let group = match at % GEOMETRY_FLOATS {
-                    c if MEAN.contains(&c) => "means",
-                    OPACITY => "opacity logits",
-                    c if ROTATION.contains(&c) => "rotations",
-                    SMOOTHING => "smoothing",
-                    _ => "log-scales",
-                };
-                let group = if kind == "parameters" { group } else { kind };
-                return Some((group, at / GEOMETRY_FLOATS));
+            let named = |group| if kind == "parameters" { group } else { kind };
+            if let Some((group, splat)) = geometry_not_finite(geometry) {
+                return Some((named(group), splat));
             }
             if let Some(at) = sh.iter().position(|v| !v.is_finite()) {
-                let group = if kind == "parameters" { "SH coefficients" } else { kind };
-                return Some((group, at / self.sh_floats()));
+                return Some((named("SH coefficients"), at / self.sh_floats()));
             }
         }
         None
     }
+}
+
+/// The first float of a geometry that is not finite: its group of parameters and its splat.
+pub(super) fn geometry_not_finite(geometry: &[f32]) -> Option<(&'static str, usize)> {
+    let at = geometry.iter().position(|v| !v.is_finite())?;
+    let group = match at % GEOMETRY_FLOATS {
+        c if MEAN.contains(&c) => "means",
+        OPACITY => "opacity logits",
+        c if ROTATION.contains(&c) => "rotations",
+        SMOOTHING => "smoothing",
+        _ => "log-scales",
+    };
+    Some((group, at / GEOMETRY_FLOATS))
 }
 
 /// Log-scales and opacity logit of a row after smoothing.
@@ -268,21 +164,12 @@ pub(super) fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln() as f32
 }
 
-fn retain_rows(rows: &mut Vec<f32>, width: usize, keep: &[bool]) {
-    let mut kept = 0;
-    for (i, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
-        rows.copy_within(i * width..(i + 1) * width, kept * width);
-        kept += 1;
-    }
-    rows.truncate(kept * width);
-}
-
 #[cfg(test)]
 mod tests {
     use glam::{DMat3, DVec3};
 
     use super::*;
-    use crate::optimize::density::tests::state;
+    use crate::optimize::{arrangement::Arrangement, density::tests::state};
     use crate::render::reference::{self, Parameters};
     use crate::scene::{Camera, Composition, HybridScene, Intrinsics};
 
@@ -304,13 +191,13 @@ mod tests {
     #[test]
     fn smoothing_is_kept_in_scales_and_opacities() {
         let mut smooth = state(1, 1);
-        smooth.row_mut(0)[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -6.0]);
-        smooth.row_mut(0)[SMOOTHING] = 0.02;
+        smooth.geometry[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -6.0]);
+        smooth.geometry[SMOOTHING] = 0.02;
         let splats = smooth.to_splats().unwrap();
         // It looks as it did while training.
         let raw = {
             let mut raw = smooth.clone();
-            raw.row_mut(0)[SMOOTHING] = 0.0;
+            raw.geometry[SMOOTHING] = 0.0;
             raw.to_splats().unwrap()
         };
         let k = Intrinsics { width: 32, height: 24, fx: 300.0, fy: 300.0, cx: 16.0, cy: 12.0 };
@@ -332,52 +219,25 @@ mod tests {
         let integral = |scales: Vec3, opacity: f32| f64::from(opacity) * f64::from(scales.element_sum()).exp();
         let (after, before) = (
             integral(splats.log_scales()[0], sigmoid(splats.opacity_logits()[0])),
-            integral(Vec3::new(-4.0, -5.0, -6.0), smooth.opacity(0)),
+            integral(Vec3::new(-4.0, -5.0, -6.0), sigmoid(smooth.geometry[OPACITY])),
         );
         assert!((after / before - 1.0).abs() < 1e-4, "{after:e} {before:e}");
         assert!(
-            (f64::from(smooth.smoothing_factor(0)) * 0.5 / f64::from(sigmoid(splats.opacity_logits()[0])) - 1.0).abs()
+            (f64::from(Arrangement::new(smooth.geometry.clone()).smoothing_factor(0)) * 0.5
+                / f64::from(sigmoid(splats.opacity_logits()[0]))
+                - 1.0)
+                .abs()
                 < 1e-5
         );
-        smooth.row_mut(0)[LOG_SCALE].fill(-200.0);
+        smooth.geometry[LOG_SCALE].fill(-200.0);
         assert!(smooth.to_splats().is_ok(), "nothing is left of it, and that is a number");
-        smooth.row_mut(0)[LOG_SCALE].fill(0.0);
-        smooth.row_mut(0)[OPACITY] = 60.0;
-        smooth.row_mut(0)[SMOOTHING] = 1e-9;
+        smooth.geometry[LOG_SCALE].fill(0.0);
+        smooth.geometry[OPACITY] = 60.0;
+        smooth.geometry[SMOOTHING] = 1e-9;
         assert!((smooth.to_splats().unwrap().opacity_logits()[0] - 60.0).abs() < 1e-3, "smoothed by next to nothing");
-        smooth.row_mut(0)[SMOOTHING] = 0.02;
-        smooth.row_mut(0)[OPACITY] = f32::NAN;
+        smooth.geometry[SMOOTHING] = 0.02;
+        smooth.geometry[OPACITY] = f32::NAN;
         assert!(smooth.to_splats().is_err(), "smoothing hides nothing");
-    }
-
-    #[test]
-    fn retain_keeps_rows_and_moments_together() {
-        let mut s = state(4, 1);
-        let before = s.clone();
-        s.retain(&[false, true, false, true]);
-        assert_eq!(s.len(), 2);
-        for (now, then) in [(0, 1), (1, 3)] {
-            assert_eq!(s.row(now), before.row(then));
-            let width = s.sh_floats();
-            assert_eq!(s.sh_m[now * width..(now + 1) * width], before.sh_m[then * width..(then + 1) * width]);
-            assert_eq!(s.geometry_v[now * 12..now * 12 + 12], before.geometry_v[then * 12..then * 12 + 12]);
-        }
-        s.retain(&[false, false]);
-        assert!(s.is_empty() && s.sh.is_empty() && s.sh_v.is_empty());
-    }
-
-    #[test]
-    fn copies_start_without_moments() {
-        let mut s = state(3, 1);
-        s.push_copy(1);
-        s.copy_over(2, 0);
-        assert_eq!(s.len(), 4);
-        assert_eq!(s.row(3), s.row(1));
-        assert_eq!(s.row(0), s.row(2));
-        assert_eq!(s.sh[..12], s.sh[24..36]);
-        assert!(s.geometry_m[36..].iter().chain(&s.geometry_m[..12]).all(|&v| v == 0.0));
-        assert!(s.sh_v[36..].iter().chain(&s.sh_v[..12]).all(|&v| v == 0.0));
-        assert!(s.sh_v[12..36].iter().all(|&v| v != 0.0), "the others keep theirs");
     }
 
     #[test]
@@ -389,8 +249,8 @@ mod tests {
             change(&mut s);
             s.first_non_finite()
         };
-        assert_eq!(broken(|s| s.row_mut(1)[OPACITY] = f32::NAN), Some(("opacity logits", 1)));
-        assert_eq!(broken(|s| s.row_mut(2)[6] = f32::INFINITY), Some(("rotations", 2)));
+        assert_eq!(broken(|s| s.geometry[GEOMETRY_FLOATS + OPACITY] = f32::NAN), Some(("opacity logits", 1)));
+        assert_eq!(broken(|s| s.geometry[2 * GEOMETRY_FLOATS + 6] = f32::INFINITY), Some(("rotations", 2)));
         assert_eq!(broken(|s| s.sh[30] = f32::NAN), Some(("SH coefficients", 2)));
         assert_eq!(broken(|s| s.sh_v[0] = f32::NAN), Some(("second moments", 0)));
     }

@@ -26,7 +26,9 @@ use glam::Vec2;
 use rayon::prelude::*;
 
 use super::{
-    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions, background,
+    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions,
+    arrangement::Arrangement,
+    background,
     coverage::{self, Known},
     initialize::{self, Initial},
     memory,
@@ -510,12 +512,12 @@ impl<'a> Run<'a> {
     ) -> Result<Trained, TrainError> {
         let (phase, iteration) = self.reached;
         check_finite(training, phase, iteration)?;
-        let (state, mut meshes) = (splat_state(training)?, training.read_meshes(&scene.meshes)?);
-        let all = state.len();
+        let (splats, mut meshes) = (splat_state(training)?.to_splats()?, training.read_meshes(&scene.meshes)?);
+        let all = splats.len();
         // The checkpoint of what was interrupted has all of them.
         let splats = match outcome {
-            Outcome::Finished => self.without_occluded(training, state, &meshes)?,
-            Outcome::Interrupted => state.to_splats()?,
+            Outcome::Finished => self.without_occluded(training, splats, &meshes)?,
+            Outcome::Interrupted => splats,
         };
         let triangles = |meshes: &[Mesh]| meshes.iter().map(|mesh| mesh.triangles().len()).sum::<usize>();
         let trained = triangles(&meshes);
@@ -585,6 +587,11 @@ pub(super) fn splat_state(training: &Training) -> Result<SplatState, TrainError>
     Ok(SplatState { sh_degree, geometry, sh, geometry_m, geometry_v, sh_m, sh_v })
 }
 
+/// The splats on the GPU, to be rearranged.
+pub(super) fn arrangement(training: &Training) -> Result<Arrangement, TrainError> {
+    Ok(Arrangement::new(training.read_geometry()?))
+}
+
 /// The same as the GPU takes them.
 pub(super) fn arrays(s: SplatState) -> SplatArrays {
     SplatArrays { geometry: [s.geometry, s.geometry_m, s.geometry_v], sh: [s.sh, s.sh_m, s.sh_v] }
@@ -612,12 +619,13 @@ pub(super) fn finite(
 }
 
 fn finite_splats(state: &SplatState, phase: Phase, iteration: u32) -> Result<(), TrainError> {
-    match state.first_non_finite() {
-        None => Ok(()),
-        Some((group, splat)) => {
-            Err(TrainError::NotFinite { phase, iteration, group: format!("{group} of splat {splat}") })
-        }
-    }
+    finite_group(state.first_non_finite(), phase, iteration)
+}
+
+fn finite_group(found: Option<(&str, usize)>, phase: Phase, iteration: u32) -> Result<(), TrainError> {
+    found.map_or(Ok(()), |(group, splat)| {
+        Err(TrainError::NotFinite { phase, iteration, group: format!("{group} of splat {splat}") })
+    })
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 mod camera;
 pub mod color;
 mod composition;
+mod gather;
 mod mesh;
 mod morton;
 mod optical_axes;
@@ -19,6 +20,7 @@ use rayon::prelude::*;
 
 pub use camera::{Camera, Intrinsics};
 pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
+pub use gather::gather;
 pub use mesh::{Atlas, Mesh, Texture};
 pub use morton::in_morton_order;
 pub(crate) use optical_axes::OpticalAxes;

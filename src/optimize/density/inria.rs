@@ -5,7 +5,10 @@
 use glam::{Quat, Vec3};
 
 use super::{DensityReport, Statistics, normal3, step_rng};
-use crate::optimize::state::{LOG_SCALE, MEAN, SplatState};
+use crate::optimize::{
+    arrangement::Arrangement,
+    state::{LOG_SCALE, MEAN},
+};
 
 /// A child's scale is its parent's divided by 0.8 × the number of children.
 const SPLIT_SHRINKAGE: f32 = 1.6;
@@ -70,25 +73,25 @@ enum Fate {
 /// # Panics
 /// If there is not one row of statistics per splat.
 pub fn densify(
-    state: &mut SplatState,
+    splats: &mut Arrangement,
     statistics: Statistics<'_>,
     options: &InriaOptions,
     iteration: u32,
     seed: u64,
 ) -> DensityReport {
-    let n = state.len();
+    let n = splats.len();
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     let max_scale = options.max_scale.map_or(f32::INFINITY, |m| m * options.extent);
-    let is_pruned = |i: usize| state.opacity(i) < options.min_opacity || state.largest_scale(i) > max_scale;
+    let is_pruned = |i: usize| splats.opacity(i) < options.min_opacity || splats.largest_scale(i) > max_scale;
     // The gradient that decides over its threshold.
     let urge = |i: usize, is_small: bool| match options.split_gradient {
         Some(threshold) if !is_small => statistics.absolute_gradient(i) / threshold,
         _ => statistics.mean_gradient(i) / options.gradient_threshold,
     };
     let wants_to_grow = |i: usize| -> Option<Fate> {
-        let scale = state.largest_scale(i);
+        let scale = splats.largest_scale(i);
         let is_small = scale <= options.dense_fraction * options.extent;
-        if state.opacity(i) < options.min_opacity || urge(i, is_small) < 1.0 {
+        if splats.opacity(i) < options.min_opacity || urge(i, is_small) < 1.0 {
             None
         } else if is_small {
             Some(Fate::Clone)
@@ -121,18 +124,18 @@ pub fn densify(
         ..DensityReport::default()
     };
     for i in (0..n).filter(|&i| fates[i] == Fate::Clone) {
-        state.push_copy(i);
+        splats.push_copy(i);
     }
     for i in (0..n).filter(|&i| fates[i] == Fate::Split) {
         for _ in 0..2 {
-            state.push_copy(i);
+            splats.push_copy(i);
             let offset = normal3(&mut rng).clamp_length_max(SPLIT_REACH);
-            move_child(state.row_mut(state.len() - 1), offset);
+            move_child(splats.row_mut(splats.len() - 1), offset);
         }
     }
     let mut keep: Vec<bool> = fates.iter().map(|f| matches!(f, Fate::Keep | Fate::Clone)).collect();
-    keep.resize(state.len(), true);
-    state.retain(&keep);
+    keep.resize(splats.len(), true);
+    splats.retain(&keep);
     report
 }
 
@@ -154,20 +157,20 @@ fn move_child(row: &mut [f32], offset: Vec3) {
 mod tests {
     use super::*;
     use crate::optimize::{
-        density::tests::state,
+        density::tests::{arrangement, rearranged, state},
         state::{OPACITY, logit},
     };
 
     const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean of exactly the threshold
     const COLD: [f32; 4] = [3.9e-4, 2.0, 1.0, 1.0];
 
-    fn set_scale(s: &mut SplatState, i: usize, scale: [f32; 3]) {
+    fn set_scale(s: &mut Arrangement, i: usize, scale: [f32; 3]) {
         Vec3::from(scale).ln().write_to_slice(&mut s.row_mut(i)[LOG_SCALE]);
     }
 
     #[test]
     fn clones_small_and_splits_large_splats_with_large_gradients() {
-        let mut s = state(6, 1);
+        let mut s = arrangement(6);
         for i in [1, 3] {
             set_scale(&mut s, i, [0.001, 0.011, 0.002]); // largest just above 0.01 extents
         }
@@ -178,9 +181,10 @@ mod tests {
         assert_eq!(report, DensityReport { cloned: 2, split: 1, pruned: 1, ..DensityReport::default() });
         // 0, 2, 3, 4 survive; clones of 0 and 4; two children of 1.
         assert_eq!(s.len(), 8);
+        let moments = rearranged(&state(6, 1), &s).geometry_m;
         for (now, then) in [(0, 0), (1, 2), (2, 3), (3, 4), (4, 0), (5, 4)] {
             assert_eq!(s.row(now), before.row(then));
-            assert_eq!(s.geometry_m[12 * now] == 0.0, now >= 4, "only clones start without moments");
+            assert_eq!(moments[12 * now] == 0.0, now >= 4, "only clones start without moments");
         }
         for child in [6, 7] {
             assert_eq!(s.row(child)[3..8], before.row(1)[3..8], "opacity and rotation are the parent's");
@@ -195,7 +199,7 @@ mod tests {
 
     #[test]
     fn pulls_that_cancel_split_large_splats_only() {
-        let mut s = state(4, 0);
+        let mut s = arrangement(4);
         for i in [0, 1] {
             set_scale(&mut s, i, [0.0009; 3]);
         }
@@ -205,7 +209,7 @@ mod tests {
         let report = densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 100), 600, 7);
         assert_eq!(report, DensityReport { cloned: 1, split: 1, ..DensityReport::default() });
         // With room for one, the stronger urge: the one that is split.
-        let mut s = state(2, 0);
+        let mut s = arrangement(2);
         set_scale(&mut s, 0, [0.0009; 3]);
         let rows = [[6e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 16e-4]];
         let report = densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 3), 600, 7);
@@ -215,7 +219,7 @@ mod tests {
     #[test]
     fn children_follow_the_shape_of_their_parent() {
         let n = 2000;
-        let mut s = state(n, 0);
+        let mut s = arrangement(n);
         let scale = Vec3::new(0.3, 0.02, 0.1);
         for i in 0..n {
             set_scale(&mut s, i, scale.into());
@@ -239,7 +243,7 @@ mod tests {
 
     #[test]
     fn prunes_transparent_and_huge_splats_but_splits_what_fits_afterwards() {
-        let mut s = state(5, 0);
+        let mut s = arrangement(5);
         s.row_mut(0)[OPACITY] = logit(0.0049);
         s.row_mut(1)[OPACITY] = logit(0.0051);
         set_scale(&mut s, 2, [0.101, 0.01, 0.01]);
@@ -258,7 +262,7 @@ mod tests {
     #[test]
     fn the_cap_favours_large_gradients() {
         let n = 100;
-        let mut s = state(n, 0);
+        let mut s = arrangement(n);
         for i in (0..n).step_by(2) {
             set_scale(&mut s, i, [0.5; 3]);
         }
@@ -279,7 +283,7 @@ mod tests {
     #[test]
     fn equal_input_gives_equal_output() {
         let run = |seed, iteration| {
-            let mut s = state(50, 1);
+            let mut s = arrangement(50);
             (0..50).for_each(|i| set_scale(&mut s, i, [0.1, 0.2, 0.3]));
             densify(&mut s, Statistics(&[HOT; 50]), &InriaOptions::new(1.0, 1000), iteration, seed);
             assert_eq!(s.first_non_finite(), None);
@@ -292,7 +296,7 @@ mod tests {
 
     #[test]
     fn nothing_to_do() {
-        let mut s = SplatState::default();
+        let mut s = Arrangement::default();
         let report = densify(&mut s, Statistics(&[]), &InriaOptions::new(1.0, 10), 600, 7);
         assert_eq!((report, s.len()), (DensityReport::default(), 0));
     }

@@ -4,9 +4,13 @@
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
+use rayon::prelude::*;
 
 use super::{DensityReport, Statistics, step_rng};
-use crate::optimize::state::{LOG_SCALE, OPACITY, SplatState, logit};
+use crate::optimize::{
+    arrangement::Arrangement,
+    state::{LOG_SCALE, OPACITY, logit},
+};
 
 /// Most copies that a splat becomes at once.
 const MAX_COPIES: usize = 51;
@@ -84,7 +88,7 @@ impl EpochWeight {
 /// # Panics
 /// If there is not one row of statistics, and one epoch weight, per splat.
 pub fn relocate_and_add(
-    state: &mut SplatState,
+    splats: &mut Arrangement,
     statistics: Statistics<'_>,
     epoch: &mut EpochWeight,
     views: u32,
@@ -92,20 +96,19 @@ pub fn relocate_and_add(
     iteration: u32,
     seed: u64,
 ) -> DensityReport {
-    let n = state.len();
+    let n = splats.len();
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
     let epoch_ends = epoch.iterations >= views.saturating_mul(2).saturating_sub(1);
     let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
+    let opacities: Vec<f32> = (0..n).into_par_iter().map(|i| splats.seen_opacity(i)).collect();
     let dead: Vec<usize> =
-        (0..n).filter(|&i| state.seen_opacity(i) <= options.min_opacity || epoch.weight[i] < min_weight).collect();
+        (0..n).filter(|&i| opacities[i] <= options.min_opacity || epoch.weight[i] < min_weight).collect();
     let scores_by = |sampling: Sampling| -> Vec<f64> {
-        let mut scores: Vec<f64> = (0..n)
-            .map(|i| match sampling {
-                Sampling::Opacity => f64::from(state.seen_opacity(i)),
-                Sampling::Contribution => f64::from(statistics.contribution(i)),
-            })
-            .collect();
+        let mut scores: Vec<f64> = match sampling {
+            Sampling::Opacity => opacities.iter().copied().map(f64::from).collect(),
+            Sampling::Contribution => (0..n).map(|i| f64::from(statistics.contribution(i))).collect(),
+        };
         dead.iter().for_each(|&i| scores[i] = 0.0);
         scores
     };
@@ -119,18 +122,18 @@ pub fn relocate_and_add(
 
     let mut rng = step_rng(seed, iteration);
     let sources = sample(&scores, dead.len(), &mut rng);
-    share(state, &mut scores, sampling, &sources, options.min_opacity);
+    share(splats, &mut scores, sampling, &sources, options.min_opacity);
     for (&to, &from) in dead.iter().zip(&sources) {
-        state.copy_over(from, to);
+        splats.copy_over(from, to);
         scores[to] = scores[from];
         epoch.weight[to] = epoch.weight[from];
     }
 
     let target = ((n as f64 * f64::from(options.growth)) as usize).min(options.max_splats);
     let added = sample(&scores, target.saturating_sub(n), &mut rng);
-    share(state, &mut scores, sampling, &added, options.min_opacity);
+    share(splats, &mut scores, sampling, &added, options.min_opacity);
     for &from in &added {
-        state.push_copy(from);
+        splats.push_copy(from);
         epoch.weight.push(epoch.weight[from]);
     }
     if epoch_ends {
@@ -202,20 +205,20 @@ fn sample_with_repetition(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<
 }
 
 /// Gives every sampled splat the opacity and scale that it has in common with its copies-to-be, and no moments.
-fn share(state: &mut SplatState, scores: &mut [f64], sampling: Sampling, sources: &[usize], min_opacity: f32) {
+fn share(splats: &mut Arrangement, scores: &mut [f64], sampling: Sampling, sources: &[usize], min_opacity: f32) {
     let mut sorted = sources.to_vec();
     sorted.sort_unstable();
     for group in sorted.chunk_by(|a, b| a == b) {
         let i = group[0];
         let copies = group.len() + 1;
-        let (opacity, factor) = relocation(f64::from(state.opacity(i)), copies);
+        let (opacity, factor) = relocation(f64::from(splats.opacity(i)), copies);
         let opacity = (opacity as f32).clamp(min_opacity, 1.0 - f32::EPSILON);
-        state.clear_moments(i);
-        let row = state.row_mut(i);
+        splats.clear_moments(i);
+        let row = splats.row_mut(i);
         row[OPACITY] = logit(opacity);
         row[LOG_SCALE].iter_mut().for_each(|s| *s += factor.ln() as f32);
         scores[i] = match sampling {
-            Sampling::Opacity => f64::from(state.seen_opacity(i)),
+            Sampling::Opacity => f64::from(splats.seen_opacity(i)),
             Sampling::Contribution => scores[i] / copies as f64,
         };
     }
@@ -225,13 +228,13 @@ fn share(state: &mut SplatState, scores: &mut [f64], sampling: Sampling, sources
 mod tests {
     use super::*;
     use crate::optimize::{
-        density::tests::state,
+        density::tests::{arrangement, rearranged, state},
         state::{SMOOTHING, sigmoid},
     };
 
     const SEEN: [f32; 4] = [0.0, 2.0, 4.0, 1.0];
 
-    fn run(s: &mut SplatState, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> (DensityReport, EpochWeight) {
+    fn run(s: &mut Arrangement, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> (DensityReport, EpochWeight) {
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(rows), 100);
         let report = relocate_and_add(s, Statistics(rows), &mut epoch, 50, options, 600, seed);
@@ -292,7 +295,7 @@ mod tests {
     #[test]
     fn the_dead_move_and_together_the_copies_are_as_opaque_as_their_source() {
         let n = 10;
-        let mut s = state(n, 1);
+        let mut s = arrangement(n);
         for i in 0..n {
             s.row_mut(i)[OPACITY] = logit(if i == 4 { 0.9 } else { 0.004 });
         }
@@ -308,18 +311,21 @@ mod tests {
         }
         // Ten factors with a few ulps of f32 each.
         assert!((transmittance - 0.1).abs() < 1e-6, "{transmittance}");
-        assert_eq!(s.sh[..12], before.sh[48..60]);
-        assert!(s.geometry_m.iter().chain(&s.sh_v).all(|&v| v == 0.0));
+        let all = state(n, 1);
+        let after = rearranged(&all, &s);
+        assert_eq!(after.sh[..12], all.sh[48..60]);
+        assert!(after.geometry_m.iter().chain(&after.sh_v).all(|&v| v == 0.0));
     }
 
     #[test]
     fn grows_by_a_twentieth_up_to_the_cap() {
-        let mut s = state(100, 0);
+        let mut s = arrangement(100);
         let before = s.clone();
         let (report, epoch) = run(&mut s, &[SEEN; 100], &McmcOptions::new(103, false), 1);
         assert_eq!(report, DensityReport { added: 3, ..DensityReport::default() });
         assert_eq!((s.len(), epoch), (103, EpochWeight { weight: vec![0.0; 103], iterations: 0 }));
-        let untouched = (0..100).filter(|&i| s.row(i) == before.row(i) && s.geometry_m[12 * i] != 0.0).count();
+        let moments = rearranged(&state(100, 0), &s).geometry_m;
+        let untouched = (0..100).filter(|&i| s.row(i) == before.row(i) && moments[12 * i] != 0.0).count();
         assert!((97..100).contains(&untouched), "{untouched}");
         let (report, _) = run(&mut s, &[SEEN; 103], &McmcOptions::new(1000, false), 1);
         assert_eq!((report.added, s.len()), (5, 108));
@@ -331,7 +337,7 @@ mod tests {
     #[test]
     fn splats_are_judged_as_they_are_seen() {
         let n = 2000;
-        let mut s = state(n, 0);
+        let mut s = arrangement(n);
         for i in 0..n {
             // Scales are 0.01: √(1 + 3)⁻³ = ⅛ is left of every other one, of the first 10⁻⁶.
             s.row_mut(i)[SMOOTHING] = [0.01 * 3.0_f32.sqrt(), 0.0][i % 2];
@@ -364,7 +370,7 @@ mod tests {
         rows[2] = [0.0, 2.0, 4e-4, 1.0]; // opaque, but behind the mesh
         rows[5] = [0.0; 4]; // in no view
         let options = McmcOptions::new(8, true);
-        let mut s = state(8, 0);
+        let mut s = arrangement(8);
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&rows), 60);
         // Of 60 views in 60 iterations some may be in none, of 119 none.
@@ -375,7 +381,7 @@ mod tests {
         assert_eq!(late, DensityReport { relocated: 2, ..DensityReport::default() });
         assert_ne!((s.row(2)[0], s.row(5)[0]), (2.0, 5.0));
         assert_eq!(epoch, EpochWeight { weight: vec![0.0; 8], iterations: 0 });
-        let (pure, _) = run(&mut state(8, 0), &rows, &McmcOptions::new(8, false), 1);
+        let (pure, _) = run(&mut arrangement(8), &rows, &McmcOptions::new(8, false), 1);
         assert_eq!(pure, DensityReport::default());
     }
 
@@ -384,11 +390,11 @@ mod tests {
         let mut rows = vec![[0.0; 4]; 40];
         rows[7] = SEEN;
         let options = McmcOptions { max_splats: 50, growth: 1.25, min_epoch_weight: None, ..McmcOptions::new(0, true) };
-        let mut s = state(40, 0);
+        let mut s = arrangement(40);
         run(&mut s, &rows, &options, 1);
         assert!((40..50).all(|i| s.row(i)[0] == 7.0));
         // Nothing was seen: opacity decides.
-        let mut s = state(40, 0);
+        let mut s = arrangement(40);
         let (report, _) = run(&mut s, &[[0.0; 4]; 40], &options, 1);
         assert_eq!(report.added, 10);
     }
@@ -396,7 +402,7 @@ mod tests {
     #[test]
     fn equal_input_gives_equal_output() {
         let once = |seed| {
-            let mut s = state(200, 1);
+            let mut s = arrangement(200);
             (0..20).for_each(|i| s.row_mut(i)[OPACITY] = logit(0.001));
             run(&mut s, &[SEEN; 200], &McmcOptions::new(1000, false), seed);
             s
@@ -407,11 +413,11 @@ mod tests {
 
     #[test]
     fn nothing_alive_or_nothing_at_all() {
-        let mut s = state(3, 0);
+        let mut s = arrangement(3);
         (0..3).for_each(|i| s.row_mut(i)[OPACITY] = -20.0);
         let (report, _) = run(&mut s, &[SEEN; 3], &McmcOptions::new(100, false), 1);
         assert_eq!((report, s.len()), (DensityReport::default(), 3));
-        let (report, _) = run(&mut SplatState::default(), &[], &McmcOptions::new(100, true), 1);
+        let (report, _) = run(&mut Arrangement::default(), &[], &McmcOptions::new(100, true), 1);
         assert_eq!(report, DensityReport::default());
         assert!(sigmoid(logit(1.0 - f32::EPSILON)) < 1.0, "the most opaque copy has a finite logit");
     }

@@ -1,6 +1,6 @@
 //! From splats to a mesh and back to the splats that the mesh does not make superfluous.
 
-use super::{Run, arrays, splat_state, squared_error};
+use super::{Run, arrangement, splat_state, squared_error};
 use crate::{
     geometry::{self, Contraction, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
@@ -97,8 +97,8 @@ impl<'a> Run<'a> {
     /// regions, as in HERA: a splat goes if the mesh alone has no larger squared error than the splats
     /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
     pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
-        let mut state = splat_state(training)?;
-        let mut advantage = vec![0.0_f64; state.len()];
+        let mut splats = arrangement(training)?;
+        let mut advantage = vec![0.0_f64; splats.len()];
         self.compare(training, &self.train, |_, splats_only, camera, errors| {
             for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(splats_only.gather(camera, errors)?) {
                 *sum += f64::from(mesh) - f64::from(splats);
@@ -109,8 +109,7 @@ impl<'a> Run<'a> {
         ranked.sort_by(|a, b| b.total_cmp(a));
         let least = ranked.get(max_splats).copied().unwrap_or(0.0).max(0.0);
         let keep: Vec<bool> = advantage.iter().map(|&a| a > least).collect();
-        state.retain(&keep);
-        training.write_splats(&arrays(state))?;
-        Ok(())
+        splats.retain(&keep);
+        Ok(training.rearrange(splats.geometry(), splats.sources())?)
     }
 }

@@ -5,9 +5,9 @@ use glam::DVec2;
 use super::{Run, unseen::MaskBits};
 use crate::{
     geometry::{self, Viewers},
-    optimize::{TrainError, state::SplatState},
+    optimize::TrainError,
     render::gpu::training::Training,
-    scene::{HybridScene, Mesh, Splats},
+    scene::{HybridScene, Mesh, Splats, gather},
 };
 
 /// Part of what a splat would show of itself without the mesh that it shows at most beside it.
@@ -20,10 +20,9 @@ impl Run<'_> {
     pub(super) fn without_occluded(
         &self,
         training: &mut Training,
-        mut state: SplatState,
+        splats: Splats,
         meshes: &[Mesh],
     ) -> Result<Splats, TrainError> {
-        let splats = state.to_splats()?;
         if meshes.is_empty() {
             return Ok(splats);
         }
@@ -46,9 +45,9 @@ impl Run<'_> {
             alone => alone?,
         };
         let alone = self.blend_weights(&mut alone, &shown)?;
-        let keep: Vec<bool> = (0..occluded.len()).map(|i| !occluded[i] || beside[i] > SHOWN * alone[i]).collect();
-        state.retain(&keep);
-        Ok(state.to_splats()?)
+        let is_seen = |i: &usize| !occluded[*i] || beside[*i] > SHOWN * alone[*i];
+        let seen: Vec<usize> = (0..occluded.len()).filter(is_seen).collect();
+        Ok(gather(scene.splats, &seen))
     }
 
     /// Σ of the blend weights of every splat `[N]` over all pixels that the training views show.

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrays, check_finite, finite_splats, plan::Plan, splat_state,
+    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement, check_finite, finite_group, plan::Plan,
     squared_error, truth_alpha,
 };
 use crate::{
@@ -295,8 +295,9 @@ impl Run<'_> {
         }
         let statistics = training.read_statistics()?;
         let statistics = Statistics(bytemuck::cast_slice(&statistics));
-        let mut state = splat_state(training)?;
-        finite_splats(&state, plan.phase, done)?;
+        let mut splats = arrangement(training)?;
+        // What else is not finite is reported with the loss.
+        finite_group(splats.first_non_finite(), plan.phase, done)?;
         if densify {
             match o.density {
                 Density::Inria | Density::Absgs => {
@@ -306,21 +307,21 @@ impl Run<'_> {
                         _ => InriaOptions::new(self.extent, max_splats),
                     };
                     let options = InriaOptions { max_scale, ..options };
-                    inria::densify(&mut state, statistics, &options, done, o.seed);
+                    inria::densify(&mut splats, statistics, &options, done, o.seed);
                 }
                 Density::Mcmc => {
                     let options = McmcOptions::new(max_splats, plan.has_mesh);
                     // After a handover less than an interval may have passed.
                     epoch.add(statistics, schedule.densify_interval.min(in_phase));
                     let views = self.train.len() as u32;
-                    mcmc::relocate_and_add(&mut state, statistics, epoch, views, &options, done, o.seed);
+                    mcmc::relocate_and_add(&mut splats, statistics, epoch, views, &options, done, o.seed);
                 }
             }
         }
         if reset {
-            density::reset_opacity(&mut state);
+            density::reset_opacity(&mut splats);
         }
-        training.write_splats(&arrays(state))?;
+        training.rearrange(splats.geometry(), splats.sources())?;
         training.smooth();
         Ok(())
     }

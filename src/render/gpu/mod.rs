@@ -23,6 +23,7 @@ pub(crate) mod pose;
 #[cfg(test)]
 mod pose_tests;
 mod renderer;
+pub(crate) mod rows;
 mod scan;
 mod shader;
 mod smoothing;
@@ -37,6 +38,7 @@ mod view;
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
 pub use layered::{LayeredPicture, LayeredRenderer};
 pub use renderer::{Picture, Renderer};
+pub use rows::Source;
 
 #[cfg(test)]
 mod tests;

@@ -34,6 +34,7 @@ embed![
     "exposure.wgsl",
     "filter_splats.wgsl",
     "gather_counts.wgsl",
+    "gather_rows.wgsl",
     "loss.wgsl",
     "move_vertices.wgsl",
     "order_splats.wgsl",

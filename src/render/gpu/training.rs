@@ -8,6 +8,7 @@ use super::{
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
     renderer::Picture,
+    rows::{RowGather, Rows, Source},
     smoothing::Smoothing,
     splats::{GEOMETRY, SplatBuffers, longer_list},
     status::{ListCheck, Status},
@@ -24,6 +25,18 @@ pub(crate) const HEADROOM: f64 = 0.5;
 pub(crate) struct SplatArrays {
     pub(crate) geometry: [Vec<f32>; 3],
     pub(crate) sh: [Vec<f32>; 3],
+}
+
+impl SplatArrays {
+    /// As [`Training::rearrange`], here.
+    pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source], sh_floats: usize) -> Self {
+        let gather = |before: &[f32], width, what| Source::gather(sources, before, width, what);
+        let [_, gm, gv] = &self.geometry;
+        let [sh, sm, sv] = &self.sh;
+        let [gm, gv] = [gm, gv].map(|moments| gather(moments, GEOMETRY, Rows::GeometryMoments));
+        let [sm, sv] = [sm, sv].map(|moments| gather(moments, sh_floats, Rows::ShMoments));
+        Self { geometry: [geometry.to_vec(), gm, gv], sh: [gather(sh, sh_floats, Rows::Parameters), sm, sv] }
+    }
 }
 
 /// What one step trains on, and how.
@@ -62,6 +75,7 @@ pub(crate) struct Training<'g> {
     moments: [Buffer; 4],
     /// Splats that `moments` have room for.
     moments_of: usize,
+    rows: RowGather,
     smoothing: Option<Smoothing>,
     exposures: Option<Exposures>,
     poses: Option<Poses>,
@@ -87,6 +101,7 @@ impl<'g> Training<'g> {
         let (moments, moments_of) = (new_moments(gpu, &pipeline)?, pipeline.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &moments)?;
         let list_check = new_list_check(gpu, &pipeline);
+        let rows = RowGather::new(gpu, sh_floats(&pipeline))?;
         let (smoothing, exposures, poses, timer) = (None, None, None, None);
         Ok(Self {
             gpu,
@@ -99,6 +114,7 @@ impl<'g> Training<'g> {
             adam,
             moments_of,
             moments,
+            rows,
             smoothing,
             exposures,
             poses,
@@ -341,12 +357,47 @@ impl<'g> Training<'g> {
     pub(crate) fn read_splats(&self) -> Result<SplatArrays, GpuError> {
         let (p, n) = (&self.pipeline, self.pipeline.n_splats);
         let [gm, gv, sm, sv] = &self.moments;
-        let terms = 3 * sh::coefficients(p.splats.sh_degree);
+        let terms = sh_floats(p);
         let read = |buffer: &Buffer, width: usize| self.gpu.read::<f32>(buffer, n * width);
         Ok(SplatArrays {
             geometry: [read(&p.splats.geometry, GEOMETRY)?, read(gm, GEOMETRY)?, read(gv, GEOMETRY)?],
             sh: [read(&p.splats.sh, terms)?, read(sm, terms)?, read(sv, terms)?],
         })
+    }
+
+    /// Geometry of all splats, `[N·12]`. Waits.
+    pub(crate) fn read_geometry(&self) -> Result<Vec<f32>, GpuError> {
+        self.gpu.read(&self.pipeline.splats.geometry, self.pipeline.n_splats * GEOMETRY)
+    }
+
+    /// Replaces the geometry of all splats; everything else of each is what its source had. Statistics are zeroed. Waits only where buffers
+    /// have to grow.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn rearrange(&mut self, geometry: &[f32], sources: &[Source]) -> Result<(), GpuError> {
+        let n = sources.len();
+        assert_eq!(geometry.len(), n * GEOMETRY, "one source per splat");
+        if n > self.pipeline.splats.capacity {
+            let all = self.read_splats()?.rearranged(geometry, sources, sh_floats(&self.pipeline));
+            return self.write_splats(&all);
+        }
+        let (p, [gm, gv, sm, sv]) = (&self.pipeline, &self.moments);
+        // The next step writes gradients anew before it reads them.
+        let backward = p.backward.as_ref().expect("made for training");
+        let (scratch, sh_scratch) = (&backward.geometry_gradient, &backward.sh_gradient);
+        let buffers = [
+            (Rows::GeometryMoments, gm, scratch),
+            (Rows::GeometryMoments, gv, scratch),
+            (Rows::Parameters, &p.splats.sh, sh_scratch),
+            (Rows::ShMoments, sm, sh_scratch),
+            (Rows::ShMoments, sv, sh_scratch),
+        ];
+        self.rows.run(self.gpu, sources, &buffers)?;
+        self.gpu.write(&p.splats.geometry, 0, geometry);
+        self.write_statistics(&vec![0.0; 4 * n]);
+        self.pipeline.n_splats = n;
+        Ok(())
     }
 
     /// Replaces all splats. Statistics are zeroed.
@@ -441,6 +492,10 @@ impl<'g> Training<'g> {
     }
 }
 
+fn sh_floats(pipeline: &Pipeline) -> usize {
+    3 * sh::coefficients(pipeline.splats.sh_degree)
+}
+
 /// No more than the adapter binds at once, which `n` itself may still exceed.
 fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
     let largest = gpu.max_binding_bytes() as usize / (12 * sh::coefficients(sh_degree)).max(4 * GEOMETRY);
@@ -466,7 +521,7 @@ fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {
 }
 
 fn new_moments(gpu: &Gpu, pipeline: &Pipeline) -> Result<[Buffer; 4], GpuError> {
-    let (n, terms) = (pipeline.splats.capacity, 3 * sh::coefficients(pipeline.splats.sh_degree));
+    let (n, terms) = (pipeline.splats.capacity, sh_floats(pipeline));
     Ok([
         gpu.storage("geometry moment 1", n * GEOMETRY)?,
         gpu.storage("geometry moment 2", n * GEOMETRY)?,
@@ -480,7 +535,7 @@ fn new_adam(gpu: &Gpu, pipeline: &Pipeline, moments: &[Buffer; 4]) -> Result<Spl
     let [geometry_m, geometry_v, sh_m, sh_v] = moments;
     SplatAdam::new(
         gpu,
-        3 * sh::coefficients(pipeline.splats.sh_degree),
+        sh_floats(pipeline),
         SplatFloats { geometry: &pipeline.splats.geometry, sh: &pipeline.splats.sh },
         SplatFloats { geometry: &backward.geometry_gradient, sh: &backward.sh_gradient },
         SplatFloats { geometry: geometry_m, sh: sh_m },

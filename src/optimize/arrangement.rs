@@ -1,0 +1,196 @@
+//! Splats while they are added, moved and removed.
+
+use glam::Vec3;
+
+use super::state::{GEOMETRY_FLOATS, LOG_SCALE, OPACITY, SMOOTHING, geometry_not_finite, sigmoid};
+use crate::render::{contract, gpu::Source};
+
+/// Splats by what decides about them, their geometry, and of which splat each takes the rest: SH coefficients and moments of Adam, 14 of 15
+/// floats of degree 3, which stay on the GPU.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Arrangement {
+    geometry: Vec<f32>,
+    sources: Vec<Source>,
+}
+
+impl Arrangement {
+    /// All splats of this geometry, laid out as [`SplatState::geometry`](super::state::SplatState::geometry), at their places.
+    #[must_use]
+    pub fn new(geometry: Vec<f32>) -> Self {
+        let sources = (0..geometry.len() / GEOMETRY_FLOATS).map(Source::new).collect();
+        Self { geometry, sources }
+    }
+
+    /// Number of splats.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// True if there are no splats.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.sources.is_empty()
+    }
+
+    /// `[N·12]`.
+    #[must_use]
+    pub fn geometry(&self) -> &[f32] {
+        &self.geometry
+    }
+
+    /// `[N]`, splats of before.
+    #[must_use]
+    pub fn sources(&self) -> &[Source] {
+        &self.sources
+    }
+
+    /// Drops the splats for which `keep` `[N]` is false; the others keep their order and moments.
+    ///
+    /// # Panics
+    /// If `keep` has not one entry per splat.
+    pub fn retain(&mut self, keep: &[bool]) {
+        assert_eq!(keep.len(), self.len(), "one entry per splat");
+        retain_rows(&mut self.geometry, GEOMETRY_FLOATS, keep);
+        retain_rows(&mut self.sources, 1, keep);
+    }
+
+    /// Appends a copy of splat `i` with moments of zero: what it has learnt of its gradients is not the copy's, which
+    /// will share them.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn push_copy(&mut self, i: usize) {
+        self.geometry.extend_from_within(i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS);
+        self.sources.push(self.sources[i].without_moments());
+    }
+
+    /// Overwrites splat `to` by splat `from`, with moments of zero.
+    ///
+    /// # Panics
+    /// If one is out of range.
+    pub fn copy_over(&mut self, from: usize, to: usize) {
+        self.geometry.copy_within(from * GEOMETRY_FLOATS..(from + 1) * GEOMETRY_FLOATS, to * GEOMETRY_FLOATS);
+        self.sources[to] = self.sources[from].without_moments();
+    }
+
+    /// Sets the moments of splat `i` to zero.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn clear_moments(&mut self, i: usize) {
+        self.sources[i] = self.sources[i].without_moments();
+    }
+
+    /// Sets the moments of all opacities to zero.
+    pub fn clear_opacity_moments(&mut self) {
+        self.sources.iter_mut().for_each(|source| *source = source.without_opacity_moments());
+    }
+
+    /// Geometry of splat `i`.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn row(&self, i: usize) -> &[f32] {
+        &self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
+    }
+
+    /// Geometry of splat `i`, to be changed.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn row_mut(&mut self, i: usize) -> &mut [f32] {
+        &mut self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
+    }
+
+    /// Opacity of splat `i`, 0 to 1.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn opacity(&self, i: usize) -> f32 {
+        sigmoid(self.row(i)[OPACITY])
+    }
+
+    /// What smoothing leaves of the opacity of splat `i`, 0 to 1.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn smoothing_factor(&self, i: usize) -> f32 {
+        let row = self.row(i);
+        contract::smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
+    }
+
+    /// Opacity of splat `i` as it is seen: smoothed.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn seen_opacity(&self, i: usize) -> f32 {
+        self.opacity(i) * self.smoothing_factor(i)
+    }
+
+    /// Largest standard deviation of splat `i`, world units.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    #[must_use]
+    pub fn largest_scale(&self, i: usize) -> f32 {
+        self.row(i)[LOG_SCALE].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()
+    }
+
+    /// The first geometry that is not finite: its group of parameters and its splat.
+    #[must_use]
+    pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
+        geometry_not_finite(&self.geometry)
+    }
+}
+
+/// Drops the rows, of `width` elements each, for which `keep` is false.
+fn retain_rows<T: Copy>(rows: &mut Vec<T>, width: usize, keep: &[bool]) {
+    let mut kept = 0;
+    for (i, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
+        rows.copy_within(i * width..(i + 1) * width, kept * width);
+        kept += 1;
+    }
+    rows.truncate(kept * width);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optimize::density::tests::{arrangement, rearranged, state};
+
+    #[test]
+    fn what_is_kept_keeps_its_coefficients_and_moments() {
+        let (all, mut s) = (state(4, 1), arrangement(4));
+        s.retain(&[false, true, false, true]);
+        let after = rearranged(&all, &s);
+        assert_eq!((s.len(), after.len()), (2, 2));
+        for (now, then) in [(0, 1), (1, 3)] {
+            let (g, h) = (GEOMETRY_FLOATS, all.sh_floats());
+            assert_eq!(after.geometry[now * g..][..g], all.geometry[then * g..][..g]);
+            assert_eq!(after.geometry_v[now * g..][..g], all.geometry_v[then * g..][..g]);
+            assert_eq!(after.sh[now * h..][..h], all.sh[then * h..][..h]);
+            assert_eq!(after.sh_m[now * h..][..h], all.sh_m[then * h..][..h]);
+        }
+        s.retain(&[false, false]);
+        let after = rearranged(&all, &s);
+        assert!(s.is_empty() && after.is_empty() && after.sh.is_empty() && after.sh_v.is_empty());
+    }
+
+    #[test]
+    fn copies_start_without_moments() {
+        let mut s = arrangement(3);
+        s.push_copy(1);
+        s.copy_over(2, 0);
+        assert_eq!((s.len(), s.row(3), s.row(0)), (4, s.row(1), s.row(2)));
+        let after = rearranged(&state(3, 1), &s);
+        assert_eq!((&after.sh[..12], &after.sh[36..]), (&after.sh[24..36], &after.sh[12..24]));
+        assert!(after.geometry_m[36..].iter().chain(&after.geometry_m[..12]).all(|&v| v == 0.0));
+        assert!(after.sh_v[12..36].iter().all(|&v| v != 0.0), "the others keep theirs");
+        assert!(after.sh_v[36..].iter().chain(&after.sh_v[..12]).all(|&v| v == 0.0));
+    }
+}

@@ -1,0 +1,200 @@
+//! Splats in a new order, without their way through the host (`shaders/gather_rows.wgsl`).
+
+use super::{
+    device::{Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    splats::GEOMETRY,
+};
+
+/// Threads per workgroup.
+const THREADS: usize = 256;
+/// Column of the opacity logit in a row of geometry.
+const OPACITY: usize = 3;
+
+/// Which splat another takes its SH coefficients and its moments of Adam from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Source(u32);
+
+impl Source {
+    const FRESH: u32 = 1 << 31;
+    const FRESH_OPACITY: u32 = 1 << 30;
+    const SPLAT: u32 = Self::FRESH_OPACITY - 1;
+
+    /// Splat `i` with all its moments. No adapter binds as many as 2³⁰.
+    #[must_use]
+    pub fn new(i: usize) -> Self {
+        Self(i as u32 & Self::SPLAT)
+    }
+
+    /// The same with moments of zero.
+    #[must_use]
+    pub fn without_moments(self) -> Self {
+        Self(self.0 | Self::FRESH)
+    }
+
+    /// The same with moments of zero for the opacity.
+    #[must_use]
+    pub fn without_opacity_moments(self) -> Self {
+        Self(self.0 | Self::FRESH_OPACITY)
+    }
+
+    /// Index of the splat.
+    #[must_use]
+    pub fn splat(self) -> usize {
+        (self.0 & Self::SPLAT) as usize
+    }
+
+    /// Puts the rows of `before`, of `width` floats each, into the order of `sources`; as moments, of geometry where `opacity` names its
+    /// column, or as parameters.
+    pub(crate) fn gather(sources: &[Self], before: &[f32], width: usize, what: Rows) -> Vec<f32> {
+        let mut after = Vec::with_capacity(sources.len() * width);
+        for source in sources {
+            let at = after.len();
+            after.extend_from_slice(&before[source.splat() * width..][..width]);
+            match what {
+                Rows::Parameters => {}
+                _ if source.0 & Self::FRESH != 0 => after[at..].fill(0.0),
+                Rows::GeometryMoments if source.0 & Self::FRESH_OPACITY != 0 => after[at + OPACITY] = 0.0,
+                Rows::GeometryMoments | Rows::ShMoments => {}
+            }
+        }
+        after
+    }
+}
+
+/// What rows hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rows {
+    /// SH coefficients.
+    Parameters,
+    /// First or second moments of these.
+    ShMoments,
+    /// First or second moments of geometry.
+    GeometryMoments,
+}
+
+/// The same on the GPU, for what changes.
+pub(crate) struct RowGather {
+    /// `[parameters, SH moments, geometry moments]`: fetch and place.
+    kernels: [[Kernel; 2]; 3],
+    sh_floats: usize,
+    size: Buffer,
+}
+
+impl RowGather {
+    /// For splats with `sh_floats` = 3·(degree+1)² SH floats each.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn new(gpu: &Gpu, sh_floats: usize) -> Result<Self, GpuError> {
+        let kernels = [Rows::Parameters, Rows::ShMoments, Rows::GeometryMoments].map(|what| {
+            let (width, opacity) = match what {
+                Rows::GeometryMoments => (GEOMETRY, OPACITY),
+                Rows::Parameters | Rows::ShMoments => (sh_floats, sh_floats),
+            };
+            let defines = (gpu.defines().with("WIDTH", width as u32).with("OPACITY", opacity as u32))
+                .with("MOMENTS", u32::from(what != Rows::Parameters))
+                .with("FRESH", Source::FRESH)
+                .with("FRESH_OPACITY", Source::FRESH_OPACITY)
+                .with("SPLAT", Source::SPLAT);
+            ["fetch", "place"].map(|entry| Kernel::new(gpu, "gather_rows.wgsl", entry, &defines))
+        });
+        Ok(Self { kernels, sh_floats, size: gpu.uniform("changes of rows", 4)? })
+    }
+
+    /// Puts the rows of every buffer into the order of `sources`, by way of another at its side, which is as long. Takes time for rows that
+    /// change only. Does not wait.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn run(
+        &self,
+        gpu: &Gpu,
+        sources: &[Source],
+        buffers: &[(Rows, &Buffer, &Buffer)],
+    ) -> Result<(), GpuError> {
+        let changed = sources.iter().enumerate().filter(|(row, source)| **source != Source::new(*row));
+        let changes: Vec<[u32; 2]> = changed.map(|(row, source)| [row as u32, source.0]).collect();
+        if changes.is_empty() {
+            return Ok(());
+        }
+        let list = gpu.storage_with("changes of rows", &changes)?;
+        gpu.write(&self.size, 0, &[changes.len() as u32, 0, 0, 0]);
+        let mut frame = Frame::new(gpu);
+        for &(what, buffer, fetched) in buffers {
+            let width = if what == Rows::GeometryMoments { GEOMETRY } else { self.sh_floats };
+            for kernel in &self.kernels[what as usize] {
+                let bindings = kernel.bind(gpu, &[&self.size, &list, buffer, fetched]);
+                frame.dispatch(kernel, &bindings, groups(changes.len() * width, THREADS));
+            }
+        }
+        frame.submit();
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+    use crate::{
+        render::{
+            gpu::training::{SplatArrays, Training},
+            testing::random_scene,
+        },
+        scene::OrderMode,
+    };
+
+    /// Fewer splats, another order, copies, more than there is room for, none: all as on the host, to the bit, also by folded dispatches.
+    #[test]
+    fn what_the_gpu_gathers_is_what_the_host_does() {
+        let n = 300;
+        for (gpu, sh_degree) in [(Gpu::open(None), 2), (Gpu::open(None).map(|gpu| gpu.narrowed(7)), 0)] {
+            let gpu = gpu.unwrap();
+            let sh_floats = [3, 12, 27][sh_degree as usize];
+            let (scene, camera) = random_scene(3, n, 0, sh_degree, 1, OrderMode::Stable);
+            let mut rng = Pcg32::seed_from_u64(11);
+            let mut random = |n: usize| (0..n).map(|_| rng.random_range(0.5..1.5)).collect::<Vec<f32>>();
+            let all = SplatArrays {
+                geometry: [0, 1, 2].map(|_| random(n * GEOMETRY)),
+                sh: [0, 1, 2].map(|_| random(n * sh_floats)),
+            };
+            let orders: [Vec<Source>; 5] = [
+                (0..n).step_by(2).map(Source::new).collect(),
+                (0..n).rev().map(|i| Source::new(i).without_opacity_moments()).collect(),
+                (0..n + 100)
+                    .map(|i| if i < n { Source::new(i) } else { Source::new(i - n).without_moments() })
+                    .collect(),
+                (0..3 * n).map(|i| [Source::new(i / 3), Source::new(7).without_moments()][i % 2]).collect(),
+                vec![],
+            ];
+            for sources in orders {
+                let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+                training.write_splats(&all).unwrap();
+                training.write_statistics(&vec![1.0; 4 * n]);
+                let geometry = random(sources.len() * GEOMETRY);
+                training.rearrange(&geometry, &sources).unwrap();
+                let expected = all.rearranged(&geometry, &sources, sh_floats);
+                assert!(training.read_splats().unwrap() == expected, "{} of degree {sh_degree}", sources.len());
+                assert_eq!(training.read_geometry().unwrap(), geometry);
+                assert_eq!(training.read_statistics().unwrap(), vec![0.0; 4 * sources.len()]);
+            }
+        }
+    }
+
+    #[test]
+    fn moments_are_kept_or_begin_anew() {
+        let rows: Vec<f32> = (1..=36).map(|v| v as f32).collect();
+        let sources = [Source::new(2), Source::new(1).without_moments(), Source::new(0).without_opacity_moments()];
+        let gathered = |what| Source::gather(&sources, &rows, GEOMETRY, what);
+        let parameters = gathered(Rows::Parameters);
+        assert_eq!(parameters, [&rows[24..], &rows[12..24], &rows[..12]].concat());
+        let mut moments = parameters;
+        moments[12..24].fill(0.0);
+        assert_eq!(gathered(Rows::ShMoments), moments);
+        moments[24 + OPACITY] = 0.0;
+        assert_eq!(gathered(Rows::GeometryMoments), moments);
+        assert_eq!(sources.map(Source::splat), [2, 1, 0]);
+    }
+}
