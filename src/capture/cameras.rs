@@ -59,7 +59,7 @@ struct Probe {
 /// not known, or there is no camera.
 pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureError> {
     let is_folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
-    let root = if is_folder { path } else { path.parent().unwrap_or(path) };
+    let root = if is_folder { path } else { super::folder_of(path) };
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }

@@ -107,9 +107,12 @@ pub(super) struct PointRecords {
 
 /// The folder of a COLMAP model in or below `root`, if there is one.
 pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
-    ["sparse/0", "sparse", "colmap/sparse/0", ""].iter().map(|f| root.join(f)).find(|folder| {
-        ["cameras.bin", "cameras.txt", "frames.bin", "frames.txt"].iter().any(|f| folder.join(f).is_file())
-    })
+    let holds = |folder: &Path, files: &[&str]| files.iter().any(|f| folder.join(f).is_file());
+    let cameras = ["cameras.bin", "cameras.txt", "frames.bin", "frames.txt"];
+    let model = ["sparse/0", "sparse", "colmap/sparse/0"].iter().map(|f| root.join(f)).find(|f| holds(f, &cameras));
+    // In the capture's own folder a list of frames may be anyone's.
+    let others = ["images.bin", "images.txt", "rigs.bin", "rigs.txt"];
+    model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
 
 /// Frames and points of the model in `folder`, with the images in `root/<images folder>`, and the file that lists them. Unless

@@ -100,7 +100,13 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
             rotation,
             translation,
         });
-        lines.next();
+        let Some((points, line)) = lines.next() else { break };
+        // Where empty lines were taken out, every second image would be passed over.
+        let mut words = points.split_whitespace();
+        let ends_a_point = words.by_ref().last().is_none_or(|id| id.parse::<i64>().is_ok());
+        if !ends_a_point || points.split_whitespace().count() % 3 != 0 {
+            return Err(line.invalid("the 2-D points of the image above, or an empty line", "something else"));
+        }
     }
     Ok(images)
 }

@@ -75,9 +75,10 @@ pub struct Photo {
 /// mistake or an attack.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// Bytes of pixels a byte of a file can stand for at most. Deflate reaches 1032; a progressive JPEG of one colour
-/// about as much (one bit per 8×8 block). Memory is not reserved on the word of a header that claims more.
-const MAX_RATIO: u64 = 4096;
+/// Bytes of pixels a byte of a file can stand for at most. Deflate reaches 1032, of which each is 8 pixels of 1 bit, or 24 bytes of a
+/// palette's colours: 24,768. A progressive JPEG of one colour has about 1000 (one bit per 8×8 block). Memory is not reserved on the word of a
+/// header that claims more.
+const MAX_RATIO: u64 = 1 << 15;
 
 /// What the first bytes of an image say.
 pub(super) struct Header {
@@ -297,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn exif_turns_pictures_upright() {
+    fn exif_turns_pictures_of_which_only_the_upright_one_fits() {
         // Orientation 6 is turned by 90° clockwise: the bright quarter comes to the top right.
         let photo = photo_of(&oriented(6), 8, 16, Downscale::Full).unwrap();
         assert_eq!((photo.width, photo.height), (8, 16));
@@ -305,9 +306,9 @@ mod tests {
         // Poses of the stored picture: it stays as it is.
         let photo = photo_of(&oriented(6), 16, 8, Downscale::Full).unwrap();
         assert!(photo.width == 16 && photo.rgba[0] > 200);
-        // Orientation 3 is upside down.
+        // Orientation 3 is upside down, which no size tells.
         let photo = photo_of(&oriented(3), 16, 8, Downscale::Full).unwrap();
-        assert!(photo.rgba[0] < 50 && photo.rgba[4 * (16 * 8 - 1)] > 200);
+        assert!(photo.rgba[0] > 200 && photo.rgba[4 * (16 * 8 - 1)] < 50);
     }
 
     #[test]
@@ -325,10 +326,32 @@ mod tests {
         }
     }
 
+    /// A PNG of 1 bit per pixel, as programs write masks: a thousandth of a byte each.
+    fn black_mask(width: u32, height: u32) -> Vec<u8> {
+        let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
+        let mut chunk = |kind: &[u8; 4], data: &[u8]| {
+            out.extend((data.len() as u32).to_be_bytes());
+            let named = [kind, data].concat();
+            let mut crc = flate2::Crc::new();
+            crc.update(&named);
+            out.extend(named);
+            out.extend(crc.sum().to_be_bytes());
+        };
+        let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
+        chunk(b"IHDR", &[&size[..], &[1, 0, 0, 0, 0]].concat());
+        let rows = vec![0; height as usize * (1 + width.div_ceil(8) as usize)];
+        let mut encoder = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::best());
+        std::io::Write::write_all(&mut encoder, &rows).unwrap();
+        chunk(b"IDAT", &encoder.finish().unwrap());
+        chunk(b"IEND", &[]);
+        out
+    }
+
     #[test]
     fn headers_are_not_believed() {
         let mut bytes = png(&DynamicImage::new_rgb8(16, 8));
         assert!(photo_of(&png(&DynamicImage::new_rgb8(4000, 3000)), 4000, 3000, Downscale::Factor(99)).is_ok());
+        assert!(photo_of(&black_mask(4000, 3000), 4000, 3000, Downscale::Factor(99)).is_ok());
         // IHDR with 16384×16384 pixels and its checksum.
         let mut crc = !0u32;
         bytes[16..24].copy_from_slice(&[0, 0, 0x40, 0, 0, 0, 0x40, 0]);

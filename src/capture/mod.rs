@@ -141,6 +141,9 @@ pub fn is_capture(folder: &Path) -> bool {
     colmap::find_model(folder).is_some() || !transforms::find(folder).is_empty()
 }
 
+/// Distance of neighbouring coordinates as a part of [`extent`], at most: a quarter of a pixel of pictures of a thousand.
+const COARSEST: f64 = 2.5e-4;
+
 /// Reads the capture at `path`, a folder or a `transforms*.json`.
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
@@ -152,10 +155,10 @@ pub fn is_capture(folder: &Path) -> bool {
 ///
 /// # Errors
 /// If a file is missing, truncated or malformed, a camera model cannot be undistorted, a pose is no rigid motion, a
-/// name leaves the capture's folder or occurs twice, or there are fewer than two views.
+/// name leaves the capture's folder or occurs twice, cameras are too far from the origin for 32-bit floats, or there are fewer than two views.
 pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError> {
     let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
-    let root = if folder { path } else { path.parent().unwrap_or(path) };
+    let root = if folder { path } else { folder_of(path) };
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
@@ -172,9 +175,30 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
         (transforms::load(path, &files, options)?, vec![], first.clone())
     };
     let views = views::assemble(frames, &list, root, options)?;
+    near_origin(&views, &list)?;
     let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
     let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Capture { name, views, points })
+}
+
+/// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is
+/// made of, are too coarse for it.
+fn near_origin(views: &[View], list: &Path) -> Result<(), CaptureError> {
+    let extent = extent(views.iter().map(|view| &view.camera));
+    let distance = views.iter().map(|view| view.camera.center().abs().max_element()).fold(0.0, f64::max);
+    let step = distance * f64::from(f32::EPSILON);
+    if extent == 0.0 || step <= COARSEST * extent {
+        return Ok(());
+    }
+    let expected = "a scene near the origin, where 32-bit floats are fine enough; move the model, as COLMAP's model_transformer does";
+    let found = format!("coordinates of {distance:.0}, where they are {step:.1e} apart, in a scene of {extent:.3}");
+    Err(CaptureError::invalid(list, "camera positions", expected, found))
+}
+
+/// The folder that a file is in.
+fn folder_of(file: &Path) -> &Path {
+    // That of a bare name is empty, which names no folder.
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Size of the scene as INRIA 3DGS means it (`scene/dataset_readers.py`): 1.1 × the largest distance of a camera from the mean

@@ -383,3 +383,80 @@ proptest! {
         }
     }
 }
+
+/// Else every second image would be passed over.
+#[test]
+fn images_txt_without_its_empty_lines_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_capture(root, 4, 20, 10);
+    let sparse = root.join("sparse/0");
+    for stem in ["cameras", "images", "points3D"] {
+        std::fs::remove_file(sparse.join(format!("{stem}.bin"))).unwrap();
+    }
+    std::fs::write(sparse.join("cameras.txt"), "7 PINHOLE 20 10 20 20 10 5\n").unwrap();
+    std::fs::write(sparse.join("points3D.txt"), "1 0 2 5 10 20 30 0.5\n").unwrap();
+    let line = |i: i32| format!("{} 1 0 0 0 {} 0 0 7 {i:02}.png", i + 1, -i);
+    let list = |between: &str| (0..4).map(line).collect::<Vec<_>>().join(between);
+    std::fs::write(sparse.join("images.txt"), list("\n\n")).unwrap();
+    assert_eq!(open(root, &full()).unwrap().views.len(), 4);
+    std::fs::write(sparse.join("images.txt"), list("\n1.5 2.5 -1 3 4 17\n")).unwrap();
+    assert_eq!(open(root, &full()).unwrap().views.len(), 4);
+    std::fs::write(sparse.join("images.txt"), list("\n")).unwrap();
+    let message = message(root, &full());
+    assert!(message.contains("line 2: expected the 2-D points of the image above, or an empty line"), "{message}");
+}
+
+/// Two frames of `transforms.json` from `x` on, the second with a mask.
+fn write_transforms(root: &Path, x: f64) {
+    let frames: Vec<String> = [(0, ""), (1, r#""mask_path":"cut/out.png","#)]
+        .into_iter()
+        .map(|(i, mask)| {
+            RgbImage::new(8, 8).save(root.join(format!("{i}.png"))).unwrap();
+            let at = x + f64::from(i);
+            let pose = format!("[[1,0,0,{at}],[0,1,0,0],[0,0,1,4],[0,0,0,1]]");
+            format!(r#"{{"file_path":"{i}.png",{mask}"transform_matrix":{pose}}}"#)
+        })
+        .collect();
+    let json = format!(r#"{{"fl_x":8,"frames":[{}]}}"#, frames.join(","));
+    std::fs::write(root.join("transforms.json"), json).unwrap();
+}
+
+#[test]
+fn what_lies_beside_transforms_does_not_hide_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    std::fs::write(root.join("frames.txt"), "file '0.png'\nfile '1.png'\n").unwrap();
+    assert_eq!(open(root, &full()).unwrap().views.len(), 2);
+    assert_eq!(folder_of(Path::new("transforms.json")), Path::new("."));
+    // A model in the folder itself is one still.
+    write_capture(root, 3, 8, 8);
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        std::fs::rename(root.join("sparse/0").join(file), root.join(file)).unwrap();
+    }
+    assert_eq!(open(root, &full()).unwrap().views.len(), 3);
+}
+
+#[test]
+fn masks_that_frames_name_are_missed_where_they_should_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    let missing = message(root, &LoadOptions { masks: true, ..full() });
+    let expected = Path::new("cut").join("out.png").display().to_string();
+    assert!(missing.contains(&format!("1 of 1 masks missing, the first is {expected}")), "{missing}");
+    assert!(!missing.contains("masks:"), "there is no such folder: {missing}");
+}
+
+#[test]
+fn scenes_too_far_away_for_floats_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 1000.0);
+    assert!(open(root, &full()).is_ok());
+    // Half a metre apart there, in a scene of half a metre.
+    write_transforms(root, 5e6);
+    let far = message(root, &full());
+    assert!(far.contains("coordinates of 5000001, where they are 6.0e-1 apart, in a scene of 0.550"), "{far}");
+}

@@ -195,7 +195,7 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Pa
         (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
         // Missing images are reported all at once, later: any size will do.
         _ if !image.is_file() => (1, 1),
-        _ => images::header(image)?.upright().1,
+        _ => images::header(image)?.stored().1,
     };
     let (w, h) = (f64::from(width), f64::from(height));
     let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());

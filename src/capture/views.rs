@@ -92,9 +92,11 @@ pub(super) fn assemble(
                 }
             }
         }
-        if frames.iter().any(|f| f.mask.is_some()) || folder.is_dir() {
-            let found = frames.iter().map(|f| (Path::new(&f.name), f.mask.as_deref().is_some_and(Path::is_file)));
-            all_exist(&folder, "masks", found)?;
+        // Those that files name, which need not be in that folder.
+        let masks = || frames.iter().filter_map(|f| f.mask.as_deref());
+        all_exist(root, "masks", masks().map(|mask| (mask.strip_prefix(root).unwrap_or(mask), mask.is_file())))?;
+        if masks().next().is_some() || folder.is_dir() {
+            all_exist(&folder, "masks", frames.iter().map(|f| (Path::new(&f.name), f.mask.is_some())))?;
         }
     }
     frames.into_par_iter().map(|frame| view(frame, options)).collect()
@@ -136,12 +138,13 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
     let Frame { name, list, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, sees } = frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
-    // Poses are those of the upright picture, unless only the stored one fits: COLMAP reads files without turning.
-    let (orientation, (width, height)) = [header.upright(), header.stored()]
+    // COLMAP, nerfstudio and instant-ngp read pictures as they are stored, so that poses are of those, whatever EXIF says; of pictures that
+    // were turned before, by a program that left the note, only the upright one fits.
+    let (orientation, (width, height)) = [header.stored(), header.upright()]
         .into_iter()
         .find(|&(_, size)| same_aspect(size, declared))
         .ok_or_else(|| {
-            let (_, (w, h)) = header.upright();
+            let (_, (w, h)) = header.stored();
             let expected = format!("the aspect ratio of its camera, {}×{}", declared.0, declared.1);
             CaptureError::invalid(&image, "image size", expected, format!("{w}×{h}"))
         })?;

@@ -168,6 +168,7 @@ fn grow_all(faces: &Faces, max_side: f64) -> Vec<u32> {
 }
 
 /// Bounding rectangle in the plane across an axis.
+#[derive(Clone, Copy)]
 struct Extent {
     plane: [DVec3; 2],
     low: DVec2,
@@ -237,8 +238,13 @@ fn merge(faces: &Faces, chart_of: &mut [u32], min_area: f64, max_side: f64) {
             let steepest = if areas[chart] < min_area { -1.0 } else { CONE };
             let suits = |f: u32, axis: DVec3| faces.fits(f, axis) && faces.smooth[f as usize].dot(axis) >= steepest;
             let into = borders.iter().map(|b| b.0 as usize).find(|&c| {
-                members[chart].iter().all(|&f| suits(f, axes[c]))
-                    && members[chart].iter().all(|&f| extents[c].take(&faces.corners[f as usize], max_side))
+                let mut extent = extents[c];
+                let fits = members[chart].iter().all(|&f| suits(f, axes[c]))
+                    && members[chart].iter().all(|&f| extent.take(&faces.corners[f as usize], max_side));
+                if fits {
+                    extents[c] = extent;
+                }
+                fits
             });
             if let Some(into) = into {
                 let moved = std::mem::take(&mut members[chart]);

@@ -9,7 +9,7 @@ use super::bvh::MeshBvh;
 use super::surface::{Surface, compact};
 use crate::scene::{Camera, LARGEST_COORDINATE};
 
-/// Views that must see a triangle of it: as many as judge one.
+/// Views that must see a triangle of it: what one view alone sees may be near.
 const LEAST_VIEWS: u32 = 2;
 /// Radius in units of the cameras' spread, at most: beyond, f32 and viewers of others gain nothing.
 const FARTHEST: f64 = 1000.0;

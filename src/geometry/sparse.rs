@@ -43,6 +43,8 @@ const ALLOWED_RAYS: u32 = 1;
 const IN_THE_WAY: f64 = 0.03;
 /// Cells across the longer side of the picture in which [`visible_points`] compares depths.
 const CELLS: f64 = 48.0;
+/// Cells across in which of those points only the nearest is: two pixels of the depth maps.
+const FINE_CELLS: f64 = SIDE as f64 / 2.0;
 /// Points of a cell are taken for visible down to this many times the nearest depth.
 const SAME_SURFACE: f64 = 1.05;
 
@@ -120,22 +122,54 @@ pub fn surface_from_points(
     Ok((surface, stats))
 }
 
-/// The points that nothing hides, as far as points can tell: in every cell of the picture the nearest ones.
+/// The points that nothing hides, as far as points can tell: in every cell of the picture the nearest ones; of a cloud so dense that depth
+/// maps do not tell its points apart, a part. Their indices ascend.
 #[must_use]
 pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
-    let k = camera.intrinsics();
-    let cell = f64::from(k.width.max(k.height)) / CELLS;
-    let across = (f64::from(k.width) / cell).ceil() as usize + 1;
-    let down = (f64::from(k.height) / cell).ceil() as usize + 1;
-    let mut nearest = vec![f64::INFINITY; across * down];
+    let (coarse, fine) = (Cells::across(CELLS, camera), Cells::across(FINE_CELLS, camera));
+    let mut nearest = vec![f64::INFINITY; coarse.count()];
     let mut found = vec![];
     for (i, point) in (0u32..).zip(points) {
         let Some((pixel, depth)) = project(camera, *point) else { continue };
-        let at = (pixel.y / cell) as usize * across + (pixel.x / cell) as usize;
+        let at = coarse.of(pixel);
         nearest[at] = nearest[at].min(depth);
-        found.push((i, at, depth));
+        found.push((i, pixel, depth));
     }
-    found.into_iter().filter(|&(_, at, depth)| depth <= SAME_SURFACE * nearest[at]).map(|(i, _, _)| i).collect()
+    let mut visible = vec![(f64::INFINITY, None); fine.count()];
+    for (i, pixel, depth) in found {
+        let nearest_of_fine = &mut visible[fine.of(pixel)];
+        if depth <= SAME_SURFACE * nearest[coarse.of(pixel)] && depth < nearest_of_fine.0 {
+            *nearest_of_fine = (depth, Some(i));
+        }
+    }
+    let mut visible: Vec<u32> = visible.into_iter().filter_map(|(_, point)| point).collect();
+    visible.sort_unstable();
+    visible
+}
+
+/// Squares that a picture is divided into.
+struct Cells {
+    side: f64,
+    columns: usize,
+    rows: usize,
+}
+
+impl Cells {
+    /// So many along the longer side.
+    fn across(count: f64, camera: &Camera) -> Self {
+        let k = camera.intrinsics();
+        let side = f64::from(k.width.max(k.height)) / count;
+        let along = |pixels: u32| (f64::from(pixels) / side).ceil() as usize + 1;
+        Self { side, columns: along(k.width), rows: along(k.height) }
+    }
+
+    fn count(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    fn of(&self, pixel: DVec2) -> usize {
+        (pixel.y / self.side) as usize * self.columns + (pixel.x / self.side) as usize
+    }
 }
 
 /// Pixel and depth of a point in front of the camera and inside its picture.
@@ -439,6 +473,21 @@ mod tests {
         eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
         assert!(accuracy < 0.01 && completeness < 0.15, "{accuracy} {completeness}");
         assert_eq!((stats.guessed, stats.is_guess()), (24, true));
+    }
+
+    /// However many points there are, a view sees no more of them than its depth map tells apart.
+    #[test]
+    fn of_dense_clouds_a_part_is_seen() {
+        let camera = &cameras()[0];
+        let ahead = camera.rotation().row(2).as_vec3();
+        let (right, down) = (camera.rotation().row(0).as_vec3(), camera.rotation().row(1).as_vec3());
+        let at = |i: usize| {
+            ahead * 2.0 + right * ((i % 1000) as f32 - 500.0) * 1e-3 + down * ((i / 1000) as f32 - 100.0) * 1e-3
+        };
+        let points: Vec<Vec3> = (0..200_000).map(|i| camera.center().as_vec3() + at(i)).collect();
+        let seen = visible_points(camera, &points);
+        assert!(seen.len() <= (FINE_CELLS * FINE_CELLS) as usize && seen.len() > 500, "{}", seen.len());
+        assert!(seen.is_sorted());
     }
 
     #[test]
