@@ -1,5 +1,5 @@
 // Rows of splats that are to be what others were before: all are fetched before any is put in place. Adam's moments may begin anew instead.
-// WIDTH floats a row; MOMENTS: 1 if moments; OPACITY: the column of opacity, WIDTH where there is none.
+// WIDTH floats a row, moved as bits: what is subnormal stays so. MOMENTS: 1 if moments; OPACITY: the column of opacity, WIDTH where there is none.
 //#import shared/group_index.wgsl
 
 struct Change {
@@ -9,8 +9,8 @@ struct Change {
 
 @group(0) @binding(0) var<uniform> size: vec4u; // changes, 0, 0, 0
 @group(0) @binding(1) var<storage, read> changes: array<Change>;
-@group(0) @binding(2) var<storage, read_write> rows: array<f32>;
-@group(0) @binding(3) var<storage, read_write> fetched: array<f32>; // [change][WIDTH]
+@group(0) @binding(2) var<storage, read_write> rows: array<u32>;
+@group(0) @binding(3) var<storage, read_write> fetched: array<u32>; // [change][WIDTH]
 
 @compute @workgroup_size(256)
 fn fetch(
@@ -23,7 +23,7 @@ fn fetch(
     let column = at - k * WIDTH;
     let source = changes[k].source;
     if MOMENTS == 1u && ((source & FRESH) != 0u || (column == OPACITY && (source & FRESH_OPACITY) != 0u)) {
-        fetched[at] = 0.0;
+        fetched[at] = 0u;
         return;
     }
     fetched[at] = rows[(source & SPLAT) * WIDTH + column];

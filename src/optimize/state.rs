@@ -7,7 +7,7 @@ use glam::{Quat, Vec3};
 use crate::{
     render::{
         contract,
-        gpu::splats::{GEOMETRY, pack_geometry},
+        gpu::splats::{self, GEOMETRY, pack_geometry},
     },
     scene::{SceneError, Splats, sh},
 };
@@ -17,7 +17,7 @@ pub const GEOMETRY_FLOATS: usize = GEOMETRY;
 /// Columns of the mean in a row of [`SplatState::geometry`].
 pub const MEAN: Range<usize> = 0..3;
 /// Column of the opacity logit.
-pub const OPACITY: usize = 3;
+pub const OPACITY: usize = splats::OPACITY;
 /// Columns of the quaternion w, x, y, z.
 pub const ROTATION: Range<usize> = 4..8;
 /// Columns of the log-scale.
@@ -30,8 +30,7 @@ const LEAST_LOGIT: f64 = -100.0;
 
 /// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
 ///
-/// Density control changes `N` here, on the host; moments travel with their splat. All arrays have whole rows for the
-/// same `N` as long as they are changed by these methods.
+/// All arrays have whole rows for the same `N`. Density control changes an [`Arrangement`](super::arrangement::Arrangement) of them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatState {
     /// Degree of the spherical harmonics, 0 to 3.

@@ -297,7 +297,7 @@ fn what_ended_behind_what_is_opaque_is_dropped_after_training() {
 
 /// Trains with `value` at float `at` of the geometry or the SH coefficients.
 fn error_with(geometry: bool, at: usize, value: f32) -> TrainError {
-    // Without a density step before the end, which would find it earlier.
+    // Without a density step before the end, which finds geometry earlier.
     let options = TrainOptions { density: Density::Inria, ..options() };
     with_run(&options, |run, training, scene| {
         let mut arrays = training.read_splats().unwrap();

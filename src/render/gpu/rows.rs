@@ -2,14 +2,11 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Kernel, groups},
-    splats::GEOMETRY,
+    splats::{GEOMETRY, OPACITY},
 };
 
 /// Threads per workgroup.
 const THREADS: usize = 256;
-/// Column of the opacity logit in a row of geometry.
-const OPACITY: usize = 3;
-
 /// Which splat another takes its SH coefficients and its moments of Adam from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Source(u32);
@@ -19,10 +16,14 @@ impl Source {
     const FRESH_OPACITY: u32 = 1 << 30;
     const SPLAT: u32 = Self::FRESH_OPACITY - 1;
 
-    /// Splat `i` with all its moments. No adapter binds as many as 2³⁰.
+    /// Splat `i` with all its moments.
+    ///
+    /// # Panics
+    /// If `i` is 2³⁰ or more: the geometry of as many takes 52 GB.
     #[must_use]
     pub fn new(i: usize) -> Self {
-        Self(i as u32 & Self::SPLAT)
+        assert!(i <= Self::SPLAT as usize, "at most 2³⁰ splats");
+        Self(i as u32)
     }
 
     /// The same with moments of zero.
@@ -43,8 +44,7 @@ impl Source {
         (self.0 & Self::SPLAT) as usize
     }
 
-    /// Puts the rows of `before`, of `width` floats each, into the order of `sources`; as moments, of geometry where `opacity` names its
-    /// column, or as parameters.
+    /// Puts the rows of `before`, of `width` floats each, into the order of `sources`, as `what` they are.
     pub(crate) fn gather(sources: &[Self], before: &[f32], width: usize, what: Rows) -> Vec<f32> {
         let mut after = Vec::with_capacity(sources.len() * width);
         for source in sources {
@@ -156,10 +156,12 @@ mod tests {
             let (scene, camera) = random_scene(3, n, 0, sh_degree, 1, OrderMode::Stable);
             let mut rng = Pcg32::seed_from_u64(11);
             let mut random = |n: usize| (0..n).map(|_| rng.random_range(0.5..1.5)).collect::<Vec<f32>>();
-            let all = SplatArrays {
+            let mut all = SplatArrays {
                 geometry: [0, 1, 2].map(|_| random(n * GEOMETRY)),
                 sh: [0, 1, 2].map(|_| random(n * sh_floats)),
             };
+            // Second moments may be subnormal.
+            all.sh[2].iter_mut().step_by(3).for_each(|v| *v *= f32::MIN_POSITIVE / 2.0);
             let orders: [Vec<Source>; 5] = [
                 (0..n).step_by(2).map(Source::new).collect(),
                 (0..n).rev().map(|i| Source::new(i).without_opacity_moments()).collect(),

@@ -21,6 +21,8 @@ const DEPTH_BITS: u32 = 28;
 /// Floats of a splat in the geometry buffer: mean, opacity logit, quaternion (w, x, y, z), log-scale, and the standard
 /// deviation of the Gaussian that it is smoothed with while training (`filter_splats.wgsl`).
 pub(crate) const GEOMETRY: usize = 12;
+/// Column of the opacity logit among them.
+pub(crate) const OPACITY: usize = 3;
 
 /// Splat parameters as the shaders keep them.
 pub(crate) struct SplatBuffers {

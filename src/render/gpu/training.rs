@@ -378,6 +378,7 @@ impl<'g> Training<'g> {
     pub(crate) fn rearrange(&mut self, geometry: &[f32], sources: &[Source]) -> Result<(), GpuError> {
         let n = sources.len();
         assert_eq!(geometry.len(), n * GEOMETRY, "one source per splat");
+        debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.n_splats), "sources are splats");
         if n > self.pipeline.splats.capacity {
             let all = self.read_splats()?.rearranged(geometry, sources, sh_floats(&self.pipeline));
             return self.write_splats(&all);
@@ -395,7 +396,9 @@ impl<'g> Training<'g> {
         ];
         self.rows.run(self.gpu, sources, &buffers)?;
         self.gpu.write(&p.splats.geometry, 0, geometry);
-        self.write_statistics(&vec![0.0; 4 * n]);
+        let mut frame = Frame::new(self.gpu);
+        frame.clear(&backward.statistics);
+        frame.submit();
         self.pipeline.n_splats = n;
         Ok(())
     }

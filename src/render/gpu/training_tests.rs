@@ -7,6 +7,8 @@ use super::{
     adam::{AdamStep, SplatRates},
     loss::TruthAlpha,
     pose::{PoseState, PoseStep},
+    rows::Source,
+    splats::GEOMETRY,
     texels::TexelStep,
     training::{SplatArrays, Step, Training},
 };
@@ -174,6 +176,48 @@ fn folded_steps_learn_the_same() {
     assert_eq!(found.len(), expected.len());
     let error = relative(&found, &expected);
     assert!(error < 1e-4, "relative error {error:e}");
+}
+
+/// The gradients that were there are overwritten by what is moved, and that by the gradients of the next step: also those of splats that
+/// the view does not see, which are zero.
+#[test]
+fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = testing::random_scene(33, 60, 1, 1, 2, OrderMode::Stable);
+    let made = || stepped(&gpu, &scene, &[camera], &camera);
+    let mut all = made().read_splats().unwrap();
+    let behind = (camera.center() - 10.0 * camera.rotation().row(2)).as_vec3();
+    for i in [2, 5] {
+        behind.write_to_slice(&mut all.geometry[0][GEOMETRY * i..][..3]);
+    }
+    for moments in all.geometry[1..].iter_mut().chain(&mut all.sh[1..]) {
+        moments.iter_mut().enumerate().for_each(|(i, m)| *m = 1e-3 * (1 + i) as f32);
+    }
+    // One of those behind twice, once without moments; the others are not where they were.
+    let mut sources: Vec<Source> = (0..60).rev().chain([2]).map(Source::new).collect();
+    sources[60] = sources[60].without_moments();
+    let rows = |i: usize| all.geometry[0][GEOMETRY * i..][..GEOMETRY].to_vec();
+    let geometry: Vec<f32> = sources.iter().flat_map(|s| rows(s.splat())).collect();
+    let [expected, found] = [false, true].map(|on_gpu| {
+        let mut training = made();
+        training.take_status().unwrap();
+        training.write_splats(&all).unwrap();
+        if on_gpu {
+            training.rearrange(&geometry, &sources).unwrap();
+        } else {
+            training.write_splats(&all.rearranged(&geometry, &sources, 12)).unwrap();
+        }
+        step(&mut training, &camera);
+        assert_eq!(training.take_status().unwrap().skipped, 0);
+        learnt(&training)
+    });
+    let unseen = [54, 57, 60].map(|i| GEOMETRY * i..GEOMETRY * (i + 1));
+    for (found, expected) in found.0.geometry.iter().zip(&expected.0.geometry) {
+        assert!(relative(found, expected) < 1e-5);
+        assert!(unseen.iter().all(|row| found[row.clone()] == expected[row.clone()]));
+    }
+    assert!(found.0.sh.iter().zip(&expected.0.sh).all(|(found, expected)| relative(found, expected) < 1e-5));
+    assert!(relative(&found.1, &expected.1) < 1e-5 && relative(&found.4.0, &expected.4.0) < 1e-5);
 }
 
 /// Wide and high pictures in one run, of which neither side fits the other.
