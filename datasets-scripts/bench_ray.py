@@ -49,7 +49,11 @@ def run(program, command, folder):
     if adapter:
         environment["CENTAUR_ADAPTER"] = adapter
         where += f" ({adapter})"
-    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    try:
+        done = subprocess.run(command, env=environment, text=True, **pipes)
+    except OSError as e:
+        return 1, str(e), where
     return done.returncode, (done.stderr.strip().splitlines() or [""])[-1], where
 
 
@@ -75,7 +79,10 @@ def main(arguments):
     failed, pending = 0, list(names)
     while pending:
         (ready,), pending = ray.wait(pending, num_returns=1)
-        status, message, node = ray.get(ready)
+        try:
+            status, message, node = ray.get(ready)
+        except ray.exceptions.RayError as e:  # the node or the task is gone for good
+            status, message, node = 1, str(e).strip().splitlines()[0], "unknown"
         failed += status != 0
         print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]} on node {node}: {'ended' if status == 0 else message}", flush=True)
     if failed:

@@ -164,7 +164,10 @@ fn tasks_of_slurm_do_every_job_once() {
 #[cfg(target_os = "linux")]
 fn endless(folder: &Path) -> std::process::Child {
     let flags = "--no-mesh --max-side 64 --iterations 1000000 --max-splats 1000 --checkpoint-every 0 --eval-every 0";
-    let mut command = centaur(folder);
+    // Where tests run under nohup, a hangup would end nothing that they start.
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_centaur")]);
+    command.current_dir(folder).env("XDG_RUNTIME_DIR", std::env::temp_dir());
     command.args(["bench", "scenes", "-o", "out", "--quiet", "--"]).args(flags.split(' '));
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }

@@ -87,7 +87,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
           help_heading = OPTIMISATION)]
     checkpoint_every: u32,
-    /// Measure a held-out view for the progress bar after every N iterations; 0 for never
+    /// Measure a held-out view for the progress bar after every N iterations; 0 for only at the end of each phase
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
     eval_every: u32,
     /// Continue from SCENE.glb.checkpoint; give the other options as before. Without this flag such a file is set aside
@@ -504,7 +504,10 @@ fn set_aside(args: &Args) -> Result<Option<PathBuf>> {
 fn why_no_mesh(trained: &Trained) -> String {
     match &trained.selection {
         _ if trained.faint_triangles > 0 => "its triangles became invisible in training".to_owned(),
-        None => "no surface was found, or had room in the budget".to_owned(),
+        None => match &trained.no_surface {
+            Some(why) => why.clone(),
+            None => "no surface was found, or had room in the budget".to_owned(),
+        },
         Some(s) if s.kept() > 0 => format!("the {} triangles that were kept had no room in the budget", s.kept()),
         Some(Selection { triangles, unseen, worse, small }) => format!(
             "of {triangles} triangles {unseen} were seen by too few training views, {worse} showed those worse than splats and {small} \

@@ -40,6 +40,20 @@ pub(super) fn check(
     Ok(gpu.ensure_free(&what, bytes)?)
 }
 
+/// Error if these splats cannot be rendered alone beside what is there.
+///
+/// # Errors
+/// As [`check`].
+pub(super) fn check_alone(
+    gpu: &Gpu,
+    options: &TrainOptions,
+    cameras: &[Camera],
+    splats: usize,
+) -> Result<(), TrainError> {
+    let alone = training_bytes(&size(options, cameras, &MeshSource::None, splats, 0));
+    Ok(gpu.ensure_free("the splats alone", alone.total())?)
+}
+
 /// The run when it is largest.
 fn size(
     options: &TrainOptions,

@@ -80,6 +80,7 @@ pub struct TrainOptions {
     /// Depth order of splats against layers: the paper's.
     pub mode: OrderMode,
     /// λ as a fraction of the capture's extent: 0.01 (HERA has 5 cm, but captures have no metric scale).
+    #[serde(deserialize_with = "infinite_if_null")]
     pub lambda: f32,
     /// Side of the DC + opacity atlas, texels; that of the higher bands is a quarter. By default the power of two from
     /// one and a half times the longer side of the images on, within 128 to 2048: all views together see more than one. A surface
@@ -96,9 +97,9 @@ pub struct TrainOptions {
     /// far background. Its triangles are judged as all others, and it has no vertex that `triangles` counts. Not where
     /// photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/results.md.
     pub shell: bool,
-    /// Iterations between checkpoints, 0 for none but the last: 2,000.
+    /// Iterations between checkpoints, 0 for none but that of a run that is stopped: 2,000.
     pub checkpoint_every: u32,
-    /// Iterations between looks at held-out views, 0 for none but the last: 500.
+    /// Iterations between looks at held-out views, 0 for none but at the end of each phase: 500.
     pub eval_every: u32,
 }
 
@@ -108,6 +109,11 @@ impl TrainOptions {
     pub fn before_surface(&self) -> u32 {
         self.surface_iterations.unwrap_or(self.iterations / 2).min(self.iterations)
     }
+}
+
+/// JSON has no infinity, and `serde_json` writes null for it.
+fn infinite_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    Ok(<Option<f32> as serde::Deserialize>::deserialize(deserializer)?.unwrap_or(f32::INFINITY))
 }
 
 impl Default for TrainOptions {
@@ -141,5 +147,20 @@ impl Default for TrainOptions {
             checkpoint_every: 2_000,
             eval_every: 500,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_survive_their_checkpoint() {
+        for lambda in [0.01, f32::INFINITY] {
+            let options = TrainOptions { lambda, ..TrainOptions::default() };
+            let text = serde_json::to_string(&options).unwrap();
+            assert_eq!(serde_json::from_str::<TrainOptions>(&text).unwrap(), options);
+        }
+        assert_eq!(serde_json::from_str::<TrainOptions>("{}").unwrap(), TrainOptions::default());
     }
 }

@@ -49,6 +49,8 @@ pub struct Schedule {
     pub opacity_reset_interval: Option<u32>,
     /// Opacities are reset after this iteration: 0, or that after which splats were handed over.
     pub opacity_reset_from: u32,
+    /// Opacities are reset before this iteration: any, or while a surface that is made of the splats can wait for them to be opaque again.
+    pub opacity_reset_until: u32,
     /// Splats are pruned for their size after this iteration: 3000.
     pub prune_large_from: u32,
     /// Iterations between two SH degrees: 1000, at least 100.
@@ -73,6 +75,7 @@ impl Schedule {
             densify_interval,
             opacity_reset_interval: (iterations >= 3000).then(|| of_full(3000, 1000)),
             opacity_reset_from: 0,
+            opacity_reset_until: u32::MAX,
             prune_large_from: of_full(3000, densify_interval),
             sh_interval: of_full(1000, 100),
             white_background: false,
@@ -90,6 +93,13 @@ impl Schedule {
     #[must_use]
     pub fn with_white_background(self) -> Self {
         Self { white_background: true, ..self }
+    }
+
+    /// The same where a surface is made after iteration `at`, which splats judge: opacities are reset half an interval before it, or earlier.
+    #[must_use]
+    pub fn before_surface(self, at: u32) -> Self {
+        let recovery = self.opacity_reset_interval.unwrap_or(0) / 2;
+        Self { opacity_reset_until: at.saturating_sub(recovery), ..self }
     }
 
     /// The same where splats are handed over to a mesh after iteration `at`: density control, which ended with the splats' own
@@ -132,7 +142,7 @@ impl Schedule {
     pub fn resets_opacity_after(&self, t: u32) -> bool {
         self.opacity_reset_interval.is_some_and(|interval| {
             t > self.opacity_reset_from
-                && t < self.densify_until
+                && t < self.densify_until.min(self.opacity_reset_until)
                 && (t.is_multiple_of(interval) || (self.white_background && t == self.densify_from))
         })
     }
@@ -298,6 +308,7 @@ mod tests {
                 densify_interval: 100,
                 opacity_reset_interval: Some(3000),
                 opacity_reset_from: 0,
+                opacity_reset_until: u32::MAX,
                 prune_large_from: 3000,
                 sh_interval: 1000,
                 white_background: false,
@@ -309,6 +320,10 @@ mod tests {
         let resets = |s: Schedule| (0..=30_000).filter(|&t| s.resets_opacity_after(t)).collect::<Vec<_>>();
         assert_eq!(resets(s), [3000, 6000, 9000, 12_000]);
         assert_eq!(resets(s.with_white_background()), [500, 3000, 6000, 9000, 12_000]);
+        // A surface sees splats that are opaque again.
+        assert_eq!(resets(s.before_surface(15_000)), [3000, 6000, 9000, 12_000]);
+        assert_eq!([6000, 4600, 4400].map(|at| resets(s.before_surface(at)).len()), [1, 1, 0]);
+        assert!(resets(s.with_white_background().before_surface(1500)).is_empty());
         assert_eq!([999, 1000, 2999, 3000, 30_000].map(|t| s.sh_degree(t, 3)), [0, 1, 2, 3, 3]);
         assert_eq!(s.sh_degree(30_000, 1), 1);
         assert!(!s.prunes_large(3000) && s.prunes_large(3001));

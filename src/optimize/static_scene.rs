@@ -38,7 +38,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, CaptureError, Photo, PhotoCache, Split, View},
-    geometry::{self, Contraction, GeometryError, MeshBvh, Shell, Surface},
+    geometry::{self, Contraction, MeshBvh, Shell, Surface},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -105,6 +105,8 @@ pub struct Trained {
     pub scene: HybridScene,
     /// What the surface of its mesh was made of, if it has one.
     pub surface: Option<SurfaceOrigin>,
+    /// Why no surface could be made, if this run tried.
+    pub no_surface: Option<String>,
     /// What became of the triangles that were found, if this run judged them.
     pub selection: Option<Selection>,
     /// Triangles of its mesh that are of the shell around everything else, see [`TrainOptions::shell`].
@@ -192,6 +194,8 @@ struct Run<'a> {
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
     /// What the meshes were made of.
+    /// Why there is none, where making it failed.
+    no_surface: Option<String>,
     surface: Option<SurfaceOrigin>,
     selection: Option<Selection>,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
@@ -222,14 +226,24 @@ impl<'a> Run<'a> {
         // A file is told by its length: paths and times change where a capture is copied.
         let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
         let files = |v: &View| (length(v.source.path()), v.source.mask().map(length));
-        let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera), files(v))).collect();
+        // Cameras by the bits of their numbers, which JSON may round.
+        let posed = |c: &Camera| {
+            let k = c.intrinsics();
+            let numbers =
+                [c.rotation().to_cols_array().as_slice(), &c.translation().to_array(), &[k.fx, k.fy, k.cx, k.cy]]
+                    .concat();
+            digest(numbers.into_iter())
+        };
+        let views: Vec<_> =
+            capture.views.iter().map(|v| (&v.name, size(&v.camera), posed(&v.camera), files(v))).collect();
+        let points = digest(capture.points.iter().flat_map(|p| p.position.to_array()));
         let mesh = match source {
             MeshSource::None => "none".to_owned(),
             MeshSource::Splats => "splats".to_owned(),
             MeshSource::Points => "points".to_owned(),
             MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
         };
-        let input = serde_json::json!({ "views": views, "mesh": mesh });
+        let input = serde_json::json!({ "views": views, "points": (capture.points.len(), points), "mesh": mesh });
         let identity = Identity { options, input, finds_surface: source.is_found() };
         let cache = PhotoCache::new(PHOTO_BUDGET);
         // All of them: any may have alpha, and one that cannot be read is better known now than in an hour.
@@ -240,6 +254,7 @@ impl<'a> Run<'a> {
         for part in train.chunks(DECODED_AT_ONCE) {
             is_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
         }
+        sampled(&test).try_for_each(|i| has_alpha(&i).map(drop))?;
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = capture::extent(&train_cameras) as f32;
@@ -271,6 +286,7 @@ impl<'a> Run<'a> {
             reached: (Phase::Surface, 0),
             hands_over: false,
             surface: None,
+            no_surface: None,
             selection: None,
             shell,
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
@@ -320,7 +336,10 @@ impl<'a> Run<'a> {
             }
             scene.meshes = match self.find_surface(&mut training, of_points) {
                 // What the splats have learnt is worth more than a mesh.
-                Err(TrainError::Geometry(GeometryError::EmptySurface { .. })) => vec![],
+                Err(TrainError::Geometry(why)) => {
+                    self.no_surface = Some(why.to_string());
+                    vec![]
+                }
                 found => vec![found?],
             };
             // As below, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
@@ -541,6 +560,7 @@ impl<'a> Run<'a> {
             poses: self.refined_poses(),
             cameras: self.cameras.clone(),
             surface: self.surface.filter(|_| !scene.meshes.is_empty()),
+            no_surface: self.no_surface.take(),
             selection: self.selection,
             scene,
             outcome,
@@ -550,6 +570,17 @@ impl<'a> Run<'a> {
             skipped_iterations: self.skipped_iterations,
         })
     }
+}
+
+/// Up to four of the held-out views, for a look at them while training.
+fn sampled(test: &[usize]) -> impl Iterator<Item = usize> {
+    test.iter().copied().step_by(test.len().div_ceil(4).max(1))
+}
+
+/// FNV-1a of the bits of these numbers.
+fn digest(numbers: impl Iterator<Item = f64>) -> u64 {
+    let bytes = numbers.flat_map(|number| number.to_bits().to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
 fn longest_side(camera: &Camera) -> u32 {

@@ -1,6 +1,6 @@
 //! What others print of whole data sets, as plain figures with what they are of.
 
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, ops::RangeInclusive};
 
 use super::jobs::{MIPNERF360, Protocol};
 
@@ -9,6 +9,8 @@ pub(super) struct Known {
     /// What the means are over: all of these and no others.
     scenes: &'static [&'static str],
     pictures: Pictures,
+    /// Longer side of these in pixels.
+    longer_side: RangeInclusive<u64>,
     /// Whose the means are and by which conventions, for below the table.
     pub(super) note: &'static str,
     /// Whether LPIPS, by VGG, is of colours −1…1; else 0…1.
@@ -42,6 +44,11 @@ const fn partly(method: &'static str, psnr: f64, ssim: Option<f64>) -> Mean {
     Mean { method, over: None, psnr, ssim, lpips: None }
 }
 
+/// Of protocol A's pictures, as it seems, in tables of protocol B: the methods' own papers have these figures, and `NerfBaselines` about the same.
+const fn other_pictures(method: &'static str, figures: [f64; 3]) -> Mean {
+    Mean { over: Some("pictures of the data set, as it seems"), ..mean(method, figures) }
+}
+
 /// From HERA's paper, which does not name its five scenes of Tanks and Temples.
 const fn of_five(method: &'static str, figures: [f64; 3]) -> Mean {
     Mean { over: Some("five scenes, unnamed"), ..mean(method, figures) }
@@ -59,15 +66,19 @@ const fn names<const N: usize>(of: &[(&'static str, u32); N]) -> [&'static str; 
 
 const OF_MIPNERF360: [&str; MIPNERF360.len()] = names(&MIPNERF360);
 
+/// Of a quarter of 4946 to 5187 pixels outdoors and half of 3114 to 3118 indoors.
+const OF_EITHER_PROTOCOL: RangeInclusive<u64> = 1226..=1570;
+
 static KNOWN: [Known; 4] = [
     Known {
         scenes: &OF_MIPNERF360,
         pictures: Pictures::Of(Protocol::B),
+        longer_side: OF_EITHER_PROTOCOL,
         note: "the nine scenes of Mip-NeRF 360 as the papers of Mip-Splatting and HERA print them; LPIPS by VGG of colours 0…1",
         normalized: false,
         means: &[
-            mean("Mip-NeRF 360", [27.57, 0.793, 0.234]),
-            mean("Zip-NeRF", [28.54, 0.828, 0.189]),
+            other_pictures("Mip-NeRF 360", [27.57, 0.793, 0.234]),
+            other_pictures("Zip-NeRF", [28.54, 0.828, 0.189]),
             mean("3DGS, retrained", [27.70, 0.826, 0.202]),
             mean("Mip-Splatting", [27.79, 0.827, 0.205]),
             mean("HERA", [27.61, 0.828, 0.199]),
@@ -77,6 +88,7 @@ static KNOWN: [Known; 4] = [
     Known {
         scenes: &OF_MIPNERF360,
         pictures: Pictures::Of(Protocol::A),
+        longer_side: OF_EITHER_PROTOCOL,
         note: "the nine scenes of Mip-NeRF 360 as `NerfBaselines` scores them; LPIPS by VGG of colours −1…1",
         normalized: true,
         means: &[
@@ -92,6 +104,7 @@ static KNOWN: [Known; 4] = [
     Known {
         scenes: &["train", "truck"],
         pictures: Pictures::Distributed,
+        longer_side: 970..=990,
         note: "train and truck of Tanks and Temples as they come (about 980×546), from papers and READMEs of the methods, gsplat's from a survey of compression; \
                LPIPS by VGG of colours 0…1, – where none is known of that convention. Rows of five scenes are from HERA's paper, which does not name \
                them: such means do not compare with those of two. nvs-bench's row is over scenes that were not checked",
@@ -118,20 +131,30 @@ static KNOWN: [Known; 4] = [
     Known {
         scenes: &["drjohnson", "playroom"],
         pictures: Pictures::Distributed,
+        longer_side: 1254..=1342,
         note: "Deep Blending by nvs-bench, over scenes that were not checked; its LPIPS, 0.312, is of a convention that is not said",
         normalized: false,
         means: &[Mean { over: Some("nvs-bench, scenes not checked"), ..partly("Brush", 29.85, Some(0.911)) }],
     },
 ];
 
-/// What is known of exactly these scenes. `resized`: flags choose their pictures or the size of these.
-pub(super) fn of(scenes: &BTreeSet<String>, protocol: Option<Protocol>, resized: bool) -> Option<&'static Known> {
+/// What is known of exactly these scenes, in pictures of these longer sides. `resized`: flags choose their pictures or the size of these.
+pub(super) fn of(
+    scenes: &BTreeSet<String>,
+    protocol: Option<Protocol>,
+    resized: bool,
+    longer_sides: &BTreeSet<u64>,
+) -> Option<&'static Known> {
     KNOWN.iter().find(|known| {
         let is_so = match known.pictures {
             Pictures::Of(wanted) => protocol == Some(wanted),
             // Protocol A takes SSIM of windows inside the picture.
             Pictures::Distributed => protocol != Some(Protocol::A) && !resized,
         };
-        is_so && scenes.len() == known.scenes.len() && known.scenes.iter().all(|name| scenes.contains(*name))
+        let are_so_long = longer_sides.iter().all(|side| known.longer_side.contains(side));
+        is_so
+            && are_so_long
+            && scenes.len() == known.scenes.len()
+            && known.scenes.iter().all(|name| scenes.contains(*name))
     })
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use serde::Serialize;
+use serde_json::Value;
 
 use super::jobs::{self, Protocol};
 use super::published::{self, Known};
@@ -68,6 +69,8 @@ struct Published {
 pub(super) struct Table {
     protocol: Option<Protocol>,
     scores: String,
+    /// Of the SSIM in the table, whatever `scores` says of others.
+    ssim_convention: &'static str,
     adapters: BTreeSet<String>,
     /// Scenes that all variants have.
     common: BTreeSet<String>,
@@ -105,7 +108,8 @@ impl Table {
             variants.push(Section::new(name, &own, &common));
         }
         let resized = done.iter().any(|record| record.made.flags.iter().any(|flag| jobs::chooses_pictures(flag)));
-        let known = published::of(&common, protocol, resized);
+        let sides: BTreeSet<u64> = done.iter().flat_map(longer_sides).collect();
+        let known = published::of(&common, protocol, resized, &sides);
         let has_vgg =
             variants.iter().any(|v| v.mean.as_ref().and_then(|m| m.lpips.as_ref()).is_some_and(|l| l.net == "vgg"));
         let word = |record: &Record, name: &str| record.result["evaluation"][name].as_str().map(str::to_owned);
@@ -115,6 +119,7 @@ impl Table {
                 let said: BTreeSet<String> = done.iter().filter_map(|record| word(record, "protocol")).collect();
                 said.into_iter().collect::<Vec<_>>().join("; or: ")
             },
+            ssim_convention: if protocol == Some(Protocol::A) { "windows inside the picture" } else { "INRIA" },
             adapters: done.iter().filter_map(|record| word(record, "adapter")).collect(),
             published: known.map_or(vec![], |known| Published::of(known, has_vgg)),
             published_note: known.map(|known| known.note),
@@ -233,7 +238,7 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sizes = match self.protocol {
             Some(Protocol::A) => {
-                "Mip-NeRF 360's sizes by protocol A (pictures of the data set); SSIM in the table is of windows inside the picture only"
+                "Mip-NeRF 360's sizes by protocol A (pictures of the data set); SSIM in the table is of windows inside the picture only, whatever follows"
             }
             Some(Protocol::B) => "Mip-NeRF 360's sizes by protocol B (pictures scaled down here)",
             None => "Pictures of the size that the flags say",
@@ -275,6 +280,12 @@ impl fmt::Display for Table {
         }
         Ok(())
     }
+}
+
+/// Of the pictures that a result was scored on, as far as it says.
+fn longer_sides(record: &Record) -> Vec<u64> {
+    let side = |view: &Value| view["size"].as_array()?.iter().filter_map(Value::as_u64).max();
+    record.result["evaluation"]["views"].as_array().map_or(vec![], |views| views.iter().filter_map(side).collect())
 }
 
 #[cfg(test)]
@@ -380,6 +391,10 @@ mod tests {
             }
             table(&records)
         };
+        let sized = |size: [u32; 2]| {
+            with(&["train", "truck"], &|r| r.result["evaluation"]["views"] = json!([{ "size": size }]))
+        };
+        assert_eq!((sized([980, 545]).published.len(), sized([1957, 1091]).published.len()), (16, 0));
         let tanks = with(&["train", "truck"], &|_| {}).to_string();
         for part in [
             "| *HERA, filtered* | published: five scenes, unnamed | | 24.39 | 0.824 | | vgg | – | 0.206 |",

@@ -129,7 +129,9 @@ pub fn relocate_and_add(
         epoch.weight[to] = epoch.weight[from];
     }
 
-    let target = ((n as f64 * f64::from(options.growth)) as usize).min(options.max_splats);
+    // Few grow, too.
+    let grown = ((n as f64 * f64::from(options.growth)) as usize).max(n + usize::from(options.growth > 1.0));
+    let target = grown.min(options.max_splats);
     let added = sample(&scores, target.saturating_sub(n), &mut rng);
     share(splats, &mut scores, sampling, &added, options.min_opacity);
     for &from in &added {
@@ -331,6 +333,8 @@ mod tests {
         assert_eq!((report.added, s.len()), (5, 108));
         let (report, _) = run(&mut s, &[SEEN; 108], &McmcOptions::new(50, false), 1);
         assert_eq!((report.added, s.len()), (0, 108));
+        let report = run(&mut arrangement(5), &[SEEN; 5], &McmcOptions::new(50, false), 1).0;
+        assert_eq!(report.added, 1);
     }
 
     /// A splat that is smoothed to nothing is dead, and one of which smoothing leaves an eighth gets an eighth of the copies, whatever its logit.

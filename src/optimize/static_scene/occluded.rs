@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::{Run, unseen::MaskBits};
 use crate::{
     geometry::{self, Viewers},
-    optimize::TrainError,
+    optimize::{TrainError, memory},
     render::gpu::training::Training,
     scene::{HybridScene, Mesh, Splats, gather},
 };
@@ -37,17 +37,27 @@ impl Run<'_> {
         if !occluded.contains(&true) {
             return Ok(splats);
         }
-        let beside = self.blend_weights(training, &shown)?;
         let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
-        let mut alone = match self.training(&scene) {
+        let (beside, alone) = match self.beside_and_alone(training, &scene, &shown) {
             // What stays costs little, what has been trained much.
             Err(TrainError::Gpu(e)) if e.is_lack_of_memory() => return Ok(scene.splats),
-            alone => alone?,
+            weights => weights?,
         };
-        let alone = self.blend_weights(&mut alone, &shown)?;
         let is_seen = |i: &usize| !occluded[*i] || beside[*i] > SHOWN * alone[*i];
         let seen: Vec<usize> = (0..occluded.len()).filter(is_seen).collect();
         Ok(gather(scene.splats, &seen))
+    }
+
+    /// [`Self::blend_weights`] of what is trained, and of its splats without a mesh.
+    fn beside_and_alone(
+        &self,
+        training: &mut Training,
+        splats: &HybridScene,
+        shown: &[Option<MaskBits>],
+    ) -> Result<(Vec<f64>, Vec<f64>), TrainError> {
+        memory::check_alone(self.session.gpu, self.options, &self.cameras, splats.splats.len())?;
+        let beside = self.blend_weights(training, shown)?;
+        Ok((beside, self.blend_weights(&mut self.training(splats)?, shown)?))
     }
 
     /// Σ of the blend weights of every splat `[N]` over all pixels that the training views show.

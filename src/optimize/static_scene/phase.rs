@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement, check_finite, finite_group, plan::Plan,
+    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement, check_finite, finite_group, plan::Plan, sampled,
     squared_error, truth_alpha,
 };
 use crate::{
@@ -355,10 +355,9 @@ impl Run<'_> {
 
     /// Mean PSNR over up to four held-out views, over the scene's background.
     fn held_out_psnr(&self, training: &mut Training, phase: Phase) -> Result<Option<f64>, TrainError> {
-        let stride = self.test.len().div_ceil(4).max(1);
         let background = self.composition().background;
         let mut scores = vec![];
-        for &i in self.test.iter().step_by(stride) {
+        for i in sampled(&self.test) {
             let view = &self.capture.views[i];
             let photo = self.cache.get(view)?;
             let picture = training.render(&view.camera, background, phase != Phase::Warmup)?;

@@ -37,6 +37,9 @@ impl Run<'_> {
         if o.background == Background::White {
             schedule = schedule.with_white_background();
         }
+        if phase == Phase::Surface {
+            schedule = schedule.before_surface(before);
+        }
         if is_second_part {
             schedule = schedule.handed_over(before);
         }

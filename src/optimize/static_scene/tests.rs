@@ -248,6 +248,42 @@ fn without_a_surface_splats_are_trained_alone() {
         let trained = train(&capture, source, &options, session).unwrap();
         assert_eq!((trained.outcome, trained.surface), (Outcome::Finished, None));
         assert_eq!((trained.scene.meshes.len(), trained.scene.splats.len()), (0, 5));
+        assert!(trained.no_surface.is_some_and(|why| why.contains("surface")));
+    }
+}
+
+/// Nor do maps that have no room for its charts end the run.
+#[test]
+fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {
+    let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    let options = TrainOptions { texture_size: Some(16), ..options() };
+    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let trained = train(&capture, MeshSource::Points, &options, session).unwrap();
+    assert_eq!((trained.outcome, trained.scene.meshes.len()), (Outcome::Finished, 0));
+    assert!(trained.no_surface.is_some_and(|why| why.contains("atlas")));
+}
+
+/// Splats that were trained under other cameras are not trained on, nor those of other points.
+#[test]
+fn checkpoints_are_of_their_cameras_and_points() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let options = TrainOptions { iterations: 60, lambda: f32::INFINITY, ..options() };
+    let run = |capture: &Capture, resume: bool| {
+        let stop = AtomicBool::new(false);
+        let progress = &mut |_: &Progress| stop.store(true, Ordering::Relaxed);
+        let checkpoint = Some(folder.path().join("checkpoint"));
+        let session = Session { gpu: &gpu, checkpoint, resume, stop: &stop, progress };
+        train(capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
+    };
+    assert_eq!(run(&capture, false).unwrap(), Outcome::Interrupted);
+    assert_eq!(run(&capture, true).unwrap(), Outcome::Interrupted);
+    let mut moved = demo();
+    let camera = &mut moved.views[3].camera;
+    *camera = Camera::new(*camera.intrinsics(), camera.rotation(), camera.translation() + 1e-9).unwrap();
+    let mut other = demo();
+    other.points[7].position.x += 1e-9;
+    for capture in [moved, other] {
+        assert!(matches!(run(&capture, true), Err(TrainError::Resume(_))));
     }
 }
 
