@@ -102,10 +102,11 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
         });
         let Some((points, line)) = lines.next() else { break };
         // Where empty lines were taken out, every second image would be passed over.
-        let mut words = points.split_whitespace();
-        let ends_a_point = words.by_ref().last().is_none_or(|id| id.parse::<i64>().is_ok());
-        if !ends_a_point || points.split_whitespace().count() % 3 != 0 {
-            return Err(line.invalid("the 2-D points of the image above, or an empty line", "something else"));
+        let words: Vec<&str> = points.split_whitespace().collect();
+        let is_point = |last: &&str| last.parse::<i64>().is_ok();
+        if !words.len().is_multiple_of(3) || !words.last().is_none_or(is_point) {
+            let found = format!("{} words that end with {}", words.len(), words[words.len() - 1]);
+            return Err(line.invalid("the 2-D points of the image above, or an empty line", &found));
         }
     }
     Ok(images)

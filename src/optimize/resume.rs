@@ -150,8 +150,7 @@ impl Saved {
             return Err(refused(format!("expected a checkpoint of a run with the same options, but {change}")));
         }
         if field("input")? != run.input {
-            let expected =
-                "expected a checkpoint of the same photographs and masks at the same size, and the same kind of mesh";
+            let expected = "expected a checkpoint of the same photographs and masks at the same size, cameras, points and kind of mesh";
             return Err(refused(format!("{expected}, found others")));
         }
         let mut take = |name: String| tensors.remove(&name).ok_or_else(|| damaged(&name));

@@ -58,7 +58,7 @@ pub(super) struct Args {
     /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are [default: all are]
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
-    /// Jobs at a time; the table has no times of jobs that share a machine, or may: those of several at a time, of --list and of --shard. Runners that are started side by side by hand do not know of each other
+    /// Jobs at a time; the table has no times of jobs that share a machine, or may: those of several at a time, of --list and of --shard. Runners that are started side by side by hand are not noticed
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
     /// Only every N-th job, from the I-th on, counted from 0: for arrays of Slurm

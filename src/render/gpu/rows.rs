@@ -7,6 +7,7 @@ use super::{
 
 /// Threads per workgroup.
 const THREADS: usize = 256;
+
 /// Which splat another takes its SH coefficients and its moments of Adam from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Source(u32);
