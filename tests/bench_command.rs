@@ -173,7 +173,7 @@ fn endless(folder: &Path) -> std::process::Child {
 }
 
 #[cfg(target_os = "linux")]
-fn wait_for(what: &str, is_so: impl Fn() -> bool) {
+fn wait_for(what: &str, mut is_so: impl FnMut() -> bool) {
     for _ in 0..1200 {
         if is_so() {
             return;
@@ -196,11 +196,10 @@ fn trainings(folder: &Path) -> Vec<String> {
     processes.filter(is_ours).map(|process| process.file_name().unwrap().to_str().unwrap().to_owned()).collect()
 }
 
-/// Whether the process is gone, with the locks that it held: its arguments go before.
+/// Whether nobody holds the lock. A process that has no arguments any more, or is a zombie, may: its other threads end later.
 #[cfg(target_os = "linux")]
-fn has_ended(process: &str) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
-    stat.rsplit(") ").next().is_none_or(|rest| rest.is_empty() || rest.starts_with('Z'))
+fn is_free(lock: &Path) -> bool {
+    std::fs::OpenOptions::new().write(true).open(lock).unwrap().try_lock().is_ok()
 }
 
 /// Whether the process has come to handle hangups, the signal of number 1.
@@ -225,8 +224,11 @@ fn no_training_is_left_behind_or_done_twice() {
     };
     let mut before = 0;
     for signal in ["INT", "HUP", "KILL"] {
-        let runner = endless(folder.path());
-        wait_for("a training", || trainings(folder.path()).len() == 1);
+        let mut runner = endless(folder.path());
+        wait_for("a training", || {
+            assert_eq!(runner.try_wait().unwrap(), None, "{signal}: the runner ended before it trained");
+            trainings(folder.path()).len() == 1
+        });
         is_left_to_another();
         let training = trainings(folder.path()).pop().unwrap();
         match signal {
@@ -246,7 +248,7 @@ fn no_training_is_left_behind_or_done_twice() {
             is_left_to_another();
             common::send("CONT", &training);
         }
-        wait_for("the end of the training", || has_ended(&training));
+        wait_for("the end of the training", || is_free(&at("out/default/one-0.lock")));
         // None is written but by the end, and each run does an iteration at least.
         let checkpoint = Checkpoint::read(&at("out/default/one-0.glb.checkpoint")).unwrap();
         let iteration = checkpoint.meta["iteration"].as_u64().unwrap();
