@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// Modules of the library and what of ours each may import.
 const MAY_IMPORT: [(&str, &[&str]); 9] = [
     ("scene", &[]),
-    ("capture", &["scene"]),
+    ("capture", &["scene", "format"]),
     ("edit", &["scene"]),
     ("format", &["scene"]),
     ("geometry", &["scene"]),

@@ -118,6 +118,10 @@ fn of_format(e: FormatError) -> String {
 #[expect(clippy::needless_pass_by_value, reason = "what `map_err` takes")]
 fn of_capture(e: CaptureError) -> String {
     let place = match &e {
+        CaptureError::Points(FormatError::Content { location, expected, .. }) => {
+            assert!(*location != Location::File && !expected.is_empty(), "nowhere: {e}");
+            return e.to_string();
+        }
         CaptureError::Invalid { place, expected, found, .. } => {
             assert!(!expected.is_empty() && !found.is_empty(), "{e}");
             place
@@ -127,6 +131,7 @@ fn of_capture(e: CaptureError) -> String {
         CaptureError::Io { .. }
         | CaptureError::Truncated { .. }
         | CaptureError::Image { .. }
+        | CaptureError::Points(_)
         | CaptureError::Missing { .. } => return e.to_string(),
     };
     let is_place = place.starts_with('/') || ["line ", "byte "].iter().any(|word| place.contains(word));

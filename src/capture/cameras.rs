@@ -79,10 +79,10 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
                 return camera_path(&text, file, options);
             }
             let read = transforms::parse(&text, file, root, *held_out, (options, false))?;
-            if let (Some(found), None) = (read.1, fps) {
+            if let (Some(found), None) = (read.fps, fps) {
                 fps = Some(rate(found, file)?);
             }
-            frames.extend(read.0);
+            frames.extend(read.frames);
         }
         (frames, fps, first.clone())
     };

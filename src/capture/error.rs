@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use crate::scene::SceneError;
+use crate::{format::FormatError, scene::SceneError};
 
 /// Why a capture cannot be used. Every message is one line with the file, the place, what was expected and what
 /// was found.
@@ -58,6 +58,9 @@ pub enum CaptureError {
         /// The decoder's reason.
         reason: String,
     },
+    /// Its points cannot be read.
+    #[error(transparent)]
+    Points(#[from] FormatError),
     /// Images or masks that the capture names do not exist.
     #[error("{}: {count} of {total} {what} missing, the first is {first}", .folder.display())]
     Missing {

@@ -148,7 +148,8 @@ const COARSEST: f64 = 2.5e-4;
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
 /// `colmap/sparse/0` or the folder itself, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
-/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic). A `transforms.json` brings no points.
+/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic). Points of a `transforms.json` are those of its
+/// `ply_file_path` (nerfstudio), if it has one, without a word on who sees them.
 ///
 /// Image files may be larger or smaller than their camera says (`images_4`) if the aspect ratio agrees within 1 %;
 /// the intrinsics follow the file.
@@ -163,7 +164,8 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
         views::inside(path, "--images", images)?;
     }
     let (frames, points, list) = if !folder {
-        (transforms::load(root, &[(path.into(), None)], options)?, vec![], path.into())
+        let (frames, points) = transforms::load(root, &[(path.into(), None)], options)?;
+        (frames, points, path.into())
     } else if let Some(model) = colmap::find_model(path) {
         colmap::load(path, &model, (options, true))?
     } else {
@@ -172,7 +174,8 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
             let expected = "a COLMAP model (sparse/0, sparse) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
-        (transforms::load(path, &files, options)?, vec![], first.clone())
+        let (frames, points) = transforms::load(path, &files, options)?;
+        (frames, points, first.clone())
     };
     let views = views::assemble(frames, &list, root, options)?;
     near_origin(&views, &list)?;

@@ -267,6 +267,21 @@ fn transforms_in_opengl_axes() {
     assert_eq!(capture.views[1].source.lens().distortion, brown);
     assert_eq!(Split::Every8th.split(&capture.views), (vec![0], vec![1]));
     assert!(capture.points.is_empty());
+
+    // Points are in the world of the poses, of every file once.
+    let ply = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+               property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 10 20 30\n4 5 6 40 50 60\n";
+    std::fs::write(root.join("sparse_pc.ply"), ply).unwrap();
+    std::fs::write(&file, frames(r#","ply_file_path":"./sparse_pc.ply""#)).unwrap();
+    let points = open(&file, &full()).unwrap().points;
+    let expected = [([1.0, 2.0, 3.0], [10, 20, 30]), ([4.0, 5.0, 6.0], [40, 50, 60])];
+    assert_eq!(points, expected.map(|(p, rgb)| Point { position: DVec3::from(p), rgb }));
+    std::fs::write(&file, frames(r#","ply_file_path":"../sparse_pc.ply""#)).unwrap();
+    let escape = open(&file, &full()).unwrap_err().to_string();
+    assert!(escape.contains("/ply_file_path: expected a path inside the capture"), "{escape}");
+    std::fs::write(&file, frames(r#","ply_file_path":"none.ply""#)).unwrap();
+    let missing = open(&file, &full()).unwrap_err().to_string();
+    assert!(missing.contains("none.ply: "), "{missing}");
     for lists in [
         r#","val_filenames":["train/r_0.png"]"#,
         r#","train_filenames":["train/r_1.png"],"val_filenames":["train/r_0.png"]"#,

@@ -11,8 +11,8 @@ use serde::de::IgnoredAny;
 
 use super::distortion::{Distortion, Lens};
 use super::views::{Frame, inside};
-use super::{CaptureError, LoadOptions, error, images};
-use crate::scene::Intrinsics;
+use super::{CaptureError, LoadOptions, Point, error, images};
+use crate::{format::ply, scene::Intrinsics};
 
 /// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
 #[derive(Deserialize)]
@@ -26,6 +26,8 @@ struct Transforms {
     val_filenames: Vec<String>,
     train_filenames: Option<Vec<String>>,
     fps: Option<f64>,
+    /// Points, in the world of the poses (nerfstudio's `ns-process-data`).
+    ply_file_path: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -74,17 +76,34 @@ pub(super) fn find(folder: &Path) -> Vec<(PathBuf, Option<bool>)> {
         .collect()
 }
 
-/// The frames of all `files`, whose paths are relative to `root`.
+/// What one file's text says.
+pub(super) struct Parsed {
+    pub(super) frames: Vec<Frame>,
+    /// How many frames there are a second, if they are a path.
+    pub(super) fps: Option<f64>,
+    /// The PLY with its points.
+    points: Option<PathBuf>,
+}
+
+/// The frames and the points of all `files`, whose paths are relative to `root`.
 pub(super) fn load(
     root: &Path,
     files: &[(PathBuf, Option<bool>)],
     options: &LoadOptions,
-) -> Result<Vec<Frame>, CaptureError> {
-    let mut frames = Vec::new();
+) -> Result<(Vec<Frame>, Vec<Point>), CaptureError> {
+    let (mut frames, mut clouds) = (vec![], vec![]);
     for (path, held_out) in files {
-        frames.extend(parse(&error::read_text(path)?, path, root, *held_out, (options, true))?.0);
+        let parsed = parse(&error::read_text(path)?, path, root, *held_out, (options, true))?;
+        frames.extend(parsed.frames);
+        clouds.extend(parsed.points);
     }
-    Ok(frames)
+    // Files of one capture may name the same.
+    clouds.dedup();
+    let mut points = vec![];
+    for cloud in clouds {
+        points.extend(ply::read_points(&cloud)?.into_iter().map(|(position, rgb)| Point { position, rgb }));
+    }
+    Ok((frames, points))
 }
 
 /// `./train/r_0` is `train/r_0`.
@@ -92,15 +111,14 @@ fn plain(name: &str) -> &str {
     name.strip_prefix("./").unwrap_or(name)
 }
 
-/// The frames of one file's text, and how many there are a second if it says so. Without `photographs`, names need not be
-/// those of files in the capture.
+/// Without `photographs`, names need not be those of files in the capture.
 pub(super) fn parse(
     text: &str,
     path: &Path,
     root: &Path,
     held_out: Option<bool>,
     (options, photographs): (&LoadOptions, bool),
-) -> Result<(Vec<Frame>, Option<f64>), CaptureError> {
+) -> Result<Parsed, CaptureError> {
     let file: Transforms =
         serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a transforms.json with frames", &e))?;
     let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty() || !file.val_filenames.is_empty();
@@ -158,7 +176,11 @@ pub(super) fn parse(
         let expected = "a path that begins with images/, for another folder to take its place";
         return Err(CaptureError::invalid(path, format!("{}/file_path", first.at), expected, &first.name));
     }
-    Ok((frames, file.fps))
+    let points = match &file.ply_file_path {
+        Some(name) if photographs => Some(root.join(inside(path, "/ply_file_path", plain(name))?)),
+        _ => None,
+    };
+    Ok(Parsed { frames, fps: file.fps, points })
 }
 
 /// The file of an image: another folder for `images` if asked for, a suffix if the name has none.
