@@ -1,6 +1,7 @@
 // Projects every splat: screen ellipse, colour, depth key and the number of tiles it touches (0 = culled).
 // One thread a splat. Reads 48 + 12·(d+1)² bytes, writes 56 (8 if culled).
 //#import shared/view.wgsl
+//#import shared/finite.wgsl
 //#import shared/blend.wgsl
 //#import shared/projection.wgsl
 //#import shared/tile_rows.wgsl
@@ -25,7 +26,8 @@ fn main(
     visible[i] = 0u;
     let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
     let p = project(view, g);
-    // Comparisons are phrased so that NaN fails them.
+    // A compiler may take it that comparisons never see NaN.
+    if !are_finite(vec4f(p.center, p.det, p.t.z)) { return; }
     if !(p.t.z > view.near) || !(p.opacity >= ALPHA_CUT) { return; }
     // Without a filter one that is seen edge-on has no area; what follows overflows there.
     if !(p.det > 1e-20) { return; }

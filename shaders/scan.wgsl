@@ -12,6 +12,8 @@
 
 const BLOCK: u32 = 256u * PER_THREAD;
 
+var<workgroup> shared_count: u32;
+
 fn item_count() -> u32 {
     return min(counts[COUNT_WORD], CAPACITY);
 }
@@ -34,7 +36,9 @@ fn sum_blocks(
 
 @compute @workgroup_size(256)
 fn scan_sums(@builtin(local_invocation_index) thread: u32) {
-    let n_blocks = (item_count() + BLOCK - 1u) / BLOCK;
+    // There are barriers in the loop, and not every compiler sees that all threads read the same.
+    if thread == 0u { shared_count = item_count(); }
+    let n_blocks = (workgroupUniformLoad(&shared_count) + BLOCK - 1u) / BLOCK;
     var carry = 0u;
     for (var base = 0u; base < n_blocks; base += 256u) {
         let i = base + thread;

@@ -1,4 +1,5 @@
 // What a training step finds out about itself; render/gpu/status.rs reads it.
+//#import shared/finite.wgsl
 
 struct Status {
     is_short: u32,              // 1: a list of this step was too short, so that it must not change anything
@@ -15,14 +16,3 @@ const NOT_FINITE_BANDS: u32 = 8u;
 const NOT_FINITE_VERTICES: u32 = 16u;
 const NOT_FINITE_EXPOSURES: u32 = 32u;
 const NOT_FINITE_POSES: u32 = 64u;
-
-const EXPONENT: u32 = 0x7f800000u;
-
-// By the bits: a compiler may take it that no float is NaN.
-fn is_finite(v: f32) -> bool {
-    return (bitcast<u32>(v) & EXPONENT) != EXPONENT;
-}
-
-fn are_finite(v: vec4f) -> bool {
-    return all((bitcast<vec4u>(v) & vec4u(EXPONENT)) != vec4u(EXPONENT));
-}

@@ -51,6 +51,7 @@ embed![
     "shared/adam.wgsl",
     "shared/atomic_add.wgsl",
     "shared/blend.wgsl",
+    "shared/finite.wgsl",
     "shared/group_index.wgsl",
     "shared/layered.wgsl",
     "shared/map.wgsl",

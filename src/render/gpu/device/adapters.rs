@@ -58,9 +58,34 @@ fn instance() -> wgpu::Instance {
     wgpu::Instance::new(descriptor)
 }
 
+/// Storage buffers of the kernel that binds most (`blend_backward.wgsl` in training with layers).
+const STORAGE_BUFFERS: u32 = 12;
+/// Workgroup memory of the kernel that takes most (`loss.wgsl`), bytes, rounded up to what WebGPU promises.
+const WORKGROUP_BYTES: u32 = 16384;
+
+fn runs_kernels(limits: &wgpu::Limits) -> bool {
+    limits.max_compute_invocations_per_workgroup >= 256
+        && limits.max_storage_buffers_per_shader_stage >= STORAGE_BUFFERS
+        && limits.max_compute_workgroup_storage_size >= WORKGROUP_BYTES
+}
+
+/// What is asked of an adapter: of what other adapters may lack no more than kernels need, so that tests notice if one needs more.
+pub(super) fn wanted_limits(of: &wgpu::Adapter) -> wgpu::Limits {
+    wgpu::Limits {
+        max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
+        max_compute_workgroup_storage_size: WORKGROUP_BYTES,
+        ..of.limits()
+    }
+}
+
+/// Most bytes of a buffer that shaders see whole: they are told its size as u32, and Metal lets larger ones be bound.
+pub(super) fn max_binding_bytes(limits: &wgpu::Limits) -> u64 {
+    limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(i32::MAX as u64)
+}
+
 pub(super) fn adapters() -> Vec<wgpu::Adapter> {
     let mut found = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
-    found.retain(|a| a.limits().max_compute_invocations_per_workgroup >= 256);
+    found.retain(|a| runs_kernels(&a.limits()));
     // Real hardware first, software last.
     found.sort_by_key(|a| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
@@ -90,7 +115,7 @@ pub(super) fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
             backend: format!("{:?}", info.backend),
             kind: format!("{:?}", info.device_type),
             driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
-            max_binding_bytes: a.limits().max_storage_buffer_binding_size,
+            max_binding_bytes: max_binding_bytes(&a.limits()),
             float_atomics: features.contains(wgpu::Features::SHADER_FLOAT32_ATOMIC),
             subgroup_size: if subgroups { (info.subgroup_min_size, info.subgroup_max_size) } else { (0, 0) },
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),

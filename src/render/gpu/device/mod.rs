@@ -12,7 +12,7 @@ use std::{
 };
 
 pub use adapters::{AdapterSummary, Profile, list_adapters};
-use adapters::{adapters, choose, summaries};
+use adapters::{adapters, choose, max_binding_bytes, summaries, wanted_limits};
 pub(crate) use buffer::Buffer;
 use buffer::Memory;
 use error::Failure;
@@ -59,7 +59,7 @@ impl Gpu {
         wanted_features.set(wgpu::Features::SHADER_FLOAT32_ATOMIC, float_atomics);
         wanted_features.set(wgpu::Features::SUBGROUP, subgroups);
         let features = adapter.features() & wanted_features;
-        let limits = adapter.limits();
+        let limits = wanted_limits(adapter);
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("centaur"),
             required_features: features,
@@ -119,7 +119,7 @@ impl Gpu {
     /// Most bytes that one binding can hold.
     #[must_use]
     pub fn max_binding_bytes(&self) -> u64 {
-        self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
+        max_binding_bytes(&self.limits)
     }
 
     /// Most workgroups in a row of a dispatch.

@@ -1,0 +1,12 @@
+// Whether floats are neither NaN nor infinite.
+
+const EXPONENT: u32 = 0x7f800000u;
+
+// By the bits: a compiler may take it that no float is NaN.
+fn is_finite(v: f32) -> bool {
+    return (bitcast<u32>(v) & EXPONENT) != EXPONENT;
+}
+
+fn are_finite(v: vec4f) -> bool {
+    return all((bitcast<vec4u>(v) & vec4u(EXPONENT)) != vec4u(EXPONENT));
+}
