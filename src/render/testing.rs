@@ -173,3 +173,29 @@ pub(crate) fn smooth_scene(seed: u64, layers: u32, mode: OrderMode) -> (HybridSc
     let composition = Composition { mode, lambda: 0.3, layers, background: [0.3, 0.5, 0.2], ..Composition::default() };
     (HybridScene { splats, meshes, composition }, camera)
 }
+
+/// A tilted sheet through which a splat is turned: the paper's figure. The mean lies just behind the sheet at its own
+/// projection. On the ray of a neighbouring pixel the sheet is farther than the mean. With the two pixels.
+pub(crate) fn two_rays(mode: OrderMode) -> (HybridScene, Camera, [usize; 2]) {
+    let red = vec![[2.0, -2.0, -2.0_f32]];
+    let splats = Splats::new(
+        vec![Vec3::new(0.0, 0.0, 3.02)],
+        vec![Quat::IDENTITY],
+        vec![Vec3::splat(0.3_f32.ln())],
+        vec![(0.9_f32 / 0.1).ln()],
+        0,
+        red,
+    )
+    .unwrap();
+    // z = 3 + x/2, opaque.
+    let corner = |x: f32, y: f32| Vec3::new(x, y, 3.0 + 0.5 * x);
+    let mut base = Texture::zeros(1, 1, 4).texels().to_vec();
+    base[3] = 100.0;
+    let atlas = Atlas::new(Texture::new(1, 1, 4, base).unwrap(), None).unwrap();
+    let positions = vec![corner(-2.0, -2.0), corner(2.0, -2.0), corner(2.0, 2.0), corner(-2.0, 2.0)];
+    let mesh = Mesh::new(positions, vec![[0, 1, 2], [0, 2, 3]], vec![[Vec2::ZERO; 3]; 2], atlas).unwrap();
+    let composition = Composition { mode, lambda: 0.5, ..Composition::default() };
+    let intrinsics = Intrinsics { width: 33, height: 33, fx: 33.0, fy: 33.0, cx: 16.5, cy: 16.5 };
+    let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    (HybridScene { splats, meshes: vec![mesh], composition }, camera, [14, 18].map(|x| 16 * 33 + x))
+}

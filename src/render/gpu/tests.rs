@@ -101,13 +101,23 @@ const MEAN: f64 = 1e-4;
 /// term that is left out is worth per cents.
 const GRADIENT: f64 = 1e-3;
 
-/// Mean and largest difference over pixels that no decision is close in, and the number of the others.
-fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, usize) {
+/// Pixels that a decision is close in, and those of each kind of decision; a pixel may be of several.
+#[derive(Default)]
+struct Excused {
+    pixels: usize,
+    by_kind: [usize; 4],
+}
+
+/// Mean and largest difference over pixels that no decision is close in, and the others.
+fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, Excused) {
     let (expected, margins) = reference::render_with_margins(scene, camera);
-    let (mut sum, mut most, mut excused) = (0.0, 0.0_f64, 0);
+    let (mut sum, mut most, mut excused) = (0.0, 0.0_f64, Excused::default());
     for (i, margin) in margins.iter().enumerate() {
         if margin.is_within(&TOLERANCE) {
-            excused += 1;
+            excused.pixels += 1;
+            for (count, within) in excused.by_kind.iter_mut().zip(margin.within(&TOLERANCE)) {
+                *count += usize::from(within);
+            }
             continue;
         }
         for c in 0..3 {
@@ -117,7 +127,7 @@ fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, us
             most = most.max(difference);
         }
     }
-    (sum / (3 * (margins.len() - excused).max(1)) as f64, most, excused)
+    (sum / (3 * (margins.len() - excused.pixels).max(1)) as f64, most, excused)
 }
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
@@ -125,7 +135,7 @@ const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, 
 #[test]
 fn images_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap();
-    let (mut pixels, mut all_excused) = (0, 0);
+    let (mut pixels, mut all, mut worst) = (0, Excused::default(), [0.0_f64; 2]);
     for seed in 0..54_usize {
         // Every number of splats with every number of layers in every mode; beside each of these every number of meshes and every
         // degree, in turns that are not those of one another.
@@ -141,14 +151,39 @@ fn images_equal_the_reference() {
         let (mean, most, excused) = compare(&found, &scene, &camera);
         eprintln!(
             "scene {seed}: {n} splats, {n_meshes} meshes, degree {sh_degree}, {layers} layers, {mode:?}: mean {mean:.2e}, max {most:.2e}, \
-             {excused} threshold pixels of {}",
+             {} threshold pixels of {}",
+            excused.pixels,
             found.rgb.len()
         );
         assert!(mean < MEAN && most < MOST, "scene {seed}: mean {mean:e}, max {most:e}");
+        worst = [worst[0].max(mean), worst[1].max(most)];
         pixels += found.rgb.len();
-        all_excused += excused;
+        all.pixels += excused.pixels;
+        all.by_kind.iter_mut().zip(excused.by_kind).for_each(|(sum, count)| *sum += count);
     }
-    assert!(all_excused * 10 < pixels, "{all_excused} of {pixels} pixels are threshold pixels");
+    eprintln!(
+        "54 scenes: mean at most {:.1e}, max {:.1e}; {} of {pixels} pixels are threshold pixels, by {:?} {:?}",
+        worst[0],
+        worst[1],
+        all.pixels,
+        Margin::KINDS,
+        all.by_kind
+    );
+    assert!(all.pixels * 10 < pixels, "{} of {pixels} pixels are threshold pixels", all.pixels);
+}
+
+/// The paper's figure, as the reference has it (`two_rays_disagree_in_direct_order_only`), as f32.
+#[test]
+fn two_rays_disagree_in_direct_order_only() {
+    let gpu = Gpu::open(None).unwrap();
+    let (hidden, shown) = (0.499950, 0.923665);
+    for (mode, expected) in MODES.into_iter().zip([[hidden, hidden], [hidden, hidden], [hidden, shown]]) {
+        let (scene, camera, pixels) = testing::two_rays(mode);
+        let (image, _) = gpu_frame(&gpu, &scene, &camera, None);
+        for (pixel, expected) in pixels.into_iter().zip(expected) {
+            assert!((image.rgb[pixel][0] - expected).abs() < 1e-5, "{mode:?}: {}", image.rgb[pixel][0]);
+        }
+    }
 }
 
 /// As images with more than 65,535 workgroups in a dispatch.

@@ -29,15 +29,25 @@ pub struct Margin {
 }
 
 impl Margin {
+    /// What is decided: by the cut of alpha, the order of depths, edges of triangles, the stop of transmittance.
+    pub const KINDS: [&str; 4] = ["alpha", "order", "edge", "stop"];
     const NONE: Self = Self { alpha: f64::INFINITY, order: f64::INFINITY, edge: f64::INFINITY, stop: f64::INFINITY };
 
     /// Whether any distance is below its `tolerance`.
     #[must_use]
     pub fn is_within(&self, tolerance: &Self) -> bool {
-        self.alpha < tolerance.alpha
-            || self.order < tolerance.order
-            || self.edge < tolerance.edge
-            || self.stop < tolerance.stop
+        self.within(tolerance).contains(&true)
+    }
+
+    /// Which distances are below their `tolerance`, in the order of [`Margin::KINDS`].
+    #[must_use]
+    pub fn within(&self, tolerance: &Self) -> [bool; 4] {
+        [
+            self.alpha < tolerance.alpha,
+            self.order < tolerance.order,
+            self.edge < tolerance.edge,
+            self.stop < tolerance.stop,
+        ]
     }
 }
 
