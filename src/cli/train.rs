@@ -26,7 +26,7 @@ use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
-  centaur train captures/garden -o garden.glb --downscale 4 --report out/garden
+  centaur train captures/garden -o garden.glb --downscale 4 --report garden-report
   centaur train captures/tankard -o tankard.glb --masks --max-splats 200000
   centaur train captures/garden -o splats.glb --no-mesh
   centaur train captures/garden -o garden.glb --mesh scan.obj --layers 2
@@ -35,7 +35,7 @@ Examples:
 /// Train a hybrid scene from a folder of posed photographs
 ///
 /// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
-/// photograph is held out and scored at the end. Ctrl-C stops after the current iteration and leaves a checkpoint
+/// photograph is held out and scored at the end, or those of the capture's own split. Ctrl-C stops after the current iteration and leaves a checkpoint
 /// for --resume; a second Ctrl-C stops at once.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
@@ -87,7 +87,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
           help_heading = OPTIMISATION)]
     checkpoint_every: u32,
-    /// Measure a held-out view for the progress bar after every N iterations; 0 for only at the end of each phase
+    /// Measure PSNR on up to four held-out views, for the progress bar, after every N iterations; 0 for only at the end of each phase
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
     eval_every: u32,
     /// Continue from SCENE.glb.checkpoint; give the other options as before. Without this flag such a file is set aside
@@ -129,13 +129,14 @@ pub(super) struct Args {
     #[arg(long, value_name = "MB", conflicts_with = "max_floats", value_parser = positive, help_heading = OPTIMISATION)]
     budget_mb: Option<f64>,
 
-    /// Surface to use: .glb, .gltf, .obj or .ply; its UVs are kept [default: one made from the capture, see --surface]
+    /// Surface to use, in the coordinates of the poses: .glb, .gltf, .obj or .ply. Its vertices, triangles and UVs are kept as they
+    /// are; no shell is added [default: one made from the capture, see --surface]
     #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
     mesh: Option<PathBuf>,
     /// Splats alone
     #[arg(long, help_heading = MESH)]
     no_mesh: bool,
-    /// What the surface is made of [default: points where the capture says of 100 or more to a view that it sees them, else splats]
+    /// What the surface is made of [default: points if half of the views list 100 or more that they see, else splats]
     #[arg(long, value_enum, value_name = "splats|points", conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
     surface: Option<SurfaceOf>,
     /// Of --iterations, those on splats alone before there is a surface, with which it is compared; the rest trains splats and
@@ -363,7 +364,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         "{}: expected held-out views for --report, found none",
         args.capture.display()
     );
-    let mut notes = before_training(args, &capture, scores);
+    let mut notes = before_training(args, &capture, &gpu, scores);
     let aside = set_aside(args)?;
     notes.extend(aside.iter().map(|aside| {
         format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.display())
@@ -460,7 +461,7 @@ fn moved(trained: &Trained) -> Option<String> {
 const USUAL_SIDE: u32 = 1600;
 
 /// Said before the training: a capture that lacks something is better mended than trained for hours.
-fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> {
+fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> Vec<String> {
     let has_masks = capture.views.iter().any(|view| view.source.mask().is_some());
     let lacks = [
         (capture.points.is_empty(), "has no points: splats begin at random places that its cameras look at"),
@@ -476,10 +477,12 @@ fn before_training(args: &Args, capture: &Capture, scores: bool) -> Vec<String> 
              (--max-side {USUAL_SIDE}) or --downscale"
         )
     });
-    said.map(|(_, what)| what.to_owned())
-        .chain(large)
-        .map(|what| format!("{}: {what}", args.capture.display()))
-        .collect()
+    let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
+    let most = optimize::most_splats(gpu, args.sh_degree);
+    let too_many = (args.max_splats > most).then(|| {
+        format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
+    });
+    of_capture.map(|what| format!("{}: {what}", args.capture.display())).chain(too_many).collect()
 }
 
 /// Where density control by gradients was held back, which has no number of its own to come to.

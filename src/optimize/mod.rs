@@ -16,6 +16,7 @@ pub mod state;
 mod static_scene;
 mod surface;
 
+pub use memory::most_splats;
 pub use options::{Background, Density, TrainOptions};
 pub use static_scene::{Outcome, Phase, Progress, RefinedPose, Selection, Session, Trained, train};
 pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};

@@ -33,7 +33,7 @@ use super::{
     initialize::{self, Initial},
     memory,
     resume::{Identity, Saved},
-    state::{GEOMETRY_FLOATS, SplatState},
+    state::SplatState,
     surface,
 };
 use crate::{
@@ -46,7 +46,7 @@ use crate::{
         pose::PoseState,
         training::{SplatArrays, Training},
     },
-    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, sh},
+    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats},
 };
 
 /// Decoded photographs are kept up to this many bytes, of whatever size.
@@ -517,10 +517,7 @@ impl<'a> Run<'a> {
         let mesh: usize = meshes.iter().map(Mesh::floats).sum();
         let left = |floats: usize| floats.saturating_sub(mesh) / Splats::floats_each(self.options.sh_degree);
         let by_floats = self.options.max_floats.map_or(usize::MAX, |floats| left(floats).max(1));
-        // The longest array of a splat, in bytes.
-        let widest = 4 * (3 * sh::coefficients(self.options.sh_degree)).max(GEOMETRY_FLOATS);
-        let by_adapter = self.session.gpu.max_binding_bytes() as usize / widest;
-        self.options.max_splats.min(by_floats).min(by_adapter)
+        self.options.max_splats.min(by_floats).min(memory::most_splats(self.session.gpu, self.options.sh_degree))
     }
 
     fn finish(

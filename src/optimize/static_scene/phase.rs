@@ -26,6 +26,7 @@ use crate::{
     render::gpu::{
         adam::{AdamStep, SplatRates},
         exposure::ExposureStep,
+        loss::LossValues,
         texels::TexelStep,
         training::{Step, Training},
         vertices::{VertexState, VertexStep},
@@ -101,9 +102,11 @@ impl Run<'_> {
             self.step(training, plan, t)?;
             let done = t + 1;
             self.reached = (plan.phase, done);
-            self.after_step(training, plan, epoch, most, done)?;
             let stop = self.session.stop.load(Ordering::Relaxed);
             let reports = done % REPORT_EVERY == 0 || done == plan.iterations || stop;
+            // Where buffers grow, density control makes those of the loss anew.
+            let loss = if reports { Some(training.loss()?) } else { None };
+            self.after_step(training, plan, epoch, most, done)?;
             let saves = stop || is_due(done, self.options.checkpoint_every);
             if plan.phase == Phase::Joint {
                 if reports || saves {
@@ -113,8 +116,8 @@ impl Run<'_> {
                 self.joint_seconds += begin.elapsed().as_secs_f64();
                 self.joint_iterations += 1;
             }
-            if reports {
-                self.report(training, plan, done)?;
+            if let Some(loss) = loss {
+                self.report(training, plan, done, loss)?;
             }
             if saves && let Some(path) = &self.session.checkpoint {
                 let found = (self.surface, self.selection);
@@ -288,8 +291,8 @@ impl Run<'_> {
         done: u32,
     ) -> Result<(), TrainError> {
         // The clock of the schedule runs on from phase to phase.
-        let (o, schedule, in_phase, done) = (self.options, &plan.schedule, done, plan.clock + done);
-        let (densify, reset) = (schedule.densifies_after(done), schedule.resets_opacity_after(done));
+        let (o, schedule, age) = (self.options, &plan.schedule, plan.clock + done);
+        let (densify, reset) = (schedule.densifies_after(age), schedule.resets_opacity_after(age));
         if !densify && !reset {
             return Ok(());
         }
@@ -301,20 +304,20 @@ impl Run<'_> {
         if densify {
             match o.density {
                 Density::Inria | Density::Absgs => {
-                    let max_scale = schedule.prunes_large(done).then_some(0.1);
+                    let max_scale = schedule.prunes_large(age).then_some(0.1);
                     let options = match o.density {
                         Density::Absgs => InriaOptions::absolute(self.extent, max_splats),
                         _ => InriaOptions::new(self.extent, max_splats),
                     };
                     let options = InriaOptions { max_scale, ..options };
-                    inria::densify(&mut splats, statistics, &options, done, o.seed);
+                    inria::densify(&mut splats, statistics, &options, age, o.seed);
                 }
                 Density::Mcmc => {
                     let options = McmcOptions::new(max_splats, plan.has_mesh);
                     // After a handover less than an interval may have passed.
-                    epoch.add(statistics, schedule.densify_interval.min(in_phase));
+                    epoch.add(statistics, schedule.densify_interval.min(done));
                     let views = self.train.len() as u32;
-                    mcmc::relocate_and_add(&mut splats, statistics, epoch, views, &options, done, o.seed);
+                    mcmc::relocate_and_add(&mut splats, statistics, epoch, views, &options, age, o.seed);
                 }
             }
         }
@@ -326,10 +329,15 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {
+    fn report(
+        &mut self,
+        training: &mut Training,
+        plan: &Plan,
+        done: u32,
+        values: LossValues,
+    ) -> Result<(), TrainError> {
         let status = training.take_status()?;
         self.skipped_iterations += status.skipped;
-        let values = training.loss()?;
         let weight = f64::from(self.options.ssim_weight);
         let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
         if !loss.is_finite() || status.not_finite.is_some() {

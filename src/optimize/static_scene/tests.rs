@@ -14,6 +14,8 @@ use crate::{
     scene::{Atlas, Texture},
 };
 
+mod choices;
+
 fn demo() -> Capture {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
     capture::open(&folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()

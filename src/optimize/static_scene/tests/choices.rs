@@ -1,0 +1,84 @@
+//! Options that no other test of the optimiser sets.
+
+use super::*;
+
+/// Before any colour but its own, what is black and opaque has to hide the background, and what is transparent must not.
+#[test]
+fn a_background_tells_opaque_from_transparent() {
+    let gpu = Gpu::open(None).unwrap();
+    for (background, alpha) in
+        [(Background::White, 255), (Background::White, 0), (Background::Random, 255), (Background::Random, 0)]
+    {
+        let (folder, stop) = (tempfile::tempdir().unwrap(), AtomicBool::new(false));
+        let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, alpha]));
+        let options = TrainOptions { background, iterations: 400, ..options() };
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let scene = train(&capture, MeshSource::None, &options, session).unwrap().scene;
+        let own = if background == Background::White { [1.0; 3] } else { [0.0; 3] };
+        assert_eq!(scene.composition.background, own);
+        let composition = Composition { background: [1.0; 3], ..scene.composition };
+        let (scene, camera) = (HybridScene { composition, ..scene }, capture.views[1].camera);
+        let picture = Renderer::new(&gpu, &scene, &[camera]).unwrap().render(&camera).unwrap();
+        let mean = picture.rgb.iter().map(|rgb| rgb[1]).sum::<f32>() / picture.rgb.len() as f32;
+        eprintln!("{background:?}, alpha {alpha}: {mean:.3} before white");
+        assert!(if alpha == 255 { mean < 0.25 } else { mean > 0.9 }, "{background:?}, alpha {alpha}: {mean}");
+    }
+}
+
+/// Adam of only what a view shows, and of every texel at every step, learn the same scene, if not by the same steps.
+#[test]
+fn which_parameters_a_step_moves_is_a_choice() {
+    let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    let psnr = |visible_only: bool, dense_texels: bool| {
+        let options = TrainOptions { visible_only, dense_texels, iterations: 100, warmup: 50, ..options() };
+        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let psnr = train(&capture, square(), &options, session).unwrap().history.last().unwrap().psnr.unwrap();
+        eprintln!("visible only {visible_only}, all texels {dense_texels}: {psnr:.2} dB held out");
+        psnr
+    };
+    let usual = psnr(false, false);
+    for chosen in [psnr(true, false), psnr(false, true)] {
+        assert!((chosen - usual).abs() < 1.0 && chosen != usual, "{chosen} dB, {usual} dB without the option");
+    }
+}
+
+/// The iteration named is that of the phase, where the clock of the schedule has run on from the phase before, too.
+#[test]
+fn a_nan_at_a_density_step_is_named_by_its_phase() {
+    let options = TrainOptions { iterations: 60, surface_iterations: Some(40), ..options() };
+    with_run(&options, |run, training, scene| {
+        run.hands_over = true;
+        assert_eq!(run.plan(Phase::Joint, 0, true).clock, 40);
+        let mut arrays = training.read_splats().unwrap();
+        arrays.geometry[0][12 * 7] = f32::NAN;
+        training.write_splats(&arrays).unwrap();
+        let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err();
+        let TrainError::NotFinite { phase: Phase::Joint, iteration, group } = error else { panic!("{error}") };
+        assert!(iteration <= 20 && group == "means of splat 7", "iteration {iteration}: {group}");
+    });
+}
+
+/// The loss of an iteration after which there is no room for the splats that density control adds is known all the same.
+#[test]
+fn a_loss_is_read_before_buffers_grow() {
+    let (gpu, mut capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    capture.points.truncate(400);
+    capture.views.iter_mut().for_each(|view| view.sees.clear());
+    // Density steps are at every twentieth iteration, looks at the loss at every tenth.
+    let options = TrainOptions { iterations: 300, ..options() };
+    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let trained = train(&capture, MeshSource::None, &options, session).unwrap();
+    let splats = |i: usize| trained.history[i].splats;
+    assert!(
+        2 * splats(trained.history.len() - 1) > 3 * splats(0),
+        "{} splats do not outgrow the room for half as many again as {}",
+        splats(trained.history.len() - 1),
+        splats(0)
+    );
+    let lowest = trained.history.iter().map(|progress| progress.loss).fold(f64::INFINITY, f64::min);
+    for progress in &trained.history {
+        // That of empty buffers is the share of SSIM.
+        assert!(progress.loss != f64::from(options.ssim_weight), "iteration {}", progress.iteration);
+        assert!(progress.loss < 10.0 * lowest, "iteration {}: {}", progress.iteration, progress.loss);
+    }
+}
