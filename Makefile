@@ -7,7 +7,7 @@ export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
 # Mesa complains once per adapter where this is not set.
 export XDG_RUNTIME_DIR ?= /tmp
 # Sized for 2 cores without a GPU; on a GPU take the defaults: make demo DEMO_FLAGS=
-DEMO_FLAGS ?= --iterations 2000 --surface-iterations 1000 --max-splats 20000 --warmup 800 --layers 1 --triangles 8000 --texture-size 512 \
+DEMO_FLAGS ?= --iterations 1400 --surface-iterations 700 --max-splats 16000 --warmup 560 --layers 1 --triangles 8000 --texture-size 512 \
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
 ABLATIONS_ARGUMENTS ?=
@@ -36,7 +36,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup ablations equal-floats scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 system: # a C++ compiler and a Vulkan adapter, installed where missing
 	@scripts/ensure-system.sh
@@ -93,7 +93,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd bench-ray ## compare with programs of others from PyPI and npm (Python 3.11, 6 GB)
+test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd bench-ray ## compare with programs of others from PyPI and npm (Python 3.11 with venv, Node 20; 11 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
@@ -102,7 +102,7 @@ oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schem
 	$(CENTAUR) train demo -o target/oracles/trained.glb $(COARSE)
 	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb --trained target/oracles/trained.glb
 
-oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE)
+oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE) ## picture and gradients of real splats by gsplat's own reference in torch
 	cargo test --release --test gsplat_oracle -- --ignored --nocapture
 
 LPIPS_WEIGHTS := out/lpips-vgg.safetensors out/lpips-alex.safetensors
@@ -116,7 +116,7 @@ out/lpips-%.safetensors: datasets-scripts/lpips_weights.py
 LPIPS_CHECK := target/oracles/lpips
 oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## LPIPS of random and published weights by its own package, and whether those are the published ones
 	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py $(LPIPS_CHECK) $(LPIPS_WEIGHTS)
-	CENTAUR_LPIPS_FIXTURE=$(abspath $(LPIPS_CHECK)) cargo test --release --test lpips_oracle -- --ignored --nocapture
+	CENTAUR_LPIPS_FIXTURE=$(abspath $(LPIPS_CHECK)) cargo test --release --test lpips_oracle -- --ignored --nocapture $(if $(CENTAUR_DATA),,every)
 	$(CENTAUR) train demo -o $(LPIPS_CHECK)/demo.glb $(COARSE)
 	@for net in vgg alex; do \
 		$(CENTAUR) eval $(LPIPS_CHECK)/demo.glb demo --max-side 112 --lpips-weights out/lpips-$$net.safetensors -o $(LPIPS_CHECK)/$$net --quiet || exit 1; \
@@ -139,11 +139,11 @@ $(BENCH_RAY)/installed:
 	$(BENCH_RAY)/bin/pip install --quiet --disable-pip-version-check ray==2.60.0
 	touch $@
 
-oracle-colmap: $(ORACLES)/installed
+oracle-colmap: $(ORACLES)/installed ## COLMAP's camera models by pycolmap
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
 
 # Node finds packages beside the script that asks for them, so both go to target/. The demo's scene is checked if it is there.
-oracle-gltf: $(ORACLES_GLTF)/installed
+oracle-gltf: $(ORACLES_GLTF)/installed ## files that we write by Khronos' validator and by viewers of others
 	@mkdir -p target/oracles
 	cp tests/oracles/gltf_validate.mjs tests/oracles/gltf_babylon.mjs target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0 \
@@ -156,13 +156,13 @@ oracle-gltf: $(ORACLES_GLTF)/installed
 	$(ORACLES_GLTF)/bin/python tests/oracles/check_gltf_schema.py $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb torus.glb) $(wildcard out/demo/scene.glb)
 	node target/oracles/gltf_babylon.mjs $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb) $(wildcard out/demo/scene.glb)
 
-oracle-splat-transform:
+oracle-splat-transform: ## splats that we convert by splat-transform, both ways
 	@mkdir -p target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) \
 		cargo test --release --test splat_transform_oracle -- --ignored
 
-oracle-usd: $(ORACLES_USD)/installed
+oracle-usd: $(ORACLES_USD)/installed ## USD that we read and write by usd-core
 	CENTAUR_USD_PYTHON=$(abspath $(ORACLES_USD)/bin/python) cargo test --release --test usd_oracle -- --ignored
 
 # What our scripts do in Blender itself, two versions of it as modules of Python 3.11 (2.4 GB); libraries of X, which `bpy` is linked to.
@@ -233,7 +233,7 @@ $(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
 	touch $@
 
 SPLATS ?= 1000000
-convert-times: system ## time and memory of conversions, beside splat-transform's (npm; SPLATS=1000000)
+convert-times: system ## time and memory of conversions, beside splat-transform's (Node 20, GNU time; SPLATS=1000000)
 	@mkdir -p target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) scripts/convert-times.sh $(SPLATS)
@@ -241,7 +241,7 @@ convert-times: system ## time and memory of conversions, beside splat-transform'
 # Needs nightly Rust and cargo-fuzz. A finding is left in fuzz/artifacts/. One thread, so that a run is repeatable; meshopt has two globals of one name.
 FUZZ_TARGETS ?= $(patsubst fuzz/fuzz_targets/%.rs,%,$(wildcard fuzz/fuzz_targets/*.rs))
 FUZZ_SECONDS ?= 60
-fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (cargo install cargo-fuzz)
+fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (nightly Rust; cargo install cargo-fuzz)
 	cargo run --release --quiet --example write_samples -- fuzz/corpus
 	@for target in $(FUZZ_TARGETS); do \
 		RAYON_NUM_THREADS=1 ASAN_OPTIONS=detect_odr_violation=0 cargo +nightly fuzz run $$target -- -max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=2048 -malloc_limit_mb=512 \
@@ -288,7 +288,7 @@ scales: system ## hybrid and splats alone at half to four times the size that th
 bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
 	cargo bench --bench stages -- $(BENCH_FLAGS)
 
-demo-capture: test-geometry ## render demo/ anew with Mitsuba
+demo-capture: test-geometry ## render demo/ anew with Mitsuba (Python 3.11 with venv)
 	.venv/bin/python datasets-scripts/demo_capture.py demo
 
 # Not among test-python: the machine's own Python need not have NumPy.

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 VARIANTS = ("hybrid", "splats")
+# Columns without differences.
+SIZES = ("floats", "file, MB", "s/iteration")
 # Column, number of evaluation["…"] and its digits.
 COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 2),
@@ -16,6 +18,8 @@ COLUMNS = [
     ("LPIPS 0…1", lambda e: (e.get("lpips") or {}).get("unnormalized"), 3),
     ("splats", lambda e: e["splats"], 0),
     ("floats", lambda e: e["total_floats"], 0),
+    ("file, MB", lambda e: e["file_bytes"] / 1e6, 2),
+    ("s/iteration", lambda e: e.get("seconds_per_iteration"), 3),
 ]
 
 
@@ -46,7 +50,7 @@ def cells(pairs):
         row += [written(a, digits), written(b, digits)]
         if name == "splats":
             row.append("–" if None in (a, b) else f"{100 * (a / b - 1):+.0f} %")
-        elif name != "floats":
+        elif name not in SIZES:
             row.append(written(None if None in (a, b) else a - b, digits, "+"))
     return row
 
@@ -54,7 +58,7 @@ def cells(pairs):
 def table(folders):
     head = ["capture", "budget", "seeds"]
     for name, _, _ in COLUMNS:
-        head += [f"{name}: hybrid", "splats alone"] + ([] if name == "floats" else ["difference"])
+        head += [f"{name}: hybrid", "splats alone"] + ([] if name in SIZES else ["difference"])
     lines = [head, ["---"] * 3 + ["---:"] * (len(head) - 3)]
     budgets = {folder.name: results(folder) for folder in folders}
     for scene in sorted({s for scenes in budgets.values() for s in scenes}):

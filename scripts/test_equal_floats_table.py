@@ -19,7 +19,7 @@ class Table(unittest.TestCase):
     def put(self, variant, scene, seed, psnr, splats, lpips=None):
         file = self.folder / variant / f"{scene}-{seed}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
-        evaluation = {"psnr": psnr, "ssim_inria": psnr / 100, "splats": splats, "total_floats": 400_000}
+        evaluation = {"psnr": psnr, "ssim_inria": psnr / 100, "splats": splats, "total_floats": 400_000, "file_bytes": 2_345_678}
         if lpips is not None:
             evaluation["lpips"] = {"net": "vgg", "unnormalized": lpips, "normalized": 2 * lpips}
         file.write_text(json.dumps({"job": {"scene": scene, "variant": variant, "seed": seed}, "evaluation": evaluation}))
@@ -38,7 +38,7 @@ class Table(unittest.TestCase):
         self.assertEqual(demo[:6], ["demo", "400000", "2", "26.50", "25.00", "+1.50"])
         self.assertEqual(demo[6:9], ["0.265", "0.250", "+0.015"])
         self.assertEqual(demo[9:15], ["–"] * 3 + ["0.200", "0.250", "-0.050"], "no FLIP in older results")
-        self.assertEqual(demo[15:], ["3,000", "6,000", "-50 %", "400,000", "400,000"])
+        self.assertEqual(demo[15:], ["3,000", "6,000", "-50 %", "400,000", "400,000", "2.35", "2.35", "–", "–"])
         self.assertEqual([mean[0]] + mean[3:], ["**mean of 1**"] + demo[3:])
 
     def test_what_is_missing_is_not_in_the_mean(self):

@@ -41,3 +41,21 @@ fn every_depth_is_that_of_the_package() {
         }
     }
 }
+
+/// What Brush's tests have for two pictures of theirs, by a port of the package.
+#[test]
+#[ignore = "needs `make oracle-lpips` with shared data"]
+fn a_distance_that_others_published() {
+    let folder = std::env::var("CENTAUR_DATA").expect("CENTAUR_DATA: the folder of shared data");
+    let [a, b] = ["apple", "pear"].map(|name| {
+        let file = Path::new(&folder).join("oracle_lpips/brush").join(name).with_extension("png");
+        image::open(file).unwrap().to_rgb32f()
+    });
+    let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("out/lpips-vgg.safetensors");
+    let lpips = Lpips::open(&weights).unwrap();
+    let [normalized, unnormalized] =
+        [LpipsRange::Normalized, LpipsRange::Unnormalized].map(|range| lpips.distances(&a, &b, range).unwrap());
+    let [normalized, unnormalized] = [normalized, unnormalized].map(|depths| depths.iter().sum::<f64>());
+    println!("apple and pear: {normalized} of colours in −1…1, {unnormalized} in 0…1");
+    assert!((normalized - 0.6571019887924194).abs() < 1e-5);
+}
