@@ -22,7 +22,7 @@ use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs};
 const EXAMPLES: &str = "\
 Examples:
   centaur eval garden.glb captures/garden --downscale 4
-  centaur eval garden.glb captures/garden --downscale 4 -o out/garden --json";
+  centaur eval garden.glb captures/garden --downscale 4 -o garden-scores --json";
 
 /// Score a scene on the held-out photographs of its capture
 ///

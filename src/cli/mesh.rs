@@ -27,7 +27,8 @@ Examples:
 ///
 /// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
 /// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
-/// takes the result; without a mesh of yours it does the same by itself, from the training views alone.
+/// takes the result as it is. Without a mesh of yours it makes such a surface by itself, from the training views alone, and besides moves
+/// its vertices, drops triangles that splats explain better, and puts a shell around it.
 ///
 /// Without SPLATS, in seconds: the points that structure from motion found in each view are triangulated, triangles
 /// that hide what other views see are dropped, and the rest is fused.

@@ -25,7 +25,9 @@ use clap::{Parser, Subcommand};
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
 #[derive(Parser)]
 #[command(name = "centaur", bin_name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
-#[command(after_help = "Exit codes: 0 done, 1 failure (one line on stderr), 2 wrong usage.")]
+#[command(
+    after_help = "Exit codes: 0 done (a training that is stopped has saved a checkpoint), 1 failure (one line on stderr), 2 wrong usage."
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -40,7 +40,8 @@ pub(super) struct CaptureArgs {
     /// Folder with the images, relative to the capture, such as `images_4` [default: images]
     #[arg(long, value_name = "FOLDER")]
     images: Option<String>,
-    /// Use only what the capture's `masks/` leave white; scores multiply photograph and render by the mask
+    /// Use only what masks leave white: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or masks/IMG.jpg, or the `mask_path` of a
+    /// transforms.json; with a masks/ folder every photograph needs one. Scores multiply photograph and render by the mask
     #[arg(long)]
     pub(super) masks: bool,
 }

@@ -20,15 +20,15 @@ use super::shared::{self, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
-  centaur bench data/mipnerf360 -o out/m360 --protocol b --variant hybrid --variant splats=--no-mesh
-  centaur bench data/mipnerf360 -o out/m360 --scenes garden,room --jobs 2 -- --iterations 7000 --antialias
-  centaur bench data/mipnerf360 -o out/m360 --table
+  centaur bench data/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh
+  centaur bench data/mipnerf360 -o m360-7k --protocol b --scenes garden,room --jobs 2 -- --iterations 7000 --antialias
+  centaur bench data/mipnerf360 -o m360 --table
 
-Elsewhere, with the same DATASET and OUT:
-  CENTAUR_ADAPTER='#1' centaur bench data/mipnerf360 -o out/m360 --shard 1/2  # second of 2 GPUs
-  sbatch --array=0-8 datasets-scripts/bench.sbatch data/mipnerf360 -o out/m360  # Slurm
-  centaur bench data/mipnerf360 -o out/m360 --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
-  python datasets-scripts/bench_ray.py data/mipnerf360 -o out/m360  # Ray";
+Elsewhere, with the same DATASET, OUT, variants and flags as the first runner's:
+  CENTAUR_ADAPTER='#1' centaur bench data/mipnerf360 -o m360 --protocol b --shard 1/2  # second of 2 GPUs
+  sbatch --array=0-8 datasets-scripts/bench.sbatch data/mipnerf360 -o m360 --protocol b  # Slurm
+  centaur bench data/mipnerf360 -o m360 --protocol b --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
+  python datasets-scripts/bench_ray.py data/mipnerf360 -o m360 --protocol b  # Ray";
 
 /// Train and score every capture of a data set, and put the results beside published ones
 ///
@@ -58,7 +58,8 @@ pub(super) struct Args {
     /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are [default: all are]
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
-    /// Jobs at a time; the table has no times of jobs that share a machine, or may: those of several at a time, of --list and of --shard. Runners that are started side by side by hand are not noticed
+    /// Jobs at a time. The table leaves out times of jobs that may have shared the machine: of several --jobs, --list and --shard. Runners
+    /// that are started side by side by hand it cannot notice
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
     /// Only every N-th job, from the I-th on, counted from 0: for arrays of Slurm
