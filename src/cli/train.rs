@@ -407,7 +407,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     } else {
         None
     };
-    let capped = capped(args, &trained);
+    let capped = capped(args, &trained, &gpu);
     if !args.messages.json {
         capped.iter().for_each(|note| output::note(note));
     }
@@ -479,15 +479,20 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
     });
     let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
-    let too_many = (args.max_splats > most).then(|| {
+    // Nobody has asked for the default, and few runs come to it: those are told at the end.
+    let asks = args.max_splats > most && args.max_splats != TrainOptions::default().max_splats;
+    let too_many = asks.then(|| {
         format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
     });
     of_capture.map(|what| format!("{}: {what}", args.capture.display())).chain(too_many).collect()
 }
 
-/// Where density control by gradients was held back, which has no number of its own to come to.
-fn capped(args: &Args, trained: &Trained) -> Option<String> {
+/// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.
+fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
     let grown = trained.scene.splats.len() + trained.occluded_splats;
+    if grown >= optimize::most_splats(gpu, args.sh_degree) {
+        return Some(format!("{grown} splats are all that {} binds: on another there might be more", gpu.adapter()));
+    }
     let is_held_back = !matches!(args.density, DensityKind::Mcmc) && grown >= args.max_splats;
     is_held_back.then(|| format!("--max-splats {} was reached: without it there would be more", args.max_splats))
 }
