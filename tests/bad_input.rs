@@ -125,9 +125,43 @@ fn poses_and_points_that_are_no_numbers() {
 }
 
 #[test]
-fn captures_without_points_start_from_random_splats_and_say_so() {
+fn point_clouds_without_points() {
+    let advice = "--no-points begins with splats at random places that the cameras look at";
+    let line = refused(|c| std::fs::write(c.join("sparse/0/points3D.txt"), "# none\n").unwrap());
+    assert_eq!(line, format!("error: capture/sparse/0/points3D.txt: expected points, found none; {advice}"));
+
     let folder = folder_with_capture(8);
     std::fs::write(folder.path().join("capture/sparse/0/points3D.txt"), "").unwrap();
+    let flags = ["--no-mesh", "--max-splats", "500", "--no-points"];
+    let output = train(folder.path(), flags).output().unwrap();
+    assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
+    let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
+    assert_eq!(scene.splats.len(), 500);
+}
+
+#[test]
+fn captures_that_name_no_points_start_from_random_splats_and_say_so() {
+    let folder = folder_with_capture(8);
+    let capture = folder.path().join("capture");
+    std::fs::remove_dir_all(capture.join("sparse")).unwrap();
+    let frame = |i: u32| {
+        let pose = [[1.0, 0.0, 0.0, f64::from(i)], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]];
+        serde_json::json!({ "file_path": format!("images/{i:03}.png"), "transform_matrix": pose })
+    };
+    let frames: Vec<_> = (0..8).map(frame).collect();
+    let write = |more: &[(&str, &str)]| {
+        let mut file = serde_json::json!({ "w": 48, "h": 32, "fl_x": 48.0, "frames": frames });
+        more.iter().for_each(|(key, value)| file[*key] = (*value).into());
+        std::fs::write(capture.join("transforms.json"), file.to_string()).unwrap();
+    };
+    let ply =
+        "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    std::fs::write(capture.join("points.ply"), ply).unwrap();
+    write(&[("ply_file_path", "points.ply")]);
+    let line = failure(folder.path(), &mut train(folder.path(), []));
+    assert!(line.starts_with("error: capture/points.ply: expected points, found none"), "{line}");
+
+    write(&[]);
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let note = "capture: has no points: splats begin at random places that its cameras look at";
@@ -135,8 +169,6 @@ fn captures_without_points_start_from_random_splats_and_say_so() {
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500", "--json"]).output().unwrap();
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((stderr(&output), &outcome["notes"]), (String::new(), &serde_json::json!([note])));
-    let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
-    assert_eq!(scene.splats.len(), 500);
 }
 
 #[test]

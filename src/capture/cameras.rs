@@ -8,7 +8,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::views::{self, Frame};
-use super::{CaptureError, LoadOptions, colmap, error, transforms};
+use super::{CaptureError, Listed, LoadOptions, colmap, error, transforms};
 use crate::scene::{Camera, Intrinsics};
 
 /// Cameras in the order in which they are shown.
@@ -65,7 +65,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     }
     let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
     let (mut frames, fps, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
-        let (frames, _, list) = colmap::load(path, &model, (options, false))?;
+        let Listed { frames, list, .. } = colmap::load(path, &model, (options, false))?;
         (frames, None, list)
     } else {
         let Some((first, _)) = files.first() else {

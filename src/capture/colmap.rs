@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::distortion::{Distortion, Lens};
 use super::views::{Frame, inside};
-use super::{CaptureError, LoadOptions, Point, colmap_binary, colmap_text};
+use super::{CaptureError, Listed, LoadOptions, Point, colmap_binary, colmap_text};
 use crate::scene::Intrinsics;
 
 /// Number, name and parameter count of every camera model of COLMAP 4.2, parameters in COLMAP's order. They
@@ -115,13 +115,13 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
 
-/// Frames and points of the model in `folder`, with the images in `root/<images folder>`, and the file that lists them. Unless
-/// they are wanted, points are not read, nor which of them a frame sees.
+/// Frames and points of the model in `folder`, with the images in `root/<images folder>`. Unless they are wanted, points are not
+/// read, nor which of them a frame sees.
 pub(super) fn load(
     root: &Path,
     folder: &Path,
     (options, wants_points): (&LoadOptions, bool),
-) -> Result<(Vec<Frame>, Vec<Point>, PathBuf), CaptureError> {
+) -> Result<Listed, CaptureError> {
     let binary = folder.join("cameras.bin").is_file();
     let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
     let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
@@ -159,7 +159,7 @@ pub(super) fn load(
             }
         }
     }
-    Ok((frames, points, images_file))
+    Ok(Listed { frames, list: images_file, points, points_file: Some(points_file) })
 }
 
 /// Joins images with their cameras.

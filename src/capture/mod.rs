@@ -14,7 +14,7 @@ mod images;
 mod transforms;
 mod views;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use cache::PhotoCache;
 pub use cameras::{Cameras, cameras};
@@ -22,6 +22,7 @@ pub use distortion::{Distortion, Lens};
 pub use error::CaptureError;
 pub use images::{ImageSource, Photo, decode};
 
+use self::views::Frame;
 use crate::scene::Camera;
 
 /// A set of posed photographs and what structure from motion knows of the surface.
@@ -33,6 +34,27 @@ pub struct Capture {
     pub views: Vec<View>,
     /// Sparse points in world space, finite; empty if the capture has none.
     pub points: Vec<Point>,
+    /// The file that the points are of, the first where there are several; `None` if the capture names none.
+    pub points_file: Option<PathBuf>,
+}
+
+impl Capture {
+    /// As if structure from motion had found no points.
+    pub fn forget_points(&mut self) {
+        self.points.clear();
+        self.points_file = None;
+        self.views.iter_mut().for_each(|view| view.sees.clear());
+    }
+}
+
+/// What the lists of a capture say, before its photographs are looked at.
+struct Listed {
+    frames: Vec<Frame>,
+    /// The file that lists the frames, the first where there are several.
+    list: PathBuf,
+    points: Vec<Point>,
+    /// As in [`Capture`].
+    points_file: Option<PathBuf>,
 }
 
 /// One posed photograph.
@@ -163,25 +185,23 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
-    let (frames, points, list) = if !folder {
-        let (frames, points) = transforms::load(root, &[(path.into(), None)], options)?;
-        (frames, points, path.into())
+    let Listed { frames, list, points, points_file } = if !folder {
+        transforms::load(root, &[(path.into(), None)], options)?
     } else if let Some(model) = colmap::find_model(path) {
         colmap::load(path, &model, (options, true))?
     } else {
         let files = transforms::find(path);
-        let Some((first, _)) = files.first() else {
+        if files.is_empty() {
             let expected = "a COLMAP model (sparse/0, sparse) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
-        };
-        let (frames, points) = transforms::load(path, &files, options)?;
-        (frames, points, first.clone())
+        }
+        transforms::load(path, &files, options)?
     };
     let views = views::assemble(frames, &list, root, options)?;
     near_origin(&views, &list)?;
     let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
     let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Capture { name, views, points })
+    Ok(Capture { name, views, points, points_file })
 }
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is

@@ -11,7 +11,7 @@ use serde::de::IgnoredAny;
 
 use super::distortion::{Distortion, Lens};
 use super::views::{Frame, inside};
-use super::{CaptureError, LoadOptions, Point, error, images};
+use super::{CaptureError, Listed, LoadOptions, Point, error, images};
 use crate::{format::ply, scene::Intrinsics};
 
 /// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
@@ -85,12 +85,12 @@ pub(super) struct Parsed {
     points: Option<PathBuf>,
 }
 
-/// The frames and the points of all `files`, whose paths are relative to `root`.
+/// The frames and the points of all `files`, at least one, whose paths are relative to `root`.
 pub(super) fn load(
     root: &Path,
     files: &[(PathBuf, Option<bool>)],
     options: &LoadOptions,
-) -> Result<(Vec<Frame>, Vec<Point>), CaptureError> {
+) -> Result<Listed, CaptureError> {
     let (mut frames, mut clouds) = (vec![], vec![]);
     for (path, held_out) in files {
         let parsed = parse(&error::read_text(path)?, path, root, *held_out, (options, true))?;
@@ -100,10 +100,11 @@ pub(super) fn load(
     // Files of one capture may name the same.
     clouds.dedup();
     let mut points = vec![];
-    for cloud in clouds {
-        points.extend(ply::read_points(&cloud)?.into_iter().map(|(position, rgb)| Point { position, rgb }));
+    for cloud in &clouds {
+        points.extend(ply::read_points(cloud)?.into_iter().map(|(position, rgb)| Point { position, rgb }));
     }
-    Ok((frames, points))
+    let list = files.first().map_or_else(PathBuf::new, |(path, _)| path.clone());
+    Ok(Listed { frames, list, points, points_file: clouds.into_iter().next() })
 }
 
 /// `./train/r_0` is `train/r_0`.

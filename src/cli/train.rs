@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context as _, Result, anyhow, ensure};
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use centaur::capture::{Capture, Split, View};
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
@@ -128,6 +128,10 @@ pub(super) struct Args {
     /// As --max-floats, by what they take as f32, in megabytes of 10⁶ bytes
     #[arg(long, value_name = "MB", conflicts_with = "max_floats", value_parser = positive, help_heading = OPTIMISATION)]
     budget_mb: Option<f64>,
+
+    /// Train as if the capture had no points: splats begin at random places that its cameras look at
+    #[arg(long, help_heading = OPTIMISATION)]
+    no_points: bool,
 
     /// Surface to use, in the coordinates of the poses: .glb, .gltf, .obj or .ply. Its vertices, triangles and UVs are kept as they
     /// are; no shell is added [default: one made from the capture, see --surface]
@@ -296,6 +300,20 @@ impl Args {
         Ok(())
     }
 
+    fn open(&self) -> Result<Capture> {
+        let mut capture = self.loading.open(&self.capture)?;
+        if self.no_points {
+            capture.forget_points();
+        }
+        match &capture.points_file {
+            Some(file) if capture.points.is_empty() => bail!(
+                "{}: expected points, found none; --no-points begins with splats at random places that the cameras look at",
+                file.display()
+            ),
+            _ => Ok(capture),
+        }
+    }
+
     /// Beside the output: `scene.glb.checkpoint`.
     fn checkpoint(&self) -> PathBuf {
         let mut name = self.output.clone().into_os_string();
@@ -341,7 +359,7 @@ enum SurfaceOf {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
-    let capture = args.loading.open(&args.capture)?;
+    let capture = args.open()?;
     let mesh = args.mesh(&capture)?;
     let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
@@ -464,7 +482,10 @@ const USUAL_SIDE: u32 = 1600;
 fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> Vec<String> {
     let has_masks = capture.views.iter().any(|view| view.source.mask().is_some());
     let lacks = [
-        (capture.points.is_empty(), "has no points: splats begin at random places that its cameras look at"),
+        (
+            capture.points.is_empty() && !args.no_points,
+            "has no points: splats begin at random places that its cameras look at",
+        ),
         (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
         (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
     ];
