@@ -192,7 +192,7 @@ const SEEN_AT: u32 = 512;
 fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
     let cameras: Vec<Camera> = capture.views.iter().map(|view| view.camera).collect();
     let viewers = Viewers { cameras: &cameras, near: 0.0, layers: 1, shows: &|_, _| true };
-    let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
+    let bvh = MeshBvh::of(std::slice::from_ref(mesh));
     let (charted, seen) = geometry::texel_visibility(mesh, [side; 2], &bvh, &viewers)?.counts();
     Ok(seen as f64 / charted.max(1) as f64)
 }

@@ -9,6 +9,8 @@ use obvhs::bvh2::builder::build_bvh2;
 use obvhs::ray::Ray;
 use obvhs::{Boundable, BvhBuildParams};
 
+use crate::scene::Mesh;
+
 /// A ray meets a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
@@ -100,6 +102,12 @@ impl MeshBvh {
             .collect();
         let tree = build_bvh2(&boxes, BvhBuildParams::medium_build(), &mut Duration::default());
         Self { tree, triangles, center, radius }
+    }
+
+    /// That of these meshes.
+    #[must_use]
+    pub fn of(meshes: &[Mesh]) -> Self {
+        Self::new(meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())))
     }
 
     /// Every triangle on the ray with `t ≥ 0`, nearest first, each once. Ties in `t` are in order of mesh and triangle.

@@ -15,11 +15,15 @@ const BEFORE: f64 = 1.0 - 1e-6;
 /// cameras has them in its picture, which must be one of them once at least. What is behind the first `layers` triangles of a
 /// ray, of which less than `transmittance` passes, in 0..=1, is hidden. A splat may still be seen between these points.
 ///
-/// A splat that is seen takes a ray or little more, one that is hidden seven for every camera.
+/// A splat that is seen takes a ray or little more, one that is hidden seven for every camera. `bvh` is [`MeshBvh::of`] these meshes.
 #[must_use]
-pub fn occluded_splats(splats: &Splats, meshes: &[Mesh], transmittance: f64, viewers: &Viewers) -> Vec<bool> {
-    let bvh = MeshBvh::new(meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
-    let veil = Veil { bvh: &bvh, meshes, transmittance, viewers };
+pub fn occluded_splats(
+    splats: &Splats,
+    (meshes, bvh): (&[Mesh], &MeshBvh),
+    transmittance: f64,
+    viewers: &Viewers,
+) -> Vec<bool> {
+    let veil = Veil { bvh, meshes, transmittance, viewers };
     let is_occluded = |i: usize| {
         let points = samples(splats, i);
         let mut is_hidden = false;
@@ -139,7 +143,7 @@ mod tests {
 
     fn occluded(splats: &Splats, meshes: &[Mesh], cameras: &[Camera], near: f64, layers: usize) -> Vec<bool> {
         let viewers = Viewers { cameras, near, layers, shows: &|_, _| true };
-        occluded_splats(splats, meshes, 0.02, &viewers)
+        occluded_splats(splats, (meshes, &MeshBvh::of(meshes)), 0.02, &viewers)
     }
 
     #[test]
@@ -227,6 +231,7 @@ mod tests {
         let (splats, cameras) = (splats(&[([0.0, 0.0, 3.0], 0.1, 0.1)]), [camera(0.0), camera(2.1)]);
         let shows = |view: usize, _: DVec2| view == 0;
         let viewers = Viewers { cameras: &cameras, near: 0.1, layers: 1, shows: &shows };
-        assert_eq!(occluded_splats(&splats, &[square(2.0, 0.99)], 0.02, &viewers), [true]);
+        let wall = [square(2.0, 0.99)];
+        assert_eq!(occluded_splats(&splats, (&wall, &MeshBvh::of(&wall)), 0.02, &viewers), [true]);
     }
 }

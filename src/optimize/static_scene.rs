@@ -17,7 +17,9 @@ pub use poses::RefinedPose;
 pub use selection::Selection;
 
 use std::{
+    cell::OnceCell,
     path::{Path, PathBuf},
+    rc::Rc,
     sync::atomic::AtomicBool,
     time::Instant,
 };
@@ -200,6 +202,8 @@ struct Run<'a> {
     selection: Option<Selection>,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
+    /// Of the mesh that was given.
+    given: OnceCell<Rc<MeshBvh>>,
     /// Of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
     /// Of all views of the capture, after the phase that refines them.
@@ -289,6 +293,7 @@ impl<'a> Run<'a> {
             no_surface: None,
             selection: None,
             shell,
+            given: OnceCell::new(),
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
             poses: None,
         })
@@ -438,9 +443,8 @@ impl<'a> Run<'a> {
         let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
         let far = behind.means().iter().map(|m| m.as_dvec3());
         let known: Vec<_> = points.iter().map(|p| p.position).chain(far).collect();
-        let meshes = MeshBvh::new(beside.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
         let near = f64::from(self.composition().near);
-        let known = Known { points: &known, meshes: &meshes, near, background: empty };
+        let known = Known { points: &known, meshes: &self.hierarchy(beside), near, background: empty };
         let between = coverage::between_points(&views, &known, o.sh_degree, room - behind.len(), photo)?;
         let mut all = of_points(most - behind.len() - between.len())?.into_arrays();
         all.append(behind.into_arrays());
@@ -498,6 +502,13 @@ impl<'a> Run<'a> {
         };
         self.within_budget(std::slice::from_ref(&mesh))?;
         self.without_unseen(mesh)
+    }
+
+    /// For rays among the meshes of this run. That of a mesh that was given, which does not move, is built once.
+    fn hierarchy(&self, meshes: &[Mesh]) -> Rc<MeshBvh> {
+        let build = || Rc::new(MeshBvh::of(meshes));
+        // Without a mesh there is none to keep; of those that are found every one is another.
+        if self.hands_over || meshes.is_empty() { build() } else { Rc::clone(self.given.get_or_init(build)) }
     }
 
     /// Whether meshes leave floats for a splat at least.

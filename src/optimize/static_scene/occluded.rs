@@ -33,7 +33,7 @@ impl Run<'_> {
             layers: self.options.layers as usize,
             shows: &|view, at| shown[view].as_ref().is_none_or(|shown| shown.holds(at)),
         };
-        let occluded = geometry::occluded_splats(&splats, meshes, SHOWN, &viewers);
+        let occluded = geometry::occluded_splats(&splats, (meshes, &self.hierarchy(meshes)), SHOWN, &viewers);
         if !occluded.contains(&true) {
             return Ok(splats);
         }

@@ -322,7 +322,8 @@ fn what_ended_behind_what_is_opaque_is_dropped_after_training() {
         arrays.opacity_logits.fill(2.0);
         let scene = HybridScene { splats: arrays.check().unwrap(), meshes: vec![mesh], ..scene.clone() };
         let viewers = Viewers { cameras: &run.train_cameras, near: 0.1, layers: 1, shows: &|_, _| true };
-        let by_rays = geometry::occluded_splats(&scene.splats, &scene.meshes, 0.02, &viewers);
+        let by_rays =
+            geometry::occluded_splats(&scene.splats, (&scene.meshes, &MeshBvh::of(&scene.meshes)), 0.02, &viewers);
         assert!(by_rays[..2] == [true; 2] && !by_rays[2..].contains(&true));
         let mut training = run.training(&scene).unwrap();
         for (outcome, dropped) in [(Outcome::Finished, 1), (Outcome::Interrupted, 0)] {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::Run;
 use crate::{
-    geometry::{self, MeshBvh, TexelSight, TexelVisibility, Viewers},
+    geometry::{self, TexelSight, TexelVisibility, Viewers},
     optimize::{TrainError, resolution::ResolutionSchedule},
     scene::{Atlas, Mesh, Texture},
 };
@@ -63,8 +63,7 @@ impl Run<'_> {
             layers: self.options.layers as usize,
             shows: &shows,
         };
-        let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
-        Ok(geometry::texel_visibility(mesh, size, &bvh, &viewers)?)
+        Ok(geometry::texel_visibility(mesh, size, &self.hierarchy(std::slice::from_ref(mesh)), &viewers)?)
     }
 
     /// What masks leave of the training views, where there are any.

@@ -27,7 +27,7 @@ pub struct MeanRays {
 pub fn render_by_mean_rays(scene: &HybridScene, camera: &Camera) -> (Image, MeanRays) {
     let parameters = Parameters::of(scene);
     let mut view = View::new(scene, camera, &parameters);
-    let bvh = MeshBvh::new(scene.meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
+    let bvh = MeshBvh::of(&scene.meshes);
     let (composition, center) = (&scene.composition, camera.center());
     let (lambda, near) = (f64::from(composition.lambda), f64::from(composition.near));
     let layers = &view.layers;

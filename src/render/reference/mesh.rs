@@ -122,7 +122,7 @@ pub(super) fn camera_triangles(scene: &HybridScene, camera: &Camera, positions: 
 
 /// The hits of every pixel (row-major) beyond `near`, nearest first, at most `layers`.
 pub(super) fn trace(scene: &HybridScene, camera: &Camera, positions: &[Vec<DVec3>]) -> Vec<Vec<Hit>> {
-    let bvh = MeshBvh::new(scene.meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())));
+    let bvh = MeshBvh::of(&scene.meshes);
     let triangles = camera_triangles(scene, camera, positions);
     let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
     (0..pixels).into_par_iter().map(|pixel| trace_pixel(scene, camera, &bvh, &triangles, pixel)).collect()
