@@ -295,7 +295,7 @@ demo-capture: test-geometry ## render demo/ anew with Mitsuba (Python 3.11 with 
 test-geometry: .venv/installed ## unit tests of the scripts that make captures (PyPI's numpy)
 	.venv/bin/python -B -m unittest discover -s datasets-scripts -p '*_test.py'
 
-unbounded-captures: test-geometry target/unbounded/garden/sparse/0/points3D.bin target/unbounded/street/sparse/0/points3D.bin ## render two captures without bounds with Mitsuba into target/unbounded (20 minutes on 2 cores; UNBOUNDED_FLAGS="--spp 64": 5)
+unbounded-captures: test-geometry $(patsubst %,target/unbounded/%/sparse/0/points3D.bin,garden room street) ## render three captures without bounds with Mitsuba into target/unbounded (half an hour on 2 cores; UNBOUNDED_FLAGS="--spp 64": 8 minutes)
 
 target/unbounded/%/sparse/0/points3D.bin: $(wildcard datasets-scripts/unbounded_*.py) $(addprefix datasets-scripts/,procedural.py demo_scene.py mitsuba_capture.py colmap_model.py triangulation.py) | .venv/installed
 	.venv/bin/python datasets-scripts/unbounded_capture.py $* target/unbounded/$* $(UNBOUNDED_FLAGS)

@@ -48,6 +48,18 @@ def load_scene(shapes, emitters):
 
 def render(scene, camera, pose, spp, seed, near_far, hide_emitters):
     """Linear radiance, encoded to sRGB uint8 [H, W, 3]; with hide_emitters what misses the scene is black, else sky."""
+    return encoded(radiance(scene, camera, pose, spp, seed, near_far, hide_emitters)[..., :3])
+
+
+def encoded(linear):
+    """sRGB uint8 [H, W, 3]."""
+    linear = np.clip(linear, 0, 1)
+    picture = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return (picture * 255 + 0.5).astype(np.uint8)
+
+
+def radiance(scene, camera, pose, spp, seed, near_far, hide_emitters, depth=5):
+    """Linear radiance and coverage [H, W, 4], premultiplied; light has at most `depth` segments from lamp to eye."""
     to_world = np.eye(4)
     # Mitsuba's camera looks along +z with x to the left and y up.
     to_world[:3, :3] = pose[0].T @ np.diag([-1.0, -1.0, 1.0])
@@ -67,11 +79,8 @@ def render(scene, camera, pose, spp, seed, near_far, hide_emitters):
                  "rfilter": {"type": "box"}},
         "sampler": {"type": "multijitter", "sample_count": spp, "seed": seed},
     })
-    integrator = mi.load_dict({"type": "path", "max_depth": 5, "hide_emitters": hide_emitters})
-    rgba = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed), dtype=float)
-    linear = np.clip(rgba[..., :3], 0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return (encoded * 255 + 0.5).astype(np.uint8)
+    integrator = mi.load_dict({"type": "path", "max_depth": depth, "hide_emitters": hide_emitters})
+    return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed), dtype=float)
 
 
 def save(picture, folder, index):

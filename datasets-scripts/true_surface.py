@@ -2,7 +2,7 @@
 
     python3 datasets-scripts/true_surface.py demo truth.ply
     centaur mesh demo -o surface.glb --truth truth.ply
-    python3 datasets-scripts/true_surface.py garden truth.ply        # or street; needs numpy and pillow
+    python3 datasets-scripts/true_surface.py garden truth.ply        # or room, street; needs numpy and pillow
     centaur mesh target/unbounded/garden -o surface.glb --truth truth.ply
 """
 
@@ -14,9 +14,15 @@ import numpy as np
 import demo_scene
 from procedural import merged
 from unbounded_garden import garden
+from unbounded_room import room
 from unbounded_street import street
 
-SCENES = {"demo": demo_scene.build, "garden": lambda: garden()["shapes"], "street": lambda: street()["shapes"]}
+SCENES = {
+    "demo": demo_scene.build,
+    "garden": lambda: garden()["shapes"],
+    "room": lambda: room()["shapes"] + room()["indoors"],
+    "street": lambda: street()["shapes"],
+}
 
 
 def main(scene, path):

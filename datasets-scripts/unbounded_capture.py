@@ -2,6 +2,7 @@
 
     python unbounded_capture.py garden FOLDER             # ring of cameras about a table; houses, trees, hills, sky
     python unbounded_capture.py street FOLDER             # walk through a street
+    python unbounded_capture.py room FOLDER               # all around in a room with windows
     python unbounded_capture.py garden FOLDER --check     # only check what is there
 
 Points are triangulated from noisy pixels of three views or more, as far as they agree; tracks say which.
@@ -16,12 +17,13 @@ import numpy as np
 from PIL import Image
 
 from colmap_model import centre_of, read_model, write_model
-from mitsuba_capture import cast, load_scene, misalignment, pictures_of, render, sample, save, seen
+from mitsuba_capture import cast, encoded, load_scene, misalignment, pictures_of, radiance, render, sample, save, seen
 from triangulation import triangulate, widest_angle
 from unbounded_garden import garden
+from unbounded_room import room
 from unbounded_street import street
 
-SCENES = {"garden": garden, "street": street}
+SCENES = {"garden": garden, "room": room, "street": street}
 POINTS, PIXEL_NOISE, MATCHED = 4000, 0.35, 0.8
 # COLMAP drops points under 1.5 degrees by default, and with them all hills; its users lower that for captures like these.
 LEAST_ANGLE, LARGEST_ERROR = np.radians(0.15), 2.0
@@ -29,16 +31,42 @@ LEAST_ANGLE, LARGEST_ERROR = np.radians(0.15), 2.0
 LARGEST_TURN, LARGEST_ZOOM = np.cos(np.radians(50)), 2.5
 
 
+NEAR_FAR = (0.05, 1e4)
+
+
 def load(world):
+    """What rays are cast in."""
+    return load_scene(world["shapes"] + world.get("indoors", []), daylight(world))
+
+
+def daylight(world):
     sky = mi.Bitmap(world["sky"])
-    return load_scene(
-        world["shapes"],
-        {
-            # Mitsuba's environment has y up.
-            "sky": {"type": "envmap", "bitmap": sky, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)},
-            "sun": {"type": "directional", "direction": list(world["sun"]), "irradiance": {"type": "rgb", "value": [2.9, 2.65, 2.3]}},
-        },
-    )
+    return {
+        # Mitsuba's environment has y up.
+        "sky": {"type": "envmap", "bitmap": sky, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)},
+        "sun": {"type": "directional", "direction": list(world["sun"]), "irradiance": {"type": "rgb", "value": [2.9, 2.65, 2.3]}},
+    }
+
+
+def lamplight(world):
+    colour = lambda power: {"type": "rgb", "value": [power, 0.93 * power, 0.8 * power]}
+    return {f"lamp{i}": {"type": "point", "position": list(at), "intensity": colour(power)} for i, (at, power) in enumerate(world["lamps"])}
+
+
+def photographer(scene, world, spp):
+    """Takes the picture of a view. What is indoors is lit by lamps alone, and by nothing else that they light: daylight that finds a window, and
+    what is right beside a lamp, would be noise."""
+    camera, poses = world["camera"], world["poses"]
+    if "indoors" not in world:
+        return lambda i: render(scene, camera, poses[i], spp, i, NEAR_FAR, hide_emitters=False)
+    inside, outside = load_scene(world["indoors"], lamplight(world)), load_scene(world["shapes"], daylight(world))
+
+    def picture(i):
+        room = radiance(inside, camera, poses[i], spp, i, NEAR_FAR, hide_emitters=True, depth=2)
+        view = radiance(outside, camera, poses[i], spp, i, NEAR_FAR, hide_emitters=False)
+        return encoded(room[..., :3] + (1 - room[..., 3:]) * view[..., :3])
+
+    return picture
 
 
 def tolerance(distance):
@@ -142,8 +170,8 @@ def main():
     world = SCENES[arguments.scene]()
     poses, camera = world["poses"], world["camera"]
     scene = load(world)
-    print(f"{sum(len(s['triangles']) for s in world['shapes'])} triangles, {time.time() - start:.0f} s", flush=True)
-    picture = lambda i: render(scene, camera, poses[i], arguments.spp, i, (0.05, 1e4), hide_emitters=False)
+    print(f"{sum(len(s['triangles']) for s in world['shapes'] + world.get('indoors', []))} triangles, {time.time() - start:.0f} s", flush=True)
+    picture = photographer(scene, world, arguments.spp)
     if arguments.only is not None:
         folder.mkdir(parents=True, exist_ok=True)
         for i in arguments.only:

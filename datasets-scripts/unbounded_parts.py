@@ -1,4 +1,4 @@
-"""What both scenes without bounds are put together from: noise, ground, boxes and tubes, plants. Lengths in metres, z is up."""
+"""What scenes without bounds are put together from: noise, ground, boxes and tubes, plants. Lengths in metres, z is up."""
 
 import numpy as np
 

@@ -11,4 +11,4 @@ link() { # name, capture
 }
 link demo demo
 for name in banana16 skull66 maryrose69; do link $name "${CENTAUR_DATA:-/none}/capture_$name"; done
-for name in garden street; do link $name target/unbounded/$name; done
+for name in garden street room; do link $name target/unbounded/$name; done
