@@ -122,11 +122,12 @@ pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
     ((-principal - margin) / focal, (size - principal + margin) / focal)
 }
 
-/// Alpha of a splat of this opacity at a pixel where its Gaussian is e^`power`; `None` where it does not contribute.
+/// Alpha of a splat of this opacity at a pixel where its Gaussian is e^`power`; `None` where it does not contribute. A power above 0
+/// is one of 0 after rounding; INRIA 3DGS skips such pixels (`cuda_rasterizer/forward.cu`), which leaves holes along needles.
 #[must_use]
 pub fn splat_alpha(opacity: f64, power: f64) -> Option<f64> {
-    let alpha = (opacity * power.exp()).min(ALPHA_CAP);
-    (power <= 0.0 && alpha >= ALPHA_CUT).then_some(alpha)
+    let alpha = (opacity * power.min(0.0).exp()).min(ALPHA_CAP);
+    (alpha >= ALPHA_CUT).then_some(alpha)
 }
 
 /// Half width and height in pixels of the ellipse on which alpha is [`ALPHA_CUT`], from the variances along x and y

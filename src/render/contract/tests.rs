@@ -140,7 +140,7 @@ fn surface_depth_is_exact_on_a_plane() {
 #[test]
 fn alpha_limits() {
     assert_eq!(splat_alpha(1.0, 0.0), Some(ALPHA_CAP));
-    assert_eq!(splat_alpha(1.0, 1e-9), None);
+    assert_eq!(splat_alpha(0.5, 1e-9), Some(0.5));
     assert_eq!(splat_alpha(ALPHA_CUT * 0.999, 0.0), None);
     assert_eq!(splat_extent(ALPHA_CUT * 0.999, DVec2::ONE), None);
     // On the extent's ellipse alpha is the cut.
