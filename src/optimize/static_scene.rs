@@ -18,6 +18,7 @@ pub use selection::Selection;
 
 use std::{
     cell::OnceCell,
+    ops::RangeInclusive,
     path::{Path, PathBuf},
     rc::Rc,
     sync::atomic::AtomicBool,
@@ -59,6 +60,13 @@ const DECODED_AT_ONCE: usize = 4;
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
+
+/// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
+const USUAL_EXTENT: f64 = 5.0;
+/// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
+const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
+/// Points of the pictures of all views, of which the median depth is taken, at most.
+const DEPTHS: usize = 1_000_000;
 
 /// What a run is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -186,6 +194,8 @@ struct Run<'a> {
     /// Photographs have masks or alpha: nothing is behind what they show.
     is_cut_out: bool,
     extent: f32,
+    /// The capture's unit of length, see [`unit_of_length`].
+    unit: f32,
     /// Near plane, by the poses as they were given.
     near: f32,
     start: Instant,
@@ -261,7 +271,8 @@ impl<'a> Run<'a> {
         sampled(&test).try_for_each(|i| has_alpha(&i).map(drop))?;
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
-        let extent = capture::extent(&train_cameras) as f32;
+        let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
+        let unit = unit_of_length(f64::from(extent), median_depth(capture, &train)) as f32;
         let near = surface::near_plane(&train_cameras, NEAR);
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !is_cut_out && options.warmup > 0;
@@ -280,7 +291,8 @@ impl<'a> Run<'a> {
             cache,
             small: None,
             is_cut_out,
-            extent: if extent > 0.0 { extent } else { 1.0 },
+            extent,
+            unit,
             near,
             start: Instant::now(),
             history: vec![],
@@ -583,6 +595,25 @@ impl<'a> Run<'a> {
 /// Up to four of the held-out views, for a look at them while training.
 fn sampled(test: &[usize]) -> impl Iterator<Item = usize> {
     test.iter().copied().step_by(test.len().div_ceil(4).max(1))
+}
+
+/// A capture's size in that of captures for which constants with a length in them were chosen: by the extent of its cameras, as far as this
+/// says how large what they see is.
+fn unit_of_length(extent: f64, depth: Option<f64>) -> f64 {
+    depth.map_or(extent, |d| extent.clamp(USUAL_SPREAD.start() * d, USUAL_SPREAD.end() * d)) / USUAL_EXTENT
+}
+
+/// Of the points in the pictures of these views; `None` if there are none.
+fn median_depth(capture: &Capture, views: &[usize]) -> Option<f64> {
+    let step = (views.len() * capture.points.len()).div_ceil(DEPTHS).max(1);
+    let in_view = |&i: &usize| {
+        let camera = &capture.views[i].camera;
+        let points = capture.points.iter().step_by(step).map(|point| camera.to_camera(point.position));
+        points.filter_map(|p| camera.in_picture(p).map(|_| p.z))
+    };
+    let mut depths: Vec<f64> = views.iter().flat_map(in_view).collect();
+    let middle = depths.len() / 2;
+    (!depths.is_empty()).then(|| *depths.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// FNV-1a of the bits of these numbers.

@@ -57,6 +57,20 @@ fn square() -> MeshSource {
 
 /// Of a mesh that is brought along, what no training view shows would stay grey and half transparent.
 #[test]
+fn units_follow_what_is_seen() {
+    assert_eq!(unit_of_length(5.0, None), 1.0);
+    assert_eq!(unit_of_length(4.0, Some(4.0)), 0.8);
+    // A drone over a plain, three cameras side by side.
+    assert_eq!((unit_of_length(500.0, Some(80.0)), unit_of_length(0.1, Some(3.0))), (24.0, 0.3));
+    let mut demo = demo();
+    let train: Vec<usize> = (0..demo.views.len()).collect();
+    let found = median_depth(&demo, &train).unwrap() / capture::extent(demo.views.iter().map(|v| &v.camera));
+    assert!((0.7..1.2).contains(&found), "{found}");
+    demo.forget_points();
+    assert_eq!(median_depth(&demo, &train), None);
+}
+
+#[test]
 fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
     // Far above, where no camera looks.
