@@ -4,7 +4,8 @@ use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
 use centaur::geometry::{
-    self, Ball, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats, Viewers,
+    self, Ball, ChartSpace, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats,
+    Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture};
@@ -112,7 +113,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         })
     };
     let compared = truth.as_ref().map(compare).transpose()?;
-    let charts_in = steps.contraction.map(Contraction::for_charts);
+    let charts_in = steps.contraction.map(ChartSpace::unbounded);
     let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), args.texture_size)?;
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;

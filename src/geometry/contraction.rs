@@ -1,6 +1,6 @@
 use glam::{DVec3, Vec3};
 
-use super::GeometryError;
+use super::{GeometryError, Shell};
 use crate::scene::{Camera, OpticalAxes};
 
 /// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
@@ -54,13 +54,6 @@ impl Contraction {
         Ok(is_unbounded.then_some(contraction))
     }
 
-    /// One in which what is far away has as many texels to a pixel as what is at the centre, for charts: a quarter of the radius, half
-    /// the cameras' distance, so that the end of the ball is as far as they are.
-    #[must_use]
-    pub fn for_charts(self) -> Self {
-        Self { radius: 0.25 * self.radius, ..self }
-    }
-
     /// Where a point of the world comes to lie.
     #[must_use]
     pub fn contract(&self, p: DVec3) -> DVec3 {
@@ -94,6 +87,37 @@ impl Contraction {
         let outward = x / distance;
         let radial = outward * d.dot(outward);
         (radial / distance + (d - radial) * (2.0 - 1.0 / distance)) / distance
+    }
+}
+
+/// Where a surface is laid out in charts, if not in the world: so that what is far away has as many texels to a pixel as what the cameras
+/// look at.
+#[derive(Clone, Copy, Debug)]
+pub struct ChartSpace {
+    /// The end of whose ball is as far away as cameras are.
+    contraction: Contraction,
+    /// What alone is contracted, if not all.
+    shell: Option<Shell>,
+}
+
+impl ChartSpace {
+    /// For a surface without bounds, of which all is contracted.
+    #[must_use]
+    pub fn unbounded(contraction: Contraction) -> Self {
+        // Half the cameras' distance.
+        Self { contraction: Contraction { radius: 0.25 * contraction.radius, ..contraction }, shell: None }
+    }
+
+    /// For one with bounds and a shell: within, cameras may be as near to anything as to what they look at.
+    #[must_use]
+    pub fn within_shell(contraction: Contraction, shell: Shell) -> Self {
+        Self { shell: Some(shell), ..Self::unbounded(contraction) }
+    }
+
+    /// Where a point of the world comes to lie.
+    pub(super) fn place(&self, p: DVec3) -> DVec3 {
+        let is_contracted = self.shell.is_none_or(|shell| shell.holds(p.as_vec3()));
+        if is_contracted { self.contraction.contract(p) } else { p }
     }
 }
 
@@ -152,7 +176,7 @@ mod tests {
     #[test]
     fn charts_of_what_is_far_have_as_many_texels_to_a_pixel() {
         // Cameras are half the radius away from the centre.
-        let charts = BALL.for_charts();
+        let charts = ChartSpace::unbounded(BALL).contraction;
         for distance in [300.0, 1e6] {
             let p = BALL.center + DVec3::X * distance;
             let texels = charts.along(p, DVec3::Y).length();

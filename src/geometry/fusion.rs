@@ -47,8 +47,8 @@ const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
     /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
-    /// must agree. Bounded, `max_depth` is that radius, and the box holds all but the outermost 0.5 % of `points` on each side and
-    /// lies within `max_depth` of what all cameras look at. With a `contraction` that is so of contracted points, and `max_depth` is
+    /// must agree. Bounded, the box holds all but the outermost 0.5 % of `points` on each side and lies within that radius of what all
+    /// cameras look at, and `max_depth` is as far as any of them has to what is in there. With a `contraction` that is so of contracted points, and `max_depth` is
     /// what leaves room for some voxels behind a surface.
     ///
     /// # Errors
@@ -65,7 +65,7 @@ impl FusionOptions {
         }
         let voxel = radius / f64::from(resolution);
         let (reach, max_depth) = match contraction {
-            None => (radius, radius),
+            None => (radius, radius + cameras.iter().map(|c| c.center().distance(center)).fold(0.0, f64::max)),
             // At x radii it is 1/x to the end of the ball.
             Some(_) => (2.0 * radius, radius * (f64::from(resolution) / VOXELS_BEHIND).clamp(1.0, FARTHEST)),
         };

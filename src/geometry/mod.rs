@@ -25,7 +25,7 @@ mod visibility;
 use std::fmt::Display;
 
 pub use bvh::{ClosestPoint, Hit, MeshBvh};
-pub use contraction::Contraction;
+pub use contraction::{ChartSpace, Contraction};
 pub use distance::{Ball, SurfaceDistance, surface_distance};
 pub use faint::faint_triangles;
 pub use fusion::{DepthView, Fusion, FusionOptions};

@@ -256,8 +256,8 @@ fn suggested_volume_holds_the_scene() {
     let mut points: Vec<Vec3> = orbit(1000, 1, 1).iter().map(|c| (c.center() / 3.0).as_vec3()).collect();
     points.extend([Vec3::splat(1e6), Vec3::NAN]);
     let o = FusionOptions::suggest(&cameras, &points, 256, None).unwrap();
-    // All cameras are at distance 3 from the focus.
-    assert!((o.max_depth - 6.0).abs() < 0.05 && (o.voxel - o.max_depth / 256.0).abs() < 1e-12);
+    // All cameras are at distance 3 from the focus, and see 6 beyond it.
+    assert!((o.max_depth - 9.0).abs() < 0.05 && (256.0 * o.voxel - 6.0).abs() < 0.05);
     assert!((o.truncation / o.voxel - 5.0).abs() < 1e-12);
     assert!(o.bounds.0.max_element() < -1.0 && o.bounds.1.min_element() > 1.0, "{:?}", o.bounds);
     assert!(o.bounds.0.min_element() > -1.5 && o.bounds.1.max_element() < 1.5, "{:?}", o.bounds);
@@ -266,7 +266,7 @@ fn suggested_volume_holds_the_scene() {
     let first = &cameras[0];
     let beside = -(first.rotation() * DVec3::new(0.1, 0.0, 0.0));
     walk.push(Camera::new(*first.intrinsics(), first.rotation(), beside).unwrap());
-    assert!((FusionOptions::suggest(&walk, &points, 256, None).unwrap().max_depth - 6.0).abs() < 0.3);
+    assert!((256.0 * FusionOptions::suggest(&walk, &points, 256, None).unwrap().voxel - 6.0).abs() < 0.3);
     assert!(FusionOptions::suggest(&[], &points, 256, None).is_err());
     assert!(FusionOptions::suggest(&cameras, &points, 0, None).is_err());
     for (cameras, points) in [(&cameras[..1], &points[..0]), (&[cameras[0]; 3], &points), (&cameras, &points[1001..])] {

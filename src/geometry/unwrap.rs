@@ -1,7 +1,7 @@
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::{Contraction, GeometryError, Surface, charts, pack};
+use super::{ChartSpace, GeometryError, Surface, charts, pack};
 
 /// A surface with texture coordinates for one square atlas.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,15 +38,14 @@ pub struct UnwrapStats {
 /// Positions and triangles are kept as they are; a triangle with two corners at one place gets
 /// UV 0 at all of them. Deterministic.
 ///
-/// Within `charts_in`, if given, areas and shapes are those of the contracted surface: of one without bounds
-/// [`Contraction::for_charts`] leaves what is near as many texels to a pixel as what is far away.
+/// With `charts_in` areas and shapes are those that the surface has there.
 ///
 /// # Errors
 /// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=16384, or
 /// the charts do not fit even with gutters of 1 texel.
 pub fn unwrap(
     surface: &Surface,
-    charts_in: Option<&Contraction>,
+    charts_in: Option<&ChartSpace>,
     atlas_size: u32,
 ) -> Result<UnwrappedMesh, GeometryError> {
     if !(16..=16384).contains(&atlas_size) {
@@ -56,8 +55,8 @@ pub fn unwrap(
         return Err(GeometryError::argument("triangles", "at least one triangle", &"none"));
     }
     let mut corners = corner_positions(surface)?;
-    if let Some(contraction) = charts_in {
-        corners.iter_mut().flatten().for_each(|p| *p = contraction.contract(*p));
+    if let Some(space) = charts_in {
+        corners.iter_mut().flatten().for_each(|p| *p = space.place(*p));
     }
     let areas: Vec<f64> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).collect();
     // Something to scale by when nothing has an area.
@@ -122,6 +121,7 @@ fn corner_positions(surface: &Surface) -> Result<Vec<[DVec3; 3]>, GeometryError>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Contraction;
     use glam::DVec2;
     use rand::{RngExt, SeedableRng};
 
@@ -262,7 +262,7 @@ mod tests {
         };
         let positions: Vec<Vec3> = square(0.0, 0.7).into_iter().chain(square(300.0, 70.7)).collect();
         let surface = Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]] };
-        let ratio = |charts_in: Option<&Contraction>| {
+        let ratio = |charts_in: Option<&ChartSpace>| {
             let uvs = unwrap(&surface, charts_in, 256).unwrap().corner_uvs;
             let area = |f: usize| {
                 let [a, b, c] = uvs[f];
@@ -270,7 +270,7 @@ mod tests {
             };
             (area(2) + area(3)) / (area(0) + area(1))
         };
-        let charts = Contraction { center: DVec3::ZERO, radius: 6.0 }.for_charts();
+        let charts = ChartSpace::unbounded(Contraction { center: DVec3::ZERO, radius: 6.0 });
         let (contracted, in_world) = (ratio(Some(&charts)), ratio(None));
         assert!((0.6..1.6).contains(&contracted) && in_world > 1000.0, "{contracted} {in_world}");
     }

@@ -41,7 +41,7 @@ use super::{
 };
 use crate::{
     capture::{self, Capture, CaptureError, Photo, PhotoCache, Split, View},
-    geometry::{self, Contraction, MeshBvh, Shell, Surface},
+    geometry::{self, ChartSpace, Contraction, MeshBvh, Shell, Surface},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
@@ -477,13 +477,14 @@ impl<'a> Run<'a> {
     }
 
     /// Where charts are laid out, if not in the world: the capture has no bounds, or there is a shell. By the cameras as they are now.
-    fn charts_in(&self) -> Result<Option<Contraction>, TrainError> {
+    fn charts_in(&self) -> Result<Option<ChartSpace>, TrainError> {
         let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-        let space = match self.shell {
-            Some(_) => Some(Contraction::around(&self.train_cameras, &points)?),
-            None => Contraction::if_unbounded(&self.train_cameras, &points)?,
-        };
-        Ok(space.map(Contraction::for_charts))
+        let around = || Contraction::around(&self.train_cameras, &points);
+        Ok(match (Contraction::if_unbounded(&self.train_cameras, &points)?, self.shell) {
+            (Some(contraction), _) => Some(ChartSpace::unbounded(contraction)),
+            (None, Some(shell)) => Some(ChartSpace::within_shell(around()?, shell)),
+            (None, None) => None,
+        })
     }
 
     /// Side of the maps that a mesh has at most.

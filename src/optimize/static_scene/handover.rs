@@ -26,8 +26,9 @@ impl<'a> Run<'a> {
             }
         }
         let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-        let contraction = Contraction::if_unbounded(&self.train_cameras, &points)?;
+        // Without points of the capture, the splats say where the scene is.
         let points = if points.len() < 100 { splat_state(training)?.to_splats()?.means().to_vec() } else { points };
+        let contraction = Contraction::if_unbounded(&self.train_cameras, &points)?;
         let (triangles, planar) = (self.options.triangles, self.options.planar);
         let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
