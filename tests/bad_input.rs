@@ -131,12 +131,16 @@ fn point_clouds_without_points() {
     assert_eq!(line, format!("error: capture/sparse/0/points3D.txt: expected points, found none; {advice}"));
 
     let folder = folder_with_capture(8);
-    std::fs::write(folder.path().join("capture/sparse/0/points3D.txt"), "").unwrap();
+    // Nobody looks for them.
+    std::fs::remove_file(folder.path().join("capture/sparse/0/points3D.txt")).unwrap();
     let flags = ["--no-mesh", "--max-splats", "500", "--no-points"];
     let output = train(folder.path(), flags).output().unwrap();
     assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()));
     let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
     assert_eq!(scene.splats.len(), 500);
+    let flags = ["--surface", "points", "--no-points"];
+    let line = failure(folder.path(), &mut train(folder.path(), flags));
+    assert_eq!(line, "error: --surface points: expected points, found --no-points");
 }
 
 #[test]

@@ -159,7 +159,7 @@ pub(super) fn load(
             }
         }
     }
-    Ok(Listed { frames, list: images_file, points, points_file: Some(points_file) })
+    Ok(Listed { frames, list: images_file, points, points_file: wants_points.then_some(points_file) })
 }
 
 /// Joins images with their cameras.

@@ -34,17 +34,8 @@ pub struct Capture {
     pub views: Vec<View>,
     /// Sparse points in world space, finite; empty if the capture has none.
     pub points: Vec<Point>,
-    /// The file that the points are of, the first where there are several; `None` if the capture names none.
+    /// The file that the points are of, the first where there are several; `None` if the capture names none or they are not wanted.
     pub points_file: Option<PathBuf>,
-}
-
-impl Capture {
-    /// As if structure from motion had found no points.
-    pub fn forget_points(&mut self) {
-        self.points.clear();
-        self.points_file = None;
-        self.views.iter_mut().for_each(|view| view.sees.clear());
-    }
 }
 
 /// What the lists of a capture say, before its photographs are looked at.
@@ -101,6 +92,8 @@ pub struct LoadOptions {
     /// Apply `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a `transforms.json`:
     /// white is the object. Without such a folder nothing is masked; with one, every image needs its mask.
     pub masks: bool,
+    /// Leave points where they are, as if there were none: their file is not looked at.
+    pub without_points: bool,
 }
 
 /// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (INRIA 3DGS, `utils/general_utils.py`).
@@ -188,7 +181,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     let Listed { frames, list, points, points_file } = if !folder {
         transforms::load(root, &[(path.into(), None)], options)?
     } else if let Some(model) = colmap::find_model(path) {
-        colmap::load(path, &model, (options, true))?
+        colmap::load(path, &model, (options, !options.without_points))?
     } else {
         let files = transforms::find(path);
         if files.is_empty() {

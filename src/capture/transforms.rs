@@ -178,7 +178,9 @@ pub(super) fn parse(
         return Err(CaptureError::invalid(path, format!("{}/file_path", first.at), expected, &first.name));
     }
     let points = match &file.ply_file_path {
-        Some(name) if photographs => Some(root.join(inside(path, "/ply_file_path", plain(name))?)),
+        Some(name) if photographs && !options.without_points => {
+            Some(root.join(inside(path, "/ply_file_path", plain(name))?))
+        }
         _ => None,
     };
     Ok(Parsed { frames, fps: file.fps, points })

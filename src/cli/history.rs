@@ -1,5 +1,6 @@
 //! How a scene was trained, kept in its file: for reports, at once and later.
 
+use centaur::capture::Capture;
 use centaur::metrics::plot::Plot;
 use centaur::optimize::{Phase, Progress, TrainOptions, Trained};
 use serde::{Deserialize, Serialize};
@@ -13,6 +14,9 @@ const MOST_POINTS: usize = 300;
 pub(super) struct Record {
     /// Name of the capture.
     capture: String,
+    /// Sparse points of it that training began with.
+    #[serde(default)]
+    points: Option<usize>,
     /// `TrainOptions`, by their names.
     settings: Map<String, Value>,
     /// Name of the adapter that trained.
@@ -43,13 +47,14 @@ struct Curves {
 
 impl Record {
     pub(super) fn new(
-        capture: &str,
+        capture: &Capture,
         options: &TrainOptions,
         adapter: &str,
         trained: &Trained,
     ) -> serde_json::Result<Self> {
         Ok(Self {
-            capture: capture.to_owned(),
+            capture: capture.name.clone(),
+            points: Some(capture.points.len()),
             settings: serde_json::from_value(serde_json::to_value(options)?)?,
             adapter: Some(adapter.to_owned()),
             seconds_per_iteration: trained.seconds_per_iteration,
@@ -68,7 +73,8 @@ impl Record {
     /// Options as rows of a table.
     pub(super) fn settings(&self) -> Vec<(String, String)> {
         let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-        self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(value))).collect()
+        let settings = self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(value)));
+        settings.chain(self.points.map(|n| ("points of the capture".to_owned(), n.to_string()))).collect()
     }
 
     /// The curves from where there is a mesh on: the surface phase counts iterations of its own, and the mesh replaces most of

@@ -51,13 +51,13 @@ impl CaptureArgs {
         Ok(capture::open(path, &self.options())?)
     }
 
-    fn options(&self) -> LoadOptions {
+    pub(super) fn options(&self) -> LoadOptions {
         let downscale = match (self.downscale, self.max_side) {
             (Some(n), _) => Downscale::Factor(n),
             (None, Some(n)) => Downscale::MaxSide(n),
             (None, None) => Downscale::Full,
         };
-        LoadOptions { downscale, images: self.images.clone(), masks: self.masks }
+        LoadOptions { downscale, images: self.images.clone(), masks: self.masks, ..LoadOptions::default() }
     }
 
     /// Cameras of a scene that has been read from a glTF at `path`.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
-use centaur::capture::{Capture, Split, View};
+use centaur::capture::{self, Capture, LoadOptions, Split, View};
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
@@ -295,16 +295,16 @@ impl Args {
         if let Some(mesh) = &self.mesh {
             ensure!(mesh.is_file(), "{}: expected a mesh file, found none", mesh.display());
         }
+        let of_points = matches!(self.surface, Some(SurfaceOf::Points));
+        ensure!(!(of_points && self.no_points), "--surface points: expected points, found --no-points");
         let checkpoint = self.checkpoint();
         ensure!(!self.resume || checkpoint.is_file(), "{}: expected a checkpoint, found none", checkpoint.display());
         Ok(())
     }
 
     fn open(&self) -> Result<Capture> {
-        let mut capture = self.loading.open(&self.capture)?;
-        if self.no_points {
-            capture.forget_points();
-        }
+        let options = LoadOptions { without_points: self.no_points, ..self.loading.options() };
+        let capture = capture::open(&self.capture, &options)?;
         match &capture.points_file {
             Some(file) if capture.points.is_empty() => bail!(
                 "{}: expected points, found none; --no-points begins with splats at random places that the cameras look at",
@@ -410,7 +410,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if matches!(trained.outcome, Outcome::Interrupted) {
         return report_interruption(args, &notes);
     }
-    let record = Record::new(&capture.name, &options, gpu.adapter(), &trained)?;
+    let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
     let mut settings = record.settings();
     settings.extend(trained.surface.map(|origin| ("surface".to_owned(), in_words(origin).to_owned())));
     let moved = moved(&trained);
@@ -435,7 +435,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
         let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
         let outcome = serde_json::json!({
-            "outcome": "finished", "scene": args.output, "seconds_per_iteration": trained.seconds_per_iteration,
+            "outcome": "finished", "scene": args.output, "points": capture.points.len(), "seconds_per_iteration": trained.seconds_per_iteration,
             "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
             "selection": trained.selection, "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
             "occluded_splats": trained.occluded_splats,

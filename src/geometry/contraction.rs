@@ -5,9 +5,6 @@ use crate::scene::{Camera, OpticalAxes};
 
 /// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
 const BEYOND: f64 = 0.1;
-/// Fewer points say nothing about that.
-const LEAST_POINTS: usize = 100;
-
 /// Unbounded space drawn into a ball (Mip-NeRF 360, Barron et al. 2022): what is within `radius` of `center` keeps its place, and all the
 /// rest comes to lie within twice that, x → (2 − 1/|x|) x/|x| in units of it. Lengths are world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +16,9 @@ pub struct Contraction {
 }
 
 impl Contraction {
+    /// Fewer points do not say whether a capture is unbounded.
+    pub(crate) const LEAST_POINTS: usize = 100;
+
     /// Around the point that all cameras look at, the radius twice their least distance to it (the constants of 2DGS; twice their
     /// median distance, where that is more than twice the least: a walk may lead past the point).
     ///
@@ -50,7 +50,7 @@ impl Contraction {
     pub fn if_unbounded(cameras: &[Camera], points: &[Vec3]) -> Result<Option<Self>, GeometryError> {
         let contraction = Self::around(cameras, points)?;
         let beyond = points.iter().filter(|p| p.as_dvec3().distance(contraction.center) > contraction.radius).count();
-        let is_unbounded = points.len() >= LEAST_POINTS && beyond as f64 >= BEYOND * points.len() as f64;
+        let is_unbounded = points.len() >= Self::LEAST_POINTS && beyond as f64 >= BEYOND * points.len() as f64;
         Ok(is_unbounded.then_some(contraction))
     }
 

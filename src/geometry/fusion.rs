@@ -47,9 +47,9 @@ const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
     /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
-    /// must agree. Bounded, the box holds all but the outermost 0.5 % of `points` on each side and lies within that radius of what all
-    /// cameras look at, and `max_depth` is as far as any of them has to what is in there. With a `contraction` that is so of contracted points, and `max_depth` is
-    /// what leaves room for some voxels behind a surface.
+    /// must agree. Bounded, the box holds all but the outermost 0.5 % of `points` on each side and reaches no farther than that radius along any axis from
+    /// what all cameras look at, and `max_depth` is as far as any of them has to what is in it. With a `contraction` the box is one of contracted points, and
+    /// `max_depth` is what leaves room for some voxels behind a surface.
     ///
     /// # Errors
     /// Without cameras or with resolution 0.
@@ -64,11 +64,7 @@ impl FusionOptions {
             return Err(GeometryError::argument("resolution", "at least 1 voxel", &"0"));
         }
         let voxel = radius / f64::from(resolution);
-        let (reach, max_depth) = match contraction {
-            None => (radius, radius + cameras.iter().map(|c| c.center().distance(center)).fold(0.0, f64::max)),
-            // At x radii it is 1/x to the end of the ball.
-            Some(_) => (2.0 * radius, radius * (f64::from(resolution) / VOXELS_BEHIND).clamp(1.0, FARTHEST)),
-        };
+        let reach = if contraction.is_some() { 2.0 * radius } else { radius };
         let mut bounds = (center - reach, center + reach);
         let points = points.iter().map(|p| p.as_dvec3());
         let placed = points.map(|p| contraction.map_or(p, |c| c.contract(p)));
@@ -79,6 +75,14 @@ impl FusionOptions {
                 bounds = tight;
             }
         }
+        let max_depth = match contraction {
+            None => {
+                let farthest = |c: DVec3| (c - bounds.0).abs().max((c - bounds.1).abs()).length();
+                cameras.iter().map(|camera| farthest(camera.center())).fold(0.0, f64::max)
+            }
+            // At x radii it is 1/x to the end of the ball.
+            Some(_) => radius * (f64::from(resolution) / VOXELS_BEHIND).clamp(1.0, FARTHEST),
+        };
         let truncation = 5.0 * voxel;
         Ok(Self { voxel, truncation, bounds, contraction, max_depth, min_weight: 2.0, max_bytes: MAX_BYTES })
     }
@@ -269,9 +273,11 @@ impl Fusion {
         // A voxel that projects into a pixel is at most half a step along and half a pixel diagonal across away from a
         // sample; a coarse depth map far away is the case where the second matters. Contracted, pixels stop growing: at x radii
         // from the centre those of a camera at c are (x + c)(2 − 1/x)/x as wide, which is below 2(1 + c).
+        let depths = view.depth.iter().filter_map(|&depth| valid_depth(depth, o.max_depth));
+        let farthest = f64::from(depths.fold(0.0, f32::max));
         let widest = o
             .contraction
-            .map_or(o.max_depth, |c| o.max_depth.min(2.0 * (c.radius + view.camera.center().distance(c.center))));
+            .map_or(farthest, |c| farthest.min(2.0 * (c.radius + view.camera.center().distance(c.center))));
         let footprint = widest * 0.71 / k.fx.min(k.fy);
         let reach = 0.25 + (footprint / cell).min(8.0);
         let mut keys: Vec<[i32; 3]> = cells

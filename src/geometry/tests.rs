@@ -256,8 +256,12 @@ fn suggested_volume_holds_the_scene() {
     let mut points: Vec<Vec3> = orbit(1000, 1, 1).iter().map(|c| (c.center() / 3.0).as_vec3()).collect();
     points.extend([Vec3::splat(1e6), Vec3::NAN]);
     let o = FusionOptions::suggest(&cameras, &points, 256, None).unwrap();
-    // All cameras are at distance 3 from the focus, and see 6 beyond it.
-    assert!((o.max_depth - 9.0).abs() < 0.05 && (256.0 * o.voxel - 6.0).abs() < 0.05);
+    // All cameras are at distance 3 from the focus, and see the far corners of the box.
+    assert!((256.0 * o.voxel - 6.0).abs() < 0.05 && o.max_depth < 3.0 + 3.0_f64.sqrt() * 1.5);
+    for corner in 0..8 {
+        let [x, y, z] = [0, 1, 2].map(|axis| if corner >> axis & 1 == 0 { o.bounds.0[axis] } else { o.bounds.1[axis] });
+        assert!(cameras.iter().all(|c| c.center().distance(DVec3::new(x, y, z)) <= o.max_depth));
+    }
     assert!((o.truncation / o.voxel - 5.0).abs() < 1e-12);
     assert!(o.bounds.0.max_element() < -1.0 && o.bounds.1.min_element() > 1.0, "{:?}", o.bounds);
     assert!(o.bounds.0.min_element() > -1.5 && o.bounds.1.max_element() < 1.5, "{:?}", o.bounds);
@@ -272,6 +276,24 @@ fn suggested_volume_holds_the_scene() {
     for (cameras, points) in [(&cameras[..1], &points[..0]), (&[cameras[0]; 3], &points), (&cameras, &points[1001..])] {
         assert!(Fusion::new(FusionOptions::suggest(cameras, points, 64, None).unwrap()).is_ok());
     }
+}
+
+#[test]
+fn within_a_shell_charts_are_laid_out_in_the_world() {
+    let cameras = orbit(20, 100, 80);
+    let point = Vec3::X * 1000.0;
+    let (contraction, shell) =
+        (Contraction::around(&cameras, &[point]).unwrap(), Shell::around(&cameras, &[point]).unwrap());
+    let center = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len() as f64;
+    // As far as the point four times over.
+    let far = center + DVec3::Y * 4.0 * center.distance(point.as_dvec3());
+    assert!(shell.holds(far.as_vec3()) && !shell.holds(point));
+    let (unbounded, within) = (ChartSpace::unbounded(contraction), ChartSpace::within_shell(contraction, shell));
+    for p in [DVec3::ZERO, DVec3::Z * 5.0, point.as_dvec3()] {
+        assert_eq!(within.place(p), p);
+    }
+    assert_ne!(unbounded.place(point.as_dvec3()), point.as_dvec3());
+    assert_eq!(within.place(far), unbounded.place(far));
 }
 
 /// The unit sphere in the middle of one of radius 60: ten times the radius in which space is as it is.

@@ -13,8 +13,8 @@ use serde_json::Value;
 use super::state::{GEOMETRY_FLOATS, SplatState};
 use crate::scene::sh;
 
-/// Version of the layout that is written, and the only one that is read.
-pub const VERSION: u32 = 4;
+/// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
+pub const VERSION: u32 = 5;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";

@@ -150,26 +150,34 @@ fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
     scales
 }
 
-/// The place that cameras look at and the median distance to it.
+/// The place that cameras look at and the median distance to it, or what is likely where they look at none together.
 fn focus(cameras: &[Camera]) -> (DVec3, f64) {
-    let rays: Vec<(DVec3, DVec3)> = cameras.iter().map(|c| (c.center(), c.rotation().row(2))).collect();
-    let n = rays.len().max(1) as f64;
-    if let Some(point) = OpticalAxes::of(cameras).meeting_point() {
-        let mut distances: Vec<f64> = rays.iter().map(|&(center, _)| center.distance(point)).collect();
-        let middle = distances.len() / 2;
-        let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let in_front = rays.iter().filter(|&&(center, axis)| (point - center).dot(axis) > 0.5 * median).count();
-        if median > 0.0 && 2 * in_front > rays.len() {
-            return (point, median);
-        }
-    }
-    let mean = rays.iter().map(|r| r.0).sum::<DVec3>() / n;
-    let axis = rays.iter().map(|r| r.1).sum::<DVec3>() / n;
-    let reach = match 3.0 * extent(cameras) {
-        e if e > 0.0 => e,
-        _ => 1.0, // cameras in one place have no scale
-    };
-    (mean + axis * reach, reach)
+    common_focus(cameras).unwrap_or_else(|| {
+        let n = cameras.len().max(1) as f64;
+        let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / n;
+        let axis = cameras.iter().map(|c| c.rotation().row(2)).sum::<DVec3>() / n;
+        let reach = match 3.0 * extent(cameras) {
+            e if e > 0.0 => e,
+            _ => 1.0, // cameras in one place have no scale
+        };
+        (mean + axis * reach, reach)
+    })
+}
+
+/// The median distance of cameras to the place that they look at; `None` where there is none in front of most.
+pub(super) fn distance_of_focus(cameras: &[Camera]) -> Option<f64> {
+    common_focus(cameras).map(|(_, distance)| distance)
+}
+
+/// The place in front of most cameras where their axes meet, and the median distance to it.
+fn common_focus(cameras: &[Camera]) -> Option<(DVec3, f64)> {
+    let point = OpticalAxes::of(cameras).meeting_point()?;
+    let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(point)).collect();
+    let middle = distances.len() / 2;
+    let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let is_in_front = |c: &&Camera| (point - c.center()).dot(c.rotation().row(2)) > 0.5 * median;
+    let in_front = cameras.iter().filter(is_in_front).count();
+    (median > 0.0 && 2 * in_front > cameras.len()).then_some((point, median))
 }
 
 #[cfg(test)]
@@ -260,6 +268,7 @@ mod tests {
             .collect();
         let (center, reach) = focus(&ring);
         assert!(center.distance(target) < 1e-9 && (reach - 4.0 * 1.09_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(distance_of_focus(&ring), Some(reach));
         let splats = from_cameras(&ring, 1000, 1, Initial::INRIA, 3).unwrap();
         assert_eq!(splats.len(), 1000);
         let offsets: Vec<f32> =
@@ -281,6 +290,7 @@ mod tests {
             .collect();
         let (center, reach) = focus(&outward);
         assert!(center.length() < 1e-9 && (reach - 3.3).abs() < 1e-9);
+        assert_eq!([&parallel, &outward].map(|cameras| distance_of_focus(cameras)), [None, None]);
         let (center, reach) = focus(&[]);
         assert_eq!((center, reach), (DVec3::ZERO, 1.0));
     }

@@ -25,7 +25,7 @@ use std::{
     time::Instant,
 };
 
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::{
@@ -205,15 +205,15 @@ struct Run<'a> {
     skipped_iterations: u32,
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
-    /// What the meshes were made of.
-    /// Why there is none, where making it failed.
+    /// Why there is no mesh, where making one failed.
     no_surface: Option<String>,
+    /// What the meshes were made of.
     surface: Option<SurfaceOrigin>,
     selection: Option<Selection>,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
     /// Of the mesh that was given.
-    given: OnceCell<Rc<MeshBvh>>,
+    given_hierarchy: OnceCell<Rc<MeshBvh>>,
     /// Of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
     /// Of all views of the capture, after the phase that refines them.
@@ -272,7 +272,8 @@ impl<'a> Run<'a> {
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
-        let unit = unit_of_length(f64::from(extent), median_depth(capture, &train)) as f32;
+        let depth = median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
+        let unit = unit_of_length(f64::from(extent), depth) as f32;
         let near = surface::near_plane(&train_cameras, NEAR);
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !is_cut_out && options.warmup > 0;
@@ -305,7 +306,7 @@ impl<'a> Run<'a> {
             no_surface: None,
             selection: None,
             shell,
-            given: OnceCell::new(),
+            given_hierarchy: OnceCell::new(),
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
             poses: None,
         })
@@ -476,9 +477,14 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Where charts are laid out, if not in the world: the capture has no bounds, or there is a shell. By the cameras as they are now.
-    fn charts_in(&self) -> Result<Option<ChartSpace>, TrainError> {
-        let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
+    /// Points that say where the scene is, see [`surface::whereabouts`]. Beside an untrained mesh splats rest: these do not change.
+    fn whereabouts(&self, training: &Training) -> Result<Vec<Vec3>, TrainError> {
+        surface::whereabouts(self.capture, || Ok(splat_state(training)?.to_splats()?.means().to_vec()))
+    }
+
+    /// Where charts are laid out, if not in the world: the scene has no bounds, or there is a shell. By the cameras as they are now.
+    fn charts_in(&self, training: &Training) -> Result<Option<ChartSpace>, TrainError> {
+        let points = self.whereabouts(training)?;
         let around = || Contraction::around(&self.train_cameras, &points);
         Ok(match (Contraction::if_unbounded(&self.train_cameras, &points)?, self.shell) {
             (Some(contraction), _) => Some(ChartSpace::unbounded(contraction)),
@@ -521,7 +527,7 @@ impl<'a> Run<'a> {
     fn hierarchy(&self, meshes: &[Mesh]) -> Rc<MeshBvh> {
         let build = || Rc::new(MeshBvh::of(meshes));
         // Without a mesh there is none to keep; of those that are found every one is another.
-        if self.hands_over || meshes.is_empty() { build() } else { Rc::clone(self.given.get_or_init(build)) }
+        if self.hands_over || meshes.is_empty() { build() } else { Rc::clone(self.given_hierarchy.get_or_init(build)) }
     }
 
     /// Whether meshes leave floats for a splat at least.

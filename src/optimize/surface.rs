@@ -13,7 +13,7 @@ use crate::{
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Texture, sh},
 };
 
-/// Most voxels along the depth range (2DGS has 1024).
+/// Most voxels along the radius of what is fused (2DGS has 1024).
 const MAX_RESOLUTION: u32 = 1024;
 /// Least voxels along it.
 const LEAST_RESOLUTION: u32 = 64;
@@ -93,15 +93,26 @@ pub fn from_splats(
     let composition = Composition { near: near_plane(&cameras, scene.composition.near), ..scene.composition };
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition };
     let mut training = Training::new(gpu, &scene, &cameras, 0.0)?;
-    let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
-    let contraction = Contraction::if_unbounded(&cameras, &points)?;
-    let points = if points.len() < 100 { splats.means() } else { &points };
-    from_depths(&cameras, points, contraction, triangles, planar, |i| {
+    let points = whereabouts(capture, || Ok(splats.means().to_vec()))?;
+    from_depths(&cameras, &points, triangles, planar, |i| {
         let mut depth = training.median_depth(&cameras[i])?;
         clear_unseen(&mut depth, &capture::decode(&capture.views[i])?);
         on_view(i);
         Ok(depth)
     })
+}
+
+/// Points that say where a scene is and whether it has bounds: the capture's or, where these are too few, those of the splats.
+pub(super) fn whereabouts(
+    capture: &Capture,
+    means: impl FnOnce() -> Result<Vec<Vec3>, TrainError>,
+) -> Result<Vec<Vec3>, TrainError> {
+    let points = &capture.points;
+    if points.len() < Contraction::LEAST_POINTS {
+        means()
+    } else {
+        Ok(points.iter().map(|p| p.position.as_vec3()).collect())
+    }
 }
 
 /// Takes out the depths `[h·w]` of what a photograph's mask or alpha leaves out.
@@ -112,20 +123,21 @@ pub(super) fn clear_unseen(depth: &mut [f32], photo: &Photo) {
     }
 }
 
-/// Fuses median depths of the training views, in voxels of some pixels at the focus.
+/// Fuses median depths of the training views, in voxels of some pixels at the focus; in contracted space where `points` ([`whereabouts`]) say
+/// that the scene has no bounds.
 ///
 /// `depth_of` yields a camera's depth map `[h·w]`, 0 where there is none; more than once where voxels had to grow.
 pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
-    contraction: Option<Contraction>,
     triangles: usize,
     planar: bool,
     depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
-    // The depth range is twice the distance of the focus, which a pixel there divides by the focal length.
+    // The radius is twice the distance of the focus, which a pixel there divides by the focal length.
     let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
     let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(LEAST_RESOLUTION, MAX_RESOLUTION);
+    let contraction = Contraction::if_unbounded(cameras, points)?;
     let options = |resolution: u32| {
         let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
         Ok(FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested })

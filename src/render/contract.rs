@@ -127,7 +127,8 @@ pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
 #[must_use]
 pub fn splat_alpha(opacity: f64, power: f64) -> Option<f64> {
     let alpha = (opacity * power.min(0.0).exp()).min(ALPHA_CAP);
-    (alpha >= ALPHA_CUT).then_some(alpha)
+    // `min` takes the other for what is no number.
+    (alpha >= ALPHA_CUT && !power.is_nan()).then_some(alpha)
 }
 
 /// Half width and height in pixels of the ellipse on which alpha is [`ALPHA_CUT`], from the variances along x and y

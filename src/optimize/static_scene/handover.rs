@@ -2,7 +2,7 @@
 
 use super::{Run, arrangement, splat_state, squared_error};
 use crate::{
-    geometry::{self, Contraction, GeometryError, PointView, Surface},
+    geometry::{self, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::training::Training,
     scene::{Camera, HybridScene, Mesh},
@@ -19,28 +19,25 @@ impl<'a> Run<'a> {
                 Ok((surface, steps)) => {
                     let is_guess = steps.is_guess();
                     self.surface = Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
-                    return self.textured(surface);
+                    return self.textured(training, surface);
                 }
                 Err(GeometryError::EmptySurface { .. }) => {}
                 Err(error) => return Err(error.into()),
             }
         }
-        let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-        // Without points of the capture, the splats say where the scene is.
-        let points = if points.len() < 100 { splat_state(training)?.to_splats()?.means().to_vec() } else { points };
-        let contraction = Contraction::if_unbounded(&self.train_cameras, &points)?;
+        let points = self.whereabouts(training)?;
         let (triangles, planar) = (self.options.triangles, self.options.planar);
-        let (surface, _) = surface::from_depths(&self.train_cameras, &points, contraction, triangles, planar, |i| {
+        let (surface, _) = surface::from_depths(&self.train_cameras, &points, triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
             surface::clear_unseen(&mut depth, &*self.cache.get(&self.capture.views[self.train[i]])?);
             Ok(depth)
         })?;
         self.surface = Some(SurfaceOrigin::Splats);
-        self.textured(surface)
+        self.textured(training, surface)
     }
 
     /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
-    fn textured(&self, surface: Surface) -> Result<Mesh, TrainError> {
+    fn textured(&self, training: &Training, surface: Surface) -> Result<Mesh, TrainError> {
         let surface = match &self.shell {
             Some(shell) => match shell.around_surface(surface.clone(), &self.train_cameras) {
                 // All of it is far away, and no two views see the same part of the shell.
@@ -49,7 +46,7 @@ impl<'a> Run<'a> {
             },
             None => surface,
         };
-        let charts_in = self.charts_in()?;
+        let charts_in = self.charts_in(training)?;
         let mesh = surface::with_room_for_charts(self.texture_size(), self.largest_texture(), |size| {
             let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), size)?;
             surface::textured_as(unwrapped, self.options, size)

@@ -99,7 +99,7 @@ impl<'a> Run<'a> {
         let size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
         let (part, uvs) = (geometry::compact(part(mesh, &keep)), kept(mesh.corner_uvs(), &keep));
         // Many small charts may need more room than their area says; at the old size they had it.
-        let charts_in = self.charts_in()?;
+        let charts_in = self.charts_in(training)?;
         let mesh = surface::with_room_for_charts(size, largest, |size| {
             let unwrapped = geometry::unwrap(&part, charts_in.as_ref(), size)?;
             lay_out(unwrapped, &uvs, &atlas, size)
@@ -156,13 +156,14 @@ impl Score {
     }
 }
 
-/// Judging views that have to see a triangle: two, but one where the median triangle is seen by three or fewer. In a room each part of a
-/// wall is seen by few views at a time, and a quarter of these judges; of 13 training views three judge.
+/// Judging views that have to see a triangle: two, but one where the triangle of the median pixel is seen by three or fewer. In a room each
+/// part of a wall is seen by few views at a time, and a quarter of these judges; of 13 training views three judge. By pixels, since
+/// triangles that are smaller than one are missed also by views that look there.
 fn least_views(scores: &[Score], are_held_back: bool) -> u32 {
-    let mut views: Vec<u32> = scores.iter().map(|score| score.views).filter(|views| *views > 0).collect();
-    let middle = views.len() / 2;
+    let total: f64 = scores.iter().map(|score| score.pixels).sum();
+    let within = |views: u32| -> f64 { scores.iter().filter(|s| s.views <= views).map(|s| s.pixels).sum() };
     // Views that maps were made from agree with any map that only one of them made.
-    if !are_held_back || views.is_empty() { 2 } else { (*views.select_nth_unstable(middle).1 / 2).clamp(1, 2) }
+    if are_held_back && total > 0.0 && 2.0 * within(3) > total { 1 } else { 2 }
 }
 
 /// Errors averaged over two rings of triangles: those of single ones are noise.
@@ -259,12 +260,14 @@ mod tests {
 
     #[test]
     fn one_view_is_enough_where_few_see_the_same() {
-        let least = |views: &[u32], are_held_back| {
-            let scores: Vec<Score> = views.iter().map(|&views| Score { views, ..Score::default() }).collect();
-            least_views(&scores, are_held_back)
+        let least = |views: &[(u32, f64)], are_held_back| {
+            let seen = |&(views, pixels): &(u32, f64)| Score { views, pixels, ..Score::default() };
+            least_views(&views.iter().map(seen).collect::<Vec<_>>(), are_held_back)
         };
-        assert_eq!(least(&[0, 0, 0, 0, 1, 1, 3, 9, 9], true), 1);
-        assert_eq!((least(&[0, 0, 0, 1, 4, 5], true), least(&[1, 1, 1], false), least(&[0], true)), (2, 2, 2));
+        assert_eq!(least(&[(0, 0.0), (1, 20.0), (3, 40.0), (9, 50.0)], true), 1);
+        // Many small ones that single views catch say nothing of the large.
+        assert_eq!(least(&[(1, 1.0), (1, 1.0), (1, 1.0), (5, 9.0)], true), 2);
+        assert_eq!((least(&[(1, 1.0)], false), least(&[(0, 0.0)], true), least(&[], true)), (2, 2, 2));
     }
 
     #[test]

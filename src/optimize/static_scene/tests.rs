@@ -55,7 +55,6 @@ fn square() -> MeshSource {
     MeshSource::Given { surface, corner_uvs: None }
 }
 
-/// Of a mesh that is brought along, what no training view shows would stay grey and half transparent.
 #[test]
 fn units_follow_what_is_seen() {
     assert_eq!(unit_of_length(5.0, None), 1.0);
@@ -66,10 +65,11 @@ fn units_follow_what_is_seen() {
     let train: Vec<usize> = (0..demo.views.len()).collect();
     let found = median_depth(&demo, &train).unwrap() / capture::extent(demo.views.iter().map(|v| &v.camera));
     assert!((0.7..1.2).contains(&found), "{found}");
-    demo.forget_points();
+    demo.points.clear();
     assert_eq!(median_depth(&demo, &train), None);
 }
 
+/// Of a mesh that is brought along, what no training view shows would stay grey and half transparent.
 #[test]
 fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
@@ -216,6 +216,24 @@ fn with_mesh<T>(
     let scene = HybridScene { splats, meshes: vec![mesh], composition: run.composition() };
     let mut training = run.training(&scene).unwrap();
     test(&mut run, &mut training, &scene)
+}
+
+/// Surfaces are fused and laid out by the same points: those of splats, where a capture has none.
+#[test]
+fn without_points_splats_say_whether_there_are_bounds() {
+    let (gpu, mut capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    capture.points.clear();
+    let options = TrainOptions { shell: false, ..options() };
+    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
+    let near = run.initial_splats(&[], true).unwrap();
+    for (distance, is_unbounded) in [(1.0, false), (100.0, true)] {
+        let mut splats = near.clone().into_arrays();
+        splats.means.iter_mut().for_each(|mean| *mean *= distance);
+        let scene = HybridScene { splats: splats.check().unwrap(), meshes: vec![], composition: run.composition() };
+        let training = run.training(&scene).unwrap();
+        assert_eq!(run.charts_in(&training).unwrap().is_some(), is_unbounded);
+    }
 }
 
 /// What became invisible of a surface that was found goes after training; nothing does of a run that goes on, or of the user's mesh.

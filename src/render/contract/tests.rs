@@ -142,6 +142,7 @@ fn alpha_limits() {
     assert_eq!(splat_alpha(1.0, 0.0), Some(ALPHA_CAP));
     assert_eq!(splat_alpha(0.5, 1e-9), Some(0.5));
     assert_eq!(splat_alpha(ALPHA_CUT * 0.999, 0.0), None);
+    assert_eq!(splat_alpha(0.5, f64::NAN), None);
     assert_eq!(splat_extent(ALPHA_CUT * 0.999, DVec2::ONE), None);
     // On the extent's ellipse alpha is the cut.
     let e = splat_extent(0.7, DVec2::new(4.0, 9.0)).unwrap();
