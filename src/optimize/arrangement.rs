@@ -1,8 +1,8 @@
 //! Splats while they are added, moved and removed.
 
-use glam::Vec3;
+use glam::{DQuat, Vec3};
 
-use super::state::{GEOMETRY_FLOATS, LOG_SCALE, OPACITY, SMOOTHING, geometry_not_finite, sigmoid};
+use super::state::{GEOMETRY_FLOATS, LOG_SCALE, MEAN, OPACITY, ROTATION, SMOOTHING, geometry_not_finite, sigmoid};
 use crate::render::{contract, gpu::Source};
 
 /// Splats by what decides about them, their geometry, and of which splat each takes the rest: SH coefficients and moments of Adam, 14 of 15
@@ -132,13 +132,26 @@ impl Arrangement {
         self.opacity(i) * self.smoothing_factor(i)
     }
 
-    /// Largest standard deviation of splat `i`, world units.
+    /// Standard deviations of splat `i` along its axes, world units.
     ///
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn largest_scale(&self, i: usize) -> f32 {
-        self.row(i)[LOG_SCALE].iter().copied().fold(f32::NEG_INFINITY, f32::max).exp()
+    pub fn scales(&self, i: usize) -> Vec3 {
+        Vec3::from_slice(&self.row(i)[LOG_SCALE]).exp()
+    }
+
+    /// Moves splat `i` by `offset` along its axes, world units.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub fn move_by(&mut self, i: usize, offset: Vec3) {
+        let row = self.row_mut(i);
+        // In f64 like `Splats::new`: an unnormalised quaternion may be long or short. A zero one turns nothing.
+        let [w, x, y, z] = [0, 1, 2, 3].map(|k| f64::from(row[ROTATION.start + k]));
+        let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
+        let offset = if rotation.is_finite() { rotation * offset.as_dvec3() } else { offset.as_dvec3() };
+        (Vec3::from_slice(&row[MEAN]) + offset.as_vec3()).write_to_slice(&mut row[MEAN]);
     }
 
     /// The first geometry that is not finite: its group of parameters and its splat.

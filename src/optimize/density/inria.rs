@@ -2,13 +2,10 @@
 //! transparent or huge (Kerbl et al. 2023, sec. 5.2); and that of AbsGS (Ye et al. 2024), which splits where the pixels' pulls are
 //! large even if they cancel: a large splat over fine texture.
 
-use glam::{Quat, Vec3};
+use glam::Vec3;
 
 use super::{DensityReport, Statistics, normal3, step_rng};
-use crate::optimize::{
-    arrangement::Arrangement,
-    state::{LOG_SCALE, MEAN},
-};
+use crate::optimize::{arrangement::Arrangement, state::LOG_SCALE};
 
 /// A child's scale is its parent's divided by 0.8 × the number of children.
 const SPLIT_SHRINKAGE: f32 = 1.6;
@@ -82,14 +79,14 @@ pub fn densify(
     let n = splats.len();
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     let max_scale = options.max_scale.map_or(f32::INFINITY, |m| m * options.extent);
-    let is_pruned = |i: usize| splats.opacity(i) < options.min_opacity || splats.largest_scale(i) > max_scale;
+    let is_pruned = |i: usize| splats.opacity(i) < options.min_opacity || splats.scales(i).max_element() > max_scale;
     // The gradient that decides over its threshold.
     let urge = |i: usize, is_small: bool| match options.split_gradient {
         Some(threshold) if !is_small => statistics.absolute_gradient(i) / threshold,
         _ => statistics.mean_gradient(i) / options.gradient_threshold,
     };
     let wants_to_grow = |i: usize| -> Option<Fate> {
-        let scale = splats.largest_scale(i);
+        let scale = splats.scales(i).max_element();
         let is_small = scale <= options.dense_fraction * options.extent;
         if splats.opacity(i) < options.min_opacity || urge(i, is_small) < 1.0 {
             None
@@ -130,7 +127,7 @@ pub fn densify(
         for _ in 0..2 {
             splats.push_copy(i);
             let offset = normal3(&mut rng).clamp_length_max(SPLIT_REACH);
-            move_child(splats.row_mut(splats.len() - 1), offset);
+            move_child(splats, splats.len() - 1, offset);
         }
     }
     let mut keep: Vec<bool> = fates.iter().map(|f| matches!(f, Fate::Keep | Fate::Clone)).collect();
@@ -140,21 +137,15 @@ pub fn densify(
 }
 
 /// Shrinks a copy of a parent and moves it by `offset` standard deviations along the parent's axes.
-fn move_child(row: &mut [f32], offset: Vec3) {
-    let scale = Vec3::from_slice(&row[LOG_SCALE]).exp();
-    // In f64 like `Splats::new`: an unnormalised quaternion may be long or short. A zero one turns nothing.
-    let rotation = Quat::from_xyzw(row[5], row[6], row[7], row[4]).as_dquat().normalize();
-    let local = (offset * scale).as_dvec3();
-    let world = if rotation.is_finite() { rotation * local } else { local };
-    let mean = Vec3::from_slice(&row[MEAN]) + world.as_vec3();
-    mean.write_to_slice(&mut row[MEAN]);
-    for s in &mut row[LOG_SCALE] {
-        *s -= SPLIT_SHRINKAGE.ln();
-    }
+fn move_child(splats: &mut Arrangement, child: usize, offset: Vec3) {
+    splats.move_by(child, offset * splats.scales(child));
+    splats.row_mut(child)[LOG_SCALE].iter_mut().for_each(|s| *s -= SPLIT_SHRINKAGE.ln());
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::Quat;
+
     use super::*;
     use crate::optimize::{
         density::tests::{arrangement, rearranged, state},
