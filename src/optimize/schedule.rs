@@ -10,6 +10,8 @@ const PAPER_TEXEL_RATE: f64 = 5e-4;
 /// Iterations for which the opacity map is held after an opacity reset: with the splats in front of it gone the mesh
 /// might otherwise turn opaque to make up for them.
 const FREEZE: u32 = 200;
+/// Runs are taken for so much shorter than a full one, at most, where learning rates follow their length: as one of 750 iterations.
+const MOST_SHORTENED: f64 = 40.0;
 
 /// Adam learning rates of the splats' parameters at one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +35,7 @@ pub struct AdamRates {
 ///
 /// At 30 000 iterations and above, everything has INRIA's constants, except that the position rate falls over the whole
 /// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
-/// Adam enough steps between two interventions.
+/// Adam enough steps between two interventions, and learning rates by [`Schedule::haste`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schedule {
     /// Length of the run.
@@ -153,16 +155,31 @@ impl Schedule {
         (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
     }
 
-    /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`).
+    /// How much larger learning rates are at iteration `t` than in a run of 30 000: where that is r times as long, r^¾ falling to r^¼, its
+    /// logarithm linear in t.
+    ///
+    /// A step of Adam is about as long as its rate, whatever the gradient. INRIA's rates let a mean come by 1/36 of the extent in all
+    /// 800 iterations of a run: fewer steps have to be longer. By r itself, splats would leave what they show in single steps; at the end
+    /// these are noise (`docs/results.md`).
+    #[must_use]
+    pub fn haste(&self, t: u32) -> f32 {
+        let n = f64::from(self.iterations.max(1));
+        let at = (f64::from(t) / n).min(1.0);
+        (f64::from(FULL) / n).clamp(1.0, MOST_SHORTENED).powf(0.75 - 0.5 * at) as f32
+    }
+
+    /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
+    /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps.
     #[must_use]
     pub fn rates(&self, t: u32, extent: f32) -> AdamRates {
+        let haste = self.haste(t);
         AdamRates {
-            mean: (position_rate(t, self.iterations) * f64::from(extent)) as f32,
+            mean: (position_rate(t, self.iterations) * f64::from(extent)) as f32 * haste,
             opacity: 0.05,
-            rotation: 1e-3,
-            log_scale: 5e-3,
-            sh_dc: 2.5e-3,
-            sh_rest: 1.25e-4,
+            rotation: 1e-3 * haste,
+            log_scale: 5e-3 * haste,
+            sh_dc: 2.5e-3 * haste,
+            sh_rest: 1.25e-4 * haste,
         }
     }
 
@@ -177,7 +194,7 @@ impl Schedule {
     }
 }
 
-/// Learning rate of means for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
+/// Learning rate of means in a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
 #[must_use]
 pub fn position_rate(t: u32, iterations: u32) -> f64 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
@@ -294,6 +311,22 @@ mod tests {
         let rates = Schedule::new(30_000).rates(15_000, 2.0);
         assert!((rates.mean - 3.2e-5).abs() < 1e-10);
         assert_eq!((rates.sh_dc, rates.sh_rest), (2.5e-3, 1.25e-4));
+    }
+
+    #[test]
+    fn short_runs_have_longer_steps() {
+        for (iterations, first, last) in
+            [(60_000, 1.0, 1.0), (30_000, 1.0, 1.0), (1875, 8.0, 2.0), (750, 15.9054, 2.514_87), (0, 15.9054, 2.514_87)]
+        {
+            let (schedule, full) = (Schedule::new(iterations), Schedule::new(30_000));
+            for (t, haste) in [(0, first), (iterations, last), (iterations + 9, last)] {
+                assert!(iterations == 0 || (schedule.haste(t) / haste - 1.0).abs() < 1e-5, "{iterations} {t}");
+            }
+            let (short, usual) = (schedule.rates(0, 1.0), full.rates(0, 1.0));
+            let ratios = [short.mean / usual.mean, short.log_scale / usual.log_scale, short.sh_rest / usual.sh_rest];
+            assert!(ratios.iter().all(|ratio| (ratio / first - 1.0).abs() < 1e-5), "{iterations}: {ratios:?}");
+            assert_eq!(short.opacity, usual.opacity);
+        }
     }
 
     #[test]

@@ -216,9 +216,9 @@ impl Run<'_> {
             },
             opacity_weight: if mcmc { 0.01 } else { 0.0 },
             // By the length of the axes, and by their square beside a rate that has a length in it: noise moves a splat by as much of its
-            // size in any unit.
+            // size in any unit, and in runs of any length.
             scale_weight: if mcmc { 0.01 / self.unit } else { 0.0 },
-            noise: if mcmc { 5e5 / self.unit.powi(2) } else { 0.0 },
+            noise: if mcmc { 5e5 / (self.unit.powi(2) * plan.schedule.haste(age)) } else { 0.0 },
             seed: random.random(),
             visible_only: o.visible_only,
         });

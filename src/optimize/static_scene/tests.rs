@@ -432,7 +432,10 @@ fn a_few_wild_points_do_little_harm() {
         let [clean, wild] = [&clean, &wild].map(|capture| {
             let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
             let trained = train(capture, source.clone(), &options, session).unwrap();
-            assert!(!trained.scene.meshes.is_empty());
+            // Whether any of it is worth its texels after so few iterations is another matter.
+            let found = trained.selection.unwrap();
+            assert!(found.triangles > 100, "{found:?}");
+            eprintln!("{source:?}: {found:?}");
             trained.history.last().unwrap().psnr.unwrap()
         });
         eprintln!("{source:?}: {clean:.2} dB held out, {wild:.2} dB with wild points");
