@@ -23,20 +23,24 @@ Examples:
   centaur cameras orbit garden.glb -o garden-orbit.glb --with-scene
   centaur render garden.glb --cameras orbit.json -o frames --video orbit.mp4
 
-SOURCE is a capture or COLMAP model (folder), a transforms*.json or camera_path.json, or a .glb, .gltf, .usda, .usdc or .usdz:
-a scene of Centaur holds the cameras that it was trained from. Photographs are not needed where the size of images is stated.
+SOURCE is a capture or COLMAP model (folder), a transforms*.json or camera_path.json, or a .glb,
+.gltf, .usda, .usdc or .usdz: a scene of Centaur holds the cameras that it was trained from.
+Photographs are not needed where the size of images is stated.
 
 OUT is, by its name:
-  .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera to world, with OpenGL axes
-                 (x right, y up, z backwards); `fps` besides
-  .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn about x, as in scenes of
-                 Centaur, so that both fit in Blender. Exact intrinsics are in `extras`
+  .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera
+                 to world, with OpenGL axes (x right, y up, z backwards); `fps` besides
+  .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn
+                 about x, as in scenes of Centaur, so that both fit in Blender. Exact intrinsics
+                 are in `extras`
   .usda          one Camera with time samples, y up likewise, one frame a time code
-  a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in the world of SOURCE
+  a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in
+                 the world of SOURCE
 
 Of a shot that SOURCE begins later than at 0 s, .glb, .gltf and .usda keep the times.
 
-A capture is neither replaced nor hidden: a folder that holds one is refused for COLMAP and for transforms*.json.";
+A capture is neither replaced nor hidden: a folder that holds one is refused for COLMAP and for
+transforms*.json.";
 
 /// Make camera paths from posed cameras, and convert them between formats
 ///

@@ -22,7 +22,7 @@ Examples:
   centaur convert garden.glb garden.blend.py
   centaur convert head.glb mitsuba/smile.xml --time 1.5
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
-  centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --min-opacity 0.02 --decimate 25% --sh-degree 1";
+  centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --decimate 25% --sh-degree 1";
 
 /// Convert scenes between formats, and move, crop, thin or join them
 ///

@@ -33,7 +33,7 @@ Examples:
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Scene to score: .glb or .gltf, or splats alone in any format that `centaur convert` reads
+    /// Scene to score: .glb, .gltf, .usda, .usdc or .usdz, or splats alone in any other format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
     /// Folder with photographs and poses

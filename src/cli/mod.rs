@@ -111,6 +111,16 @@ mod tests {
         Cli::command().debug_assert();
     }
 
+    /// Examples that are wrapped cannot be pasted, and wrapped tables are hard to read.
+    #[test]
+    fn what_follows_the_options_fits_the_terminal() {
+        for command in Cli::command().get_subcommands() {
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let longest = after.lines().map(|line| line.chars().count()).max().unwrap_or(0);
+            assert!(longest <= 100, "{}: {longest}", command.get_name());
+        }
+    }
+
     #[test]
     fn causes_are_joined_once_each_on_one_line() {
         let error = anyhow!("no such file").context("a.bin: no such file").context("reading\nthe capture");

@@ -26,25 +26,27 @@ Examples:
   centaur render garden.glb --cameras captures/garden --downscale 4 -o frames
   centaur render garden.glb --cameras shot/transforms.json --format exr -o frames
   centaur render garden.glb --cameras orbit.glb -o frames --video orbit.mp4
-  centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 --max-side 1280 -o frames
+  centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 -o frames
   centaur render head.glb --time 1.5 -o smile
   centaur render head.glb --camera front --time 0..4 --fps 25 -o frames --video talk.mp4
   centaur render garden.glb --layers --exr-type half -o layers
   centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
 
-Channels of --layers, all in the scene's own colour space (`colorSpace` in the header), none over the background:
+Channels of --layers, all in the scene's own colour space (`colorSpace` in the header), none over
+the background:
   R G B A                     the picture, premultiplied; A = 1 - what is left of the background
   splats.R .G .B .A           what splats contribute where meshes hide them
   mesh.R .G .B .A             what meshes contribute where splats hide them; both sum to R G B A
-  Z, depth.first              depth along the camera's axis: expected, and where alpha passes one half; 1e10 where none
-  N.X .Y .Z                   normal of the nearest mesh layer in world space, towards the camera
+  Z, depth.first              depth along the camera's axis: expected, and where alpha passes one
+                              half; 1e10 where none
+  N.X .Y .Z                   normal of the nearest mesh layer, world space, towards the camera
   splats.count                splats that contribute to the pixel";
 
 /// Render a scene from given cameras
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Scene to render: .glb or .gltf, or splats alone in any format that `centaur convert` reads
+    /// Scene to render: .glb, .gltf, .usda, .usdc or .usdz, or splats alone in any other format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
     /// `embedded` (cameras in the scene's file), or a file or folder that has some

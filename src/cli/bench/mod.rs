@@ -21,14 +21,14 @@ use super::shared::{self, MessageArgs};
 const EXAMPLES: &str = "\
 Examples:
   centaur bench data/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh
-  centaur bench data/mipnerf360 -o m360-7k --protocol b --scenes garden,room --jobs 2 -- --iterations 7000 --antialias
+  centaur bench data/mipnerf360 -o m360-7k --scenes garden,room --jobs 2 -- --iterations 7000
   centaur bench data/mipnerf360 -o m360 --table
 
 Elsewhere, with the same DATASET, OUT, variants and flags as the first runner's:
-  CENTAUR_ADAPTER='#1' centaur bench data/mipnerf360 -o m360 --protocol b --shard 1/2  # second of 2 GPUs
-  sbatch --array=0-8 datasets-scripts/bench.sbatch data/mipnerf360 -o m360 --protocol b  # Slurm
-  centaur bench data/mipnerf360 -o m360 --protocol b --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
-  python datasets-scripts/bench_ray.py data/mipnerf360 -o m360 --protocol b  # Ray";
+  CENTAUR_ADAPTER='#1' centaur bench data/mipnerf360 -o m360 --shard 1/2  # second of 2 GPUs
+  sbatch --array=0-8 datasets-scripts/bench.sbatch data/mipnerf360 -o m360  # Slurm
+  centaur bench data/mipnerf360 -o m360 --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
+  python datasets-scripts/bench_ray.py data/mipnerf360 -o m360  # Ray";
 
 /// Train and score every capture of a data set, and put the results beside published ones
 ///
