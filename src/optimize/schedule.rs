@@ -12,6 +12,9 @@ const PAPER_TEXEL_RATE: f64 = 5e-4;
 const FREEZE: u32 = 200;
 /// Runs are taken for so much shorter than a full one, at most, where learning rates follow their length: as one of 750 iterations.
 const MOST_SHORTENED: f64 = 40.0;
+/// Part of a run after which rates of a short one fall, and to which part of themselves.
+const SETTLES_FROM: f64 = 0.75;
+const SETTLED: f64 = 0.1;
 
 /// Adam learning rates of the splats' parameters at one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -168,14 +171,26 @@ impl Schedule {
         (f64::from(FULL) / n).clamp(1.0, MOST_SHORTENED).powf(0.75 - 0.5 * at) as f32
     }
 
+    /// How much smaller learning rates are at iteration `t` of a short run: 1 in its first three quarters, then falling to a tenth, or
+    /// to 1/r of one that is r times shorter than 30 000, its logarithm linear in t. Longer steps leave splats as the last few views would
+    /// have them: on skull66, held-out views went up and down by a dB from epoch to epoch (`docs/results.md`).
+    #[must_use]
+    pub fn settling(&self, t: u32) -> f32 {
+        let n = f64::from(self.iterations.max(1));
+        let at = (f64::from(t) / n).clamp(SETTLES_FROM, 1.0);
+        let shorter = (f64::from(FULL) / n).clamp(1.0, 1.0 / SETTLED);
+        shorter.powf((SETTLES_FROM - at) / (1.0 - SETTLES_FROM)) as f32
+    }
+
     /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
-    /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps.
+    /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps, and smaller at their end ([`Self::settling`]).
     #[must_use]
     pub fn rates(&self, t: u32, extent: f32) -> AdamRates {
-        let haste = self.haste(t);
+        let settling = self.settling(t);
+        let haste = self.haste(t) * settling;
         AdamRates {
             mean: (position_rate(t, self.iterations) * f64::from(extent)) as f32 * haste,
-            opacity: 0.05,
+            opacity: 0.05 * settling,
             rotation: 1e-3 * haste,
             log_scale: 5e-3 * haste,
             sh_dc: 2.5e-3 * haste,
@@ -327,6 +342,21 @@ mod tests {
             assert!(ratios.iter().all(|ratio| (ratio / first - 1.0).abs() < 1e-5), "{iterations}: {ratios:?}");
             assert_eq!(short.opacity, usual.opacity);
         }
+    }
+
+    #[test]
+    fn short_runs_come_to_rest() {
+        for (iterations, last) in [(60_000, 1.0), (30_000, 1.0), (15_000, 0.5), (3000, 0.1), (750, 0.1), (1, 0.1)] {
+            let schedule = Schedule::new(iterations);
+            let at = |eighths: u32| schedule.settling(iterations * eighths / 8);
+            assert_eq!([0, 3, 6].map(at), [1.0; 3], "{iterations}");
+            assert!((schedule.settling(iterations) / last - 1.0).abs() < 1e-5, "{iterations}");
+            assert!(iterations < 8 || (at(7) / last.sqrt() - 1.0).abs() < 0.01, "{iterations}: {}", at(7));
+        }
+        let short = Schedule::new(3000);
+        let (first, last) = (short.rates(0, 1.0), short.rates(3000, 1.0));
+        assert!((last.opacity - 0.005).abs() < 1e-7 && first.opacity == 0.05);
+        assert!((last.log_scale / 5e-3 - 0.1 * 10f32.powf(0.25)).abs() < 1e-4);
     }
 
     #[test]
