@@ -41,16 +41,6 @@ impl Statistics<'_> {
         let [_, views, _, absolute] = self.0[i];
         finite_or_zero(absolute / views.max(1.0))
     }
-
-    /// Blend weight of splat `i` averaged over the views that saw it: its *effective contribution*.
-    ///
-    /// # Panics
-    /// If `i` is out of range.
-    #[must_use]
-    pub fn contribution(&self, i: usize) -> f32 {
-        let [_, views, weight, _] = self.0[i];
-        finite_or_zero(weight / views.max(1.0))
-    }
 }
 
 /// What a density step did.
@@ -167,7 +157,10 @@ pub(super) mod tests {
     fn statistics_are_averaged_over_the_views_that_saw_the_splat() {
         let rows = [[6.0, 3.0, 9.0, 1.0], [0.0; 4], [f32::NAN, 1.0, f32::INFINITY, 0.0]];
         let s = Statistics(&rows);
-        assert_eq!([0, 1, 2].map(|i| (s.mean_gradient(i), s.contribution(i))), [(2.0, 3.0), (0.0, 0.0), (0.0, 0.0)]);
+        assert_eq!(
+            [0, 1, 2].map(|i| (s.mean_gradient(i), s.absolute_gradient(i))),
+            [(2.0, 1.0 / 3.0), (0.0, 0.0), (0.0, 0.0)]
+        );
     }
 
     #[test]

@@ -1,6 +1,5 @@
 //! 3DGS-MCMC's density control: dead splats are moved onto living ones, and a few are added each time, in such a way
-//! that the picture hardly changes (Kheradmand et al. 2024). Unlike there, copies are set apart. In hybrids, what splats contribute says which
-//! are dead and where copies go.
+//! that the picture hardly changes (Kheradmand et al. 2024). Unlike there, copies are set apart, and in hybrids splats that a mesh hides are dead.
 
 use glam::Vec3;
 use rand::RngExt;
@@ -23,16 +22,6 @@ const MOST_SPREAD: f32 = 0.75;
 /// Opacity that copies do not exceed if their source does not: the most that a pixel shows.
 const MOST_OPAQUE: f32 = 0.99;
 
-/// What the probability of a splat to receive copies is proportional to.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Sampling {
-    /// Opacity, as in the paper; of splats that are smoothed, as they are seen.
-    #[default]
-    Opacity,
-    /// [`Statistics::contribution`]. Behind an opaque mesh a splat keeps its opacity but contributes nothing.
-    Contribution,
-}
-
 /// Thresholds of the strategy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct McmcOptions {
@@ -42,24 +31,16 @@ pub struct McmcOptions {
     pub growth: f32,
     /// The number of splats that is grown to.
     pub max_splats: usize,
-    /// Where copies go.
-    pub sampling: Sampling,
-    /// Splats whose blend weight, summed over an epoch, stays below this are dead too, if set: 1e-3 for scenes with a
-    /// mesh.
+    /// Splats whose blend weight, summed over an epoch, stays below this are dead too, and get no copies while it does, if set: 1e-3 for
+    /// scenes with a mesh. Behind one that is opaque a splat keeps its opacity, but shows nothing.
     pub min_epoch_weight: Option<f32>,
 }
 
 impl McmcOptions {
-    /// The paper's constants; for scenes with a mesh also contribution, which is not in the paper.
+    /// The paper's constants; for scenes with a mesh also what splats show, which is not in the paper.
     #[must_use]
     pub fn new(max_splats: usize, has_mesh: bool) -> Self {
-        Self {
-            min_opacity: 0.005,
-            growth: 1.05,
-            max_splats,
-            sampling: if has_mesh { Sampling::Contribution } else { Sampling::Opacity },
-            min_epoch_weight: has_mesh.then_some(1e-3),
-        }
+        Self { min_opacity: 0.005, growth: 1.05, max_splats, min_epoch_weight: has_mesh.then_some(1e-3) }
     }
 }
 
@@ -112,25 +93,23 @@ pub fn relocate_and_add(
     let opacities: Vec<f32> = (0..n).into_par_iter().map(|i| splats.seen_opacity(i)).collect();
     let dead: Vec<usize> =
         (0..n).filter(|&i| opacities[i] <= options.min_opacity || epoch.weight[i] < min_weight).collect();
-    let scores_by = |sampling: Sampling| -> Vec<f64> {
-        let mut scores: Vec<f64> = match sampling {
-            Sampling::Opacity => opacities.iter().copied().map(f64::from).collect(),
-            Sampling::Contribution => (0..n).map(|i| f64::from(statistics.contribution(i))).collect(),
-        };
+    // By opacity, as in the paper. By the blend weight, splats as large as a background would get nearly all copies.
+    let scores_of = |least_weight: f32| -> Vec<f64> {
+        let gets_copies = |&i: &usize| epoch.weight[i] >= least_weight;
+        let mut scores = vec![0.0; n];
+        (0..n).filter(gets_copies).for_each(|i| scores[i] = f64::from(opacities[i]));
         dead.iter().for_each(|&i| scores[i] = 0.0);
         scores
     };
-    let mut sampling = options.sampling;
-    let mut scores = scores_by(sampling);
+    let mut scores = scores_of(options.min_epoch_weight.unwrap_or(0.0));
     if scores.iter().sum::<f64>() <= 0.0 {
         // No view saw a living splat.
-        sampling = Sampling::Opacity;
-        scores = scores_by(sampling);
+        scores = scores_of(0.0);
     }
 
     let mut rng = step_rng(seed, iteration);
     let sources = sample(&scores, dead.len(), &mut rng);
-    share(splats, &mut scores, sampling, &sources, options.min_opacity);
+    share(splats, &mut scores, &sources, options.min_opacity);
     for (&to, &from) in dead.iter().zip(&sources) {
         splats.copy_over(from, to);
         scores[to] = scores[from];
@@ -142,7 +121,7 @@ pub fn relocate_and_add(
     let grown = ((n as f64 * f64::from(options.growth)) as usize).max(n + usize::from(options.growth > 1.0));
     let target = grown.min(options.max_splats);
     let added = sample(&scores, target.saturating_sub(n), &mut rng);
-    share(splats, &mut scores, sampling, &added, options.min_opacity);
+    share(splats, &mut scores, &added, options.min_opacity);
     for &from in &added {
         splats.push_copy(from);
         epoch.weight.push(epoch.weight[from]);
@@ -217,7 +196,7 @@ fn sample_with_repetition(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<
 }
 
 /// Gives every sampled splat the opacity and scale that it has in common with its copies-to-be, and no moments.
-fn share(splats: &mut Arrangement, scores: &mut [f64], sampling: Sampling, sources: &[usize], min_opacity: f32) {
+fn share(splats: &mut Arrangement, scores: &mut [f64], sources: &[usize], min_opacity: f32) {
     let mut sorted = sources.to_vec();
     sorted.sort_unstable();
     for group in sorted.chunk_by(|a, b| a == b) {
@@ -229,10 +208,7 @@ fn share(splats: &mut Arrangement, scores: &mut [f64], sampling: Sampling, sourc
         let row = splats.row_mut(i);
         row[OPACITY] = logit(opacity);
         row[LOG_SCALE].iter_mut().for_each(|s| *s += factor.ln() as f32);
-        scores[i] = match sampling {
-            Sampling::Opacity => f64::from(splats.seen_opacity(i)),
-            Sampling::Contribution => scores[i] / copies as f64,
-        };
+        scores[i] = f64::from(splats.seen_opacity(i));
     }
 }
 
@@ -463,17 +439,33 @@ mod tests {
         assert_eq!(pure, DensityReport::default());
     }
 
+    /// By their opacity, however much of the pictures they fill.
     #[test]
-    fn copies_go_where_splats_contribute_not_where_they_are_opaque() {
-        let mut rows = vec![[0.0; 4]; 40];
-        rows[7] = SEEN;
-        let options = McmcOptions { max_splats: 50, growth: 1.25, min_epoch_weight: None, ..McmcOptions::new(0, true) };
+    fn with_a_mesh_copies_go_to_what_is_shown() {
+        let n = 4000;
+        let rows: Vec<_> = (0..n).map(|i| [0.0, 2.0, [4.0, 4000.0, 0.0, 4e-4][i % 4], 1.0]).collect();
+        // Less than an epoch: nothing is dead yet.
+        let options = McmcOptions { growth: 1.25, ..McmcOptions::new(5000, true) };
+        let (mut s, mut epoch) = (arrangement(n), EpochWeight::default());
+        epoch.add(Statistics(&rows), 60);
+        relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 60, &options, 600, 1);
+        let mut copies = [0; 4];
+        (n..5000).for_each(|i| copies[s.row(i)[0].round() as usize % 4] += 1);
+        // Five standard errors of a binomial distribution: 80.
+        assert_eq!((copies[0] + copies[1], &copies[2..]), (1000, [0, 0].as_slice()));
+        assert!((420..580).contains(&copies[0]), "{copies:?}");
+        // Nothing was seen: all are alike.
         let mut s = arrangement(40);
-        run(&mut s, &rows, &options, 1);
-        assert!((40..50).all(|i| (s.row(i)[0] - 7.0).abs() < 0.05));
-        // Nothing was seen: opacity decides.
-        let mut s = arrangement(40);
-        let (report, _) = run(&mut s, &[[0.0; 4]; 40], &options, 1);
+        let (report, _) = run(
+            &mut s,
+            &[[0.0; 4]; 40],
+            &McmcOptions { min_epoch_weight: Some(1e-3), ..McmcOptions::new(50, false) },
+            1,
+        );
+        assert_eq!(report, DensityReport::default(), "all are dead after an epoch");
+        let mut epoch = EpochWeight::default();
+        epoch.add(Statistics(&[[0.0; 4]; 40]), 60);
+        let report = relocate_and_add(&mut s, Statistics(&[[0.0; 4]; 40]), &mut epoch, 60, &options, 600, 1);
         assert_eq!(report.added, 10);
     }
 
