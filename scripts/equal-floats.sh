@@ -10,7 +10,7 @@ cd "$(dirname "$0")/.."
 scenes=target/equal-floats
 out=${EQUAL_FLOATS_OUT:-out/equal-floats}
 read -ra budgets <<<"${EQUAL_FLOATS_BUDGETS:-400000 800000 1600000}"
-read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 224 --iterations 1000 --surface-iterations 600 --warmup 600}"
+read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 224 --iterations 1000 --surface-iterations 400 --warmup 300}"
 [ -z "${EQUAL_FLOATS_LPIPS:-}" ] || flags+=(--lpips-weights "$EQUAL_FLOATS_LPIPS")
 [ -n "${EQUAL_FLOATS_CENTAUR:-}" ] || cargo build --release --quiet
 centaur() { if [ -n "${EQUAL_FLOATS_CENTAUR:-}" ]; then "$EQUAL_FLOATS_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
@@ -24,7 +24,7 @@ failed=0
 for budget in "${budgets[@]}"; do
     # Captures without masks/ are trained whole. Nothing else is set per scene.
     centaur bench $scenes -o "$out/$budget" "$@" \
-        --variant hybrid="--layers 1 --triangles 6000 --texture-size 512" \
+        --variant hybrid="--layers 1 --triangles 6000 --texture-size 512 --band-degree 0" \
         --variant splats=--no-mesh \
         -- "${flags[@]}" --antialias --density mcmc --masks --max-floats "$budget" || failed=1
 done

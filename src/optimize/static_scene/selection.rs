@@ -14,13 +14,16 @@ use crate::{
 /// A triangle stays if around it the squared error of the maps alone is no larger than this times that of the splats
 /// alone. Maps need no view dependence to be perfect: splats are added to them.
 const WORST_RATIO: f64 = 2.5;
-/// Part of a budget that maps may take where they cover all of the pictures. With .85 of it (maryrose69, 1.5 M floats) too
-/// few splats were left for what maps do not show: .5 dB less than without a mesh.
-const MAPS_SHARE: f64 = 0.5;
+/// Part of a budget that maps may take where they cover all of the pictures. With all of it (maryrose69, 0.15 M floats) too
+/// few splats are left for what maps do not show: .4 dB less than with this or with half of it.
+const MAPS_SHARE: f64 = 0.75;
 /// Pixels of the smallest connected piece: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
 /// Share of an atlas that charts cover, for choosing its size.
 const COVERAGE: f64 = 0.6;
+/// Texels to a pixel, on the mean of the views that see a triangle, most of them at a slant: enough for the ones that face it. With one,
+/// splats stay in front of what maps are too coarse for (`docs/results.md`).
+const TEXELS_PER_PIXEL: f64 = 2.0;
 /// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
 const GUTTER: u32 = 4;
 
@@ -59,7 +62,7 @@ struct Score {
 
 impl<'a> Run<'a> {
     /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
-    /// the rest anew at about a texel per pixel. `None` if nothing is left.
+    /// the rest anew at about two texels per pixel. `None` if nothing is left.
     pub(super) fn select_faces(
         &self,
         training: &mut Training<'a>,
@@ -93,7 +96,7 @@ impl<'a> Run<'a> {
         let share = (covered / seen.max(1.0)).min(1.0);
         let affordable =
             self.options.max_floats.map_or(f64::INFINITY, |floats| floats as f64 * MAPS_SHARE * share / per_texel);
-        let texels = (pixels / COVERAGE).min(affordable);
+        let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
         // Multiples of 32 have mips as far as gutters separate charts.
         let largest = mesh.atlas().base().width();
         let size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
