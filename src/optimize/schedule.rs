@@ -38,7 +38,7 @@ pub struct AdamRates {
 ///
 /// At 30 000 iterations and above, everything has INRIA's constants, except that the position rate falls over the whole
 /// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
-/// Adam enough steps between two interventions, and learning rates by [`Schedule::haste`].
+/// Adam enough steps between two interventions, and learning rates by [`Schedule::haste`] and [`Schedule::settling`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schedule {
     /// Length of the run.

@@ -69,16 +69,15 @@ impl EpochWeight {
 /// One step. Afterwards all splats are at their old place, followed by those added; a relocated splat takes over the
 /// whole row of its source.
 ///
-/// `epoch`, to which these statistics have been added, is judged and begun anew when all `views` have been in it.
+/// `epoch`, to which what was seen since the last step has been added, is judged and begun anew when all `views` have been in it.
 ///
 /// The paper forgets the moments of sources only; this forgets those of relocated splats as well, which describe
 /// another place.
 ///
 /// # Panics
-/// If there is not one row of statistics, and one epoch weight, per splat.
+/// If there is not one epoch weight per splat.
 pub fn relocate_and_add(
     splats: &mut Arrangement,
-    statistics: Statistics<'_>,
     epoch: &mut EpochWeight,
     views: u32,
     options: &McmcOptions,
@@ -86,7 +85,6 @@ pub fn relocate_and_add(
     seed: u64,
 ) -> DensityReport {
     let n = splats.len();
-    assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
     let epoch_ends = epoch.iterations >= views.saturating_mul(2).saturating_sub(1);
     let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
@@ -258,7 +256,7 @@ mod tests {
     fn run(s: &mut Arrangement, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> (DensityReport, EpochWeight) {
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(rows), 100);
-        let report = relocate_and_add(s, Statistics(rows), &mut epoch, 50, options, 600, seed);
+        let report = relocate_and_add(s, &mut epoch, 50, options, 600, seed);
         assert_eq!(s.first_non_finite(), None);
         (report, epoch)
     }
@@ -428,10 +426,10 @@ mod tests {
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&rows), 60);
         // Of 60 views in 60 iterations some may be in none, of 119 none.
-        let early = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 60, &options, 600, 1);
+        let early = relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
         assert_eq!(early, DensityReport::default());
         epoch.add(Statistics(&rows), 60);
-        let late = relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 60, &options, 660, 1);
+        let late = relocate_and_add(&mut s, &mut epoch, 60, &options, 660, 1);
         assert_eq!(late, DensityReport { relocated: 2, ..DensityReport::default() });
         assert_ne!((s.row(2)[0], s.row(5)[0]), (2.0, 5.0));
         assert_eq!(epoch, EpochWeight { weight: vec![0.0; 8], iterations: 0 });
@@ -448,7 +446,8 @@ mod tests {
         let options = McmcOptions { growth: 1.25, ..McmcOptions::new(5000, true) };
         let (mut s, mut epoch) = (arrangement(n), EpochWeight::default());
         epoch.add(Statistics(&rows), 60);
-        relocate_and_add(&mut s, Statistics(&rows), &mut epoch, 60, &options, 600, 1);
+        let report = relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
+        assert_eq!(report, DensityReport { added: 1000, ..DensityReport::default() });
         let mut copies = [0; 4];
         (n..5000).for_each(|i| copies[s.row(i)[0].round() as usize % 4] += 1);
         // Five standard errors of a binomial distribution: 80.
@@ -456,16 +455,11 @@ mod tests {
         assert!((420..580).contains(&copies[0]), "{copies:?}");
         // Nothing was seen: all are alike.
         let mut s = arrangement(40);
-        let (report, _) = run(
-            &mut s,
-            &[[0.0; 4]; 40],
-            &McmcOptions { min_epoch_weight: Some(1e-3), ..McmcOptions::new(50, false) },
-            1,
-        );
+        let (report, _) = run(&mut s, &[[0.0; 4]; 40], &McmcOptions::new(50, true), 1);
         assert_eq!(report, DensityReport::default(), "all are dead after an epoch");
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&[[0.0; 4]; 40]), 60);
-        let report = relocate_and_add(&mut s, Statistics(&[[0.0; 4]; 40]), &mut epoch, 60, &options, 600, 1);
+        let report = relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
         assert_eq!(report.added, 10);
     }
 

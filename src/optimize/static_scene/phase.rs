@@ -319,7 +319,7 @@ impl Run<'_> {
                     // After a handover less than an interval may have passed.
                     epoch.add(statistics, schedule.densify_interval.min(done));
                     let views = self.train.len() as u32;
-                    mcmc::relocate_and_add(&mut splats, statistics, epoch, views, &options, age, o.seed);
+                    mcmc::relocate_and_add(&mut splats, epoch, views, &options, age, o.seed);
                 }
             }
         }
