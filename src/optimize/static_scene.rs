@@ -5,25 +5,23 @@
 //! the views and decisions of an uninterrupted one.
 
 mod backdrop;
+mod finite;
 mod handover;
+mod identity;
 mod occluded;
 mod phase;
+mod photograph;
 mod plan;
 mod poses;
 mod selection;
+mod size;
 mod unseen;
 
+pub(super) use finite::finite;
 pub use poses::RefinedPose;
 pub use selection::Selection;
 
-use std::{
-    cell::OnceCell,
-    ops::RangeInclusive,
-    path::{Path, PathBuf},
-    rc::Rc,
-    sync::atomic::AtomicBool,
-    time::Instant,
-};
+use std::{cell::OnceCell, path::PathBuf, rc::Rc, sync::atomic::AtomicBool, time::Instant};
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -40,12 +38,11 @@ use super::{
     surface,
 };
 use crate::{
-    capture::{self, Capture, CaptureError, Photo, PhotoCache, Split, View},
+    capture::{self, Capture, CaptureError, PhotoCache, Split, View},
     geometry::{self, ChartSpace, Contraction, MeshBvh, Shell, Surface},
     render::gpu::{
         Gpu,
         exposure::ExposureState,
-        loss::TruthAlpha,
         pose::PoseState,
         training::{SplatArrays, Training},
     },
@@ -60,13 +57,6 @@ const DECODED_AT_ONCE: usize = 4;
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
-
-/// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
-const USUAL_EXTENT: f64 = 5.0;
-/// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
-const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
-/// Points of the pictures of all views, of which the median depth is taken, at most.
-const DEPTHS: usize = 1_000_000;
 
 /// What a run is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -194,7 +184,7 @@ struct Run<'a> {
     /// Photographs have masks or alpha: nothing is behind what they show.
     is_cut_out: bool,
     extent: f32,
-    /// The capture's unit of length, see [`unit_of_length`].
+    /// The capture's unit of length, see [`size::unit_of_length`].
     unit: f32,
     /// Near plane, by the poses as they were given.
     near: f32,
@@ -236,28 +226,7 @@ impl<'a> Run<'a> {
         if options.refine_poses && matches!(source, MeshSource::Given { .. }) {
             return Err(TrainError::PosesBesideMesh);
         }
-        let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
-        // A file is told by its length: paths and times change where a capture is copied.
-        let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
-        let files = |v: &View| (length(v.source.path()), v.source.mask().map(length));
-        // Cameras by the bits of their numbers, which JSON may round.
-        let posed = |c: &Camera| {
-            let k = c.intrinsics();
-            let numbers =
-                [c.rotation().to_cols_array().as_slice(), &c.translation().to_array(), &[k.fx, k.fy, k.cx, k.cy]]
-                    .concat();
-            digest(numbers.into_iter())
-        };
-        let views: Vec<_> =
-            capture.views.iter().map(|v| (&v.name, size(&v.camera), posed(&v.camera), files(v))).collect();
-        let points = digest(capture.points.iter().flat_map(|p| p.position.to_array()));
-        let mesh = match source {
-            MeshSource::None => "none".to_owned(),
-            MeshSource::Splats => "splats".to_owned(),
-            MeshSource::Points => "points".to_owned(),
-            MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
-        };
-        let input = serde_json::json!({ "views": views, "points": (capture.points.len(), points), "mesh": mesh });
+        let input = identity::input(capture, source);
         let identity = Identity { options, input, finds_surface: source.is_found() };
         let cache = PhotoCache::new(PHOTO_BUDGET);
         // All of them: any may have alpha, and one that cannot be read is better known now than in an hour.
@@ -272,8 +241,8 @@ impl<'a> Run<'a> {
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
-        let depth = median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
-        let unit = unit_of_length(f64::from(extent), depth) as f32;
+        let depth = size::median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
+        let unit = size::unit_of_length(f64::from(extent), depth) as f32;
         let near = surface::near_plane(&train_cameras, NEAR);
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !is_cut_out && options.warmup > 0;
@@ -365,7 +334,7 @@ impl<'a> Run<'a> {
                 scene.meshes.clear();
             }
             let state = splat_state(&training)?;
-            finite_splats(&state, self.reached.0, self.reached.1)?;
+            finite::finite_splats(&state, self.reached.0, self.reached.1)?;
             scene.splats = state.to_splats()?;
             trained = Some(state);
         }
@@ -557,7 +526,7 @@ impl<'a> Run<'a> {
         outcome: Outcome,
     ) -> Result<Trained, TrainError> {
         let (phase, iteration) = self.reached;
-        check_finite(training, phase, iteration)?;
+        finite::check_finite(training, phase, iteration)?;
         let (splats, mut meshes) = (splat_state(training)?.to_splats()?, training.read_meshes(&scene.meshes)?);
         let all = splats.len();
         // The checkpoint of what was interrupted has all of them.
@@ -604,57 +573,8 @@ fn sampled(test: &[usize]) -> impl Iterator<Item = usize> {
     test.iter().copied().step_by(test.len().div_ceil(4).max(1))
 }
 
-/// A capture's size in that of captures for which constants with a length in them were chosen: by the extent of its cameras, as far as this
-/// says how large what they see is.
-fn unit_of_length(extent: f64, depth: Option<f64>) -> f64 {
-    depth.map_or(extent, |d| extent.clamp(USUAL_SPREAD.start() * d, USUAL_SPREAD.end() * d)) / USUAL_EXTENT
-}
-
-/// Of the points in the pictures of these views; `None` if there are none.
-fn median_depth(capture: &Capture, views: &[usize]) -> Option<f64> {
-    let step = (views.len() * capture.points.len()).div_ceil(DEPTHS).max(1);
-    let in_view = |&i: &usize| {
-        let camera = &capture.views[i].camera;
-        let points = capture.points.iter().step_by(step).map(|point| camera.to_camera(point.position));
-        points.filter_map(|p| camera.in_picture(p).map(|_| p.z))
-    };
-    let mut depths: Vec<f64> = views.iter().flat_map(in_view).collect();
-    let middle = depths.len() / 2;
-    (!depths.is_empty()).then(|| *depths.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-/// FNV-1a of the bits of these numbers.
-fn digest(numbers: impl Iterator<Item = f64>) -> u64 {
-    let bytes = numbers.flat_map(|number| number.to_bits().to_le_bytes());
-    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
-}
-
 fn longest_side(camera: &Camera) -> u32 {
     camera.intrinsics().width.max(camera.intrinsics().height)
-}
-
-/// What a photograph's alpha means, as in its evaluation.
-fn truth_alpha(photo: &Photo) -> TruthAlpha {
-    match (photo.masked, photo.has_alpha) {
-        (true, _) => TruthAlpha::Mask,
-        (false, true) => TruthAlpha::Composite,
-        (false, false) => TruthAlpha::Ignore,
-    }
-}
-
-/// Squared difference of a render from pixel `p` of a photograph: over the background where that is transparent; a mask
-/// multiplies both, as in HERA.
-fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], background: [f32; 3]) -> f32 {
-    let truth = &photo.rgba[4 * p..4 * p + 4];
-    let a = f32::from(truth[3]) / 255.0;
-    let error: f32 = (0..3)
-        .map(|c| {
-            let rgb = f32::from(truth[c]) / 255.0;
-            let seen = if photo.masked { rgb } else { a * rgb + (1.0 - a) * background[c] };
-            (seen - render[c]).powi(2)
-        })
-        .sum();
-    if photo.masked { error * a * a } else { error }
 }
 
 /// The splats on the GPU with their moments.
@@ -672,37 +592,6 @@ pub(super) fn arrangement(training: &Training) -> Result<Arrangement, TrainError
 /// The same as the GPU takes them.
 pub(super) fn arrays(s: SplatState) -> SplatArrays {
     SplatArrays { geometry: [s.geometry, s.geometry_m, s.geometry_v], sh: [s.sh, s.sh_m, s.sh_v] }
-}
-
-/// Names the parameter group that holds a NaN or an infinity. Waits.
-fn check_finite(training: &Training, phase: Phase, iteration: u32) -> Result<(), TrainError> {
-    let (first, second) = training.read_texel_moments()?;
-    finite(&splat_state(training)?, [&first, &second], phase, iteration)
-}
-
-/// Names the parameter group that holds a NaN or an infinity: splats, or the maps of which these are the moments.
-pub(super) fn finite(
-    splats: &SplatState,
-    moments: [&[f32]; 2],
-    phase: Phase,
-    iteration: u32,
-) -> Result<(), TrainError> {
-    finite_splats(splats, phase, iteration)?;
-    // The maps themselves are refused when read; their moments follow their gradients.
-    if moments.iter().all(|values| values.iter().all(|v| v.is_finite())) {
-        return Ok(());
-    }
-    Err(TrainError::NotFinite { phase, iteration, group: "a map of the mesh".to_owned() })
-}
-
-fn finite_splats(state: &SplatState, phase: Phase, iteration: u32) -> Result<(), TrainError> {
-    finite_group(state.first_non_finite(), phase, iteration)
-}
-
-fn finite_group(found: Option<(&str, usize)>, phase: Phase, iteration: u32) -> Result<(), TrainError> {
-    found.map_or(Ok(()), |(group, splat)| {
-        Err(TrainError::NotFinite { phase, iteration, group: format!("{group} of splat {splat}") })
-    })
 }
 
 #[cfg(test)]

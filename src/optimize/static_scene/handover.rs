@@ -1,6 +1,6 @@
 //! From splats to a mesh and back to the splats that the mesh does not make superfluous.
 
-use super::{Run, arrangement, splat_state, squared_error};
+use super::{Run, arrangement, photograph::squared_error, splat_state};
 use crate::{
     geometry::{self, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},

@@ -7,11 +7,14 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement, check_finite, finite_group, plan::Plan, sampled,
-    squared_error, truth_alpha,
+    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement,
+    finite::{check_finite, finite_group},
+    photograph::{psnr, truth_alpha},
+    plan::Plan,
+    sampled,
 };
 use crate::{
-    capture::{Photo, PhotoCache},
+    capture::PhotoCache,
     geometry::Shell,
     optimize::{
         Background, Density, TrainError,
@@ -385,14 +388,6 @@ fn is_due(done: u32, every: u32) -> bool {
 /// A generator for one iteration of one phase.
 fn random(seed: u64, phase: Phase, t: u32) -> Pcg64 {
     Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(t) << 2 | phase as u64))
-}
-
-/// PSNR of a picture as its 8-bit file would show it, dB.
-fn psnr(photo: &Photo, render: &[[f32; 3]], background: [f32; 3]) -> f64 {
-    let shown = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() / 255.0;
-    let error = |(p, rgb): (usize, &[f32; 3])| f64::from(squared_error(photo, p, &rgb.map(shown), background));
-    let squares: f64 = render.iter().enumerate().map(error).sum();
-    -10.0 * (squares / (3 * render.len()).max(1) as f64).log10()
 }
 
 /// World size of a pixel on the meshes, but for the shell: the median over vertices and cameras that have them in front.

@@ -15,6 +15,7 @@ use crate::{
 };
 
 mod choices;
+mod photographs;
 
 fn demo() -> Capture {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
@@ -57,16 +58,16 @@ fn square() -> MeshSource {
 
 #[test]
 fn units_follow_what_is_seen() {
-    assert_eq!(unit_of_length(5.0, None), 1.0);
-    assert_eq!(unit_of_length(4.0, Some(4.0)), 0.8);
+    assert_eq!(size::unit_of_length(5.0, None), 1.0);
+    assert_eq!(size::unit_of_length(4.0, Some(4.0)), 0.8);
     // A drone over a plain, three cameras side by side.
-    assert_eq!((unit_of_length(500.0, Some(80.0)), unit_of_length(0.1, Some(3.0))), (24.0, 0.3));
+    assert_eq!((size::unit_of_length(500.0, Some(80.0)), size::unit_of_length(0.1, Some(3.0))), (24.0, 0.3));
     let mut demo = demo();
     let train: Vec<usize> = (0..demo.views.len()).collect();
-    let found = median_depth(&demo, &train).unwrap() / capture::extent(demo.views.iter().map(|v| &v.camera));
+    let found = size::median_depth(&demo, &train).unwrap() / capture::extent(demo.views.iter().map(|v| &v.camera));
     assert!((0.7..1.2).contains(&found), "{found}");
     demo.points.clear();
-    assert_eq!(median_depth(&demo, &train), None);
+    assert_eq!(size::median_depth(&demo, &train), None);
 }
 
 /// Of a mesh that is brought along, what no training view shows would stay grey and half transparent.
@@ -528,166 +529,6 @@ fn without_any_splats_the_maps_are_trained() {
             assert!(last < first, "{first} {last}");
         });
     }
-}
-
-/// The demo, with its photographs changed: by name from 0.
-fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
-    let [sparse, images] = ["sparse/0", "images"].map(|name| folder.join(name));
-    [&sparse, &images].into_iter().for_each(|folder| std::fs::create_dir_all(folder).unwrap());
-    for file in std::fs::read_dir(demo.join("sparse/0")).unwrap().map(|entry| entry.unwrap().path()) {
-        std::fs::copy(&file, sparse.join(file.file_name().unwrap())).unwrap();
-    }
-    let mut names: Vec<_> =
-        std::fs::read_dir(demo.join("images")).unwrap().map(|entry| entry.unwrap().path()).collect();
-    names.sort();
-    for (i, file) in names.iter().enumerate() {
-        let mut picture = image::open(file).unwrap().into_rgba8();
-        change(i, &mut picture);
-        // Whatever the name says.
-        picture.save_with_format(images.join(file.file_name().unwrap()), image::ImageFormat::Png).unwrap();
-    }
-    capture::open(folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()
-}
-
-/// The demo, whose photographs but for those held out are brighter or darker, and of another tint, by up to a third.
-fn unevenly_exposed(folder: &Path) -> Capture {
-    changed(folder, |i, picture| {
-        let gain = |c: usize| if i % 8 == 0 { 1.0 } else { 1.0 + 0.33 * (2.4 * i as f32 + 0.7 * c as f32).sin() };
-        picture
-            .pixels_mut()
-            .for_each(|p| [0, 1, 2].into_iter().for_each(|c| p.0[c] = (gain(c) * f32::from(p.0[c])).min(255.0) as u8));
-    })
-}
-
-/// What a photograph is transparent for does not count, whatever the others are.
-#[test]
-fn each_photograph_has_its_own_alpha() {
-    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
-    let losses = |hidden: [u8; 3]| {
-        let capture = changed(&folder.path().join(format!("{hidden:?}")), |i, picture| {
-            // Not that of the first training view.
-            for (x, _, p) in picture.enumerate_pixels_mut().filter(|_| i % 3 == 0) {
-                if x < 100 {
-                    p.0 = [hidden[0], hidden[1], hidden[2], 0];
-                }
-            }
-        });
-        let stop = AtomicBool::new(false);
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        let options = TrainOptions { iterations: 60, ..options() };
-        let trained = train(&capture, MeshSource::None, &options, session).unwrap();
-        trained.history.iter().map(|p| p.loss).collect::<Vec<_>>()
-    };
-    let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(losses);
-    assert!(red.len() == 6 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
-}
-
-/// Also where undistorted frames reach outside the photographs, which is a mask and no alpha.
-#[test]
-fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
-    let gpu = Gpu::open(None).unwrap();
-    for (k1, opacity, is_cut_out) in [(0.0, 0, true), (0.3, 0, true), (0.3, 255, false), (0.0, 255, false)] {
-        let folder = tempfile::tempdir().unwrap();
-        let alpha = |x: u32| if x == 16 { opacity } else { 255 };
-        let capture = in_a_row(folder.path(), k1, |x| image::Rgba([200, 100, 50, alpha(x)]));
-        assert_eq!(capture::decode(&capture.views[1]).unwrap().masked, k1 > 0.0, "{k1}");
-        let (options, stop) = (options(), AtomicBool::new(false));
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
-        assert_eq!((run.is_cut_out, run.shell.is_none()), (is_cut_out, is_cut_out), "{k1} {opacity}");
-    }
-}
-
-#[test]
-fn exposures_take_out_what_the_camera_changed() {
-    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
-    let capture = unevenly_exposed(folder.path());
-    let held_out = |exposure: bool| {
-        let stop = AtomicBool::new(false);
-        // With 400, ten looks at each photograph, what they gain differs by as much from seed to seed.
-        let options = TrainOptions { exposure, iterations: 1000, sh_degree: 0, ..options() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        let trained = train(&capture, MeshSource::None, &options, session).unwrap();
-        assert_eq!(trained.exposures.len(), if exposure { 42 } else { 0 });
-        (trained.history.last().unwrap().psnr.unwrap(), trained.exposures)
-    };
-    let ((with, exposures), (without, _)) = (held_out(true), held_out(false));
-    eprintln!("held out: {without:.2} dB, with exposures {with:.2} dB");
-    assert!(with > without + 0.5, "{with} {without}");
-    // The brightest photograph is brighter than the darkest in what was fitted, too.
-    let red = exposures.iter().map(|(_, e)| e[0]);
-    let (low, high) = red.fold((f32::MAX, f32::MIN), |(low, high), e| (low.min(e), high.max(e)));
-    assert!(high - low > 0.3, "{low} {high}");
-}
-
-/// The demo, whose training views are turned by 1.5° and moved by 1.5 % of the extent, each another way.
-fn unevenly_posed() -> Capture {
-    let mut capture = demo();
-    let extent = capture::extent(capture.views.iter().map(|v| &v.camera));
-    let mut random = Pcg64::seed_from_u64(5);
-    for (_, view) in capture.views.iter_mut().enumerate().filter(|(i, _)| i % 8 != 0) {
-        let mut direction = || DVec3::from_array([0; 3].map(|_| random.random_range(-1.0..1.0))).normalize();
-        let rotation = DMat3::from_axis_angle(direction(), 1.5f64.to_radians()) * view.camera.rotation();
-        let center = view.camera.center() + 0.015 * extent * direction();
-        view.camera = Camera::new(*view.camera.intrinsics(), rotation, -(rotation * center)).unwrap();
-    }
-    capture
-}
-
-/// How far from where the demo's cameras see them these see its points, root mean square over all training views, pixels.
-fn reprojection_error(cameras: &[Camera]) -> f64 {
-    let demo = demo();
-    let (mut sum, mut count) = (0.0, 0);
-    for (_, (view, camera)) in demo.views.iter().zip(cameras).enumerate().filter(|(i, _)| i % 8 != 0) {
-        for point in demo.points.iter().step_by(10) {
-            let [seen, found] = [&view.camera, camera].map(|c| c.project(c.to_camera(point.position)));
-            sum += seen.distance_squared(found);
-            count += 1;
-        }
-    }
-    (sum / f64::from(count)).sqrt()
-}
-
-#[test]
-fn poses_are_found_again() {
-    let (gpu, capture) = (Gpu::open(None).unwrap(), unevenly_posed());
-    let held_out = |refine_poses: bool| {
-        let stop = AtomicBool::new(false);
-        // They are off by 1.5°.
-        let options = TrainOptions { refine_poses, pose_reach: 1.7, iterations: 600, sh_degree: 0, ..options() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        let trained = train(&capture, MeshSource::None, &options, session).unwrap();
-        assert_eq!(trained.poses.len(), if refine_poses { 42 } else { 0 });
-        (trained.history.last().unwrap().psnr.unwrap(), trained)
-    };
-    let ((with, refined), (without, given)) = (held_out(true), held_out(false));
-    let (before, after) = (reprojection_error(&given.cameras), reprojection_error(&refined.cameras));
-    eprintln!("held out: {without:.2} dB, refined {with:.2} dB; off by {before:.2} px, then {after:.2} px");
-    assert!(with > without + 2.0, "{with} {without}");
-    assert!(after < 0.5 * before, "{before} {after}");
-    // What is reported is what was done to the cameras; those held out keep theirs.
-    for (i, (view, camera)) in capture.views.iter().zip(&refined.cameras).enumerate() {
-        match refined.poses.iter().find(|(name, _)| *name == view.name) {
-            None => assert!(i % 8 == 0 && view.camera == *camera),
-            Some((_, pose)) => {
-                assert!((pose.distance - camera.center().distance(view.camera.center())).abs() < 1e-12);
-                let turn = camera.rotation() * view.camera.rotation().transpose();
-                let cosine = 0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0);
-                assert!((pose.degrees.to_radians().cos() - cosine).abs() < 1e-9);
-                assert_eq!(pose.world_to_camera[1][3], camera.translation().y);
-            }
-        }
-    }
-}
-
-#[test]
-fn poses_are_not_refined_beside_a_given_mesh() {
-    let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
-    let options = TrainOptions { refine_poses: true, ..options() };
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-    let error = train(&capture, square(), &options, session).unwrap_err();
-    assert!(matches!(error, TrainError::PosesBesideMesh), "{error}");
 }
 
 /// With filters, too, which the file has in scales, opacities and its footprint.

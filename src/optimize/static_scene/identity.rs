@@ -1,0 +1,41 @@
+//! What a run is of, by which its checkpoint is told from those of others.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::{
+    capture::{Capture, View},
+    optimize::MeshSource,
+    scene::Camera,
+};
+
+/// Views, points and mesh that a run is of.
+pub(super) fn input(capture: &Capture, source: &MeshSource) -> Value {
+    let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
+    // A file is told by its length: paths and times change where a capture is copied.
+    let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
+    let files = |v: &View| (length(v.source.path()), v.source.mask().map(length));
+    // Cameras by the bits of their numbers, which JSON may round.
+    let posed = |c: &Camera| {
+        let k = c.intrinsics();
+        let numbers =
+            [c.rotation().to_cols_array().as_slice(), &c.translation().to_array(), &[k.fx, k.fy, k.cx, k.cy]].concat();
+        digest(numbers.into_iter())
+    };
+    let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera), posed(&v.camera), files(v))).collect();
+    let points = digest(capture.points.iter().flat_map(|p| p.position.to_array()));
+    let mesh = match source {
+        MeshSource::None => "none".to_owned(),
+        MeshSource::Splats => "splats".to_owned(),
+        MeshSource::Points => "points".to_owned(),
+        MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
+    };
+    serde_json::json!({ "views": views, "points": (capture.points.len(), points), "mesh": mesh })
+}
+
+/// FNV-1a of the bits of these numbers.
+fn digest(numbers: impl Iterator<Item = f64>) -> u64 {
+    let bytes = numbers.flat_map(|number| number.to_bits().to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}

@@ -1,0 +1,31 @@
+//! How large a scene is, in a capture's unit of length, which is any.
+
+use std::ops::RangeInclusive;
+
+use crate::capture::Capture;
+
+/// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
+const USUAL_EXTENT: f64 = 5.0;
+/// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
+const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
+/// Points of the pictures of all views, of which the median depth is taken, at most.
+const DEPTHS: usize = 1_000_000;
+
+/// A capture's size in that of captures for which constants with a length in them were chosen: by the extent of its cameras, as far as this
+/// says how large what they see is.
+pub(super) fn unit_of_length(extent: f64, depth: Option<f64>) -> f64 {
+    depth.map_or(extent, |d| extent.clamp(USUAL_SPREAD.start() * d, USUAL_SPREAD.end() * d)) / USUAL_EXTENT
+}
+
+/// Of the points in the pictures of these views; `None` if there are none.
+pub(super) fn median_depth(capture: &Capture, views: &[usize]) -> Option<f64> {
+    let step = (views.len() * capture.points.len()).div_ceil(DEPTHS).max(1);
+    let in_view = |&i: &usize| {
+        let camera = &capture.views[i].camera;
+        let points = capture.points.iter().step_by(step).map(|point| camera.to_camera(point.position));
+        points.filter_map(|p| camera.in_picture(p).map(|_| p.z))
+    };
+    let mut depths: Vec<f64> = views.iter().flat_map(in_view).collect();
+    let middle = depths.len() / 2;
+    (!depths.is_empty()).then(|| *depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
