@@ -129,9 +129,14 @@ pub(crate) fn print_memory(memory: &Memory) {
     println!("  per float of the maps  {:7.2} bytes", memory.per_map_float);
     println!("  per pixel, one layer   {:7.1} bytes", memory.per_pixel);
     println!("  measured / accounted   {:7.3}", memory.agreement);
-    let gigabytes = memory.large as f64 / 1e9;
+    let gigabytes = |bytes: u64| format!("{:.2} GB", bytes as f64 / 1e9);
+    println!("\n200,000 triangles, 2048² atlas, 1920×1080");
+    if let Some((splats, bytes, accounted)) = memory.large.measured {
+        println!("  {splats} splats, trained    {}, by the account {}", gigabytes(bytes), gigabytes(accounted));
+    }
     println!(
-        "  1 M splats, 2048² atlas, 1920×1080: {gigabytes:.2} GB; at most {:.2} GB while buffers grow (≤ 8 GB)",
-        2.0 * gigabytes
+        "  1000000 splats, accounted  {}; at most {} while buffers grow (≤ 8 GB)",
+        gigabytes(memory.large.accounted),
+        gigabytes(2 * memory.large.accounted)
     );
 }
