@@ -91,8 +91,18 @@ struct Memory {
 struct Large {
     /// By the library's account, of 1 M splats.
     accounted: u64,
-    /// Splats, peak of some steps and account of the largest such scene that was trained; quick runs train none.
-    measured: Option<(usize, u64, u64)>,
+    /// The largest such scene that was trained; quick runs train none.
+    trained: Option<Trained>,
+    /// Why that is not of 1 M splats.
+    refused: Option<String>,
+}
+
+#[derive(serde::Serialize)]
+struct Trained {
+    splats: usize,
+    /// Peak of some steps.
+    bytes: u64,
+    accounted: u64,
 }
 
 #[derive(serde::Serialize)]
@@ -248,18 +258,24 @@ fn memory(adapter: Option<&str>, quick: bool) -> anyhow::Result<Memory> {
     let base = peak(10_000, 256, usual, 20)?;
     let per = |peak: u64, count: usize| (peak as f64 - base as f64) / count as f64;
     let small = size(10_000, 256, usual, 20);
-    // Adapters that bind no more than 128 MiB at a time cannot hold the SH of a million.
     let (side, full, cells) = (2048, (1920, 1080), 316);
     let accounted = |n: usize| memory::training_bytes(&size(n, side, full, cells)).total();
-    let large = |n: usize| peak(n, side, full, cells).map(|bytes| (n, bytes, accounted(n)));
+    let train = |splats: usize| -> anyhow::Result<Trained> {
+        Ok(Trained { splats, bytes: peak(splats, side, full, cells)?, accounted: accounted(splats) })
+    };
+    let mut large = Large { accounted: accounted(1_000_000), trained: None, refused: None };
+    if !quick {
+        // Adapters that bind no more than 128 MiB at a time cannot hold the SH of a million.
+        large.trained = Some(train(1_000_000).or_else(|error| {
+            large.refused = Some(error.to_string());
+            train(400_000)
+        })?);
+    }
     Ok(Memory {
         per_splat: per(peak(30_000, 256, usual, 20)?, 20_000),
         per_map_float: per(peak(10_000, 512, usual, 20)?, size(0, 512, usual, 20).map_floats - small.map_floats),
         per_pixel: per(peak(10_000, 256, wide, 20)?, 512 * 512 - 256 * 256),
         agreement: base as f64 / memory::training_bytes(&small).total() as f64,
-        large: Large {
-            accounted: accounted(1_000_000),
-            measured: (!quick).then(|| large(1_000_000).or_else(|_| large(400_000))).transpose()?,
-        },
+        large,
     })
 }

@@ -131,11 +131,14 @@ pub(crate) fn print_memory(memory: &Memory) {
     println!("  measured / accounted   {:7.3}", memory.agreement);
     let gigabytes = |bytes: u64| format!("{:.2} GB", bytes as f64 / 1e9);
     println!("\n200,000 triangles, 2048² atlas, 1920×1080");
-    if let Some((splats, bytes, accounted)) = memory.large.measured {
-        println!("  {splats} splats, trained    {}, by the account {}", gigabytes(bytes), gigabytes(accounted));
+    if let Some(refused) = &memory.large.refused {
+        println!("  1000000 splats, not trained: {refused}");
+    }
+    if let Some(t) = &memory.large.trained {
+        println!("  {} splats, trained  {}, by the account {}", t.splats, gigabytes(t.bytes), gigabytes(t.accounted));
     }
     println!(
-        "  1000000 splats, accounted  {}; at most {} while buffers grow (≤ 8 GB)",
+        "  1000000 splats, by the account  {}; at most {} while buffers grow (≤ 8 GB)",
         gigabytes(memory.large.accounted),
         gigabytes(2 * memory.large.accounted)
     );
