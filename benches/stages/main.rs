@@ -243,6 +243,7 @@ fn memory(adapter: Option<&str>, quick: bool) -> anyhow::Result<Memory> {
             sh_degree: 3,
             besides: 0,
             triangles: 2 * cells * cells,
+            vertices_move: false,
             map_floats,
             layers: 1,
             width,

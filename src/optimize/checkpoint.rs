@@ -14,7 +14,7 @@ use super::state::{GEOMETRY_FLOATS, SplatState};
 use crate::scene::sh;
 
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";
@@ -346,7 +346,7 @@ mod tests {
             bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
             message(&bytes)
         };
-        assert!(edited(r#"version\":6"#, r#"version\":9"#).contains("version: expected 6, found 9"));
+        assert!(edited(r#"version\":7"#, r#"version\":9"#).contains("version: expected 7, found 9"));
         assert!(edited("splats/sh_m", "splats/sh_x").contains("splats/sh_m: expected an array, found none"));
         assert!(edited("F32", "I32").contains("expected f32 or u32 of one axis, found I32"));
         assert!(edited("centaur_checkpoint", "somebody_elses_foo").contains("metadata: expected an entry"));

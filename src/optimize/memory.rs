@@ -84,6 +84,7 @@ fn size(
         sh_degree: options.sh_degree,
         besides: if options.density == Density::Absgs { 2 } else { 0 } + if options.refine_poses { 4 } else { 0 },
         triangles,
+        vertices_move: source.is_found(),
         map_floats: if has_mesh { map_floats(options, texture_size).iter().sum() } else { 0 },
         layers: if has_mesh { options.layers as usize } else { 0 },
         width,

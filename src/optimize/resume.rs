@@ -44,7 +44,7 @@ pub(super) struct Identity<'a> {
     pub(super) options: &'a TrainOptions,
     /// Views and source of the mesh.
     pub(super) input: Value,
-    /// The run makes its surface itself: vertices move during the warm-up.
+    /// The run makes its surface itself: its vertices move.
     pub(super) finds_surface: bool,
 }
 
@@ -205,7 +205,7 @@ impl Saved {
         }
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
-        let moves = phase == Phase::Warmup && run.finds_surface;
+        let moves = phase != Phase::Surface && run.finds_surface;
         if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
             return Err(damaged("vertices"));
         }

@@ -237,9 +237,9 @@ pub fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
     (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
 
-/// Pixels that vertices of a fused surface move at iteration `t` of a warm-up, where pictures have sides up to `longest`: nothing in its
-/// first eighth, while the maps are still grey, then 0.1 falling to 0.01, its logarithm linear in t; in a longer warm-up less, so that
-/// all steps together come no farther than a thirteenth of that side.
+/// Pixels that vertices of a fused surface move at iteration `t` of a phase with a mesh, where pictures have sides up to `longest`:
+/// nothing in its first eighth, while maps are still grey or splats beside them are to grow, then 0.1 falling to 0.01, its logarithm
+/// linear in t; in a longer phase less, so that all steps together come no farther than a thirteenth of that side.
 #[must_use]
 pub fn vertex_rate(t: u32, iterations: u32, longest: u32) -> Option<f32> {
     let n = f64::from(iterations.max(1));
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn vertices_come_no_farther_in_longer_warm_ups() {
+    fn vertices_come_no_farther_in_longer_phases() {
         let reach = |n, side| (0..n).filter_map(|t| vertex_rate(t, n, side)).sum::<f32>();
         assert_eq!([0, 59, 60].map(|t| vertex_rate(t, 480, 176).is_some()), [false, false, true]);
         assert!((vertex_rate(60, 480, 176).unwrap() - 0.075).abs() < 1e-3);

@@ -52,7 +52,8 @@ impl Run<'_> {
             _ => half,
         };
         let resolution = ResolutionSchedule { full_from };
-        let moves_vertices = phase == Phase::Warmup && self.hands_over;
+        // The user's mesh stays where it is.
+        let moves_vertices = has_mesh && self.hands_over;
         Plan { phase, from, iterations, clock, schedule, resolution, has_mesh, moves_vertices }
     }
 }

@@ -538,6 +538,26 @@ fn the_file_shows_what_the_trainer_showed() {
     file_shows_what_trainer_showed(&TrainOptions { antialias: true, ..options() });
 }
 
+/// The user's mesh stays where it is; a surface that the run has made follows the photographs to the end.
+#[test]
+fn only_vertices_of_a_found_surface_move_beside_splats() {
+    let options = TrainOptions { iterations: 30, surface_iterations: Some(10), ..options() };
+    with_run(&options, |run, training, scene| {
+        let mut positions_after = |run: &mut Run, phase| {
+            run.run_phase(training, scene, phase, None).unwrap();
+            training.read_meshes(&scene.meshes).unwrap()[0].positions().to_vec()
+        };
+        let given = scene.meshes[0].positions().to_vec();
+        assert!([Phase::Warmup, Phase::Joint].iter().all(|phase| positions_after(run, *phase) == given));
+        run.hands_over = true;
+        let warmed = positions_after(run, Phase::Warmup);
+        let joint = positions_after(run, Phase::Joint);
+        assert!(warmed != given && joint != warmed);
+        // Across the square's plane, the direction of its normals.
+        assert!(joint.iter().zip(&given).all(|(a, b)| a.truncate() == b.truncate() && a.z != b.z), "{joint:?}");
+    });
+}
+
 fn file_shows_what_trainer_showed(options: &TrainOptions) {
     let folder = tempfile::tempdir().unwrap();
     with_run(options, |run, training, scene| {

@@ -14,6 +14,8 @@ pub struct TrainingSize {
     pub besides: usize,
     /// Triangles of all meshes.
     pub triangles: usize,
+    /// Their vertices are free to move.
+    pub vertices_move: bool,
     /// Floats of all maps, without mips: 4 per base texel, 3·((d+1)²−1) per texel of bands.
     pub map_floats: usize,
     /// Mesh layers, 0 without a mesh.
@@ -68,13 +70,15 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         per_pixel += (1 + 1 + 4 + 4) * layers;
         per_bin = 2 + 16;
         // Texels and gradients have mips of up to five levels, the two moments none. Triangles, UVs, corners, boxes, four
-        // pairs; a closed mesh has half as many vertices as triangles.
+        // pairs; a closed mesh has half as many vertices as triangles. To move, normals of corners; of vertices gradient, moments,
+        // normals, steps, and neighbours with where they begin.
         let (map_floats, triangles) = (wide(s.map_floats), wide(s.triangles));
+        let (by_triangle, by_vertex) = if s.vertices_move { (12, 1 + 2 + 4 + 4 + 6 + 1) } else { (0, 0) };
         meshes = bytes(&[
             (map_floats, 2),
             (map_floats.saturating_mul(341) / 256, 2),
-            (triangles, 4 + 8 + 12 + 2 + 4),
-            (triangles / 2, 3),
+            (triangles, 4 + 8 + 12 + 2 + 4 + by_triangle),
+            (triangles / 2, 3 + by_vertex),
         ]);
     }
     TrainingBytes {
@@ -116,6 +120,7 @@ mod tests {
             sh_degree: 3,
             besides: 6,
             triangles: n,
+            vertices_move: false,
             map_floats: n,
             layers: 4,
             width: n,
