@@ -476,20 +476,28 @@ fn a_nan_is_found_and_named() {
 fn damaged_checkpoints_are_refused() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
     let path = folder.path().join("checkpoint");
-    let options =
-        TrainOptions { surface_iterations: Some(10), warmup: 30, exposure: true, refine_poses: true, ..options() };
-    for source in [MeshSource::Points, MeshSource::Splats] {
+    let options = TrainOptions {
+        iterations: 30,
+        surface_iterations: Some(10),
+        warmup: 30,
+        exposure: true,
+        refine_poses: true,
+        ..options()
+    };
+    for (source, phase) in
+        [(MeshSource::Points, Phase::Warmup), (MeshSource::Splats, Phase::Warmup), (MeshSource::Splats, Phase::Joint)]
+    {
         let run = |resume: bool| {
             let stop = AtomicBool::new(false);
-            let progress = &mut |p: &Progress| stop.store(p.phase == Phase::Warmup, Ordering::Relaxed);
+            let progress = &mut |p: &Progress| stop.store(p.phase == phase, Ordering::Relaxed);
             let session = Session { gpu: &gpu, checkpoint: Some(path.clone()), resume, stop: &stop, progress };
             train(&capture, source.clone(), &options, session)
         };
         assert_eq!(run(false).unwrap().outcome, Outcome::Interrupted);
         let whole = Checkpoint::read(&path).unwrap();
-        assert_eq!(whole.meta["phase"], "warmup");
+        assert_eq!(whole.meta["phase"], serde_json::to_value(phase).unwrap());
         let names: Vec<String> = whole.tensors.keys().cloned().collect();
-        assert!(names.iter().any(|name| name == "vertices/normals"));
+        assert!(!whole.tensors["vertices/normals"].is_empty(), "{phase:?}: no vertex moves");
         for name in names {
             let mut damaged = whole.clone();
             damaged.tensors.get_mut(&name).unwrap().pop();
@@ -498,7 +506,7 @@ fn damaged_checkpoints_are_refused() {
                 Err(TrainError::Resume(_)) => {}
                 // An array of none lost nothing.
                 Ok(_) if damaged == whole => {}
-                other => panic!("{source:?}, {name}: {:?}", other.map(|trained| trained.outcome)),
+                other => panic!("{source:?}, {phase:?}, {name}: {:?}", other.map(|trained| trained.outcome)),
             }
         }
     }
