@@ -26,7 +26,11 @@ const MARGIN: f64 = 0.1;
 const NEARER: f64 = 0.95;
 /// … in more than this part of the views that show anything there: it would float before what they see.
 const HIDING_VIEWS: f64 = 0.25;
-/// Where it would, it is tried so much farther from the camera that shows it …
+/// Nor is it put nearer to any camera than this part of how near the nearest points are that the camera sees: someone stood there …
+const CLEAR: f64 = 0.8;
+/// … the nearest but for this part of them, which may be mismatched.
+const WILD: f64 = 0.02;
+/// Where it would float, it is tried so much farther from the camera that shows it …
 const FARTHER: f64 = 1.5;
 /// … so many times, which is 26 times as far: beyond an object and the cameras on its other side, or in what surrounds them.
 const TRIES: i32 = 8;
@@ -127,6 +131,8 @@ struct Shown {
     nearness: Vec<Option<f64>>,
     /// Mean colour, where nothing is masked.
     colors: Vec<Option<[f32; 3]>>,
+    /// Distance from the camera within which there is nothing.
+    clear: f64,
 }
 
 impl Shown {
@@ -139,6 +145,8 @@ impl Shown {
             .filter(|p| p.z > known.near)
             .filter_map(|p| Some((cells.of(p)?, p.z.recip())))
             .collect();
+        let to_mesh = known.meshes.closest_point(camera.center()).map_or(f64::INFINITY, |p| p.distance);
+        let clear = CLEAR * to_mesh.min(nearest_depth(seen.iter().map(|s| s.1.recip()).collect()));
         seen.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let (mut nearest, mut median) = (vec![None; cells.len()], vec![None; cells.len()]);
         for cell in seen.chunk_by(|a, b| a.0 == b.0) {
@@ -146,7 +154,7 @@ impl Shown {
             median[cell[0].0] = Some(cell[cell.len() / 2].1);
         }
         let colors = (0..cells.len()).map(|cell| mean_color(cells.pixels(cell), margin, photo)).collect();
-        Self { points: nearest, nearness: spread(&cells, median), colors, cells }
+        Self { points: nearest, nearness: spread(&cells, median), colors, clear, cells }
     }
 
     fn cell_of(&self, p: DVec3) -> Option<usize> {
@@ -163,11 +171,20 @@ impl Shown {
     }
 }
 
-/// Whether a splat would stand before the points and meshes of too many views.
+/// The least of some depths, but for what may be wild; 0 if there are none.
+fn nearest_depth(mut depths: Vec<f64>) -> f64 {
+    let wild = (WILD * depths.len() as f64) as usize;
+    if depths.is_empty() { 0.0 } else { *depths.select_nth_unstable_by(wild, f64::total_cmp).1 }
+}
+
+/// Whether a splat would stand right before a camera, or before the points and meshes of too many views.
 fn hides(cover: &Cover, maps: &[Shown], known: &Known) -> bool {
     let (mut before, mut shown) = (0, 0);
     for map in maps {
         let camera = &map.cells.camera;
+        if camera.center().distance(cover.mean) < map.clear {
+            return true;
+        }
         let p = camera.to_camera(cover.mean);
         let Some(cell) = map.cells.of(p) else { continue };
         let has_mesh = |from: f64, to: f64| known.has_mesh(camera, cover.mean, from, to);
@@ -258,6 +275,12 @@ mod tests {
 
     fn shown(camera: &Camera, points: &[DVec3], photo: &Photo) -> Shown {
         Shown::new(camera, &known(points, &bare()), photo)
+    }
+
+    /// Across the view of [`facing`] cameras.
+    fn wall(z: f32) -> MeshBvh {
+        let corners = [[-9.0, -9.0, z], [9.0, -9.0, z], [0.0, 9.0, z]].map(Vec3::from);
+        MeshBvh::new([(&corners[..], &[[0, 1, 2]][..])])
     }
 
     /// Cells, in all views, in which neither a point nor a splat is seen.
@@ -368,23 +391,21 @@ mod tests {
             .collect();
         let photo = grey(&facing(0.0));
         let first = shown(&facing(0.0), &[near], &photo);
-        let others = [shown(&facing(0.1), &far, &photo), shown(&facing(-0.1), &far, &photo)];
         let middle = first.cells.of(DVec3::Z).unwrap();
         let cover = first.cover(middle).unwrap();
         let at = |z: f64| Cover { mean: DVec3::new(0.0, 0.0, z), ..cover };
-        let nothing = bare();
-        let known = |meshes| known(&[], meshes);
-        assert!(hides(&cover, &others, &known(&nothing)) && !hides(&cover, &[], &known(&nothing)));
-        assert!(hides(&at(9.4), &others, &known(&nothing)) && !hides(&at(9.6), &others, &known(&nothing)));
+        let hides = |cover: &Cover, meshes: &MeshBvh| {
+            let known = known(&far, meshes);
+            hides(cover, &[0.1, -0.1].map(|x| Shown::new(&facing(x), &known, &photo)), &known)
+        };
+        let [nothing, wall, lens] = [bare(), wall(5.0), wall(0.1)];
+        assert!(hides(&cover, &nothing) && !super::hides(&cover, &[], &known(&[], &nothing)));
+        assert!(hides(&at(9.4), &nothing) && !hides(&at(9.6), &nothing));
         // A mesh hides the points behind it, but for what is before the near plane.
-        let [wall, lens] = [5.0, 0.1].map(|z| {
-            let corners = [[-9.0, -9.0, z], [9.0, -9.0, z], [0.0, 9.0, z]].map(Vec3::from);
-            MeshBvh::new([(&corners[..], &[[0, 1, 2]][..])])
-        });
-        assert!(hides(&at(4.7), &others, &known(&wall)) && !hides(&at(4.8), &others, &known(&wall)));
-        assert!(hides(&at(4.5), &others, &known(&nothing)) && hides(&at(4.5), &others, &known(&lens)));
+        assert!(hides(&at(4.7), &wall) && !hides(&at(4.8), &wall));
+        assert!(hides(&at(4.5), &nothing) && hides(&at(4.5), &lens));
         let camera = &first.cells.camera;
-        let has_mesh = |meshes| known(meshes).has_mesh(camera, DVec3::new(0.0, 0.0, 9.0), 0.0, f64::INFINITY);
+        let has_mesh = |meshes| known(&[], meshes).has_mesh(camera, DVec3::new(0.0, 0.0, 9.0), 0.0, f64::INFINITY);
         assert_eq!([has_mesh(&wall), has_mesh(&lens), has_mesh(&nothing)], [true, false, false]);
         let mut masked = photo;
         masked.rgba[4 * (50 * 100 + 50) + 3] = 0;
@@ -415,6 +436,26 @@ mod tests {
         };
         let before = splats.means().iter().filter(|p| views.iter().any(|view| is_before(view, p.as_dvec3())));
         assert_eq!((before.count(), splats.len() > 1000), (0, true), "{}", splats.len());
+    }
+
+    #[test]
+    fn nothing_is_put_right_before_a_camera() {
+        // 1 % of the depths are wild.
+        let depths: Vec<f64> = (0..100).map(|i| if i == 7 { 0.3 } else { 4.0 + f64::from(i) / 100.0 }).collect();
+        assert_eq!([depths, vec![5.0], vec![]].map(nearest_depth), [4.01, 5.0, 0.0]);
+        let photo = grey(&facing(0.0));
+        let is_hiding = |x: f64, z: f64, meshes: &MeshBvh| {
+            let point = [DVec3::new(0.0, 0.0, 5.0)];
+            let known = known(&point, meshes);
+            let cover = Cover { mean: DVec3::new(x, 0.0, z), scale: 0.1, color: [0.5; 3] };
+            hides(&cover, &[Shown::new(&facing(0.0), &known, &photo)], &known)
+        };
+        // Beside what shows the point, beside the picture, behind the camera; and beyond.
+        for (at, far) in [([1.0, 3.5], [1.0, 4.1]), ([3.0, 1.0], [4.5, 1.0]), ([0.0, -3.9], [0.0, -4.1])] {
+            assert_eq!([at, far].map(|[x, z]| is_hiding(x, z, &bare())), [true, false], "{at:?}");
+        }
+        // Something as near as a mesh may be beside it.
+        assert_eq!([2.3, 2.5].map(|x| is_hiding(x, 0.0, &wall(3.0))), [true, false]);
     }
 
     #[test]

@@ -545,9 +545,7 @@ impl<'a> Run<'a> {
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
             self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
         });
-        let is_far =
-            |mesh: &Mesh, t: &[u32; 3]| self.shell.is_some_and(|shell| shell.holds(mesh.positions()[t[0] as usize]));
-        let far_of = |mesh: &Mesh| mesh.triangles().iter().filter(|t| is_far(mesh, t)).count();
+        let far_of = |mesh: &Mesh| mesh.triangles().iter().filter(|t| self.is_of_shell(mesh, t)).count();
         Ok(Trained {
             shell_triangles: scene.meshes.iter().map(far_of).sum(),
             faint_triangles: trained - triangles(&scene.meshes),

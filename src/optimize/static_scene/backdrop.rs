@@ -33,6 +33,11 @@ struct Spot {
 }
 
 impl Run<'_> {
+    /// Whether a triangle of a mesh is one of the shell.
+    pub(super) fn is_of_shell(&self, mesh: &Mesh, triangle: &[u32; 3]) -> bool {
+        self.shell.is_some_and(|shell| shell.holds(mesh.positions()[triangle[0] as usize]))
+    }
+
     /// Paints the triangles of the shell with the mean of what those views show there that the maps are warmed up on. Only views
     /// count that see all corners of a triangle past the rest.
     pub(super) fn painted(&self, mesh: Mesh, shell: &Shell) -> Result<Mesh, TrainError> {
@@ -154,12 +159,12 @@ mod tests {
         (0..k.width * k.height).map(move |i| seen(camera.center(), camera.rotation().transpose() * camera.ray(at(i))))
     }
 
-    /// 48 views around a round ground under a sky, with points on the ground.
+    /// 96 views around a round ground under a sky, with points on the ground.
     fn under_a_sky(folder: &Path) -> Capture {
         let intrinsics = Intrinsics { width: 64, height: 48, fx: 48.0, fy: 48.0, cx: 32.0, cy: 24.0 };
         let mut frames = vec![];
-        for i in 0..48 {
-            let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 48.0).sin_cos();
+        for i in 0..96 {
+            let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 96.0).sin_cos();
             let center = DVec3::new(2.5 * cos, 2.5 * sin, 1.0);
             let forward = (DVec3::Z * 0.6 - center).normalize();
             let right = forward.cross(DVec3::Z).normalize();

@@ -35,7 +35,8 @@ const FAINT: f64 = 0.02;
 pub struct Selection {
     /// All that were judged.
     pub triangles: usize,
-    /// Seen by none of the views that judge, or by one alone where these see most triangles several times or are not held back.
+    /// Seen by none of the views that judge, or by one alone where these see most triangles several times or are not held back, or it is
+    /// of the shell.
     pub unseen: usize,
     /// Of which maps explain what is around much worse than splats do.
     pub worse: usize,
@@ -70,12 +71,13 @@ impl<'a> Run<'a> {
     ) -> Result<(Option<Mesh>, Selection), TrainError> {
         let judges = self.views(true);
         let (scores, seen) = self.score(training, mesh, &judges)?;
-        let least = least_views(&scores, judges.len() < self.train.len());
-        let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)))
-            .map(|(s, [maps, splats])| s.views >= least && maps <= WORST_RATIO * splats)
+        let is_far: Vec<bool> = mesh.triangles().iter().map(|t| self.is_of_shell(mesh, t)).collect();
+        let least = least_views(&scores, &is_far, judges.len() < self.train.len());
+        let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)).zip(&least))
+            .map(|((s, [maps, splats]), least)| s.views >= *least && maps <= WORST_RATIO * splats)
             .collect();
         let count = |keep: &[bool]| keep.iter().filter(|k| **k).count();
-        let (all, unseen) = (keep.len(), scores.iter().filter(|s| s.views < least).count());
+        let (all, unseen) = (keep.len(), scores.iter().zip(&least).filter(|(s, least)| s.views < **least).count());
         let large_or_small = count(&keep);
         drop_small(mesh, &scores, &mut keep);
         let selection = Selection {
@@ -159,14 +161,19 @@ impl Score {
     }
 }
 
-/// Judging views that have to see a triangle: two, but one where the triangle of the median pixel is seen by three or fewer. In a room each
-/// part of a wall is seen by few views at a time, and a quarter of these judges; of 13 training views three judge. By pixels, since
-/// triangles that are smaller than one are missed also by views that look there.
-fn least_views(scores: &[Score], are_held_back: bool) -> u32 {
-    let total: f64 = scores.iter().map(|score| score.pixels).sum();
-    let within = |views: u32| -> f64 { scores.iter().filter(|s| s.views <= views).map(|s| s.pixels).sum() };
+/// Judging views that have to see each triangle: two, but one where the triangle of the median pixel is seen by three or fewer. In a room
+/// each part of a wall is seen by few views at a time, and a quarter of these judges; of 13 training views three judge. By pixels, since
+/// triangles that are smaller than one are missed also by views that look there. Always two of the shell (`is_far`), which does not count
+/// among these pixels: around an object it has most of them, each part seen by few, and is no surface that anyone has found.
+fn least_views(scores: &[Score], is_far: &[bool], are_held_back: bool) -> Vec<u32> {
+    let pixels = |most: u32| -> f64 {
+        let near = scores.iter().zip(is_far).filter(|(s, is_far)| s.views <= most && !**is_far);
+        near.map(|(s, _)| s.pixels).sum()
+    };
+    let total = pixels(u32::MAX);
     // Views that maps were made from agree with any map that only one of them made.
-    if are_held_back && total > 0.0 && 2.0 * within(3) > total { 1 } else { 2 }
+    let near = if are_held_back && total > 0.0 && 2.0 * pixels(3) > total { 1 } else { 2 };
+    is_far.iter().map(|&is_far| if is_far { 2 } else { near }).collect()
 }
 
 /// Errors averaged over two rings of triangles: those of single ones are noise.
@@ -262,15 +269,24 @@ mod tests {
     }
 
     #[test]
-    fn one_view_is_enough_where_few_see_the_same() {
-        let least = |views: &[(u32, f64)], are_held_back| {
+    fn one_view_is_enough_where_few_see_the_same_but_of_a_shell() {
+        let least = |near: &[(u32, f64)], far: &[(u32, f64)], are_held_back| {
             let seen = |&(views, pixels): &(u32, f64)| Score { views, pixels, ..Score::default() };
-            least_views(&views.iter().map(seen).collect::<Vec<_>>(), are_held_back)
+            let scores: Vec<Score> = near.iter().chain(far).map(seen).collect();
+            let is_far: Vec<bool> = (0..scores.len()).map(|i| i >= near.len()).collect();
+            let least = least_views(&scores, &is_far, are_held_back);
+            let (of_near, of_far) = least.split_at(near.len());
+            assert!(of_far.iter().all(|&views| views == 2) && of_near.windows(2).all(|v| v[0] == v[1]), "{least:?}");
+            of_near.first().copied()
         };
-        assert_eq!(least(&[(0, 0.0), (1, 20.0), (3, 40.0), (9, 50.0)], true), 1);
+        let few = [(0, 0.0), (1, 20.0), (3, 40.0), (9, 50.0)];
+        assert_eq!(least(&few, &[], true), Some(1));
         // Many small ones that single views catch say nothing of the large.
-        assert_eq!(least(&[(1, 1.0), (1, 1.0), (1, 1.0), (5, 9.0)], true), 2);
-        assert_eq!((least(&[(1, 1.0)], false), least(&[(0, 0.0)], true), least(&[], true)), (2, 2, 2));
+        assert_eq!(least(&[(1, 1.0), (1, 1.0), (1, 1.0), (5, 9.0)], &[], true), Some(2));
+        assert_eq!((least(&[(1, 1.0)], &[], false), least(&[(0, 0.0)], &[], true)), (Some(2), Some(2)));
+        // Nor does the shell of the rest.
+        assert_eq!((least(&few, &[(9, 500.0)], true), least(&[(5, 9.0)], &[(1, 500.0)], true)), (Some(1), Some(2)));
+        assert_eq!((least(&[], &[(1, 9.0)], true), least(&[], &[], true)), (None, None));
     }
 
     #[test]
