@@ -26,7 +26,8 @@ const MARGIN: f64 = 0.1;
 const NEARER: f64 = 0.95;
 /// … in more than this part of the views that show anything there: it would float before what they see.
 const HIDING_VIEWS: f64 = 0.25;
-/// Nor is it put nearer to any camera than this part of how near the nearest points are that the camera sees: someone stood there …
+/// Nor is it put before any camera nearer than this part of the depth of the nearest points that the camera sees, or of the distance to the
+/// nearest mesh: the camera was there, and saw past it …
 const CLEAR: f64 = 0.8;
 /// … the nearest but for this part of them, which may be mismatched.
 const WILD: f64 = 0.02;
@@ -56,8 +57,9 @@ impl Known<'_> {
 }
 
 /// Splats in the cells of the views' pictures, and a little beyond, that show no point and no mesh, as deep as the points around them, or
-/// deeper where they would hide what other views see, and in the colours of the photograph; at most `max_splats`, evenly. Round, their
-/// deviation half a cell, of opacity ½. What one view has put somewhere, the next counts among its points.
+/// deeper where they would hide what other views see or be right before a camera, and in the colours of the photograph; at most
+/// `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put somewhere, the next counts among its
+/// points.
 ///
 /// Where a view shows the background there may be nothing, and nothing is put. It shows all points before it, hidden or not: where it
 /// sees a bare wall and there are points behind that, nothing is put either.

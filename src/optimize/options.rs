@@ -94,8 +94,8 @@ pub struct TrainOptions {
     /// On, see docs/results.md.
     pub planar: bool,
     /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
-    /// far background. Its triangles are judged as all others, and it has no vertex that `triangles` counts. Not where
-    /// photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/results.md.
+    /// far background. Its triangles are judged as all others, by two views at least, and it has no vertex that `triangles` counts. Not
+    /// where photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/results.md.
     pub shell: bool,
     /// Iterations between checkpoints, 0 for none but that of a run that is stopped: 2,000.
     pub checkpoint_every: u32,

@@ -40,8 +40,8 @@ impl Run<'_> {
 
     /// Paints the triangles of the shell with the mean of what those views show there that the maps are warmed up on. Only views
     /// count that see all corners of a triangle past the rest.
-    pub(super) fn painted(&self, mesh: Mesh, shell: &Shell) -> Result<Mesh, TrainError> {
-        let is_far = |t: &[u32; 3]| shell.holds(mesh.positions()[t[0] as usize]);
+    pub(super) fn painted(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
+        let is_far = |t: &[u32; 3]| self.is_of_shell(&mesh, t);
         let near: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
         let bvh = MeshBvh::new([(mesh.positions(), near.as_slice())]);
         let base = mesh.atlas().base();

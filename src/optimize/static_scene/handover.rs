@@ -51,10 +51,7 @@ impl<'a> Run<'a> {
             let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), size)?;
             surface::textured_as(unwrapped, self.options, size)
         })?;
-        match &self.shell {
-            Some(shell) => self.painted(mesh, shell),
-            None => Ok(mesh),
-        }
+        if self.shell.is_some() { self.painted(mesh) } else { Ok(mesh) }
     }
 
     /// Renders mesh and splats each alone from `views` and hands on, per view, the two trainings, the camera and at every
