@@ -9,12 +9,14 @@
 Shows where the licences stand, asks for the sizes of all archives and stops where the disk is too small. An interrupted
 download goes on where it stopped. Checksums that publishers give are compared; of the others the first complete download
 is recorded in ARCHIVES/SHA256SUMS (readable by `sha256sum -c`), which later ones must match. Everything of Mip-NeRF 360 is
-there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8 (a).
+there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8 (a). scenes.json says where scenes are
+and with which flags they are trained, for `centaur bench` of the whole folder or of its --scenes.
 """
 
 import argparse
 import hashlib
 import http.client
+import json
 import shlex
 import shutil
 import stat
@@ -55,7 +57,7 @@ class Collection:
     always: tuple = ()
     # SHA-256 of archives, where known.
     sums: dict = field(default_factory=dict)
-    # What `centaur bench` needs to be comparable where that is not the flags of the scenes, and a word to say.
+    # What `centaur bench` needs in place of the flags of the scenes, and a word to say.
     bench: str = ""
     remark: str = ""
 
@@ -74,6 +76,7 @@ CAPTURES = {
         [INRIA + "tandt_db.zip"],
         TANKS + "; Deep Blending: see https://github.com/Phog/DeepBlending",
         dict.fromkeys((*TRUCK_AND_TRAIN, "db/drjohnson", "db/playroom"), ""),
+        remark="published rows are of --scenes truck,train and of --scenes drjohnson,playroom",
     ),
     "tandt": Collection(
         [INRIA + "tandt_db.zip", GOF + "TNT_GOF.zip"],
@@ -82,7 +85,8 @@ CAPTURES = {
         scenes_in={"tandt_db.zip": set(TRUCK_AND_TRAIN), "TNT_GOF.zip": set(OF_GOF)},
         always=TRUCK_AND_TRAIN,
         sums={"TNT_GOF.zip": "772c034d40c1a1332757a7d2b10b91d56ede3e82930c74537278ca09940928ba"},
-        remark="published rows of truck and train are of tandt/truck and tandt/train; Truck is GOF's, larger",
+        remark="published rows are of truck and train: --scenes truck,train; HERA's of five, which it does not name, beside "
+        "--scenes Barn,Caterpillar,Ignatius,truck,train; Truck-larger is GOF's",
     ),
     "nerf_synthetic": Collection(
         [f"{NERFBASELINES}{s}.zip" for s in SYNTHETIC],
@@ -229,12 +233,23 @@ def holds(collection, file):
     return any(url.endswith("/" + file) for url in collection.archives)
 
 
-def bench_flags(collection, scenes):
-    """Flags of `centaur bench` for scenes in one folder: the collection's, or those that all of the scenes train with."""
-    flags = {collection.scenes[s] for s in scenes}
-    if collection.bench or flags == {""} or len(flags) > 1:
-        return collection.bench
-    return f"-- {flags.pop()}"
+def scene_names(collection):
+    """{scene: its name in tables}, of letters that differ in more than their case."""
+    short = {s: PurePosixPath(s).name for s in collection.scenes}
+    lower = [name.lower() for name in short.values()]
+    return {s: f"{name}-larger" if lower.count(name.lower()) > 1 and s in OF_GOF else name for s, name in short.items()}
+
+
+def list_scenes(collection, folder):
+    """Writes folder/scenes.json, from which `centaur bench` knows where scenes are and with which flags each is trained."""
+    names, scenes = scene_names(collection), {}
+    for scene, flags in collection.scenes.items():
+        if is_captured(folder / scene):
+            # Pictures that a flag of `centaur bench` decides are not decided here.
+            scenes[names[scene]] = {"capture": scene, "flags": [] if collection.bench else flags.split()}
+    part = folder / "scenes.json.part"
+    part.write_text(json.dumps({"scenes": scenes}, indent=2) + "\n")
+    part.replace(folder / "scenes.json")
 
 
 def is_captured(folder):
@@ -277,10 +292,9 @@ def fetch(name, folder, mirror=None, names=None):
     for scene in found:
         flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
         print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {Path(scene).name}.glb")
-    for parent in sorted({PurePosixPath(s).parent for s in found}):
-        here = scenes_folder / parent
-        flags = bench_flags(collection, [s for s in found if PurePosixPath(s).parent == parent])
-        print(f"centaur bench {shlex.quote(str(here))} -o {shlex.quote(f'out/{here.name}')} {flags}".rstrip())
+    if found:
+        list_scenes(collection, scenes_folder)
+        print(f"centaur bench {shlex.quote(str(scenes_folder))} -o {shlex.quote(f'out/{name}')} {collection.bench}".rstrip())
     if collection.remark:
         print(f"Note: {collection.remark}.")
     if len(found) < len(scenes):

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import http.server
 import io
+import json
 import re
 import sys
 import tempfile
@@ -224,9 +225,11 @@ class Fetch(unittest.TestCase):
         printed = self.fetch("nerf_synthetic", ["lego"])
         self.assertEqual(Server.paths, ["/x/lego.zip"])
         folder = self.folder / "nerf_synthetic"
-        self.assertEqual(sorted(p.name for p in folder.iterdir()), ["lego"])
+        self.assertEqual(sorted(p.name for p in folder.iterdir()), ["lego", "scenes.json"])
         self.assertIn(f"centaur train {folder / 'lego'} --background white -o lego.glb", printed)
-        self.assertIn(f"centaur bench {folder} -o out/nerf_synthetic -- --background white", printed)
+        self.assertIn(f"centaur bench {folder} -o out/nerf_synthetic\n", printed)
+        listed = json.loads((folder / "scenes.json").read_text())["scenes"]
+        self.assertEqual(listed, {"lego": {"capture": "lego", "flags": ["--background", "white"]}})
 
     def tanks(self, scenes=None):
         """Fetches Tanks and Temples, whose checksum is not that of the archive here."""
@@ -245,9 +248,13 @@ class Fetch(unittest.TestCase):
         self.assertEqual(self.captures(), larger + ["tandt/train", "tandt/truck"], "Deep Blending stays in its archive")
         folder = self.folder / "tandt"
         self.assertIn(f"centaur train {folder / larger[0]} --downscale 2 -o", printed)
-        self.assertIn(f"centaur bench {folder / 'TNT_GOF/TrainingSet'} -o out/TrainingSet -- --downscale 2\n", printed)
         self.assertIn(f"centaur train {folder / 'tandt/train'} -o", printed)
-        self.assertIn(f"centaur bench {folder / 'tandt'} -o out/tandt\n", printed)
+        self.assertIn(f"centaur bench {folder} -o out/tandt\n", printed)
+        listed = json.loads((folder / "scenes.json").read_text())["scenes"]
+        self.assertEqual(listed["Barn"], {"capture": "TNT_GOF/TrainingSet/Barn", "flags": ["--downscale", "2"]})
+        self.assertEqual(listed["truck"], {"capture": "tandt/truck", "flags": []})
+        self.assertIn("Truck-larger", listed, "files of truck and Truck would be one where case does not count")
+        self.assertEqual(len(listed), 8)
         # Both archives are recorded, and not downloaded again: neither for this nor for the other name of INRIA's.
         names = [line.split()[1] for line in (self.folder / "archives/SHA256SUMS").read_text().splitlines()]
         self.assertEqual(sorted(names), ["TNT_GOF.zip", "tandt_db.zip"])

@@ -1,8 +1,9 @@
 //! What there is to do.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::capture;
@@ -99,8 +100,9 @@ pub(super) fn shard(text: &str) -> Result<Shard, String> {
 /// Every scene, variant and seed.
 pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     let scenes = scenes(&args.dataset)?;
-    if let Some(missing) = args.scenes.iter().find(|name| !scenes.contains(name)) {
-        bail!("{}: expected a scene `{missing}`, found {}", args.dataset.display(), scenes.join(", "));
+    if let Some(missing) = args.scenes.iter().find(|name| !scenes.contains_key(*name)) {
+        let found: Vec<&str> = scenes.keys().map(String::as_str).collect();
+        bail!("{}: expected a scene `{missing}`, found {}", args.dataset.display(), found.join(", "));
     }
     let usual = [Variant { name: "default".to_owned(), flags: vec![] }];
     let variants = if args.variants.is_empty() { &usual[..] } else { &args.variants };
@@ -108,7 +110,8 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
         ensure!(variants[..i].iter().all(|v| v.name != variant.name), "--variant {}: given twice", variant.name);
     }
     if let Some(protocol) = args.protocol {
-        let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags));
+        let of_scenes = scenes.values().flat_map(|scene| &scene.flags);
+        let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags)).chain(of_scenes);
         let given = given.find(|flag| chooses_pictures(flag));
         if let Some(flag) = given {
             bail!("--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`");
@@ -117,12 +120,12 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     for (i, seed) in args.seeds.iter().enumerate() {
         ensure!(!args.seeds[..i].contains(seed), "--seeds: {seed} given twice");
     }
-    let wanted = scenes.into_iter().filter(|name| args.scenes.is_empty() || args.scenes.contains(name));
+    let wanted = scenes.into_iter().filter(|(name, _)| args.scenes.is_empty() || args.scenes.contains(name));
     Ok(wanted
-        .flat_map(|scene| {
-            let capture = args.dataset.join(&scene);
+        .flat_map(|(scene, Scene { capture, flags: of_scene })| {
+            let capture = args.dataset.join(capture);
             variants.iter().flat_map(move |variant| {
-                let flags = [args.flags.clone(), variant.flags.clone()].concat();
+                let flags = [of_scene.clone(), args.flags.clone(), variant.flags.clone()].concat();
                 let (scene, capture) = (scene.clone(), capture.clone());
                 args.seeds.iter().map(move |&seed| Job {
                     result: args.output.join(&variant.name).join(format!("{scene}-{seed}.json")),
@@ -216,24 +219,68 @@ impl Job {
     }
 }
 
-/// Names of the folders that hold a capture.
-fn scenes(dataset: &Path) -> Result<Vec<String>> {
-    let mut names = vec![];
+/// A capture of a data set.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Scene {
+    /// Its folder, from that of the data set on.
+    capture: PathBuf,
+    /// Flags of `centaur train` for it, which those of the command replace.
+    #[serde(default)]
+    flags: Vec<String>,
+}
+
+/// What `scenes.json` holds.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Listed {
+    scenes: BTreeMap<String, Scene>,
+}
+
+/// By name: those that the folder's `scenes.json` lists, else its folders that hold a capture.
+fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
+    let list = dataset.join("scenes.json");
+    if list.is_file() {
+        return listed(&list);
+    }
+    let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(dataset).with_context(|| dataset.display().to_string())? {
         let path = entry.with_context(|| dataset.display().to_string())?.path();
         // One that has lost its cameras is to fail by its name, not to be missing from the table.
         let is_one = capture::is_capture(&path) || path.join("sparse").is_dir();
         if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| is_one) {
-            names.push(name.to_owned());
+            found.insert(name.to_owned(), Scene { capture: name.into(), flags: vec![] });
         }
     }
-    names.sort();
     ensure!(
-        !names.is_empty(),
+        !found.is_empty(),
         "{}: expected folders with a COLMAP model or transforms.json, found none",
         dataset.display()
     );
-    Ok(names)
+    Ok(found)
+}
+
+/// Reads `scenes.json`. Its names become those of files, and its folders lie within its own.
+fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
+    let here = || list.display().to_string();
+    let Listed { scenes } = serde_json::from_slice(&std::fs::read(list).with_context(here)?).with_context(here)?;
+    ensure!(!scenes.is_empty(), "{}: expected scenes, found none", here());
+    for (name, scene) in &scenes {
+        let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        ensure!(
+            !name.is_empty() && name.chars().all(safe),
+            "{}: expected names of letters, digits, - and _, found `{name}`",
+            here()
+        );
+        let is_within = scene.capture.components().all(|part| matches!(part, Component::Normal(_)));
+        ensure!(
+            is_within && !scene.capture.as_os_str().is_empty(),
+            "{}: expected the folder of {name} within its own, found {}",
+            here(),
+            scene.capture.display()
+        );
+    }
+    Ok(scenes)
 }
 
 /// Flags for the size of a scene's pictures.
@@ -326,6 +373,35 @@ mod tests {
         let mut sorted = names.clone();
         sorted.sort();
         assert_eq!(shared, sorted);
+    }
+
+    #[test]
+    fn a_list_of_scenes_says_where_they_are_and_how_they_train() {
+        let folder = dataset(&["more/Barn", "tandt/truck", "stray"]);
+        let list = folder.path().join("scenes.json");
+        let write = |text: &str| std::fs::write(&list, text).unwrap();
+        write(
+            r#"{"scenes": {"truck": {"capture": "tandt/truck"},
+                           "Barn": {"capture": "more/Barn", "flags": ["--downscale", "2"]}}}"#,
+        );
+        let all = all(&args(folder.path(), &["--", "--antialias"])).unwrap();
+        assert_eq!(all.iter().map(Job::name).collect::<Vec<_>>(), ["default/Barn-0", "default/truck-0"]);
+        assert_eq!(all[0].flags, ["--downscale", "2", "--antialias"], "the command's replace those of the scene");
+        assert_eq!((&all[1].capture, all[1].flags.len()), (&folder.path().join("tandt/truck"), 1));
+        all.iter().for_each(|job| job.check().unwrap());
+        let error = |text: &str| {
+            write(text);
+            format!("{:#}", super::all(&args(folder.path(), &["--protocol", "b"])).unwrap_err())
+        };
+        for capture in ["../elsewhere", "/tmp", "", "tandt/../../x"] {
+            let found = error(&format!(r#"{{"scenes": {{"a": {{"capture": "{capture}"}}}}}}"#));
+            assert!(found.contains("scenes.json: expected the folder of a within its own"), "{found}");
+        }
+        assert!(error(r#"{"scenes": {"a/b": {"capture": "tandt/truck"}}}"#).contains("found `a/b`"));
+        assert!(error(r#"{"scenes": {}}"#).contains("expected scenes, found none"));
+        assert!(error("{").contains("scenes.json"));
+        let both = error(r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
+        assert_eq!(both, "--protocol b: expected no flag for the pictures, which it decides, found `--downscale=2`");
     }
 
     #[test]
