@@ -33,7 +33,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup ablations equal-floats scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -281,6 +281,9 @@ equal-floats: system ## hybrid against splats alone at equal floats and three bu
 
 ablations: system ## what each choice of the hybrid is worth, on all captures at hand (ABLATIONS_ARGUMENTS="--scenes demo")
 	scripts/ablations.sh $(ABLATIONS_ARGUMENTS)
+
+order-modes: system .venv/installed ## what an order that holds over a splat is worth where splats lie near surfaces: stable and surface-consistent beside direct, true surfaces given
+	ORDER_MODES_PYTHON=.venv/bin/python scripts/order-modes.sh $(ORDER_MODES_ARGUMENTS)
 
 scales: system ## hybrid and splats alone at half to four times the size that they were trained at, with and without filters, on captures in CENTAUR_DATA
 	scripts/scales.sh

@@ -23,14 +23,14 @@ COLUMNS = [
 ]
 
 
-def results(folder):
-    """{scene: {variant: [evaluation of every seed]}} of one budget."""
+def results(folder, variants=VARIANTS):
+    """{scene: {variant: [evaluation of every seed]}} of one folder of `centaur bench`, by file name."""
     scenes = {}
-    for variant in VARIANTS:
+    for variant in variants:
         for file in sorted((folder / variant).glob("*.json")):
             result = json.loads(file.read_text())
             if "job" in result:
-                scenes.setdefault(result["job"]["scene"], {v: [] for v in VARIANTS})[variant].append(result["evaluation"])
+                scenes.setdefault(result["job"]["scene"], {v: [] for v in variants})[variant].append(result["evaluation"])
     return scenes
 
 

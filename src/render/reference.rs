@@ -6,6 +6,7 @@ mod layers;
 mod margin;
 mod mean_rays;
 mod mesh;
+mod order_flips;
 mod parameters;
 mod ray;
 #[cfg(test)]
@@ -18,6 +19,7 @@ pub use backward::{ScreenStatistics, backward, backward_parameters};
 pub use layers::{Layers, render_layers};
 pub use margin::{Margin, margins, render_with_margins};
 pub use mean_rays::{MeanRays, render_by_mean_rays};
+pub use order_flips::{OrderFlips, order_flips};
 pub use parameters::{Parameter, Parameters, finite_difference};
 
 use super::contract::{self, MAX_LAYERS, SurfaceDepth};

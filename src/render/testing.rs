@@ -49,7 +49,7 @@ fn random_texture(
 }
 
 /// A grid of `cells` quads with UVs over the whole atlas (and a little beyond its border), `place`d in world space.
-fn grid_mesh(cells: [u32; 2], atlas: Atlas, place: impl Fn(f64, f64) -> Vec3) -> Mesh {
+pub(crate) fn grid_mesh(cells: [u32; 2], atlas: Atlas, place: impl Fn(f64, f64) -> Vec3) -> Mesh {
     let uv = |x: u32, y: u32| Vec2::new(x as f32 / cells[0] as f32, y as f32 / cells[1] as f32);
     let corner = |x: u32, y: u32| y * (cells[0] + 1) + x;
     let mut positions = Vec::new();

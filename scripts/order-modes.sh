@@ -1,0 +1,32 @@
+#!/usr/bin/env bash
+# Stable and surface-consistent against direct order where splats lie near surfaces: scenes whose true surface is known (the demo, and those of
+# `make unbounded-captures` as far as they are there), given as the mesh, so that runs differ in the order alone.
+# `order-modes.sh [options of centaur bench]`, such as `--seeds 0,1,2`; about 1 minute a run on 2 cores without a GPU. What is done is not
+# done again. Results go to out/order-modes/SCENE, one table of all differences to out/order-modes/table.md.
+# ORDER_MODES_FLAGS="--iterations 300" (in place of those below), ORDER_MODES_OUT=FOLDER, ORDER_MODES_CENTAUR=PROGRAM,
+# ORDER_MODES_PYTHON=PROGRAM (with numpy and pillow, for the surfaces of all but the demo).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+scenes=target/order-modes
+out=${ORDER_MODES_OUT:-out/order-modes}
+read -ra flags <<<"${ORDER_MODES_FLAGS:---max-side 176 --iterations 800 --warmup 240 --max-floats 600000 --texture-size 256 --band-degree 0}"
+centaur=(cargo run --release --quiet --)
+[ -z "${ORDER_MODES_CENTAUR:-}" ] || centaur=("$ORDER_MODES_CENTAUR")
+mkdir -p $scenes "$out"
+. scripts/link-captures.sh
+
+# A bench that is stopped ends in its own way, which a shell takes for the end of that command alone.
+trap 'exit 130' INT
+failed=0
+for scene in demo garden street room; do
+    [ -d "$scenes/$scene/" ] || continue
+    truth="$out/$scene.ply"
+    [ -f "$truth" ] || "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth"
+    "${centaur[@]}" bench $scenes --scenes $scene -o "$out/$scene" "$@" \
+        --variant stable="--mode stable" \
+        --variant surface-consistent="--mode surface-consistent" \
+        --variant direct="--mode direct" \
+        -- "${flags[@]}" --mesh "$truth" --layers 1 --antialias --density mcmc || failed=1
+done
+python3 scripts/order_modes_table.py "$out" | tee "$out/table.md"
+exit $failed
