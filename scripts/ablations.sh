@@ -29,7 +29,7 @@ centaur=(cargo run --release --quiet --)
     --variant hybrid \
     --variant splats=--no-mesh \
     --variant direct="--mode direct" \
-    --variant surface-consistent="--mode surface-consistent" \
+    --variant stable="--mode stable" \
     --variant layers-2="--layers 2" \
     --variant layers-4="--layers 4" \
     --variant lambda-0="--lambda 0" \

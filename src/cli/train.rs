@@ -168,8 +168,8 @@ pub(super) struct Args {
           value_parser = clap::value_parser!(u32).range(0..=3))]
     band_degree: u32,
 
-    /// Rule for the order of splats and mesh
-    #[arg(long, value_enum, default_value_t = Mode::Stable, help_heading = COMPOSITION)]
+    /// Rule for the order of splats and mesh (HERA: stable)
+    #[arg(long, value_enum, default_value_t = Mode::SurfaceConsistent, help_heading = COMPOSITION)]
     mode: Mode,
     /// How far a mesh pixel must lie in front of a splat to override its order, relative to the extent of the
     /// cameras; `inf` turns the override off (HERA: 5 cm on heads; 0.01 is ours for static scenes)
@@ -206,9 +206,9 @@ enum DensityKind {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Mode {
-    /// One decision per splat and layer (HERA)
+    /// One decision per splat and layer; a splat whose mean is outside the picture is behind (HERA)
     Stable,
-    /// As stable, but only where the pixel shows the surface that was decided on
+    /// As stable where the pixel shows the surface that was decided on, as direct elsewhere
     SurfaceConsistent,
     /// Per pixel; the order flickers
     Direct,
