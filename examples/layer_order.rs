@@ -5,30 +5,21 @@
 
 #![allow(clippy::print_stdout, reason = "a program that reports")]
 
+mod held_out;
+
 use std::error::Error;
-use std::path::Path;
 use std::time::Instant;
 
-use centaur::capture::{self, Downscale, LoadOptions, Split};
-use centaur::format::read_scene;
+use centaur::capture;
 use centaur::geometry::MeshBvh;
 use centaur::metrics::psnr;
 use centaur::render::reference::{Image, render, render_by_mean_rays};
 use image::{Rgb, Rgb32FImage};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let [scene, folder, side] = std::env::args()
-        .skip(1)
-        .collect::<Vec<_>>()
-        .try_into()
-        .map_err(|_| "usage: layer_order SCENE CAPTURE MAX_SIDE")?;
-    let scene = read_scene(Path::new(&scene))?;
-    let options = LoadOptions { downscale: Downscale::MaxSide(side.parse()?), ..LoadOptions::default() };
-    let capture = capture::open(Path::new(&folder), &options)?;
+    let held_out::HeldOut { scene, views: held_out, .. } = held_out::open("layer_order")?;
     let (mut sums, mut count) = ([0.0; 2], [0; 4]);
-    let (_, held_out) = Split::Every8th.split(&capture.views);
-    for &i in &held_out {
-        let view = &capture.views[i];
+    for view in &held_out {
         let photo = capture::decode(view)?;
         let truth = Rgb32FImage::from_fn(photo.width, photo.height, |x, y| {
             let at = 4 * (y * photo.width + x) as usize;
@@ -60,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let built = start.elapsed();
     let start = Instant::now();
     let mut hits = 0;
-    for camera in held_out.iter().map(|&i| capture.views[i].camera.center()) {
+    for camera in held_out.iter().map(|view| view.camera.center()) {
         hits += scene.splats.means().iter().map(|p| bvh.all_hits(camera, p.as_dvec3() - camera).len()).sum::<usize>();
     }
     let rays = held_out.len() * scene.splats.len();

@@ -6,31 +6,22 @@
 
 #![allow(clippy::print_stdout, reason = "a program that reports")]
 
-use std::{error::Error, path::Path};
+mod held_out;
 
-use centaur::capture::{self, Downscale, LoadOptions, Split};
-use centaur::format::read_scene;
+use std::error::Error;
+
 use centaur::render::reference::{OrderFlips, order_flips};
 use centaur::scene::{Camera, OrderMode};
 use glam::DVec3;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let [scene, folder, side] = std::env::args()
-        .skip(1)
-        .collect::<Vec<_>>()
-        .try_into()
-        .map_err(|_| "usage: order_flips SCENE CAPTURE MAX_SIDE")?;
-    let mut scene = read_scene(Path::new(&scene))?;
-    let options = LoadOptions { downscale: Downscale::MaxSide(side.parse()?), ..LoadOptions::default() };
-    let capture = capture::open(Path::new(&folder), &options)?;
-    let (_, held_out) = Split::Every8th.split(&capture.views);
+    let held_out::HeldOut { mut scene, views, points } = held_out::open("order_flips")?;
     for mode in [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct] {
         scene.composition.mode = mode;
         let mut flips = OrderFlips::default();
-        for &i in &held_out {
-            let camera = &capture.views[i].camera;
-            let mut depths: Vec<f64> =
-                capture.points.iter().map(|p| camera.to_camera(p.position).z).filter(|z| *z > 0.0).collect();
+        for view in &views {
+            let camera = &view.camera;
+            let mut depths: Vec<f64> = points.iter().map(|p| camera.to_camera(*p).z).filter(|z| *z > 0.0).collect();
             depths.sort_by(f64::total_cmp);
             let step = 0.01 * depths.get(depths.len() / 2).ok_or("a view has no points before it")?;
             let moved = camera.translation() - DVec3::X * step;
