@@ -24,13 +24,13 @@ COLUMNS = [
 
 
 def results(folder, variants=VARIANTS):
-    """{scene: {variant: [evaluation of every seed]}} of one folder of `centaur bench`, by file name."""
+    """{scene: {variant: [evaluation of every seed]}} of one folder of `centaur bench`, each with its seed."""
     scenes = {}
     for variant in variants:
         for file in sorted((folder / variant).glob("*.json")):
             result = json.loads(file.read_text())
             if "job" in result:
-                scenes.setdefault(result["job"]["scene"], {v: [] for v in variants})[variant].append(result["evaluation"])
+                scenes.setdefault(result["job"]["scene"], {v: [] for v in variants})[variant].append({**result["evaluation"], "seed": result["job"]["seed"]})
     return scenes
 
 

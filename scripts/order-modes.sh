@@ -21,7 +21,10 @@ failed=0
 for scene in demo garden street room; do
     [ -d "$scenes/$scene/" ] || continue
     truth="$out/$scene.ply"
-    [ -f "$truth" ] || "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth"
+    if [ ! -f "$truth" ]; then
+        "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth.part"
+        mv "$truth.part" "$truth"
+    fi
     "${centaur[@]}" bench $scenes --scenes $scene -o "$out/$scene" "$@" \
         --variant stable="--mode stable" \
         --variant surface-consistent="--mode surface-consistent" \

@@ -20,7 +20,8 @@ COLUMNS = [
 
 def differences(runs, variant, value):
     """Of pairs of one seed each."""
-    pairs = [(value(a), value(b)) for a, b in zip(runs[variant], runs[DIRECT])]
+    direct = {e["seed"]: e for e in runs[DIRECT]}
+    pairs = [(value(e), value(direct[e["seed"]])) for e in runs[variant]]
     return [a - b for a, b in pairs if None not in (a, b)]
 
 
@@ -49,7 +50,7 @@ def table(folder):
     lines, whole = [head, ["---"] * 2 + ["---:"] * (len(head) - 2)], []
     for bench in sorted(path for path in folder.iterdir() if path.is_dir()):
         for scene, runs in results(bench, (*COMPARED, DIRECT)).items():
-            if len({len(of) for of in runs.values()}) > 1:
+            if len({frozenset(e["seed"] for e in of) for of in runs.values()}) > 1:
                 print(f"{scene}: left out, not all of its runs are done", file=sys.stderr)
                 continue
             whole.append(runs)
