@@ -59,6 +59,8 @@ class Collection:
     sums: dict = field(default_factory=dict)
     # What `centaur bench` needs in place of the flags of the scenes, and a word to say.
     bench: str = ""
+    # Names of scenes whose means stand beside published rows where those of all do not, with the name of their table.
+    tables: dict = field(default_factory=dict)
     remark: str = ""
 
 
@@ -76,7 +78,7 @@ CAPTURES = {
         [INRIA + "tandt_db.zip"],
         TANKS + "; Deep Blending: see https://github.com/Phog/DeepBlending",
         dict.fromkeys((*TRUCK_AND_TRAIN, "db/drjohnson", "db/playroom"), ""),
-        remark="published rows are of --scenes truck,train and of --scenes drjohnson,playroom",
+        tables={"tandt": ("truck", "train"), "db": ("drjohnson", "playroom")},
     ),
     "tandt": Collection(
         [INRIA + "tandt_db.zip", GOF + "TNT_GOF.zip"],
@@ -85,8 +87,8 @@ CAPTURES = {
         scenes_in={"tandt_db.zip": set(TRUCK_AND_TRAIN), "TNT_GOF.zip": set(OF_GOF)},
         always=TRUCK_AND_TRAIN,
         sums={"TNT_GOF.zip": "772c034d40c1a1332757a7d2b10b91d56ede3e82930c74537278ca09940928ba"},
-        remark="published rows are of truck and train: --scenes truck,train; HERA's of five, which it does not name, beside "
-        "--scenes Barn,Caterpillar,Ignatius,truck,train; Truck-larger is GOF's",
+        tables={"truck-and-train": ("truck", "train"), "five": ("Barn", "Caterpillar", "Ignatius", "truck", "train")},
+        remark="HERA does not name its five scenes, which may be others; Truck-larger is GOF's",
     ),
     "nerf_synthetic": Collection(
         [f"{NERFBASELINES}{s}.zip" for s in SYNTHETIC],
@@ -294,7 +296,12 @@ def fetch(name, folder, mirror=None, names=None):
         print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {Path(scene).name}.glb")
     if found:
         list_scenes(collection, scenes_folder)
-        print(f"centaur bench {shlex.quote(str(scenes_folder))} -o {shlex.quote(f'out/{name}')} {collection.bench}".rstrip())
+        bench = f"centaur bench {shlex.quote(str(scenes_folder))}"
+        print(f"{bench} -o {shlex.quote(f'out/{name}')} {collection.bench}".rstrip())
+        short = scene_names(collection)
+        for table, of in collection.tables.items():
+            if set(of) <= {short[s] for s in found}:
+                print(f"{bench} --scenes {','.join(of)} -o out/{table}")
     if collection.remark:
         print(f"Note: {collection.remark}.")
     if len(found) < len(scenes):

@@ -250,6 +250,8 @@ class Fetch(unittest.TestCase):
         self.assertIn(f"centaur train {folder / larger[0]} --downscale 2 -o", printed)
         self.assertIn(f"centaur train {folder / 'tandt/train'} -o", printed)
         self.assertIn(f"centaur bench {folder} -o out/tandt\n", printed)
+        self.assertIn(f"centaur bench {folder} --scenes truck,train -o out/truck-and-train\n", printed)
+        self.assertIn(f"centaur bench {folder} --scenes Barn,Caterpillar,Ignatius,truck,train -o out/five\n", printed)
         listed = json.loads((folder / "scenes.json").read_text())["scenes"]
         self.assertEqual(listed["Barn"], {"capture": "TNT_GOF/TrainingSet/Barn", "flags": ["--downscale", "2"]})
         self.assertEqual(listed["truck"], {"capture": "tandt/truck", "flags": []})
@@ -265,7 +267,9 @@ class Fetch(unittest.TestCase):
 
     def test_truck_and_train_come_with_any_scene_of_tanks_and_temples(self):
         Server.contents = TANKS
-        self.tanks(["Barn"])
+        printed = self.tanks(["Barn"])
+        self.assertIn("--scenes truck,train", printed)
+        self.assertNotIn("Ignatius", printed)
         self.assertEqual(self.captures(), ["TNT_GOF/TrainingSet/Barn", "tandt/train", "tandt/truck"])
 
     def test_truck_and_train_alone_need_one_archive(self):

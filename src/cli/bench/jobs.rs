@@ -110,11 +110,21 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
         ensure!(variants[..i].iter().all(|v| v.name != variant.name), "--variant {}: given twice", variant.name);
     }
     if let Some(protocol) = args.protocol {
-        let of_scenes = scenes.values().flat_map(|scene| &scene.flags);
-        let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags)).chain(of_scenes);
+        let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags));
         let given = given.find(|flag| chooses_pictures(flag));
         if let Some(flag) = given {
             bail!("--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`");
+        }
+        // Scenes of other names are taken as they are, with their own flags.
+        let decides = |name: &str| !size_of(name, protocol).is_empty();
+        let mut of_scenes = scenes
+            .iter()
+            .filter(|(name, _)| decides(name))
+            .flat_map(|(name, s)| s.flags.iter().map(move |flag| (name, flag)));
+        if let Some((name, flag)) = of_scenes.find(|(_, flag)| chooses_pictures(flag)) {
+            bail!(
+                "--protocol {protocol}: expected scenes.json without flags for the pictures of {name}, which it decides, found `{flag}`"
+            );
         }
     }
     for (i, seed) in args.seeds.iter().enumerate() {
@@ -400,8 +410,11 @@ mod tests {
         assert!(error(r#"{"scenes": {"a/b": {"capture": "tandt/truck"}}}"#).contains("found `a/b`"));
         assert!(error(r#"{"scenes": {}}"#).contains("expected scenes, found none"));
         assert!(error("{").contains("scenes.json"));
-        let both = error(r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
-        assert_eq!(both, "--protocol b: expected no flag for the pictures, which it decides, found `--downscale=2`");
+        let both = error(r#"{"scenes": {"room": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
+        let expected = "--protocol b: expected scenes.json without flags for the pictures of room, which it decides";
+        assert_eq!(both, format!("{expected}, found `--downscale=2`"));
+        write(r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
+        assert_eq!(super::all(&args(folder.path(), &["--protocol", "b"])).unwrap()[0].flags, ["--downscale=2"]);
     }
 
     #[test]

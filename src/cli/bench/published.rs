@@ -142,6 +142,7 @@ static KNOWN: [Known; 5] = [
     Known {
         scenes: &["Barn", "Caterpillar", "Ignatius", "train", "truck"],
         pictures: Pictures::Sized,
+        // About half of the larger three's, all of truck's 979 and train's 980.
         longer_side: 950..=1000,
         note: "five scenes of Tanks and Temples as HERA's paper prints them, which does not name them: whether they are these is not known; LPIPS by \
                VGG of colours 0…1",
