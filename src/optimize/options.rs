@@ -77,7 +77,7 @@ pub struct TrainOptions {
     pub background: Background,
     /// Mesh layers per pixel, 1, 2 or 4: 2 (HERA does not say how many).
     pub layers: u32,
-    /// Depth order of splats against layers: surface-consistent, which has more of static captures (`docs/results.md`); HERA's is stable.
+    /// Depth order of splats against layers: surface-consistent, which scores best on static captures (`docs/results.md`); HERA's is stable.
     pub mode: OrderMode,
     /// λ as a fraction of the capture's extent: 0.01 (HERA has 5 cm, but captures have no metric scale).
     #[serde(deserialize_with = "infinite_if_null")]
