@@ -33,7 +33,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -138,6 +138,12 @@ $(BENCH_RAY)/installed:
 	$(PYTHON) -m venv $(BENCH_RAY)
 	$(BENCH_RAY)/bin/pip install --quiet --disable-pip-version-check ray==2.60.0
 	touch $@
+
+bench-slurm: ## `centaur bench` as an array of Slurm, two nodes on this machine (Debian's slurm-wlm, as root; 2 minutes)
+	@export PATH=$$PATH:/usr/sbin; for daemon in slurmctld slurmd munged; do command -v $$daemon >/dev/null || { scripts/install.sh slurm-wlm munge; break; }; done
+	cargo build --release --quiet
+	@rm -rf target/bench-slurm && mkdir -p target/bench-slurm
+	$(PYTHON) tests/oracles/check_bench_slurm.py target/release/centaur demo target/bench-slurm
 
 oracle-colmap: $(ORACLES)/installed ## COLMAP's camera models by pycolmap
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
