@@ -28,7 +28,7 @@ fn options(density: Density) -> TrainOptions {
         warmup: 20,
         surface_iterations: Some(30),
         density,
-        max_splats: 1500,
+        max_splats: Some(1500),
         sh_degree: 1,
         texture_size: Some(64),
         checkpoint_every: 0,

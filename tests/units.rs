@@ -29,7 +29,7 @@ fn psnr(gpu: &Gpu, unit: f64, mesh: &MeshSource) -> f64 {
         surface_iterations: Some(150),
         warmup: 60,
         // So few that the maps are worth their texels.
-        max_splats: 600,
+        max_splats: Some(600),
         triangles: 2000,
         layers: 1,
         texture_size: Some(128),

@@ -69,9 +69,10 @@ pub(super) struct Args {
     /// How splats are added and removed
     #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
     density: DensityKind,
-    /// Most splats there may be; also limited by the largest buffer that the adapter binds
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().max_splats, value_parser = at_least_one, help_heading = OPTIMISATION)]
-    max_splats: usize,
+    /// Most splats there may be, which MCMC comes to if this is given; also limited by the largest buffer that the adapter binds. Without
+    /// it, and without a number of floats, MCMC adds 5 % a step, up to 1000000
+    #[arg(long, value_name = "N", value_parser = at_least_one, help_heading = OPTIMISATION)]
+    max_splats: Option<usize>,
     /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
           value_parser = clap::value_parser!(u32).range(0..=3))]
@@ -122,7 +123,8 @@ pub(super) struct Args {
     /// Update every texel of the maps in every iteration instead of those that its view sees (HERA)
     #[arg(long, help_heading = OPTIMISATION)]
     dense_texels: bool,
-    /// Most floats in splats, maps and vertices together; limits the splats, and maps that are not laid out anew; for comparisons at equal size
+    /// Most floats in splats, maps and vertices together; limits the splats, which MCMC brings up to it, and maps that are not laid out
+    /// anew; for comparisons at equal size
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     max_floats: Option<usize>,
     /// As --max-floats, by what they take as f32, in megabytes of 10⁶ bytes
@@ -500,8 +502,8 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
     });
     let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
-    // Nobody has asked for the default, and few runs come to it: those are told at the end.
-    let asks = args.max_splats > most && args.max_splats != TrainOptions::default().max_splats;
+    // Few runs come to what nobody has asked for: those are told at the end.
+    let asks = args.max_splats.is_some_and(|asked| asked > most);
     let too_many = asks.then(|| {
         format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
     });
@@ -514,8 +516,9 @@ fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
     if grown >= optimize::most_splats(gpu, args.sh_degree) {
         return Some(format!("{grown} splats are all that {} binds: on another there might be more", gpu.adapter()));
     }
-    let is_held_back = !matches!(args.density, DensityKind::Mcmc) && grown >= args.max_splats;
-    is_held_back.then(|| format!("--max-splats {} was reached: without it there would be more", args.max_splats))
+    let most = args.max_splats.unwrap_or(TrainOptions::MOST_SPLATS);
+    let is_held_back = !matches!(args.density, DensityKind::Mcmc) && grown >= most;
+    is_held_back.then(|| format!("there were {most} splats: with a larger --max-splats there would be more"))
 }
 
 /// What an interrupted run left stays, under the name that is returned, where this one does not go on from it.

@@ -61,10 +61,11 @@ pub struct TrainOptions {
     /// Density control: MCMC. The paper builds on INRIA's, which reaches less in short runs at any number of splats
     /// (demo capture, after 800 iterations: 24.3 dB with 27,700 splats, MCMC 25.6 dB with 18,400).
     pub density: Density,
-    /// No more splats than this: 1,000,000.
-    pub max_splats: usize,
-    /// No more floats than this in splats, maps and vertices together; limits the splats, and to half of it, as far as charts have room, maps
-    /// that are not laid out anew. For comparisons.
+    /// No more splats than this, which MCMC comes to by its last density step; if not set, no more than [`Self::MOST_SPLATS`], for which
+    /// it does not hurry.
+    pub max_splats: Option<usize>,
+    /// No more floats than this in splats, maps and vertices together; limits the splats, which MCMC brings up to it, and to half of it, as
+    /// far as charts have room, maps that are not laid out anew. For comparisons.
     pub max_floats: Option<usize>,
     /// Only splats seen by an iteration's view are updated: off (3DGS updates all).
     pub visible_only: bool,
@@ -104,6 +105,15 @@ pub struct TrainOptions {
 }
 
 impl TrainOptions {
+    /// Most splats of a run for which no number is asked.
+    pub const MOST_SPLATS: usize = 1_000_000;
+
+    /// Whether somebody has said how large the scene is to become.
+    #[must_use]
+    pub fn asks_for_size(&self) -> bool {
+        self.max_splats.is_some() || self.max_floats.is_some()
+    }
+
     /// Iterations on splats alone, if a surface is made of them.
     #[must_use]
     pub fn before_surface(&self) -> u32 {
@@ -130,7 +140,7 @@ impl Default for TrainOptions {
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,
-            max_splats: 1_000_000,
+            max_splats: None,
             max_floats: None,
             visible_only: false,
             dense_texels: false,

@@ -136,6 +136,15 @@ impl Schedule {
         t > self.densify_from && t < self.densify_until && t.is_multiple_of(self.densify_interval)
     }
 
+    /// Density steps after iteration `t` and later.
+    #[must_use]
+    pub fn density_steps_from(&self, t: u32) -> u32 {
+        // The last one is before `densify_until`, the first after `densify_from`.
+        let steps_before = |t: u32| t.saturating_sub(1) / self.densify_interval.max(1);
+        let begin = t.max(self.densify_from.saturating_add(1));
+        steps_before(self.densify_until).saturating_sub(steps_before(begin))
+    }
+
     /// True if splats are pruned for their size at iteration `t`.
     #[must_use]
     pub fn prunes_large(&self, t: u32) -> bool {
@@ -299,6 +308,20 @@ mod tests {
         let mcmc = Schedule::new(30_000).for_mcmc();
         assert_eq!(mcmc.handed_over(15_000), Schedule { opacity_reset_from: 15_000, ..mcmc });
         assert!(Schedule::new(20).handed_over(20).densify_until <= 20);
+    }
+
+    #[test]
+    fn density_steps_that_are_left_are_counted() {
+        for iterations in [0, 10, 20, 100, 800, 3001] {
+            for schedule in [Schedule::new(iterations), Schedule::new(iterations).for_mcmc()] {
+                for schedule in [schedule, schedule.handed_over(iterations / 3)] {
+                    for t in 0..=iterations + 1 {
+                        let left = (t..=iterations).filter(|t| schedule.densifies_after(*t)).count();
+                        assert_eq!(schedule.density_steps_from(t) as usize, left, "{t} of {schedule:?}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]

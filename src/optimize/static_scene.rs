@@ -516,7 +516,8 @@ impl<'a> Run<'a> {
         let mesh: usize = meshes.iter().map(Mesh::floats).sum();
         let left = |floats: usize| floats.saturating_sub(mesh) / Splats::floats_each(self.options.sh_degree);
         let by_floats = self.options.max_floats.map_or(usize::MAX, |floats| left(floats).max(1));
-        self.options.max_splats.min(by_floats).min(memory::most_splats(self.session.gpu, self.options.sh_degree))
+        let asked = self.options.max_splats.unwrap_or(TrainOptions::MOST_SPLATS);
+        asked.min(by_floats).min(memory::most_splats(self.session.gpu, self.options.sh_degree))
     }
 
     fn finish(

@@ -224,7 +224,7 @@ mod tests {
                 iterations: 120,
                 warmup: 120,
                 surface_iterations: Some(60),
-                max_splats: 800,
+                max_splats: Some(800),
                 texture_size: Some(128),
                 shell,
                 checkpoint_every: 0,

@@ -318,7 +318,10 @@ impl Run<'_> {
                     inria::densify(&mut splats, statistics, &options, age, o.seed);
                 }
                 Density::Mcmc => {
-                    let options = McmcOptions::new(max_splats, plan.has_mesh);
+                    let mut options = McmcOptions::new(max_splats, plan.has_mesh);
+                    if o.asks_for_size() {
+                        options = options.arriving_in(schedule.density_steps_from(age), splats.len());
+                    }
                     // After a handover less than an interval may have passed.
                     epoch.add(statistics, schedule.densify_interval.min(done));
                     let views = self.train.len() as u32;

@@ -27,7 +27,7 @@ fn options() -> TrainOptions {
         iterations: 20,
         warmup: 10,
         surface_iterations: Some(40),
-        max_splats: 1500,
+        max_splats: Some(1500),
         texture_size: Some(64),
         checkpoint_every: 0,
         eval_every: 0,
@@ -277,7 +277,7 @@ fn without_a_surface_splats_are_trained_alone() {
     let (gpu, folder, stop) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap(), AtomicBool::new(false));
     let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
     // Hardly any splats, all transparent by the end of the surface phase.
-    let options = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: 5, ..options() };
+    let options = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: Some(5), ..options() };
     for source in [MeshSource::Splats, MeshSource::Points] {
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, source, &options, session).unwrap();
@@ -428,7 +428,7 @@ fn a_few_wild_points_do_little_harm() {
         point.position = centers[i % centers.len()] + reach * direction;
     }
     let options =
-        TrainOptions { iterations: 100, warmup: 40, surface_iterations: Some(50), max_splats: 2000, ..options() };
+        TrainOptions { iterations: 100, warmup: 40, surface_iterations: Some(50), max_splats: Some(2000), ..options() };
     for source in [MeshSource::Points, MeshSource::Splats] {
         let [clean, wild] = [&clean, &wild].map(|capture| {
             let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };

@@ -47,12 +47,12 @@ fn each_photograph_has_its_own_alpha() {
         });
         let stop = AtomicBool::new(false);
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        let options = TrainOptions { iterations: 60, ..options() };
+        let options = TrainOptions { iterations: 30, ..options() };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         trained.history.iter().map(|p| p.loss).collect::<Vec<_>>()
     };
     let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(losses);
-    assert!(red.len() == 6 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
+    assert!(red.len() == 3 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
 }
 
 /// Also where undistorted frames reach outside the photographs, which is a mask and no alpha.
