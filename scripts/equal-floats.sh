@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Hybrid against splats alone at equal floats and three budgets, the same code, MCMC and Mip-Splatting's filters on both:
 # `equal-floats.sh [options of centaur bench]`, such as `--scenes demo` or `--seeds 0,1`. On the demo capture, those of $CENTAUR_DATA and
-# those of `make unbounded-captures`, as far as they are there; about 1 minute a run on 2 cores without a GPU. What is done is not done
+# those of `make unbounded-captures`, as far as they are there; 1 to 2 minutes a run on 2 cores without a GPU. What is done is not done
 # again. Results go to out/equal-floats/BUDGET, one table of all to out/equal-floats/table.md.
 # EQUAL_FLOATS_BUDGETS="400000 800000", EQUAL_FLOATS_FLAGS="--iterations 300" (in place of those below), EQUAL_FLOATS_OUT=FOLDER,
 # EQUAL_FLOATS_LPIPS=out/lpips-vgg.safetensors (of `make lpips-weights`: scores LPIPS, too; a path from the root of the repository).
@@ -9,8 +9,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 scenes=target/equal-floats
 out=${EQUAL_FLOATS_OUT:-out/equal-floats}
-read -ra budgets <<<"${EQUAL_FLOATS_BUDGETS:-400000 800000 1600000}"
-read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 224 --iterations 1000 --surface-iterations 400 --warmup 300}"
+read -ra budgets <<<"${EQUAL_FLOATS_BUDGETS:-300000 600000 1200000}"
+read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 534 --iterations 800 --surface-iterations 320 --warmup 240}"
 [ -z "${EQUAL_FLOATS_LPIPS:-}" ] || flags+=(--lpips-weights "$EQUAL_FLOATS_LPIPS")
 [ -n "${EQUAL_FLOATS_CENTAUR:-}" ] || cargo build --release --quiet
 centaur() { if [ -n "${EQUAL_FLOATS_CENTAUR:-}" ]; then "$EQUAL_FLOATS_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
