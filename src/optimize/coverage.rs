@@ -35,6 +35,15 @@ const WILD: f64 = 0.02;
 const FARTHER: f64 = 1.5;
 /// … so many times, which is 26 times as far: beyond an object and the cameras on its other side, or in what surrounds them.
 const TRIES: i32 = 8;
+/// What is dim, less than this from the background in every channel, is put as far away as the views allow unless it is between points: in the
+/// air it would be fog before what no training view sees from there, and where it is missing that is hardly to be seen …
+const DIM: f32 = 0.25;
+/// … where points on two opposite sides are no more than this factor apart in depth …
+const ONE_DEPTH: f64 = 1.5;
+/// … and the views allow what other views tell about as well as the best, by shares of them …
+const AS_EVIDENT: f64 = 0.15;
+/// … which may show the same thing where colours differ by less than this in every channel.
+const ALIKE: f32 = 0.1;
 
 /// What there is already, in the capture's frame.
 pub(super) struct Known<'a> {
@@ -57,9 +66,9 @@ impl Known<'_> {
 }
 
 /// Splats in the cells of the views' pictures, and a little beyond, that show no point and no mesh, as deep as the points around them, or
-/// deeper where they would hide what other views see or be right before a camera, and in the colours of the photograph; at most
-/// `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put somewhere, the next counts among its
-/// points.
+/// deeper where they would hide what other views see or be right before a camera, or are dim and not between points; in the colours of the
+/// photograph, and at most `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put somewhere, the
+/// next counts among its points.
 ///
 /// Where a view shows the background there may be nothing, and nothing is put. It shows all points before it, hidden or not: where it
 /// sees a bare wall and there are points behind that, nothing is put either.
@@ -83,19 +92,7 @@ pub(super) fn between_points(
         .step_by(stride(views.len()))
         .map(|view| Ok(Shown::new(&view.camera, known, &*photo(view)?)))
         .collect::<Result<Vec<Shown>, CaptureError>>()?;
-    let mut found: Vec<Cover> = vec![];
-    for map in &maps {
-        let mut taken: Vec<bool> = map.points.iter().map(Option::is_some).collect();
-        let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
-        hits.into_iter().for_each(|cell| taken[cell] = true);
-        let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]).filter_map(|cell| map.cover(cell));
-        let own = own.filter(|cover| !is_needless(cover.color, known.background));
-        let bare = own.filter(|cover| !known.has_mesh(&map.cells.camera, cover.mean, 0.0, f64::INFINITY));
-        found.par_extend(bare.filter_map(|cover| {
-            let at_depths = (0..=TRIES).map(|k| cover.farther(map.cells.camera.center(), FARTHER.powi(k)));
-            at_depths.take_while(Cover::is_valid).find(|cover| !hides(cover, &maps, known))
-        }));
-    }
+    let found = covers(&maps, known);
     let kept = evenly(&found, max_splats);
     // Fewer are larger.
     let wider = (found.len() as f64 / kept.len().max(1) as f64).sqrt();
@@ -103,6 +100,27 @@ pub(super) fn between_points(
     let scales: Vec<f32> = kept.iter().map(|c| (c.scale * wider) as f32).collect();
     let colors: Vec<[f32; 3]> = kept.iter().map(|c| c.color).collect();
     Ok(round_splats(means, &scales, &colors, 0.5, sh_degree)?)
+}
+
+/// All of them, view by view.
+fn covers(maps: &[Shown], known: &Known) -> Vec<Cover> {
+    let mut found: Vec<Cover> = vec![];
+    for map in maps {
+        let mut taken: Vec<bool> = map.points.iter().map(Option::is_some).collect();
+        let hits: Vec<usize> = found.par_iter().filter_map(|c| map.cell_of(c.mean)).collect();
+        hits.into_iter().for_each(|cell| taken[cell] = true);
+        let own = (0..taken.len()).into_par_iter().filter(|&cell| !taken[cell]);
+        let own = own.filter_map(|cell| Some((cell, map.cover(cell)?)));
+        let own = own.filter(|(_, cover)| !is_needless(cover.color, known.background));
+        let bare = own.filter(|(_, cover)| !known.has_mesh(&map.cells.camera, cover.mean, 0.0, f64::INFINITY));
+        found.par_extend(bare.filter_map(|(cell, cover)| {
+            let at_depths = (0..=TRIES).map(|k| cover.farther(map.cells.camera.center(), FARTHER.powi(k)));
+            let mut allowed = at_depths.take_while(Cover::is_valid).filter(|cover| !hides(cover, maps, known));
+            let is_dim = known.background.is_some_and(|empty| are_within(DIM, cover.color, empty));
+            if is_dim && !map.is_between(cell) { farthest_evident(allowed, map, maps) } else { allowed.next() }
+        }));
+    }
+    found
 }
 
 /// A splat to be.
@@ -133,6 +151,8 @@ struct Shown {
     nearness: Vec<Option<f64>>,
     /// Mean colour, where nothing is masked.
     colors: Vec<Option<[f32; 3]>>,
+    /// Whether it is of the picture, and not of what is beyond its rim.
+    is_inside: Vec<bool>,
     /// Distance from the camera within which there is nothing before it.
     clear: f64,
 }
@@ -156,11 +176,47 @@ impl Shown {
             median[cell[0].0] = Some(cell[cell.len() / 2].1);
         }
         let colors = (0..cells.len()).map(|cell| mean_color(cells.pixels(cell), margin, photo)).collect();
-        Self { points: nearest, nearness: spread(&cells, median), colors, clear, cells }
+        // By the middle of the cell.
+        let within = |[from, to]: [u32; 2], size: u32| (2 * margin..2 * (margin + size)).contains(&(from + to));
+        let is_inside = (0..cells.len()).map(|cell| cells.pixels(cell));
+        let is_inside = is_inside.map(|[x, y]| within(x, photo.width) && within(y, photo.height)).collect();
+        Self { points: nearest, nearness: spread(&cells, median), colors, is_inside, clear, cells }
     }
 
     fn cell_of(&self, p: DVec3) -> Option<usize> {
         self.cells.of(self.cells.camera.to_camera(p))
+    }
+
+    /// Whether there are points of about one depth on two opposite sides of a cell.
+    fn is_between(&self, cell: usize) -> bool {
+        [[1, 0], [0, 1], [1, 1], [1, -1]].into_iter().any(|[dx, dy]| {
+            let sides = self.beside(cell, [dx, dy]).zip(self.beside(cell, [-dx, -dy]));
+            sides.is_some_and(|(a, b)| a < ONE_DEPTH * b && b < ONE_DEPTH * a)
+        })
+    }
+
+    /// Inverse of the depth of the point next to a cell in a direction, in cells.
+    fn beside(&self, cell: usize, [dx, dy]: [isize; 2]) -> Option<f64> {
+        let (columns, rows) = (self.cells.columns, self.cells.rows);
+        let (x, y) = (cell % columns, cell / columns);
+        (1..)
+            .map_while(|k| Some((x.checked_add_signed(k * dx)?, y.checked_add_signed(k * dy)?)))
+            .take_while(|&(x, y)| x < columns && y < rows)
+            .find_map(|(x, y)| self.points[y * columns + x])
+    }
+
+    /// Whether the picture has a colour alike at `p`, if it shows that.
+    fn is_alike_at(&self, p: DVec3, color: [f32; 3]) -> Option<bool> {
+        let at = self.cell_of(p).filter(|&cell| self.is_inside[cell])?;
+        Some(are_within(ALIKE, self.colors[at]?, color))
+    }
+
+    /// Share of the picture that has.
+    fn share_alike(&self, color: [f32; 3]) -> f64 {
+        let inside = self.colors.iter().zip(&self.is_inside).filter_map(|(c, is_inside)| c.filter(|_| *is_inside));
+        let (alike, all) =
+            inside.fold((0, 0), |(alike, all), c| (alike + u32::from(are_within(ALIKE, c, color)), all + 1));
+        f64::from(alike) / f64::from(all.max(1))
     }
 
     fn cover(&self, cell: usize) -> Option<Cover> {
@@ -202,6 +258,31 @@ fn hides(cover: &Cover, maps: &[Shown], known: &Known) -> bool {
         before += usize::from(is_before == Some(true));
     }
     f64::from(before as u32) > HIDING_VIEWS * f64::from(shown as u32)
+}
+
+/// The last of these, ever farther from the camera of `own` and of one colour, that the other views speak for about as much as for any: as
+/// much more often as they have that colour there than anywhere. Few views say little.
+fn farthest_evident(covers: impl Iterator<Item = Cover>, own: &Shown, maps: &[Shown]) -> Option<Cover> {
+    let covers: Vec<Cover> = covers.collect();
+    let color = covers.first()?.color;
+    let others: Vec<(&Shown, f64)> =
+        maps.iter().filter(|map| !std::ptr::eq(*map, own)).map(|map| (map, map.share_alike(color))).collect();
+    let evidence = |cover: &Cover| {
+        let seen = others.iter().filter_map(|(map, usual)| Some((map.is_alike_at(cover.mean, color)?, usual)));
+        let (sum, count) = seen.fold((0.0, 1.0), |(sum, count), (is_alike, usual)| {
+            (sum + f64::from(u8::from(is_alike)) - usual, count + 1.0)
+        });
+        sum / count
+    };
+    let evidence: Vec<f64> = covers.iter().map(evidence).collect();
+    let best = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let at = evidence.iter().rposition(|e| *e >= best - AS_EVIDENT)?;
+    covers.into_iter().nth(at)
+}
+
+/// Whether no channel of two colours differs by as much as `most`.
+fn are_within(most: f32, a: [f32; 3], b: [f32; 3]) -> bool {
+    a.iter().zip(b).all(|(a, b)| (a - b).abs() < most)
 }
 
 /// Values of cells that have none: means of those beside them, outwards.
@@ -330,7 +411,8 @@ mod tests {
         let [all, over_black, over_white] = [None, Some([0.0; 3]), Some([1.0; 3])].map(cover);
         let is_black = |sh: &[f32; 3]| sh.iter().all(|c| 0.5 + 0.282_094_8 * c < 1.9 / 255.0);
         let black = all.sh().iter().filter(|sh| is_black(sh)).count();
-        assert!(black > 100 && over_white == all, "{black} of {}", all.len());
+        let beside_white = over_white.sh().iter().filter(|sh| is_black(sh)).count();
+        assert!(black > 100 && beside_white > black / 2, "{black} of {}, {beside_white}", all.len());
         assert!(over_black.len() > 100 && !over_black.sh().iter().any(is_black), "{}", over_black.len());
     }
 
@@ -383,6 +465,70 @@ mod tests {
         let row = map.cells.of(DVec3::new(0.0, 0.0, 1.0)).unwrap() / map.cells.columns * map.cells.columns;
         let depths: Vec<f64> = (row..row + map.cells.columns).map(|cell| map.nearness[cell].unwrap().recip()).collect();
         assert!(depths.is_sorted() && depths[0] == 4.0 && (depths[33] - 12.0).abs() < 1e-9, "{depths:?}");
+    }
+
+    /// A light ball with points in a room, from twelve sides, and a plate beside it that has none.
+    #[test]
+    fn dim_air_is_far_away_but_not_what_other_views_tell() {
+        const PLATE: DVec3 = DVec3::new(0.0, 1.1, 0.0);
+        let k = Intrinsics { width: 100, height: 100, fx: 150.0, fy: 150.0, cx: 50.0, cy: 50.0 };
+        let turn = |i: u32| DMat3::from_rotation_y(std::f64::consts::TAU * f64::from(i) / 12.0);
+        let cameras: Vec<Camera> =
+            (0..12).map(|i| Camera::new(k, turn(i), DVec3::new(0.0, 0.0, 5.0)).unwrap()).collect();
+        let ball: Vec<DVec3> = (0..2000)
+            .map(|i| (f64::from(i) * 2.4, f64::from(i).mul_add(1e-3, -0.9995)))
+            .map(|(turn, z)| 0.5 * DVec3::new((1.0 - z * z).sqrt() * turn.cos(), (1.0 - z * z).sqrt() * turn.sin(), z))
+            .collect();
+        let nothing = bare();
+        let known = Known { background: Some([0.0; 3]), ..known(&ball, &nothing) };
+        let covers_of = |room: u8, plate: u8| {
+            let maps = cameras.iter().map(|camera| {
+                let plate_at = camera.project(camera.to_camera(PLATE));
+                let mut photo = grey(camera);
+                for (i, p) in photo.rgba.chunks_exact_mut(4).enumerate() {
+                    let at = DVec2::new((i % 100) as f64, (i / 100) as f64) + 0.5;
+                    let is_ball = at.distance(DVec2::splat(50.0)) < 15.5;
+                    let is_plate = at.distance(plate_at) < 12.0;
+                    p[..3].fill(if is_ball {
+                        200
+                    } else if is_plate {
+                        plate
+                    } else {
+                        room
+                    });
+                }
+                Shown::new(camera, &known, &photo)
+            });
+            covers(&maps.collect::<Vec<_>>(), &known)
+        };
+        let (air, things): (Vec<Cover>, Vec<Cover>) = covers_of(30, 60).into_iter().partition(|c| c.color[0] < 0.2);
+        let nearest = air.iter().map(|c| c.mean.length()).fold(f64::INFINITY, f64::min);
+        assert!(air.len() > 100 && nearest > 20.0, "{}, {nearest}", air.len());
+        assert!(things.len() > 5 && things.iter().all(|c| c.mean.distance(PLATE) < 1.0), "{}", things.len());
+        let light = covers_of(150, 200);
+        let near = light.iter().filter(|c| c.mean.length() < 6.0).count();
+        // What would float before the ball goes farther there, too.
+        assert!(near > light.len() / 3, "{near} of {}", light.len());
+    }
+
+    /// Points left and right of the middle, of one depth or of two.
+    #[test]
+    fn what_is_between_points_of_one_depth_is_told() {
+        for (depths, expected) in
+            [([4.0, 4.0], true), ([4.0, 5.9], true), ([4.0, 6.1], false), ([4.0, f64::NAN], false)]
+        {
+            for side in [DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0), DVec3::new(1.0, -1.0, 0.0)] {
+                // The middle cell's own middle, and those five cells away.
+                let middle = DVec3::new(-0.006, -0.006, 1.0);
+                let points: Vec<DVec3> = (depths.iter().zip([-0.18, 0.18]))
+                    .filter(|(z, _)| z.is_finite())
+                    .map(|(z, shift)| *z * (middle + shift * side))
+                    .collect();
+                let map = shown(&facing(0.0), &points, &grey(&facing(0.0)));
+                let middle = map.cells.of(DVec3::Z).unwrap();
+                assert_eq!(map.is_between(middle), expected, "{depths:?} {side}");
+            }
+        }
     }
 
     #[test]
