@@ -58,8 +58,8 @@ pub struct TrainOptions {
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
     pub ssim_weight: f32,
-    /// Density control: MCMC. The paper builds on INRIA's, which reaches less in short runs at any number of splats
-    /// (demo capture, after 800 iterations: 24.3 dB with 27,700 splats, MCMC 25.6 dB with 18,400).
+    /// Density control: MCMC, which comes to the number of splats that is asked for. The paper builds on INRIA's; at equal floats both are level
+    /// on the demo (`docs/results.md`).
     pub density: Density,
     /// No more splats than this, which MCMC comes to by its last density step; if not set, no more than [`Self::MOST_SPLATS`], for which
     /// it does not hurry.
