@@ -140,6 +140,7 @@ $(BENCH_RAY)/installed:
 	touch $@
 
 bench-slurm: ## `centaur bench` as an array of Slurm, two nodes on this machine (Debian's slurm-wlm, as root; 2 minutes)
+	@[ $$(id -u) -eq 0 ] || { echo "error: Slurm's daemons want root: run this as root, in a container for example" >&2; exit 1; }
 	@export PATH=$$PATH:/usr/sbin; for daemon in slurmctld slurmd munged; do command -v $$daemon >/dev/null || { scripts/install.sh slurm-wlm munge; break; }; done
 	cargo build --release --quiet
 	@rm -rf target/bench-slurm && mkdir -p target/bench-slurm

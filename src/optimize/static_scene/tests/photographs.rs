@@ -36,23 +36,27 @@ fn unevenly_exposed(folder: &Path) -> Capture {
 #[test]
 fn each_photograph_has_its_own_alpha() {
     let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
-    let losses = |hidden: [u8; 3]| {
-        let capture = changed(&folder.path().join(format!("{hidden:?}")), |i, picture| {
+    let losses = |[r, g, b, a]: [u8; 4]| {
+        let capture = changed(&folder.path().join(format!("{r}-{b}-{a}")), |i, picture| {
             // Not that of the first training view.
             for (x, _, p) in picture.enumerate_pixels_mut().filter(|_| i % 3 == 0) {
                 if x < 100 {
-                    p.0 = [hidden[0], hidden[1], hidden[2], 0];
+                    p.0 = [r, g, b, a];
                 }
             }
         });
         let stop = AtomicBool::new(false);
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        // Not many: sums in any order make two runs of the same differ, the more the longer they are.
         let options = TrainOptions { iterations: 30, ..options() };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         trained.history.iter().map(|p| p.loss).collect::<Vec<_>>()
     };
-    let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(losses);
+    let [red, blue] = [[255, 0, 0, 0], [0, 0, 255, 0]].map(losses);
     assert!(red.len() == 3 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
+    // What is not transparent does: by 2 %.
+    let [red, blue] = [[255, 0, 0, 255], [0, 0, 255, 255]].map(losses);
+    assert!(red.iter().zip(&blue).all(|(a, b)| (a - b).abs() > 1e-2 * a), "{red:?} {blue:?}");
 }
 
 /// Also where undistorted frames reach outside the photographs, which is a mask and no alpha.
