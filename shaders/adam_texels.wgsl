@@ -13,6 +13,7 @@
 //#import shared/map.wgsl
 //#import shared/adam.wgsl
 //#import shared/status.wgsl
+//#import shared/fixed_point.wgsl
 
 struct Step {
     base_rate: f32,
@@ -27,10 +28,11 @@ const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can
 
 @group(0) @binding(0) var<uniform> map: Map;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> gradient: array<f32>;          // pyramid
+@group(0) @binding(2) var<storage, read> gradient: array<u32>;          // pyramid; level 0: i32, level 1: f32, both in fixed point's unit
 @group(0) @binding(3) var<storage, read_write> texels: array<f32>;      // pyramid; levels 0 and 1 are written
 @group(0) @binding(4) var<storage, read_write> moments: array<vec2f>;   // level 0 only: first, second
 @group(0) @binding(5) var<storage, read_write> status: Status;
+@group(0) @binding(6) var<storage, read> peaks: array<u32>;
 
 @compute @workgroup_size(256)
 fn adam(
@@ -45,14 +47,15 @@ fn adam(
     let at = divide(texel.x, width);            // row, column
     let is_opacity = map.is_base != 0u && texel.y == 3u;
     var inherited = 0.0;
-    if level == 1u { inherited = 0.25 * gradient[level_offset(map, 1u) + i]; }
+    if level == 1u { inherited = 0.25 * bitcast<f32>(gradient[level_offset(map, 1u) + i]); }
+    let unit = fixed_unit(peaks[0]);
     // Everything is read before anything is written: rows are a power of two apart, and CPUs wait for a store that
     // shares the low bits of a load's address.
     let stride = vec2u(map.channels, map.width * map.channels);
     let first = dot(at.yx * (level + 1u), stride) + texel.y;
     //#for k in 0..4
     let i$k = first + level * dot(vec2u($ku & 1u, $ku >> 1u), stride);
-    let g$k = gradient[map.offset + i$k] + inherited;
+    let g$k = unit * (f32(bitcast<i32>(gradient[map.offset + i$k])) + inherited);
     let old$k = moments[map.moments + i$k];
     let value$k = texels[map.offset + i$k];
     //#end

@@ -6,20 +6,23 @@
 //     Σp, Σp·dx, Σp·dy, Σp·dx², Σp·dx·dy, Σp·dy², Σw·g (rgb), Σw
 // and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
 // A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
-// summed by the subgroup, or through workgroup memory where there are none; one atomic add per sum, splat and
-// subgroup (or tile) remains. `splat_backward` turns the sums into parameter gradients.
-// Per pair: 1 exp, ~40 flops, no memory; per splat and tile: 52 + 4·LAYERS bytes read, MOMENTS atomic adds a subgroup.
+// summed by the subgroup, subgroups through workgroup memory, which does all of it where there are none. The tile's sums
+// are written to a row of their own, beside those of the splat's other tiles: nothing is added by atomics, whose order would
+// be another in every run. `sum_moments` adds up the rows of a splat, `splat_backward` turns them into parameter gradients.
+// There are rows for pairs with numbers from WINDOW_START to before WINDOW_END; where an adapter binds too little for
+// all that there are, everything is done once for each window.
+// Per pair and pixel: 1 exp, ~40 flops, no memory; per pair: 56 + 4·LAYERS bytes read, 4·MOMENTS written.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
-@group(0) @binding(2) var<storage, read> pair_splats: array<u32>;
+@group(0) @binding(2) var<storage, read> numbered: array<vec2u>;         // [pair]: splat, number of its row
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read> image_gradient: array<vec4f>;   // ∂L/∂rgb
 @group(0) @binding(5) var<storage, read> buckets: array<vec4f>;
 @group(0) @binding(6) var<storage, read> ends: array<u32>;
-//#import shared/atomic_add.wgsl with TARGET=moments BINDING=7
+@group(0) @binding(7) var<storage, read_write> rows: array<f32>;         // [number within the window][MOMENTS]
 //#if LAYERS
 @group(0) @binding(8) var<storage, read> thresholds: array<f32>;
 @group(0) @binding(9) var<storage, read> layer_depth: array<f32>;
@@ -30,7 +33,7 @@
 
 const BATCH: u32 = 64u;
 
-var<workgroup> batch_splat: array<u32, BATCH>;
+var<workgroup> batch_number: array<u32, BATCH>;
 var<workgroup> batch_center: array<vec4f, BATCH>;
 var<workgroup> batch_conic: array<vec4f, BATCH>;
 var<workgroup> batch_color: array<vec4f, BATCH>;
@@ -38,7 +41,11 @@ var<workgroup> batch_color: array<vec4f, BATCH>;
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 var<workgroup> batch_bucket: array<u32, BATCH>;
 //#end
-//#if !SUBGROUPS
+//#if SUBGROUPS
+// [subgroup][splat of the batch][moment], of as many splats as there is room for.
+const SUM_FLOATS: u32 = 2560u;
+var<workgroup> sums_of_batch: array<f32, SUM_FLOATS>;
+//#else
 // Splats whose sums are reduced together: as many as 16 KiB hold beside the rest.
 //#if ABSOLUTE
 const CHUNK: u32 = 3u;
@@ -48,7 +55,11 @@ const CHUNK: u32 = 4u;
 var<workgroup> partial: array<f32, CHUNK * MOMENTS * THREADS>;
 //#end
 var<workgroup> last_end: atomic<u32>;
-var<workgroup> tile_range: vec2u;
+var<workgroup> tile_range: vec4u;     // first pair, after the last that is used; splats a batch, subgroups
+
+fn write(number: u32, moment: u32, sum: f32) {
+    if number >= WINDOW_START && number < WINDOW_END { rows[(number - WINDOW_START) * MOMENTS + moment] = sum; }
+}
 
 @compute @workgroup_size(THREADS)
 fn main(
@@ -56,10 +67,14 @@ fn main(
     @builtin(local_invocation_index) thread: u32,
 //#if SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
+    @builtin(subgroup_id) subgroup: u32,
+    @builtin(num_subgroups) subgroups: u32,
 //#end
 ) {
     let tile = group_index(group);
     if tile >= view.tiles.x * view.tiles.y { return; }
+    let pairs = ranges[tile];
+    if WINDOW_START >= max(ranges[view.tiles.x * view.tiles.y].x, 1u) { return; }
 //#if SUBGROUPS
     // Counted: some drivers say another subgroup_size than they compile for.
     let lanes = subgroupAdd(1u);
@@ -143,14 +158,23 @@ fn main(
 //#end
     atomicMax(&last_end, last);
     workgroupBarrier();
-    if thread == 0u { tile_range = vec2u(ranges[tile].x, atomicLoad(&last_end)); }
+    if thread == 0u {
+        let used = atomicLoad(&last_end);
+//#if SUBGROUPS
+        let room = max(SUM_FLOATS / (subgroups * MOMENTS) / 8u * 8u, 1u);
+        tile_range = vec4u(pairs.x, used, min(BATCH, room), subgroups);
+//#else
+        tile_range = vec4u(pairs.x, used, BATCH, 0u);
+//#end
+    }
     let range = workgroupUniformLoad(&tile_range);
 
-    for (var start = range.x; start < range.y; start += BATCH) {
-        let n = min(BATCH, range.y - start);
+    for (var start = range.x; start < range.y; start += range.z) {
+        let n = min(range.z, range.y - start);
         for (var s = thread; s < n; s += THREADS) {
-            let i = pair_splats[start + s];
-            batch_splat[s] = i;
+            let pair = numbered[start + s];
+            let i = pair.x;
+            batch_number[s] = pair.y;
             batch_center[s] = projected[3u * i];
             batch_conic[s] = projected[3u * i + 1u];
             batch_color[s] = projected[3u * i + 2u];
@@ -236,15 +260,13 @@ fn main(
 //#for c in 0..MOMENTS
             let total$c = subgroupAdd(sums[$c]);
 //#end
-            // One sum a lane, so that the adds are one instruction and not one each.
-            if total9 != 0.0 {
-                for (var c = lane; c < MOMENTS; c += lanes) {
-                    var total = total0;
+            // One sum a lane, so that they are written by one instruction and not by one each.
+            for (var c = lane; c < MOMENTS; c += lanes) {
+                var total = total0;
 //#for c in 1..MOMENTS
-                    if c == $cu { total = total$c; }
+                if c == $cu { total = total$c; }
 //#end
-                    add_moments(batch_splat[s] * MOMENTS + c, total);
-                }
+                sums_of_batch[(subgroup * range.z + s) * MOMENTS + c] = total;
             }
 //#else
             let slot = s % CHUNK;
@@ -256,8 +278,7 @@ fn main(
                 for (var task = thread; task < (slot + 1u) * MOMENTS; task += THREADS) {
                     var sum = 0.0;
                     for (var k = 0u; k < THREADS; k++) { sum += partial[task * THREADS + (k + thread) % THREADS]; }
-                    let splat = batch_splat[s - slot + task / MOMENTS];
-                    if sum != 0.0 { add_moments(splat * MOMENTS + task % MOMENTS, sum); }
+                    write(batch_number[s - slot + task / MOMENTS], task % MOMENTS, sum);
                 }
                 workgroupBarrier();
             }
@@ -267,6 +288,19 @@ fn main(
 //#if RUNS
         }
 //#end
-        workgroupBarrier();             // the batch has been used
+        workgroupBarrier();             // the batch has been summed
+//#if SUBGROUPS
+        for (var task = thread; task < n * MOMENTS; task += THREADS) {
+            var sum = 0.0;
+            for (var k = 0u; k < range.w; k++) { sum += sums_of_batch[k * range.z * MOMENTS + task]; }
+            write(batch_number[task / MOMENTS], task % MOMENTS, sum);
+        }
+        workgroupBarrier();             // and used
+//#end
+    }
+    // Pairs behind all that the tile's pixels used.
+    for (var pair = max(pairs.x, range.y) + thread; pair < pairs.y; pair += THREADS) {
+        let number = numbered[pair].y;
+        for (var c = 0u; c < MOMENTS; c++) { write(number, c, 0.0); }
     }
 }

@@ -1,7 +1,7 @@
 // What the adapter can do at best, for benchmarks: each entry point does one thing and little else.
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
-//#import shared/atomic_add.wgsl with TARGET=target_sums BINDING=1
+//#import shared/fixed_add.wgsl with TARGET=target_sums BINDING=1
 //#import shared/blend.wgsl
 
 // The arithmetic of the blend with no memory: LOOPS splat·pixel evaluations per thread, one pixel each. Every parameter

@@ -1,5 +1,6 @@
 // Writes a (tile, splat) pair for every tile a visible splat touches, in depth order, so that a stable sort by tile
-// alone leaves every tile's list in depth order.
+// alone leaves every tile's list in depth order. In training the sorted value is the pair's number, by which tile_ranges
+// finds its splat, and by which the blend's backward pass lays what it finds beside that of the splat's other tiles.
 //#import shared/view.wgsl
 //#import shared/tile_rows.wgsl
 //#import shared/saturating_add.wgsl
@@ -12,6 +13,19 @@
 @group(0) @binding(5) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> values: array<u32>;
+//#if TRAIN
+@group(0) @binding(8) var<storage, read_write> splat_of: array<u32>;     // [pair as emitted]
+//#end
+
+fn emit(at: u32, tile: u32, splat: u32) {
+    keys[at] = tile;
+//#if TRAIN
+    values[at] = at;
+    splat_of[at] = splat;
+//#else
+    values[at] = splat;
+//#end
+}
 
 @compute @workgroup_size(256)
 fn main(
@@ -34,14 +48,12 @@ fn main(
         let columns = column_span(e, row, view.tiles);
         for (var column = columns.x; column < columns.y; column++) {
             if at >= end { return; }
-            keys[at] = row * view.tiles.x + column;
-            values[at] = i;
+            emit(at, row * view.tiles.x + column, i);
             at++;
         }
     }
     // Two kernels may round differently: what was counted but not found goes to a tile that does not exist.
     for (; at < end; at++) {
-        keys[at] = view.tiles.x * view.tiles.y;
-        values[at] = i;
+        emit(at, view.tiles.x * view.tiles.y, i);
     }
 }

@@ -1,12 +1,13 @@
 // One thread per vertex: Adam on its displacement along its normal, with steps that are smooth over the surface.
 //
-// `start` turns the gradient into Adam's step and clears it; `diffuse`, run in turn with ODD = 0 and 1, is a
+// `start` turns the gradient into Adam's step; `diffuse`, run in turn with ODD = 0 and 1, is a
 // Jacobi iteration for (1 + SMOOTHNESS·Laplacian)·x = step, which keeps noise of single vertices out of the surface; `displace`
 // takes the step.
 
 //#import shared/view.wgsl
 //#import shared/adam.wgsl
 //#import shared/status.wgsl
+//#import shared/fixed_point.wgsl
 
 const SMOOTHNESS: f32 = 8.0;
 
@@ -18,7 +19,7 @@ struct Step {
 }
 
 @group(0) @binding(0) var<uniform> step: Step;
-@group(0) @binding(1) var<storage, read_write> gradient: array<f32>;    // [V], along the normal
+@group(0) @binding(1) var<storage, read> gradient: array<i32>;          // [V], along the normal, in fixed point
 @group(0) @binding(2) var<storage, read_write> moments: array<vec2f>;   // [V]
 @group(0) @binding(3) var<storage, read_write> steps: array<vec4f>;     // [V]: Adam's; two iterates; unused
 @group(0) @binding(4) var<storage, read> first: array<u32>;             // [V + 1]
@@ -26,6 +27,7 @@ struct Step {
 @group(0) @binding(6) var<storage, read> normals: array<vec4f>;         // [V]
 @group(0) @binding(7) var<storage, read_write> positions: array<f32>;   // [V, 3], world
 @group(0) @binding(8) var<storage, read_write> status: Status;
+@group(0) @binding(9) var<storage, read> peaks: array<u32>;
 
 @compute @workgroup_size(256)
 fn start(
@@ -34,8 +36,7 @@ fn start(
 ) {
     let v = group_index(group) * 256u + thread;
     if v >= step.n_vertices { return; }
-    let g = gradient[v];
-    gradient[v] = 0.0;
+    let g = fixed_unit(peaks[1]) * f32(gradient[v]);
     if status.is_short != 0u {
         steps[v] = vec4f(0.0);
         return;

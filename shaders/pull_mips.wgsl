@@ -1,11 +1,12 @@
-// One thread per float of level `map.level`: adds a quarter of its parent's gradient. Run from the coarsest level but
-// one down to level 1; adam_texels does level 0 in passing. 8 bytes read, 4 written.
+// One thread per float of level `map.level`: the sum in fixed point becomes a float, in the same unit, and a quarter of the
+// parent's is added. Run from the coarsest level, which has none, down to level 1; adam_texels does level 0 in passing.
+// 8 bytes read, 4 written.
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
 
 @group(0) @binding(0) var<uniform> map: Map;
-@group(0) @binding(1) var<storage, read_write> gradient: array<f32>;
+@group(0) @binding(1) var<storage, read_write> gradient: array<u32>;  // bits of an i32, then of an f32
 
 @compute @workgroup_size(256)
 fn pull(
@@ -15,6 +16,8 @@ fn pull(
     let i = group_index(group) * 256u + thread;
     let width = map.width >> map.level;
     if i >= width * (map.height >> map.level) * map.channels { return; }
-    let parent = parent_of(map, map.level, i);
-    gradient[level_offset(map, map.level) + i] += 0.25 * gradient[parent];
+    let own = level_offset(map, map.level) + i;
+    var sum = f32(bitcast<i32>(gradient[own]));
+    if map.level + 1u < map.levels { sum += 0.25 * bitcast<f32>(gradient[parent_of(map, map.level, i)]); }
+    gradient[own] = bitcast<u32>(sum);
 }

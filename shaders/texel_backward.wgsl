@@ -6,17 +6,19 @@
 //
 // Neighbouring pixels share texels: a footprint moves by at most about a texel from one to the next. The thread sums in
 // registers while a texel stays in the footprint and adds it to memory when it leaves. Per fragment 112 bytes read; per
-// texel that leaves 4 atomic additions to the base and 3·((d+1)²−1) to the bands, 24 at degree 2.
+// texel that leaves 4 atomic additions of integers to the base and 3·((d+1)²−1) to the bands, 24 at degree 2.
 
 //#import shared/view.wgsl
 //#import shared/sh.wgsl
 //#import shared/mesh_fragment.wgsl
+//#import shared/fixed_point.wgsl
 
 @group(0) @binding(5) var<storage, read> layer_color: array<vec4f>;     // [LAYERS, h, w]: rgb, alpha
 @group(0) @binding(6) var<storage, read> layer_gradient: array<vec4f>;  // [LAYERS, h, w]: of the loss by these
-//#import shared/atomic_add.wgsl with TARGET=base_gradient BINDING=7
+@group(0) @binding(7) var<storage, read> peaks: array<u32>;             // largest of layer_gradient; of vertices
+//#import shared/fixed_add.wgsl with TARGET=base_gradient BINDING=8
 //#if BANDS
-//#import shared/atomic_add.wgsl with TARGET=band_gradient BINDING=8
+//#import shared/fixed_add.wgsl with TARGET=band_gradient BINDING=9
 //#end
 
 const NONE: u32 = 0xffffffffu;
@@ -33,6 +35,7 @@ fn backward(
     let layer = strip / strips;
     let top = (strip - layer * strips) * RUN;
     if layer >= LAYERS { return; }
+    let scale = fixed_scale(peaks[0]);
 
     // By level (finer, coarser) and place of the footprint: the texel held there, as an index of floats, and its sum.
     //#for l in 0..2
@@ -62,7 +65,7 @@ fn backward(
         if !last { triangle = layer_triangle[pixel]; }
         if triangle != 0u {
             let color = layer_color[pixel];
-            let gradient = layer_gradient[pixel];
+            let gradient = scale * layer_gradient[pixel];
             g = select(vec3f(0.0), gradient.rgb, color.rgb > vec3f(0.0));
             g_logit = select(0.0, gradient.a * color.a * (1.0 - color.a), color.a < MAX_ALPHA);
         }

@@ -1,7 +1,8 @@
-// One thread per pixel and layer: turns the gradient of the fragment's colour and alpha into that of its uv, in place.
+// One thread per pixel and layer: turns the gradient of the fragment's colour and alpha into that of its triangle's vertices,
+// along their normals, in place; vertex_backward adds them up.
 //
 // ∂L/∂uv = Σ over taps of (∂weight/∂uv) · (∂L/∂sample · texel), at constant mip level. Must follow
-// texel_backward, which reads the gradient that is overwritten here. Reads what shade_layers reads and 16 bytes, writes
+// texel_backward, which reads the gradient that is overwritten here. Reads what shade_layers reads and 160 bytes, writes
 // 16.
 
 //#import shared/view.wgsl
@@ -9,9 +10,10 @@
 //#import shared/mesh_fragment.wgsl
 
 @group(0) @binding(5) var<storage, read> base_texels: array<vec4f>;     // [texels]: DC rgb, opacity logit
-@group(0) @binding(6) var<storage, read_write> layer_gradient: array<vec4f>;    // [L, h, w]: of rgb, alpha → of uv
+@group(0) @binding(6) var<storage, read_write> layer_gradient: array<vec4f>;    // [L, h, w]: of rgb, alpha → of three vertices
+@group(0) @binding(7) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]: world, unit, bits of floats; w: vertex
 //#if BANDS
-@group(0) @binding(7) var<storage, read> band_texels: array<f32>;       // [texels, (d+1)²−1, 3]
+@group(0) @binding(8) var<storage, read> band_texels: array<f32>;       // [texels, (d+1)²−1, 3]
 //#end
 
 struct Slopes {
@@ -86,6 +88,37 @@ fn sample_bands(map: Maps, f: Fragment, degree: u32) -> Sample {
 }
 //#end
 
+// From the gradient by the uv where the pixel's ray meets the triangle.
+fn by_vertices(d_uv: vec2f, pixel: u32, triangle: u32) -> vec3f {
+    let at = vec2f(f32(pixel % view.size.x), f32(pixel / view.size.x));
+    let ray = vec3f((at + 0.5 - view.principal) / view.focal, 1.0);
+    let v0 = corners[3u * triangle].xyz;
+    let v1 = corners[3u * triangle + 1u].xyz;
+    let v2 = corners[3u * triangle + 2u].xyz;
+    // As in `fragment`: relative to the ray, which keeps f32 exact far from the origin.
+    let w0 = v0.xy - v0.z * ray.xy;
+    let w1 = v1.xy - v1.z * ray.xy;
+    let w2 = v2.xy - v2.z * ray.xy;
+    let a = vec3f(cross2(w1, w2), cross2(w2, w0), cross2(w0, w1));
+    let sum = a.x + a.y + a.z;
+    if sum == 0.0 { return vec3f(0.0); }
+    let uv01 = bitcast<vec4f>(corner_uvs[2u * triangle]);
+    let uv2 = bitcast<vec2f>(corner_uvs[2u * triangle + 1u].xy);
+    let gamma = vec3f(dot(d_uv, uv01.xy), dot(d_uv, uv01.zw), dot(d_uv, uv2));
+    let kappa = (gamma - dot(gamma, a) / sum) / sum;
+    // v × r in the same relative coordinates.
+    let x0 = cross(v0, ray);
+    let x1 = cross(v1, ray);
+    let x2 = cross(v2, ray);
+    let d = array<vec3f, 3>(kappa.z * x1 - kappa.y * x2, kappa.x * x2 - kappa.z * x0, kappa.y * x0 - kappa.x * x1);
+    var along: array<f32, 3>;
+    for (var k = 0u; k < 3u; k += 1u) {
+        let world = d[k].x * view.row_x.xyz + d[k].y * view.row_y.xyz + d[k].z * view.row_z.xyz;
+        along[k] = dot(world, bitcast<vec3f>(corner_normals[3u * triangle + k].xyz));
+    }
+    return vec3f(along[0], along[1], along[2]);
+}
+
 @compute @workgroup_size(256)
 fn backward(
     @builtin(workgroup_id) group: vec3u,
@@ -121,5 +154,5 @@ fn backward(
         select(vec3f(0.0), gradient.rgb, value.rgb > vec3f(0.0)),
         select(0.0, gradient.a * alpha * (1.0 - alpha), alpha < MAX_ALPHA),
     );
-    layer_gradient[i] = vec4f(dot(g, du), dot(g, dv), 0.0, 0.0);
+    layer_gradient[i] = vec4f(by_vertices(vec2f(dot(g, du), dot(g, dv)), pixel, triangle - 1u), 0.0);
 }

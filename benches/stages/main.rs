@@ -241,7 +241,8 @@ fn memory(adapter: Option<&str>, quick: bool) -> anyhow::Result<Memory> {
         TrainingSize {
             splats,
             sh_degree: 3,
-            besides: 0,
+            absolute_gradients: false,
+            poses_move: false,
             triangles: 2 * cells * cells,
             vertices_move: false,
             map_floats,

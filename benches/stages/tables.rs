@@ -25,8 +25,8 @@ const GROUPS: [(&str, &[&str]); 10] = [
     (FORWARD, &["blend_forward"]),
     ("loss", &["loss"]),
     (BACKWARD, &["blend_backward"]),
-    ("splat backward", &["splat_backward"]),
-    ("mesh backward", &["texel_backward", "pull_mips"]),
+    ("splat backward", &["sum_moments", "splat_backward"]),
+    ("mesh backward", &["gradient_peak", "texel_backward", "pull_mips"]),
     ("Adam, splats", &["adam_splats"]),
     ("Adam, texels", &["adam_texels", "build_mips"]),
 ];
@@ -48,14 +48,13 @@ impl Run {
 
 /// The adapter and its ceilings.
 pub(crate) fn print_adapter(gpu: &Gpu, ceilings: Option<&Ceilings>) {
-    let p = gpu.profile();
-    println!("{} (f32 atomics: {}, subgroups: {})", gpu.adapter(), p.float_atomics, p.subgroups);
+    println!("{} (subgroups: {})", gpu.adapter(), gpu.profile().subgroups);
     let Some(c) = ceilings else {
         println!("no timestamps: neither ceilings nor stages can be measured, only whole steps");
         return;
     };
     println!("  splat·pixel evaluations  {:9.0} M/s", c.evaluations / 1e6);
-    println!("  f32 atomic additions     {:9.0} M/s", c.atomic_adds / 1e6);
+    println!("  atomic additions         {:9.0} M/s", c.atomic_adds / 1e6);
     println!("  copy, read + written     {:9.1} GB/s", c.copy_bytes / 1e9);
     println!("  dispatch of one thread   {:9.1} µs", c.dispatch_seconds * 1e6);
 }

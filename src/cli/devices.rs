@@ -33,19 +33,17 @@ pub(super) fn run(args: &Args) -> Result<()> {
 
 /// Three lines: how to ask for it, then what decides speed and size.
 fn describe(a: &AdapterSummary) -> String {
-    let yes = |b: bool, what: &'static str, not: &'static str| if b { what } else { not };
     let subgroups = match a.subgroup_size {
         (_, 0) => "no subgroups".to_owned(),
         (low, high) if low == high => format!("subgroups of {low}"),
         (low, high) => format!("subgroups of {low} to {high}"),
     };
     format!(
-        "{a}\n  {} {}, {}\n  buffers up to {} MiB, {}, {subgroups}, {}",
+        "{a}\n  {} {}, {}\n  buffers up to {} MiB, {subgroups}, {}",
         a.backend,
         a.kind,
         a.driver,
         a.max_binding_bytes >> 20,
-        yes(a.float_atomics, "native f32 atomics", "f32 atomics by compare-exchange"),
-        yes(a.timestamps, "timestamps", "no timestamps"),
+        if a.timestamps { "timestamps" } else { "no timestamps" },
     )
 }

@@ -82,7 +82,8 @@ fn size(
     TrainingSize {
         splats,
         sh_degree: options.sh_degree,
-        besides: if options.density == Density::Absgs { 2 } else { 0 } + if options.refine_poses { 4 } else { 0 },
+        absolute_gradients: options.density == Density::Absgs,
+        poses_move: options.refine_poses,
         triangles,
         vertices_move: source.is_found(),
         map_floats: if has_mesh { map_floats(options, texture_size).iter().sum() } else { 0 },

@@ -2,11 +2,15 @@
 
 use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    scan::DispatchSize,
     shader::Defines,
-    splats::{ImageCapacity, SplatLists},
+    splats::{COUNT_STORED_PAIRS, COUNT_VISIBLE, ImageCapacity, SplatLists},
 };
 
-/// Sums per splat that `blend_backward.wgsl` accumulates.
+/// Threads of a workgroup of `sum_moments.wgsl`.
+const SUM_THREADS: usize = 256;
+
+/// Sums per splat that `blend_backward.wgsl` finds.
 pub(crate) fn moments(absolute: bool) -> usize {
     if absolute { 12 } else { 10 }
 }
@@ -39,8 +43,9 @@ pub(crate) struct Blend {
 }
 
 struct Backward {
-    kernel: Kernel,
-    bindings: Bindings,
+    /// Of tiles, into rows; of the rows, into moments. One after the other where the rows of all pairs cannot be bound.
+    windows: Vec<[(Kernel, Bindings); 2]>,
+    per_splat: DispatchSize,
     moments: Buffer,
     ends: Buffer,
 }
@@ -66,6 +71,11 @@ fn with_paths(defines: &Defines, layers: u32, runs: bool) -> Defines {
         (_, false) => (0, deciding, deciding + 1),
     };
     defines.clone().with("RUNS", runs).with("FIRST_PATH", first).with("PATHS", end)
+}
+
+/// (tile, splat) pairs whose sums can be bound.
+fn rows_at_most(gpu: &Gpu, n_moments: usize) -> usize {
+    (gpu.max_binding_bytes() as usize / (4 * n_moments)).max(1)
 }
 
 impl Blend {
@@ -113,17 +123,40 @@ impl Blend {
         let backward_defines = backward_defines
             .with("MOMENTS", moments(gradients.absolute) as u32)
             .with("ABSOLUTE", u32::from(gradients.absolute));
-        let backward = Kernel::new(gpu, "blend_backward.wgsl", "main", &backward_defines);
-        let mut buffers =
-            vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, gradients.image, &buckets, &ends, &sums];
+        let n_moments = moments(gradients.absolute);
+        let splats_a_group = SUM_THREADS / n_moments;
+        let sum_defines = gpu
+            .defines()
+            .with("MOMENTS", n_moments as u32)
+            .with("SPLATS", splats_a_group as u32)
+            .with("COUNT_VISIBLE", COUNT_VISIBLE)
+            .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
+        let (pairs, window) = (lists.pair_capacity(), rows_at_most(gpu, n_moments));
+        let rows = gpu.storage("sums of pairs", pairs.min(window) * n_moments)?;
+        let numbers = lists.numbers();
+        let mut tiles =
+            vec![view, &lists.ranges, numbers.pairs, &lists.projected, gradients.image, &buckets, &ends, &rows];
         if let Some(l) = layers {
-            buffers.extend([&lists.thresholds, l.depth, l.color, l.gradient]);
+            tiles.extend([&lists.thresholds, l.depth, l.color, l.gradient]);
         }
-        let backward_bindings = backward.bind(gpu, &buffers);
+        let of_splats = [numbers.counts, numbers.splats, numbers.first, numbers.count, &rows, &sums];
+        let bound = |file: &str, defines: &Defines, start: usize, buffers: &[&Buffer]| {
+            let defines =
+                defines.clone().with("WINDOW_START", start as u32).with("WINDOW_END", (start + window) as u32);
+            let kernel = Kernel::new(gpu, file, "main", &defines);
+            let bindings = kernel.bind(gpu, buffers);
+            (kernel, bindings)
+        };
+        let of_window = |start: usize| {
+            let of_tiles = bound("blend_backward.wgsl", &backward_defines, start, &tiles);
+            [of_tiles, bound("sum_moments.wgsl", &sum_defines, start, &of_splats)]
+        };
+        let windows = (0..pairs.max(1)).step_by(window).map(of_window).collect();
+        let per_splat = DispatchSize::new(gpu, gradients.capacity, splats_a_group, numbers.counts, COUNT_VISIBLE)?;
         Ok(Self {
             image: pixels,
             forward: (kernel, bindings),
-            backward: Some(Backward { kernel: backward, bindings: backward_bindings, moments: sums, ends }),
+            backward: Some(Backward { windows, per_splat, moments: sums, ends }),
         })
     }
 
@@ -135,8 +168,11 @@ impl Blend {
     /// Appends the backward blend; does nothing if not made for training.
     pub(crate) fn record_backward(&self, frame: &mut Frame, tiles: usize) {
         if let Some(b) = &self.backward {
-            frame.clear(&b.moments);
-            frame.dispatch(&b.kernel, &b.bindings, tiles);
+            b.per_splat.record(frame);
+            for [of_tiles, of_splats] in &b.windows {
+                frame.dispatch(&of_tiles.0, &of_tiles.1, tiles);
+                b.per_splat.dispatch(frame, &of_splats.0, &of_splats.1);
+            }
         }
     }
 
@@ -145,7 +181,7 @@ impl Blend {
         self.backward.as_ref().map(|b| &b.ends)
     }
 
-    /// `[n]` rows of sums per splat, if made for training.
+    /// `[n]` rows of sums per splat, of those in view alone, if made for training.
     pub(crate) fn moments(&self) -> Option<&Buffer> {
         self.backward.as_ref().map(|b| &b.moments)
     }

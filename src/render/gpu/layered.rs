@@ -5,7 +5,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
     mesh::MeshStage,
     pipeline::PAIRS_PER_SPLAT,
-    splats::{ImageCapacity, SplatBuffers, SplatLists, longer_list},
+    splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list},
     view::{VIEW_WORDS, View},
 };
 use crate::render::contract::{ImageModel, ShDirection};
@@ -170,7 +170,7 @@ fn lists(
     mesh: Option<&MeshStage>,
 ) -> Result<SplatLists, GpuError> {
     let depth = mesh.filter(|_| model == ImageModel::Ewa).map(|m| (m.layer_depth(), m.layers()));
-    SplatLists::new(gpu, model, splats, image, pairs, view, depth)
+    SplatLists::new(gpu, Purpose::Render(model), splats, image, pairs, view, depth)
 }
 
 fn blend(

@@ -18,7 +18,7 @@ use crate::scene::{Camera, HybridScene, sh};
 pub struct Ceilings {
     /// Splat·pixel evaluations per second (conic, exp, blend) without memory traffic.
     pub evaluations: f64,
-    /// f32 atomic additions per second, spread over 65,536 slots.
+    /// Atomic additions of integers per second, spread over 65,536 slots.
     pub atomic_adds: f64,
     /// Bytes per second, read plus written.
     pub copy_bytes: f64,

@@ -1,6 +1,6 @@
 //! How much memory training takes, and how much there is.
 
-use super::{mesh::BIN, pipeline::PAIRS_PER_SPLAT, training::HEADROOM, view::TILE};
+use super::{blend::moments, mesh::BIN, pipeline::PAIRS_PER_SPLAT, training::HEADROOM, view::TILE};
 use crate::scene::sh;
 
 /// What the memory of a training run depends on.
@@ -10,8 +10,10 @@ pub struct TrainingSize {
     pub splats: usize,
     /// Of the splats.
     pub sh_degree: u32,
-    /// Floats per splat that only some runs need: 2 for absolute gradients, 4 for those by poses.
-    pub besides: usize,
+    /// Density control goes by absolute gradients.
+    pub absolute_gradients: bool,
+    /// Poses of photographs are refined.
+    pub poses_move: bool,
     /// Triangles of all meshes.
     pub triangles: usize,
     /// Their vertices are free to move.
@@ -60,9 +62,11 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
     let per_side =
         |side: u32| wide(s.width.div_ceil(side as usize)).saturating_mul(wide(s.height.div_ceil(side as usize)));
     let tiles = per_side(TILE);
-    // Parameters, gradients and two moments; projection, blend moments, statistics, five counters, the depth sort.
-    let per_splat = 4 * (12 + sh_floats) + 12 + 10 + 4 + 5 + 4 + layers.max(1) + wide(s.besides);
-    let pairs = wide(PAIRS_PER_SPLAT).saturating_mul(splats);
+    // Parameters, gradients and two moments; projection, sums of the blend, statistics, five counters, the depth sort.
+    let sums = wide(moments(s.absolute_gradients));
+    let by_pose = if s.poses_move { 4 } else { 0 };
+    let per_splat = 4 * (12 + sh_floats) + 12 + sums + 4 + 5 + 4 + layers.max(1) + by_pose;
+    let pairs = wide(PAIRS_PER_SPLAT).saturating_mul(splats).saturating_add(tiles);
     // Image, its gradient, photograph, slopes of SSIM; colour, transmittance and end of every bucket.
     let mut per_pixel = 4 + 4 + 1 + 12 + 5 * (layers + 1);
     let (mut per_bin, mut meshes) = (0, 0);
@@ -82,10 +86,10 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         ]);
     }
     TrainingBytes {
-        // Pairs: keys and values, twice. The counters of two sorts.
-        splats: bytes(&[(splats, per_splat), (pairs, 4), (2 * 256 * 256, 1)]),
+        // Pairs: keys and values, twice, splats, those with their numbers, sums. The counters of two sorts.
+        splats: bytes(&[(splats, per_splat), (pairs, 4 + 1 + 2 + sums), (2 * 256 * 256, 1)]),
         meshes,
-        images: bytes(&[(pixels, per_pixel), (tiles, 4 + 2), (per_side(BIN), per_bin)]),
+        images: bytes(&[(pixels, per_pixel), (tiles, 2), (per_side(BIN), per_bin)]),
     }
 }
 
@@ -118,7 +122,8 @@ mod tests {
         let size = TrainingSize {
             splats: n,
             sh_degree: 3,
-            besides: 6,
+            absolute_gradients: true,
+            poses_move: true,
             triangles: n,
             vertices_move: false,
             map_floats: n,

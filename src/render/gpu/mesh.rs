@@ -2,7 +2,7 @@
 //! back from the gradient of these to the texels.
 //!
 //! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.
-//! Backward: zero → `texel_backward` → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
+//! Backward: zero → `gradient_peak` → `texel_backward` → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
 //! dispatched.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
@@ -10,7 +10,7 @@ use super::shader::Defines;
 use super::splats::longer_list;
 #[cfg(test)]
 use super::texels::AtlasGradient;
-use super::texels::{TexelStep, Texels};
+use super::texels::{PEAK_FRAGMENTS, TexelStep, Texels, peak_kernel};
 use super::vertices::{VertexState, VertexStep, Vertices};
 use super::view::View;
 use crate::scene::{Atlas, Mesh};
@@ -70,6 +70,7 @@ struct Kernels {
     scatter: Kernel,
     raster: Kernel,
     shade: Kernel,
+    peak: Kernel,
     backward: Kernel,
 }
 
@@ -84,8 +85,9 @@ struct Bound {
     scatter: Bindings,
     raster: Bindings,
     shade: Bindings,
-    backward: Option<Bindings>,
-    vertices: Option<[Bindings; 2]>,
+    /// The largest gradient, then those of the texels.
+    backward: Option<[Bindings; 2]>,
+    vertices: Option<[Bindings; 3]>,
 }
 
 /// Pixels of a column whose gradients a thread scatters one after another, adding to a texel once for all of them. On a
@@ -159,6 +161,7 @@ impl Kernels {
             scatter: kernel("bin_triangles.wgsl", "scatter"),
             raster: kernel("raster_layers.wgsl", "raster"),
             shade: kernel("shade_layers.wgsl", "shade"),
+            peak: peak_kernel(gpu, &defines, 0),
             backward: kernel("texel_backward.wgsl", "backward"),
         }
     }
@@ -263,9 +266,10 @@ impl MeshStage {
         let fragment = [view, &s.layer_triangle, &g.corners, &g.corner_uvs, &g.maps];
         let shade = [t.base(), t.bands(), &s.layer_color];
         let backward = t.gradients().map(|(base, bands)| {
-            let both = [&s.layer_color, &s.layer_gradient, base, bands];
-            let own = if t.band_coefficients() > 0 { &both[..] } else { &both[..3] };
-            k.backward.bind(gpu, &[&fragment[..], own].concat())
+            let both = [&s.layer_color, &s.layer_gradient, t.peaks(), base, bands];
+            let own = if t.band_coefficients() > 0 { &both[..] } else { &both[..4] };
+            let peak = k.peak.bind(gpu, &[view, &s.layer_triangle, &s.layer_gradient, t.peaks()]);
+            [peak, k.backward.bind(gpu, &[&fragment[..], own].concat())]
         });
         let raster = [view, &g.corners, &s.bin_start, &s.bin_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
         Bound {
@@ -281,7 +285,7 @@ impl MeshStage {
             backward,
             vertices: self.vertices.as_ref().map(|v| {
                 let bands = (t.band_coefficients() > 0).then(|| t.bands());
-                v.bind(gpu, &fragment, (t.base(), bands), &s.layer_gradient)
+                v.bind(gpu, &fragment, (t.base(), bands), [&s.layer_gradient, t.peaks()])
             }),
         }
     }
@@ -299,7 +303,8 @@ impl MeshStage {
         state: &VertexState,
     ) -> Result<(), GpuError> {
         let defines = gpu.defines().with("LAYERS", self.layers).with("BANDS", self.texels.band_coefficients());
-        self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, status, state)?);
+        let besides = [status, self.texels.peaks()];
+        self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, besides, state)?);
         if let Some(Bound { bins, fragments, runs, .. }) = self.bound {
             self.bound = Some(Bound { bins, fragments, runs, ..self.bind(gpu, view_uniform) });
         }
@@ -386,14 +391,14 @@ impl MeshStage {
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
-        let Some(Bound { backward: Some(bindings), runs, .. }) = &self.bound else { return };
+        let Some(Bound { backward: Some([peak, texels]), fragments, runs, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
-        frame.dispatch(&self.kernels.backward, bindings, groups(*runs, RUN_GROUP));
+        frame.dispatch(&self.kernels.peak, peak, groups(*fragments, PEAK_FRAGMENTS));
+        frame.dispatch(&self.kernels.backward, texels, groups(*runs, RUN_GROUP));
         self.texels.record_pull(frame);
     }
 
-    /// Gradients of free vertices from `layer_gradient`, which is used up, and the maps as they were rendered. They add up until
-    /// the next step of vertices.
+    /// Gradients of free vertices from `layer_gradient`, which is used up, and the maps as they were rendered; after `record_backward`.
     pub(crate) fn record_vertex_backward(&self, frame: &mut Frame) {
         let Some(Bound { vertices: Some(bindings), fragments, .. }) = &self.bound else { return };
         if let Some(free) = &self.vertices {
@@ -426,6 +431,15 @@ impl MeshStage {
     #[cfg(test)]
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<AtlasGradient>, GpuError> {
         self.texels.read_gradients(gpu)
+    }
+
+    /// Of free vertices, along their normals, `[V]`; empty if none are.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    #[cfg(test)]
+    pub(crate) fn read_vertex_gradient(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
+        self.vertices.as_ref().map_or(Ok(vec![]), |v| v.read_gradient(gpu, self.texels.peaks()))
     }
 
     /// Adam's moments (first, second): base maps of all meshes, then bands of all meshes. Empty if not trainable.

@@ -5,7 +5,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     mesh::MeshStage,
     renderer::Picture,
-    splats::{GEOMETRY, ImageCapacity, SplatBuffers, SplatLists, longer_list},
+    splats::{GEOMETRY, ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list},
     status::status_buffer,
     view::{VIEW_WORDS, View},
 };
@@ -98,7 +98,8 @@ impl Pipeline {
             }
         }
         let depth = mesh.as_ref().map(|m| (m.layer_depth(), composition.layers));
-        let lists = SplatLists::new(gpu, ImageModel::Ewa, &splats, image, pairs + image.tiles, &view, depth)?;
+        let purpose = if trainable { Purpose::Train } else { Purpose::Render(ImageModel::Ewa) };
+        let lists = SplatLists::new(gpu, purpose, &splats, image, pairs + image.tiles, &view, depth)?;
         let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
         let training =
             image_gradient.as_ref().map(|image| Gradients { image, capacity: splats.capacity, absolute: false });
@@ -231,7 +232,8 @@ impl Pipeline {
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         let depth = self.mesh.as_ref().map(|m| (m.layer_depth(), self.composition.layers));
-        self.lists = SplatLists::new(gpu, ImageModel::Ewa, &self.splats, self.image, pairs, &self.view, depth)?;
+        let purpose = if self.backward.is_some() { Purpose::Train } else { Purpose::Render(ImageModel::Ewa) };
+        self.lists = SplatLists::new(gpu, purpose, &self.splats, self.image, pairs, &self.view, depth)?;
         let layers = layer_buffers(self.mesh.as_ref());
         self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, layers, self.gradients())?;
         if let Some(old) = self.backward.take() {

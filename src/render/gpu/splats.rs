@@ -11,9 +11,9 @@ use crate::scene::{Splats, sh};
 
 /// Words of the buffer of counts.
 const COUNT_SPLATS: u32 = 0;
-const COUNT_VISIBLE: u32 = 1;
+pub(super) const COUNT_VISIBLE: u32 = 1;
 pub(super) const COUNT_PAIRS: u32 = 2;
-const COUNT_STORED_PAIRS: u32 = 3;
+pub(super) const COUNT_STORED_PAIRS: u32 = 3;
 
 /// Bits of a depth key, see `compact_visible.wgsl`.
 const DEPTH_BITS: u32 = 28;
@@ -111,11 +111,38 @@ pub(crate) struct SplatLists {
     emit: (Kernel, Bindings),
     ranges_kernel: (Kernel, Bindings),
     order: Option<(Kernel, Bindings)>,
+    numbered: Buffer,
+    offsets: Buffer,
+    tile_count: Buffer,
+}
+
+/// Pairs have numbers, those of a splat one after the other: how what tiles found of a splat is added up.
+pub(crate) struct Numbers<'a> {
+    /// `[pair]` vec2u, sorted by tile and depth: splat and number.
+    pub(crate) pairs: &'a Buffer,
+    /// See [`SplatLists::counts`].
+    pub(crate) counts: &'a Buffer,
+    /// Splats in view, by depth.
+    pub(crate) splats: &'a Buffer,
+    /// The first number of each of these.
+    pub(crate) first: &'a Buffer,
+    /// `[splat]`: how many.
+    pub(crate) count: &'a Buffer,
+}
+
+/// What [`SplatLists`] are for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// Pictures under this model.
+    Render(ImageModel),
+    /// Gradients under [`ImageModel::Ewa`], too: [`SplatLists::numbers`].
+    Train,
 }
 
 /// Entries of a list that was too short for `needed`: half as many again, as far as the adapter binds so many and 32 bits count them.
 pub(crate) fn longer_list(gpu: &Gpu, needed: usize) -> usize {
-    let most = (gpu.max_binding_bytes() as usize / 4).min(u32::MAX as usize - 1);
+    // Eight bytes each: splat and number.
+    let most = (gpu.max_binding_bytes() as usize / 8).min(u32::MAX as usize - 1);
     needed.saturating_add(needed / 2).min(most).max(needed)
 }
 
@@ -124,7 +151,7 @@ impl SplatLists {
     /// splats are ordered against by thresholds.
     pub(crate) fn new(
         gpu: &Gpu,
-        model: ImageModel,
+        purpose: Purpose,
         splats: &SplatBuffers,
         image: ImageCapacity,
         pair_capacity: usize,
@@ -132,6 +159,10 @@ impl SplatLists {
         layer_depth: Option<(&Buffer, u32)>,
     ) -> Result<Self, GpuError> {
         let n = splats.capacity;
+        let (model, trains) = match purpose {
+            Purpose::Render(model) => (model, false),
+            Purpose::Train => (ImageModel::Ewa, true),
+        };
         let projected = gpu.storage("projected splats", n * 12)?;
         let rays = match model {
             ImageModel::Ewa => None,
@@ -143,7 +174,8 @@ impl SplatLists {
         let sorted_count = gpu.storage("sorted tile counts", n)?;
         let offsets = gpu.storage("pair offsets", n)?;
         let counts = gpu.storage("counts", 4)?;
-        let ranges = gpu.storage("tile ranges", image.tiles * 2)?;
+        // And one that holds the number of pairs.
+        let ranges = gpu.storage("tile ranges", (image.tiles + 1) * 2)?;
         let layers = layer_depth.map_or(0, |l| l.1);
         let thresholds = gpu.storage("order thresholds", (n * layers as usize).max(1))?;
 
@@ -157,6 +189,7 @@ impl SplatLists {
             .defines()
             .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
             .with("LAYERS", layers)
+            .with("TRAIN", u32::from(trains))
             .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)))
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_PAIRS", COUNT_PAIRS)
@@ -180,11 +213,18 @@ impl SplatLists {
             &[view, &visible, &slots, &projected, depth_sort.keys_in(), depth_sort.values_in()],
         );
         let gather = stage("gather_counts.wgsl", &[&counts, sorted, &tile_count, &sorted_count]);
-        let emit = stage(
-            "emit_pairs.wgsl",
-            &[view, &counts, sorted, &offsets, &tile_count, &projected, tile_sort.keys_in(), tile_sort.values_in()],
-        );
-        let ranges_kernel = stage("tile_ranges.wgsl", &[view, &counts, tile_sort.keys_out(), &ranges]);
+        let mut emitted =
+            vec![view, &counts, sorted, &offsets, &tile_count, &projected, tile_sort.keys_in(), tile_sort.values_in()];
+        let mut ordered = vec![view, &counts, tile_sort.keys_out(), &ranges];
+        let kept = if trains { pair_capacity } else { 0 };
+        let splat_of = gpu.storage("splats of pairs", kept)?;
+        let numbered = gpu.storage("numbers of pairs", 2 * kept)?;
+        if trains {
+            emitted.push(&splat_of);
+            ordered.extend([tile_sort.values_out(), &splat_of, &numbered]);
+        }
+        let emit = stage("emit_pairs.wgsl", &emitted);
+        let ranges_kernel = stage("tile_ranges.wgsl", &ordered);
         let order =
             layer_depth.map(|(depth, _)| stage("order_splats.wgsl", &[view, &visible, &projected, depth, &thresholds]));
         let per_visible = DispatchSize::new(gpu, n, 256, &counts, COUNT_VISIBLE)?;
@@ -210,6 +250,9 @@ impl SplatLists {
             emit,
             ranges_kernel,
             order,
+            numbered,
+            offsets,
+            tile_count,
         })
     }
 
@@ -237,6 +280,17 @@ impl SplatLists {
     /// Splat of every (tile, splat) pair, sorted by tile and depth.
     pub(crate) fn pair_splats(&self) -> &Buffer {
         self.tile_sort.values_out()
+    }
+
+    /// The same pairs with their numbers, in training.
+    pub(crate) fn numbers(&self) -> Numbers<'_> {
+        Numbers {
+            pairs: &self.numbered,
+            counts: &self.counts,
+            splats: self.depth_sort.values_out(),
+            first: &self.offsets,
+            count: &self.tile_count,
+        }
     }
 
     /// Splats, visible splats, pairs, pairs that fit.

@@ -273,12 +273,11 @@ fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics]
     }
 }
 
-/// Every parameter class, mips included, with and without native atomics and subgroups. The reference's own gradients
+/// Every parameter class, mips included, with and without subgroups. The reference's own gradients
 /// are proven by finite differences (`render/reference`); on these scenes no decision changes within f32's reach.
 #[test]
 fn gradients_equal_the_reference() {
-    let restricted = [(true, true), (true, false), (false, true), (false, false)]
-        .map(|(atomics, subgroups)| (Gpu::open_restricted(None, atomics, subgroups).unwrap(), 6));
+    let restricted = [true, false].map(|subgroups| (Gpu::open_restricted(None, subgroups).unwrap(), 6));
     // Kernels as they are on GPUs take their time on a software adapter.
     let others = [Gpu::open(None).unwrap().posing_as_gpu(), Gpu::open(None).unwrap().narrowed(7)].map(|gpu| (gpu, 2));
     for (gpu, seeds) in restricted.into_iter().chain(others) {
@@ -310,7 +309,7 @@ fn gradients_equal_the_reference() {
 #[test]
 fn absolute_gradients_are_those_of_every_pixel_alone() {
     for subgroups in [true, false] {
-        let gpu = Gpu::open_restricted(None, true, subgroups).unwrap();
+        let gpu = Gpu::open_restricted(None, subgroups).unwrap();
         let (scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
         let (cotangent, n) = (random_cotangent(&camera, 3), scene.splats.len());
         let frame = |pipeline: &mut Pipeline, only: Option<usize>| -> Vec<f32> {
@@ -414,8 +413,8 @@ fn filters_equal_the_reference() {
 /// Along the normals of free vertices, also through mips and view dependence, whose changes neither side counts.
 #[test]
 fn vertex_gradients_equal_the_reference() {
-    for (atomics, subgroups) in [(true, true), (false, false)] {
-        let gpu = Gpu::open_restricted(None, atomics, subgroups).unwrap();
+    for subgroups in [true, false] {
+        let gpu = Gpu::open_restricted(None, subgroups).unwrap();
         for seed in 0..4 {
             let (scene, camera) = testing::smooth_scene(seed, [1, 2, 4, 1][seed as usize], MODES[seed as usize % 3]);
             let cotangent = random_cotangent(&camera, seed);
@@ -434,11 +433,11 @@ fn vertex_gradients_equal_the_reference() {
             pipeline.record_backward(&mut frame, &view);
             pipeline.mesh.as_ref().unwrap().record_vertex_backward(&mut frame);
             frame.submit();
-            let found = pipeline.mesh.as_ref().unwrap().vertices().unwrap().read_gradient(&gpu).unwrap();
+            let found = pipeline.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap();
             let normals = state.normals.chunks_exact(3).map(|n| Vec3::from_slice(n).as_dvec3());
             let expected = expected.iter().flatten().zip(normals).map(|(g, n)| g.dot(n));
             let error = relative(found.into_iter().map(f64::from), expected);
-            eprintln!("atomics {atomics}, subgroups {subgroups}, scene {seed}: {error:.1e}");
+            eprintln!("subgroups {subgroups}, scene {seed}: {error:.1e}");
             assert!(error < GRADIENT, "scene {seed}: relative error {error:e}");
         }
     }

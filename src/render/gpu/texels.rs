@@ -6,6 +6,7 @@
 //! and 13⅓ more to train.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::shader::Defines;
 use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
 
 /// Base `[h·w·4]` and bands of one mesh's gradient.
@@ -14,6 +15,18 @@ pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
 
 /// Threads per workgroup of every kernel over texels.
 const GROUP: usize = 256;
+/// Of `shaders/shared/fixed_point.wgsl`.
+#[cfg(test)]
+pub(crate) const FIXED_ONE: f32 = 262_144.0;
+/// Words of [`Texels::peaks`]: of the maps, of the vertices.
+pub(crate) const PEAKS: usize = 2;
+/// Fragments of a workgroup of `gradient_peak.wgsl`.
+pub(crate) const PEAK_FRAGMENTS: usize = 256 * 16;
+
+/// Sets word `peak` of [`Texels::peaks`]; `defines` are those of the mesh stage.
+pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
+    Kernel::new(gpu, "gradient_peak.wgsl", "peak", &defines.clone().with("PEAK", peak))
+}
 
 /// What a step of Adam needs besides the gradients.
 #[derive(Clone, Copy, Debug)]
@@ -62,16 +75,17 @@ impl Map {
         (self.width >> level) as usize * (self.height >> level) as usize * self.channels as usize
     }
 
-    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` does.
-    fn pulled(&self, all: &[f32]) -> Vec<f32> {
+    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` does; `unit` is that of fixed point.
+    #[cfg(test)]
+    fn pulled(&self, all: &[u32], unit: f32) -> Vec<f32> {
         let (level_0, coarser) = all[self.offset..].split_at(self.floats(0));
         let (width, channels) = (self.width as usize, self.channels as usize);
         let parent = |i: usize| {
             let (row, column, channel) = (i / channels / width, i / channels % width, i % channels);
             (row / 2 * (width / 2) + column / 2) * channels + channel
         };
-        let inherited = |i: usize| if self.levels > 1 { 0.25 * coarser[parent(i)] } else { 0.0 };
-        level_0.iter().enumerate().map(|(i, &g)| g + inherited(i)).collect()
+        let inherited = |i: usize| if self.levels > 1 { 0.25 * f32::from_bits(coarser[parent(i)]) } else { 0.0 };
+        level_0.iter().enumerate().map(|(i, &g)| unit * (g.cast_signed() as f32 + inherited(i))).collect()
     }
 
     /// Words of `Map` in shaders/shared/map.wgsl.
@@ -94,7 +108,7 @@ struct Pool {
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    /// Bindings and workgroups of `pull_mips`: every map's levels but the coarsest and level 0, coarse to fine.
+    /// Bindings and workgroups of `pull_mips`: every map's levels but level 0, coarse to fine.
     pull: Vec<(Bindings, usize)>,
     /// Of `adam_texels`: every map.
     adam: Vec<(Bindings, usize)>,
@@ -119,7 +133,7 @@ impl Pool {
     fn new(
         gpu: &Gpu,
         kernels: &Kernels,
-        step: &Buffer,
+        [step, peaks]: [&Buffer; 2],
         (label, is_base): (&str, bool),
         textures: &[Option<&Texture>],
         status: Option<&Buffer>,
@@ -154,20 +168,25 @@ impl Pool {
                 pull: vec![],
                 adam: vec![],
             });
-            pool.bind_training(gpu, kernels, step, status)?;
+            pool.bind_training(gpu, kernels, [step, status, peaks])?;
         }
         Ok(pool)
     }
 
-    fn bind_training(&mut self, gpu: &Gpu, kernels: &Kernels, step: &Buffer, status: &Buffer) -> Result<(), GpuError> {
+    fn bind_training(
+        &mut self,
+        gpu: &Gpu,
+        kernels: &Kernels,
+        [step, status, peaks]: [&Buffer; 3],
+    ) -> Result<(), GpuError> {
         let Some(training) = &mut self.training else { return Ok(()) };
         for map in self.maps.iter().flatten() {
-            for level in (1..map.levels - 1).rev() {
+            for level in (1..map.levels).rev() {
                 let bindings = kernels.pull.bind(gpu, &[&uniform(gpu, map, level)?, &training.gradients]);
                 training.pull.push((bindings, groups(map.floats(level), GROUP)));
             }
             let uniform = uniform(gpu, map, 0)?;
-            let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status];
+            let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status, peaks];
             // A thread moves the floats that one of level 1 is the mean of.
             let threads = map.floats(1.min(map.levels - 1));
             training.adam.push((kernels.adam.bind(gpu, &buffers), groups(threads, GROUP)));
@@ -180,15 +199,19 @@ impl Pool {
         self.maps.iter().flatten().map(|m| (0..m.levels).map(|l| m.floats(l)).sum::<usize>()).sum()
     }
 
-    /// Level 0 of every map in a buffer laid out like the texels; `pulled` adds what level 1 hands down.
-    fn read(&self, gpu: &Gpu, buffer: &Buffer, pulled: bool) -> Result<Vec<Vec<f32>>, GpuError> {
-        let all: Vec<f32> = gpu.read(buffer, self.floats())?;
-        let level_0 = |map: &Option<Map>| match map {
-            None => vec![],
-            Some(m) if pulled => m.pulled(&all),
-            Some(m) => all[m.offset..m.offset + m.floats(0)].to_vec(),
-        };
+    /// Level 0 of every map.
+    fn read_texels(&self, gpu: &Gpu) -> Result<Vec<Vec<f32>>, GpuError> {
+        let all: Vec<f32> = gpu.read(&self.texels, self.floats())?;
+        let level_0 = |map: &Option<Map>| map.map_or(vec![], |m| all[m.offset..m.offset + m.floats(0)].to_vec());
         Ok(self.maps.iter().map(level_0).collect())
+    }
+
+    /// Of every map, with what level 1 hands down.
+    #[cfg(test)]
+    fn read_gradients(&self, gpu: &Gpu, unit: f32) -> Result<Vec<Vec<f32>>, GpuError> {
+        let Some(training) = &self.training else { return Ok(vec![]) };
+        let all: Vec<u32> = gpu.read(&training.gradients, self.floats())?;
+        Ok(self.maps.iter().map(|map| map.map_or(vec![], |m| m.pulled(&all, unit))).collect())
     }
 
     /// Floats of the level-0 maps: pairs of moments.
@@ -204,6 +227,7 @@ pub(crate) struct Texels {
     degrees: Vec<u32>,
     kernels: Kernels,
     step: Buffer,
+    peaks: Buffer,
 }
 
 impl Texels {
@@ -219,14 +243,17 @@ impl Texels {
             adam: kernel("adam_texels.wgsl", "adam"),
         };
         let step = gpu.uniform("texel step", 8)?;
+        let peaks = gpu.storage("gradient peaks", PEAKS)?;
+        let shared = [&step, &peaks];
         let base: Vec<_> = meshes.iter().map(|m| Some(m.atlas().base())).collect();
         let bands: Vec<_> = meshes.iter().map(|m| m.atlas().bands()).collect();
         let texels = Self {
-            base: Pool::new(gpu, &kernels, &step, ("mesh base texels", true), &base, status)?,
-            bands: Pool::new(gpu, &kernels, &step, ("mesh band texels", false), &bands, status)?,
+            base: Pool::new(gpu, &kernels, shared, ("mesh base texels", true), &base, status)?,
+            bands: Pool::new(gpu, &kernels, shared, ("mesh band texels", false), &bands, status)?,
             degrees: meshes.iter().map(|m| m.atlas().sh_degree()).collect(),
             kernels,
             step,
+            peaks,
         };
         let mut frame = Frame::new(gpu);
         texels.record_mips(&mut frame, 1);
@@ -269,7 +296,12 @@ impl Texels {
         &self.bands.texels
     }
 
-    /// Gradients of `base` and `bands`, if trainable.
+    /// Largest gradients of fragments as the bits of floats, see `gradient_peak.wgsl`, by which sums in fixed point are scaled.
+    pub(crate) fn peaks(&self) -> &Buffer {
+        &self.peaks
+    }
+
+    /// Gradients of `base` and `bands`, if trainable, in fixed point.
     pub(crate) fn gradients(&self) -> Option<(&Buffer, &Buffer)> {
         Some((&self.base.training.as_ref()?.gradients, &self.bands.training.as_ref()?.gradients))
     }
@@ -286,8 +318,9 @@ impl Texels {
         }
     }
 
-    /// Sets the gradients of all levels to zero.
+    /// Sets the gradients of all levels and the peaks to zero.
     pub(crate) fn record_zero_gradients(&self, frame: &mut Frame) {
+        frame.clear(&self.peaks);
         for training in self.training() {
             frame.clear(&training.gradients);
         }
@@ -320,8 +353,7 @@ impl Texels {
     pub(crate) fn read_atlases(&self, gpu: &Gpu) -> Result<Vec<Atlas>, GpuError> {
         let texture =
             |map: &Option<Map>, texels| map.map(|m| Texture::new(m.width, m.height, m.channels, texels)).transpose();
-        let base = self.base.read(gpu, &self.base.texels, false)?;
-        let bands = self.bands.read(gpu, &self.bands.texels, false)?;
+        let (base, bands) = (self.base.read_texels(gpu)?, self.bands.read_texels(gpu)?);
         let atlas = |(i, (base, bands))| {
             let base = texture(&self.base.maps[i], base)?.expect("every mesh has a base map");
             Atlas::new(base, texture(&self.bands.maps[i], bands)?)
@@ -336,8 +368,8 @@ impl Texels {
     /// If the driver failed.
     #[cfg(test)]
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<AtlasGradient>, GpuError> {
-        let Some((base, bands)) = self.gradients() else { return Ok(vec![]) };
-        Ok(self.base.read(gpu, base, true)?.into_iter().zip(self.bands.read(gpu, bands, true)?).collect())
+        let unit = gpu.read::<f32>(&self.peaks, PEAKS)?[0] / FIXED_ONE;
+        Ok(self.base.read_gradients(gpu, unit)?.into_iter().zip(self.bands.read_gradients(gpu, unit)?).collect())
     }
 
     /// Adam's first and second moments: the base maps of all meshes, then the bands of all meshes, each laid out like

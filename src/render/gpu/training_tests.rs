@@ -11,6 +11,7 @@ use super::{
     splats::GEOMETRY,
     texels::TexelStep,
     training::{SplatArrays, Step, Training},
+    vertices::{VertexState, VertexStep},
 };
 use crate::{
     render::testing,
@@ -74,7 +75,7 @@ fn step(training: &mut Training, camera: &Camera) {
             band_degree: 2,
             splats: Some(splats),
             texels: Some(texels),
-            vertices: None,
+            vertices: Some(VertexStep { number: 1, rate: 0.1 }),
             exposure: None,
             pose: Some(PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 }),
         })
@@ -176,6 +177,49 @@ fn folded_steps_learn_the_same() {
     assert_eq!(found.len(), expected.len());
     let error = relative(&found, &expected);
     assert!(error < 1e-4, "relative error {error:e}");
+}
+
+/// Bit by bit, whatever the order in which workgroups run: maps, vertices, splats, poses.
+#[test]
+fn steps_are_the_same_in_every_run() {
+    let (scene, camera) = testing::random_scene(34, 2000, 2, 2, 2, OrderMode::Stable);
+    let wide = camera.resized(384, 288);
+    let open = |subgroups| Gpu::open_restricted(None, subgroups).unwrap();
+    for (gpu, steps) in [(open(true), 6), (open(false), 3), (open(true).posing_as_gpu(), 2)] {
+        let run = || {
+            let mut training = Training::new(&gpu, &scene, &[wide], 0.2).unwrap();
+            training.refine_poses(&PoseState::new(1)).unwrap();
+            training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 1e-3)).unwrap();
+            for _ in 0..steps {
+                step(&mut training, &wide);
+                training.grow_if_short().unwrap();
+            }
+            let meshes = training.read_meshes(&scene.meshes).unwrap();
+            assert!(meshes[0].positions() != scene.meshes[0].positions());
+            (learnt(&training), training.read_vertex_state().unwrap(), meshes)
+        };
+        let (first, second) = (run(), run());
+        assert!(first == second, "{:?}", gpu.profile());
+    }
+}
+
+/// A thousand splats that all tiles see, of which they use a few: more rows of sums than are bound at a time.
+#[test]
+fn sums_of_pairs_in_parts_are_those_of_all() {
+    let mut scene = scene(1000, 1);
+    let splats = scene.splats.into_arrays();
+    scene.splats = crate::scene::SplatArrays { log_scales: vec![Vec3::splat(3.0); 1000], ..splats }.check().unwrap();
+    let near = camera(3.0).resized(64, 64);
+    for subgroups in [true, false] {
+        let open = || Gpu::open_restricted(None, subgroups).unwrap();
+        let [all, parts] = [open(), open().binding_at_most(256 << 10)].map(|gpu| {
+            let training = stepped(&gpu, &scene, &[near], &near);
+            assert!(training.pipeline.lists.read_counts(&gpu).unwrap().1 > 12_000);
+            learnt(&training)
+        });
+        assert!(all.0.geometry[1].iter().filter(|m| **m != 0.0).count() > 50);
+        assert!(all == parts, "subgroups {subgroups}");
+    }
 }
 
 /// The gradients that were there are overwritten by what is moved, and that by the gradients of the next step: also those of splats that

@@ -76,7 +76,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
         let number = t.checked_sub(10).map(|t| t + 1);
         if number == Some(1) {
             let mesh = training.pipeline.mesh.as_ref().unwrap();
-            assert!(mesh.vertices().unwrap().read_gradient(&gpu).unwrap().iter().all(|g| *g == 0.0));
+            assert!(mesh.read_vertex_gradient(&gpu).unwrap().iter().all(|g| *g == 0.0));
         }
         let step = |number| VertexStep { number, rate: 0.1 * 0.1_f32.powf(number as f32 / 150.0) };
         training

@@ -8,6 +8,9 @@ use glam::Vec3;
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
+#[cfg(test)]
+use super::texels::{FIXED_ONE, PEAKS};
+use super::texels::{PEAK_FRAGMENTS, peak_kernel};
 use crate::geometry::{self, Rings};
 use crate::scene::Mesh;
 
@@ -54,8 +57,8 @@ pub(crate) struct Vertices {
     normals: Buffer,
     corner_normals: Buffer,
     step: Buffer,
-    /// By uv, by vertex.
-    backward: [Kernel; 2],
+    /// Of fragments, their peak, sums.
+    backward: [Kernel; 3],
     /// Start, even, odd, move.
     moving: [(Kernel, Bindings); 4],
 }
@@ -70,7 +73,7 @@ impl Vertices {
         defines: &Defines,
         meshes: &[Mesh],
         positions: &Buffer,
-        status: &Buffer,
+        [status, peaks]: [&Buffer; 2],
         state: &VertexState,
     ) -> Result<Self, GpuError> {
         let count = state.normals.len() / 3;
@@ -93,14 +96,17 @@ impl Vertices {
         let first = gpu.storage_with("rings of vertices", &rings.first)?;
         let neighbors = gpu.storage_with("neighbours of vertices", &rings.of)?;
         let step = gpu.uniform("vertex step", 4)?;
-        let buffers = [&step, &gradient, &moments, &steps, &first, &neighbors, &normals, positions, status];
+        let buffers = [&step, &gradient, &moments, &steps, &first, &neighbors, &normals, positions, status, peaks];
         let moving = [("start", 0), ("diffuse", 0), ("diffuse", 1), ("displace", 0)].map(|(entry, odd)| {
             let kernel = Kernel::new(gpu, "move_vertices.wgsl", entry, &gpu.defines().with("ODD", odd));
             let bindings = kernel.bind(gpu, &buffers);
             (kernel, bindings)
         });
-        let backward =
-            ["uv_backward.wgsl", "vertex_backward.wgsl"].map(|file| Kernel::new(gpu, file, "backward", defines));
+        let backward = [
+            Kernel::new(gpu, "uv_backward.wgsl", "backward", defines),
+            peak_kernel(gpu, defines, 1),
+            Kernel::new(gpu, "vertex_backward.wgsl", "backward", defines),
+        ];
         let corner_normals = gpu.storage_with("corner normals", &corner_normals)?;
         Ok(Self { count, pixel: state.pixel, gradient, moments, normals, corner_normals, step, backward, moving })
     }
@@ -112,21 +118,23 @@ impl Vertices {
         gpu: &Gpu,
         fragment: &[&Buffer; 5],
         (base, bands): (&Buffer, Option<&Buffer>),
-        layer_gradient: &Buffer,
-    ) -> [Bindings; 2] {
-        let mut by_uv = fragment.to_vec();
-        by_uv.extend([base, layer_gradient]);
-        by_uv.extend(bands);
-        // The maps' pyramids are of no interest to vertices, but share the common layout.
-        let mut by_vertex = fragment.to_vec();
-        by_vertex.extend([layer_gradient, &self.corner_normals, &self.gradient]);
-        [self.backward[0].bind(gpu, &by_uv), self.backward[1].bind(gpu, &by_vertex)]
+        [layer_gradient, peaks]: [&Buffer; 2],
+    ) -> [Bindings; 3] {
+        let mut of_fragments = fragment.to_vec();
+        of_fragments.extend([base, layer_gradient, &self.corner_normals]);
+        of_fragments.extend(bands);
+        let [view, triangles, ..] = *fragment;
+        let peak = [view, triangles, layer_gradient, peaks];
+        let sums = [view, triangles, layer_gradient, &self.corner_normals, peaks, &self.gradient];
+        let [k0, k1, k2] = &self.backward;
+        [k0.bind(gpu, &of_fragments), k1.bind(gpu, &peak), k2.bind(gpu, &sums)]
     }
 
     /// Gradients of all vertices; the layers' gradient is used up.
-    pub(crate) fn record_backward(&self, frame: &mut Frame, bindings: &[Bindings; 2], fragments: usize) {
-        for (kernel, bindings) in self.backward.iter().zip(bindings) {
-            frame.dispatch(kernel, bindings, groups(fragments, GROUP));
+    pub(crate) fn record_backward(&self, frame: &mut Frame, bindings: &[Bindings; 3], fragments: usize) {
+        frame.clear(&self.gradient);
+        for ((kernel, bindings), block) in self.backward.iter().zip(bindings).zip([GROUP, PEAK_FRAGMENTS, GROUP]) {
+            frame.dispatch(kernel, bindings, groups(fragments, block));
         }
     }
 
@@ -142,7 +150,7 @@ impl Vertices {
         gpu.write(&self.step, 0, &words);
     }
 
-    /// Moves all vertices by a step and clears their gradients.
+    /// Moves all vertices by a step.
     pub(crate) fn record_step(&self, frame: &mut Frame) {
         let [start, even, odd, done] = &self.moving;
         let diffusions = (0..DIFFUSIONS).flat_map(|_| [even, odd]);
@@ -156,8 +164,9 @@ impl Vertices {
     /// # Errors
     /// If the driver failed.
     #[cfg(test)]
-    pub(crate) fn read_gradient(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
-        gpu.read(&self.gradient, self.count)
+    pub(crate) fn read_gradient(&self, gpu: &Gpu, peaks: &Buffer) -> Result<Vec<f32>, GpuError> {
+        let unit = gpu.read::<f32>(peaks, PEAKS)?[1] / FIXED_ONE;
+        Ok(gpu.read::<i32>(&self.gradient, self.count)?.into_iter().map(|sum| unit * sum as f32).collect())
     }
 
     /// What a checkpoint needs. Waits.

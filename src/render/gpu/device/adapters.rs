@@ -7,8 +7,6 @@ use super::error::GpuError;
 /// What shaders may use on this adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
-    /// Native `atomicAdd` on f32 in storage buffers.
-    pub float_atomics: bool,
     /// Subgroup operations.
     pub subgroups: bool,
     /// Timestamp queries.
@@ -34,8 +32,6 @@ pub struct AdapterSummary {
     pub driver: String,
     /// Largest buffer a shader can bind, bytes.
     pub max_binding_bytes: u64,
-    /// Native f32 atomics.
-    pub float_atomics: bool,
     /// Subgroup sizes, 0–0 if not supported.
     pub subgroup_size: (u32, u32),
     /// Timestamp queries.
@@ -116,7 +112,6 @@ pub(super) fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
             kind: format!("{:?}", info.device_type),
             driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
             max_binding_bytes: max_binding_bytes(&a.limits()),
-            float_atomics: features.contains(wgpu::Features::SHADER_FLOAT32_ATOMIC),
             subgroup_size: if subgroups { (info.subgroup_min_size, info.subgroup_max_size) } else { (0, 0) },
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
         }
@@ -166,7 +161,6 @@ mod tests {
             kind: "DiscreteGpu".to_owned(),
             driver: String::new(),
             max_binding_bytes: 1 << 30,
-            float_atomics: true,
             subgroup_size: (32, 32),
             timestamps: true,
         }

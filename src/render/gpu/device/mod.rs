@@ -43,20 +43,19 @@ impl Gpu {
     /// # Errors
     /// If there is no (such) adapter or its driver refuses a device.
     pub fn open(wanted: Option<&str>) -> Result<Self, GpuError> {
-        Self::open_restricted(wanted, true, true)
+        Self::open_restricted(wanted, true)
     }
 
-    /// As [`Gpu::open`], pretending that native f32 atomics or subgroups are missing where told so: the fallbacks
-    /// run everywhere, so that they can be tested everywhere.
+    /// As [`Gpu::open`], pretending that subgroups are missing where told so: the fallback runs everywhere, so that it can be
+    /// tested everywhere.
     ///
     /// # Errors
     /// As [`Gpu::open`].
-    pub fn open_restricted(wanted: Option<&str>, float_atomics: bool, subgroups: bool) -> Result<Self, GpuError> {
+    pub fn open_restricted(wanted: Option<&str>, subgroups: bool) -> Result<Self, GpuError> {
         let all = adapters();
         let adapter = &all[choose(wanted, &summaries(&all))?];
         let info = adapter.get_info();
         let mut wanted_features = wgpu::Features::TIMESTAMP_QUERY;
-        wanted_features.set(wgpu::Features::SHADER_FLOAT32_ATOMIC, float_atomics);
         wanted_features.set(wgpu::Features::SUBGROUP, subgroups);
         let features = adapter.features() & wanted_features;
         let limits = wanted_limits(adapter);
@@ -85,7 +84,6 @@ impl Gpu {
             queue,
             adapter: info.name,
             profile: Profile {
-                float_atomics: features.contains(wgpu::Features::SHADER_FLOAT32_ATOMIC),
                 subgroups: features.contains(wgpu::Features::SUBGROUP),
                 timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
                 is_cpu: info.device_type == wgpu::DeviceType::Cpu,
@@ -134,6 +132,13 @@ impl Gpu {
         self
     }
 
+    /// The same adapter, but buffers are bound up to so many bytes.
+    #[cfg(test)]
+    pub(crate) fn binding_at_most(mut self, bytes: u64) -> Self {
+        self.limits.max_storage_buffer_binding_size = bytes;
+        self
+    }
+
     /// The same adapter, with what kernels have for GPUs: uniforms, and threads that work together.
     #[cfg(test)]
     pub(crate) fn posing_as_gpu(mut self) -> Self {
@@ -173,10 +178,7 @@ impl Gpu {
 
     /// The defines that every kernel gets from the adapter.
     pub(crate) fn defines(&self) -> Defines {
-        Defines::default()
-            .with("FLOAT_ATOMICS", u32::from(self.profile.float_atomics))
-            .with("SUBGROUPS", u32::from(self.profile.subgroups))
-            .with("WIDEST", self.widest_dispatch())
+        Defines::default().with("SUBGROUPS", u32::from(self.profile.subgroups)).with("WIDEST", self.widest_dispatch())
     }
 }
 
