@@ -81,7 +81,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "0..1", default_value_t = TrainOptions::default().ssim_weight, value_parser = share,
           help_heading = OPTIMISATION)]
     ssim_weight: f32,
-    /// Start of every random sequence; the same seed gives the same order of views
+    /// Start of every random sequence. The same seed gives the same scene, to the last bit, on the same adapter and driver, however many
+    /// threads there are and wherever it was resumed
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION)]
     seed: u64,
     /// Save a checkpoint after every N iterations; 0 for none but that of Ctrl-C

@@ -162,8 +162,8 @@ mod tests {
             needed(&size(&options, &cameras, source, 1_000_000, 2048), *source == MeshSource::Splats, 2048)
         };
         let (what, hybrid) = of(&MeshSource::Splats);
-        let expected = "training (1000000 splats of SH degree 3: 3439 MiB, the mesh with maps of 2048² texels 415 MiB, \
-                        images of 1920×1080: 651 MiB)";
+        let expected = "training (1000000 splats of SH degree 3: 4333 MiB, the mesh with maps of 2048² texels 415 MiB, \
+                        images of 1920×1080: 650 MiB)";
         assert_eq!(what, expected);
         let (what, alone) = of(&MeshSource::None);
         assert!(alone < hybrid && !what.contains("mesh"), "{what}");

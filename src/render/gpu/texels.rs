@@ -17,7 +17,7 @@ pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
 const GROUP: usize = 256;
 /// Of `shaders/shared/fixed_point.wgsl`.
 #[cfg(test)]
-pub(crate) const FIXED_ONE: f32 = 262_144.0;
+pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
 /// Words of [`Texels::peaks`]: of the maps, of the vertices.
 pub(crate) const PEAKS: usize = 2;
 /// Fragments of a workgroup of `gradient_peak.wgsl`.

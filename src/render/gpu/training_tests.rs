@@ -141,7 +141,7 @@ fn a_step_after_depths_that_were_long_learns() {
         assert_eq!(training.take_status().unwrap().skipped, 0);
         training.loss().unwrap()
     });
-    assert!((losses[0].l1 - losses[1].l1).abs() < 1e-6 && (losses[0].ssim - losses[1].ssim).abs() < 1e-6, "{losses:?}");
+    assert_eq!((losses[0].l1, losses[0].ssim), (losses[1].l1, losses[1].ssim));
 }
 
 /// First moments of all that is learnt: a tenth of the gradients of a first step.
@@ -174,9 +174,7 @@ fn folded_steps_learn_the_same() {
     let (scene, camera) = testing::random_scene(31, 3000, 1, 2, 2, OrderMode::Stable);
     let (plain, folded) = (Gpu::open(None).unwrap(), Gpu::open(None).unwrap().narrowed(7));
     let [expected, found] = [&plain, &folded].map(|gpu| first_moments(&stepped(gpu, &scene, &[camera], &camera)));
-    assert_eq!(found.len(), expected.len());
-    let error = relative(&found, &expected);
-    assert!(error < 1e-4, "relative error {error:e}");
+    assert!(found.iter().any(|m| *m != 0.0) && found == expected);
 }
 
 /// Bit by bit, whatever the order in which workgroups run: maps, vertices, splats, poses.
@@ -277,10 +275,9 @@ fn pictures_of_other_shapes_are_learnt_from_alike() {
     let cameras = [of(90, 20), of(17, 70)];
     for at in &cameras {
         let [alone, both] = [std::slice::from_ref(at), &cameras].map(|cameras| stepped(&gpu, &scene, cameras, at));
-        let error = relative(&first_moments(&both), &first_moments(&alone));
-        assert!(error < 1e-4, "relative error {error:e}");
+        assert!(first_moments(&both) == first_moments(&alone));
         let [alone, both] = [alone, both].map(|training| training.loss().unwrap());
-        assert!((alone.l1 - both.l1).abs() < 1e-6 && (alone.ssim - both.ssim).abs() < 1e-6, "{alone:?}, {both:?}");
+        assert_eq!((alone.l1, alone.ssim), (both.l1, both.ssim));
     }
 }
 

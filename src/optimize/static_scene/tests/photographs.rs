@@ -47,16 +47,15 @@ fn each_photograph_has_its_own_alpha() {
         });
         let stop = AtomicBool::new(false);
         let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
-        // Not many: sums in any order make two runs of the same differ, the more the longer they are.
-        let options = TrainOptions { iterations: 30, ..options() };
+        let options = TrainOptions { iterations: 100, ..options() };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         trained.history.iter().map(|p| p.loss).collect::<Vec<_>>()
     };
     let [red, blue] = [[255, 0, 0, 0], [0, 0, 255, 0]].map(losses);
-    assert!(red.len() == 3 && red.iter().zip(&blue).all(|(a, b)| (a - b).abs() < 1e-3 * a), "{red:?} {blue:?}");
-    // What is not transparent does: by 2 %.
+    assert!(red.len() == 10 && red == blue, "{red:?} {blue:?}");
+    // What is not transparent does: by 2 % at first.
     let [red, blue] = [[255, 0, 0, 255], [0, 0, 255, 255]].map(losses);
-    assert!(red.iter().zip(&blue).all(|(a, b)| (a - b).abs() > 1e-2 * a), "{red:?} {blue:?}");
+    assert!(red.iter().zip(&blue).take(3).all(|(a, b)| (a - b).abs() > 1e-2 * a), "{red:?} {blue:?}");
 }
 
 /// Also where undistorted frames reach outside the photographs, which is a mask and no alpha.
