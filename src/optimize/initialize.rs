@@ -31,7 +31,7 @@ impl Initial {
     ///
     /// Splats grow by half a percent in an iteration at most, so that in a run of 500 the first ones would be too small to cover what
     /// they stand for until its end. The factor is in inverse proportion to the cube root of the iterations, but at most 1
-    /// (`docs/results.md`).
+    /// (`docs/experiments.md`).
     #[must_use]
     pub fn mcmc_in(iterations: u32) -> Self {
         let shorter = 30_000.0 / iterations.clamp(30, 30_000) as f32;

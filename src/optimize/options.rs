@@ -92,11 +92,11 @@ pub struct TrainOptions {
     /// Triangles of a mesh made from the capture, at most: 20,000.
     pub triangles: usize,
     /// Flat regions of such a mesh are made flat and meshed anew with few triangles ([`geometry::flatten`](crate::geometry::flatten)).
-    /// On, see docs/results.md.
+    /// On, see docs/experiments.md.
     pub planar: bool,
     /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
     /// far background. Its triangles are judged as all others, by two views at least, and it has no vertex that `triangles` counts. Not
-    /// where photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/results.md.
+    /// where photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/experiments.md.
     pub shell: bool,
     /// Iterations between checkpoints, 0 for none but that of a run that is stopped: 2,000.
     pub checkpoint_every: u32,

@@ -172,7 +172,7 @@ impl Schedule {
     ///
     /// A step of Adam is about as long as its rate, whatever the gradient. INRIA's rates let a mean come by 1/36 of the extent in all
     /// 800 iterations of a run: fewer steps have to be longer. By r itself, splats would leave what they show in single steps; at the end
-    /// these are noise (`docs/results.md`).
+    /// these are noise (`docs/experiments.md`).
     #[must_use]
     pub fn haste(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));
@@ -182,7 +182,7 @@ impl Schedule {
 
     /// How much smaller learning rates are at iteration `t` of a short run: 1 in its first three quarters, then falling to a tenth, or
     /// to 1/r of one that is r times shorter than 30 000, its logarithm linear in t. Longer steps leave splats as the last few views would
-    /// have them: on skull66, held-out views went up and down by a dB from epoch to epoch (`docs/results.md`).
+    /// have them: on skull66, held-out views went up and down by a dB from epoch to epoch (`docs/experiments.md`).
     #[must_use]
     pub fn settling(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));

@@ -22,7 +22,7 @@ const LEAST_PIXELS: f64 = 256.0;
 /// Share of an atlas that charts cover, for choosing its size.
 const COVERAGE: f64 = 0.6;
 /// Texels to a pixel, on the mean of the views that see a triangle, most of them at a slant: enough for the ones that face it. With one,
-/// splats stay in front of what maps are too coarse for (`docs/results.md`).
+/// splats stay in front of what maps are too coarse for (`docs/experiments.md`).
 const TEXELS_PER_PIXEL: f64 = 2.0;
 /// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
 const GUTTER: u32 = 4;

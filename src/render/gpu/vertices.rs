@@ -1,7 +1,7 @@
 //! Vertices of the meshes that move along their normals while a scene is optimised.
 //!
 //! A fused surface is off by a pixel or so, and maps on it blur by as much. Backward: `uv_backward` (in place of the
-//! layers' gradient) → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 44 bytes per
+//! layers' gradient) → `gradient_peak` → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 44 bytes per
 //! vertex and some 28 for its neighbours, 48 per triangle.
 
 use glam::Vec3;
