@@ -3,7 +3,8 @@
 // thread per float.
 //
 // The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. Per float of level 0
-// 17 bytes read, 13 written: bound by bandwidth. What no view has seen has neither gradient nor moments and stays as it is.
+// 17 bytes read, 13 written: bound by bandwidth. What no view has seen, or
+// next to nothing of it, has neither gradient nor moments and stays as it is.
 //
 // `visited_only`: floats without a gradient and their moments stay. Steps are counted for all texels together, which
 // says little about how often one was seen; instead of correcting the moments for it, a step is at most the rate. (By
@@ -48,7 +49,7 @@ fn adam(
     let is_opacity = map.is_base != 0u && texel.y == 3u;
     var inherited = 0.0;
     if level == 1u { inherited = 0.25 * bitcast<f32>(gradient[level_offset(map, 1u) + i]); }
-    let unit = fixed_unit(peaks[0]);
+    let unit = fixed_unit(peaks[0]) * select(BAND_UNIT, 1.0, map.is_base != 0u);
     // Everything is read before anything is written: rows are a power of two apart, and CPUs wait for a store that
     // shares the low bits of a load's address.
     let stride = vec2u(map.channels, map.width * map.channels);

@@ -9,7 +9,11 @@
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> splats: array<u32>;
 @group(0) @binding(3) var<storage, read> offsets: array<u32>;
+//#if TRAIN
+@group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
+//#else
 @group(0) @binding(4) var<storage, read> tile_count: array<u32>;
+//#end
 @group(0) @binding(5) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> values: array<u32>;
@@ -52,7 +56,11 @@ fn main(
             at++;
         }
     }
-    // Two kernels may round differently: what was counted but not found goes to a tile that does not exist.
+    // Two kernels may round differently: what was counted but not found goes to a tile that does not exist, and no tile says
+    // anything of it.
+//#if TRAIN
+    if at < end { tile_count[i] = at - offsets[k]; }
+//#end
     for (; at < end; at++) {
         emit(at, view.tiles.x * view.tiles.y, i);
     }

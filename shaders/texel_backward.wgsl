@@ -79,8 +79,9 @@ fn backward(
             let stride = 3u * ((map.degree + 1u) * (map.degree + 1u) - 1u);
             let degree = min(map.degree, view.band_degree);
             let basis = sh_basis(f.direction);
+            let band_g = g / BAND_UNIT;
             //#for k in 0..BANDS
-            let band_g$k = select(vec3f(0.0), basis[$k + 1] * g, ($ku + 1u) < (degree + 1u) * (degree + 1u));
+            let band_g$k = select(vec3f(0.0), basis[$k + 1] * band_g, ($ku + 1u) < (degree + 1u) * (degree + 1u));
             //#end
             //#end
             //#for l in 0..2

@@ -1,5 +1,5 @@
-// First and one-past-last pair of every tile in the sorted list, and in training the splat of every pair. `ranges` must be zeroed before. Two invocations write what others
-// read as one vec2u, by words: a write to a component of a vector may write all of it.
+// First and one-past-last pair of every tile in the sorted list, and in training the splat of every pair. `ranges` must be zeroed
+// before. Two invocations write what others read as one vec2u, by words: a write to a component of a vector may write all of it.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;

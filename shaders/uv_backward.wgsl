@@ -90,6 +90,7 @@ fn sample_bands(map: Maps, f: Fragment, degree: u32) -> Sample {
 
 // From the gradient by the uv where the pixel's ray meets the triangle.
 fn by_vertices(d_uv: vec2f, pixel: u32, triangle: u32) -> vec3f {
+    if all(d_uv == vec2f(0.0)) { return vec3f(0.0); }
     let at = vec2f(f32(pixel % view.size.x), f32(pixel / view.size.x));
     let ray = vec3f((at + 0.5 - view.principal) / view.focal, 1.0);
     let v0 = corners[3u * triangle].xyz;

@@ -1,8 +1,11 @@
 // Sums in fixed point: integers come to the same whatever the order of their terms, which is another one in every run.
-// Units are of what the view's largest term is FIXED_ONE of: 2,048 terms as large as that one fit, and what is 2⁻²¹ of it
-// or less is lost.
+// The view's largest gradient of a fragment is FIXED_ONE units: 2,047 terms of that size fit, and what is 2⁻²¹ of it or less is
+// lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels would have to pull alike and as hard as the one
+// that pulls most before the sum wraps around. A texel of the bands, which are a quarter as wide, has 16 times the pixels:
+// its terms are in units that are 8 times as large.
 
 const FIXED_ONE: f32 = 1048576.0;
+const BAND_UNIT: f32 = 8.0;
 
 // Units per 1, by the bits of the largest term.
 fn fixed_scale(peak: u32) -> f32 {

@@ -168,6 +168,8 @@ impl Blend {
     /// Appends the backward blend; does nothing if not made for training.
     pub(crate) fn record_backward(&self, frame: &mut Frame, tiles: usize) {
         if let Some(b) = &self.backward {
+            // Of splats out of view: what another view has found.
+            frame.clear(&b.moments);
             b.per_splat.record(frame);
             for [of_tiles, of_splats] in &b.windows {
                 frame.dispatch(&of_tiles.0, &of_tiles.1, tiles);
@@ -181,7 +183,7 @@ impl Blend {
         self.backward.as_ref().map(|b| &b.ends)
     }
 
-    /// `[n]` rows of sums per splat, of those in view alone, if made for training.
+    /// `[n]` rows of sums per splat, if made for training; 0 of those that the last view does not see.
     pub(crate) fn moments(&self) -> Option<&Buffer> {
         self.backward.as_ref().map(|b| &b.moments)
     }

@@ -5,7 +5,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     mesh::MeshStage,
     renderer::Picture,
-    splats::{GEOMETRY, ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list},
+    splats::{GEOMETRY, ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list, longest_list},
     status::status_buffer,
     view::{VIEW_WORDS, View},
 };
@@ -69,8 +69,15 @@ impl Pipeline {
         let capacity = capacity.max(scene.splats.len());
         let splats = SplatBuffers::new(gpu, capacity, scene.splats.sh_degree())?;
         splats.write(gpu, &scene.splats);
-        let mut built =
-            Self::assemble(gpu, splats, &scene.meshes, scene.composition, cameras, splats_pairs(capacity), trainable)?;
+        let mut built = Self::assemble(
+            gpu,
+            splats,
+            &scene.meshes,
+            scene.composition,
+            cameras,
+            splats_pairs(gpu, capacity),
+            trainable,
+        )?;
         built.n_splats = scene.splats.len();
         Ok(built)
     }
@@ -227,7 +234,7 @@ impl Pipeline {
     /// Makes the pipeline anew around other splat buffers (for more splats).
     pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<(), GpuError> {
         self.splats = splats;
-        self.renew_lists(gpu, splats_pairs(self.splats.capacity).max(self.lists.pair_capacity()))
+        self.renew_lists(gpu, splats_pairs(gpu, self.splats.capacity).max(self.lists.pair_capacity()))
     }
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
@@ -279,8 +286,8 @@ impl Pipeline {
     }
 }
 
-fn splats_pairs(capacity: usize) -> usize {
-    capacity * PAIRS_PER_SPLAT
+fn splats_pairs(gpu: &Gpu, capacity: usize) -> usize {
+    (capacity * PAIRS_PER_SPLAT).min(longest_list(gpu))
 }
 
 fn layer_buffers(mesh: Option<&MeshStage>) -> Option<LayerBuffers<'_>> {

@@ -141,9 +141,12 @@ pub(crate) enum Purpose {
 
 /// Entries of a list that was too short for `needed`: half as many again, as far as the adapter binds so many and 32 bits count them.
 pub(crate) fn longer_list(gpu: &Gpu, needed: usize) -> usize {
-    // Eight bytes each: splat and number.
-    let most = (gpu.max_binding_bytes() as usize / 8).min(u32::MAX as usize - 1);
-    needed.saturating_add(needed / 2).min(most).max(needed)
+    needed.saturating_add(needed / 2).min(longest_list(gpu)).max(needed)
+}
+
+/// Entries that an adapter binds: in training eight bytes each, splat and number.
+pub(crate) fn longest_list(gpu: &Gpu) -> usize {
+    (gpu.max_binding_bytes() as usize / 8).min(u32::MAX as usize - 1)
 }
 
 impl SplatLists {

@@ -6,9 +6,9 @@ use super::{
     device::{Frame, Gpu},
     mesh::MeshStage,
     mesh_tests::{Random, Rig, atlas, hits, mip_level, shade, soup, sphere, view},
-    status::status_buffer,
+    status::{Status, status_buffer},
     texels::TexelStep,
-    view::View,
+    view::{VIEW_WORDS, View},
 };
 use crate::scene::{Atlas, Mesh, Texture};
 
@@ -190,4 +190,37 @@ fn adam_steps_and_moments_are_restored() {
         assert!((a == b) == stays && ((m[i], v[i]) == (first[i], second[i])) == stays, "float {i}: {a} became {b}");
     }
     assert_ne!(after.bands(), held.bands());
+}
+
+/// In fixed point there is no NaN, but its unit is one.
+#[test]
+fn what_is_not_finite_is_found_through_fixed_point() {
+    let mut random = Random(8);
+    let meshes = [sphere(24, 12, Vec3::new(0.0, 0.0, 2.0), 1.0, atlas(&mut random, 1, 16))];
+    let view = view(40, 40, DMat3::IDENTITY, 1, &meshes);
+    for (value, found) in [
+        (1.0, None),
+        (f32::NAN, Some("a map of colour and opacity")),
+        (f32::INFINITY, Some("a map of colour and opacity")),
+    ] {
+        let gpu = Gpu::open(None).unwrap();
+        let status = status_buffer(&gpu).unwrap();
+        let uniform = gpu.uniform("view", VIEW_WORDS).unwrap();
+        gpu.write(&uniform, 0, &view.words());
+        let mut stage = MeshStage::new(&gpu, &meshes, 1, Some(&status)).unwrap();
+        stage.resize(&gpu, &view, &uniform).unwrap();
+        let mut weights: Vec<f32> = (0..4 * view.pixels()).map(|_| random.signed()).collect();
+        weights[4 * (20 * 40 + 20)] = value;
+        gpu.write(stage.layer_gradient(), 0, &weights);
+        stage.set_step(
+            &gpu,
+            &TexelStep { number: 1, base_rate: 1e-3, band_rate: 1e-3, visited_only: true, holds_opacity: false },
+        );
+        let mut frame = Frame::new(&gpu);
+        stage.record_forward(&mut frame);
+        stage.record_backward(&mut frame);
+        stage.record_adam(&mut frame);
+        frame.submit();
+        assert_eq!(Status::read(&gpu, &status).unwrap().not_finite, found, "{value}");
+    }
 }

@@ -18,6 +18,8 @@ const GROUP: usize = 256;
 /// Of `shaders/shared/fixed_point.wgsl`.
 #[cfg(test)]
 pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
+#[cfg(test)]
+const BAND_UNIT: f32 = 8.0;
 /// Words of [`Texels::peaks`]: of the maps, of the vertices.
 pub(crate) const PEAKS: usize = 2;
 /// Fragments of a workgroup of `gradient_peak.wgsl`.
@@ -369,7 +371,8 @@ impl Texels {
     #[cfg(test)]
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<AtlasGradient>, GpuError> {
         let unit = gpu.read::<f32>(&self.peaks, PEAKS)?[0] / FIXED_ONE;
-        Ok(self.base.read_gradients(gpu, unit)?.into_iter().zip(self.bands.read_gradients(gpu, unit)?).collect())
+        let bands = self.bands.read_gradients(gpu, BAND_UNIT * unit)?;
+        Ok(self.base.read_gradients(gpu, unit)?.into_iter().zip(bands).collect())
     }
 
     /// Adam's first and second moments: the base maps of all meshes, then the bands of all meshes, each laid out like

@@ -208,16 +208,31 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
     let splats = scene.splats.into_arrays();
     scene.splats = crate::scene::SplatArrays { log_scales: vec![Vec3::splat(3.0); 1000], ..splats }.check().unwrap();
     let near = camera(3.0).resized(64, 64);
-    for subgroups in [true, false] {
+    for (subgroups, absolute) in [(true, false), (false, false), (true, true), (false, true)] {
         let open = || Gpu::open_restricted(None, subgroups).unwrap();
         let [all, parts] = [open(), open().binding_at_most(256 << 10)].map(|gpu| {
-            let training = stepped(&gpu, &scene, &[near], &near);
+            let mut training = stepped(&gpu, &scene, &[near], &near);
+            if absolute {
+                training.sum_absolute_gradients().unwrap();
+                step(&mut training, &near);
+            }
             assert!(training.pipeline.lists.read_counts(&gpu).unwrap().1 > 12_000);
             learnt(&training)
         });
         assert!(all.0.geometry[1].iter().filter(|m| **m != 0.0).count() > 50);
-        assert!(all == parts, "subgroups {subgroups}");
+        assert!(all == parts, "subgroups {subgroups}, absolute {absolute}");
     }
+}
+
+/// Also of splats that another view has seen.
+#[test]
+fn a_view_gathers_nothing_of_what_it_does_not_see() {
+    let (gpu, scene, near) = (Gpu::open(None).unwrap(), scene(3, 1), camera(3.0));
+    let away = camera(-3.0);
+    let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
+    let values = vec![[1.0; 3]; (SIDE * SIDE) as usize];
+    assert!(training.gather(&near, &values).unwrap().iter().any(|sums| sums[3] > 1.0));
+    assert_eq!(training.gather(&away, &values).unwrap(), [[0.0; 4]; 3]);
 }
 
 /// The gradients that were there are overwritten by what is moved, and that by the gradients of the next step: also those of splats that
