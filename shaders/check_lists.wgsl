@@ -1,5 +1,6 @@
 // Whether the lists of a training step were long enough for its view. One thread; runs when the lists are made and before
-// anything is learnt from them.
+// anything is learnt from them. After a step of which they were not, none learns until the host has made longer ones: so that
+// all of these can be taken again, in their order.
 
 //#import shared/view.wgsl
 //#import shared/status.wgsl
@@ -21,6 +22,6 @@ fn main() {
     is_short = is_short || triangle_pairs_needed[0] > arrayLength(&triangle_pairs);
     status.triangle_pairs = triangle_pairs_needed[0];
 //#end
-    status.is_short = u32(is_short);
-    status.skipped += u32(is_short);
+    if is_short { status.is_short = 1u; }
+    status.skipped += status.is_short;
 }

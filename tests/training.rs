@@ -16,7 +16,7 @@ use centaur::geometry::Surface;
 use centaur::optimize::{Density, MeshSource, Outcome, Phase, Session, TrainOptions, Trained, train};
 use centaur::render::gpu::Gpu;
 use centaur::scene::Camera;
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 
 fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("demo")
@@ -47,7 +47,11 @@ struct Bench {
 
 impl Bench {
     fn new(mesh: MeshSource, options: TrainOptions) -> Self {
-        let small = LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() };
+        Self::of_size(64, mesh, options)
+    }
+
+    fn of_size(side: u32, mesh: MeshSource, options: TrainOptions) -> Self {
+        let small = LoadOptions { downscale: Downscale::MaxSide(side), ..LoadOptions::default() };
         let mut capture = capture::open(&demo(), &small).unwrap();
         // Fewer than `max_splats`, so that there is something to decide on.
         capture.points.truncate(700);
@@ -137,6 +141,18 @@ fn resumed_with_mcmc() {
     // With exposures, which are a part of the state as well, and pictures that grow.
     let options = TrainOptions { exposure: true, coarse_to_fine: true, ..options(Density::Mcmc) };
     resumes_in_both_phases(options);
+}
+
+/// Splats of which each is in nearly all tiles. Iterations whose lists are too short are taken again, so that it does not matter how long
+/// lists are: of those who go on they are long.
+#[test]
+fn resumed_where_lists_were_too_short() {
+    let options = TrainOptions { max_splats: Some(40), ..options(Density::Mcmc) };
+    let mut bench = Bench::of_size(128, MeshSource::None, options);
+    bench.capture.points.truncate(10);
+    let straight = bench.run(false, None);
+    assert!(straight.repeated_iterations > 0, "no list was too short");
+    bench.assert_same(&straight, (Phase::Joint, 40));
 }
 
 #[test]

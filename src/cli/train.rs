@@ -439,7 +439,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
         let outcome = serde_json::json!({
             "outcome": "finished", "scene": args.output, "points": capture.points.len(), "seconds_per_iteration": trained.seconds_per_iteration,
-            "skipped_iterations": trained.skipped_iterations, "surface": trained.surface,
+            "repeated_iterations": trained.repeated_iterations, "surface": trained.surface,
             "selection": trained.selection, "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
             "occluded_splats": trained.occluded_splats,
             "notes": notes.iter().chain(&last).collect::<Vec<_>>(),

@@ -128,8 +128,8 @@ pub struct Trained {
     pub cameras: Vec<Camera>,
     /// Seconds per joint iteration of this run, without evaluation; `None` if it had none.
     pub seconds_per_iteration: Option<f64>,
-    /// Iterations of this run that changed nothing because their view needed longer lists, which were made then.
-    pub skipped_iterations: u32,
+    /// Iterations of this run that were taken again because their view, or one before it, needed longer lists, which were made then.
+    pub repeated_iterations: u32,
 }
 
 /// What a run needs besides the capture and the options.
@@ -192,7 +192,7 @@ struct Run<'a> {
     history: Vec<Progress>,
     joint_seconds: f64,
     joint_iterations: u32,
-    skipped_iterations: u32,
+    repeated_iterations: u32,
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
     /// Why there is no mesh, where making one failed.
@@ -268,7 +268,7 @@ impl<'a> Run<'a> {
             history: vec![],
             joint_seconds: 0.0,
             joint_iterations: 0,
-            skipped_iterations: 0,
+            repeated_iterations: 0,
             reached: (Phase::Surface, 0),
             hands_over: false,
             surface: None,
@@ -562,7 +562,7 @@ impl<'a> Run<'a> {
             history: std::mem::take(&mut self.history),
             seconds_per_iteration: (self.joint_iterations > 0)
                 .then(|| self.joint_seconds / f64::from(self.joint_iterations)),
-            skipped_iterations: self.skipped_iterations,
+            repeated_iterations: self.repeated_iterations,
         })
     }
 }

@@ -99,18 +99,31 @@ impl Run<'_> {
         epoch: &mut EpochWeight,
     ) -> Result<Outcome, TrainError> {
         let most = self.max_splats(&scene.meshes);
-        for t in plan.from..plan.iterations {
+        let mut done = plan.from;
+        while done < plan.iterations {
             let begin = Instant::now();
-            self.resize(plan.resolution.scale(plan.clock + t, self.longest_side));
-            self.step(training, plan, t)?;
-            let done = t + 1;
-            self.reached = (plan.phase, done);
+            self.resize(plan.resolution.scale(plan.clock + done, self.longest_side));
+            self.step(training, plan, done)?;
+            done += 1;
             let stop = self.session.stop.load(Ordering::Relaxed);
-            let reports = done % REPORT_EVERY == 0 || done == plan.iterations || stop;
+            let reports = is_due(done, REPORT_EVERY) || done == plan.iterations || stop;
+            let saves = stop || is_due(done, self.options.checkpoint_every);
+            if reports || saves || self.looks_after(plan, done) {
+                let again = training.grow_if_short()?;
+                if again > 0 {
+                    done = done.saturating_sub(again).max(plan.from);
+                    self.repeated_iterations += again;
+                    if plan.phase == Phase::Joint {
+                        self.joint_seconds += begin.elapsed().as_secs_f64();
+                        self.joint_iterations = self.joint_iterations.saturating_sub(again - 1);
+                    }
+                    continue;
+                }
+            }
+            self.reached = (plan.phase, done);
             // Where buffers grow, density control makes those of the loss anew.
             let loss = if reports { Some(training.loss()?) } else { None };
             self.after_step(training, plan, epoch, most, done)?;
-            let saves = stop || is_due(done, self.options.checkpoint_every);
             if plan.phase == Phase::Joint {
                 if reports || saves {
                     // Steps are only on their way until then, and what waits for them is no part of them.
@@ -134,8 +147,17 @@ impl Run<'_> {
         Ok(Outcome::Finished)
     }
 
-    /// What happens between steps, each at its own interval: longer lists, density control, smoothing, and exposures and poses about
-    /// their means.
+    /// Whether it is found out after so many iterations if lists were too short for the last ones, besides when the host waits for them
+    /// anyway: often at first, where it costs little, and before anything happens between steps.
+    fn looks_after(&self, plan: &Plan, done: u32) -> bool {
+        let epoch_length = self.train.len() as u32;
+        let age = plan.clock + done;
+        let changes = plan.schedule.densifies_after(age) || plan.schedule.resets_opacity_after(age);
+        let between = changes || is_due(done, SMOOTH_EVERY) || is_due(done, epoch_length);
+        self.session.gpu.profile().is_cpu || done <= epoch_length || between
+    }
+
+    /// What happens between steps, each at its own interval: density control, smoothing, and exposures and poses about their means.
     fn after_step(
         &self,
         training: &mut Training,
@@ -145,9 +167,6 @@ impl Run<'_> {
         done: u32,
     ) -> Result<(), TrainError> {
         let epoch_length = self.train.len() as u32;
-        if self.session.gpu.profile().is_cpu || done.is_multiple_of(16) || done <= epoch_length {
-            training.grow_if_short()?;
-        }
         if plan.phase != Phase::Warmup {
             let max_splats =
                 plan.resolution.max_splats(plan.clock + done - 1, self.longest_side, self.initial_count(most), most);
@@ -344,8 +363,7 @@ impl Run<'_> {
         done: u32,
         values: LossValues,
     ) -> Result<(), TrainError> {
-        let status = training.take_status()?;
-        self.skipped_iterations += status.skipped;
+        let status = training.status()?;
         let weight = f64::from(self.options.ssim_weight);
         let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
         if !loss.is_finite() || status.not_finite.is_some() {

@@ -136,7 +136,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     };
     // Compiled kernels, long enough lists.
     training.step(&step)?;
-    while training.grow_if_short()? {
+    while training.grow_if_short()? > 0 {
         training.step(&step)?;
     }
     gpu.wait()?;

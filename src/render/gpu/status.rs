@@ -9,18 +9,16 @@ use super::{
 
 /// Words of the buffer.
 const WORDS: usize = 5;
-/// Byte of the number of skipped steps.
-const SKIPPED: u64 = 4;
 
 /// A zeroed buffer for it.
 pub(crate) fn status_buffer(gpu: &Gpu) -> Result<Buffer, GpuError> {
     gpu.storage("step status", WORDS)
 }
 
-/// The steps since the last look.
+/// The steps so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Status {
-    /// Steps that changed nothing because a list was too short for their view.
+    /// Steps that changed nothing because a list was too short for their view or for one before them, since [`Self::forget_skipped`].
     pub(crate) skipped: u32,
     /// What has become NaN or infinite, if anything, parameters or second moments.
     pub(crate) not_finite: Option<&'static str>,
@@ -29,16 +27,9 @@ pub(crate) struct Status {
 }
 
 impl Status {
-    /// Reads it and counts skipped steps from 0 again. Waits.
-    ///
-    /// # Errors
-    /// If the driver failed.
-    pub(crate) fn take(gpu: &Gpu, buffer: &Buffer) -> Result<Self, GpuError> {
-        let status = Self::read(gpu, buffer)?;
-        if status.skipped > 0 {
-            gpu.write(buffer, SKIPPED, &[0_u32]);
-        }
-        Ok(status)
+    /// Lets steps change things again, as lists are longer now.
+    pub(crate) fn forget_skipped(gpu: &Gpu, buffer: &Buffer) {
+        gpu.write(buffer, 0, &[0_u32; 2]);
     }
 
     /// Reads it. Waits.

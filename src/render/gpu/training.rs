@@ -123,7 +123,7 @@ impl<'g> Training<'g> {
     }
 
     /// Renders the view, differentiates the loss and moves the parameters, unless lists were too short for the view:
-    /// then nothing changes until [`Self::grow_if_short`] is called. Does not wait.
+    /// then nothing changes, by this step and those after it, until [`Self::grow_if_short`] is called. Does not wait.
     pub(crate) fn step(&mut self, step: &Step) -> Result<(), GpuError> {
         self.pipeline.composition.background = step.background;
         let mut view = self.pipeline.prepare(self.gpu, step.camera)?;
@@ -315,24 +315,26 @@ impl<'g> Training<'g> {
         self.loss.read(self.gpu)
     }
 
-    /// What the steps since the last call found out about themselves. Waits for the last one.
-    pub(crate) fn take_status(&self) -> Result<Status, GpuError> {
-        Status::take(self.gpu, self.status())
+    /// What the steps so far found out about themselves. Waits for the last one.
+    pub(crate) fn status(&self) -> Result<Status, GpuError> {
+        Status::read(self.gpu, self.status_buffer())
     }
 
-    /// Waits for the last step and enlarges lists that were too short for any so far; true if so.
-    pub(crate) fn grow_if_short(&mut self) -> Result<bool, GpuError> {
-        let needed = Status::read(self.gpu, self.status())?.pairs;
-        let lengths = self.pipeline.list_lengths();
-        let short = needed[0] > lengths[0] || needed[1] > lengths[1];
-        if short {
-            let longer = |i: usize| if needed[i] > lengths[i] { longer_list(self.gpu, needed[i]) } else { 0 };
-            self.lengthen_lists([longer(0), longer(1)])?;
+    /// Waits for the last step and enlarges lists that were too short for any so far. Returns how many of the last steps changed nothing
+    /// for that and are to be taken again, in the same order.
+    pub(crate) fn grow_if_short(&mut self) -> Result<u32, GpuError> {
+        let Status { skipped, pairs: needed, .. } = self.status()?;
+        if skipped == 0 {
+            return Ok(0);
         }
-        Ok(short)
+        let lengths = self.pipeline.list_lengths();
+        let longer = |i: usize| if needed[i] > lengths[i] { longer_list(self.gpu, needed[i]) } else { 0 };
+        self.lengthen_lists([longer(0), longer(1)])?;
+        Status::forget_skipped(self.gpu, self.status_buffer());
+        Ok(skipped)
     }
 
-    fn status(&self) -> &Buffer {
+    fn status_buffer(&self) -> &Buffer {
         &self.pipeline.backward.as_ref().expect("made for training").status
     }
 
