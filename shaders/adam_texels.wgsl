@@ -3,8 +3,8 @@
 // thread per float.
 //
 // The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. Per float of level 0
-// 17 bytes read, 13 written: bound by bandwidth. What no view has seen, or
-// next to nothing of it, has neither gradient nor moments and stays as it is.
+// 17 bytes read, 13 written: bound by bandwidth. What no view has seen, or next to nothing of, has neither gradient nor
+// moments and stays as it is.
 //
 // `visited_only`: floats without a gradient and their moments stay. Steps are counted for all texels together, which
 // says little about how often one was seen; instead of correcting the moments for it, a step is at most the rate. (By

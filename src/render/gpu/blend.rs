@@ -168,7 +168,7 @@ impl Blend {
     /// Appends the backward blend; does nothing if not made for training.
     pub(crate) fn record_backward(&self, frame: &mut Frame, tiles: usize) {
         if let Some(b) = &self.backward {
-            // Of splats out of view: what another view has found.
+            // Splats out of view would keep what another view has found of them.
             frame.clear(&b.moments);
             b.per_splat.record(frame);
             for [of_tiles, of_splats] in &b.windows {

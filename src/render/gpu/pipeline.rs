@@ -69,15 +69,8 @@ impl Pipeline {
         let capacity = capacity.max(scene.splats.len());
         let splats = SplatBuffers::new(gpu, capacity, scene.splats.sh_degree())?;
         splats.write(gpu, &scene.splats);
-        let mut built = Self::assemble(
-            gpu,
-            splats,
-            &scene.meshes,
-            scene.composition,
-            cameras,
-            splats_pairs(gpu, capacity),
-            trainable,
-        )?;
+        let mut built =
+            Self::assemble(gpu, splats, &scene.meshes, scene.composition, cameras, splats_pairs(capacity), trainable)?;
         built.n_splats = scene.splats.len();
         Ok(built)
     }
@@ -106,7 +99,8 @@ impl Pipeline {
         }
         let depth = mesh.as_ref().map(|m| (m.layer_depth(), composition.layers));
         let purpose = if trainable { Purpose::Train } else { Purpose::Render(ImageModel::Ewa) };
-        let lists = SplatLists::new(gpu, purpose, &splats, image, pairs + image.tiles, &view, depth)?;
+        let pairs = (pairs + image.tiles).min(longest_list(gpu));
+        let lists = SplatLists::new(gpu, purpose, &splats, image, pairs, &view, depth)?;
         let image_gradient = if trainable { Some(gpu.storage("image gradient", image.pixels * 4)?) } else { None };
         let training =
             image_gradient.as_ref().map(|image| Gradients { image, capacity: splats.capacity, absolute: false });
@@ -234,7 +228,8 @@ impl Pipeline {
     /// Makes the pipeline anew around other splat buffers (for more splats).
     pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<(), GpuError> {
         self.splats = splats;
-        self.renew_lists(gpu, splats_pairs(gpu, self.splats.capacity).max(self.lists.pair_capacity()))
+        let pairs = splats_pairs(self.splats.capacity).min(longest_list(gpu));
+        self.renew_lists(gpu, pairs.max(self.lists.pair_capacity()))
     }
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
@@ -286,8 +281,8 @@ impl Pipeline {
     }
 }
 
-fn splats_pairs(gpu: &Gpu, capacity: usize) -> usize {
-    (capacity * PAIRS_PER_SPLAT).min(longest_list(gpu))
+fn splats_pairs(capacity: usize) -> usize {
+    capacity * PAIRS_PER_SPLAT
 }
 
 fn layer_buffers(mesh: Option<&MeshStage>) -> Option<LayerBuffers<'_>> {
