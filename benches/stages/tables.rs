@@ -26,7 +26,7 @@ const GROUPS: [(&str, &[&str]); 10] = [
     ("loss", &["loss"]),
     (BACKWARD, &["blend_backward"]),
     ("splat backward", &["sum_moments", "splat_backward"]),
-    ("mesh backward", &["gradient_peak", "texel_backward", "pull_mips"]),
+    ("mesh backward", &["gradient_peak", "texel_backward", "texel_backward_serial", "pull_mips"]),
     ("Adam, splats", &["adam_splats"]),
     ("Adam, texels", &["adam_texels", "build_mips"]),
 ];

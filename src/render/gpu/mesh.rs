@@ -91,9 +91,10 @@ struct Bound {
 }
 
 /// Pixels of a column whose gradients a thread scatters one after another, adding to a texel once for all of them. On a
-/// software adapter an atomic addition takes each lane in turn; hardware wants the threads.
+/// software adapter an atomic addition takes each lane in turn, and so few as 16 are unrolled to more than a CPU keeps at hand;
+/// hardware wants the threads.
 fn run_length(gpu: &Gpu) -> u32 {
-    if gpu.profile().is_cpu { 16 } else { 1 }
+    if gpu.profile().is_cpu { 32 } else { 1 }
 }
 
 impl Geometry {
@@ -144,7 +145,9 @@ impl Kernels {
     fn new(gpu: &Gpu, layers: u32, texels: &Texels) -> Self {
         // On a software adapter a lane is a loop iteration and workgroup memory is plain memory: a thread that owns
         // many pixels saves loads. Hardware wants the lanes.
-        let per_thread = if gpu.profile().is_cpu { 8 } else { 1 };
+        let is_cpu = gpu.profile().is_cpu;
+        let per_thread = if is_cpu { 8 } else { 1 };
+        let backward = if is_cpu { "texel_backward_serial.wgsl" } else { "texel_backward.wgsl" };
         let defines: Defines = gpu
             .defines()
             .with("LAYERS", layers)
@@ -162,7 +165,7 @@ impl Kernels {
             raster: kernel("raster_layers.wgsl", "raster"),
             shade: kernel("shade_layers.wgsl", "shade"),
             peak: peak_kernel(gpu, &defines, 0),
-            backward: kernel("texel_backward.wgsl", "backward"),
+            backward: kernel(backward, "backward"),
         }
     }
 }
