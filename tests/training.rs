@@ -170,6 +170,25 @@ fn resumed_while_looking_for_a_surface() {
     }
 }
 
+/// A surface is found and its maps are judged, but a budget has no room for them: what is left is what splats alone come to.
+#[test]
+fn a_run_that_keeps_no_mesh_is_one_without() {
+    let options = TrainOptions {
+        iterations: 220,
+        surface_iterations: Some(90),
+        antialias: true,
+        exposure: true,
+        max_splats: None,
+        max_floats: Some(16_000),
+        ..options(Density::Mcmc)
+    };
+    let [with, without] =
+        [MeshSource::Splats, MeshSource::None].map(|mesh| Bench::new(mesh, options.clone()).run(false, None));
+    assert!(with.selection.is_some() && with.history.iter().any(|p| p.phase == Phase::Warmup), "no mesh was judged");
+    assert!(without.scene.splats.len() > 650, "{} splats", without.scene.splats.len());
+    assert!(with.scene == without.scene && with.exposures == without.exposures, "its splats are others");
+}
+
 /// Splats, a surface of theirs, maps and vertices, by the command line: the same file but for what it says of time, in a second run and
 /// with other numbers of threads, on the host and of a software adapter.
 #[test]

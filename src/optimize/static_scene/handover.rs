@@ -105,6 +105,8 @@ impl<'a> Run<'a> {
         let least = ranked.get(max_splats).copied().unwrap_or(0.0).max(0.0);
         let keep: Vec<bool> = advantage.iter().map(|&a| a > least).collect();
         splats.retain(&keep);
-        Ok(training.rearrange(splats.geometry(), splats.sources())?)
+        training.rearrange(splats.geometry(), splats.sources())?;
+        training.smooth();
+        Ok(())
     }
 }

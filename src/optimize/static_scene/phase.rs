@@ -85,7 +85,10 @@ impl Run<'_> {
         match saved {
             Some(saved) => saved.restore(training),
             None => {
-                training.smooth();
+                // Splats that go on have been, and those that rest in the warm-up do not count.
+                if plan.phase != Phase::Warmup && plan.clock == 0 {
+                    training.smooth();
+                }
                 Ok(EpochWeight::default())
             }
         }
@@ -153,7 +156,7 @@ impl Run<'_> {
         let epoch_length = self.train.len() as u32;
         let age = plan.clock + done;
         let changes = plan.schedule.densifies_after(age) || plan.schedule.resets_opacity_after(age);
-        let between = changes || is_due(done, SMOOTH_EVERY) || is_due(done, epoch_length);
+        let between = changes || is_due(age, SMOOTH_EVERY) || is_due(age, epoch_length);
         self.session.gpu.profile().is_cpu || done <= epoch_length || between
     }
 
@@ -171,11 +174,11 @@ impl Run<'_> {
             let max_splats =
                 plan.resolution.max_splats(plan.clock + done - 1, self.longest_side, self.initial_count(most), most);
             self.control_density(training, plan, epoch, max_splats, done)?;
-            if is_due(done, SMOOTH_EVERY) && plan.iterations - done >= SMOOTH_EVERY {
+            if is_due(plan.clock + done, SMOOTH_EVERY) && plan.clock + done + SMOOTH_EVERY <= plan.schedule.iterations {
                 training.smooth();
             }
         }
-        if !is_due(done, epoch_length) {
+        if !is_due(plan.clock + done, epoch_length) {
             return Ok(());
         }
         if self.exposures.is_some() && plan.phase != Phase::Warmup {
@@ -205,16 +208,16 @@ impl Run<'_> {
     /// One view: forward, backward, Adam.
     pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
         let o = self.options;
-        let index = self.view_at(plan.phase, t);
+        let index = self.view_at(plan, t);
         let (views, cache) = match &self.small {
             Some(small) => (&small.views, &small.cache),
             None => (&self.capture.views, &self.cache),
         };
         let view = &views[index];
         // The next view is decoded while this one is on the GPU.
-        cache.prefetch(&views[self.view_at(plan.phase, t + 1)]);
+        cache.prefetch(&views[self.view_at(plan, t + 1)]);
         let photo = cache.get(view)?;
-        let mut random = random(o.seed, plan.phase, t);
+        let mut random = random(o.seed, plan.phase, plan.clock + t);
         let background = match o.background {
             Background::Black => [0.0; 3],
             Background::White => [1.0; 3],
@@ -299,11 +302,11 @@ impl Run<'_> {
     }
 
     /// View of iteration `t`: every epoch is a permutation of the training views.
-    fn view_at(&self, phase: Phase, t: u32) -> usize {
-        let mut order = if phase == Phase::Warmup { self.views(false) } else { self.train.clone() };
-        let n = order.len() as u32;
-        order.shuffle(&mut random(self.options.seed ^ 0x5eed, phase, t / n));
-        order[(t % n) as usize]
+    fn view_at(&self, plan: &Plan, t: u32) -> usize {
+        let mut order = if plan.phase == Phase::Warmup { self.views(false) } else { self.train.clone() };
+        let (n, age) = (order.len() as u32, plan.clock + t);
+        order.shuffle(&mut random(self.options.seed ^ 0x5eed, plan.phase, age / n));
+        order[(age % n) as usize]
     }
 
     fn control_density(
@@ -406,9 +409,10 @@ fn is_due(done: u32, every: u32) -> bool {
     every > 0 && done.is_multiple_of(every)
 }
 
-/// A generator for one iteration of one phase.
-fn random(seed: u64, phase: Phase, t: u32) -> Pcg64 {
-    Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(t) << 2 | phase as u64))
+/// A generator for one iteration of the splats, whichever phase that is in, or of the warm-up.
+fn random(seed: u64, phase: Phase, age: u32) -> Pcg64 {
+    let of = if phase == Phase::Surface { Phase::Joint } else { phase };
+    Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(age) << 2 | of as u64))
 }
 
 /// World size of a pixel on the meshes, but for the shell: the median over vertices and cameras that have them in front.
