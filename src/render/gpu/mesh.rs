@@ -91,8 +91,7 @@ struct Bound {
 }
 
 /// Pixels of a column whose gradients a thread scatters one after another, adding to a texel once for all of them. On a
-/// software adapter an atomic addition takes each lane in turn, and so few as 16 are unrolled to more than a CPU keeps at hand;
-/// hardware wants the threads.
+/// software adapter an atomic addition takes each lane in turn; hardware wants the threads.
 fn run_length(gpu: &Gpu) -> u32 {
     if gpu.profile().is_cpu { 32 } else { 1 }
 }
