@@ -20,7 +20,7 @@ struct Step {
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> image: array<vec4f>;               // rgb and transmittance per pixel
-@group(0) @binding(3) var<storage, read_write> gradient: array<vec4f>;      // as image; last of four is 0
+@group(0) @binding(3) var<storage, read_write> gradient: array<vec4f>;      // as image; the last of four is not used
 @group(0) @binding(4) var<storage, read_write> exposures: array<vec4f>;     // [view][row]
 @group(0) @binding(5) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> second: array<vec4f>;

@@ -14,33 +14,13 @@
 // Memory traffic is 20 + 48 B per pixel forward and 48 + 20 + 16 B backward: 79 MB at 960 × 540, some 16 µs at 5 TB/s.
 
 //#import shared/view.wgsl
-
-@group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure; z, w: `set_truth`
-@group(0) @binding(2) var<storage, read> image: array<f32>;               // rgb and transmittance per pixel
-@group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
-@group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3
-@group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // as image; last of four is 0
-@group(0) @binding(6) var<storage, read_write> means: array<vec2f>;       // each workgroup's part of mean SSIM and L1
-//#if EXPOSURE
-@group(0) @binding(7) var<storage, read> exposures: array<vec4f>;         // [view][row], see exposure.wgsl
-//#end
+//#import shared/loss_terms.wgsl
 
 const WIDTH: u32 = 16u;                 // of a tile; WIDTH and HEIGHT in loss.rs
 const HEIGHT: u32 = 48u;
 const REACH: u32 = 5u;
 const ROWS: u32 = 58u;                  // HEIGHT + 2·REACH
 const STRIDE: u32 = 17u;                // WIDTH and a gap: threads on successive rows hit different banks
-
-// Half of the normalised Gaussian, σ = 1.5.
-const W0: f32 = 0.26601172;
-const W1: f32 = 0.21300554;
-const W2: f32 = 0.10936069;
-const W3: f32 = 0.03600077;
-const W4: f32 = 0.00759876;
-const W5: f32 = 0.00102838;
-const C1: f32 = 0.0001;                 // (0.01·range)²
-const C2: f32 = 0.0009;                 // (0.03·range)²
 
 var<workgroup> rows: array<vec4f, 986>; // ROWS × STRIDE, blurred along x
 var<workgroup> sums: array<f32, 128>;
@@ -56,23 +36,6 @@ fn tile_of(group: u32) -> Tile {
     let down = (view.size.y + HEIGHT - 1u) / HEIGHT;
     let tile = group / 3u;
     return Tile(vec2u(tile % across * WIDTH, tile / across * HEIGHT), group % 3u, tile < across * down);
-}
-
-// Rendered, then exposed colour, and the true one; and the slope of the first by that after the exposure.
-fn colors(pixel: u32, channel: u32) -> vec3f {
-    let word = truth[pixel];
-    var x = image[4u * pixel + channel];
-    //#if EXPOSURE
-    let row = exposures[3u * u32(weights.y) + channel];
-    x = dot(row.xyz, vec3f(image[4u * pixel], image[4u * pixel + 1u], image[4u * pixel + 2u])) + row.w;
-    //#end
-    var y = f32((word >> (8u * channel)) & 255u) * (1.0 / 255.0);
-    let alpha = f32(word >> 24u) * (1.0 / 255.0);
-    let slope = mix(1.0, alpha, weights.w);
-    let part = mix(1.0, alpha, weights.z);
-    // Not `mix`: y itself where the part is 1.
-    y = part * y + (1.0 - part) * view.background[channel];
-    return vec3f(x * slope, y * slope, slope);
 }
 
 // Sum over the workgroup's 128 threads; valid in thread 0.
@@ -104,6 +67,7 @@ fn forward(
         return;
     }
     let size = view.size;
+    let background = view.background[tile.channel];
 
     let row = thread % 64u;
     let left = thread / 64u * 8u;
@@ -115,9 +79,7 @@ fn forward(
         //#for i in 0..18
         v[$i] = vec4f();
         if py < size.y && px + $iu < size.x {
-            let c = colors(py * size.x + px + $iu, tile.channel);
-            let d = c.x - c.y;
-            v[$i] = vec4f(c.y, d, d * d, c.x * c.y);
+            v[$i] = maps_of(colors(py * size.x + px + $iu, tile.channel, background));
         }
         //#end
         //#for k in 0..8
@@ -131,7 +93,7 @@ fn forward(
     let top = thread / WIDTH * 6u;
     let at = tile.corner + vec2u(column, top);
     let n_pixels = size.x * size.y;
-    var ssim = 0.0;
+    var sum = 0.0;
     var v: array<vec4f, 16>;
     //#for i in 0..16
     v[$i] = rows[(top + $iu) * STRIDE + column];
@@ -140,23 +102,12 @@ fn forward(
     if at.x < size.x && at.y + $ku < size.y {
         let m = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
             + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
-        let md = m.y;
-        let m2 = m.x;
-        let m1 = m2 + md;
-        let vd = m.z - md * md;
-        let a = 2.0 * m1 * m2 + C1;
-        let b = 2.0 * (m.w - m1 * m2) + C2;
-        let c = 1.0 / (a + md * md);
-        let d = 1.0 / (b + vd);
-        let s = a * b * c * d;
-        let by_a = b * d * md * md * c * c;
-        let by_b = a * c * vd * d * d;
-        ssim += s;
-        slopes[tile.channel * n_pixels + (at.y + $ku) * size.x + at.x] =
-            vec4f(2.0 * (m2 * (by_a - by_b) + md * s * (d - c)), -s * d, 2.0 * by_b, 0.0);
+        let s = ssim(m);
+        sum += s.value;
+        slopes[tile.channel * n_pixels + (at.y + $ku) * size.x + at.x] = vec4f(s.slopes, 0.0);
     }
     //#end
-    let total = workgroup_sum(thread, ssim);
+    let total = workgroup_sum(thread, sum);
     if thread == 0u { means[index].x = total / f32(3u * n_pixels); }
 }
 
@@ -172,6 +123,7 @@ fn backward(
         return;
     }
     let size = view.size;
+    let background = view.background[tile.channel];
     let n_pixels = size.x * size.y;
 
     let row = thread % 64u;
@@ -207,12 +159,9 @@ fn backward(
         let g = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
             + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
         let pixel = (at.y + $ku) * size.x + at.x;
-        let c = colors(pixel, tile.channel);
-        let d = c.x - c.y;
-        let by_ssim = g.x + 2.0 * d * g.y + c.y * g.z;
-        l1 += abs(d);
-        gradient[4u * pixel + tile.channel] = c.z * scale * mix(sign(d), -by_ssim, weights.x);
-        if tile.channel == 0u { gradient[4u * pixel + 3u] = 0.0; }
+        let c = colors(pixel, tile.channel, background);
+        l1 += abs(c.x - c.y);
+        gradient[4u * pixel + tile.channel] = loss_slope(c, g, scale);
     }
     //#end
     let total = workgroup_sum(thread, l1);

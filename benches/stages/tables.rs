@@ -23,7 +23,7 @@ const GROUPS: [(&str, &[&str]); 10] = [
     ),
     ("mesh forward", &["setup_triangles", "bin_triangles", "raster_layers", "shade_layers"]),
     (FORWARD, &["blend_forward"]),
-    ("loss", &["loss"]),
+    ("loss", &["loss", "loss_serial"]),
     (BACKWARD, &["blend_backward"]),
     ("splat backward", &["sum_moments", "splat_backward"]),
     ("mesh backward", &["gradient_peak", "texel_backward", "texel_backward_serial", "pull_mips"]),

@@ -1,0 +1,11 @@
+// Adds a row to the sums of column $K that it is not the last row of, each at the place of the window a row further up.
+part[10 * $K] = part[10 * $K + 1] + W4 * blurred;
+part[10 * $K + 1] = part[10 * $K + 2] + W3 * blurred;
+part[10 * $K + 2] = part[10 * $K + 3] + W2 * blurred;
+part[10 * $K + 3] = part[10 * $K + 4] + W1 * blurred;
+part[10 * $K + 4] = part[10 * $K + 5] + W0 * blurred;
+part[10 * $K + 5] = part[10 * $K + 6] + W1 * blurred;
+part[10 * $K + 6] = part[10 * $K + 7] + W2 * blurred;
+part[10 * $K + 7] = part[10 * $K + 8] + W3 * blurred;
+part[10 * $K + 8] = part[10 * $K + 9] + W4 * blurred;
+part[10 * $K + 9] = W5 * blurred;
