@@ -46,6 +46,7 @@ fn backward(
     }
     //#if BANDS
     let degree = min(map.degree, view.band_degree);
+    if degree == 0u { return; }
     let stride = 3u * ((map.degree + 1u) * (map.degree + 1u) - 1u);
     let basis = sh_basis(f.direction);
     let band_level = mip_level(f, map.bands);

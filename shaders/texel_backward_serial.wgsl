@@ -12,6 +12,16 @@
 
 const NONE: u32 = 0xffffffffu;
 
+// Taps in the order of their texels' parity: column even or odd, then row. A texel has the same place in the
+// footprints of all points around it, so that a walk over neighbouring points can keep what it has there.
+fn by_parity(t: Taps, pyramid: Pyramid, level: u32, uv: vec2f) -> Taps {
+    let low = vec2i(floor(uv * vec2f(pyramid.size >> vec2u(level)) - 0.5));
+    let odd = (low & vec2i(1)) == vec2i(1);
+    let texel = select(t.texel, t.texel.yxwz, odd.x);
+    let weight = select(t.weight, t.weight.yxwz, odd.x);
+    return Taps(select(texel, texel.zwxy, odd.y), select(weight, weight.zwxy, odd.y));
+}
+
 @compute @workgroup_size(64)
 fn backward(
     @builtin(workgroup_id) group: vec3u,

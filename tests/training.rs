@@ -173,9 +173,16 @@ fn resumed_while_looking_for_a_surface() {
 /// A surface is found and its maps are judged, but a budget has no room for them: what is left is what splats alone come to.
 #[test]
 fn a_run_that_keeps_no_mesh_is_one_without() {
+    // Before density control ends, also so late that it would go on beside a mesh.
+    for surface_iterations in [90, 150] {
+        assert_keeps_nothing(surface_iterations);
+    }
+}
+
+fn assert_keeps_nothing(surface_iterations: u32) {
     let options = TrainOptions {
         iterations: 220,
-        surface_iterations: Some(90),
+        surface_iterations: Some(surface_iterations),
         antialias: true,
         exposure: true,
         max_splats: None,

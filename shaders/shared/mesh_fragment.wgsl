@@ -1,5 +1,6 @@
 // A mesh fragment: where a pixel's ray meets the triangle of one layer, and which texels it sees there (mip levels
-// as in nvdiffrast). Shared by shade_layers and texel_backward, so that the gradient goes exactly where the colour came from.
+// as in nvdiffrast). Shared by shade_layers, both texel_backward and uv_backward, so that the gradient goes exactly where the
+// colour came from.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [LAYERS, h, w], index + 1, 0 = empty
@@ -100,14 +101,4 @@ fn taps(pyramid: Pyramid, level: u32, share: f32, uv: vec2f) -> Taps {
         offset + vec4u(i.y * size.x + i.x, i.y * size.x + j.x, j.y * size.x + i.x, j.y * size.x + j.x),
         share * vec4f((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y),
     );
-}
-
-// The same taps in the order of their texels' parity: column even or odd, then row. A texel has the same place in the
-// footprints of all points around it, so that a walk over neighbouring points can keep what it has there.
-fn by_parity(t: Taps, pyramid: Pyramid, level: u32, uv: vec2f) -> Taps {
-    let low = vec2i(floor(uv * vec2f(pyramid.size >> vec2u(level)) - 0.5));
-    let odd = (low & vec2i(1)) == vec2i(1);
-    let texel = select(t.texel, t.texel.yxwz, odd.x);
-    let weight = select(t.weight, t.weight.yxwz, odd.x);
-    return Taps(select(texel, texel.zwxy, odd.y), select(weight, weight.zwxy, odd.y));
 }

@@ -14,7 +14,7 @@ use super::state::{GEOMETRY_FLOATS, SplatState};
 use crate::scene::sh;
 
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
-pub const VERSION: u32 = 7;
+pub const VERSION: u32 = 8;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";

@@ -1,7 +1,7 @@
 //! Static scenes: from posed photographs to a hybrid, after HERA.
 //!
 //! Three phases: splats alone, for a surface (unless there is a mesh or none is wanted); the maps of the mesh alone;
-//! everything together. All that is random is drawn from (seed, phase, iteration), so that a resumed run takes
+//! everything together. All that is random is drawn from the seed and the iteration of the splats, or of the warm-up, so that a resumed run takes
 //! the views and decisions of an uninterrupted one.
 
 mod backdrop;

@@ -91,6 +91,7 @@ impl<'a> Run<'a> {
     /// Keeps those splats of the surface phase that explain the photographs better than the mesh does, which has the smooth
     /// regions, as in HERA: a splat goes if the mesh alone has no larger squared error than the splats
     /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
+    /// How far views tell what remains is measured anew.
     pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
         let mut splats = arrangement(training)?;
         let mut advantage = vec![0.0_f64; splats.len()];

@@ -85,7 +85,7 @@ impl Run<'_> {
         match saved {
             Some(saved) => saved.restore(training),
             None => {
-                // Splats that go on have been, and those that rest in the warm-up do not count.
+                // Splats that go on keep their deviations, and `hand_over` measures those that it leaves; in the warm-up they rest.
                 if plan.phase != Phase::Warmup && plan.clock == 0 {
                     training.smooth();
                 }
@@ -170,15 +170,15 @@ impl Run<'_> {
         done: u32,
     ) -> Result<(), TrainError> {
         let epoch_length = self.train.len() as u32;
+        let age = plan.clock + done;
         if plan.phase != Phase::Warmup {
-            let max_splats =
-                plan.resolution.max_splats(plan.clock + done - 1, self.longest_side, self.initial_count(most), most);
+            let max_splats = plan.resolution.max_splats(age - 1, self.longest_side, self.initial_count(most), most);
             self.control_density(training, plan, epoch, max_splats, done)?;
-            if is_due(plan.clock + done, SMOOTH_EVERY) && plan.clock + done + SMOOTH_EVERY <= plan.schedule.iterations {
+            if is_due(age, SMOOTH_EVERY) && age + SMOOTH_EVERY <= plan.schedule.iterations {
                 training.smooth();
             }
         }
-        if !is_due(plan.clock + done, epoch_length) {
+        if !is_due(age, epoch_length) {
             return Ok(());
         }
         if self.exposures.is_some() && plan.phase != Phase::Warmup {

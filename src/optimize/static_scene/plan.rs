@@ -40,7 +40,8 @@ impl Run<'_> {
         if phase == Phase::Surface {
             schedule = schedule.before_surface(before);
         }
-        if is_second_part {
+        // Where nothing of the mesh was kept, nothing was handed over.
+        if is_second_part && has_mesh {
             schedule = schedule.handed_over(before);
         }
         // A surface is made of splats, and maps are warmed up, at full size.

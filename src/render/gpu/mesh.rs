@@ -2,7 +2,7 @@
 //! back from the gradient of these to the texels.
 //!
 //! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.
-//! Backward: zero → `gradient_peak` → `texel_backward` → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
+//! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters) → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
 //! dispatched.
 
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
@@ -18,7 +18,7 @@ use crate::scene::{Atlas, Mesh};
 /// Threads per workgroup of the kernels over triangles and over pixels.
 const GROUP: usize = 256;
 
-/// Threads per workgroup of `texel_backward`.
+/// Threads per workgroup of `texel_backward` and `texel_backward_serial`.
 const RUN_GROUP: usize = 64;
 
 /// Side in pixels of the square bins that triangles are sorted into. Smaller than the splats' tiles: the triangles of
@@ -90,10 +90,10 @@ struct Bound {
     vertices: Option<[Bindings; 3]>,
 }
 
-/// Pixels of a column whose gradients a thread scatters one after another, adding to a texel once for all of them. On a
-/// software adapter an atomic addition takes each lane in turn; hardware wants the threads.
-fn run_length(gpu: &Gpu) -> u32 {
-    if gpu.profile().is_cpu { 32 } else { 1 }
+/// Kernel of the texels' gradients, and how many pixels of a column each of its threads takes. On a software adapter an atomic
+/// addition takes each lane in turn, so a thread adds to a texel once for all of them; hardware wants the threads.
+fn texel_backward(gpu: &Gpu) -> (&'static str, u32) {
+    if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", 32) } else { ("texel_backward.wgsl", 1) }
 }
 
 impl Geometry {
@@ -144,15 +144,15 @@ impl Kernels {
     fn new(gpu: &Gpu, layers: u32, texels: &Texels) -> Self {
         // On a software adapter a lane is a loop iteration and workgroup memory is plain memory: a thread that owns
         // many pixels saves loads. Hardware wants the lanes.
-        let is_cpu = gpu.profile().is_cpu;
-        let per_thread = if is_cpu { 8 } else { 1 };
-        let backward = if is_cpu { "texel_backward_serial.wgsl" } else { "texel_backward.wgsl" };
+        let per_thread: u32 = if gpu.profile().is_cpu { 8 } else { 1 };
+        assert!((BIN * BIN).is_multiple_of(per_thread), "threads share out a bin without rest");
+        let (backward, run) = texel_backward(gpu);
         let defines: Defines = gpu
             .defines()
             .with("LAYERS", layers)
             .with("BANDS", texels.band_coefficients())
             .with("FOURS", u32::from(texels.bands_are_in_fours()))
-            .with("RUN", run_length(gpu))
+            .with("RUN", run)
             .with("BIN", BIN)
             .with("PER_THREAD", per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -213,7 +213,7 @@ impl MeshStage {
             self.bound = Some(self.bind(gpu, view_uniform));
         }
         if let Some(bound) = &mut self.bound {
-            let runs = (k.width * k.height.div_ceil(run_length(gpu))) as usize;
+            let runs = (k.width * k.height.div_ceil(texel_backward(gpu).1)) as usize;
             let layers = self.layers as usize;
             (bound.bins, bound.fragments, bound.runs) = (bins, layers * pixels, layers * runs);
         }

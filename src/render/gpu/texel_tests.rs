@@ -37,6 +37,7 @@ fn texel_gradients_match_finite_differences() {
     let open = || Gpu::open(None).unwrap();
     for (gpu, band_degree) in [(open(), 3), (open(), 2), (open().posing_as_gpu(), 3), (open().posing_as_gpu(), 2)] {
         let view = View { band_degree, ..view };
+        let case = format!("bands of degree {band_degree}, software adapter {}", gpu.profile().is_cpu);
         let rig = Rig::new(gpu, &view, &meshes, true);
         rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
         let mut frame = Frame::new(&rig.gpu);
@@ -77,15 +78,15 @@ fn texel_gradients_match_finite_differences() {
                     let error = (f64::from(found[i]) - wanted).abs();
                     assert!(
                         error < 1e-3 * wanted.abs() + 1e-4 * f64::from(scale),
-                        "mesh {m} class {class} float {i}: {} instead of {wanted}",
+                        "{case}: mesh {m} class {class} float {i}: {} instead of {wanted}",
                         found[i]
                     );
                     checked[class] += usize::from(wanted.abs() > 0.01 * f64::from(scale));
                 }
             }
         }
-        eprintln!("degree {band_degree}: {checked:?} base and band texels with a gradient agree");
-        assert!(checked[0] > 40 && checked[1] > 40, "too few texels are visible: {checked:?}");
+        eprintln!("{case}: {checked:?} base and band texels with a gradient agree");
+        assert!(checked[0] > 40 && checked[1] > 40, "{case}: too few texels are visible: {checked:?}");
     }
 }
 
