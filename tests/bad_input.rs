@@ -26,7 +26,7 @@ const SHORT: [&str; 11] = [
     "4",
     "--no-eval",
     "--quiet",
-    "--surface-iterations=20",
+    "--surface-iterations=11",
 ];
 
 fn folder_with_capture(views: usize) -> tempfile::TempDir {
@@ -269,7 +269,7 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
         assert!(resumed(&[]).contains("expected a safetensors file"));
     }
 
-    let options = TrainOptions { iterations: 12, warmup: 0, surface_iterations: Some(20), ..TrainOptions::default() };
+    let options = TrainOptions { iterations: 12, warmup: 0, surface_iterations: Some(11), ..TrainOptions::default() };
     stop_after_one_iteration(folder.path(), &options, &checkpoint);
     let whole = std::fs::read(&checkpoint).unwrap();
     let line = resumed(&["--seed", "7"]);

@@ -82,6 +82,14 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert!(at("out/hybrid/one-0/report.html").is_file());
     assert_eq!(said(&bench(folder.path(), &["--list"], COARSE)).0, "");
 
+    for own in ["-o s.glb", "--seed=7"] {
+        let mut command = centaur(folder.path());
+        let output = command.args(["bench", "scenes", "-o", "new", "--"]).args(own.split(' ')).output().unwrap();
+        let message = said(&output).1;
+        assert!(message.contains("expected none that every job has of its own"), "{message}");
+    }
+    assert!(!at("new").exists());
+
     // Results of other flags are neither taken for these nor trained over.
     let other = bench(folder.path(), &["--list"], "--max-side 32");
     let message = said(&other).1;

@@ -171,7 +171,12 @@ fn pictures_are_of_their_time() {
     };
     assert!(same("frame_00000.png") && !same("frame_00002.png"));
     let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
-    assert!(error.contains("expected a camera that keeps still"), "{error}");
+    assert!(error.contains("expected one camera that keeps still, found 3 frames of one that moves"), "{error}");
+    // One of a capture keeps still, also where frames a second give it a time.
+    common::write_capture(&folder.path().join("capture"), 9, (16, 12));
+    let still = "render a.gltf --cameras capture --camera 003.png -o capture_span --time 0..0.5 --fps 4 --quiet";
+    run(folder.path(), still);
+    assert_eq!(common::tree(&folder.path().join("capture_span")).len(), 3);
     let error = failure(folder.path(), "render a.gltf -o no --time 0..2000");
     assert!(error.ends_with("expected at most 36000 frames, found 2000 s at 30 a second"), "{error}");
     run(folder.path(), "convert a.gltf still.glb --time 0");

@@ -1,7 +1,7 @@
 //! Posed cameras alone, with or without the photographs: what is rendered from, not what is learned from.
 
 use std::cmp::Ordering;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -18,6 +18,8 @@ pub struct Cameras {
     pub cameras: Vec<(String, Camera)>,
     /// How many there are a second, if they are a path that says so.
     pub fps: Option<f64>,
+    /// Their photographs, as far as the capture names any; they need not exist.
+    pub images: Vec<PathBuf>,
 }
 
 /// Sides and pixels that an image may have, as many as the largest photographs: buffers are made for it.
@@ -69,7 +71,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
         (frames, None, list)
     } else {
         let Some((first, _)) = files.first() else {
-            let expected = "a COLMAP model (sparse/0, sparse) or a transforms*.json";
+            let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
         let (mut frames, mut fps) = (vec![], None);
@@ -89,12 +91,18 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
         frame.name = format!("frame_{i:05}");
     }
+    let images = frames.iter().map(|frame| frame.image.clone()).collect();
     let mut cameras = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
     cameras.sort_by(|a, b| natural(&a.0, &b.0));
-    finish(cameras, fps, &list)
+    finish(cameras, fps, images, &list)
 }
 
-fn finish(cameras: Vec<(String, Camera)>, fps: Option<f64>, list: &Path) -> Result<Cameras, CaptureError> {
+fn finish(
+    cameras: Vec<(String, Camera)>,
+    fps: Option<f64>,
+    images: Vec<PathBuf>,
+    list: &Path,
+) -> Result<Cameras, CaptureError> {
     if cameras.is_empty() {
         return Err(CaptureError::invalid(
             list,
@@ -103,7 +111,7 @@ fn finish(cameras: Vec<(String, Camera)>, fps: Option<f64>, list: &Path) -> Resu
             "none",
         ));
     }
-    Ok(Cameras { cameras, fps })
+    Ok(Cameras { cameras, fps, images })
 }
 
 /// Frames a second that a file states.
@@ -174,7 +182,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
         sized(name, &camera, path, &format!("/camera_path/{i}"), options)
     };
     let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
-    finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, fps, path)
+    finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, fps, vec![], path)
 }
 
 /// Order of names in which `frame_2` is before `frame_10`.

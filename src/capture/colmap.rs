@@ -140,10 +140,12 @@ pub(super) fn load(
             colmap_text::images(&super::error::read_text(&images_file)?, &images_file)?,
         )
     };
-    let PointRecords { points, tracks } = match (wants_points, binary) {
-        (false, _) => PointRecords::default(),
-        (true, true) => colmap_binary::points(&super::error::read(&points_file)?, &points_file)?,
-        (true, false) => colmap_text::points(&super::error::read_text(&points_file)?, &points_file)?,
+    // As `transforms.json` need not name any.
+    let points_file = Some(points_file).filter(|file| wants_points && file.exists());
+    let PointRecords { points, tracks } = match (&points_file, binary) {
+        (None, _) => PointRecords::default(),
+        (Some(file), true) => colmap_binary::points(&super::error::read(file)?, file)?,
+        (Some(file), false) => colmap_text::points(&super::error::read_text(file)?, file)?,
     };
     if cameras.is_empty() {
         return Err(CaptureError::invalid(&cameras_file, "cameras", "at least one camera", "none"));
@@ -159,7 +161,7 @@ pub(super) fn load(
             }
         }
     }
-    Ok(Listed { frames, list: images_file, points, points_file: wants_points.then_some(points_file) })
+    Ok(Listed { frames, list: images_file, points, points_file })
 }
 
 /// Joins images with their cameras.

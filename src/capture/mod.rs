@@ -175,6 +175,9 @@ const COARSEST: f64 = 2.5e-4;
 pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError> {
     let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if folder { path } else { folder_of(path) };
+    if !folder && !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+        return Err(CaptureError::invalid(path, "capture", "a folder or a transforms*.json", "another file"));
+    }
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
@@ -185,7 +188,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     } else {
         let files = transforms::find(path);
         if files.is_empty() {
-            let expected = "a COLMAP model (sparse/0, sparse) or a transforms*.json";
+            let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         }
         transforms::load(path, &files, options)?

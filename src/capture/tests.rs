@@ -213,6 +213,9 @@ fn broken_captures_are_refused_in_one_line() {
     write_capture(root, 2, 8, 4);
     std::fs::write(sparse.join("points3D.bin"), points_bin(0)).unwrap();
     assert!(open(root, &full()).unwrap().points.is_empty(), "whether points are needed is not for the reader to say");
+    std::fs::remove_file(sparse.join("points3D.bin")).unwrap();
+    let without = open(root, &full()).unwrap();
+    assert!(without.points.is_empty() && without.points_file.is_none(), "a model need not come with points");
     std::fs::rename(sparse.join("images.bin"), sparse.join("frames.bin")).unwrap();
     assert!(message(root, &full()).contains("frames only"));
 }

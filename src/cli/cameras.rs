@@ -143,13 +143,13 @@ struct AroundArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     focus: Option<DVec3>,
     /// Radius of the circle, half the width of the figure of eight [default: from the cameras]
-    #[arg(long, value_name = "R", value_parser = positive)]
+    #[arg(long, value_name = "R", value_parser = positive, allow_hyphen_values = true)]
     radius: Option<f64>,
     /// Height of the circle above the focus; half that of the figure of eight [default: from the cameras; a third of its width]
     #[arg(long, value_name = "H", value_parser = number, allow_hyphen_values = true)]
     height: Option<f64>,
     /// Factor of the radius
-    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = positive)]
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = positive, allow_hyphen_values = true)]
     radius_scale: f64,
     /// Factor of the height
     #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = number, allow_hyphen_values = true)]
@@ -191,6 +191,10 @@ impl FileArgs {
             output::check_folder(&self.output)?;
         } else {
             output::check_file(&self.output)?;
+        }
+        if !self.with_scene {
+            let lost = || format!("--with-scene writes {} again with the path in it", self.source.display());
+            output::spare(&self.output, [self.source.as_path()]).with_context(lost)?;
         }
         read_cameras(&self.source, sampling, &LoadOptions::default())
     }

@@ -1,3 +1,4 @@
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -123,7 +124,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         output: &args.output,
         bytes: report.bytes,
         splats: edited.scene.splats.len(),
-        sh_degree: edited.scene.splats.sh_degree(),
+        sh_degree: report.loss.sh_degree.map_or(edited.scene.splats.sh_degree(), |[_, kept]| kept),
         meshes: edited.scene.meshes.len() - report.loss.meshes,
         cameras: edited.cameras.len() - report.loss.cameras,
         inputs: &inputs,
@@ -228,15 +229,35 @@ fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
         bail!("{}: --strict: a .{extension} would lose {}", output.display(), report.loss);
     }
     // Pictures of a .usda come first: a file that names them must not be there before they are.
-    for entry in staging.path().read_dir().with_context(named)? {
-        let file = entry.with_context(named)?.path();
-        if file != staged {
-            let beside = folder.join(file.file_name().unwrap_or_default());
-            std::fs::rename(&file, &beside).with_context(|| format!("{}: cannot write", beside.display()))?;
-        }
+    let entries = staging.path().read_dir().with_context(named)?;
+    let files: Vec<PathBuf> = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>().with_context(named)?;
+    let beside = |file: &Path| folder.join(file.file_name().unwrap_or_default());
+    let companions: Vec<(&PathBuf, PathBuf)> =
+        (files.iter().filter(|file| **file != staged)).map(|file| (file, beside(file))).collect();
+    for (file, place) in &companions {
+        spare_foreign(output, file, place, &args.inputs)?;
+    }
+    for (file, place) in &companions {
+        std::fs::rename(file, place).with_context(|| format!("{}: cannot write", place.display()))?;
     }
     std::fs::rename(&staged, output).with_context(named)?;
     Ok(report)
+}
+
+/// Refuses to write `place` beside `output` over what nobody has named: an input, or, where there is no output yet that it may be of,
+/// another file than `new`, which is to be there.
+fn spare_foreign(output: &Path, new: &Path, place: &Path, inputs: &[PathBuf]) -> Result<()> {
+    output::spare(place, inputs.iter().map(PathBuf::as_path))?;
+    let is_foreign = || -> io::Result<bool> {
+        Ok(!output.exists() && place.exists() && std::fs::read(place)? != std::fs::read(new)?)
+    };
+    ensure!(
+        !is_foreign().with_context(|| place.display().to_string())?,
+        "{}: would replace {}, which is there already; another name or a folder of its own keeps both",
+        output.display(),
+        place.display()
+    );
+    Ok(())
 }
 
 fn described(o: &Outcome<'_>) -> String {

@@ -9,7 +9,7 @@ use glam::{DMat3, DQuat, DVec3, EulerRot};
 use serde::Serialize;
 
 const MOVE: &str = "1. Move (in this order)";
-const CROP: &str = "2. Crop (in coordinates of the output)";
+const CROP: &str = "2. Crop (in coordinates of the moved scene, y-down as above)";
 const THIN: &str = "3. Thin out";
 
 /// Changes to a scene. They are applied in the order of `--help`, whatever the order on the command line.
@@ -20,7 +20,7 @@ pub(super) struct EditArgs {
     #[arg(long, value_name = "FROM:TO", value_parser = axes, help_heading = MOVE)]
     axes: Option<DMat3>,
     /// Scale about the origin
-    #[arg(long, value_name = "S", value_parser = positive, help_heading = MOVE)]
+    #[arg(long, value_name = "S", value_parser = positive, allow_hyphen_values = true, help_heading = MOVE)]
     scale: Option<f64>,
     /// Turn about the origin: degrees about x, then about y, then about z, right-handed
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true, help_heading = MOVE)]

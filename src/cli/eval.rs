@@ -154,6 +154,11 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     details.folder.map_or(Ok(()), shared::make_folder)?;
     let views: Vec<&View> = held_out.iter().map(|&i| &capture.views[i]).collect();
     let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
+    if let Some(folder) = details.folder {
+        for picture in &names {
+            output::spare(&folder.join(picture), views.iter().map(|view| view.source.path()))?;
+        }
+    }
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let mut renderer = Renderer::new(gpu, scene, &cameras)?;
     let (mut scores, mut pictures) = (vec![], vec![]);

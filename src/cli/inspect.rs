@@ -11,6 +11,8 @@ Examples:
   centaur inspect point_cloud.ply --json";
 
 /// Say what is in a scene file: splats, meshes, maps, cameras, rule of blending, bytes; of a glTF the tree of nodes
+///
+/// Coordinates are y-down, as for the crops of `centaur convert`; glTF and USD have y and z with the other sign.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {

@@ -50,8 +50,8 @@ pub(super) struct Args {
     /// Surface to write
     #[arg(short, long, value_name = "SURFACE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
     output: PathBuf,
-    /// Most triangles after simplification
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles)]
+    /// Triangles to simplify to. More are left of a surface of many pieces or holes, which all stay
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, value_parser = output::at_least_one)]
     triangles: usize,
     /// Whether flat regions are found, made flat and meshed anew with few triangles
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto)]
@@ -80,6 +80,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
+    output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
     let read = |file: &Path| -> Result<Surface> {
         let read = mesh_import::read(file)?;
         Ok(Surface { positions: read.positions, triangles: read.triangles })

@@ -49,6 +49,16 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
     check_file(path)
 }
 
+/// Refuses to write `output` over one of `inputs`, which would be gone.
+pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
+    // What is not there has no canonical path, and is nothing that could be lost.
+    let Ok(place) = output.canonicalize() else { return Ok(()) };
+    if let Some(input) = inputs.into_iter().find(|input| input.canonicalize().is_ok_and(|input| input == place)) {
+        bail!("{}: expected another file than {}, which would be lost", output.display(), input.display());
+    }
+    Ok(())
+}
+
 /// Makes and removes a nameless file in `folder`. Permission bits alone say too little: read-only mounts, quotas.
 fn probe(folder: &Path) -> Result<()> {
     match folder.metadata() {
@@ -57,6 +67,11 @@ fn probe(folder: &Path) -> Result<()> {
         Ok(_) => {}
     }
     tempfile::tempfile_in(folder).map(drop).with_context(|| format!("folder {}", folder.display()))
+}
+
+/// A whole number from 1 on; for clap's `value_parser`.
+pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "expected a whole number from 1".into())
 }
 
 /// A path whose name ends in one of `extensions` (lower case, without dot); for clap's `value_parser`.
@@ -89,6 +104,17 @@ mod tests {
         let error = check_file(&at("file/new.glb")).unwrap_err();
         assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");
+    }
+
+    #[test]
+    fn inputs_are_spared() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("a.glb"), "").unwrap();
+        let (a, around) = (at("a.glb"), folder.path().join("./a.glb"));
+        assert!(spare(&at("b.glb"), [a.as_path()]).is_ok() && spare(&a, [at("b.glb").as_path()]).is_ok());
+        let error = spare(&around, [at("b.glb").as_path(), &a]).unwrap_err().to_string();
+        assert!(error.ends_with("a.glb, which would be lost"), "{error}");
     }
 
     #[test]

@@ -224,6 +224,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let extension = if format == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
+    if !is_embedded {
+        shared::spare_photographs(&written, source, &args.loading.options())?;
+    }
     let mut progress = Views::new(&args.messages, "rendering", cameras.len());
     let composition = rest.composition;
     let mut kept: Option<AnyRenderer<'_>> = None;
@@ -301,12 +304,13 @@ impl When {
 
 /// One camera that keeps still, at all frames from the first time to the second.
 fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile> {
-    ensure!(
-        shot.times.is_empty(),
-        "--time START..END: expected a camera that keeps still, found one that moves at times of its own; --camera says which"
-    );
+    // A single one keeps still, also where frames a second give it a time.
     let [(_, camera)] = &shot.cameras[..] else {
-        bail!("--time START..END: expected one camera, found {}; --camera says which", shot.cameras.len());
+        let what = if shot.times.is_empty() { "cameras" } else { "frames of one that moves" };
+        bail!(
+            "--time START..END: expected one camera that keeps still, found {} {what}; --camera says which",
+            shot.cameras.len()
+        );
     };
     let count = frame_count(start, end, fps).with_context(|| {
         let seconds = end - start;

@@ -1,6 +1,7 @@
 //! Arguments that several commands have.
 
-use std::path::Path;
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
@@ -105,7 +106,7 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     if !(is_json || path.is_dir()) {
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
-    let Cameras { mut cameras, fps } = capture::cameras(path, options)?;
+    let Cameras { mut cameras, fps, .. } = capture::cameras(path, options)?;
     if let Some(only) = sampling.only {
         cameras.retain(|(name, _)| name == only);
         ensure!(!cameras.is_empty(), "{}: expected a camera called {only}, found none", path.display());
@@ -113,6 +114,21 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     let fps = sampling.fps.or(fps);
     let times = fps.map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
     Ok(CameraFile { cameras, fps, y_up: None, times, notes: vec![] })
+}
+
+/// Refuses to write `pictures` over photographs of the capture, a folder or `.json`, that the cameras of `path` come from.
+pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &LoadOptions) -> Result<()> {
+    let is_capture = path.is_dir() || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    // Those that are not there yet cannot be photographs.
+    if !is_capture || !pictures.iter().any(|picture| picture.exists()) {
+        return Ok(());
+    }
+    let photographs: HashSet<PathBuf> =
+        capture::cameras(path, options)?.images.iter().filter_map(|image| image.canonicalize().ok()).collect();
+    let lost = pictures.iter().find(|picture| picture.canonicalize().is_ok_and(|place| photographs.contains(&place)));
+    let picture = lost.map_or("", |picture| picture.to_str().unwrap_or("a photograph"));
+    ensure!(lost.is_none(), "{picture}: is a photograph of {}: expected another folder", path.display());
+    Ok(())
 }
 
 fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions) -> CameraFile {

@@ -63,15 +63,16 @@ pub(super) struct Args {
     /// Iterations of the splats, those for the surface included (INRIA 3DGS: 30000)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION)]
     iterations: u32,
-    /// Iterations on the mesh's maps alone before it is joined with the splats (HERA: 9000); none without a mesh
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().warmup, help_heading = OPTIMISATION)]
-    warmup: u32,
+    /// Iterations on the mesh's maps alone before it is joined with the splats; none without a mesh [default: 9000, as in HERA, and in
+    /// runs of fewer than 30000 three tenths of --iterations]
+    #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
+    warmup: Option<u32>,
     /// How splats are added and removed
     #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
     density: DensityKind,
     /// Most splats there may be, which MCMC comes to if this is given; also limited by the largest buffer that the adapter binds. Without
     /// it, and without a number of floats, MCMC adds 5 % a step, up to 1000000
-    #[arg(long, value_name = "N", value_parser = at_least_one, help_heading = OPTIMISATION)]
+    #[arg(long, value_name = "N", value_parser = output::at_least_one, help_heading = OPTIMISATION)]
     max_splats: Option<usize>,
     /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
@@ -150,8 +151,8 @@ pub(super) struct Args {
     /// mesh together [default: half]
     #[arg(long, value_name = "N", help_heading = MESH)]
     surface_iterations: Option<u32>,
-    /// Most triangles of a surface made from the capture (ours)
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, help_heading = MESH)]
+    /// Triangles that a surface made from the capture is simplified to (ours); more are left of one of many pieces or holes, which all stay
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, value_parser = output::at_least_one, help_heading = MESH)]
     triangles: usize,
     /// Whether flat regions of a surface made from the capture are found, made flat and meshed anew with few triangles (not in the paper)
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
@@ -177,7 +178,7 @@ pub(super) struct Args {
     /// How far a mesh pixel must lie in front of a splat to override its order, relative to the extent of the
     /// cameras; `inf` turns the override off (HERA: 5 cm on heads; 0.01 is ours for static scenes)
     #[arg(long, value_name = "LAMBDA", default_value_t = TrainOptions::default().lambda, value_parser = not_negative,
-          help_heading = COMPOSITION)]
+          allow_hyphen_values = true, help_heading = COMPOSITION)]
     lambda: f32,
     /// Mesh layers kept per pixel: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
@@ -233,10 +234,6 @@ fn layers(text: &str) -> Result<u32, String> {
     }
 }
 
-fn at_least_one(text: &str) -> Result<usize, String> {
-    text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "expected a whole number from 1".into())
-}
-
 fn share(text: &str) -> Result<f32, String> {
     text.parse().ok().filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a number from 0 to 1".into())
 }
@@ -249,7 +246,7 @@ impl Args {
     fn options(&self) -> TrainOptions {
         TrainOptions {
             iterations: self.iterations,
-            warmup: if self.no_mesh { 0 } else { self.warmup },
+            warmup: if self.no_mesh { 0 } else { self.warmup.unwrap_or(TrainOptions::warmup_of(self.iterations)) },
             surface_iterations: self.surface_iterations,
             density: match self.density {
                 DensityKind::Inria => Density::Inria,
@@ -293,7 +290,11 @@ impl Args {
     /// What can be known to fail before the first iteration.
     fn check(&self) -> Result<()> {
         output::check_file(&self.output)?;
-        self.ply.as_deref().map_or(Ok(()), output::check_file)?;
+        output::spare(&self.output, self.mesh.as_deref())?;
+        if let Some(ply) = &self.ply {
+            output::check_file(ply)?;
+            output::spare(ply, self.mesh.as_deref())?;
+        }
         self.report.as_deref().map_or(Ok(()), output::check_folder)?;
         if let Some(mesh) = &self.mesh {
             ensure!(mesh.is_file(), "{}: expected a mesh file, found none", mesh.display());
@@ -501,6 +502,14 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
              (--max-side {USUAL_SIDE}) or --downscale"
         )
     });
+    let finds_surface = args.mesh.is_none() && !args.no_mesh;
+    let none_left = finds_surface && args.iterations > 0 && args.surface_iterations >= Some(args.iterations);
+    let none_left = none_left.then(|| {
+        format!(
+            "--surface-iterations: leaves none of the {} iterations to train splats and mesh together",
+            args.iterations
+        )
+    });
     let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
@@ -508,7 +517,7 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
     let too_many = asks.then(|| {
         format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
     });
-    of_capture.map(|what| format!("{}: {what}", args.capture.display())).chain(too_many).collect()
+    of_capture.map(|what| format!("{}: {what}", args.capture.display())).chain(too_many).chain(none_left).collect()
 }
 
 /// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.

@@ -24,6 +24,19 @@ pub(super) fn check(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
             other.1
         );
     }
+    let asked = Command::new("ffmpeg")
+        .arg("-version")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
+    if asked.is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
+        bail!(
+            "{}: cannot be made: there is no ffmpeg on PATH; install it (apt-get install ffmpeg, brew install ffmpeg) or leave \
+             --video out, which leaves the pictures",
+            path.display()
+        );
+    }
     Ok(())
 }
 
@@ -45,22 +58,7 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
         .stdout(Stdio::null())
         .stderr(messages.try_clone().with_context(named)?)
         .spawn();
-    let mut child = match spawned {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => {
-            let folder = pictures.first().and_then(|p| p.parent()).unwrap_or(Path::new("."));
-            let words: Vec<String> = arguments(fps).iter().map(|word| quoted(word)).collect();
-            bail!(
-                "{}: not made: there is no ffmpeg on PATH. The pictures are in {}; install it (apt-get install ffmpeg, \
-                 brew install ffmpeg) and run: cat {}/*.png | ffmpeg {} {}",
-                path.display(),
-                folder.display(),
-                quoted(&folder.display().to_string()),
-                words.join(" "),
-                quoted(&path.display().to_string())
-            );
-        }
-        spawned => spawned.context("ffmpeg")?,
-    };
+    let mut child = spawned.context("ffmpeg")?;
     let mut stdin = child.stdin.take().context("ffmpeg has no input")?;
     let fed = pictures
         .iter()
@@ -101,28 +99,4 @@ fn arguments(fps: f64) -> Vec<String> {
         ["-f", "mp4"],
     ];
     arguments.iter().flatten().map(|argument| (*argument).to_owned()).chain(["-y".to_owned()]).collect()
-}
-
-/// A word as a shell reads it.
-fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_./+=:,-".contains(c);
-    if !word.is_empty() && word.chars().all(is_plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn words_are_quoted_where_a_shell_would_read_more() {
-        assert_eq!(["a/b.mp4", "two words", "it's", ""].map(quoted), ["a/b.mp4", "'two words'", r"'it'\''s'", "''"]);
-        assert_eq!(
-            quoted(&arguments(30.0)[9]),
-            "'pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p'"
-        );
-    }
 }

@@ -346,7 +346,9 @@ mod tests {
             bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
             message(&bytes)
         };
-        assert!(edited(r#"version\":7"#, r#"version\":9"#).contains("version: expected 7, found 9"));
+        let version = |v: u32| format!(r#"version\":{v}"#);
+        let found = edited(&version(VERSION), &version(9));
+        assert!(found.contains(&format!("version: expected {VERSION}, found 9")), "{found}");
         assert!(edited("splats/sh_m", "splats/sh_x").contains("splats/sh_m: expected an array, found none"));
         assert!(edited("F32", "I32").contains("expected f32 or u32 of one axis, found I32"));
         assert!(edited("centaur_checkpoint", "somebody_elses_foo").contains("metadata: expected an entry"));

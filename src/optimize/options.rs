@@ -32,7 +32,7 @@ pub enum Background {
 pub struct TrainOptions {
     /// Iterations of the splats: 30,000 (3DGS), the surface's included. Schedules stretch with it.
     pub iterations: u32,
-    /// Iterations on the maps alone before: 9,000 (HERA). Unused without a mesh.
+    /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
     pub warmup: u32,
     /// Of `iterations`, those on splats alone before a surface is made of them: 15,000, when INRIA's density control
     /// ends; it goes on for half of the rest. Unused with a given mesh or without one. If not fewer than `iterations`, splats
@@ -112,6 +112,12 @@ impl TrainOptions {
     #[must_use]
     pub fn asks_for_size(&self) -> bool {
         self.max_splats.is_some() || self.max_floats.is_some()
+    }
+
+    /// Iterations on the maps alone that go with so many of the splats: HERA's 9,000 with 30,000 or more, and as large a part of fewer.
+    #[must_use]
+    pub fn warmup_of(iterations: u32) -> u32 {
+        (u64::from(iterations) * 9_000 / 30_000).min(9_000) as u32
     }
 
     /// Iterations on splats alone, if a surface is made of them.

@@ -50,6 +50,9 @@ pub(super) fn chooses_pictures(word: &str) -> bool {
     word.split('=').next().is_some_and(|name| OF_PROTOCOL.contains(&name))
 }
 
+/// Flags of `centaur train` that every job has of its own.
+const OF_JOBS: [&str; 8] = ["-o", "--output", "--report", "--seed", "--json", "--quiet", "-q", "--resume"];
+
 /// A way to train.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Variant {
@@ -219,8 +222,15 @@ impl Job {
         self.command().iter().any(|flag| flag.to_string_lossy().starts_with("--lpips-weights"))
     }
 
-    /// Whether `centaur train` takes the flags.
+    /// Whether `centaur train` takes the flags, and none is one that jobs have of their own.
     pub(super) fn check(&self) -> Result<()> {
+        let own = self.flags.iter().find(|flag| flag.split('=').next().is_some_and(|name| OF_JOBS.contains(&name)));
+        if let Some(flag) = own {
+            bail!(
+                "flags of {}: expected none that every job has of its own (-o, --seeds of this command), found `{flag}`",
+                self.name()
+            );
+        }
         let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".into()).chain(self.command()));
         parsed
             .map(drop)

@@ -1,0 +1,93 @@
+//! What nobody has named as an output is not written over.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod common;
+
+use std::path::Path;
+
+use centaur::format::{WriteOptions, write_scene};
+use centaur::scene::{Composition, HybridScene, Splats};
+use common::{centaur, stderr, write_capture};
+use glam::{Quat, Vec3};
+
+fn run(folder: &Path, args: &str) {
+    let output = centaur(folder).args(args.split(' ')).output().unwrap();
+    assert!(output.status.success(), "{args}: {}", stderr(&output));
+}
+
+/// The line of a command that must fail and change no file.
+fn refused(folder: &Path, args: &str) -> String {
+    common::failure(folder, centaur(folder).args(args.split(' ')))
+}
+
+fn write_splats(path: &Path, n: usize) {
+    let means = (0..n).map(|i| Vec3::new(0.1 * i as f32, 0.0, 0.0)).collect();
+    let splats =
+        Splats::new(means, vec![Quat::IDENTITY; n], vec![Vec3::splat(-3.0); n], vec![2.0; n], 1, vec![[0.5; 3]; 4 * n]);
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    write_scene(path, &scene, &WriteOptions::default()).unwrap();
+}
+
+#[test]
+fn a_path_does_not_replace_the_scene_it_is_of() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(&folder.path().join("capture"), 9, (16, 12));
+    run(folder.path(), "cameras convert capture -o scene.glb");
+    for kind in ["orbit scene.glb -o scene.glb --frames 3", "convert scene.glb -o ./scene.glb"] {
+        let line = refused(folder.path(), &format!("cameras {kind}"));
+        assert!(
+            line.contains("--with-scene writes scene.glb again") && line.ends_with("which would be lost"),
+            "{line}"
+        );
+    }
+}
+
+#[test]
+fn a_surface_does_not_replace_what_it_is_made_of() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(&folder.path().join("capture"), 9, (16, 12));
+    write_splats(&folder.path().join("splats.glb"), 5);
+    let line = refused(folder.path(), "mesh splats.glb capture -o splats.glb");
+    assert_eq!(line, "error: splats.glb: expected another file than splats.glb, which would be lost");
+    let line = refused(folder.path(), "train capture --mesh splats.glb -o splats.glb");
+    assert_eq!(line, "error: splats.glb: expected another file than splats.glb, which would be lost");
+}
+
+#[test]
+fn pictures_do_not_replace_photographs() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(&folder.path().join("capture"), 9, (16, 12));
+    write_splats(&folder.path().join("splats.ply"), 5);
+    let line = refused(folder.path(), "render splats.ply --cameras capture -o capture/images");
+    assert!(line.ends_with("000.png: is a photograph of capture: expected another folder"), "{line}");
+    let line = refused(folder.path(), "eval splats.ply capture -o capture/images");
+    assert!(line.ends_with("000.png, which would be lost"), "{line}");
+    // Pictures of an earlier run are replaced, in the capture as anywhere.
+    for _ in 0..2 {
+        run(folder.path(), "render splats.ply --cameras capture -o capture/renders");
+    }
+}
+
+#[test]
+fn exports_do_not_replace_files_of_others_beside_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_splats(&at("g.ply"), 5);
+    write_splats(&at("g_splats.ply"), 9);
+    // Its own input, then what a training left there.
+    let line = refused(folder.path(), "convert g_splats.ply g.xml");
+    assert!(line.ends_with("which would be lost"), "{line}");
+    let line = refused(folder.path(), "convert g.ply g.xml");
+    let expected = "g_splats.ply, which is there already; another name or a folder of its own keeps both";
+    assert!(line.ends_with(expected), "{line}");
+    // An export may be repeated, beside one of the same scene, too.
+    std::fs::remove_file(at("g_splats.ply")).unwrap();
+    for args in ["convert g.ply g.xml", "convert g.ply g.xml --scale 2", "convert g.ply g.xml"] {
+        run(folder.path(), args);
+    }
+    // The plugin that several scenes share is the same.
+    run(folder.path(), "convert g.ply other.xml");
+    let line = refused(folder.path(), "convert g.ply g.blend.py --scale 3");
+    assert!(line.starts_with("error: g.blend.py: would replace ") && line.ends_with(expected), "{line}");
+}
