@@ -1,5 +1,6 @@
 // A step of Adam for splats (β 0.9, 0.999; ε 1e-15 outside the root), with MCMC's regularisers and noise
-// (Kheradmand et al. 2024). `geometry`: one thread per splat; `harmonics`: one thread per active SH float.
+// (Kheradmand et al. 2024). `geometry`: one thread per splat; `harmonics`: one thread per four active SH floats, or per one where
+// splats do not begin at multiples of four (degrees 0 and 2).
 //
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
 // bandwidth, 1.7 kB per splat of degree 3.
@@ -111,11 +112,19 @@ fn geometry(
     }
 }
 //#else
+//#if FOURS
+alias Floats = vec4f;
+const LANES: u32 = 4u;
+//#else
+alias Floats = f32;
+const LANES: u32 = 1u;
+//#end
+
 // [splat][coefficient][rgb]
-@group(0) @binding(2) var<storage, read_write> parameters: array<f32>;
-@group(0) @binding(3) var<storage, read> gradient: array<f32>;
-@group(0) @binding(4) var<storage, read_write> first: array<f32>;
-@group(0) @binding(5) var<storage, read_write> second: array<f32>;
+@group(0) @binding(2) var<storage, read_write> parameters: array<Floats>;
+@group(0) @binding(3) var<storage, read> gradient: array<Floats>;
+@group(0) @binding(4) var<storage, read_write> first: array<Floats>;
+@group(0) @binding(5) var<storage, read_write> second: array<Floats>;
 
 @compute @workgroup_size(256)
 fn harmonics(
@@ -123,21 +132,34 @@ fn harmonics(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let index = group_index(group) * 256u + thread;
-    let splat = index / step.active_floats;
+    let of_splat = (step.active_floats + LANES - 1u) / LANES;
+    let splat = index / of_splat;
     if splat >= step.n_splats || status.is_short != 0u { return; }
     if step.visible_only != 0u && visible[splat] == 0u { return; }
-    let float = index % step.active_floats;
-    let i = splat * SH_FLOATS + float;
+    let float = (index - splat * of_splat) * LANES;
+    let i = (splat * SH_FLOATS + float) / LANES;
+    //#if FOURS
+    let number = vec4u(float) + vec4u(0u, 1u, 2u, 3u);
+    let is_active = number < vec4u(step.active_floats);
+    let rate = select(vec4f(step.rest_rate), vec4f(step.dc_rate), number < vec4u(3u));
+    //#else
+    let is_active = true;
+    let rate = select(step.rest_rate, step.dc_rate, float < 3u);
+    //#end
     let g = gradient[i];
-    let m = BETA_1 * first[i] + 0.1 * g;
-    let v = BETA_2 * second[i] + 0.001 * g * g;
+    let before = parameters[i];
+    let m = select(first[i], BETA_1 * first[i] + 0.1 * g, is_active);
+    let v = select(second[i], BETA_2 * second[i] + 0.001 * g * g, is_active);
     first[i] = m;
     second[i] = v;
-    let rate = select(step.rest_rate, step.dc_rate, float < 3u);
-    let value = parameters[i] - rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    let after = before - rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    let value = select(before, after, is_active);
     parameters[i] = value;
-    if !(is_finite(value) && is_finite(v)) {
-        atomicOr(&status.not_finite, NOT_FINITE_SH);
-    }
+    //#if FOURS
+    let finite = are_finite(value) && are_finite(v);
+    //#else
+    let finite = is_finite(value) && is_finite(v);
+    //#end
+    if !finite { atomicOr(&status.not_finite, NOT_FINITE_SH); }
 }
 //#end

@@ -52,6 +52,8 @@ pub(crate) struct SplatAdam {
     harmonics: (Kernel, Bindings),
     uniform: Buffer,
     n_splats: usize,
+    /// SH floats that a thread takes.
+    lanes: usize,
     active_floats: usize,
 }
 
@@ -73,7 +75,8 @@ impl SplatAdam {
         status: &Buffer,
     ) -> Result<Self, GpuError> {
         let uniform = gpu.uniform("Adam step", 16)?;
-        let defines = gpu.defines().with("SH_FLOATS", sh_floats as u32);
+        let lanes = if sh_floats.is_multiple_of(4) { 4 } else { 1 };
+        let defines = gpu.defines().with("SH_FLOATS", sh_floats as u32).with("FOURS", u32::from(lanes == 4));
         let sets = [parameters, gradient, first_moment, second_moment];
         let kernel = |entry, is_geometry: bool| {
             let defines = defines.clone().with("GEOMETRY", u32::from(is_geometry));
@@ -83,7 +86,7 @@ impl SplatAdam {
             (kernel, bindings)
         };
         let (geometry, harmonics) = (kernel("geometry", true), kernel("harmonics", false));
-        Ok(Self { geometry, harmonics, uniform, n_splats: 0, active_floats: 3 })
+        Ok(Self { geometry, harmonics, uniform, n_splats: 0, lanes, active_floats: 3 })
     }
 
     /// What frames recorded from now on do.
@@ -114,7 +117,8 @@ impl SplatAdam {
     /// Appends the step to a frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
         frame.dispatch(&self.geometry.0, &self.geometry.1, groups(self.n_splats, THREADS));
-        frame.dispatch(&self.harmonics.0, &self.harmonics.1, groups(self.n_splats * self.active_floats, THREADS));
+        let threads = self.n_splats * self.active_floats.div_ceil(self.lanes);
+        frame.dispatch(&self.harmonics.0, &self.harmonics.1, groups(threads, THREADS));
     }
 }
 

@@ -124,10 +124,15 @@ impl Blend {
             .with("MOMENTS", moments(gradients.absolute) as u32)
             .with("ABSOLUTE", u32::from(gradients.absolute));
         let n_moments = moments(gradients.absolute);
-        let splats_a_group = SUM_THREADS / n_moments;
+        let lanes = if gpu.profile().is_cpu && n_moments.is_multiple_of(2) { 2 } else { 1 };
+        let values = n_moments / lanes;
+        let together = if gpu.profile().is_cpu { values } else { 1 };
+        let splats_a_group = SUM_THREADS / (values / together);
         let sum_defines = gpu
             .defines()
-            .with("MOMENTS", n_moments as u32)
+            .with("PAIRED", u32::from(lanes == 2))
+            .with("VALUES", values as u32)
+            .with("TOGETHER", together as u32)
             .with("SPLATS", splats_a_group as u32)
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
