@@ -131,14 +131,14 @@ mod tests {
     use super::*;
     use crate::render::gpu::status::status_buffer;
 
-    const SH_DEGREE: u32 = 1;
-    const SH_FLOATS: usize = 12;
+    /// SH floats of degree 1, which are moved four at a time, and of degree 2, which are not.
+    const SH_FLOATS: [usize; 2] = [12, 27];
     const RATES: SplatRates =
         SplatRates { mean: 1e-3, opacity: 0.05, rotation: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
     const STEP: AdamStep = AdamStep {
         number: 1,
         n_splats: 0,
-        sh_degree: SH_DEGREE,
+        sh_degree: 2,
         rates: RATES,
         opacity_weight: 0.0,
         scale_weight: 0.0,
@@ -147,13 +147,14 @@ mod tests {
         visible_only: false,
     };
 
-    /// Parameters, gradients, first and second moments: geometry `[N·12]`, SH `[N·SH_FLOATS]`.
+    /// Parameters, gradients, first and second moments: geometry `[N·12]`, SH `[N·sh_floats]`.
     struct State {
         geometry: [Buffer; 4],
         sh: [Buffer; 4],
         visible: Buffer,
         status: Buffer,
         n: usize,
+        sh_floats: usize,
     }
 
     impl State {
@@ -172,23 +173,25 @@ mod tests {
                 visible: gpu.storage("visible", n).unwrap(),
                 status: status_buffer(gpu).unwrap(),
                 n,
+                sh_floats: sh.len() / n,
             }
         }
 
         fn adam(&self, gpu: &Gpu) -> SplatAdam {
             let [p, g, m, v] = [0, 1, 2, 3].map(|i| SplatFloats { geometry: &self.geometry[i], sh: &self.sh[i] });
-            SplatAdam::new(gpu, SH_FLOATS, p, g, m, v, &self.visible, &self.status).unwrap()
+            SplatAdam::new(gpu, self.sh_floats, p, g, m, v, &self.visible, &self.status).unwrap()
         }
 
         fn run(&self, gpu: &Gpu, adam: &mut SplatAdam, step: AdamStep) {
-            adam.set(gpu, &AdamStep { n_splats: self.n as u32, ..step });
+            let sh_degree = step.sh_degree.min(if self.sh_floats == 12 { 1 } else { 2 });
+            adam.set(gpu, &AdamStep { n_splats: self.n as u32, sh_degree, ..step });
             let mut frame = Frame::new(gpu);
             adam.record(&mut frame);
             frame.submit();
         }
 
         fn read(&self, gpu: &Gpu, i: usize) -> (Vec<f32>, Vec<f32>) {
-            (gpu.read(&self.geometry[i], self.n * 12).unwrap(), gpu.read(&self.sh[i], self.n * SH_FLOATS).unwrap())
+            (gpu.read(&self.geometry[i], self.n * 12).unwrap(), gpu.read(&self.sh[i], self.n * self.sh_floats).unwrap())
         }
     }
 
@@ -198,10 +201,14 @@ mod tests {
 
     #[test]
     fn twenty_steps_equal_adam_in_f64() {
+        SH_FLOATS.into_iter().for_each(assert_equals_adam);
+    }
+
+    fn assert_equals_adam(sh_floats: usize) {
         let gpu = Gpu::open(None).unwrap();
         let mut rng = Pcg32::seed_from_u64(3);
         let n = 300; // more than a workgroup
-        let (geometry, sh) = (random(n * 12, &mut rng), random(n * SH_FLOATS, &mut rng));
+        let (geometry, sh) = (random(n * 12, &mut rng), random(n * sh_floats, &mut rng));
         let state = State::new(&gpu, &geometry, &sh);
         let mut adam = state.adam(&gpu);
         // Weights so large that the regularisers matter next to gradients of order 1.
@@ -212,7 +219,7 @@ mod tests {
         let (mut m, mut v) = (vec![0.0; p.len()], vec![0.0; p.len()]);
         let rate = |i: usize| {
             f64::from(match i.checked_sub(n * 12) {
-                Some(j) if j % SH_FLOATS < 3 => RATES.sh_dc,
+                Some(j) if j % sh_floats < 3 => RATES.sh_dc,
                 Some(_) => RATES.sh_rest,
                 None => match i % 12 {
                     0..3 => RATES.mean,
@@ -282,7 +289,7 @@ mod tests {
         ];
         let geometry: Vec<f32> = splat.iter().map(|&v| v as f32).cycle().take(n * 12).collect();
         let deltas = [1, 2].map(|number| {
-            let state = State::new(&gpu, &geometry, &vec![0.0; n * SH_FLOATS]);
+            let state = State::new(&gpu, &geometry, &vec![0.0; n * SH_FLOATS[0]]);
             state.run(&gpu, &mut state.adam(&gpu), AdamStep { number, noise: 5e5, ..STEP });
             let found = state.read(&gpu, 0).0;
             let rest = |v: &[f32]| v.chunks(12).flat_map(|s| s[3..].to_vec()).collect::<Vec<_>>();
@@ -313,13 +320,17 @@ mod tests {
 
     #[test]
     fn unseen_splats_and_inactive_coefficients_stay() {
+        SH_FLOATS.into_iter().for_each(assert_stay);
+    }
+
+    fn assert_stay(sh_floats: usize) {
         let gpu = Gpu::open(None).unwrap();
         let mut rng = Pcg32::seed_from_u64(5);
         let n = 100;
-        let state = State::new(&gpu, &random(n * 12, &mut rng), &random(n * SH_FLOATS, &mut rng));
+        let state = State::new(&gpu, &random(n * 12, &mut rng), &random(n * sh_floats, &mut rng));
         for set in [1, 2, 3] {
             gpu.write(&state.geometry[set], 0, &random(n * 12, &mut rng).iter().map(|v| v.abs()).collect::<Vec<_>>());
-            gpu.write(&state.sh[set], 0, &random(n * SH_FLOATS, &mut rng).iter().map(|v| v.abs()).collect::<Vec<_>>());
+            gpu.write(&state.sh[set], 0, &random(n * sh_floats, &mut rng).iter().map(|v| v.abs()).collect::<Vec<_>>());
         }
         gpu.write(&state.visible, 0, &(0..n as u32).map(|i| i % 3).collect::<Vec<_>>());
         let before = [0, 2, 3].map(|set| state.read(&gpu, set));
@@ -333,8 +344,8 @@ mod tests {
                     let changed = after.0[12 * i + k] != before.0[12 * i + k];
                     assert_eq!(changed, seen, "set {set}, splat {i}, geometry {k}");
                 }
-                for k in 0..SH_FLOATS {
-                    let changed = after.1[SH_FLOATS * i + k] != before.1[SH_FLOATS * i + k];
+                for k in 0..sh_floats {
+                    let changed = after.1[sh_floats * i + k] != before.1[sh_floats * i + k];
                     assert_eq!(changed, seen && k < 3, "set {set}, splat {i}, SH {k}");
                 }
             }
