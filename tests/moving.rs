@@ -25,7 +25,7 @@ fn write_slide(folder: &Path) {
         "nodes": [{ "mesh": 0 }, { "name": "front", "camera": 0 }],
         "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "material": 0 }] }],
         "materials": [{ "doubleSided": true, "extensions": { "KHR_materials_unlit": {} } }],
-        "cameras": [{ "type": "perspective", "perspective": { "yfov": 0.8, "aspectRatio": 1.25, "znear": 0.1 } }],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 0.761_012_75, "aspectRatio": 1.333_333_3, "znear": 0.1 } }],
         "animations": [{
             "name": "slide", "samplers": [{ "input": 1, "output": 2 }],
             "channels": [{ "sampler": 0, "target": { "node": 0, "path": "translation" } }],

@@ -39,7 +39,8 @@ the background:
   mesh.R .G .B .A             what meshes contribute where splats hide them; both sum to R G B A
   Z, depth.first              depth along the camera's axis: expected, and where alpha passes one
                               half; 1e10 where none
-  N.X .Y .Z                   normal of the nearest mesh layer, world space, towards the camera
+  N.X .Y .Z                   unit normal of the nearest mesh layer, towards the camera; y-down as
+                              `centaur inspect` has it: negate Y and Z for the world of glTF and USD
   splats.count                splats that contribute to the pixel";
 
 /// Render a scene from given cameras
@@ -405,7 +406,7 @@ fn write_layers(
     channels.push(depth("Z", picture.expected_depth));
     channels.push(depth("depth.first", picture.median_depth));
     channels.push(Channel { name: "splats.count".to_owned(), values: picture.count, precise: true });
-    let comment = "Premultiplied, blended in colorSpace, not over the background. Z is expected depth along the camera's \
+    let comment = "Premultiplied, blended in colorSpace, not over the background. N is y-down: negate Y and Z for glTF and USD. Z is expected depth along the camera's \
                    axis, depth.first where alpha passes one half.";
     Ok(format::write_exr(path, size, channels, &look.header(camera, composition.color_space, comment))?)
 }

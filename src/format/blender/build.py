@@ -19,7 +19,7 @@ def build(folder, options):
     collection.objects.link(root)
     # What the handler needs to go on in a saved .blend.
     decode = SCENE["composition"]["colorSpace"] == "srgb" and options.space == "linear"
-    root["centaur"] = json.dumps({"construction": options.construction, "decode": decode, "near": SCENE["composition"]["near"],
+    root["centaur"] = json.dumps({"scene": name, "construction": options.construction, "decode": decode, "near": SCENE["composition"]["near"],
                                   "low_pass": SCENE["composition"]["lowPass"],
                                   "sh_direction": options.sh_direction, "triangles": options.triangles})
     if SCENE["splats"]:
@@ -190,6 +190,28 @@ def find_root():
         if thing.type == "EMPTY" and "centaur" in thing:
             return thing, json.loads(thing["centaur"])
     return None, None
+
+
+def is_built():
+    """Whether this script's own scene is here."""
+    return find_root()[0] is not None and find_root()[1].get("scene") == SCENE["name"]
+
+
+def remove_former():
+    """Takes away what this script has built here before; refuses to build beside another's, whose handlers would not know which to follow."""
+    root, settings = find_root()
+    if root is None:
+        return
+    if not is_built():
+        raise ScriptError(f"this file holds `{settings.get('scene', root.name)}` already: expected a file without, or delete its collection")
+    collections = list(root.users_collection)
+    things = [*root.children_recursive, root]
+    contents = {thing.data for thing in things if thing.data is not None}
+    bpy.data.batch_remove(things)
+    bpy.data.batch_remove([content for content in contents if content.users == 0])
+    for collection in collections:
+        if not collection.all_objects and not collection.children and collection != bpy.context.scene.collection:
+            bpy.data.collections.remove(collection)
 
 
 def refresh(force=False, depsgraph=None):

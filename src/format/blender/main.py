@@ -6,6 +6,9 @@ Builds the scene in Blender: a collection with meshes, splats and cameras, with 
 what the optimiser saw. Runs in Blender's text editor (open it, press Run), with `blender --python FILE`, or with the module
 `bpy` of PyPI. The files beside it are needed until a .blend is saved, which holds everything.
 
+In a .blend of yours the scene that is open gets a collection more, and its engine, resolution, view transform, world, compositor
+and sequencer are set for it. Run again, the script replaces what it has built; a file takes one such scene.
+
 constructions of splats:
   ewa    the raster model, which scenes are trained with: a quad per splat at its depth. Exact for the active camera.
   cap    the ray model: a curved patch per splat where rays peak. Alpha is exact for any camera that sees the patch; the
@@ -184,7 +187,7 @@ def run(options):
     check(options)
     if bpy.app.background and not bpy.data.filepath:
         bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.preferences.filepaths.save_version = 0
+    remove_former()
     build(home(), options)
     root, settings = find_root()
     settle(settings["decode"])
@@ -197,12 +200,17 @@ def run(options):
     listen()
     keep_script()
     if options.save:
+        # No .blend1 beside it; the preference is the user's.
+        files = bpy.context.preferences.filepaths
+        versions, files.save_version = files.save_version, 0
         try:
             with quiet():
                 bpy.ops.file.pack_all()
                 bpy.ops.wm.save_as_mainfile(filepath=os.path.abspath(options.save), check_existing=False)
         except RuntimeError as error:
             raise ScriptError(f"{options.save}: cannot write ({str(error).strip()})")
+        finally:
+            files.save_version = versions
     if not options.render:
         return
     stem, extension = os.path.splitext(options.render)
@@ -222,7 +230,7 @@ def run(options):
 
 
 def main():
-    if bpy is not None and not os.path.isfile(globals().get("__file__", "")) and find_root()[0] is not None:
+    if bpy is not None and not os.path.isfile(globals().get("__file__", "")) and is_built():
         on_frame(bpy.context.scene)  # the text in a .blend: on opening it, or by Run
         listen()
         return
@@ -231,7 +239,7 @@ def main():
     else:
         arguments = sys.argv[1:]
     options = parse(arguments)
-    if bpy is None:
+    if bpy is None or bpy.app.version < (4, 5, 0):
         sys.exit(f"{SCENE['name']}.blend.py: this script needs Blender 4.5 or later: pip install bpy==4.5.15 (Python 3.11), or "
                  "blender --background --python FILE -- OPTIONS")
     try:

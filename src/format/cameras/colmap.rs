@@ -7,7 +7,7 @@ use std::{fs, io};
 use glam::DQuat;
 
 use super::captures::{FILES, NO_POINTS, spare_in};
-use super::picture_names;
+use super::image_names;
 use crate::format::FormatError;
 use crate::scene::{Camera, Intrinsics};
 
@@ -15,9 +15,7 @@ pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, 
     spare_in(folder)?;
     let mut lenses: Vec<Intrinsics> = vec![];
     let mut images = String::from("# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; world to camera\n");
-    for (i, ((_, camera), name)) in
-        cameras.iter().zip(picture_names(cameras.iter().map(|(name, _)| &name[..]), "png")).enumerate()
-    {
+    for (i, ((_, camera), name)) in cameras.iter().zip(image_names(cameras)).enumerate() {
         let lens = lenses.iter().rposition(|k| k == camera.intrinsics()).unwrap_or_else(|| {
             lenses.push(*camera.intrinsics());
             lenses.len() - 1

@@ -14,7 +14,7 @@ mod tests;
 mod transforms;
 
 use std::collections::{HashMap, HashSet};
-use std::path::Path;
+use std::path::{Component, Path};
 
 use glam::{DMat3, DVec3};
 
@@ -252,6 +252,24 @@ pub fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) 
         format!("{name}.{extension}")
     };
     views.map(|view| unique(safe_stem(view))).collect()
+}
+
+/// What cameras are called in files that name a photograph for each: as they are called, where all of those are names of pictures in or
+/// below a folder, else [`picture_names`].
+pub(super) fn image_names(cameras: &[(String, Camera)]) -> Vec<String> {
+    let names: Vec<&str> = cameras.iter().map(|(name, _)| &name[..]).collect();
+    let is_picture = |name: &&str| {
+        let path = Path::new(name);
+        let suffix = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        matches!(&suffix[..], "jpg" | "jpeg" | "png")
+            && path.components().all(|part| matches!(part, Component::Normal(_)))
+            && !name.contains(|c: char| c.is_whitespace() || c.is_control() || c == '\\')
+    };
+    let unique: HashSet<String> = names.iter().map(|name| name.to_lowercase()).collect();
+    if unique.len() == names.len() && names.iter().all(is_picture) {
+        return names.into_iter().map(str::to_owned).collect();
+    }
+    picture_names(names.into_iter(), "png")
 }
 
 /// A view's name without suffix and without anything that a file system may take for more than a letter.

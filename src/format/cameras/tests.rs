@@ -112,16 +112,26 @@ fn names_of_pictures_are_safe_and_unique() {
     let found = names(&["left/0001.jpg", "left_0001.PNG", "LEFT/0001", "../../etc/passwd", "IMG 12.tar.JPG", "..", ""]);
     let expected = ["left_0001", "left_0001_2", "LEFT_0001_3", "_.._etc_passwd", "IMG_12.tar", "view", "view_2"];
     assert_eq!(found, expected.map(|stem| format!("{stem}.png")));
-    // They are the names in files of cameras.
+    // They are the names in files of cameras, unless all cameras have names of pictures.
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (shot(1, 0.0)[0].1, shot(2, 0.0)[1].1);
-    let cameras = vec![("left/0001.jpg".to_owned(), first), ("left_0001.PNG".to_owned(), second)];
-    let file = CameraFile { cameras, fps: None, y_up: None, times: vec![], notes: vec![] };
-    for name in ["a.json", "model"] {
-        write_cameras(&folder.path().join(name), &file).unwrap();
-        let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();
-        let read: Vec<&str> = back.cameras.iter().map(|(name, _)| &name[..]).collect();
-        assert_eq!(read, expected[..2].iter().map(|stem| format!("{stem}.png")).collect::<Vec<_>>(), "{name}");
+    for (given, expected) in [
+        (["left/0001.jpg", "left_0001.PNG"], ["left/0001.jpg", "left_0001.PNG"]),
+        (["left/0001.jpg", "left_0001"], ["left_0001.png", "left_0001_2.png"]),
+        (["../0001.jpg", "2.jpg"], ["_0001.png", "2.png"]),
+        (["a.jpg", "A.jpg"], ["a.png", "A_2.png"]),
+    ] {
+        let cameras = vec![(given[0].to_owned(), first), (given[1].to_owned(), second)];
+        let file = CameraFile { cameras, fps: None, y_up: None, times: vec![], notes: vec![] };
+        for name in ["a.json", "model"] {
+            write_cameras(&folder.path().join(name), &file).unwrap();
+            let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();
+            let mut read: Vec<&str> = back.cameras.iter().map(|(name, _)| &name[..]).collect();
+            let mut expected = expected;
+            read.sort_unstable();
+            expected.sort_unstable();
+            assert_eq!(read, expected, "{name}");
+        }
     }
 }
 

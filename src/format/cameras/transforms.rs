@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::captures::{GENERATOR, spare};
-use super::picture_names;
+use super::image_names;
 use crate::format::{FormatError, atomic_write};
 use crate::scene::{Camera, Intrinsics};
 
@@ -35,8 +35,7 @@ pub(super) fn write(path: &Path, cameras: &[(String, Camera)], fps: Option<f64>)
         frame.insert("transform_matrix".to_owned(), json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]));
         Value::Object(frame)
     };
-    let names = picture_names(cameras.iter().map(|(name, _)| &name[..]), "png");
-    let frames: Vec<Value> = names.into_iter().zip(cameras).map(frame).collect();
+    let frames: Vec<Value> = image_names(cameras).into_iter().zip(cameras).map(frame).collect();
     document.insert("frames".to_owned(), Value::Array(frames));
     let text = serde_json::to_vec_pretty(&Value::Object(document)).unwrap_or_default();
     atomic_write(path, &text)?;

@@ -35,10 +35,13 @@ pub(super) fn read(
 
     let extras = camera.extras.as_ref().and_then(|e| serde_json::from_str::<Value>(e.get()).ok());
     let exact = extras.and_then(|e| serde_json::from_value::<ExactCamera>(e.get(EXTRAS)?.clone()).ok());
-    if let Some(c) = exact {
-        if c.width.max(c.height) > MAX_SIDE || u64::from(c.width) * u64::from(c.height) > MAX_PIXELS {
-            return Err(format!("its image of {}×{} pixels is too large", c.width, c.height));
-        }
+    if let Some(c) = &exact
+        && (c.width.max(c.height) > MAX_SIDE || u64::from(c.width) * u64::from(c.height) > MAX_PIXELS)
+    {
+        return Err(format!("its image of {}×{} pixels is too large", c.width, c.height));
+    }
+    let reshaped = exact.is_some();
+    if let Some(c) = exact.and_then(|mut c| takes_lens_of(&mut c, camera).then_some(c)) {
         let k = Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy };
         let own = (DMat3::from_cols_array(&c.rotation).transpose(), DVec3::from(c.translation));
         // glTF nodes are read in f32; a larger difference means that somebody has moved the camera.
@@ -58,6 +61,26 @@ pub(super) fn read(
     let f = 0.5 * height / (0.5 * yfov).tan();
     let (cx, cy) = (0.5 * width, 0.5 * height);
     let k = Intrinsics { width: width as u32, height: DEFAULT_HEIGHT, fx: f, fy: f, cx, cy };
-    let note = format!("a camera without an image size is taken to have {}×{} pixels", k.width, k.height);
+    let what = if reshaped { "whose aspect ratio was changed since Centaur wrote it" } else { "without an image size" };
+    let note = format!("a camera {what} is taken to have {}×{} pixels", k.width, k.height);
     Camera::new(k, pose.0, pose.1).map(|c| (c, Some(note))).map_err(|e| e.to_string())
+}
+
+/// Gives the exact camera the field of view that the file has now: somebody may have changed that and kept the extras. False if the
+/// aspect ratio has changed, and with it the picture.
+fn takes_lens_of(exact: &mut ExactCamera, camera: &gltf::json::Camera) -> bool {
+    let Some(perspective) = camera.perspective.as_ref() else { return false };
+    let (width, height) = (f64::from(exact.width), f64::from(exact.height));
+    // The file's are rounded to f32.
+    let near = |found: f64, written: f64| (found - written).abs() <= 1e-5 * written.abs();
+    let aspect = (width * exact.fy) / (height * exact.fx);
+    if perspective.aspect_ratio.is_some_and(|found| !near(f64::from(found), aspect)) {
+        return false;
+    }
+    let yfov = f64::from(perspective.yfov);
+    if yfov > 0.0 && yfov < std::f64::consts::PI && !near(yfov, 2.0 * (0.5 * height / exact.fy).atan()) {
+        let factor = (0.5 * height / exact.fy) / (0.5 * yfov).tan();
+        (exact.fx, exact.fy) = (factor * exact.fx, factor * exact.fy);
+    }
+    true
 }

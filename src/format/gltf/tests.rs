@@ -128,6 +128,24 @@ fn a_moved_root_moves_everything() {
 }
 
 #[test]
+fn a_lens_that_was_changed_is_taken() {
+    let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
+    let k = *camera().intrinsics();
+    let changed = |name: &str, value: f64| {
+        let mut json = json_of(&glb);
+        json["cameras"][0]["perspective"][name] = json!(value);
+        read_bytes(&with_json(&glb, &json)).unwrap()
+    };
+    // To twice the tangent, half the focal lengths; size and principal point stay.
+    let wide = *changed("yfov", 2.0 * (f64::from(k.height) / k.fy).atan()).cameras[0].1.intrinsics();
+    assert!((wide.fx - 0.5 * k.fx).abs() < 1e-4 * k.fx && (wide.fy - 0.5 * k.fy).abs() < 1e-4 * k.fy, "{wide:?}");
+    assert_eq!((wide.width, wide.height, wide.cx, wide.cy), (k.width, k.height, k.cx, k.cy));
+    let other = changed("aspectRatio", 2.0);
+    assert_eq!(other.cameras[0].1.intrinsics().width, 2160);
+    assert!(other.notes[0].contains("whose aspect ratio was changed since Centaur wrote it"), "{:?}", other.notes);
+}
+
+#[test]
 fn cameras_too_large_to_render_are_left_out() {
     let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
     for (width, height) in [(u32::MAX, u32::MAX), (1 << 17, 1), (1 << 15, 1 << 14)] {

@@ -471,6 +471,11 @@ def main():
     arguments = parser.parse_args()
     if not arguments.scene.is_file():
         sys.exit(f'hybrid_rf.py: {arguments.scene}: no such file')
+    out = arguments.out
+    if out.suffix.lower() != '.exr':
+        sys.exit(f'hybrid_rf.py: {out}: expected a name that ends in .exr')
+    if not out.absolute().parent.is_dir():
+        sys.exit(f'hybrid_rf.py: {out}: cannot write: {out.absolute().parent} is no folder')
     register()
     try:
         scene = mi.load_file(str(arguments.scene))
@@ -489,10 +494,14 @@ def main():
     if arguments.sh_direction:
         integrator.by_mean = arguments.sh_direction == 'mean'
     mi.render(scene, sensor=index, integrator=integrator)
+    # What is there stays until there is another.
+    staged = out.with_name(f'.{out.stem}.{os.getpid()}.exr')
     try:
-        sensors[index].film().bitmap().write(str(arguments.out))
-    except RuntimeError as error:
-        sys.exit(f'hybrid_rf.py: {arguments.out}: cannot write: {str(error).strip().splitlines()[-1].strip()}')
+        sensors[index].film().bitmap().write(str(staged))
+        staged.replace(out)
+    except (OSError, RuntimeError) as error:
+        staged.unlink(missing_ok=True)
+        sys.exit(f'hybrid_rf.py: {out}: cannot write: {str(error).strip().splitlines()[-1].strip()}')
 
 
 if __name__ == '__main__':

@@ -171,8 +171,9 @@ fn stock(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> 
         let sensor = Element::plugin("sensor", "perspective")
             .with("string", "fov_axis", "x")
             .with("float", "fov", 2.0 * (0.5 * width / k.fx).atan().to_degrees())
-            .with("float", "principal_point_offset_x", k.cx / width - 0.5)
-            .with("float", "principal_point_offset_y", k.cy / height - 0.5)
+            // Mitsuba's is the offset of the film's centre from the principal point: a positive one moves the axis to the left and up.
+            .with("float", "principal_point_offset_x", 0.5 - k.cx / width)
+            .with("float", "principal_point_offset_y", 0.5 - k.cy / height)
             .with("float", "near_clip", scene.composition.near)
             .with("float", "far_clip", scene.composition.near.max(1.0) * 1e6)
             .child(pose(camera))

@@ -126,8 +126,11 @@ fn the_stock_variant_names_what_it_leaves_out() {
     let k = *camera().intrinsics();
     let fov: f64 = values(&text, "fov")[0].parse().unwrap();
     assert!((0.5 * f64::from(k.width) / (0.5 * fov.to_radians()).tan() - k.fx).abs() < 1e-9);
-    let offset: f64 = values(&text, "principal_point_offset_x")[0].parse().unwrap();
-    assert!(((offset + 0.5) * f64::from(k.width) - k.cx).abs() < 1e-9);
+    // By its sign, which a render showed, the axis meets the film at half of it less the offset.
+    for (name, side, at) in [("x", k.width, k.cx), ("y", k.height, k.cy)] {
+        let offset: f64 = values(&text, &format!("principal_point_offset_{name}"))[0].parse().unwrap();
+        assert!(offset != 0.0 && ((0.5 - offset) * f64::from(side) - at).abs() < 1e-9, "{name}: {offset}");
+    }
     assert!(report.notes.iter().any(|note| note.contains("not square")), "{:?}", report.notes);
 }
 
