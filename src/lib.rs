@@ -3,6 +3,45 @@
 //!
 //! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `metrics`) → `scene` → `format`.
 //! ARCHITECTURE.md has the map and the invariants.
+//!
+//! A scene from a file, rendered from one of the cameras that are in it:
+//!
+//! ```no_run
+//! use centaur::{format::{ReadOptions, read_file}, render::gpu::{Gpu, Renderer}};
+//!
+//! let file = read_file("garden.glb".as_ref(), &ReadOptions::default())?;
+//! let (_, camera) = file.cameras.first().ok_or("no camera in it")?;
+//! let gpu = Gpu::open(None)?;
+//! let picture = Renderer::new(&gpu, &file.scene, &[*camera])?.render(camera)?;
+//! println!("{}×{}, first pixel {:?}", picture.width, picture.height, picture.rgb[0]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! From photographs to a file:
+//!
+//! ```no_run
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use centaur::{
+//!     capture::{self, LoadOptions},
+//!     format::{WriteOptions, write_scene},
+//!     optimize::{self, MeshSource, Session, TrainOptions},
+//!     render::gpu::Gpu,
+//! };
+//!
+//! let capture = capture::open("captures/garden".as_ref(), &LoadOptions::default())?;
+//! let options = TrainOptions { iterations: 7_000, warmup: TrainOptions::warmup_of(7_000), ..TrainOptions::default() };
+//! let session = Session {
+//!     gpu: &Gpu::open(None)?,
+//!     checkpoint: Some("garden.checkpoint".into()),
+//!     resume: false,
+//!     stop: &AtomicBool::new(false),
+//!     progress: &mut |report| println!("{report:?}"),
+//! };
+//! let trained = optimize::train(&capture, MeshSource::Splats, &options, session)?;
+//! write_scene("garden.glb".as_ref(), &trained.scene, &WriteOptions::default())?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test"))]
 

@@ -165,7 +165,7 @@ pub(super) struct Args {
     /// get about two texels per pixel; that of view dependence has a quarter [default: the power of
     /// two from one and a half times the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
     /// (--mesh, --warmup 0): they take half of the budget at most, as far as charts have room
-    #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     texture_size: Option<u32>,
     /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().band_degree, help_heading = MESH,

@@ -125,7 +125,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     } else if first == Some(&b'{') {
         Ok(Kind::Gltf)
     } else {
-        let expected = "a .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat or .ksplat file";
+        let expected = "a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file";
         let found = if start.is_empty() { "an empty file" } else { "other content" };
         Err(error::Fault::byte(0, expected, found).in_file(path))
     }

@@ -108,8 +108,9 @@ pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, Format
 /// Writes a scene in the format of the file's extension, one of [`WRITABLE`] and [`EXPORTABLE`] in any case.
 ///
 /// # Errors
-/// If the extension is none of these, the file cannot be written, or the format's limits are exceeded.
+/// If the extension is none of these, the file cannot be written, the composition is not valid, or the format's limits are exceeded.
 pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
+    scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
     let (splats, antialiased) = (&scene.splats, scene.composition.pixel_filter.normalized);

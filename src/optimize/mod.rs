@@ -38,6 +38,9 @@ pub enum TrainError {
     /// A value cannot be part of a scene.
     #[error("the trained scene is not valid: {0}")]
     Scene(#[from] SceneError),
+    /// An option is outside of what it may be.
+    #[error("options: {0}")]
+    Options(SceneError),
     /// A checkpoint could not be written or read.
     #[error(transparent)]
     Checkpoint(#[from] checkpoint::CheckpointError),

@@ -1,6 +1,6 @@
 //! What can be chosen of a training run, with defaults and their sources.
 
-use crate::scene::OrderMode;
+use crate::scene::{Composition, OrderMode, SceneError, sh};
 
 /// How the number of splats changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -107,6 +107,30 @@ pub struct TrainOptions {
 impl TrainOptions {
     /// Most splats of a run for which no number is asked.
     pub const MOST_SPLATS: usize = 1_000_000;
+    /// Texels that an atlas has along a side at most.
+    pub const LARGEST_TEXTURE: u32 = 8192;
+
+    /// # Errors
+    /// If a number is outside of what its field says.
+    pub fn validate(&self) -> Result<(), SceneError> {
+        Composition { layers: self.layers, lambda: self.lambda, ..Composition::default() }.validate()?;
+        for (field, degree) in [("sh_degree", self.sh_degree), ("band_degree", self.band_degree)] {
+            if degree > sh::MAX_DEGREE {
+                return Err(SceneError::new(field, "0 to 3", degree.to_string()));
+            }
+        }
+        if !(0.0..=1.0).contains(&self.ssim_weight) {
+            return Err(SceneError::new("ssim_weight", "a number from 0 to 1", self.ssim_weight.to_string()));
+        }
+        if !(self.pose_reach >= 0.0 && self.pose_reach.is_finite()) {
+            return Err(SceneError::new("pose_reach", "a number ≥ 0", self.pose_reach.to_string()));
+        }
+        if let Some(side) = self.texture_size.filter(|side| !(16..=Self::LARGEST_TEXTURE).contains(side)) {
+            let expected = format!("16 to {}", Self::LARGEST_TEXTURE);
+            return Err(SceneError::new("texture_size", expected, side.to_string()));
+        }
+        Ok(())
+    }
 
     /// Whether somebody has said how large the scene is to become.
     #[must_use]
@@ -169,6 +193,23 @@ impl Default for TrainOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_outside_of_its_range_is_named() {
+        assert!(TrainOptions::default().validate().is_ok());
+        let d = TrainOptions::default;
+        for (options, field) in [
+            (TrainOptions { layers: 3, ..d() }, "layers"),
+            (TrainOptions { lambda: f32::NAN, ..d() }, "lambda"),
+            (TrainOptions { sh_degree: 4, ..d() }, "sh_degree"),
+            (TrainOptions { band_degree: u32::MAX, ..d() }, "band_degree"),
+            (TrainOptions { ssim_weight: 1.5, ..d() }, "ssim_weight"),
+            (TrainOptions { pose_reach: f64::INFINITY, ..d() }, "pose_reach"),
+            (TrainOptions { texture_size: Some(u32::MAX), ..d() }, "texture_size"),
+        ] {
+            assert_eq!(options.validate().unwrap_err().field, field);
+        }
+    }
 
     #[test]
     fn options_survive_their_checkpoint() {

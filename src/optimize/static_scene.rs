@@ -149,7 +149,7 @@ pub struct Session<'a> {
 /// Trains a static scene on the training views of a capture (all but every eighth).
 ///
 /// # Errors
-/// If a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, the adapter
+/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, the adapter
 /// fails or a parameter is no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
@@ -157,6 +157,7 @@ pub fn train<'a>(
     options: &'a TrainOptions,
     session: Session<'a>,
 ) -> Result<Trained, TrainError> {
+    options.validate().map_err(TrainError::Options)?;
     Run::new(capture, options, &mesh, session)?.all(mesh)
 }
 

@@ -72,13 +72,14 @@ use crate::scene::{Camera, Composition, HybridScene, Splats};
 /// opacities to 1e-7 (logits stay finite). Everything else that is optimised comes back bit for bit.
 ///
 /// # Errors
-/// If the file cannot be written, or would exceed the 4 GiB that the container can address.
+/// If the file cannot be written, or would exceed the 4 GiB that the container can address, or the composition is not valid.
 pub fn write_glb(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
     extras: Option<serde_json::Value>,
 ) -> Result<u64, FormatError> {
+    scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
     let (document, bin) = write::layout(scene, cameras, extras);
     container::write(path, document, &bin)
 }

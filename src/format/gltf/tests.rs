@@ -128,6 +128,16 @@ fn a_moved_root_moves_everything() {
 }
 
 #[test]
+fn a_composition_that_no_reader_takes_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = random_scene(1, 0, 0, 4);
+    let composition = Composition { layers: 3, ..scene.composition };
+    let path = folder.path().join("a.glb");
+    let error = write_glb(&path, &HybridScene { composition, ..scene }, &[], None).unwrap_err().to_string();
+    assert!(error.ends_with("layers: expected 1, 2 or 4, found 3") && !path.exists(), "{error}");
+}
+
+#[test]
 fn a_lens_that_was_changed_is_taken() {
     let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
     let k = *camera().intrinsics();

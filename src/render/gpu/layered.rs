@@ -71,6 +71,7 @@ impl<'g> LayeredRenderer<'g> {
     /// # Errors
     /// If the adapter cannot hold it.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], model: ImageModel) -> Result<Self, GpuError> {
+        scene.composition.validate()?;
         let composition = scene.composition;
         let splats = SplatBuffers::new(gpu, scene.splats.len(), scene.splats.sh_degree())?;
         splats.write(gpu, &scene.splats);
@@ -93,11 +94,12 @@ impl<'g> LayeredRenderer<'g> {
         Ok(Self { gpu, model, composition, n_splats, view, splats, mesh, image, lists, parts, blend })
     }
 
-    /// Renders one picture and waits for it. The image must not be larger than announced.
+    /// Renders one picture and waits for it.
     ///
     /// # Errors
-    /// If the driver fails or the adapter runs short of memory.
+    /// If the image is larger than announced, the driver fails or the adapter runs short of memory.
     pub fn render(&mut self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
+        self.image.check(camera)?;
         loop {
             self.submit(camera)?;
             let (_, pairs) = self.lists.read_counts(self.gpu)?;

@@ -25,7 +25,7 @@ pub(crate) struct Pipeline {
     pub(crate) blend: Blend,
     pub(crate) composition: Composition,
     pub(crate) backward: Option<Backward>,
-    image: ImageCapacity,
+    pub(crate) image: ImageCapacity,
 }
 
 /// Gradients of the splats' parameters.

@@ -29,16 +29,18 @@ impl<'g> Renderer<'g> {
     /// Uploads the scene and makes room for pictures up to the sizes of `cameras`.
     ///
     /// # Errors
-    /// If the adapter cannot hold it.
+    /// If the adapter cannot hold it, or its composition is not valid.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera]) -> Result<Self, GpuError> {
+        scene.composition.validate()?;
         Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, false)? })
     }
 
-    /// Renders one picture and waits for it. The image must not be larger than announced.
+    /// Renders one picture and waits for it.
     ///
     /// # Errors
-    /// If the driver fails or the adapter runs short of memory.
+    /// If the image is larger than announced, the driver fails or the adapter runs short of memory.
     pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
+        self.pipeline.image.check(camera)?;
         loop {
             self.submit(camera)?;
             if !self.pipeline.grow_if_short(self.gpu)? {

@@ -7,7 +7,7 @@ use super::{
     view::TILE,
 };
 use crate::render::contract::{ImageModel, ShDirection};
-use crate::scene::{Splats, sh};
+use crate::scene::{Camera, Splats, sh};
 
 /// Words of the buffer of counts.
 const COUNT_SPLATS: u32 = 0;
@@ -81,6 +81,16 @@ impl ImageCapacity {
             most.tiles = most.tiles.max(w.div_ceil(TILE) as usize * h.div_ceil(TILE) as usize);
         }
         most
+    }
+
+    /// Error if a picture of this camera does not fit: the driver's own would leave the device unusable.
+    pub(crate) fn check(self, camera: &Camera) -> Result<(), GpuError> {
+        let k = camera.intrinsics();
+        let of = Self::of([(k.width, k.height)]);
+        if of.pixels <= self.pixels && of.tiles <= self.tiles {
+            return Ok(());
+        }
+        Err(GpuError::ImageTooLarge { width: k.width, height: k.height })
     }
 }
 

@@ -5,16 +5,18 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use super::{
+    GpuError, LayeredRenderer, Renderer,
     device::{Frame, Gpu},
     pipeline::Pipeline,
     vertices::VertexState,
 };
 use crate::{
     render::{
+        contract::ImageModel,
         reference::{self, Image, Margin, Parameters},
         testing,
     },
-    scene::{Atlas, Camera, HybridScene, OrderMode, PixelFilter, SplatArrays, Texture, sh},
+    scene::{Atlas, Camera, Composition, HybridScene, OrderMode, PixelFilter, SplatArrays, Texture, sh},
 };
 
 /// Renders on the GPU; with a cotangent also returns the gradients of every splat parameter.
@@ -187,6 +189,31 @@ fn two_rays_disagree_in_direct_order_only() {
 }
 
 /// As images with more than 65,535 workgroups in a dispatch.
+/// What a renderer cannot do is an error, after which it still does what it can.
+#[test]
+fn a_picture_larger_than_announced_is_refused() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = testing::random_scene(2, 100, 1, 1, 2, OrderMode::Stable);
+    let k = *camera.intrinsics();
+    let (width, height) = (4 * k.width, 4 * k.height);
+    let large = camera.resized(width, height);
+    let mut renderer = Renderer::new(&gpu, &scene, &[camera]).unwrap();
+    let before = renderer.render(&camera).unwrap();
+    let refused = renderer.render(&large).unwrap_err();
+    assert!(
+        matches!(refused, GpuError::ImageTooLarge { .. })
+            && refused.to_string().ends_with(&format!("{width}×{height}")),
+        "{refused}"
+    );
+    assert_eq!(renderer.render(&camera).unwrap().rgb, before.rgb);
+    let mut layered = LayeredRenderer::new(&gpu, &scene, &[camera], ImageModel::Ewa).unwrap();
+    assert!(matches!(layered.render(&large), Err(GpuError::ImageTooLarge { .. })));
+    assert!(layered.render(&camera).is_ok());
+    let composition = Composition { layers: 3, ..scene.composition };
+    let scene = HybridScene { composition, ..scene };
+    assert!(matches!(Renderer::new(&gpu, &scene, &[camera]), Err(GpuError::Scene(_))));
+}
+
 #[test]
 fn folded_dispatches_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap().narrowed(7);

@@ -1,5 +1,7 @@
 //! What can go wrong on an adapter.
 
+use crate::scene::SceneError;
+
 /// A failure of the adapter or the driver.
 #[derive(Debug, thiserror::Error)]
 pub enum GpuError {
@@ -58,6 +60,17 @@ pub enum GpuError {
         held: u64,
         /// Adapter name.
         adapter: String,
+    },
+    /// No scene to render.
+    #[error("the scene cannot be rendered: {0}")]
+    Scene(#[from] SceneError),
+    /// A camera of another size than a renderer was made for.
+    #[error("expected a picture no larger than those that the renderer was made for, found {width}×{height}")]
+    ImageTooLarge {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
     },
     /// The driver reported an error while running.
     #[error("{adapter}: {reason}")]
