@@ -76,7 +76,7 @@ fn inputs_that_are_not_there_or_not_scenes() {
         (&["inspect", "none.glb"][..], "error: none.glb: cannot read: No such file or directory"),
         (
             &["inspect", "notes.txt"],
-            "error: notes.txt: byte 0: expected a .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found other content",
+            "error: notes.txt: byte 0: expected a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found other content",
         ),
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),

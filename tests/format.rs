@@ -134,7 +134,7 @@ fn what_cannot_be_read_says_so() {
     let picture = message("oracle_splat_transform/golden-render/tiny.webp");
     assert!(
         picture.ends_with(
-            "expected a .glb, .gltf, .usda, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found other content"
+            "expected a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found other content"
         ),
         "{picture}"
     );
