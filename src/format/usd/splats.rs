@@ -67,7 +67,7 @@ pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> R
     let log_scales = scales.iter().take(n).map(|s| Vec3::from(s.map(|v| clamp(activation::log_scale(v))))).collect();
     if clamped > 0 {
         notes.push(format!(
-            "{at}: {clamped} opacities of 0 or 1 or scales of 0 are clamped, so that their logit or logarithm is finite"
+            "{at}: {clamped} opacities not between 0 and 1 or scales not above 0 are clamped, so that their logit or logarithm is finite"
         ));
     }
     Ok(SplatArrays {

@@ -193,7 +193,7 @@ fn units_axes_and_nested_transforms_are_applied() {
         [
             "/World/Turn/S.orientations: 3 values for 2, cut",
             "/World/Turn/S.opacities: 1 values for 2, not used",
-            "/World/Turn/S: 2 opacities of 0 or 1 or scales of 0 are clamped, so that their logit or logarithm is finite",
+            "/World/Turn/S: 2 opacities not between 0 and 1 or scales not above 0 are clamped, so that their logit or logarithm is finite",
             "/C: a camera without an image size is taken to have 2160×1080 pixels",
             "1 prim made invisible left out, with what is below",
             "1 prim of type PointInstancer left out",
