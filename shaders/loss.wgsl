@@ -16,7 +16,7 @@
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
-const WIDTH: u32 = 16u;                 // of a tile; WIDTH and HEIGHT in loss.rs
+const WIDTH: u32 = 16u;                 // of a tile; as in loss.rs
 const HEIGHT: u32 = 48u;
 const REACH: u32 = 5u;
 const ROWS: u32 = 58u;                  // HEIGHT + 2·REACH

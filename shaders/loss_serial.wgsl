@@ -9,7 +9,7 @@
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
-const WIDTH: u32 = 8u;                  // of a strip; WIDTH and HEIGHT in loss.rs
+const WIDTH: u32 = 8u;                  // of a strip; as in loss.rs
 const HEIGHT: u32 = 64u;
 const REACH: u32 = 5u;
 

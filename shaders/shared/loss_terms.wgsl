@@ -6,7 +6,7 @@
 @group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
 @group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3
 @group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // as image; the last of four is not used
-@group(0) @binding(6) var<storage, read_write> means: array<vec2f>;       // each workgroup's part of mean SSIM and L1
+@group(0) @binding(6) var<storage, read_write> means: array<vec2f>;       // each tile's part of mean SSIM and L1
 //#if EXPOSURE
 @group(0) @binding(7) var<storage, read> exposures: array<vec4f>;         // [view][row], see exposure.wgsl
 //#end

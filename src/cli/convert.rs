@@ -249,7 +249,10 @@ fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
 fn spare_foreign(output: &Path, new: &Path, place: &Path, inputs: &[PathBuf]) -> Result<()> {
     output::spare(place, inputs.iter().map(PathBuf::as_path))?;
     let is_foreign = || -> io::Result<bool> {
-        Ok(!output.exists() && place.exists() && std::fs::read(place)? != std::fs::read(new)?)
+        if output.exists() || !place.exists() {
+            return Ok(false);
+        }
+        Ok(place.metadata()?.len() != new.metadata()?.len() || std::fs::read(place)? != std::fs::read(new)?)
     };
     ensure!(
         !is_foreign().with_context(|| place.display().to_string())?,

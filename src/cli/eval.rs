@@ -155,9 +155,9 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     let views: Vec<&View> = held_out.iter().map(|&i| &capture.views[i]).collect();
     let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
     if let Some(folder) = details.folder {
-        for picture in &names {
-            output::spare(&folder.join(picture), views.iter().map(|view| view.source.path()))?;
-        }
+        let pictures: Vec<PathBuf> = names.iter().map(|name| folder.join(name)).collect();
+        // Also those that are trained on: names of pictures are made anew.
+        shared::spare_images(&pictures, capture.views.iter().map(|view| view.source.path()))?;
     }
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let mut renderer = Renderer::new(gpu, scene, &cameras)?;

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
 use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
@@ -123,11 +123,16 @@ pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &Loa
     if !is_capture || !pictures.iter().any(|picture| picture.exists()) {
         return Ok(());
     }
-    let photographs: HashSet<PathBuf> =
-        capture::cameras(path, options)?.images.iter().filter_map(|image| image.canonicalize().ok()).collect();
-    let lost = pictures.iter().find(|picture| picture.canonicalize().is_ok_and(|place| photographs.contains(&place)));
-    let picture = lost.map_or("", |picture| picture.to_str().unwrap_or("a photograph"));
-    ensure!(lost.is_none(), "{picture}: is a photograph of {}: expected another folder", path.display());
+    spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))
+}
+
+/// Refuses to write `pictures` over any of the photographs `images`.
+pub(super) fn spare_images<'a>(pictures: &[PathBuf], images: impl Iterator<Item = &'a Path>) -> Result<()> {
+    let images: HashSet<PathBuf> = images.filter_map(|image| image.canonicalize().ok()).collect();
+    let is_image = |picture: &&PathBuf| picture.canonicalize().is_ok_and(|place| images.contains(&place));
+    if let Some(picture) = pictures.iter().find(is_image) {
+        bail!("{}: is a photograph of the capture: expected another folder", picture.display());
+    }
     Ok(())
 }
 
