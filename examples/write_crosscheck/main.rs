@@ -67,6 +67,8 @@ fn main() -> Result<()> {
             vec![View::default()],
         ),
         ("wide", Cloud { count: 80, spread: [1.6; 3], ..Cloud::default() }, quads()?, layers(2), vec![View::wide()]),
+        // Splats alone, the principal point off the middle: what a Mitsuba without our plug-ins shows as well.
+        ("splats80", Cloud { count: 80, ..Cloud::default() }, vec![], layers(1), vec![View::wide()]),
         // The camera is in some of the splats.
         (
             "inside",

@@ -30,6 +30,8 @@ GATES = {
     "blender cap": {"meshes": 70, "few": 60, "many": 60},
     "blender ewa": {"meshes": 70, "few": 75, "many": 75},
     "numpy": {"meshes": 80, "few": 80, "many": 80},
+    # Mitsuba without our plug-ins: it orders splats by where rays enter them, and draws rays at random within a pixel.
+    "mitsuba stock": {"few": 33, "many": 28},
 }
 # Of splats alone and of meshes alone, whatever the program.
 LAYER_GATE = 50
@@ -75,6 +77,12 @@ def read(path):
     return layers
 
 
+def read_rgb(path):
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.parts[0].channels
+        return np.stack([channels[c].pixels.astype(np.float64) for c in "RGB"], -1)
+
+
 # --- Renderers: each gives {camera: ({layer: RGBA}, seconds)} for a scene ---
 
 
@@ -82,9 +90,15 @@ def at_time(scene):
     return ["--time", TIMES[scene.stem]] if scene.stem in TIMES else []
 
 
+def opaque(rgb):
+    return np.concatenate([rgb, np.ones_like(rgb[..., :1])], -1)
+
+
 def by_centaur(centaur, scene, out, model):
     folder = out / f"centaur-{model}"
-    seconds, text = run([*centaur, "render", scene, *at_time(scene), "--model", model, "--layers", "-o", folder, "--json", "--quiet"])
+    by_ray = ["--sh-direction", "ray"] if model == "ray, SH by ray" else []
+    command = [*centaur, "render", scene, *at_time(scene), "--model", model.split(",")[0], *by_ray, "--layers", "-o", folder]
+    seconds, text = run([*command, "--json", "--quiet"])
     pictures = json.loads(text.strip().splitlines()[-1])["pictures"]
     return {i: (read(path), seconds / len(pictures)) for i, path in enumerate(pictures[:MOST_CAMERAS])}
 
@@ -99,6 +113,22 @@ def by_mitsuba(centaur, scene, cameras, out):
         plugins = xml.with_name("hybrid_rf.py")
         seconds, _ = run([sys.executable, plugins, xml, "-o", exr, "--camera", i, "--output", "blending"])
         pictures[i] = read(exr), seconds
+    return pictures
+
+
+def by_stock_mitsuba(centaur, scene, cameras, out):
+    """Splats over black, decoded from sRGB where they are blended in it: encoded once more here."""
+    xml = out / "mitsuba-stock" / "scene.stock.xml"
+    xml.parent.mkdir(exist_ok=True)
+    run([*centaur, "convert", scene, xml, *at_time(scene), "--quiet"])
+    decodes = '"srgb_primitives" value="true"' in xml.read_text()
+    pictures = {}
+    for i in range(cameras):
+        exr = xml.parent / f"{i}.exr"
+        seconds, _ = run([sys.executable, pathlib.Path(__file__).with_name("stock_mitsuba.py"), xml, exr, i])
+        rgb = read_rgb(exr)
+        encoded = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 0) ** (1 / 2.4) - 0.055) if decodes else rgb
+        pictures[i] = {"": opaque(encoded)}, seconds
     return pictures
 
 
@@ -183,6 +213,12 @@ def check(scene, arguments, out):
     comparisons = [("mitsuba", "ray", gate_of("mitsuba"), lambda: by_mitsuba(centaur, scene, cameras, out))]
     if kind != "many":
         comparisons.append(("numpy", "ray", gate_of("numpy"), lambda: by_numpy(scene, cameras)))
+    # The others are not what is in a `.stock.xml`: it has no meshes.
+    if all(ray_model.KHR in p.get("extensions", {}) for m in asset.json["meshes"] for p in m["primitives"]):
+        ours_by_ray = "ray, SH by ray"
+        comparisons.append(("mitsuba stock", ours_by_ray, gate_of("mitsuba stock"), lambda: by_stock_mitsuba(centaur, scene, cameras, out)))
+        by_ray = by_centaur(centaur, scene, out, ours_by_ray)
+        ours[ours_by_ray] = {i: ({"": opaque(layers[""][..., :3])}, seconds) for i, (layers, seconds) in by_ray.items()}
     for python in arguments.blender_python if scene.stem not in NOT_CYCLES else []:
         version = run([python, "-c", "import bpy; print('%d.%d.%d' % bpy.app.version)"])[1].split()[-1]
         for construction, model in [("cap", "ray"), ("ewa", "ewa")] if count else [("ewa", "ray")]:
