@@ -1,7 +1,7 @@
 //! **Centaur**: hybrid scenes of textured, semi-transparent meshes and 3D Gaussian splats, blended in one stable
 //! depth order.
 //!
-//! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `metrics`) → `scene` → `format`.
+//! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `metrics`) → `scene` → `format`; [`evaluate`] tells how good it is.
 //! ARCHITECTURE.md has the map and the invariants.
 //!
 //! A scene from a file, rendered from one of the cameras that are in it:
@@ -47,6 +47,7 @@
 
 pub mod capture;
 pub mod edit;
+pub mod evaluate;
 pub mod format;
 pub mod geometry;
 pub mod metrics;

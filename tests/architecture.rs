@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
-const MAY_IMPORT: [(&str, &[&str]); 9] = [
+const MAY_IMPORT: [(&str, &[&str]); 10] = [
     ("scene", &[]),
     ("capture", &["scene", "format"]),
     ("edit", &["scene"]),
@@ -15,7 +15,8 @@ const MAY_IMPORT: [(&str, &[&str]); 9] = [
     ("metrics", &["scene"]),
     ("path", &["scene"]),
     ("render", &["scene", "geometry"]),
-    ("optimize", &["scene", "capture", "geometry", "metrics", "render"]),
+    ("evaluate", &["scene", "capture", "metrics", "render"]),
+    ("optimize", &["scene", "capture", "evaluate", "geometry", "render"]),
 ];
 
 /// What may be named only in some files: (text, where by path prefix, in words).

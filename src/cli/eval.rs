@@ -1,7 +1,8 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, ensure};
-use centaur::capture::{self, Capture, Photo, Split, View};
+use anyhow::{Context as _, Result};
+use centaur::capture::{Capture, View};
+use centaur::evaluate::{Evaluator, held_out};
 use centaur::format::gltf::Source;
 use centaur::format::{ReadOptions, atomic_write, read_file};
 use centaur::metrics::{
@@ -9,10 +10,9 @@ use centaur::metrics::{
     report::{self, Picture, Report},
     side_by_side,
 };
-use centaur::render::gpu::{Gpu, Renderer};
-use centaur::scene::color::linear_to_srgb;
-use centaur::scene::{Camera, ColorSpace, HybridScene};
-use image::{Rgb, Rgb32FImage, RgbImage};
+use centaur::render::gpu::Gpu;
+use centaur::scene::{Camera, HybridScene};
+use image::RgbImage;
 
 use super::history::Record;
 use super::output;
@@ -66,10 +66,6 @@ impl LpipsArgs {
         Ok(self.lpips_weights.as_deref().map(Lpips::open).transpose()?)
     }
 }
-
-/// Frames per second are a mean over this many views, each rendered so many times.
-const TIMED_VIEWS: usize = 4;
-const TIMED_FRAMES: u32 = 5;
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.output.as_deref().map_or(Ok(()), output::check_folder)?;
@@ -147,54 +143,39 @@ pub(super) struct Details<'a> {
     pub(super) messages: &'a MessageArgs,
 }
 
-/// Renders and scores every held-out view; writes the folder of `details`.
+/// Scores every held-out view; writes the folder of `details`.
 pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, details: &Details<'_>) -> Result<Evaluation> {
-    let (_, held_out) = Split::Every8th.split(&capture.views);
-    ensure!(!held_out.is_empty(), "{}: expected at least one held-out view, found none", capture.name);
+    let views = held_out(capture)?;
     details.folder.map_or(Ok(()), shared::make_folder)?;
-    let views: Vec<&View> = held_out.iter().map(|&i| &capture.views[i]).collect();
     let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
     if let Some(folder) = details.folder {
         let pictures: Vec<PathBuf> = names.iter().map(|name| folder.join(name)).collect();
         // Also those that are trained on: names of pictures are made anew.
         shared::spare_images(&pictures, capture.views.iter().map(|view| view.source.path()))?;
     }
-    let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let mut renderer = Renderer::new(gpu, scene, &cameras)?;
+    let mut evaluator = Evaluator::new(gpu, scene, &views)?;
     let (mut scores, mut pictures) = (vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());
     for (view, picture) in views.into_iter().zip(names) {
-        let render = shared::image(renderer.render(&view.camera)?);
-        // Photographs are sRGB-encoded.
-        let (render, background) = match scene.composition.color_space {
-            ColorSpace::SrgbDisplay => (render, scene.composition.background),
-            ColorSpace::LinearDisplay => {
-                (shared::mapped(render, linear_to_srgb), scene.composition.background.map(linear_to_srgb))
-            }
-        };
-        let (truth, render, masked) = comparable(&capture::decode(view)?, render, background);
-        let score = ViewScore::new(&view.name, &truth, &render, masked, details.lpips);
-        scores.push(score.with_context(|| view.name.clone())?);
+        let comparison = evaluator.compare(view)?;
+        let score = comparison.score(&view.name, details.lpips)?;
         if let Some(folder) = details.folder {
-            let sheet = side_by_side(&truth, &render)?;
-            let caption = caption(&scores[scores.len() - 1]);
-            pictures.push(Picture::new(caption, &sheet).with_context(|| view.name.clone())?);
+            let sheet = side_by_side(&comparison.truth, &comparison.render)?;
+            pictures.push(Picture::new(caption(&score), &sheet).with_context(|| view.name.clone())?);
             write_png(&folder.join(picture), &sheet)?;
         }
+        scores.push(score);
         progress.advance();
     }
     progress.finish();
-    let timed = &cameras[..cameras.len().min(TIMED_VIEWS)];
-    let seconds = timed.iter().map(|c| renderer.seconds_per_frame(c, TIMED_FRAMES)).sum::<Result<f64, _>>()?;
+    let evaluation = evaluator.finish(scores)?;
     let measured = Measured {
         file_bytes: std::fs::metadata(details.scene_file).map_or(0, |m| m.len()),
         seconds_per_iteration: details.training.and_then(|t| t.seconds_per_iteration),
         trained_on: details.training.and_then(|t| t.adapter.clone()).filter(|name| name != gpu.adapter()),
-        fps: Some(timed.len() as f64 / seconds.max(1e-9)),
-        peak_gpu_bytes: Some(gpu.peak_bytes()),
-        adapter: gpu.adapter().to_owned(),
+        ..evaluation.measured
     };
-    let evaluation = Evaluation::new(scene, scores, measured);
+    let evaluation = Evaluation { measured, ..evaluation };
     if let Some(folder) = details.folder {
         let page = report::html(&Report {
             title: &capture.name,
@@ -219,26 +200,6 @@ fn caption(view: &ViewScore) -> String {
     format!("{}: {psnr:.2} dB, SSIM {ssim_inria:.4}, FLIP {flip:.4}{lpips}", view.name)
 }
 
-/// Photograph and render as they are compared: a mask multiplies both (as in HERA), transparency shows
-/// the background of the scene.
-fn comparable(photo: &Photo, mut render: Rgb32FImage, background: [f32; 3]) -> (Rgb32FImage, Rgb32FImage, bool) {
-    let mut truth = Rgb32FImage::new(photo.width, photo.height);
-    for (t, rgba) in truth.pixels_mut().zip(photo.rgba.chunks_exact(4)) {
-        let [r, g, b, a] = [0, 1, 2, 3].map(|c| f32::from(rgba[c]) / 255.0);
-        let behind = if photo.masked { [0.0; 3] } else { background };
-        *t = Rgb([r, g, b]);
-        for (c, behind) in t.0.iter_mut().zip(behind) {
-            *c = *c * a + behind * (1.0 - a);
-        }
-    }
-    if photo.masked {
-        for (r, rgba) in render.pixels_mut().zip(photo.rgba.chunks_exact(4)) {
-            r.0 = r.0.map(|c| c * f32::from(rgba[3]) / 255.0);
-        }
-    }
-    (truth, render, photo.masked)
-}
-
 /// Writes an 8-bit PNG, whole or not at all.
 pub(super) fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
     let mut bytes = std::io::Cursor::new(vec![]);
@@ -249,6 +210,7 @@ pub(super) fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use centaur::metrics::{LpipsNet, LpipsScore};
+    use image::{Rgb, Rgb32FImage};
 
     use super::*;
 
@@ -260,24 +222,5 @@ mod tests {
         view.scores.lpips = Some(LpipsScore { net: LpipsNet::Vgg, normalized: 0.25, unnormalized: 0.125 });
         let caption = caption(&view);
         assert!(caption.ends_with(", LPIPS VGG 0.2500 (colours −1…1), 0.1250 (0…1)"), "{caption}");
-    }
-
-    #[test]
-    fn masks_multiply_both_and_transparency_shows_the_background() {
-        let photo = |masked: bool| Photo {
-            width: 2,
-            height: 1,
-            rgba: vec![255, 0, 0, 0, 0, 255, 0, 255],
-            has_alpha: !masked,
-            masked,
-        };
-        let render = Rgb32FImage::from_pixel(2, 1, Rgb([0.5; 3]));
-        let white = [1.0; 3];
-        let (truth, masked, _) = comparable(&photo(true), render.clone(), white);
-        assert_eq!(truth.as_raw(), &[0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
-        assert_eq!(masked.as_raw(), &[0.0, 0.0, 0.0, 0.5, 0.5, 0.5]);
-        let (truth, plain, _) = comparable(&photo(false), render.clone(), white);
-        assert_eq!(truth.as_raw(), &[1.0, 1.0, 1.0, 0.0, 1.0, 0.0]);
-        assert_eq!(plain, render);
     }
 }

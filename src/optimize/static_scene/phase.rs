@@ -9,12 +9,13 @@ use rand_pcg::Pcg64;
 use super::{
     Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement,
     finite::{check_finite, finite_group},
-    photograph::{psnr, truth_alpha},
+    photograph::truth_alpha,
     plan::Plan,
     sampled,
 };
 use crate::{
     capture::PhotoCache,
+    evaluate::Comparison,
     geometry::Shell,
     optimize::{
         Background, Density, TrainError,
@@ -392,13 +393,14 @@ impl Run<'_> {
 
     /// Mean PSNR over up to four held-out views, over the scene's background.
     fn held_out_psnr(&self, training: &mut Training, phase: Phase) -> Result<Option<f64>, TrainError> {
-        let background = self.composition().background;
+        let composition = self.composition();
         let mut scores = vec![];
         for i in sampled(&self.test) {
             let view = &self.capture.views[i];
             let photo = self.cache.get(view)?;
-            let picture = training.render(&view.camera, background, phase != Phase::Warmup)?;
-            scores.push(psnr(&photo, &picture.rgb, background));
+            let picture = training.render(&view.camera, composition.background, phase != Phase::Warmup)?;
+            // Photographs are as large as their cameras say.
+            scores.extend(Comparison::new(&photo, &picture, &composition).psnr());
         }
         Ok((!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64))
     }

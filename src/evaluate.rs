@@ -1,0 +1,238 @@
+//! Scoring a scene against photographs, as `centaur eval` does.
+//!
+//! [`evaluate`] is all of it; [`Evaluator`] and [`Comparison`] are its steps, for who also wants the pictures.
+
+use image::{Rgb, Rgb32FImage};
+
+use crate::{
+    capture::{self, Capture, CaptureError, Photo, Split, View},
+    metrics::{self, Evaluation, Lpips, Measured, MetricError, ViewScore},
+    render::gpu::{Gpu, GpuError, Picture, Renderer},
+    scene::{Camera, ColorSpace, Composition, HybridScene, color::linear_to_srgb},
+};
+
+/// Frames per second are a mean over this many views, each rendered so many times.
+const TIMED_VIEWS: usize = 4;
+const TIMED_FRAMES: u32 = 5;
+
+/// Why a scene could not be scored.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluateError {
+    /// Nothing to score on.
+    #[error("{capture}: expected at least one held-out view, found none")]
+    NoneHeldOut {
+        /// Name of the capture.
+        capture: String,
+    },
+    /// A photograph could not be read.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// The adapter failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// A picture cannot be scored.
+    #[error("{view}: {source}")]
+    Metric {
+        /// Name of the view.
+        view: String,
+        /// Why.
+        source: MetricError,
+    },
+}
+
+/// Scores a scene on the held-out views of its capture, with LPIPS where there are weights.
+///
+/// Give the capture as it was opened for training: scores at other sizes do not compare. Of [`Measured`] what only the caller knows is left
+/// empty: the scene's file and its training.
+///
+/// ```no_run
+/// use centaur::{capture::{self, LoadOptions}, evaluate::evaluate, format::read_scene, render::gpu::Gpu};
+///
+/// let capture = capture::open("captures/garden".as_ref(), &LoadOptions::default())?;
+/// let evaluation = evaluate(&Gpu::open(None)?, &read_scene("garden.glb".as_ref())?, &capture, None)?;
+/// println!("{evaluation}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// If no view is held out, a photograph cannot be read, the adapter fails, or pictures are too small for the network of `lpips`.
+pub fn evaluate(
+    gpu: &Gpu,
+    scene: &HybridScene,
+    capture: &Capture,
+    lpips: Option<&Lpips>,
+) -> Result<Evaluation, EvaluateError> {
+    let views = held_out(capture)?;
+    let mut evaluator = Evaluator::new(gpu, scene, &views)?;
+    let scores: Result<_, _> = views.iter().map(|view| evaluator.compare(view)?.score(&view.name, lpips)).collect();
+    evaluator.finish(scores?)
+}
+
+/// The views that scores are taken on: those that training leaves out, see [`Split::Every8th`].
+///
+/// # Errors
+/// If there are none.
+pub fn held_out(capture: &Capture) -> Result<Vec<&View>, EvaluateError> {
+    let (_, held_out) = Split::Every8th.split(&capture.views);
+    if held_out.is_empty() {
+        return Err(EvaluateError::NoneHeldOut { capture: capture.name.clone() });
+    }
+    Ok(held_out.into_iter().map(|i| &capture.views[i]).collect())
+}
+
+/// A scene on the GPU, to be compared with photographs one at a time.
+pub struct Evaluator<'a> {
+    gpu: &'a Gpu,
+    scene: &'a HybridScene,
+    renderer: Renderer<'a>,
+    /// Those that are timed.
+    cameras: Vec<Camera>,
+}
+
+impl<'a> Evaluator<'a> {
+    /// Uploads the scene and makes room for pictures of these views.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold it, or its composition is not valid.
+    pub fn new(gpu: &'a Gpu, scene: &'a HybridScene, views: &[&View]) -> Result<Self, EvaluateError> {
+        let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        let renderer = Renderer::new(gpu, scene, &cameras)?;
+        cameras.truncate(TIMED_VIEWS);
+        Ok(Self { gpu, scene, renderer, cameras })
+    }
+
+    /// Renders a view and lays it beside its photograph.
+    ///
+    /// # Errors
+    /// If the photograph cannot be read, the picture is larger than announced, or the adapter fails.
+    pub fn compare(&mut self, view: &View) -> Result<Comparison, EvaluateError> {
+        let picture = self.renderer.render(&view.camera)?;
+        Ok(Comparison::new(&capture::decode(view)?, &picture, &self.scene.composition))
+    }
+
+    /// The mean of these scores, with what the scene costs: counts, frames per second, memory.
+    ///
+    /// # Errors
+    /// If the adapter fails.
+    pub fn finish(mut self, views: Vec<ViewScore>) -> Result<Evaluation, EvaluateError> {
+        let mut seconds = 0.0;
+        for camera in &self.cameras {
+            seconds += self.renderer.seconds_per_frame(camera, TIMED_FRAMES)?;
+        }
+        let measured = Measured {
+            fps: (!self.cameras.is_empty()).then(|| self.cameras.len() as f64 / seconds.max(1e-9)),
+            peak_gpu_bytes: Some(self.gpu.peak_bytes()),
+            adapter: self.gpu.adapter().to_owned(),
+            ..Measured::default()
+        };
+        Ok(Evaluation::new(self.scene, views, measured))
+    }
+}
+
+/// Photograph and render as they are scored: sRGB-encoded, as photographs are; what a photograph leaves transparent shows the background of
+/// the scene, and a mask multiplies both (as in HERA).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// The photograph, in \[0, 1\].
+    pub truth: Rgb32FImage,
+    /// The render, not clamped.
+    pub render: Rgb32FImage,
+    /// A mask multiplied both.
+    pub masked: bool,
+}
+
+impl Comparison {
+    /// Of a photograph and what a scene of this composition shows of it.
+    #[must_use]
+    pub fn new(photo: &Photo, picture: &Picture, composition: &Composition) -> Self {
+        let encoded = |rgb: [f32; 3]| match composition.color_space {
+            ColorSpace::SrgbDisplay => rgb,
+            ColorSpace::LinearDisplay => rgb.map(linear_to_srgb),
+        };
+        let background = encoded(composition.background);
+        let mut truth = Rgb32FImage::new(photo.width, photo.height);
+        let mut render = Rgb32FImage::new(picture.width, picture.height);
+        for (p, truth) in truth.pixels_mut().enumerate() {
+            let (rgb, mask) = expected(photo, p, background);
+            *truth = Rgb(rgb.map(|c| c * mask));
+        }
+        let are_alike = render.dimensions() == truth.dimensions();
+        for (p, (render, rgb)) in render.pixels_mut().zip(&picture.rgb).enumerate() {
+            // Those of other sizes have no score.
+            let mask = if are_alike { expected(photo, p, background).1 } else { 1.0 };
+            *render = Rgb(encoded(*rgb).map(|c| c * mask));
+        }
+        Self { truth, render, masked: photo.masked }
+    }
+
+    /// The scores of the view of this name.
+    ///
+    /// # Errors
+    /// If the sizes differ, or are too small for the network of `lpips`.
+    pub fn score(&self, name: &str, lpips: Option<&Lpips>) -> Result<ViewScore, EvaluateError> {
+        ViewScore::new(name, &self.truth, &self.render, self.masked, lpips)
+            .map_err(|source| EvaluateError::Metric { view: name.to_owned(), source })
+    }
+
+    /// [`Scores::psnr`](metrics::Scores::psnr) alone, dB.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn psnr(&self) -> Result<f64, MetricError> {
+        metrics::psnr(&metrics::quantised(&self.truth), &metrics::quantised(&self.render))
+    }
+}
+
+/// What a render should show at pixel `p` (by rows from the top) of a photograph, sRGB-encoded, and what multiplies both before they are
+/// compared.
+pub(crate) fn expected(photo: &Photo, p: usize, background: [f32; 3]) -> ([f32; 3], f32) {
+    let [r, g, b, a] = [0, 1, 2, 3].map(|c| f32::from(photo.rgba[4 * p + c]) / 255.0);
+    let rgb = [r, g, b];
+    if photo.masked { (rgb, a) } else { ([0, 1, 2].map(|c| a * rgb[c] + (1.0 - a) * background[c]), 1.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn photo(masked: bool) -> Photo {
+        Photo { width: 2, height: 1, rgba: vec![255, 0, 0, 0, 0, 255, 0, 255], has_alpha: !masked, masked }
+    }
+
+    fn grey(level: f32, width: u32) -> Picture {
+        let pixels = width as usize;
+        Picture { width, height: 1, rgb: vec![[level; 3]; pixels], transmittance: vec![0.0; pixels] }
+    }
+
+    #[test]
+    fn masks_multiply_both_and_transparency_shows_the_background() {
+        let white = Composition { background: [1.0; 3], ..Composition::default() };
+        let masked = Comparison::new(&photo(true), &grey(0.5, 2), &white);
+        assert_eq!(masked.truth.as_raw(), &[0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+        assert_eq!(masked.render.as_raw(), &[0.0, 0.0, 0.0, 0.5, 0.5, 0.5]);
+        let plain = Comparison::new(&photo(false), &grey(0.5, 2), &white);
+        assert_eq!(plain.truth.as_raw(), &[1.0, 1.0, 1.0, 0.0, 1.0, 0.0]);
+        assert_eq!(plain.render.as_raw(), &[0.5; 6]);
+        assert!(masked.masked && !plain.masked);
+        // Half is level 128: 127 from white in four channels, 128 from black in two.
+        let squares = (4.0 * 127.0_f64.powi(2) + 2.0 * 128.0_f64.powi(2)) / 255.0_f64.powi(2);
+        assert!((plain.psnr().unwrap() - -10.0 * (squares / 6.0).log10()).abs() < 1e-5, "{}", plain.psnr().unwrap());
+    }
+
+    #[test]
+    fn linear_scenes_are_compared_as_they_are_shown() {
+        let linear =
+            Composition { background: [0.5; 3], color_space: ColorSpace::LinearDisplay, ..Composition::default() };
+        let shown = linear_to_srgb(0.5);
+        let both = Comparison::new(&photo(false), &grey(0.5, 2), &linear);
+        assert_eq!((both.truth.as_raw()[0], both.render.as_raw()), (shown, &vec![shown; 6]));
+    }
+
+    #[test]
+    fn pictures_of_another_size_have_no_score_but_a_name() {
+        let both = Comparison::new(&photo(true), &grey(0.5, 3), &Composition::default());
+        let error = both.score("a.jpg", None).unwrap_err().to_string();
+        assert!(error.starts_with("a.jpg: ") && error.contains("2×1"), "{error}");
+    }
+}
