@@ -38,7 +38,7 @@
 //!     stop: &AtomicBool::new(false),
 //!     progress: &mut |report| println!("{report:?}"),
 //! };
-//! let trained = optimize::train(&capture, MeshSource::Splats, &options, session)?;
+//! let trained = optimize::train(&capture, MeshSource::suited_to(&capture), &options, session)?;
 //! write_scene("garden.glb".as_ref(), &trained.scene, &WriteOptions::default())?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -327,29 +327,17 @@ impl Args {
 
     fn mesh(&self, capture: &Capture) -> Result<MeshSource> {
         let Some(file) = &self.mesh else {
-            let says_who_sees = median_seen(capture) >= LEAST_SEEN;
             return Ok(match (self.no_mesh, self.surface) {
                 (true, _) => MeshSource::None,
                 (false, Some(SurfaceOf::Splats)) => MeshSource::Splats,
                 (false, Some(SurfaceOf::Points)) => MeshSource::Points,
-                (false, None) if says_who_sees => MeshSource::Points,
-                (false, None) => MeshSource::Splats,
+                (false, None) => MeshSource::suited_to(capture),
             });
         };
         let mesh = mesh_import::read(file)?;
         let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
         Ok(MeshSource::Given { surface, corner_uvs: mesh.corner_uvs })
     }
-}
-
-/// Points that the median view must be known to see for a surface of points by default: some too few for its triangles to be
-/// more than guesses. Structure from motion finds hundreds.
-const LEAST_SEEN: usize = 100;
-
-fn median_seen(capture: &Capture) -> usize {
-    let mut seen: Vec<usize> = capture.views.iter().map(|v| v.sees.len()).collect();
-    seen.sort_unstable();
-    seen.get(seen.len() / 2).copied().unwrap_or(0)
 }
 
 /// What a surface is made of.

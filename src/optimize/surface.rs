@@ -22,6 +22,9 @@ const LEAST_RESOLUTION: u32 = 64;
 const VOXEL_PIXELS: f64 = 3.0;
 /// Truncation in voxels: noise of depths beyond it tears the surface.
 const TRUNCATION: f64 = 4.0;
+/// Points that the median view must be known to see for a surface of points by default: some too few for its triangles to be
+/// more than guesses. Structure from motion finds hundreds.
+const LEAST_SEEN: usize = 100;
 /// Triangles of the least connected piece of the iso-surface: some 10×10 voxels.
 const LEAST_FACES: usize = 150;
 
@@ -61,6 +64,15 @@ pub enum SurfaceOrigin {
 }
 
 impl MeshSource {
+    /// What `centaur train` takes unless told: `Points` if the capture says of its median view that it sees 100 of them or more, else
+    /// `Splats`.
+    #[must_use]
+    pub fn suited_to(capture: &Capture) -> Self {
+        let mut seen: Vec<usize> = capture.views.iter().map(|v| v.sees.len()).collect();
+        seen.sort_unstable();
+        if seen.get(seen.len() / 2).is_some_and(|&median| median >= LEAST_SEEN) { Self::Points } else { Self::Splats }
+    }
+
     /// Whether splats are trained before there is a mesh, and handed over to it.
     pub(super) fn is_found(&self) -> bool {
         matches!(self, Self::Splats | Self::Points)

@@ -82,3 +82,18 @@ fn a_loss_is_read_before_buffers_grow() {
         assert!(progress.loss < 10.0 * lowest, "iteration {}: {}", progress.iteration, progress.loss);
     }
 }
+
+#[test]
+fn a_surface_is_made_of_points_where_most_views_see_many() {
+    let mut demo = demo();
+    let seen_by = |demo: &mut Capture, counts: &[u32]| {
+        for (view, count) in demo.views.iter_mut().zip(counts.iter().cycle()) {
+            view.sees = (0..*count).collect();
+        }
+        MeshSource::suited_to(demo)
+    };
+    assert_eq!(seen_by(&mut demo, &[100, 100, 0]), MeshSource::Points);
+    assert_eq!(seen_by(&mut demo, &[500, 99, 99]), MeshSource::Splats);
+    demo.views.clear();
+    assert_eq!(MeshSource::suited_to(&demo), MeshSource::Splats);
+}
