@@ -3,12 +3,12 @@
 use glam::{DQuat, Vec3};
 
 use super::state::{GEOMETRY_FLOATS, LOG_SCALE, MEAN, OPACITY, ROTATION, SMOOTHING, geometry_not_finite, sigmoid};
-use crate::render::{contract, gpu::Source};
+use crate::render::{contract, gpu::rows::Source};
 
 /// Splats by what decides about them, their geometry, and of which splat each takes the rest: SH coefficients and moments of Adam, 14 of 15
 /// floats of degree 3, which stay on the GPU.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Arrangement {
+pub(super) struct Arrangement {
     geometry: Vec<f32>,
     sources: Vec<Source>,
 }
@@ -16,32 +16,26 @@ pub struct Arrangement {
 impl Arrangement {
     /// All splats of this geometry, laid out as [`SplatState::geometry`](super::state::SplatState::geometry), at their places.
     #[must_use]
-    pub fn new(geometry: Vec<f32>) -> Self {
+    pub(super) fn new(geometry: Vec<f32>) -> Self {
         let sources = (0..geometry.len() / GEOMETRY_FLOATS).map(Source::new).collect();
         Self { geometry, sources }
     }
 
     /// Number of splats.
     #[must_use]
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.sources.len()
-    }
-
-    /// True if there are no splats.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.sources.is_empty()
     }
 
     /// `[N·12]`.
     #[must_use]
-    pub fn geometry(&self) -> &[f32] {
+    pub(super) fn geometry(&self) -> &[f32] {
         &self.geometry
     }
 
     /// `[N]`, splats of before.
     #[must_use]
-    pub fn sources(&self) -> &[Source] {
+    pub(super) fn sources(&self) -> &[Source] {
         &self.sources
     }
 
@@ -49,7 +43,7 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `keep` has not one entry per splat.
-    pub fn retain(&mut self, keep: &[bool]) {
+    pub(super) fn retain(&mut self, keep: &[bool]) {
         assert_eq!(keep.len(), self.len(), "one entry per splat");
         retain_rows(&mut self.geometry, GEOMETRY_FLOATS, keep);
         retain_rows(&mut self.sources, 1, keep);
@@ -60,7 +54,7 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    pub fn push_copy(&mut self, i: usize) {
+    pub(super) fn push_copy(&mut self, i: usize) {
         self.geometry.extend_from_within(i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS);
         self.sources.push(self.sources[i].without_moments());
     }
@@ -69,7 +63,7 @@ impl Arrangement {
     ///
     /// # Panics
     /// If one is out of range.
-    pub fn copy_over(&mut self, from: usize, to: usize) {
+    pub(super) fn copy_over(&mut self, from: usize, to: usize) {
         self.geometry.copy_within(from * GEOMETRY_FLOATS..(from + 1) * GEOMETRY_FLOATS, to * GEOMETRY_FLOATS);
         self.sources[to] = self.sources[from].without_moments();
     }
@@ -78,12 +72,12 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    pub fn clear_moments(&mut self, i: usize) {
+    pub(super) fn clear_moments(&mut self, i: usize) {
         self.sources[i] = self.sources[i].without_moments();
     }
 
     /// Sets the moments of all opacities to zero.
-    pub fn clear_opacity_moments(&mut self) {
+    pub(super) fn clear_opacity_moments(&mut self) {
         self.sources.iter_mut().for_each(|source| *source = source.without_opacity_moments());
     }
 
@@ -92,7 +86,7 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn row(&self, i: usize) -> &[f32] {
+    pub(super) fn row(&self, i: usize) -> &[f32] {
         &self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
     }
 
@@ -100,7 +94,7 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    pub fn row_mut(&mut self, i: usize) -> &mut [f32] {
+    pub(super) fn row_mut(&mut self, i: usize) -> &mut [f32] {
         &mut self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
     }
 
@@ -109,7 +103,7 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn opacity(&self, i: usize) -> f32 {
+    pub(super) fn opacity(&self, i: usize) -> f32 {
         sigmoid(self.row(i)[OPACITY])
     }
 
@@ -118,7 +112,7 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn smoothing_factor(&self, i: usize) -> f32 {
+    pub(super) fn smoothing_factor(&self, i: usize) -> f32 {
         let row = self.row(i);
         contract::smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
     }
@@ -128,7 +122,7 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn seen_opacity(&self, i: usize) -> f32 {
+    pub(super) fn seen_opacity(&self, i: usize) -> f32 {
         self.opacity(i) * self.smoothing_factor(i)
     }
 
@@ -137,7 +131,7 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn scales(&self, i: usize) -> Vec3 {
+    pub(super) fn scales(&self, i: usize) -> Vec3 {
         Vec3::from_slice(&self.row(i)[LOG_SCALE]).exp()
     }
 
@@ -145,7 +139,7 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    pub fn move_by(&mut self, i: usize, offset: Vec3) {
+    pub(super) fn move_by(&mut self, i: usize, offset: Vec3) {
         let row = self.row_mut(i);
         // In f64 like `Splats::new`: an unnormalised quaternion may be long or short. A zero one turns nothing.
         let [w, x, y, z] = [0, 1, 2, 3].map(|k| f64::from(row[ROTATION.start + k]));
@@ -156,7 +150,7 @@ impl Arrangement {
 
     /// The first geometry that is not finite: its group of parameters and its splat.
     #[must_use]
-    pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
+    pub(super) fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         geometry_not_finite(&self.geometry)
     }
 }
@@ -191,7 +185,7 @@ mod tests {
         }
         s.retain(&[false, false]);
         let after = rearranged(&all, &s);
-        assert!(s.is_empty() && after.is_empty() && after.sh.is_empty() && after.sh_v.is_empty());
+        assert!(s.len() == 0 && after.is_empty() && after.sh.is_empty() && after.sh_v.is_empty());
     }
 
     #[test]

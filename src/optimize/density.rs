@@ -2,8 +2,8 @@
 //!
 //! Everything is a function of the splats, the statistics, the seed and the iteration, so a resumed run repeats it.
 
-pub mod inria;
-pub mod mcmc;
+pub(super) mod inria;
+pub(super) mod mcmc;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -17,7 +17,7 @@ use super::{
 /// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
 /// AbsGS, the first once more with the sums over pixels of the absolute values of what each contributes to ∂L/∂u and ∂L/∂v.
 #[derive(Clone, Copy, Debug)]
-pub struct Statistics<'a>(pub &'a [[f32; 4]]);
+pub(super) struct Statistics<'a>(pub(super) &'a [[f32; 4]]);
 
 impl Statistics<'_> {
     /// Gradient of the projected mean in normalised device coordinates, averaged over the views that saw splat `i`.
@@ -26,7 +26,7 @@ impl Statistics<'_> {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn mean_gradient(&self, i: usize) -> f32 {
+    pub(super) fn mean_gradient(&self, i: usize) -> f32 {
         let [gradient, views, ..] = self.0[i];
         finite_or_zero(gradient / views.max(1.0))
     }
@@ -37,7 +37,7 @@ impl Statistics<'_> {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub fn absolute_gradient(&self, i: usize) -> f32 {
+    pub(super) fn absolute_gradient(&self, i: usize) -> f32 {
         let [_, views, _, absolute] = self.0[i];
         finite_or_zero(absolute / views.max(1.0))
     }
@@ -45,22 +45,22 @@ impl Statistics<'_> {
 
 /// What a density step did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct DensityReport {
+pub(super) struct DensityReport {
     /// Splats of which an exact copy was added.
-    pub cloned: usize,
+    pub(super) cloned: usize,
     /// Splats replaced by two smaller ones.
-    pub split: usize,
+    pub(super) split: usize,
     /// Splats removed.
-    pub pruned: usize,
+    pub(super) pruned: usize,
     /// Dead splats moved onto living ones.
-    pub relocated: usize,
+    pub(super) relocated: usize,
     /// Splats added by sampling.
-    pub added: usize,
+    pub(super) added: usize,
 }
 
 /// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (Every 3000 iterations of
 /// INRIA's strategy: what is not needed does not come back and is pruned.)
-pub fn reset_opacity(splats: &mut Arrangement) {
+pub(super) fn reset_opacity(splats: &mut Arrangement) {
     for i in 0..splats.len() {
         let most = 0.01 / splats.smoothing_factor(i);
         if splats.opacity(i) > most {

@@ -1,17 +1,20 @@
 //! From a capture to a scene.
+//!
+//! [`train`] is all of it, with [`TrainOptions`] and a [`MeshSource`]. [`surface_from_splats`] makes a mesh alone, [`initialize`] the splats that a
+//! run begins with; [`checkpoint`] reads what a run leaves when it stops.
 
-pub mod arrangement;
+mod arrangement;
 mod background;
 mod cells;
 pub mod checkpoint;
 mod coverage;
-pub mod density;
+mod density;
 pub mod initialize;
 mod memory;
 mod options;
-pub mod resolution;
+mod resolution;
 mod resume;
-pub mod schedule;
+mod schedule;
 pub mod state;
 mod static_scene;
 mod surface;

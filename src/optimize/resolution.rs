@@ -13,15 +13,15 @@ const LEAST_SIDE: f64 = 32.0;
 
 /// How large pictures are in the course of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ResolutionSchedule {
+pub(super) struct ResolutionSchedule {
     /// Pictures have their full size from this iteration on; 0 for always.
-    pub full_from: u32,
+    pub(super) full_from: u32,
 }
 
 impl ResolutionSchedule {
     /// Side of the pictures at iteration `t`, as a part of what it is in the end, if the longest of them has `side` pixels.
     #[must_use]
-    pub fn scale(&self, t: u32, side: u32) -> f64 {
+    pub(super) fn scale(&self, t: u32, side: u32) -> f64 {
         let first = FIRST.max((LEAST_SIDE / f64::from(side.max(1))).min(1.0));
         if t >= self.full_from {
             return 1.0;
@@ -33,7 +33,7 @@ impl ResolutionSchedule {
     /// Most splats at iteration `t` of a run that began with `initial` and ends with at most `most`: what is added is in proportion
     /// to the pixels at first, to their side in the end.
     #[must_use]
-    pub fn max_splats(&self, t: u32, side: u32, initial: usize, most: usize) -> usize {
+    pub(super) fn max_splats(&self, t: u32, side: u32, initial: usize, most: usize) -> usize {
         if t >= self.full_from {
             return most;
         }

@@ -18,19 +18,19 @@ const SETTLED: f64 = 0.1;
 
 /// Adam learning rates of the splats' parameters at one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AdamRates {
+pub(super) struct AdamRates {
     /// Means, world units (the extent is in it).
-    pub mean: f32,
+    pub(super) mean: f32,
     /// Opacity logits.
-    pub opacity: f32,
+    pub(super) opacity: f32,
     /// Quaternions.
-    pub rotation: f32,
+    pub(super) rotation: f32,
     /// Log-scales.
-    pub log_scale: f32,
+    pub(super) log_scale: f32,
     /// SH coefficient 0.
-    pub sh_dc: f32,
+    pub(super) sh_dc: f32,
     /// All other SH coefficients.
-    pub sh_rest: f32,
+    pub(super) sh_rest: f32,
 }
 
 /// When what happens to the splats. Iterations `t` count from 1 and begin when the splats do, after the warm-up of the
@@ -40,34 +40,34 @@ pub struct AdamRates {
 /// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
 /// Adam enough steps between two interventions, and learning rates by [`Schedule::haste`] and [`Schedule::settling`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Schedule {
+pub(super) struct Schedule {
     /// Length of the run.
-    pub iterations: u32,
+    pub(super) iterations: u32,
     /// Density control happens after this iteration: 500, but not before it has one interval of statistics.
-    pub densify_from: u32,
+    pub(super) densify_from: u32,
     /// Density control happens before this iteration: 15 000 (INRIA), 25 000 (MCMC).
-    pub densify_until: u32,
+    pub(super) densify_until: u32,
     /// Iterations between density steps: 100, in runs below 3000 proportionally less but at least 20.
-    pub densify_interval: u32,
+    pub(super) densify_interval: u32,
     /// Iterations between opacity resets: 3000, at least 1000. None in runs below 3000, which end before the splats
     /// are opaque again, and with MCMC.
-    pub opacity_reset_interval: Option<u32>,
+    pub(super) opacity_reset_interval: Option<u32>,
     /// Opacities are reset after this iteration: 0, or that after which splats were handed over.
-    pub opacity_reset_from: u32,
+    pub(super) opacity_reset_from: u32,
     /// Opacities are reset before this iteration: any, or while a surface that is made of the splats can wait for them to be opaque again.
-    pub opacity_reset_until: u32,
+    pub(super) opacity_reset_until: u32,
     /// Splats are pruned for their size after this iteration: 3000.
-    pub prune_large_from: u32,
+    pub(super) prune_large_from: u32,
     /// Iterations between two SH degrees: 1000, at least 100.
-    pub sh_interval: u32,
+    pub(super) sh_interval: u32,
     /// One opacity reset more, at `densify_from`: what is white over a white background would stay for ever.
-    pub white_background: bool,
+    pub(super) white_background: bool,
 }
 
 impl Schedule {
     /// INRIA's schedule for a run of `iterations`.
     #[must_use]
-    pub fn new(iterations: u32) -> Self {
+    pub(super) fn new(iterations: u32) -> Self {
         let of_full = |t: u32, floor: u32| {
             let scaled = u64::from(t) * u64::from(iterations.min(FULL)) / u64::from(FULL);
             u32::try_from(scaled).unwrap_or(t).max(floor)
@@ -89,20 +89,20 @@ impl Schedule {
 
     /// The same for MCMC: density steps go on for 5/6 of the run, opacities are never reset.
     #[must_use]
-    pub fn for_mcmc(self) -> Self {
+    pub(super) fn for_mcmc(self) -> Self {
         let until = u64::from(self.densify_until) * 25 / 15;
         Self { densify_until: u32::try_from(until).unwrap_or(u32::MAX), opacity_reset_interval: None, ..self }
     }
 
     /// The same with INRIA's additional reset for white backgrounds (none where there are no resets).
     #[must_use]
-    pub fn with_white_background(self) -> Self {
+    pub(super) fn with_white_background(self) -> Self {
         Self { white_background: true, ..self }
     }
 
     /// The same where a surface is made after iteration `at`, which splats judge: opacities are reset half an interval before it, or earlier.
     #[must_use]
-    pub fn before_surface(self, at: u32) -> Self {
+    pub(super) fn before_surface(self, at: u32) -> Self {
         let recovery = self.opacity_reset_interval.unwrap_or(0) / 2;
         Self { opacity_reset_until: at.saturating_sub(recovery), ..self }
     }
@@ -111,7 +111,7 @@ impl Schedule {
     /// run, goes on for the first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing
     /// changes where it goes on longer.
     #[must_use]
-    pub fn handed_over(self, at: u32) -> Self {
+    pub(super) fn handed_over(self, at: u32) -> Self {
         let half = at.saturating_add(self.iterations.saturating_sub(at) / 2);
         let again = half > self.densify_until;
         Self {
@@ -126,19 +126,19 @@ impl Schedule {
 
     /// SH degree in use at iteration `t`, at most `max_degree`.
     #[must_use]
-    pub fn sh_degree(&self, t: u32, max_degree: u32) -> u32 {
+    pub(super) fn sh_degree(&self, t: u32, max_degree: u32) -> u32 {
         (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
     }
 
     /// True if density control follows iteration `t`.
     #[must_use]
-    pub fn densifies_after(&self, t: u32) -> bool {
+    pub(super) fn densifies_after(&self, t: u32) -> bool {
         t > self.densify_from && t < self.densify_until && t.is_multiple_of(self.densify_interval)
     }
 
     /// Density steps after iteration `t` and later.
     #[must_use]
-    pub fn density_steps_from(&self, t: u32) -> u32 {
+    pub(super) fn density_steps_from(&self, t: u32) -> u32 {
         // The last one is before `densify_until`, the first after `densify_from`.
         let steps_before = |t: u32| t.saturating_sub(1) / self.densify_interval.max(1);
         let begin = t.max(self.densify_from.saturating_add(1));
@@ -147,13 +147,13 @@ impl Schedule {
 
     /// True if splats are pruned for their size at iteration `t`.
     #[must_use]
-    pub fn prunes_large(&self, t: u32) -> bool {
+    pub(super) fn prunes_large(&self, t: u32) -> bool {
         t > self.prune_large_from
     }
 
     /// True if an opacity reset follows iteration `t`.
     #[must_use]
-    pub fn resets_opacity_after(&self, t: u32) -> bool {
+    pub(super) fn resets_opacity_after(&self, t: u32) -> bool {
         self.opacity_reset_interval.is_some_and(|interval| {
             t > self.opacity_reset_from
                 && t < self.densify_until.min(self.opacity_reset_until)
@@ -163,7 +163,7 @@ impl Schedule {
 
     /// True if the mesh's opacity map is held at iteration `t`: for 200 iterations after each reset.
     #[must_use]
-    pub fn freezes_mesh_opacity(&self, t: u32) -> bool {
+    pub(super) fn freezes_mesh_opacity(&self, t: u32) -> bool {
         (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
     }
 
@@ -174,7 +174,7 @@ impl Schedule {
     /// 800 iterations of a run: fewer steps have to be longer. By r itself, splats would leave what they show in single steps; at the end
     /// these are noise (`docs/experiments.md`).
     #[must_use]
-    pub fn haste(&self, t: u32) -> f32 {
+    pub(super) fn haste(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));
         let at = (f64::from(t) / n).min(1.0);
         (f64::from(FULL) / n).clamp(1.0, MOST_SHORTENED).powf(0.75 - 0.5 * at) as f32
@@ -184,7 +184,7 @@ impl Schedule {
     /// to 1/r of one that is r times shorter than 30 000, its logarithm linear in t. Longer steps leave splats as the last few views would
     /// have them: on skull66, held-out views went up and down by a dB from epoch to epoch (`docs/experiments.md`).
     #[must_use]
-    pub fn settling(&self, t: u32) -> f32 {
+    pub(super) fn settling(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));
         let at = (f64::from(t) / n).clamp(SETTLES_FROM, 1.0);
         let shorter = (f64::from(FULL) / n).clamp(1.0, 1.0 / SETTLED);
@@ -194,7 +194,7 @@ impl Schedule {
     /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
     /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps, and smaller at their end ([`Self::settling`]).
     #[must_use]
-    pub fn rates(&self, t: u32, extent: f32) -> AdamRates {
+    pub(super) fn rates(&self, t: u32, extent: f32) -> AdamRates {
         let settling = self.settling(t);
         let haste = self.haste(t) * settling;
         AdamRates {
@@ -211,7 +211,7 @@ impl Schedule {
     /// in t/n (as in INRIA 3DGS). That reaches half of the brightness where a view is seen 150 times, as in 30,000 iterations on 200
     /// photographs; where it is seen less often the rate is higher, up to ten times.
     #[must_use]
-    pub fn exposure_rate(&self, t: u32, views: usize) -> f32 {
+    pub(super) fn exposure_rate(&self, t: u32, views: usize) -> f32 {
         let n = f64::from(self.iterations.max(1));
         let faster = (150.0 * views as f64 / n).clamp(1.0, 10.0);
         (faster * 10f64.powf(-2.0 - (f64::from(t) / n).min(1.0))) as f32
@@ -220,7 +220,7 @@ impl Schedule {
 
 /// Learning rate of means in a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
 #[must_use]
-pub fn position_rate(t: u32, iterations: u32) -> f64 {
+pub(super) fn position_rate(t: u32, iterations: u32) -> f64 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
     (1.6e-4_f64.ln() * (1.0 - at) + 1.6e-6_f64.ln() * at).exp()
 }
@@ -232,7 +232,7 @@ pub fn position_rate(t: u32, iterations: u32) -> f64 {
 /// since a view in five or so does. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with the paper's reach, 25.23 with
 /// twice that, 25.36 with three times and no bands.)
 #[must_use]
-pub fn texel_rate(iterations: u32, dense: bool) -> f32 {
+pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
     let shorter = f64::from(PAPER_WARM_UP) / f64::from(iterations.clamp(1, PAPER_WARM_UP));
     let reach = if dense { 1.0 } else { 3.0 };
     (PAPER_TEXEL_RATE * reach * shorter).min(0.07) as f32
@@ -241,7 +241,7 @@ pub fn texel_rate(iterations: u32, dense: bool) -> f32 {
 /// Rate of texels at joint iteration `t`: from `warm`, where the warm-up left it, to three tenths of that, its logarithm linear in t,
 /// but not below the paper's 5e-4.
 #[must_use]
-pub fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
+pub(super) fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
     (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
@@ -250,7 +250,7 @@ pub fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
 /// nothing in its first eighth, while maps are still grey or splats beside them are to grow, then 0.1 falling to 0.01, its logarithm
 /// linear in t; in a longer phase less, so that all steps together come no farther than a thirteenth of that side.
 #[must_use]
-pub fn vertex_rate(t: u32, iterations: u32, longest: u32) -> Option<f32> {
+pub(super) fn vertex_rate(t: u32, iterations: u32, longest: u32) -> Option<f32> {
     let n = f64::from(iterations.max(1));
     let at = f64::from(t) / n;
     // The integral of 0.1^x over x from 1/8 to 1.
@@ -263,7 +263,7 @@ pub fn vertex_rate(t: u32, iterations: u32, longest: u32) -> Option<f32> {
 /// nothing in the first twentieth, while all is blurred, then from a rate that falls to a hundredth, its logarithm linear in t. All
 /// steps of a view together come as far as `reach`, a single one at most a third of that.
 #[must_use]
-pub fn pose_rate(t: u32, iterations: u32, views: usize, reach: f64) -> f32 {
+pub(super) fn pose_rate(t: u32, iterations: u32, views: usize, reach: f64) -> f32 {
     let n = f64::from(iterations.max(1));
     let at = (f64::from(t) / n).min(1.0);
     if at < 0.05 {

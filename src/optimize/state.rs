@@ -30,7 +30,7 @@ const LEAST_LOGIT: f64 = -100.0;
 
 /// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
 ///
-/// All arrays have whole rows for the same `N`. Density control changes an [`Arrangement`](super::arrangement::Arrangement) of them.
+/// All arrays have whole rows for the same `N`. Density control changes an `Arrangement` of them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatState {
     /// Degree of the spherical harmonics, 0 to 3.

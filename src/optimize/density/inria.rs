@@ -14,28 +14,28 @@ const SPLIT_REACH: f32 = 3.0;
 
 /// Thresholds of the strategy.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct InriaOptions {
+pub(in crate::optimize) struct InriaOptions {
     /// [`capture::extent`](crate::capture::extent) of the scene, world units.
-    pub extent: f32,
+    pub(in crate::optimize) extent: f32,
     /// Mean gradient from which a splat is cloned or split, normalised device coordinates: 2e-4.
-    pub gradient_threshold: f32,
+    pub(in crate::optimize) gradient_threshold: f32,
     /// Mean absolute gradient from which a splat is split, if that decides: 4e-4 (AbsGS).
-    pub split_gradient: Option<f32>,
+    pub(in crate::optimize) split_gradient: Option<f32>,
     /// Largest scale that is cloned rather than split, in extents: 0.01 (AbsGS: 0.001).
-    pub dense_fraction: f32,
+    pub(in crate::optimize) dense_fraction: f32,
     /// Splats below this opacity are pruned: 0.005.
-    pub min_opacity: f32,
+    pub(in crate::optimize) min_opacity: f32,
     /// Splats with a scale above this many extents are pruned, if set: 0.1 once opacities have been reset, before
     /// which a large splat may still be the best explanation of a background.
-    pub max_scale: Option<f32>,
+    pub(in crate::optimize) max_scale: Option<f32>,
     /// Growth stops here; the splats with the largest gradients, as parts of their thresholds, go first.
-    pub max_splats: usize,
+    pub(in crate::optimize) max_splats: usize,
 }
 
 impl InriaOptions {
     /// INRIA's constants, without pruning by scale.
     #[must_use]
-    pub fn new(extent: f32, max_splats: usize) -> Self {
+    pub(in crate::optimize) fn new(extent: f32, max_splats: usize) -> Self {
         Self {
             extent,
             gradient_threshold: 2e-4,
@@ -49,7 +49,7 @@ impl InriaOptions {
 
     /// Those of AbsGS.
     #[must_use]
-    pub fn absolute(extent: f32, max_splats: usize) -> Self {
+    pub(in crate::optimize) fn absolute(extent: f32, max_splats: usize) -> Self {
         Self { split_gradient: Some(4e-4), dense_fraction: 0.001, ..Self::new(extent, max_splats) }
     }
 }
@@ -69,7 +69,7 @@ enum Fate {
 ///
 /// # Panics
 /// If there is not one row of statistics per splat.
-pub fn densify(
+pub(in crate::optimize) fn densify(
     splats: &mut Arrangement,
     statistics: Statistics<'_>,
     options: &InriaOptions,

@@ -26,22 +26,22 @@ const MOST_OPAQUE: f32 = 0.99;
 
 /// Thresholds of the strategy.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct McmcOptions {
+pub(in crate::optimize) struct McmcOptions {
     /// Splats of at most this opacity, as they are seen, are dead, and no copy gets less before it is smoothed: 0.005.
-    pub min_opacity: f32,
+    pub(in crate::optimize) min_opacity: f32,
     /// Splats after a step over splats before it: 1.05, or more in runs with few steps, see [`Self::arriving_in`].
-    pub growth: f32,
+    pub(in crate::optimize) growth: f32,
     /// The number of splats that is grown to.
-    pub max_splats: usize,
+    pub(in crate::optimize) max_splats: usize,
     /// Splats whose blend weight, summed over an epoch, stays below this are dead too, and get no copies while it does, if set: 1e-3 for
     /// scenes with a mesh. Behind one that is opaque a splat keeps its opacity, but shows nothing.
-    pub min_epoch_weight: Option<f32>,
+    pub(in crate::optimize) min_epoch_weight: Option<f32>,
 }
 
 impl McmcOptions {
     /// The paper's constants; for scenes with a mesh also what splats show, which is not in the paper.
     #[must_use]
-    pub fn new(max_splats: usize, has_mesh: bool) -> Self {
+    pub(in crate::optimize) fn new(max_splats: usize, has_mesh: bool) -> Self {
         Self { min_opacity: 0.005, growth: 1.05, max_splats, min_epoch_weight: has_mesh.then_some(1e-3) }
     }
 
@@ -49,7 +49,7 @@ impl McmcOptions {
     /// doubled with each. 5 % of 24 steps, which are those of 800 iterations, is three times as many splats, and of two runs that were
     /// asked for one size, that which began with more splats would end with more.
     #[must_use]
-    pub fn arriving_in(self, steps: u32, splats: usize) -> Self {
+    pub(in crate::optimize) fn arriving_in(self, steps: u32, splats: usize) -> Self {
         let needed = (self.max_splats as f64 / splats.max(1) as f64).powf(1.0 / f64::from(steps.max(1)));
         Self { growth: self.growth.max(needed.min(MOST_GROWTH) as f32), ..self }
     }
@@ -61,16 +61,16 @@ impl McmcOptions {
 /// iterations as there are views, n, has all of them in some order, so any 2n − 1 iterations hold a whole one.
 /// Part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct EpochWeight {
+pub(in crate::optimize) struct EpochWeight {
     /// `[N]` sums so far.
-    pub weight: Vec<f32>,
+    pub(in crate::optimize) weight: Vec<f32>,
     /// Iterations so far.
-    pub iterations: u32,
+    pub(in crate::optimize) iterations: u32,
 }
 
 impl EpochWeight {
     /// Adds the statistics of some iterations.
-    pub fn add(&mut self, statistics: Statistics<'_>, iterations: u32) {
+    pub(in crate::optimize) fn add(&mut self, statistics: Statistics<'_>, iterations: u32) {
         self.weight.resize(statistics.0.len(), 0.0);
         self.weight.iter_mut().zip(statistics.0).for_each(|(sum, s)| *sum += s[2]);
         self.iterations = self.iterations.saturating_add(iterations);
@@ -87,7 +87,7 @@ impl EpochWeight {
 ///
 /// # Panics
 /// If there is not one epoch weight per splat.
-pub fn relocate_and_add(
+pub(in crate::optimize) fn relocate_and_add(
     splats: &mut Arrangement,
     epoch: &mut EpochWeight,
     views: u32,
@@ -146,7 +146,7 @@ pub fn relocate_and_add(
 /// Opacity and factor on the scale of each of `copies` splats at one place that together look like one of `opacity`
 /// (eq. 9 of the MCMC paper): at the centre they are as opaque, and along a line through it in sum.
 #[must_use]
-pub fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
+pub(in crate::optimize) fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
     let copies = copies.clamp(1, MAX_COPIES);
     // 1 − (1 − o)^(1/N), also for tiny o.
     let each = -((-opacity).ln_1p() / copies as f64).exp_m1();

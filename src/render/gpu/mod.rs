@@ -38,7 +38,6 @@ mod view;
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
 pub use layered::{LayeredPicture, LayeredRenderer};
 pub use renderer::{Picture, Renderer};
-pub use rows::Source;
 
 #[cfg(test)]
 mod tests;

@@ -10,7 +10,7 @@ const THREADS: usize = 256;
 
 /// Which splat another takes its SH coefficients and its moments of Adam from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Source(u32);
+pub(crate) struct Source(u32);
 
 impl Source {
     const FRESH: u32 = 1 << 31;
@@ -22,26 +22,26 @@ impl Source {
     /// # Panics
     /// If `i` is 2³⁰ or more: the geometry of as many takes 52 GB.
     #[must_use]
-    pub fn new(i: usize) -> Self {
+    pub(crate) fn new(i: usize) -> Self {
         assert!(i <= Self::SPLAT as usize, "at most 2³⁰ splats");
         Self(i as u32)
     }
 
     /// The same with moments of zero.
     #[must_use]
-    pub fn without_moments(self) -> Self {
+    pub(crate) fn without_moments(self) -> Self {
         Self(self.0 | Self::FRESH)
     }
 
     /// The same with moments of zero for the opacity.
     #[must_use]
-    pub fn without_opacity_moments(self) -> Self {
+    pub(crate) fn without_opacity_moments(self) -> Self {
         Self(self.0 | Self::FRESH_OPACITY)
     }
 
     /// Index of the splat.
     #[must_use]
-    pub fn splat(self) -> usize {
+    pub(crate) fn splat(self) -> usize {
         (self.0 & Self::SPLAT) as usize
     }
 
