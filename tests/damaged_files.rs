@@ -110,7 +110,7 @@ fn of_format(e: FormatError) -> String {
             assert!((*location != Location::File && !is_member_alone) || is_of_other_kind, "nowhere: {e}");
             assert!(!expected.is_empty() && !found.is_empty(), "{e}");
         }
-        FormatError::Write { .. } => panic!("{e}"),
+        other => panic!("nothing that reading fails of: {other}"),
     }
     e.to_string()
 }
@@ -133,6 +133,7 @@ fn of_capture(e: CaptureError) -> String {
         | CaptureError::Image { .. }
         | CaptureError::Points(_)
         | CaptureError::Missing { .. } => return e.to_string(),
+        other => panic!("of an unknown kind: {other}"),
     };
     let is_place = place.starts_with('/') || ["line ", "byte "].iter().any(|word| place.contains(word));
     // These are missing altogether.

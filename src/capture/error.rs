@@ -5,6 +5,7 @@ use crate::{format::FormatError, scene::SceneError};
 /// Why a capture cannot be used. Every message is one line with the file, the place, what was expected and what
 /// was found.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CaptureError {
     /// A file or folder cannot be read.
     #[error("{}: {source}", .path.display())]

@@ -11,6 +11,7 @@ use crate::scene::SceneError;
 
 /// Why a file could not be read or written. One line: the file, where in it, what was expected, what was found.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum FormatError {
     /// The operating system refused to read.
     #[error("{}: cannot read: {source}", file.display())]

@@ -47,6 +47,7 @@ pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};
 
 /// Why a surface could not be made or unwrapped.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum GeometryError {
     /// An argument that makes no sense: its name, what is accepted, what was given.
     #[error("{field}: expected {expected}, found {found}")]

@@ -72,6 +72,7 @@ pub struct LpipsScore {
 
 /// Weights that cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum LpipsError {
     /// The file cannot be read.
     #[error("{}: cannot read: {source}", file.display())]

@@ -23,6 +23,7 @@ pub use ssim::{ssim_inria, ssim_reflect, ssim_valid};
 
 /// Two images that cannot be compared.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum MetricError {
     /// The images differ in size.
     #[error("render: expected {}×{} pixels as in the photograph, found {}×{}", expected.0, expected.1, found.0, found.1)]

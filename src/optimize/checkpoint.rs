@@ -40,6 +40,7 @@ pub struct Checkpoint {
 
 /// Why a checkpoint was not written or read.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CheckpointError {
     /// The file system said no.
     #[error("{}: {source}", path.display())]

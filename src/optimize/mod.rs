@@ -28,6 +28,7 @@ use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuErro
 
 /// Why a run failed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum TrainError {
     /// A photograph could not be read.
     #[error(transparent)]

@@ -48,6 +48,7 @@ impl Default for Around {
 
 /// Why there is no path.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PathError {
     /// There is nothing to make it from.
     #[error("expected at least {expected} views, found {found}")]

@@ -4,6 +4,7 @@ use crate::scene::SceneError;
 
 /// A failure of the adapter or the driver.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum GpuError {
     /// No adapter at all.
     #[error(
