@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{MetricError, check_least, check_same_size};
+use crate::scene::SceneError;
 
 /// Mean and deviation of the colours that the networks were trained on, of images from −1 to 1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -177,7 +178,7 @@ impl Lpips {
     /// If the file cannot be read, a tensor is missing, has another shape or type, or holds what is not finite.
     pub fn open(file: &Path) -> Result<Self, LpipsError> {
         let source = File::open(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
-        Self::read(source).map_err(|Fault(at, expected, found)| LpipsError::Content {
+        Self::read(source).map_err(|SceneError { field: at, expected, found }| LpipsError::Content {
             file: file.to_owned(),
             at,
             expected,
@@ -185,7 +186,7 @@ impl Lpips {
         })
     }
 
-    fn read(source: impl Read + Seek) -> Result<Self, Fault> {
+    fn read(source: impl Read + Seek) -> Result<Self, SceneError> {
         let mut weights = Weights::new(source)?;
         let net = if weights.header.contains_key("conv1_1.weight") { LpipsNet::Vgg } else { LpipsNet::Alex };
         let (mut steps, mut linear, mut channels) = (vec![], vec![], 3);
@@ -259,9 +260,6 @@ impl Lpips {
     }
 }
 
-/// Name of a tensor, what should be there, what is.
-struct Fault(String, String, String);
-
 /// A safetensors file of which only what is asked for is read.
 struct Weights<R> {
     source: R,
@@ -279,8 +277,8 @@ struct Stored {
 }
 
 impl<R: Read + Seek> Weights<R> {
-    fn new(mut source: R) -> Result<Self, Fault> {
-        let fault = |found: String| Fault("header".to_owned(), "a safetensors file".to_owned(), found);
+    fn new(mut source: R) -> Result<Self, SceneError> {
+        let fault = |found: String| SceneError::new("header", "a safetensors file", found);
         let mut length = [0; 8];
         source.read_exact(&mut length).map_err(|e| fault(e.to_string()))?;
         let length = u64::from_le_bytes(length);
@@ -293,8 +291,8 @@ impl<R: Read + Seek> Weights<R> {
         Ok(Self { source, header, start: 8 + length })
     }
 
-    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, Fault> {
-        let fault = |expected: String, found: String| Fault(name.to_owned(), expected, found);
+    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, SceneError> {
+        let fault = |expected: String, found: String| SceneError::new(name, expected, found);
         let expected = || format!("f32 {shape:?}");
         let stored = self.header.get(name).ok_or_else(|| fault(expected(), "no such tensor".to_owned()))?;
         let Stored { dtype, shape: found, data_offsets: [from, to] } = Stored::deserialize(stored)

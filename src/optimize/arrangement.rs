@@ -2,8 +2,13 @@
 
 use glam::{DQuat, Vec3};
 
-use super::state::{GEOMETRY_FLOATS, LOG_SCALE, MEAN, OPACITY, ROTATION, SMOOTHING, geometry_not_finite, sigmoid};
-use crate::render::{contract, gpu::rows::Source};
+use crate::render::{
+    contract,
+    gpu::{
+        rows::Source,
+        state::{GEOMETRY_FLOATS, LOG_SCALE, MEAN, OPACITY, ROTATION, SMOOTHING, geometry_not_finite, sigmoid},
+    },
+};
 
 /// Splats by what decides about them, their geometry, and of which splat each takes the rest: SH coefficients and moments of Adam, 14 of 15
 /// floats of degree 3, which stay on the GPU.
@@ -14,7 +19,7 @@ pub(super) struct Arrangement {
 }
 
 impl Arrangement {
-    /// All splats of this geometry, laid out as [`SplatState::geometry`](super::state::SplatState::geometry), at their places.
+    /// All splats of this geometry, laid out as [`SplatState::geometry`](crate::render::gpu::state::SplatState::geometry), at their places.
     #[must_use]
     pub(super) fn new(geometry: Vec<f32>) -> Self {
         let sources = (0..geometry.len() / GEOMETRY_FLOATS).map(Source::new).collect();
@@ -199,5 +204,15 @@ mod tests {
         assert!(after.geometry_m[36..].iter().chain(&after.geometry_m[..12]).all(|&v| v == 0.0));
         assert!(after.sh_v[12..36].iter().all(|&v| v != 0.0), "the others keep theirs");
         assert!(after.sh_v[36..].iter().chain(&after.sh_v[..12]).all(|&v| v == 0.0));
+    }
+
+    #[test]
+    fn smoothing_takes_as_much_of_an_opacity_as_a_scene_shows() {
+        let mut smooth = state(1, 0);
+        smooth.geometry[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -6.0]);
+        smooth.geometry[SMOOTHING] = 0.02;
+        let shown = sigmoid(smooth.to_splats().unwrap().opacity_logits()[0]);
+        let factor = Arrangement::new(smooth.geometry).smoothing_factor(0);
+        assert!((f64::from(factor) * 0.5 / f64::from(shown) - 1.0).abs() < 1e-5);
     }
 }

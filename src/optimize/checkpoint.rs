@@ -10,8 +10,8 @@ use safetensors::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::state::{GEOMETRY_FLOATS, SplatState};
-use crate::scene::sh;
+use crate::render::gpu::state::{GEOMETRY_FLOATS, SplatState};
+use crate::scene::{SceneError, sh};
 
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
 pub const VERSION: u32 = 8;
@@ -71,17 +71,9 @@ struct Header {
     meta: Value,
 }
 
-/// The part of a checkpoint that is wrong, what was expected and what was found.
-struct Fault(String, String, String);
-
-fn fault(field: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Fault {
-    Fault(field.into(), expected.into(), found.into())
-}
-
-impl Fault {
-    fn at(self, path: &Path) -> CheckpointError {
-        CheckpointError::Invalid { path: path.into(), field: self.0, expected: self.1, found: self.2 }
-    }
+/// What is wrong with the checkpoint at `path`, or with what is to be one.
+fn invalid(path: &Path) -> impl Fn(SceneError) -> CheckpointError {
+    |SceneError { field, expected, found }| CheckpointError::Invalid { path: path.into(), field, expected, found }
 }
 
 impl Checkpoint {
@@ -90,19 +82,17 @@ impl Checkpoint {
     /// # Errors
     /// If the file cannot be written, or would not be accepted by [`Self::read`].
     pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
-        self.validate().map_err(|f| f.at(path))?;
+        self.validate().map_err(invalid(path))?;
         let header = Header { version: VERSION, sh_degree: self.splats.sh_degree, meta: self.meta.clone() };
         let header = serde_json::to_string(&header)
-            .map_err(|e| fault("meta", "values that JSON can hold", e.to_string()).at(path))?;
-        let s = &self.splats;
-        let arrays = [&s.geometry, &s.sh, &s.geometry_m, &s.geometry_v, &s.sh_m, &s.sh_v];
-        let own = SPLATS.into_iter().zip(arrays.map(|a| Array::floats(a)));
+            .map_err(|e| invalid(path)(SceneError::new("meta", "values that JSON can hold", e.to_string())))?;
+        let own = SPLATS.into_iter().zip(self.splats.arrays().map(Array::floats));
         let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::floats(values)));
         let indices = self.indices.iter().map(|(name, values)| (name.as_str(), Array::indices(values)));
         let metadata = HashMap::from([(HEADER.to_owned(), header)]);
         safetensors::serialize_to_file(own.chain(others).chain(indices), Some(metadata), path).map_err(|e| match e {
             safetensors::SafeTensorError::IoError(source) => CheckpointError::Io { path: path.into(), source },
-            e => fault("checkpoint", "at most 100 MB of metadata", e.to_string()).at(path),
+            e => invalid(path)(SceneError::new("checkpoint", "at most 100 MB of metadata", e.to_string())),
         })
     }
 
@@ -113,24 +103,25 @@ impl Checkpoint {
     /// wrong type or length, or not finite.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Io { path: path.into(), source })?;
-        Self::from_bytes(&bytes).map_err(|f| f.at(path))
+        Self::from_bytes(&bytes).map_err(invalid(path))
     }
 
-    fn from_bytes(bytes: &[u8]) -> Result<Self, Fault> {
+    fn from_bytes(bytes: &[u8]) -> Result<Self, SceneError> {
         check_offsets(bytes)?;
-        let file = SafeTensors::deserialize(bytes).map_err(|e| fault("file", "a safetensors file", e.to_string()))?;
-        let (_, metadata) =
-            SafeTensors::read_metadata(bytes).map_err(|e| fault("file", "a safetensors file", e.to_string()))?;
+        let file = SafeTensors::deserialize(bytes)
+            .map_err(|e| SceneError::new("file", "a safetensors file", e.to_string()))?;
+        let (_, metadata) = SafeTensors::read_metadata(bytes)
+            .map_err(|e| SceneError::new("file", "a safetensors file", e.to_string()))?;
         let header = metadata.metadata().as_ref().and_then(|m| m.get(HEADER));
-        let header = header.ok_or_else(|| fault("metadata", format!("an entry `{HEADER}`"), "none"))?;
+        let header = header.ok_or_else(|| SceneError::new("metadata", format!("an entry `{HEADER}`"), "none"))?;
         // The version first: another one may have other fields.
-        let header: Value = serde_json::from_str(header).map_err(|e| fault(HEADER, "JSON", e.to_string()))?;
+        let header: Value = serde_json::from_str(header).map_err(|e| SceneError::new(HEADER, "JSON", e.to_string()))?;
         let version = header.get("version").unwrap_or(&Value::Null);
         if version.as_u64() != Some(u64::from(VERSION)) {
-            return Err(fault("version", VERSION.to_string(), version.to_string()));
+            return Err(SceneError::new("version", VERSION.to_string(), version.to_string()));
         }
-        let header: Header =
-            serde_json::from_value(header).map_err(|e| fault(HEADER, "version, sh_degree and meta", e.to_string()))?;
+        let header: Header = serde_json::from_value(header)
+            .map_err(|e| SceneError::new(HEADER, "version, sh_degree and meta", e.to_string()))?;
 
         let (mut tensors, mut indices) = (BTreeMap::new(), BTreeMap::new());
         for (name, view) in file.tensors() {
@@ -142,10 +133,12 @@ impl Checkpoint {
                 (Dtype::U32, 1) => {
                     indices.insert(name, words.iter().map(|&w| u32::from_le_bytes(w)).collect());
                 }
-                (kind, axes) => return Err(fault(name, "f32 or u32 of one axis", format!("{kind:?} of {axes} axes"))),
+                (kind, axes) => {
+                    return Err(SceneError::new(name, "f32 or u32 of one axis", format!("{kind:?} of {axes} axes")));
+                }
             }
         }
-        let mut take = |name: &str| tensors.remove(name).ok_or_else(|| fault(name, "an array", "none"));
+        let mut take = |name: &str| tensors.remove(name).ok_or_else(|| SceneError::new(name, "an array", "none"));
         let [geometry, sh, geometry_m, geometry_v, sh_m, sh_v] = SPLATS;
         let splats = SplatState {
             sh_degree: header.sh_degree,
@@ -161,33 +154,33 @@ impl Checkpoint {
         Ok(checkpoint)
     }
 
-    fn validate(&self) -> Result<(), Fault> {
+    fn validate(&self) -> Result<(), SceneError> {
         let s = &self.splats;
         if s.sh_degree > sh::MAX_DEGREE {
-            return Err(fault("sh_degree", "0 to 3", s.sh_degree.to_string()));
+            return Err(SceneError::new("sh_degree", "0 to 3", s.sh_degree.to_string()));
         }
         let n = s.geometry.len() / GEOMETRY_FLOATS;
         let (geometry, sh) = (n * GEOMETRY_FLOATS, n * s.sh_floats());
-        let arrays = [&s.geometry, &s.sh, &s.geometry_m, &s.geometry_v, &s.sh_m, &s.sh_v];
-        for ((name, array), expected) in SPLATS.into_iter().zip(arrays).zip([geometry, sh, geometry, geometry, sh, sh])
+        for ((name, array), expected) in
+            SPLATS.into_iter().zip(s.arrays()).zip([geometry, sh, geometry, geometry, sh, sh])
         {
             if array.len() != expected {
                 let found = array.len().to_string();
-                return Err(fault(name, format!("{expected} numbers ({n} splats)"), found));
+                return Err(SceneError::new(name, format!("{expected} numbers ({n} splats)"), found));
             }
         }
         if let Some((group, splat)) = s.first_non_finite() {
-            return Err(fault(format!("{group} of splat {splat}"), "finite numbers", "another"));
+            return Err(SceneError::new(format!("{group} of splat {splat}"), "finite numbers", "another"));
         }
         for name in self.tensors.keys().chain(self.indices.keys()) {
             let is_twice = self.tensors.contains_key(name) && self.indices.contains_key(name);
             if name.starts_with("splats/") || name == "__metadata__" || is_twice {
-                return Err(fault(name, "an array of another name", "this one"));
+                return Err(SceneError::new(name, "an array of another name", "this one"));
             }
         }
         for (name, values) in &self.tensors {
             if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-                return Err(fault(format!("{name}[{i}]"), "a finite number", values[i].to_string()));
+                return Err(SceneError::new(format!("{name}[{i}]"), "a finite number", values[i].to_string()));
             }
         }
         Ok(())
@@ -196,8 +189,8 @@ impl Checkpoint {
 
 /// Error if an array ends behind the end of the file. `safetensors` says so too, but adds to the offsets first, which
 /// overflows for those that somebody made up.
-fn check_offsets(bytes: &[u8]) -> Result<(), Fault> {
-    let no_file = |found: String| fault("file", "a safetensors file", found);
+fn check_offsets(bytes: &[u8]) -> Result<(), SceneError> {
+    let no_file = |found: String| SceneError::new("file", "a safetensors file", found);
     let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(|| no_file(format!("{} bytes", bytes.len())))?;
     let length = u64::from_le_bytes(*length);
     let parts = usize::try_from(length).ok().and_then(|n| rest.split_at_checked(n));
@@ -207,7 +200,7 @@ fn check_offsets(bytes: &[u8]) -> Result<(), Fault> {
         let end = tensor.pointer("/data_offsets/1").and_then(Value::as_u64).unwrap_or(0);
         if end > arrays.len() as u64 {
             let found = format!("only {}: the file is truncated", arrays.len());
-            return Err(fault(name, format!("{end} bytes of arrays"), found));
+            return Err(SceneError::new(name, format!("{end} bytes of arrays"), found));
         }
     }
     Ok(())
@@ -284,7 +277,7 @@ mod tests {
     }
 
     fn message(bytes: &[u8]) -> String {
-        Checkpoint::from_bytes(bytes).unwrap_err().at(Path::new("c.safetensors")).to_string()
+        invalid(Path::new("c.safetensors"))(Checkpoint::from_bytes(bytes).unwrap_err()).to_string()
     }
 
     #[test]
@@ -325,8 +318,7 @@ mod tests {
         let broken = |change: fn(&mut Checkpoint)| {
             let mut c = checkpoint();
             change(&mut c);
-            let Fault(field, ..) = c.validate().unwrap_err();
-            field
+            c.validate().unwrap_err().field
         };
         assert_eq!(broken(|c| c.splats.sh_degree = 4), "sh_degree");
         assert_eq!(broken(|c| c.splats.sh_degree = 1), "splats/sh");

@@ -8,10 +8,8 @@ pub(super) mod mcmc;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::{
-    arrangement::Arrangement,
-    state::{OPACITY, logit},
-};
+use super::arrangement::Arrangement;
+use crate::render::gpu::state::{OPACITY, logit};
 
 /// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of
 /// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
@@ -94,40 +92,18 @@ fn normal3(rng: &mut Pcg64) -> glam::Vec3 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::optimize::{
-        state::{GEOMETRY_FLOATS, LOG_SCALE, ROTATION, SMOOTHING, SplatState},
-        static_scene::arrays,
-    };
+    use crate::render::gpu::state::{GEOMETRY_FLOATS, SMOOTHING, SplatState};
 
-    /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, unequal SH, and moments that are nowhere zero.
-    pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
-        let mut s = SplatState { sh_degree, ..SplatState::default() };
-        for i in 0..n {
-            let mut row = [0.0; GEOMETRY_FLOATS];
-            row[0] = i as f32;
-            row[ROTATION].copy_from_slice(&[0.8, 0.0, 0.6, 0.0]);
-            row[LOG_SCALE].fill(0.01_f32.ln());
-            s.geometry.extend(row);
-            s.sh.extend((0..s.sh_floats()).map(|k| i as f32 + k as f32 / 100.0));
-        }
-        s.geometry_m = (1..=s.geometry.len()).map(|k| k as f32).collect();
-        s.geometry_v.clone_from(&s.geometry_m);
-        s.sh_m = (1..=s.sh.len()).map(|k| k as f32).collect();
-        s.sh_v.clone_from(&s.sh_m);
-        s
-    }
+    pub(crate) use crate::render::gpu::state::tests::state;
 
-    /// The same at their places.
+    /// [`state`] at their places.
     pub(crate) fn arrangement(n: usize) -> Arrangement {
         Arrangement::new(state(n, 0).geometry)
     }
 
     /// What a rearrangement leaves of these.
     pub(crate) fn rearranged(before: &SplatState, splats: &Arrangement) -> SplatState {
-        let (geometry, sources) = (splats.geometry(), splats.sources());
-        let after = arrays(before.clone()).rearranged(geometry, sources, before.sh_floats());
-        let ([geometry, geometry_m, geometry_v], [sh, sh_m, sh_v]) = (after.geometry, after.sh);
-        SplatState { sh_degree: before.sh_degree, geometry, sh, geometry_m, geometry_v, sh_m, sh_v }
+        before.rearranged(splats.geometry(), splats.sources())
     }
 
     #[test]

@@ -4,7 +4,7 @@ use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng, seq::index};
 use rand_pcg::Pcg64;
 
-use super::state::logit;
+use crate::render::gpu::state::logit;
 use crate::{
     capture::{Point, extent},
     geometry::mean_squared_distance_to_3_neighbors,

@@ -1,11 +1,12 @@
 //! Whether a run fits the adapter's memory, before it begins.
 
-use super::{Density, MeshSource, TrainError, TrainOptions, state::GEOMETRY_FLOATS};
+use super::{Density, MeshSource, TrainError, TrainOptions};
 use crate::{
     geometry::Shell,
     render::gpu::{
         Gpu,
         memory::{TrainingSize, training_bytes},
+        state::GEOMETRY_FLOATS,
     },
     scene::{Camera, sh},
 };

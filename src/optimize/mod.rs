@@ -15,7 +15,6 @@ mod options;
 mod resolution;
 mod resume;
 mod schedule;
-pub mod state;
 mod static_scene;
 mod surface;
 

@@ -6,14 +6,13 @@ use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::{
-    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions,
-    checkpoint::Checkpoint,
-    density::mcmc::EpochWeight,
-    state::SplatState,
-    static_scene::{arrays, finite, splat_state},
+    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions, checkpoint::Checkpoint, density::mcmc::EpochWeight,
+    static_scene::finite,
 };
 use crate::{
-    render::gpu::{exposure::ExposureState, pose::PoseState, training::Training, vertices::VertexState},
+    render::gpu::{
+        exposure::ExposureState, pose::PoseState, state::SplatState, training::Training, vertices::VertexState,
+    },
     scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
 };
 
@@ -59,7 +58,7 @@ impl Saved {
         poses: Option<&PoseState>,
         epoch: &EpochWeight,
     ) -> Result<Self, TrainError> {
-        let (splats, texel_moments) = (splat_state(training)?, training.read_texel_moments()?);
+        let (splats, texel_moments) = (training.read_splats()?, training.read_texel_moments()?);
         // Before meshes refuse them, which do not know the iteration.
         finite(&splats, [&texel_moments.0, &texel_moments.1], phase, iteration)?;
         Ok(Self {
@@ -81,7 +80,7 @@ impl Saved {
 
     /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.
     pub(super) fn restore(self, training: &mut Training) -> Result<EpochWeight, TrainError> {
-        training.write_splats(&arrays(self.splats))?;
+        training.write_splats(&self.splats)?;
         training.lengthen_lists(self.lists)?;
         training.write_statistics(&self.statistics);
         if let Some(exposures) = &self.exposures {

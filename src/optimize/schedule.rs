@@ -1,6 +1,6 @@
 //! Learning rates and the times at which something happens, after INRIA 3DGS, 3DGS-MCMC and HERA.
 
-use crate::scene::sh;
+use crate::{render::gpu::adam::SplatRates, scene::sh};
 
 /// The length of run that INRIA's constants are for.
 const FULL: u32 = 30_000;
@@ -15,23 +15,6 @@ const MOST_SHORTENED: f64 = 40.0;
 /// Part of a run after which rates of a short one fall, and to which part of themselves.
 const SETTLES_FROM: f64 = 0.75;
 const SETTLED: f64 = 0.1;
-
-/// Adam learning rates of the splats' parameters at one iteration.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct AdamRates {
-    /// Means, world units (the extent is in it).
-    pub(super) mean: f32,
-    /// Opacity logits.
-    pub(super) opacity: f32,
-    /// Quaternions.
-    pub(super) rotation: f32,
-    /// Log-scales.
-    pub(super) log_scale: f32,
-    /// SH coefficient 0.
-    pub(super) sh_dc: f32,
-    /// All other SH coefficients.
-    pub(super) sh_rest: f32,
-}
 
 /// When what happens to the splats. Iterations `t` count from 1 and begin when the splats do, after the warm-up of the
 /// mesh.
@@ -194,10 +177,10 @@ impl Schedule {
     /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
     /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps, and smaller at their end ([`Self::settling`]).
     #[must_use]
-    pub(super) fn rates(&self, t: u32, extent: f32) -> AdamRates {
+    pub(super) fn rates(&self, t: u32, extent: f32) -> SplatRates {
         let settling = self.settling(t);
         let haste = self.haste(t) * settling;
-        AdamRates {
+        SplatRates {
             mean: (position_rate(t, self.iterations) * f64::from(extent)) as f32 * haste,
             opacity: 0.05 * settling,
             rotation: 1e-3 * haste,

@@ -34,18 +34,12 @@ use super::{
     initialize::{self, Initial},
     memory,
     resume::{Identity, Saved},
-    state::SplatState,
     surface,
 };
 use crate::{
     capture::{self, Capture, CaptureError, PhotoCache, Split, View},
     geometry::{self, ChartSpace, Contraction, MeshBvh, Shell, Surface},
-    render::gpu::{
-        Gpu,
-        exposure::ExposureState,
-        pose::PoseState,
-        training::{SplatArrays, Training},
-    },
+    render::gpu::{Gpu, exposure::ExposureState, pose::PoseState, training::Training},
     scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats},
 };
 
@@ -334,7 +328,7 @@ impl<'a> Run<'a> {
             if self.options.warmup == 0 && self.within_budget(&scene.meshes).is_err() {
                 scene.meshes.clear();
             }
-            let state = splat_state(&training)?;
+            let state = training.read_splats()?;
             finite::finite_splats(&state, self.reached.0, self.reached.1)?;
             scene.splats = state.to_splats()?;
             trained = Some(state);
@@ -342,7 +336,7 @@ impl<'a> Run<'a> {
         let mut training = self.training(&scene)?;
         if let Some(state) = trained {
             // With their moments. They are not rendered during the warm-up; the handover picks from them.
-            training.write_splats(&arrays(state))?;
+            training.write_splats(&state)?;
         }
         let joint = after_surface.as_ref().is_some_and(|s| s.phase == Phase::Joint);
         let (warmup, rest) = if joint { (None, after_surface) } else { (after_surface, None) };
@@ -365,12 +359,12 @@ impl<'a> Run<'a> {
                     meshes.clear();
                 }
                 if meshes != scene.meshes {
-                    let state = splat_state(&training)?;
+                    let state = training.read_splats()?;
                     scene.meshes = meshes;
                     // Two hybrids at once are more than was asked for.
                     drop(training);
                     training = self.training(&scene)?;
-                    training.write_splats(&arrays(state))?;
+                    training.write_splats(&state)?;
                 }
                 // Nothing takes the splats' place without a mesh.
                 if !scene.meshes.is_empty() {
@@ -449,7 +443,7 @@ impl<'a> Run<'a> {
 
     /// Points that say where the scene is, see [`surface::whereabouts`]. Beside an untrained mesh splats rest: these do not change.
     fn whereabouts(&self, training: &Training) -> Result<Vec<Vec3>, TrainError> {
-        surface::whereabouts(self.capture, || Ok(splat_state(training)?.to_splats()?.means().to_vec()))
+        surface::whereabouts(self.capture, || Ok(training.read_splats()?.to_splats()?.means().to_vec()))
     }
 
     /// Where charts are laid out, if not in the world: the scene has no bounds, or there is a shell. By the cameras as they are now.
@@ -529,7 +523,7 @@ impl<'a> Run<'a> {
     ) -> Result<Trained, TrainError> {
         let (phase, iteration) = self.reached;
         finite::check_finite(training, phase, iteration)?;
-        let (splats, mut meshes) = (splat_state(training)?.to_splats()?, training.read_meshes(&scene.meshes)?);
+        let (splats, mut meshes) = (training.read_splats()?.to_splats()?, training.read_meshes(&scene.meshes)?);
         let all = splats.len();
         // The checkpoint of what was interrupted has all of them.
         let splats = match outcome {
@@ -577,21 +571,9 @@ fn longest_side(camera: &Camera) -> u32 {
     camera.intrinsics().width.max(camera.intrinsics().height)
 }
 
-/// The splats on the GPU with their moments.
-pub(super) fn splat_state(training: &Training) -> Result<SplatState, TrainError> {
-    let SplatArrays { geometry: [geometry, geometry_m, geometry_v], sh: [sh, sh_m, sh_v] } = training.read_splats()?;
-    let sh_degree = training.pipeline.splats.sh_degree;
-    Ok(SplatState { sh_degree, geometry, sh, geometry_m, geometry_v, sh_m, sh_v })
-}
-
 /// The splats on the GPU, to be rearranged.
 pub(super) fn arrangement(training: &Training) -> Result<Arrangement, TrainError> {
     Ok(Arrangement::new(training.read_geometry()?))
-}
-
-/// The same as the GPU takes them.
-pub(super) fn arrays(s: SplatState) -> SplatArrays {
-    SplatArrays { geometry: [s.geometry, s.geometry_m, s.geometry_v], sh: [s.sh, s.sh_m, s.sh_v] }
 }
 
 #[cfg(test)]

@@ -51,7 +51,8 @@ impl HybridScene {
     }
 }
 
-/// A value that cannot be part of a scene: the field, and what is wrong with it.
+/// A value that cannot be part of a scene, nor of the options, checkpoints and weights that scenes come from: the field, and what is wrong
+/// with it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct SceneError {

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use centaur::format::{self, CameraFile, ReadOptions, WriteOptions, ksplat, sog, spz};
 use centaur::optimize::checkpoint::Checkpoint;
-use centaur::optimize::state::SplatState;
+use centaur::render::gpu::state::SplatState;
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 

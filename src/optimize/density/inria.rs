@@ -5,7 +5,7 @@
 use glam::Vec3;
 
 use super::{DensityReport, Statistics, normal3, step_rng};
-use crate::optimize::{arrangement::Arrangement, state::LOG_SCALE};
+use crate::{optimize::arrangement::Arrangement, render::gpu::state::LOG_SCALE};
 
 /// A child's scale is its parent's divided by 0.8 × the number of children.
 const SPLIT_SHRINKAGE: f32 = 1.6;
@@ -147,9 +147,9 @@ mod tests {
     use glam::Quat;
 
     use super::*;
-    use crate::optimize::{
-        density::tests::{arrangement, rearranged, state},
-        state::{OPACITY, logit},
+    use crate::{
+        optimize::density::tests::{arrangement, rearranged, state},
+        render::gpu::state::{OPACITY, logit},
     };
 
     const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean of exactly the threshold

@@ -7,9 +7,9 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::{DensityReport, Statistics, step_rng};
-use crate::optimize::{
-    arrangement::Arrangement,
-    state::{LOG_SCALE, OPACITY, SMOOTHING, logit},
+use crate::{
+    optimize::arrangement::Arrangement,
+    render::gpu::state::{LOG_SCALE, OPACITY, SMOOTHING, logit},
 };
 
 /// Most copies that a splat becomes at once.
@@ -257,9 +257,9 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::optimize::{
-        density::tests::{arrangement, rearranged, state},
-        state::{SMOOTHING, sigmoid},
+    use crate::{
+        optimize::density::tests::{arrangement, rearranged, state},
+        render::gpu::state::{SMOOTHING, sigmoid},
     };
 
     const SEEN: [f32; 4] = [0.0, 2.0, 4.0, 1.0];

@@ -1,15 +1,15 @@
 //! What is no longer finite, and which parameters it is.
 
-use super::{Phase, splat_state};
+use super::Phase;
 use crate::{
-    optimize::{TrainError, state::SplatState},
-    render::gpu::training::Training,
+    optimize::TrainError,
+    render::gpu::{state::SplatState, training::Training},
 };
 
 /// Names the parameter group that holds a NaN or an infinity. Waits.
 pub(super) fn check_finite(training: &Training, phase: Phase, iteration: u32) -> Result<(), TrainError> {
     let (first, second) = training.read_texel_moments()?;
-    finite(&splat_state(training)?, [&first, &second], phase, iteration)
+    finite(&training.read_splats()?, [&first, &second], phase, iteration)
 }
 
 /// Names the parameter group that holds a NaN or an infinity: splats, or the maps of which these are the moments.

@@ -1,6 +1,6 @@
 //! From splats to a mesh and back to the splats that the mesh does not make superfluous.
 
-use super::{Run, arrangement, photograph::squared_error, splat_state};
+use super::{Run, arrangement, photograph::squared_error};
 use crate::{
     geometry::{self, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
@@ -62,7 +62,7 @@ impl<'a> Run<'a> {
         views: &[usize],
         mut use_view: impl FnMut(&mut Training<'a>, &mut Training<'a>, &Camera, &[[f32; 3]]) -> Result<(), TrainError>,
     ) -> Result<(), TrainError> {
-        let splats = splat_state(training)?.to_splats()?;
+        let splats = training.read_splats()?.to_splats()?;
         let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
         let background = scene.composition.background;
         let mut splats_only = self.training(&scene)?;

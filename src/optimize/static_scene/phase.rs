@@ -28,7 +28,7 @@ use crate::{
         schedule,
     },
     render::gpu::{
-        adam::{AdamStep, SplatRates},
+        adam::AdamStep,
         exposure::ExposureStep,
         loss::LossValues,
         texels::TexelStep,
@@ -225,21 +225,13 @@ impl Run<'_> {
             Background::Random => [0; 3].map(|_| random.random()),
         };
         let age = plan.clock + t;
-        let rates = plan.schedule.rates(age, self.extent);
         let mcmc = o.density == Density::Mcmc;
         let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: age + 1,
             n_splats: training.pipeline.n_splats as u32,
             sh_degree,
-            rates: SplatRates {
-                mean: rates.mean,
-                opacity: rates.opacity,
-                rotation: rates.rotation,
-                log_scale: rates.log_scale,
-                sh_dc: rates.sh_dc,
-                sh_rest: rates.sh_rest,
-            },
+            rates: plan.schedule.rates(age, self.extent),
             opacity_weight: if mcmc { 0.01 } else { 0.0 },
             // By the length of the axes, and by their square beside a rate that has a length in it: noise moves a splat by as much of its
             // size in any unit, and in runs of any length.

@@ -10,7 +10,7 @@ use crate::{
     format::gltf,
     geometry::{MeshBvh, Surface, TexelSight, Viewers},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
-    render::gpu::Renderer,
+    render::gpu::{Renderer, state::SplatState},
     scene::{Atlas, Texture},
 };
 
@@ -373,7 +373,7 @@ fn error_with(geometry: bool, at: usize, value: f32) -> TrainError {
     let options = TrainOptions { density: Density::Inria, ..options() };
     with_run(&options, |run, training, scene| {
         let mut arrays = training.read_splats().unwrap();
-        let values = if geometry { &mut arrays.geometry[0] } else { &mut arrays.sh[0] };
+        let values = if geometry { &mut arrays.geometry } else { &mut arrays.sh };
         values[at] = value;
         training.write_splats(&arrays).unwrap();
         run.run_phase(training, scene, Phase::Joint, None)
@@ -461,7 +461,7 @@ fn a_nan_is_found_and_named() {
     with_run(&TrainOptions { density: Density::Inria, antialias: true, ..options() }, |run, training, scene| {
         training.smooth();
         let mut arrays = training.read_splats().unwrap();
-        arrays.geometry[0][12 * 8 + 3] = f32::NAN;
+        arrays.geometry[12 * 8 + 3] = f32::NAN;
         training.write_splats(&arrays).unwrap();
         let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err().to_string();
         assert_eq!(
@@ -529,7 +529,7 @@ fn without_any_splats_the_maps_are_trained() {
     for density in [Density::Inria, Density::Mcmc] {
         let options = TrainOptions { density, iterations: 90, ..options() };
         with_run(&options, |run, training, scene| {
-            training.write_splats(&SplatArrays::default()).unwrap();
+            training.write_splats(&SplatState::default()).unwrap();
             let outcome = run.run_phase(training, scene, Phase::Joint, None).unwrap();
             let trained = run.finish(training, scene, outcome).unwrap();
             assert_eq!((trained.outcome, trained.scene.splats.len()), (Outcome::Finished, 0));
@@ -572,7 +572,7 @@ fn file_shows_what_trainer_showed(options: &TrainOptions) {
         run.run_phase(training, scene, Phase::Warmup, None).unwrap();
         let outcome = run.run_phase(training, scene, Phase::Joint, None).unwrap();
         let smoothing =
-            training.read_splats().unwrap().geometry[0].iter().skip(11).step_by(12).fold(0.0, |a: f32, &b| a.max(b));
+            training.read_splats().unwrap().geometry.iter().skip(11).step_by(12).fold(0.0, |a: f32, &b| a.max(b));
         assert_eq!(smoothing > 0.0, options.antialias);
         let trained = run.finish(training, scene, outcome).unwrap();
         let path = folder.path().join("scene.glb");

@@ -16,13 +16,19 @@ pub(crate) struct SplatFloats<'a> {
 }
 
 /// Learning rates of the splats' parameters.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct SplatRates {
+    /// Means, world units.
     pub(crate) mean: f32,
+    /// Opacity logits.
     pub(crate) opacity: f32,
+    /// Quaternions.
     pub(crate) rotation: f32,
+    /// Log-scales.
     pub(crate) log_scale: f32,
+    /// SH coefficient 0.
     pub(crate) sh_dc: f32,
+    /// All other SH coefficients.
     pub(crate) sh_rest: f32,
 }
 

@@ -136,7 +136,7 @@ fn gradients_are_those_of_the_exposed_picture() {
     assert_eq!(after.steps, [0, 1, 0]);
 
     // What the scene learns is the gradient through the exposure.
-    let found = trained.read_splats().unwrap().sh[1].clone();
+    let found = trained.read_splats().unwrap().sh_m.clone();
     for splat in 0..SPLATS {
         for channel in 0..3 {
             let at = |h: f32| {
@@ -166,7 +166,7 @@ fn the_identity_changes_nothing() {
     };
     let ((loss, with), (expected, without)) = (learnt(true), learnt(false));
     assert_eq!(loss, expected);
-    for (a, b) in with.geometry[1].iter().zip(&without.geometry[1]).chain(with.sh[1].iter().zip(&without.sh[1])) {
+    for (a, b) in with.geometry_m.iter().zip(&without.geometry_m).chain(with.sh_m.iter().zip(&without.sh_m)) {
         assert!((a - b).abs() < 1e-7, "{a} {b}");
     }
 }

@@ -29,6 +29,7 @@ mod shader;
 mod smoothing;
 mod sort;
 pub(crate) mod splats;
+pub mod state;
 pub(crate) mod status;
 pub(crate) mod texels;
 pub(crate) mod training;

@@ -188,7 +188,7 @@ fn no_change_and_no_rate_change_nothing() {
     };
     let ((loss, with), (expected, without)) = (learnt(true), learnt(false));
     assert_eq!(loss, expected);
-    for (a, b) in with.geometry[1].iter().zip(&without.geometry[1]).chain(with.sh[1].iter().zip(&without.sh[1])) {
+    for (a, b) in with.geometry_m.iter().zip(&without.geometry_m).chain(with.sh_m.iter().zip(&without.sh_m)) {
         assert!((a - b).abs() < 1e-7, "{a} {b}");
     }
 }

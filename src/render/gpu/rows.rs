@@ -141,7 +141,7 @@ mod tests {
     use super::*;
     use crate::{
         render::{
-            gpu::training::{SplatArrays, Training},
+            gpu::{state::SplatState, training::Training},
             testing::random_scene,
         },
         scene::OrderMode,
@@ -157,12 +157,17 @@ mod tests {
             let (scene, camera) = random_scene(3, n, 0, sh_degree, 1, OrderMode::Stable);
             let mut rng = Pcg32::seed_from_u64(11);
             let mut random = |n: usize| (0..n).map(|_| rng.random_range(0.5..1.5)).collect::<Vec<f32>>();
-            let mut all = SplatArrays {
-                geometry: [0, 1, 2].map(|_| random(n * GEOMETRY)),
-                sh: [0, 1, 2].map(|_| random(n * sh_floats)),
+            let mut all = SplatState {
+                sh_degree,
+                geometry: random(n * GEOMETRY),
+                sh: random(n * sh_floats),
+                geometry_m: random(n * GEOMETRY),
+                geometry_v: random(n * GEOMETRY),
+                sh_m: random(n * sh_floats),
+                sh_v: random(n * sh_floats),
             };
             // Second moments may be subnormal.
-            all.sh[2].iter_mut().step_by(3).for_each(|v| *v *= f32::MIN_POSITIVE / 2.0);
+            all.sh_v.iter_mut().step_by(3).for_each(|v| *v *= f32::MIN_POSITIVE / 2.0);
             let orders: [Vec<Source>; 5] = [
                 (0..n).step_by(2).map(Source::new).collect(),
                 (0..n).rev().map(|i| Source::new(i).without_opacity_moments()).collect(),
@@ -178,7 +183,7 @@ mod tests {
                 training.write_statistics(&vec![1.0; 4 * n]);
                 let geometry = random(sources.len() * GEOMETRY);
                 training.rearrange(&geometry, &sources).unwrap();
-                let expected = all.rearranged(&geometry, &sources, sh_floats);
+                let expected = all.rearranged(&geometry, &sources);
                 assert!(training.read_splats().unwrap() == expected, "{} of degree {sh_degree}", sources.len());
                 assert_eq!(training.read_geometry().unwrap(), geometry);
                 assert_eq!(training.read_statistics().unwrap(), vec![0.0; 4 * sources.len()]);

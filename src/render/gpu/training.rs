@@ -11,6 +11,7 @@ use super::{
     rows::{RowGather, Rows, Source},
     smoothing::Smoothing,
     splats::{GEOMETRY, SplatBuffers, longer_list},
+    state::SplatState,
     status::{ListCheck, Status},
     texels::TexelStep,
     vertices::{VertexState, VertexStep},
@@ -20,22 +21,20 @@ use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 /// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
 pub(crate) const HEADROOM: f64 = 0.5;
 
-/// Parameters and Adam moments of the splats as they lie on the GPU, `[N·12]` and `[N·3·(d+1)²]` each.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct SplatArrays {
-    pub(crate) geometry: [Vec<f32>; 3],
-    pub(crate) sh: [Vec<f32>; 3],
-}
-
-impl SplatArrays {
+impl SplatState {
     /// As [`Training::rearrange`], here.
-    pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source], sh_floats: usize) -> Self {
-        let gather = |before: &[f32], width, what| Source::gather(sources, before, width, what);
-        let [_, gm, gv] = &self.geometry;
-        let [sh, sm, sv] = &self.sh;
-        let [gm, gv] = [gm, gv].map(|moments| gather(moments, GEOMETRY, Rows::GeometryMoments));
-        let [sm, sv] = [sm, sv].map(|moments| gather(moments, sh_floats, Rows::ShMoments));
-        Self { geometry: [geometry.to_vec(), gm, gv], sh: [gather(sh, sh_floats, Rows::Parameters), sm, sv] }
+    pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source]) -> Self {
+        let of_geometry = |before: &[f32]| Source::gather(sources, before, GEOMETRY, Rows::GeometryMoments);
+        let of_sh = |before: &[f32], what| Source::gather(sources, before, self.sh_floats(), what);
+        Self {
+            sh_degree: self.sh_degree,
+            geometry: geometry.to_vec(),
+            sh: of_sh(&self.sh, Rows::Parameters),
+            geometry_m: of_geometry(&self.geometry_m),
+            geometry_v: of_geometry(&self.geometry_v),
+            sh_m: of_sh(&self.sh_m, Rows::ShMoments),
+            sh_v: of_sh(&self.sh_v, Rows::ShMoments),
+        }
     }
 }
 
@@ -356,14 +355,19 @@ impl<'g> Training<'g> {
     }
 
     /// Parameters and moments of all splats. Waits.
-    pub(crate) fn read_splats(&self) -> Result<SplatArrays, GpuError> {
+    pub(crate) fn read_splats(&self) -> Result<SplatState, GpuError> {
         let (p, n) = (&self.pipeline, self.pipeline.n_splats);
         let [gm, gv, sm, sv] = &self.moments;
         let terms = sh_floats(p);
         let read = |buffer: &Buffer, width: usize| self.gpu.read::<f32>(buffer, n * width);
-        Ok(SplatArrays {
-            geometry: [read(&p.splats.geometry, GEOMETRY)?, read(gm, GEOMETRY)?, read(gv, GEOMETRY)?],
-            sh: [read(&p.splats.sh, terms)?, read(sm, terms)?, read(sv, terms)?],
+        Ok(SplatState {
+            sh_degree: p.splats.sh_degree,
+            geometry: read(&p.splats.geometry, GEOMETRY)?,
+            sh: read(&p.splats.sh, terms)?,
+            geometry_m: read(gm, GEOMETRY)?,
+            geometry_v: read(gv, GEOMETRY)?,
+            sh_m: read(sm, terms)?,
+            sh_v: read(sv, terms)?,
         })
     }
 
@@ -382,7 +386,7 @@ impl<'g> Training<'g> {
         assert_eq!(geometry.len(), n * GEOMETRY, "one source per splat");
         debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.n_splats), "sources are splats");
         if n > self.pipeline.splats.capacity {
-            let all = self.read_splats()?.rearranged(geometry, sources, sh_floats(&self.pipeline));
+            let all = self.read_splats()?.rearranged(geometry, sources);
             return self.write_splats(&all);
         }
         let (p, [gm, gv, sm, sv]) = (&self.pipeline, &self.moments);
@@ -406,8 +410,8 @@ impl<'g> Training<'g> {
     }
 
     /// Replaces all splats. Statistics are zeroed.
-    pub(crate) fn write_splats(&mut self, arrays: &SplatArrays) -> Result<(), GpuError> {
-        let n = arrays.geometry[0].len() / GEOMETRY;
+    pub(crate) fn write_splats(&mut self, state: &SplatState) -> Result<(), GpuError> {
+        let n = state.len();
         if n > self.pipeline.splats.capacity {
             let sh_degree = self.pipeline.splats.sh_degree;
             // All that matters is on the host: the old buffers go first, so that there is never room for both.
@@ -421,10 +425,8 @@ impl<'g> Training<'g> {
         self.pipeline.n_splats = n;
         let p = &self.pipeline;
         let [gm, gv, sm, sv] = &self.moments;
-        for (buffer, values) in [&p.splats.geometry, gm, gv].into_iter().zip(&arrays.geometry) {
-            self.gpu.write(buffer, 0, values);
-        }
-        for (buffer, values) in [&p.splats.sh, sm, sv].into_iter().zip(&arrays.sh) {
+        let buffers = [&p.splats.geometry, &p.splats.sh, gm, gv, sm, sv];
+        for (buffer, values) in buffers.into_iter().zip(state.arrays()) {
             self.gpu.write(buffer, 0, values);
         }
         self.write_statistics(&vec![0.0; 4 * n]);
