@@ -8,9 +8,10 @@ mod backdrop;
 mod finite;
 mod handover;
 mod identity;
+mod log;
 mod occluded;
 mod phase;
-mod photograph;
+mod photographs;
 mod plan;
 mod poses;
 mod selection;
@@ -18,14 +19,15 @@ mod size;
 mod unseen;
 
 pub(super) use finite::finite;
+pub use log::Progress;
 pub use poses::RefinedPose;
 pub use selection::Selection;
 
-use std::{cell::OnceCell, path::PathBuf, rc::Rc, sync::atomic::AtomicBool, time::Instant};
+use std::{cell::OnceCell, ops::ControlFlow, path::PathBuf, rc::Rc, sync::atomic::AtomicBool};
 
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
+use self::{log::Log, photographs::Photographs};
 use super::{
     Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions,
     arrangement::Arrangement,
@@ -37,16 +39,12 @@ use super::{
     surface,
 };
 use crate::{
-    capture::{self, Capture, CaptureError, PhotoCache, Split, View},
+    capture::{self, Capture, Split, View},
     geometry::{self, ChartSpace, Contraction, MeshBvh, Shell, Surface},
-    render::gpu::{Gpu, exposure::ExposureState, pose::PoseState, training::Training},
+    render::gpu::{Gpu, exposure::ExposureState, pose::PoseState, state::SplatState, training::Training},
     scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats},
 };
 
-/// Decoded photographs are kept up to this many bytes, of whatever size.
-const PHOTO_BUDGET: usize = 2 << 30;
-/// Photographs that are decoded at once before training.
-const DECODED_AT_ONCE: usize = 4;
 /// Splats of a capture without points.
 const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
@@ -62,25 +60,6 @@ pub enum Phase {
     Warmup,
     /// Splats and maps.
     Joint,
-}
-
-/// A sign of life, every few iterations.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
-pub struct Progress {
-    /// Current phase.
-    pub phase: Phase,
-    /// Iterations done in this phase.
-    pub iteration: u32,
-    /// Iterations of this phase.
-    pub of: u32,
-    /// (1 − w)·L1 + w·(1 − SSIM) of the last view, w the option `ssim_weight`.
-    pub loss: f64,
-    /// Splats there are.
-    pub splats: usize,
-    /// PSNR of a held-out view, whenever one was just rendered, dB.
-    pub psnr: Option<f64>,
-    /// Seconds since this run began (not counting what a resumed run did before).
-    pub seconds: f64,
 }
 
 /// Why a run ended.
@@ -155,14 +134,6 @@ pub fn train<'a>(
     Run::new(capture, options, &mesh, session)?.all(mesh)
 }
 
-/// The views of a capture while they are trained on at less than their size.
-struct Small {
-    /// Of both sides.
-    scale: f64,
-    views: Vec<View>,
-    cache: PhotoCache,
-}
-
 struct Run<'a> {
     identity: Identity<'a>,
     capture: &'a Capture,
@@ -173,28 +144,17 @@ struct Run<'a> {
     train_cameras: Vec<Camera>,
     train: Vec<usize>,
     test: Vec<usize>,
-    cache: PhotoCache,
-    small: Option<Small>,
+    photos: Photographs<'a>,
     longest_side: u32,
-    /// Photographs have masks or alpha: nothing is behind what they show.
-    is_cut_out: bool,
     extent: f32,
     /// The capture's unit of length, see [`size::unit_of_length`].
     unit: f32,
     /// Near plane, by the poses as they were given.
     near: f32,
-    start: Instant,
-    history: Vec<Progress>,
-    joint_seconds: f64,
-    joint_iterations: u32,
-    repeated_iterations: u32,
+    log: Log,
     /// The joint phase begins with splats of the surface phase.
     hands_over: bool,
-    /// Why there is no mesh, where making one failed.
-    no_surface: Option<String>,
-    /// What the meshes were made of.
-    surface: Option<SurfaceOrigin>,
-    selection: Option<Selection>,
+    found: Found,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
     /// Of the mesh that was given.
@@ -203,8 +163,16 @@ struct Run<'a> {
     exposures: Option<ExposureState>,
     /// Of all views of the capture, after the phase that refines them.
     poses: Option<PoseState>,
-    /// The last iteration.
-    reached: (Phase, u32),
+}
+
+/// What is known of how the mesh came to be.
+#[derive(Default)]
+struct Found {
+    /// What it was made of.
+    surface: Option<SurfaceOrigin>,
+    /// Why there is none, where making one failed.
+    no_surface: Option<String>,
+    selection: Option<Selection>,
 }
 
 impl<'a> Run<'a> {
@@ -223,16 +191,7 @@ impl<'a> Run<'a> {
         }
         let input = identity::input(capture, source);
         let identity = Identity { options, input, finds_surface: source.is_found() };
-        let cache = PhotoCache::new(PHOTO_BUDGET);
-        // All of them: any may have alpha, and one that cannot be read is better known now than in an hour.
-        let has_alpha = |&i: &usize| cache.get(&capture.views[i]).map(|photo| photo.has_alpha);
-        let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
-        let mut is_cut_out = capture.views.iter().any(|view| view.source.mask().is_some());
-        // Few at once: while they are decoded they have their full size.
-        for part in train.chunks(DECODED_AT_ONCE) {
-            is_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
-        }
-        sampled(&test).try_for_each(|i| has_alpha(&i).map(drop))?;
+        let photos = Photographs::open(capture, &train, sampled(&test))?;
         let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
@@ -240,7 +199,7 @@ impl<'a> Run<'a> {
         let unit = size::unit_of_length(f64::from(extent), depth) as f32;
         let near = surface::near_plane(&train_cameras, NEAR);
         // Without a warm-up nothing would be judged.
-        let wants_shell = options.shell && source.is_found() && !is_cut_out && options.warmup > 0;
+        let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
         Ok(Self {
@@ -253,22 +212,13 @@ impl<'a> Run<'a> {
             train_cameras,
             train,
             test,
-            cache,
-            small: None,
-            is_cut_out,
+            photos,
             extent,
             unit,
             near,
-            start: Instant::now(),
-            history: vec![],
-            joint_seconds: 0.0,
-            joint_iterations: 0,
-            repeated_iterations: 0,
-            reached: (Phase::Surface, 0),
+            log: Log::new(),
             hands_over: false,
-            surface: None,
-            no_surface: None,
-            selection: None,
+            found: Found::default(),
             shell,
             given_hierarchy: OnceCell::new(),
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
@@ -291,7 +241,7 @@ impl<'a> Run<'a> {
             self.max_splats(&[]),
             self.texture_size(),
         )?;
-        (self.surface, self.selection) = saved.as_ref().map_or((None, None), |s| (s.surface, s.selection));
+        (self.found.surface, self.found.selection) = saved.as_ref().map_or((None, None), |s| (s.surface, s.selection));
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
             && let Some(poses) = saved.poses.clone()
@@ -302,7 +252,7 @@ impl<'a> Run<'a> {
         let meshes = match (&after_surface, source) {
             (Some(saved), _) => saved.meshes.clone(),
             (None, MeshSource::Given { surface, corner_uvs }) => {
-                self.surface = Some(SurfaceOrigin::Given);
+                self.found.surface = Some(SurfaceOrigin::Given);
                 vec![self.given(surface, corner_uvs)?]
             }
             (None, _) => vec![],
@@ -312,68 +262,89 @@ impl<'a> Run<'a> {
         let mut scene = HybridScene { splats, meshes, composition: self.composition() };
         let mut trained = None;
         if self.hands_over && after_surface.is_none() {
-            let mut training = self.training(&scene)?;
-            if self.run_phase(&mut training, &scene, Phase::Surface, saved)? == Outcome::Interrupted {
-                return self.finish(&mut training, &scene, Outcome::Interrupted);
+            match self.surface_phase(&mut scene, of_points, saved)? {
+                ControlFlow::Continue(splats) => trained = Some(splats),
+                ControlFlow::Break(interrupted) => return Ok(*interrupted),
             }
-            scene.meshes = match self.find_surface(&mut training, of_points) {
-                // What the splats have learnt is worth more than a mesh.
-                Err(TrainError::Geometry(why)) => {
-                    self.no_surface = Some(why.to_string());
-                    vec![]
-                }
-                found => vec![found?],
-            };
-            // As below, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
-            if self.options.warmup == 0 && self.within_budget(&scene.meshes).is_err() {
-                scene.meshes.clear();
-            }
-            let state = training.read_splats()?;
-            finite::finite_splats(&state, self.reached.0, self.reached.1)?;
-            scene.splats = state.to_splats()?;
-            trained = Some(state);
         }
         let mut training = self.training(&scene)?;
-        if let Some(state) = trained {
+        if let Some(splats) = trained {
             // With their moments. They are not rendered during the warm-up; the handover picks from them.
-            training.write_splats(&state)?;
+            training.write_splats(&splats)?;
         }
         let joint = after_surface.as_ref().is_some_and(|s| s.phase == Phase::Joint);
         let (warmup, rest) = if joint { (None, after_surface) } else { (after_surface, None) };
-        let mut outcome = Outcome::Finished;
-        if !scene.meshes.is_empty() && !joint {
-            outcome = self.run_phase(&mut training, &scene, Phase::Warmup, warmup)?;
+        if !scene.meshes.is_empty()
+            && !joint
+            && self.run_phase(&mut training, &scene, Phase::Warmup, warmup)? == Outcome::Interrupted
+        {
+            return self.finish(&mut training, &scene, Outcome::Interrupted);
         }
-        if outcome == Outcome::Finished {
-            if self.hands_over && !joint {
-                scene.meshes = training.read_meshes(&scene.meshes)?;
-                let mut meshes = scene.meshes.clone();
-                // Maps that have not learnt anything cannot be judged.
-                if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
-                    let (kept, selection) = self.select_faces(&mut training, mesh)?;
-                    self.selection = Some(selection);
-                    meshes = kept.into_iter().collect();
-                }
-                // Plain splats make more of a budget that is too small for a mesh.
-                if self.within_budget(&meshes).is_err() {
-                    meshes.clear();
-                }
-                if meshes != scene.meshes {
-                    let state = training.read_splats()?;
-                    scene.meshes = meshes;
-                    // Two hybrids at once are more than was asked for.
-                    drop(training);
-                    training = self.training(&scene)?;
-                    training.write_splats(&state)?;
-                }
-                // Nothing takes the splats' place without a mesh.
-                if !scene.meshes.is_empty() {
-                    self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
-                }
-            }
-            outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
+        if self.hands_over && !joint {
+            training = self.share_out(training, &mut scene)?;
         }
+        let outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
         self.finish(&mut training, &scene, outcome)
+    }
+
+    /// Trains splats alone and makes the mesh of the scene, if there is one to make. The splats go on, with their moments; what was
+    /// interrupted is done.
+    fn surface_phase(
+        &mut self,
+        scene: &mut HybridScene,
+        of_points: bool,
+        saved: Option<Saved>,
+    ) -> Result<ControlFlow<Box<Trained>, SplatState>, TrainError> {
+        let mut training = self.training(scene)?;
+        if self.run_phase(&mut training, scene, Phase::Surface, saved)? == Outcome::Interrupted {
+            return Ok(ControlFlow::Break(Box::new(self.finish(&mut training, scene, Outcome::Interrupted)?)));
+        }
+        scene.meshes = match self.find_surface(&mut training, of_points) {
+            // What the splats have learnt is worth more than a mesh.
+            Err(TrainError::Geometry(why)) => {
+                self.found.no_surface = Some(why.to_string());
+                vec![]
+            }
+            found => vec![found?],
+        };
+        // As in `share_out`, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
+        if self.options.warmup == 0 && self.within_budget(&scene.meshes).is_err() {
+            scene.meshes.clear();
+        }
+        let splats = training.read_splats()?;
+        finite::finite_splats(&splats, self.log.reached.0, self.log.reached.1)?;
+        scene.splats = splats.to_splats()?;
+        Ok(ControlFlow::Continue(splats))
+    }
+
+    /// After the warm-up: keeps of the mesh what explains the photographs about as well as splats do, and of the splats those that
+    /// explain them better than the mesh.
+    fn share_out(&mut self, mut training: Training<'a>, scene: &mut HybridScene) -> Result<Training<'a>, TrainError> {
+        scene.meshes = training.read_meshes(&scene.meshes)?;
+        let mut meshes = scene.meshes.clone();
+        // Maps that have not learnt anything cannot be judged.
+        if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
+            let (kept, selection) = self.select_faces(&mut training, mesh)?;
+            self.found.selection = Some(selection);
+            meshes = kept.into_iter().collect();
+        }
+        // Plain splats make more of a budget that is too small for a mesh.
+        if self.within_budget(&meshes).is_err() {
+            meshes.clear();
+        }
+        if meshes != scene.meshes {
+            let splats = training.read_splats()?;
+            scene.meshes = meshes;
+            // Two hybrids at once are more than was asked for.
+            drop(training);
+            training = self.training(scene)?;
+            training.write_splats(&splats)?;
+        }
+        // Nothing takes the splats' place without a mesh.
+        if !scene.meshes.is_empty() {
+            self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
+        }
+        Ok(training)
     }
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
@@ -412,9 +383,9 @@ impl<'a> Run<'a> {
         if !is_mcmc || !begins {
             return Ok(of_points(most)?);
         }
-        let (room, cache) = (most / 4, &self.cache);
-        let photo = |view: &View| cache.get(view);
-        let far_room = if self.is_cut_out { 0 } else { room };
+        let (room, photos) = (most / 4, &self.photos);
+        let photo = |view: &View| photos.whole(view);
+        let far_room = if self.photos.are_cut_out { 0 } else { room };
         let empty = (o.background != Background::Random).then(|| self.composition().background);
         let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, empty, photo)?;
         let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
@@ -521,7 +492,7 @@ impl<'a> Run<'a> {
         scene: &HybridScene,
         outcome: Outcome,
     ) -> Result<Trained, TrainError> {
-        let (phase, iteration) = self.reached;
+        let (phase, iteration) = self.log.reached;
         finite::check_finite(training, phase, iteration)?;
         let (splats, mut meshes) = (training.read_splats()?.to_splats()?, training.read_meshes(&scene.meshes)?);
         let all = splats.len();
@@ -549,15 +520,14 @@ impl<'a> Run<'a> {
             exposures,
             poses: self.refined_poses(),
             cameras: self.cameras.clone(),
-            surface: self.surface.filter(|_| !scene.meshes.is_empty()),
-            no_surface: self.no_surface.take(),
-            selection: self.selection,
+            surface: self.found.surface.filter(|_| !scene.meshes.is_empty()),
+            no_surface: self.found.no_surface.take(),
+            selection: self.found.selection,
             scene,
             outcome,
-            history: std::mem::take(&mut self.history),
-            seconds_per_iteration: (self.joint_iterations > 0)
-                .then(|| self.joint_seconds / f64::from(self.joint_iterations)),
-            repeated_iterations: self.repeated_iterations,
+            seconds_per_iteration: self.log.seconds_per_iteration(),
+            repeated_iterations: self.log.repeated_iterations,
+            history: std::mem::take(&mut self.log.history),
         })
     }
 }

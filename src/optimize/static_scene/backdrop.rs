@@ -51,7 +51,7 @@ impl Run<'_> {
             .collect();
         for i in self.views(false) {
             let view = &self.capture.views[i];
-            let photo = self.cache.get(view)?;
+            let photo = self.photos.whole(view)?;
             let camera = &self.cameras[i];
             faces.par_iter_mut().for_each(|face| face.add(camera, &photo, &bvh));
         }

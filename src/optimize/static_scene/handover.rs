@@ -1,6 +1,6 @@
 //! From splats to a mesh and back to the splats that the mesh does not make superfluous.
 
-use super::{Run, arrangement, photograph::squared_error};
+use super::{Run, arrangement, photographs::squared_error};
 use crate::{
     geometry::{self, GeometryError, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
@@ -18,7 +18,8 @@ impl<'a> Run<'a> {
             match geometry::surface_from_points(&views, &points, self.options.triangles, self.options.planar) {
                 Ok((surface, steps)) => {
                     let is_guess = steps.is_guess();
-                    self.surface = Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
+                    self.found.surface =
+                        Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
                     return self.textured(training, surface);
                 }
                 Err(GeometryError::EmptySurface { .. }) => {}
@@ -29,10 +30,10 @@ impl<'a> Run<'a> {
         let (triangles, planar) = (self.options.triangles, self.options.planar);
         let (surface, _) = surface::from_depths(&self.train_cameras, &points, triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
-            surface::clear_unseen(&mut depth, &*self.cache.get(&self.capture.views[self.train[i]])?);
+            surface::clear_unseen(&mut depth, &*self.photos.whole(&self.capture.views[self.train[i]])?);
             Ok(depth)
         })?;
-        self.surface = Some(SurfaceOrigin::Splats);
+        self.found.surface = Some(SurfaceOrigin::Splats);
         self.textured(training, surface)
     }
 
@@ -68,7 +69,7 @@ impl<'a> Run<'a> {
         let mut splats_only = self.training(&scene)?;
         for &i in views {
             let camera = &self.cameras[i];
-            let photo = self.cache.get(&self.capture.views[i])?;
+            let photo = self.photos.whole(&self.capture.views[i])?;
             let mesh = training.render(camera, background, false)?.rgb;
             let splats = splats_only.render(camera, background, true)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())

@@ -7,14 +7,13 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_pcg::Pcg64;
 
 use super::{
-    Outcome, PHOTO_BUDGET, Phase, Progress, Run, Small, arrangement,
+    Outcome, Phase, Progress, Run, arrangement,
     finite::{check_finite, finite_group},
-    photograph::truth_alpha,
+    photographs::truth_alpha,
     plan::Plan,
     sampled,
 };
 use crate::{
-    capture::PhotoCache,
     evaluate::Comparison,
     geometry::Shell,
     optimize::{
@@ -106,7 +105,7 @@ impl Run<'_> {
         let mut done = plan.from;
         while done < plan.iterations {
             let begin = Instant::now();
-            self.resize(plan.resolution.scale(plan.clock + done, self.longest_side));
+            self.photos.resize(plan.resolution.scale(plan.clock + done, self.longest_side));
             self.step(training, plan, done)?;
             done += 1;
             let stop = self.session.stop.load(Ordering::Relaxed);
@@ -116,32 +115,25 @@ impl Run<'_> {
                 let again = training.grow_if_short()?;
                 if again > 0 {
                     done = done.saturating_sub(again).max(plan.from);
-                    self.repeated_iterations += again;
-                    if plan.phase == Phase::Joint {
-                        self.joint_seconds += begin.elapsed().as_secs_f64();
-                        self.joint_iterations = self.joint_iterations.saturating_sub(again - 1);
-                    }
+                    self.log.take_back(again, plan.phase, begin);
                     continue;
                 }
             }
-            self.reached = (plan.phase, done);
+            self.log.reached = (plan.phase, done);
             // Where buffers grow, density control makes those of the loss anew.
             let loss = if reports { Some(training.loss()?) } else { None };
             self.after_step(training, plan, epoch, most, done)?;
-            if plan.phase == Phase::Joint {
-                if reports || saves {
-                    // Steps are only on their way until then, and what waits for them is no part of them.
-                    self.session.gpu.wait()?;
-                }
-                self.joint_seconds += begin.elapsed().as_secs_f64();
-                self.joint_iterations += 1;
+            if plan.phase == Phase::Joint && (reports || saves) {
+                // Steps are only on their way until then, and what waits for them is no part of them.
+                self.session.gpu.wait()?;
             }
+            self.log.count(plan.phase, begin);
             if let Some(loss) = loss {
                 self.report(training, plan, done, loss)?;
             }
             if saves && let Some(path) = &self.session.checkpoint {
-                let found = (self.surface, self.selection);
-                Saved::capture(training, scene, self.reached, found, self.poses.as_ref(), epoch)?
+                let found = (self.found.surface, self.found.selection);
+                Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch)?
                     .write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
@@ -195,29 +187,11 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// From now on steps see the pictures with their sides scaled so.
-    fn resize(&mut self, scale: f64) {
-        if self.small.as_ref().map_or(1.0, |small| small.scale) != scale {
-            self.small = (scale < 1.0).then(|| Small {
-                scale,
-                views: self.capture.views.iter().map(|view| view.scaled(scale)).collect(),
-                cache: PhotoCache::new(PHOTO_BUDGET.saturating_sub(self.cache.bytes())),
-            });
-        }
-    }
-
     /// One view: forward, backward, Adam.
     pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
         let o = self.options;
         let index = self.view_at(plan, t);
-        let (views, cache) = match &self.small {
-            Some(small) => (&small.views, &small.cache),
-            None => (&self.capture.views, &self.cache),
-        };
-        let view = &views[index];
-        // The next view is decoded while this one is on the GPU.
-        cache.prefetch(&views[self.view_at(plan, t + 1)]);
-        let photo = cache.get(view)?;
+        let photo = self.photos.of_step(index, self.view_at(plan, t + 1))?;
         let mut random = random(o.seed, plan.phase, plan.clock + t);
         let background = match o.background {
             Background::Black => [0.0; 3],
@@ -376,10 +350,10 @@ impl Run<'_> {
             loss,
             splats: if plan.phase == Phase::Warmup { 0 } else { training.pipeline.n_splats },
             psnr,
-            seconds: self.start.elapsed().as_secs_f64(),
+            seconds: self.log.seconds(),
         };
         (self.session.progress)(&progress);
-        self.history.push(progress);
+        self.log.history.push(progress);
         Ok(())
     }
 
@@ -389,7 +363,7 @@ impl Run<'_> {
         let mut scores = vec![];
         for i in sampled(&self.test) {
             let view = &self.capture.views[i];
-            let photo = self.cache.get(view)?;
+            let photo = self.photos.whole(view)?;
             let picture = training.render(&view.camera, composition.background, phase != Phase::Warmup)?;
             // Photographs are as large as their cameras say.
             scores.extend(Comparison::new(&photo, &picture, &composition).psnr());

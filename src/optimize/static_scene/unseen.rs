@@ -68,9 +68,9 @@ impl Run<'_> {
 
     /// What masks leave of the training views, where there are any.
     pub(super) fn shown(&self) -> Result<Vec<Option<MaskBits>>, TrainError> {
-        let (cache, capture) = (&self.cache, self.capture);
+        let (photos, capture) = (&self.photos, self.capture);
         let of_view = |&i: &usize| {
-            let photo = cache.get(&capture.views[i])?;
+            let photo = photos.whole(&capture.views[i])?;
             Ok(photo.masked.then(|| MaskBits::new(photo.width as usize, &photo.rgba)))
         };
         self.train.par_iter().map(of_view).collect()
