@@ -6,17 +6,18 @@
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
-const MAY_IMPORT: [(&str, &[&str]); 10] = [
+const MAY_IMPORT: [(&str, &[&str]); 11] = [
+    ("atomic", &[]),
     ("scene", &[]),
     ("capture", &["scene", "format"]),
     ("edit", &["scene"]),
-    ("format", &["scene"]),
+    ("format", &["atomic", "scene"]),
     ("geometry", &["scene"]),
     ("metrics", &["scene"]),
     ("path", &["scene"]),
     ("render", &["scene", "geometry"]),
     ("evaluate", &["scene", "capture", "metrics", "render"]),
-    ("optimize", &["scene", "capture", "evaluate", "geometry", "render"]),
+    ("optimize", &["atomic", "scene", "capture", "evaluate", "geometry", "render"]),
 ];
 
 /// What may be named only in some files: (text, where by path prefix, in words).
@@ -135,7 +136,8 @@ fn source_keeps_the_invariants() {
 #[test]
 fn every_module_has_a_rule() {
     let lib = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).unwrap();
-    let mut modules: Vec<&str> = lib.lines().filter_map(|l| l.strip_prefix("pub mod ")?.strip_suffix(';')).collect();
+    let mut modules: Vec<&str> =
+        lib.lines().filter_map(|l| l.trim_start_matches("pub ").strip_prefix("mod ")?.strip_suffix(';')).collect();
     let mut ruled = MAY_IMPORT.map(|(name, _)| name).to_vec();
     modules.sort_unstable();
     ruled.sort_unstable();

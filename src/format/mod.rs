@@ -2,7 +2,6 @@
 //! and finding; writers go through a temporary file, so that nothing half-written is ever seen.
 
 mod activation;
-mod atomic;
 mod blender;
 mod blocks;
 mod cameras;
@@ -27,9 +26,10 @@ mod test_scenes;
 pub mod usd;
 mod validate;
 
+use std::fs::File;
+use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
-pub use atomic::{atomic_write, atomic_write_with};
 pub use cameras::{
     CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, frame_count, picture_names, read_cameras,
     write_cameras, write_cameras_with_scene,
@@ -41,7 +41,28 @@ pub use loss::{Loss, SplatError, WriteReport};
 pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};
 
+use crate::atomic;
 use crate::scene::{HybridScene, PixelFilter, Splats};
+
+/// Writes `bytes` to `path` by way of a temporary file in the same folder, so that `path` holds either its former
+/// content or all of the new one.
+///
+/// # Errors
+/// If the folder does not exist or cannot be written to.
+pub fn atomic_write(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
+    atomic_write_with(path, |out| out.write_all(bytes)).map(drop)
+}
+
+/// As [`atomic_write`], for content that is produced piecemeal. Returns the number of bytes written.
+///
+/// # Errors
+/// If the folder does not exist or cannot be written to, or `produce` fails.
+pub fn atomic_write_with(
+    path: &Path,
+    produce: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> Result<u64, FormatError> {
+    atomic::write_with(path, produce).map_err(|source| FormatError::Write { file: path.to_owned(), source })
+}
 
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -104,7 +125,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     let failed = |source| FormatError::Read { file: path.to_owned(), source };
     let mut start = vec![];
     // Enough to see past the white space with which JSON may begin.
-    std::fs::File::open(path).and_then(|f| f.take(256).read_to_end(&mut start)).map_err(failed)?;
+    File::open(path).and_then(|f| f.take(256).read_to_end(&mut start)).map_err(failed)?;
     let first = start.iter().find(|b| !b.is_ascii_whitespace());
     let named = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
     if start.starts_with(b"glTF") {

@@ -1,23 +1,31 @@
 //! An optimisation on disk, from which it can go on: a safetensors file with all parameters and moments.
 
 use std::{
-    borrow::Cow,
     collections::{BTreeMap, HashMap},
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 
-use safetensors::{Dtype, SafeTensors, View};
+use safetensors::{
+    Dtype, SafeTensorError, SafeTensors,
+    tensor::{Metadata, TensorInfo},
+};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::render::gpu::state::{GEOMETRY_FLOATS, SplatState};
-use crate::scene::{SceneError, sh};
+use crate::{
+    atomic,
+    render::gpu::state::{GEOMETRY_FLOATS, SplatState},
+    scene::{SceneError, sh},
+};
 
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
 pub const VERSION: u32 = 8;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";
+/// Longest header of a safetensors file that its readers take, bytes.
+const MAX_HEADER: usize = 100_000_000;
 /// Names of the arrays of [`SplatState`].
 const SPLATS: [&str; 6] =
     ["splats/geometry", "splats/sh", "splats/geometry_m", "splats/geometry_v", "splats/sh_m", "splats/sh_v"];
@@ -48,7 +56,7 @@ pub enum CheckpointError {
         /// The file.
         path: PathBuf,
         /// What it said.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// The content makes no sense.
     #[error("{}: {field}: expected {expected}, found {found}", path.display())]
@@ -86,14 +94,23 @@ impl Checkpoint {
         let header = Header { version: VERSION, sh_degree: self.splats.sh_degree, meta: self.meta.clone() };
         let header = serde_json::to_string(&header)
             .map_err(|e| invalid(path)(SceneError::new("meta", "values that JSON can hold", e.to_string())))?;
-        let own = SPLATS.into_iter().zip(self.splats.arrays().map(Array::floats));
-        let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::floats(values)));
-        let indices = self.indices.iter().map(|(name, values)| (name.as_str(), Array::indices(values)));
-        let metadata = HashMap::from([(HEADER.to_owned(), header)]);
-        safetensors::serialize_to_file(own.chain(others).chain(indices), Some(metadata), path).map_err(|e| match e {
-            safetensors::SafeTensorError::IoError(source) => CheckpointError::Io { path: path.into(), source },
-            e => invalid(path)(SceneError::new("checkpoint", "at most 100 MB of metadata", e.to_string())),
+        let own = SPLATS.into_iter().zip(self.splats.arrays().map(Array::Floats));
+        let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::Floats(values)));
+        let indices = self.indices.iter().map(|(name, values)| (name.as_str(), Array::Indices(values)));
+        let arrays: BTreeMap<&str, Array> = own.chain(others).chain(indices).collect();
+        let too_much = |e: String| invalid(path)(SceneError::new("checkpoint", "at most 100 MB of metadata", e));
+        let header = described(&arrays, header).map_err(|e| too_much(e.to_string()))?;
+        if header.len() > MAX_HEADER {
+            return Err(too_much(format!("{} bytes", header.len())));
+        }
+        // In the order in which they are described.
+        atomic::write_with(path, |out| {
+            out.write_all(&(header.len() as u64).to_le_bytes())?;
+            out.write_all(&header)?;
+            arrays.values().try_for_each(|array| array.write(out))
         })
+        .map(drop)
+        .map_err(|source| CheckpointError::Io { path: path.into(), source })
     }
 
     /// Reads what [`Self::write`] wrote.
@@ -207,43 +224,43 @@ fn check_offsets(bytes: &[u8]) -> Result<(), SceneError> {
 }
 
 /// A one-dimensional tensor of 4-byte words.
-struct Array<'a> {
-    kind: Dtype,
-    shape: [usize; 1],
-    words: &'a [u32],
+#[derive(Clone, Copy)]
+enum Array<'a> {
+    Floats(&'a [f32]),
+    Indices(&'a [u32]),
 }
 
 impl<'a> Array<'a> {
-    fn floats(values: &'a [f32]) -> Self {
-        Self { kind: Dtype::F32, shape: [values.len()], words: bytemuck::cast_slice(values) }
-    }
-
-    fn indices(values: &'a [u32]) -> Self {
-        Self { kind: Dtype::U32, shape: [values.len()], words: values }
-    }
-}
-
-impl View for Array<'_> {
-    fn dtype(&self) -> Dtype {
-        self.kind
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        // The file is little-endian.
-        if cfg!(target_endian = "little") {
-            bytemuck::cast_slice(self.words).into()
-        } else {
-            self.words.iter().flat_map(|w| w.to_le_bytes()).collect()
+    fn words(self) -> &'a [u32] {
+        match self {
+            Self::Floats(values) => bytemuck::cast_slice(values),
+            Self::Indices(values) => values,
         }
     }
 
-    fn data_len(&self) -> usize {
-        size_of_val(self.words)
+    fn write(self, out: &mut impl Write) -> io::Result<()> {
+        // The file is little-endian.
+        if cfg!(target_endian = "little") {
+            return out.write_all(bytemuck::cast_slice(self.words()));
+        }
+        self.words().iter().try_for_each(|word| out.write_all(&word.to_le_bytes()))
     }
+}
+
+/// The header of a safetensors file of these arrays, one behind the other, padded to eight bytes. `safetensors` writes such a file only
+/// from memory that holds it, or by itself and for its owner alone.
+fn described(arrays: &BTreeMap<&str, Array>, header: String) -> Result<Vec<u8>, SafeTensorError> {
+    let mut end = 0;
+    let infos = arrays.iter().map(|(name, array)| {
+        let dtype = if matches!(array, Array::Floats(_)) { Dtype::F32 } else { Dtype::U32 };
+        let (start, words) = (end, array.words());
+        end += size_of_val(words);
+        (String::from(*name), TensorInfo { dtype, shape: vec![words.len()], data_offsets: (start, end) })
+    });
+    let metadata = Metadata::new(Some(HashMap::from([(HEADER.to_owned(), header)])), infos.collect())?;
+    let mut text = serde_json::to_vec(&metadata)?;
+    text.resize(text.len().next_multiple_of(8), b' ');
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -273,6 +290,14 @@ mod tests {
         let path = folder.path().join("c.safetensors");
         c.write(&path).unwrap();
         assert_eq!(folder.path().read_dir().unwrap().count(), 1, "no temporary file stays");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+            let plain = folder.path().join("plain");
+            std::fs::write(&plain, "").unwrap();
+            assert_eq!(mode(&path), mode(&plain), "as readable as any other file");
+        }
         std::fs::read(path).unwrap()
     }
 

@@ -169,9 +169,13 @@ impl Saved {
             let base = texture("base", take(format!("mesh{i}/base"))?)?.ok_or_else(|| damaged("base"))?;
             let bands = texture("bands", take(format!("mesh{i}/bands"))?)?;
             let mesh = Mesh::new(
-                positions.chunks_exact(3).map(Vec3::from_slice).collect(),
-                triangles.as_chunks().0.to_vec(),
-                uvs.chunks_exact(6).map(|c| [0, 2, 4].map(|k| Vec2::new(c[k], c[k + 1]))).collect(),
+                rows(&positions).ok_or_else(|| damaged("positions"))?.iter().copied().map(Vec3::from_array).collect(),
+                rows(&triangles).ok_or_else(|| damaged("triangles"))?.to_vec(),
+                rows::<_, 6>(&uvs)
+                    .ok_or_else(|| damaged("corner_uvs"))?
+                    .iter()
+                    .map(|c| [0, 2, 4].map(|k| Vec2::new(c[k], c[k + 1])))
+                    .collect(),
                 Atlas::new(base, bands).map_err(invalid)?,
             );
             meshes.push(mesh.map_err(invalid)?);
@@ -237,6 +241,12 @@ impl Saved {
             },
         })
     }
+}
+
+/// Values by rows of `N`; `None` if some are left.
+fn rows<T, const N: usize>(values: &[T]) -> Option<&[[T; N]]> {
+    let (rows, rest) = values.as_chunks();
+    rest.is_empty().then_some(rows)
 }
 
 /// The first option that matters to the result and differs.

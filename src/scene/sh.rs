@@ -10,10 +10,12 @@ pub const MAX_DEGREE: u32 = 3;
 /// Y₀: 1/(2√π).
 pub const C0: f64 = 0.282_094_791_773_878_14;
 
-/// Number of coefficients per colour channel of a degree: (d+1)².
+/// Number of coefficients per colour channel of a degree: (d+1)². Also of degrees beyond [`MAX_DEGREE`], as files may claim; where the number
+/// has no room, the largest there is.
 #[must_use]
 pub const fn coefficients(degree: u32) -> usize {
-    ((degree + 1) * (degree + 1)) as usize
+    let terms = (degree as usize).saturating_add(1);
+    terms.saturating_mul(terms)
 }
 
 /// The 16 basis functions at unit direction `d`, ordered by band and then by m = −l..l.
