@@ -206,7 +206,7 @@ fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, stated_filter:
 
 /// What was in the document and is not in the scene goes with the document.
 fn dropping(source: &gltf::Source, loss: Loss) -> Loss {
-    Loss { document: source.remainder().to_vec(), ..loss }
+    Loss { document: source.remainder().iter().map(ToString::to_string).collect(), ..loss }
 }
 
 fn names(attributes: &[Attribute]) -> Vec<String> {

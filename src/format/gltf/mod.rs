@@ -53,6 +53,7 @@ pub use motion::Clip;
 pub(super) use motion::Motion;
 pub(super) use pose::Poses;
 pub(super) use read::scene as scene_of;
+pub use remainder::Remnant;
 pub(super) use sizes::bytes_by_part;
 pub use source::Source;
 pub(super) use transform::placements;

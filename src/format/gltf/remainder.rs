@@ -1,40 +1,65 @@
 //! What of a document a scene does not hold, in words.
 
 use std::collections::BTreeSet;
+use std::fmt;
 
 use serde_json::Value;
 
 use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
 use super::meshopt;
 
+/// The extension by which animations move what is no node.
+const ANIMATION_POINTER: &str = "KHR_animation_pointer";
+
+/// Something that a document has and a scene does not hold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remnant {
+    /// In words: `2 animations`.
+    pub what: String,
+    /// Whether it has to do with motion.
+    pub moves: bool,
+}
+
+impl Remnant {
+    fn still(what: String) -> Self {
+        Self { what, moves: false }
+    }
+}
+
+impl fmt::Display for Remnant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)
+    }
+}
+
 /// Everything that a scene written anew would lack. `is_ours`: whether its tree of nodes is the one we write.
-pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<String> {
+pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     let mut found = vec![];
-    let mut count = |n: usize, what: &str| {
+    let mut count = |n: usize, what: &str, moves: bool| {
         if n > 0 {
-            found.push(format!("{n} {what}{}", if n == 1 { "" } else { "s" }));
+            found.push(Remnant { what: format!("{n} {what}{}", if n == 1 { "" } else { "s" }), moves });
         }
     };
     let list = |key: &str| root.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    count(list("animations").len(), "animation");
-    count(list("skins").len(), "skin");
-    count(list("scenes").len().saturating_sub(1), "further scene");
+    count(list("animations").len(), "animation", true);
+    count(list("skins").len(), "skin", true);
+    count(list("scenes").len().saturating_sub(1), "further scene", false);
     let primitives = || list("meshes").iter().flat_map(|m| items(m.get("primitives")));
-    count(primitives().map(|p| items(p.get("targets")).len()).max().unwrap_or(0), "morph target");
+    count(primitives().map(|p| items(p.get("targets")).len()).max().unwrap_or(0), "morph target", true);
     let is_orthographic = |c: &&Value| c.get("type").and_then(Value::as_str) == Some("orthographic");
-    count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera");
+    count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera", false);
     let nodes = list("nodes");
     // Nodes that were put above a scene to move it become part of its coordinates.
     let has_children =
         |n: &&Value| !items(n.get("children")).is_empty() && n.get("name").and_then(Value::as_str) != Some(MOVED_NODE);
     if nodes.iter().filter(has_children).count() > usize::from(is_ours) {
-        found.push(format!("the tree of {} nodes", nodes.len()));
+        found.push(Remnant::still(format!("the tree of {} nodes", nodes.len())));
     }
     if primitives().any(|p| khr_extension(p, HYBRID)) {
-        found.push("bindings of splats".to_owned());
+        found.push(Remnant { what: "bindings of splats".to_owned(), moves: true });
     }
     if root.get("extensions").is_some_and(|e| e.get(HYBRID).is_some()) {
-        found.push("deformation fields".to_owned());
+        found.push(Remnant { what: "deformation fields".to_owned(), moves: true });
     }
     let attributes: BTreeSet<&str> = primitives()
         .flat_map(|p| p.get("attributes").and_then(Value::as_object))
@@ -43,14 +68,14 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<String> {
         .collect();
     let others: Vec<&str> = attributes.into_iter().filter(|name| !is_held(name)).collect();
     if !others.is_empty() {
-        found.push(format!("the attributes {}", others.join(", ")));
+        found.push(Remnant::still(format!("the attributes {}", others.join(", "))));
     }
     for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
-        found.push(format!("the extension {name}"));
+        found.push(Remnant { what: format!("the extension {name}"), moves: name == ANIMATION_POINTER });
     }
     let of_parts = ["nodes", "meshes", "materials", "cameras", "accessors", "textures", "images"];
     if of_parts.iter().any(|key| list(key).iter().any(has_extras)) || primitives().any(has_extras) {
-        found.push("extras".to_owned());
+        found.push(Remnant::still("extras".to_owned()));
     }
     found
 }

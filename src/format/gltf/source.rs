@@ -15,7 +15,7 @@ use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract};
 use super::lift::Asset;
 use super::motion::Clip;
 use super::moving::Moving;
-use super::remainder::remainder;
+use super::remainder::{Remnant, remainder};
 use super::transform::{FLIP, is_ours};
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
@@ -42,7 +42,7 @@ pub struct Source {
     /// Without the `uri`s of buffers and of the images below.
     root: Value,
     content: Option<Content>,
-    remainder: Vec<String>,
+    remainder: Vec<Remnant>,
     /// From coordinates of the scene as read to those it has now.
     moved: DMat4,
     /// Whether the scene as read is in the frame of the capture.
@@ -152,15 +152,14 @@ impl Source {
     /// What of the document a scene does not hold, a few words each: `2 animations`, `the extension KHR_lights_punctual`.
     /// It is lost where the document does not stand.
     #[must_use]
-    pub fn remainder(&self) -> &[String] {
+    pub fn remainder(&self) -> &[Remnant] {
         &self.remainder
     }
 
-    /// What of [`Source::remainder`] moves things.
-    #[must_use]
-    pub fn motion(&self) -> Vec<String> {
+    /// What of [`Source::remainder`] has to do with motion, in a document that moves.
+    pub(in crate::format) fn motion(&self) -> Vec<String> {
         let count = self.root.get("animations").and_then(Value::as_array).map_or(0, Vec::len);
-        self.remainder.iter().filter(|part| count > 0 && is_motion(part)).cloned().collect()
+        self.remainder.iter().filter(|part| count > 0 && part.moves).map(ToString::to_string).collect()
     }
 
     /// Follows a scene that was read from this document and has been moved by `by`, column vectors, to become `scene` with
@@ -395,11 +394,6 @@ fn merge(object: &mut Value, new: &Value) {
     if let (Some(object), Some(new)) = (object.as_object_mut(), new.as_object()) {
         object.extend(new.clone());
     }
-}
-
-/// Whether a part of a remainder has to do with motion.
-fn is_motion(part: &str) -> bool {
-    ["animation", "skin", "morph target", "bindings of splats", "deformation"].iter().any(|word| part.contains(word))
 }
 
 /// A hash of all arrays of a scene.

@@ -111,7 +111,8 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let counts = kinds.into_iter().map(|kind| (kind, length(kind))).filter(|(_, n)| *n > 0).collect();
     let generator = asset.root.pointer("/asset/generator").and_then(Value::as_str).map(str::to_owned);
     let animations = Motion::read(asset).clips().to_vec();
-    Ok(Document { generator, nodes, animations, counts, remainder: remainder(&asset.root, is_ours(&asset.document)) })
+    let remainder = remainder(&asset.root, is_ours(&asset.document)).into_iter().map(|part| part.what).collect();
+    Ok(Document { generator, nodes, animations, counts, remainder })
 }
 
 fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Primitive {
