@@ -22,10 +22,6 @@ pub struct Cameras {
     pub images: Vec<PathBuf>,
 }
 
-/// Sides and pixels that an image may have, as many as the largest photographs: buffers are made for it.
-const MAX_SIDE: u32 = 1 << 16;
-const MAX_PIXELS: u64 = 1 << 28;
-
 /// `camera_path.json` of nerfstudio's viewer.
 #[derive(Deserialize)]
 struct CameraPath {
@@ -152,8 +148,9 @@ fn sized(
     options: &LoadOptions,
 ) -> Result<(String, Camera), CaptureError> {
     let (width, height) = options.downscale.size(camera.intrinsics().width, camera.intrinsics().height);
-    if width.max(height) > MAX_SIDE || u64::from(width) * u64::from(height) > MAX_PIXELS {
-        let expected = format!("an image of at most {MAX_PIXELS} pixels");
+    if !Intrinsics::is_size(width, height) {
+        let expected =
+            format!("an image of at most {} pixels, {} a side", Intrinsics::MAX_PIXELS, Intrinsics::MAX_SIDE);
         return Err(CaptureError::invalid(list, at, expected, format!("{width}×{height}")));
     }
     Ok((name, camera.resized(width, height)))
@@ -242,7 +239,7 @@ mod tests {
         let unsized_ = error(&format!(r#"{{ "fl_x": 30, "frames": {frames} }}"#));
         assert!(unsized_.ends_with("expected its image, or its size as w and h, found neither"), "{unsized_}");
         let large = error(&format!(r#"{{ "fl_x": 30, "w": 1e9, "h": 9, "frames": {frames} }}"#));
-        assert!(large.contains("pixels, found 500000000×4"), "{large}");
+        assert!(large.contains("a side, found 500000000×4"), "{large}");
         assert!(
             error(&format!(r#"{{ {lens}, "frames": [] }}"#))
                 .ends_with("/frames: expected at least 1 camera, found none")

@@ -10,6 +10,7 @@ use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Rgba
 use super::distortion::{Distortion, Lens};
 use super::views::same_aspect;
 use super::{CaptureError, View, error};
+use crate::scene::Intrinsics;
 
 /// Where a picture comes from and what makes it fit its camera.
 #[derive(Clone, Debug)]
@@ -71,10 +72,6 @@ pub struct Photo {
     pub masked: bool,
 }
 
-/// Pixels a picture may have, 2²⁸: four times a 64-megapixel camera, 1 GiB decoded. A header that claims more is a
-/// mistake or an attack.
-const MAX_PIXELS: u64 = 1 << 28;
-
 /// Bytes of pixels a byte of a file can stand for at most. Deflate reaches 1032, of which each is 8 pixels of 1 bit, or 24 bytes of a
 /// palette's colours: 24,768. A progressive JPEG of one colour has about 1000 (one bit per 8×8 block). Memory is not reserved on the word of a
 /// header that claims more.
@@ -122,8 +119,9 @@ fn decoder<'a>(bytes: &'a [u8], path: &Path) -> Result<impl ImageDecoder + 'a, C
     reader.no_limits();
     let decoder = reader.into_decoder().map_err(|e| image_error(path, bytes.len(), &e))?;
     let (w, h) = decoder.dimensions();
-    if u64::from(w) * u64::from(h) > MAX_PIXELS || w == 0 || h == 0 {
-        return Err(CaptureError::invalid(path, "image size", format!("1 to {MAX_PIXELS} pixels"), format!("{w}×{h}")));
+    if !Intrinsics::is_size(w, h) {
+        let expected = format!("1 to {} pixels, at most {} a side", Intrinsics::MAX_PIXELS, Intrinsics::MAX_SIDE);
+        return Err(CaptureError::invalid(path, "image size", expected, format!("{w}×{h}")));
     }
     if decoder.total_bytes() / MAX_RATIO > bytes.len() as u64 {
         let expected = format!("{w}×{h} pixels in {} bytes", decoder.total_bytes() / MAX_RATIO);

@@ -44,6 +44,13 @@ pub use validate::{Finding, Severity, Validation, validate};
 use crate::atomic;
 use crate::scene::{HybridScene, PixelFilter, Splats};
 
+/// Bytes of pixels that a byte of an image can stand for at most, with room to spare: deflate reaches 1032, a progressive
+/// JPEG of one colour about 512. Memory is not reserved on the word of a header that claims more.
+const MAX_PIXEL_RATIO: u64 = 4096;
+
+/// Image height given to cameras that do not state one.
+const DEFAULT_HEIGHT: u32 = 1080;
+
 /// Writes `bytes` to `path` by way of a temporary file in the same folder, so that `path` holds either its former
 /// content or all of the new one.
 ///

@@ -2,6 +2,7 @@ use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::{ChartSpace, GeometryError, Surface, charts, pack};
+use crate::scene::Texture;
 
 /// A surface with texture coordinates for one square atlas.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,15 +42,15 @@ pub struct UnwrapStats {
 /// With `charts_in` areas and shapes are those that the surface has there.
 ///
 /// # Errors
-/// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=16384, or
+/// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=[`Texture::MAX_SIDE`], or
 /// the charts do not fit even with gutters of 1 texel.
 pub fn unwrap(
     surface: &Surface,
     charts_in: Option<&ChartSpace>,
     atlas_size: u32,
 ) -> Result<UnwrappedMesh, GeometryError> {
-    if !(16..=16384).contains(&atlas_size) {
-        return Err(GeometryError::argument("atlas_size", "16 to 16384 texels", &atlas_size));
+    if !(16..=Texture::MAX_SIDE).contains(&atlas_size) {
+        return Err(GeometryError::argument("atlas_size", format!("16 to {} texels", Texture::MAX_SIDE), &atlas_size));
     }
     if surface.triangles.is_empty() {
         return Err(GeometryError::argument("triangles", "at least one triangle", &"none"));

@@ -121,15 +121,16 @@ fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize>
 /// a sort of all views; the views that look at it from farthest away are tried first, and among these the one that saw the last.
 ///
 /// # Errors
-/// If `size` is empty or above 16384 a side, `near` is negative or not a number, or `layers` is 0.
+/// If `size` is empty or above [`Texture::MAX_SIDE`] a side, `near` is negative or not a number, or `layers` is 0.
 pub fn texel_visibility(
     mesh: &Mesh,
     size: [usize; 2],
     hidden_by: &MeshBvh,
     viewers: &Viewers,
 ) -> Result<TexelVisibility, GeometryError> {
-    if size.iter().any(|side| !(1..=16384).contains(side)) {
-        return Err(GeometryError::argument("size", "1 to 16384 texels a side", &format!("{}×{}", size[0], size[1])));
+    if size.iter().any(|side| !(1..=Texture::MAX_SIDE as usize).contains(side)) {
+        let expected = format!("1 to {} texels a side", Texture::MAX_SIDE);
+        return Err(GeometryError::argument("size", expected, &format!("{}×{}", size[0], size[1])));
     }
     if !(viewers.near >= 0.0 && viewers.near.is_finite()) {
         return Err(GeometryError::argument("near", "a depth of 0 or more", &viewers.near));

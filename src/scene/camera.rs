@@ -20,6 +20,18 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
+    /// Most pixels a side of an image that a file may ask for, as buffers are made for it: those of the largest photographs.
+    pub const MAX_SIDE: u32 = 1 << 16;
+    /// Most pixels of one, 2²⁸: four times a 64-megapixel camera, 1 GiB decoded to bytes. What claims more is a mistake or an attack.
+    pub const MAX_PIXELS: u64 = 1 << 28;
+
+    /// Whether an image is neither empty nor larger than that.
+    #[must_use]
+    pub fn is_size(width: u32, height: u32) -> bool {
+        let pixels = u64::from(width) * u64::from(height);
+        width.max(height) <= Self::MAX_SIDE && (1..=Self::MAX_PIXELS).contains(&pixels)
+    }
+
     /// The same camera at another image size. Uses the *actual* new size, so rounding is accounted for.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {

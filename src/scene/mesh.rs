@@ -14,23 +14,27 @@ pub struct Texture {
 }
 
 impl Texture {
+    /// Most texels a side: those of the largest texture of Direct3D 12.
+    pub const MAX_SIDE: u32 = 16384;
+
     /// Validates and takes `texels` `[height·width·channels]`.
     ///
     /// # Errors
-    /// If the size is 0 or above 16384, the length is wrong or a value is not finite.
+    /// If a side is 0 or above [`Self::MAX_SIDE`], the length is wrong or a value is not finite.
     pub fn new(width: u32, height: u32, channels: u32, texels: Vec<f32>) -> Result<Self, SceneError> {
-        if !(1..=16384).contains(&width) || !(1..=16384).contains(&height) {
-            return Err(SceneError::new("texture size", "1 to 16384 texels a side", format!("{width}×{height}")));
+        if ![width, height].iter().all(|side| (1..=Self::MAX_SIDE).contains(side)) {
+            let expected = format!("1 to {} texels a side", Self::MAX_SIDE);
+            return Err(SceneError::new("texture size", expected, format!("{width}×{height}")));
         }
         check_len("texels", texels.len(), width as usize * height as usize * channels as usize)?;
         check_finite("texels", &texels, channels.max(1) as usize)?;
         Ok(Self { width, height, channels, texels })
     }
 
-    /// A texture of zeros. Sizes are clamped to 1..=16384.
+    /// A texture of zeros. Sides are clamped to 1..=[`Self::MAX_SIDE`].
     #[must_use]
     pub fn zeros(width: u32, height: u32, channels: u32) -> Self {
-        let (width, height) = (width.clamp(1, 16384), height.clamp(1, 16384));
+        let [width, height] = [width, height].map(|side| side.clamp(1, Self::MAX_SIDE));
         let texels = vec![0.0; width as usize * height as usize * channels as usize];
         Self { width, height, channels, texels }
     }

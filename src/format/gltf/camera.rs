@@ -4,16 +4,10 @@ use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
 
 use super::extension::{EXTRAS, ExactCamera};
+use crate::format::DEFAULT_HEIGHT;
 use crate::format::cameras::short;
 use crate::format::placed::{Similarity, similarity};
 use crate::scene::{Camera, Intrinsics};
-
-/// Image height given to cameras that do not state one.
-const DEFAULT_HEIGHT: u32 = 1080;
-
-/// Sides and pixels that the image of a camera may have, as many as the largest photographs: buffers are made for it.
-const MAX_SIDE: u32 = 1 << 16;
-const MAX_PIXELS: u64 = 1 << 28;
 
 /// What a camera at a node is called; `nth` of those that are read, from 0, if nobody says.
 pub(super) fn name(node: &gltf::Node<'_>, nth: usize) -> String {
@@ -36,9 +30,9 @@ pub(super) fn read(
     let extras = camera.extras.as_ref().and_then(|e| serde_json::from_str::<Value>(e.get()).ok());
     let exact = extras.and_then(|e| serde_json::from_value::<ExactCamera>(e.get(EXTRAS)?.clone()).ok());
     if let Some(c) = &exact
-        && (c.width.max(c.height) > MAX_SIDE || u64::from(c.width) * u64::from(c.height) > MAX_PIXELS)
+        && !Intrinsics::is_size(c.width, c.height)
     {
-        return Err(format!("its image of {}×{} pixels is too large", c.width, c.height));
+        return Err(format!("its image of {}×{} pixels is empty or too large", c.width, c.height));
     }
     let reshaped = exact.is_some();
     if let Some(c) = exact.and_then(|mut c| takes_lens_of(&mut c, camera).then_some(c)) {

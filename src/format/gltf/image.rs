@@ -8,7 +8,9 @@ use image::ImageDecoder as _;
 use super::extension::WEBP;
 use super::lift::Asset;
 use super::uri::resolve;
+use crate::format::MAX_PIXEL_RATIO;
 use crate::format::error::Fault;
+use crate::scene::Texture;
 
 /// Texels as stored, 0..1, no transfer function undone; rows from the top.
 pub(in crate::format) struct Texels {
@@ -18,13 +20,6 @@ pub(in crate::format) struct Texels {
     /// Hash and length of the file.
     pub(super) encoded: (u64, u64),
 }
-
-/// Largest side accepted, that of `scene::Texture`.
-const MAX_SIDE: u32 = 16384;
-
-/// Bytes of pixels that a byte of a file can stand for at most, with room to spare: deflate reaches 1032, a progressive
-/// JPEG of one colour about 512. Memory is not reserved on the word of a header that claims more.
-const MAX_RATIO: u64 = 4096;
 
 impl Asset {
     /// Decodes the image of texture `index`: PNG (8 or 16 bit), JPEG or WebP.
@@ -61,15 +56,15 @@ pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, Str
     let mut reader =
         image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
     let mut limits = image::Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_image_width = Some(Texture::MAX_SIDE);
+    limits.max_image_height = Some(Texture::MAX_SIDE);
     // RGBA of 16 bits at the largest size, for the decoder itself.
-    limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * 8);
+    limits.max_alloc = Some(u64::from(Texture::MAX_SIDE).pow(2) * 8);
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(|e| undecodable(&e))?;
-    if decoder.total_bytes() / MAX_RATIO > encoded_bytes {
+    if decoder.total_bytes() / MAX_PIXEL_RATIO > encoded_bytes {
         let (width, height) = decoder.dimensions();
-        let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_RATIO);
+        let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_PIXEL_RATIO);
         return Err((expected, format!("{encoded_bytes} bytes")));
     }
     let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
@@ -84,7 +79,7 @@ fn webp_texels(encoded: &[u8], identity: (u64, u64)) -> Result<Texels, Box<dyn s
     let (width, height) = decoder.dimensions();
     let channels = if decoder.has_alpha() { 4 } else { 3 };
     let size = decoder.output_buffer_size().unwrap_or(usize::MAX);
-    if size > SMALL && size as u64 / MAX_RATIO > encoded.len() as u64 {
+    if size > SMALL && size as u64 / MAX_PIXEL_RATIO > encoded.len() as u64 {
         return Err(format!("{width}×{height} pixels in {} bytes", encoded.len()).into());
     }
     let mut bytes = vec![0; size];

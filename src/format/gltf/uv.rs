@@ -115,7 +115,7 @@ impl UvMap {
         }
         let (w, h) = (texture.width(), texture.height());
         let (width, height) = (f64::from(w) * f64::from(columns), f64::from(h) * f64::from(rows));
-        if width > 16384.0 || height > 16384.0 || width * height > MAX_TEXELS as f64 {
+        if width.max(height) > f64::from(Texture::MAX_SIDE) || width * height > MAX_TEXELS as f64 {
             return None;
         }
         let (width, height) = (width as u32, height as u32);

@@ -29,7 +29,7 @@ pub(super) fn read(asset: &Asset, id: (usize, usize), count: usize) -> Result<Op
 pub(super) fn atlas(texels: &[[f32; 4]], triangles: &[[u32; 3]]) -> Result<(Texture, Vec<[Vec2; 3]>), Fault> {
     let columns = (triangles.len() as f64).sqrt().ceil().max(1.0) as usize;
     let (width, height) = (2 * columns + 1, 2 * triangles.len().div_ceil(columns) + 1);
-    if width > 16384 {
+    if width > Texture::MAX_SIDE as usize {
         return Err(Fault::whole("at most 67 million triangles with colours of vertices", triangles.len().to_string()));
     }
     let mut map = vec![[0.0f32; 4]; width * height];

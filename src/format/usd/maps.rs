@@ -6,7 +6,7 @@ use exr::prelude::{ReadChannels as _, ReadLayers as _};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 
-use crate::format::activation;
+use crate::format::{MAX_PIXEL_RATIO, activation};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// On failure: what was expected, and what was found.
@@ -58,9 +58,6 @@ pub(super) fn exr(map: &Texture) -> Result<Vec<u8>, String> {
     crate::format::exr::encode(map, 0, &channel_names(map.channels()))
 }
 
-/// Bytes of texels that a byte of a file can stand for at most: deflate reaches 1032.
-const MAX_RATIO: u64 = 4096;
-
 /// A map of `exr`. That of bands has 9, 24 or 45 channels, as many as are named in order.
 pub(super) fn from_exr(file: &[u8], is_base: bool) -> Result<Texture, Mismatch> {
     let unreadable = |e: exr::error::Error| ("an EXR image".to_owned(), e.to_string());
@@ -69,7 +66,10 @@ pub(super) fn from_exr(file: &[u8], is_base: bool) -> Result<Texture, Mismatch> 
     let header = meta.headers.first().ok_or_else(|| ("an EXR image".to_owned(), "none in the file".to_owned()))?;
     let (width, height) = (header.layer_size.x(), header.layer_size.y());
     let samples = width as u64 * height as u64 * header.channels.list.len() as u64;
-    if meta.headers.len() > 1 || width.max(height) > 16384 || samples / MAX_RATIO > file.len() as u64 {
+    if meta.headers.len() > 1
+        || width.max(height) > Texture::MAX_SIDE as usize
+        || samples / MAX_PIXEL_RATIO > file.len() as u64
+    {
         let found = format!("{} of {width}×{height} in {} bytes", meta.headers.len(), file.len());
         return Err(("one EXR image that its file can hold".to_owned(), found));
     }

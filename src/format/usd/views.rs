@@ -4,15 +4,9 @@ use glam::{DMat3, DMat4, DVec3};
 
 use super::names;
 use super::stage::Stage;
+use crate::format::DEFAULT_HEIGHT;
 use crate::format::placed::{Similarity, similarity};
 use crate::scene::{Camera, Intrinsics};
-
-/// Image height given to cameras that do not state one.
-const DEFAULT_HEIGHT: u32 = 1080;
-
-/// Sides and pixels that the image of a camera may have, as many as the largest photographs: buffers are made for it.
-const MAX_SIDE: f64 = 65536.0;
-const MAX_PIXELS: f64 = 268_435_456.0;
 
 /// A camera in the world of `transform`, followed by `to_scene`, and what had to be assumed about it; on failure, the
 /// reason.
@@ -49,7 +43,8 @@ pub(super) fn read(
         let height = f64::from(DEFAULT_HEIGHT);
         [(height * horizontal / vertical).round().max(1.0), height]
     });
-    if !(width >= 1.0 && height >= 1.0 && width.max(height) <= MAX_SIDE && width * height <= MAX_PIXELS) {
+    // A cast saturates, and makes 0 of what is no number.
+    if !Intrinsics::is_size(width as u32, height as u32) {
         return Err(format!("an image of {width}×{height} pixels"));
     }
     let (fx, fy) = (focal / horizontal * width, focal / vertical * height);
