@@ -63,6 +63,9 @@ fn pictures_do_not_replace_photographs() {
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
     let line = refused(folder.path(), "eval splats.ply capture -o capture/images");
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
+    // Before training, not after it.
+    let line = refused(folder.path(), "train capture -o s.glb --no-mesh --iterations 1 --report capture/images");
+    assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
     // Pictures of an earlier run are replaced, in the capture as anywhere.
     for _ in 0..2 {
         run(folder.path(), "render splats.ply --cameras capture -o capture/renders");

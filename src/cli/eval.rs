@@ -143,26 +143,31 @@ pub(super) struct Details<'a> {
     pub(super) messages: &'a MessageArgs,
 }
 
+/// Where pictures of the held-out views go in the folder of a report. None of the capture's photographs may be there, those that are trained
+/// on included: names of pictures are made anew.
+pub(super) fn report_pictures(folder: &Path, capture: &Capture) -> Result<Vec<PathBuf>> {
+    let views = held_out(capture)?;
+    let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
+    let pictures: Vec<PathBuf> = names.iter().map(|name| folder.join(name)).collect();
+    shared::spare_images(&pictures, capture.views.iter().map(|view| view.source.path()))?;
+    Ok(pictures)
+}
+
 /// Scores every held-out view; writes the folder of `details`.
 pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, details: &Details<'_>) -> Result<Evaluation> {
     let views = held_out(capture)?;
+    let files = details.folder.map(|folder| report_pictures(folder, capture)).transpose()?.unwrap_or_default();
     details.folder.map_or(Ok(()), shared::make_folder)?;
-    let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
-    if let Some(folder) = details.folder {
-        let pictures: Vec<PathBuf> = names.iter().map(|name| folder.join(name)).collect();
-        // Also those that are trained on: names of pictures are made anew.
-        shared::spare_images(&pictures, capture.views.iter().map(|view| view.source.path()))?;
-    }
     let mut evaluator = Evaluator::new(gpu, scene, &views)?;
     let (mut scores, mut pictures) = (vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());
-    for (view, picture) in views.into_iter().zip(names) {
+    for (i, view) in views.into_iter().enumerate() {
         let comparison = evaluator.compare(view)?;
         let score = comparison.score(&view.name, details.lpips)?;
-        if let Some(folder) = details.folder {
+        if let Some(file) = files.get(i) {
             let sheet = side_by_side(&comparison.truth, &comparison.render)?;
             pictures.push(Picture::new(caption(&score), &sheet).with_context(|| view.name.clone())?);
-            write_png(&folder.join(picture), &sheet)?;
+            write_png(file, &sheet)?;
         }
         scores.push(score);
         progress.advance();

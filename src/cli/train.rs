@@ -374,6 +374,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
         "{}: expected held-out views for --report, found none",
         args.capture.display()
     );
+    if let Some(folder) = &args.report {
+        eval::report_pictures(folder, &capture)?;
+    }
     let mut notes = before_training(args, &capture, &gpu, scores);
     let aside = set_aside(args)?;
     notes.extend(aside.iter().map(|aside| {
