@@ -178,6 +178,10 @@ impl Fault {
         }
     }
 
+    pub(crate) fn location(&self) -> &Location {
+        &self.location
+    }
+
     /// Where, what was expected and what was found.
     pub(crate) fn into_parts(self) -> (Location, String, String) {
         (self.location, self.expected, self.found)

@@ -18,7 +18,9 @@
 //! ```
 
 mod binary;
+mod counts;
 mod document;
+mod extent;
 mod frame;
 mod from_scene;
 mod lex;
@@ -42,8 +44,9 @@ mod xform;
 
 use std::path::Path;
 
-use self::document::Layer;
+use self::document::{Layer, Specifier};
 use self::package::{Opened, located};
+use self::stage::Stage;
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;
 use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange};
@@ -59,6 +62,43 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
     let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
     scene.map_err(|fault| located(fault, member.as_ref()).in_file(path))
+}
+
+/// A rule of USD that a layer breaks.
+pub(super) struct Breach {
+    /// Name of the rule, for scripts.
+    pub(super) code: &'static str,
+    /// False where it is allowed and hardly meant.
+    pub(super) is_error: bool,
+    pub(super) fault: Fault,
+}
+
+/// Everything that is wrong with a file: what its reader stops at, if anything, and what readers put up with.
+///
+/// # Errors
+/// If it cannot be read, or is no layer nor a package of one.
+pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
+    let Opened { layer, mut place, member } = package::open(path)?;
+    let mut found = vec![];
+    let stopped = match document(layer) {
+        Err(fault) => Some(fault),
+        Ok(layer) => {
+            let stage = Stage::new(&layer);
+            // Others than definitions leave parts to what they are over.
+            for prim in (0..stage.prims.len()).filter(|&i| stage.prims[i].specifier == Specifier::Def) {
+                counts::check(&stage, prim, &mut found);
+                found.extend(extent::check(&stage, prim));
+            }
+            to_scene::scene(&layer, &mut place).err()
+        }
+    };
+    // Once where both stop at it.
+    if let Some(fault) = stopped.filter(|fault| !found.iter().any(|breach| breach.fault.location() == fault.location()))
+    {
+        found.insert(0, Breach { code: "CONTENT", is_error: true, fault });
+    }
+    found.iter_mut().for_each(|breach| breach.fault = located(breach.fault.clone(), member.as_ref()));
+    Ok(found)
 }
 
 /// A layer of either form.

@@ -18,6 +18,17 @@ pub(super) fn color_space<'a>(stage: &Stage<'a>, prim: usize) -> Result<Option<C
     }
 }
 
+/// SH degree that a prim states; on failure, what it states instead.
+fn degree_stated(stage: &Stage<'_>, prim: usize) -> Result<u32, f64> {
+    let stated = stage.number(prim, "radiance:sphericalHarmonicsDegree").unwrap_or(3.0);
+    if (0.0..=16.0).contains(&stated) { Ok(stated as u32) } else { Err(stated) }
+}
+
+/// SH coefficients per splat by the degree that a prim states; `None` if that is none.
+pub(super) fn coefficients_stated(stage: &Stage<'_>, prim: usize) -> Option<usize> {
+    degree_stated(stage, prim).ok().map(sh::coefficients)
+}
+
 /// In the frame of the prim. Arrays that are too short count as missing, as the schema says; what is missing gets the
 /// schema's idea of nothing said.
 pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<SplatArrays, Fault> {
@@ -43,12 +54,11 @@ pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> R
     if !fitted("opacities", opacities.len(), n) {
         opacities = vec![[1.0]; n];
     }
-    let stated = stage.number(prim, "radiance:sphericalHarmonicsDegree").unwrap_or(3.0);
-    if !(0.0..=16.0).contains(&stated) {
+    let stated = degree_stated(stage, prim).map_err(|found| {
         let at = format!("{at}.radiance:sphericalHarmonicsDegree");
-        return Err(Fault::pointer(at, "a degree of 0 to 3", stated.to_string()));
-    }
-    let (mut degree, stated_k) = ((stated as u32).min(sh::MAX_DEGREE), sh::coefficients(stated as u32));
+        Fault::pointer(at, "a degree of 0 to 3", found.to_string())
+    })?;
+    let (mut degree, stated_k) = (stated.min(sh::MAX_DEGREE), sh::coefficients(stated));
     let mut harmonics = either::<3>(stage, prim, "radiance:sphericalHarmonicsCoefficients")?.unwrap_or_default();
     if !fitted("radiance:sphericalHarmonicsCoefficients", harmonics.len(), n * stated_k) {
         (degree, harmonics) = (0, vec![[0.0; 3]; n]);

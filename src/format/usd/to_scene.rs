@@ -18,7 +18,7 @@ use crate::format::placed::{self, join};
 use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode, PixelFilter};
 
 /// Type of splats.
-const SPLATS: &str = "ParticleField3DGaussianSplat";
+pub(super) const SPLATS: &str = "ParticleField3DGaussianSplat";
 
 /// Prims that group, or that belong to others.
 const SILENT: [&str; 10] =

@@ -6,6 +6,7 @@
 mod gltf;
 mod ply;
 mod spz;
+mod usd;
 
 use std::fmt;
 use std::path::Path;
@@ -45,7 +46,7 @@ pub struct Finding {
 pub struct Validation {
     /// Path as given.
     pub file: String,
-    /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat` or `ksplat`.
+    /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat`, `ksplat` or `USD`.
     pub format: &'static str,
     /// Number of findings that are errors.
     pub errors: usize,
@@ -61,7 +62,8 @@ pub struct Validation {
 ///   of `KHR_gaussian_splatting` and of `EXT_gaussian_splatting_hybrid`.
 /// * `.ply` of splats: header, rows against the length of the file, values.
 /// * `.spz`: container, streams against the number of splats, values at the ends of their ranges.
-/// * `.usda`, `.usdz` and other files of splats: what the reader refuses.
+/// * `.usda`, `.usdc`, `.usdz`: what the reader refuses, lengths of arrays against their interpolation, extents.
+/// * other files of splats: what the reader refuses.
 ///
 /// # Errors
 /// If the file cannot be read or is none of these. What is wrong *in* it is no error, but a finding.
@@ -72,13 +74,11 @@ pub fn validate(path: &Path) -> Result<Validation, FormatError> {
         Kind::Gltf => gltf::check(&read_file(path)?, path.parent().unwrap_or(Path::new("")), &mut findings),
         Kind::Ply => ply::check(&read_file(path)?, &mut findings),
         Kind::Spz => spz::check(&read_file(path)?, &mut findings),
-        Kind::Ksplat | Kind::Sog | Kind::Splat | Kind::Usd => match read_scene(path) {
-            Ok(_) => {}
-            Err(FormatError::Content { location, expected, found, .. }) => {
-                findings.add(Severity::Error, "CONTENT", location, expected, found);
-            }
-            Err(e) => return Err(e),
-        },
+        Kind::Usd => {
+            let found = findings.content(usd::check(path))?;
+            findings.0.extend(found.into_iter().flatten());
+        }
+        Kind::Ksplat | Kind::Sog | Kind::Splat => drop(findings.content(read_scene(path))?),
     }
     let format = kind.name();
     let Findings(findings) = findings;
@@ -118,6 +118,17 @@ impl Findings {
     fn fault(&mut self, code: &'static str, fault: Fault) {
         let (location, expected, found) = fault.into_parts();
         self.add(Severity::Error, code, location, expected, found);
+    }
+
+    /// Makes a finding of what a reader stopped at in a file that could be read.
+    fn content<T>(&mut self, read: Result<T, FormatError>) -> Result<Option<T>, FormatError> {
+        match read {
+            Err(FormatError::Content { location, expected, found, .. }) => {
+                self.add(Severity::Error, "CONTENT", location, expected, found);
+                Ok(None)
+            }
+            other => other.map(Some),
+        }
     }
 
     fn has_errors(&self) -> bool {
