@@ -8,6 +8,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{self, Asset, bytes_by_part, scene_of};
+use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
 
@@ -104,7 +105,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let asset = Asset::open(path)?;
             let document = gltf::describe(&asset).map_err(|fault| fault.in_file(path))?;
             // What cannot be rendered can still be looked at.
-            let (scene, cameras, warnings) = match scene_of(&asset) {
+            let (scene, cameras, mut warnings) = match scene_of(&asset) {
                 Ok(file) => (file.scene, file.cameras.len(), file.notes),
                 Err(fault) => {
                     let (location, expected, found) = fault.into_parts();
@@ -114,6 +115,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                     (none, document.counts.get("cameras").copied().unwrap_or(0), vec![warning])
                 }
             };
+            warnings.extend(unknown_properties(&asset.root));
             Ok(Summary {
                 cameras,
                 composition: Some(composition(&scene.composition)),

@@ -87,6 +87,11 @@ pub fn validate(path: &Path) -> Result<Validation, FormatError> {
     Ok(Validation { file: path.display().to_string(), format, errors, warnings, findings })
 }
 
+/// As a [`Validation`] warns of them, one sentence each: mistyped properties of the hybrid extension in the JSON of a glTF.
+pub(super) fn unknown_properties(root: &serde_json::Value) -> Vec<String> {
+    gltf::unknown_properties(root)
+}
+
 /// Collects findings.
 #[derive(Default)]
 struct Findings(Vec<Finding>);

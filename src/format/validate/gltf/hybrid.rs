@@ -8,11 +8,37 @@ use super::super::{Findings, Offenders};
 use super::binding::is_unsigned;
 use super::document::{Component, Document, Elements};
 use super::scenes::check_times;
+use super::schema::{self, Unknown};
 use super::splats::check_token;
-use super::{binding, extension, fields, index, objects, primitives, schema};
+use super::{binding, extension, fields, index, objects, primitives};
+use crate::format::error::shown;
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM};
 
 const COLOR_SPACES: [&str; 2] = ["srgb_rec709_display", "lin_rec709_display"];
+
+/// The objects of the extension in a document, each with its JSON pointer and the name of its schema.
+fn parts<'a>(root: &'a Value) -> Vec<(String, &'a Value, String)> {
+    let mut found = vec![];
+    let mut add = |object: Option<(String, &'a Value)>, of: &str| {
+        found.extend(object.map(|(at, part)| (at, part, format!("{of}.{HYBRID}.schema.json"))));
+    };
+    objects(root, "scenes", "").for_each(|(at, scene)| add(extension(scene, HYBRID, &at), "scene"));
+    objects(root, "materials", "").for_each(|(at, material)| add(extension(material, HYBRID, &at), "material"));
+    for (at, primitive) in primitives(root) {
+        add(extension(primitive, HYBRID, &at), "mesh.primitive");
+        let khr = extension(primitive, KHR_SPLATS, &at);
+        add(khr.and_then(|(at, khr)| extension(khr, HYBRID, &at)), KHR_SPLATS);
+    }
+    add(extension(root, HYBRID, ""), "glTF");
+    found
+}
+
+/// Every property of the extension's objects that it does not have.
+pub(super) fn unknown(root: &Value) -> Vec<Unknown> {
+    let mut found = vec![];
+    parts(root).iter().for_each(|(at, part, name)| schema::unknown(part, name, at, &mut found));
+    found
+}
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     let root = document.root;
@@ -21,35 +47,33 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
         let expected = "optional use: every part has a fallback in core glTF";
         findings.warning("HYBRID_REQUIRED", format!("/extensionsRequired/{i}"), expected, "required");
     }
+    parts(root).iter().for_each(|(at, part, name)| schema::check(part, name, at, findings));
+    for Unknown { at, name, known } in unknown(root) {
+        findings.warning("HYBRID_PROPERTY", at, format!("no other than {}", known.join(", ")), shown(name.as_bytes()));
+    }
     for (at, scene) in objects(root, "scenes", "") {
         if let Some((at, contract)) = extension(scene, HYBRID, &at) {
-            schema::check(contract, &format!("scene.{HYBRID}.schema.json"), &at, findings);
             check_scene(root, contract, &at, findings);
         }
     }
     for (i, (at, material)) in objects(root, "materials", "").enumerate() {
         if let Some((at_radiance, radiance)) = extension(material, HYBRID, &at) {
-            schema::check(radiance, &format!("material.{HYBRID}.schema.json"), &at_radiance, findings);
             check_material(document, (i, material), radiance, &at_radiance, findings);
         }
     }
     for (at, primitive) in primitives(root) {
         if let Some((at_surface, surface)) = extension(primitive, HYBRID, &at) {
-            schema::check(surface, &format!("mesh.primitive.{HYBRID}.schema.json"), &at_surface, findings);
             check_surface(document, primitive, surface, (&at, &at_surface), findings);
         }
         if let Some((at_khr, khr)) = extension(primitive, KHR_SPLATS, &at)
             && let Some((at, bound)) = extension(khr, HYBRID, &at_khr)
+            && let Some(own) = bound.get("binding")
         {
-            schema::check(bound, &format!("{KHR_SPLATS}.{HYBRID}.schema.json"), &at, findings);
-            if let Some(own) = bound.get("binding") {
-                binding::check(document, primitive, own, &format!("{at}/binding"), findings);
-            }
+            binding::check(document, primitive, own, &format!("{at}/binding"), findings);
         }
     }
     check_mixed(root, findings);
     if let Some((at, own)) = extension(root, HYBRID, "") {
-        schema::check(own, &format!("glTF.{HYBRID}.schema.json"), &at, findings);
         fields::check(document, own, &at, findings);
     }
 }

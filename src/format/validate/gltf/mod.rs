@@ -20,6 +20,8 @@ use serde_json::Value;
 
 use self::document::Document;
 use super::Findings;
+use crate::format::error::shown;
+use crate::format::gltf::extension::HYBRID;
 
 /// Checks a `.glb` or `.gltf`; `folder` is where its buffers and images may lie.
 pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
@@ -36,6 +38,14 @@ pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     if !findings.has_errors() {
         extensions::check_support(&root, findings);
     }
+}
+
+/// What is to be said of each property of the hybrid extension's objects that it does not have.
+pub(super) fn unknown_properties(root: &Value) -> Vec<String> {
+    let said = |schema::Unknown { at, name, .. }| {
+        format!("{at}: {} is no property of {HYBRID} and is ignored", shown(name.as_bytes()))
+    };
+    hybrid::unknown(root).into_iter().map(said).collect()
 }
 
 /// The objects of the array `key`, each with its JSON pointer.

@@ -29,6 +29,11 @@ macro_rules! hybrid_schemas {
     };
 }
 
+/// Whether a schema is one of the hybrid extension's: those of the core are in part only here, and say nothing of what else there is.
+fn is_of_hybrid(schema: &Value) -> bool {
+    schema.get("$id").is_some()
+}
+
 const HYBRID_SCHEMAS: [&str; 14] = hybrid_schemas![
     "KHR_gaussian_splatting.EXT_gaussian_splatting_hybrid",
     "binding",
@@ -51,6 +56,58 @@ pub(super) fn check(value: &Value, name: &str, at: &str, findings: &mut Findings
     if let Some(schema) = SCHEMAS.get(name) {
         apply(schema, value, at, findings);
     }
+}
+
+/// A property that no schema of its object knows.
+pub(super) struct Unknown {
+    /// JSON pointer of the object.
+    pub(super) at: String,
+    pub(super) name: String,
+    /// What the object may have.
+    pub(super) known: Vec<String>,
+}
+
+/// Adds every property in `value`, which stands at `at`, that the schema called `name` does not know: JSON Schema allows them, so
+/// that mistyped ones would go unseen.
+pub(super) fn unknown(value: &Value, name: &str, at: &str, found: &mut Vec<Unknown>) {
+    if let Some(schema) = SCHEMAS.get(name) {
+        unknown_in(&[schema], value, at, found);
+    }
+}
+
+fn unknown_in<'a>(schemas: &[&'a Value], value: &Value, at: &str, found: &mut Vec<Unknown>) {
+    let mut all = vec![];
+    schemas.iter().for_each(|schema| flatten(schema, &mut all));
+    let of_key = |key: &str, name: &str| -> Vec<&'a Value> {
+        all.iter().filter_map(|schema| schema.get(key)?.get(name)).collect()
+    };
+    match value {
+        Value::Object(object) if all.iter().any(|schema| is_of_hybrid(schema)) => {
+            for (name, inner) in object {
+                let schemas = of_key("properties", name);
+                if schemas.is_empty() {
+                    let known = all.iter().filter_map(|schema| schema.get("properties")?.as_object());
+                    let known =
+                        known.flat_map(|p| p.keys()).filter(|key| !["extensions", "extras"].contains(&key.as_str()));
+                    found.push(Unknown { at: at.to_owned(), name: name.clone(), known: known.cloned().collect() });
+                }
+                unknown_in(&schemas, inner, &format!("{at}/{}", escaped(name)), found);
+            }
+        }
+        Value::Array(items) => {
+            let schemas: Vec<&Value> = all.iter().filter_map(|schema| schema.get("items")).collect();
+            items.iter().enumerate().for_each(|(i, item)| unknown_in(&schemas, item, &format!("{at}/{i}"), found));
+        }
+        _ => {}
+    }
+}
+
+/// A schema, and those that hold along with it.
+fn flatten<'a>(schema: &'a Value, all: &mut Vec<&'a Value>) {
+    all.push(schema);
+    let referred = schema.get("$ref").and_then(Value::as_str).and_then(|name| SCHEMAS.get(name));
+    let parts = schema.get("allOf").and_then(Value::as_array).into_iter().flatten();
+    referred.into_iter().chain(parts).for_each(|part| flatten(part, all));
 }
 
 /// `~` and `/` escaped, as RFC 6901 asks.

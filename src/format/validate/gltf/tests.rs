@@ -238,6 +238,24 @@ fn every_planted_fault_is_found_at_its_place() {
 }
 
 #[test]
+fn unknown_properties_are_warnings_with_their_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let mut file = everything();
+    let contract = &mut file.json["scenes"][0]["extensions"][HYBRID];
+    contract["lam\nda"] = json!(0.1);
+    contract["extras"] = json!({ "anything": 1 });
+    std::fs::write(&path, file.glb()).unwrap();
+    let found = validate(&path).unwrap();
+    assert_eq!((found.errors, found.warnings), (0, 1), "{found}");
+    let line = found.findings[0].to_string();
+    assert!(line.ends_with("mode, near, sortKey, found `lam\\nda`"), "{line}");
+    let warnings = crate::format::inspect(&path).unwrap().warnings;
+    let expected = format!("/scenes/0/extensions/{HYBRID}: `lam\\nda` is no property of {HYBRID} and is ignored");
+    assert!(warnings.contains(&expected), "{warnings:?}");
+}
+
+#[test]
 fn containers() {
     let glb = everything().glb();
     let codes = |bytes: &[u8]| -> Vec<(&'static str, Location)> {

@@ -34,6 +34,14 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_REQUIRED", "EXT_gaussian_splatting_hybrid", |f| {
         drop(primitive(f, SURFACE)["extensions"][HYBRID].as_object_mut().unwrap().remove("times"));
     }),
+    ("HYBRID_PROPERTY", "/scenes/0/extensions/EXT_gaussian_splatting_hybrid", |f| contract(f)["lamda"] = json!(0.1)),
+    ("HYBRID_PROPERTY", "/footprint", |f| contract(f)["footprint"] = json!({ "varianz": 0.1 })),
+    ("HYBRID_PROPERTY", "/opacity", |f| hybrid_material(f)["opacity"]["activations"] = json!("none")),
+    ("HYBRID_PROPERTY", "/coefficients/1", |f| {
+        hybrid_material(f)["sphericalHarmonics"]["coefficients"][1]["Width"] = json!(4);
+    }),
+    ("HYBRID_PROPERTY", "/binding", |f| binding(f)["digest"] = json!("0")),
+    ("HYBRID_PROPERTY", "/levels/0", |f| field(f)["levels"][0]["plane"] = json!([])),
     // References.
     ("INDEX_RANGE", "/deformation", |f| {
         primitive(f, SPLATS)["extensions"][KHR]["extensions"][HYBRID]["deformation"] = json!(1);
