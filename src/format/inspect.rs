@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::Vec3;
 use serde::Serialize;
 
-use super::gltf::{self, Asset, bytes_by_part, scene_of};
+use super::gltf::{self, Asset, Sizes, scene_of};
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
 use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
@@ -19,7 +19,7 @@ pub struct Summary {
     pub file: String,
     /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat`, `ksplat` or `USD`.
     pub format: &'static str,
-    /// Length of the file; of a SOG that is a folder, of its `meta.json`.
+    /// Length of the file; of a glTF, with that of the buffers and images beside it; of a SOG that is a folder, of its `meta.json`.
     pub bytes: u64,
     /// Where the bytes go: part → bytes.
     pub bytes_by_part: BTreeMap<&'static str, u64>,
@@ -116,15 +116,16 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 }
             };
             warnings.extend(unknown_properties(&asset.root));
+            let Sizes { total, parts } = gltf::sizes(&asset, bytes);
             Ok(Summary {
                 cameras,
                 composition: Some(composition(&scene.composition)),
-                bytes_by_part: bytes_by_part(&asset, bytes),
+                bytes_by_part: parts,
                 document: Some(document),
                 warnings,
                 extensions_used: asset.extensions_used,
                 extensions_required: asset.extensions_required,
-                ..summary(path, bytes, &scene)
+                ..summary(path, total, &scene)
             })
         }
         Kind::Usd => {

@@ -35,6 +35,8 @@ pub(in crate::format) struct Asset {
     pub(in crate::format) extensions_required: Vec<String>,
     /// Length of the JSON text.
     pub(in crate::format) json_bytes: usize,
+    /// Where buffers are besides that text and the chunk of a `.glb`.
+    pub(super) places: Places,
     /// One per glTF buffer, at least as long as declared; empty where all views of it are stored compressed.
     pub(super) buffers: Vec<Buffer>,
     /// Buffer views that are stored compressed, decompressed.
@@ -48,6 +50,16 @@ pub(in crate::format) struct Asset {
     spent: AtomicU64,
     /// The most that may be.
     most: u64,
+}
+
+/// Bytes of buffers that are no chunk of a `.glb`.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Places {
+    /// Of the data URIs in the JSON text, and of what they hold.
+    pub(super) uris: usize,
+    pub(super) embedded: usize,
+    /// Of files, each once.
+    pub(super) beside: usize,
 }
 
 /// Bytes of arrays that a byte of the file may become, above what any small file may. Accessors in many places and meshes at many
@@ -107,7 +119,7 @@ impl Asset {
         drop(json);
         let extensions_used = strings(&root, "extensionsUsed");
         let extensions_required = strings(&root, "extensionsRequired");
-        let buffers = load_buffers(&mut root, bin, &folder)?;
+        let (buffers, places) = load_buffers(&mut root, bin, &folder)?;
         let (document, attributes) = core(&root)?;
         let in_memory = |i: usize| match buffers.get(i) {
             Some(Buffer::Memory(bytes)) => Some(bytes.as_slice()),
@@ -116,8 +128,8 @@ impl Asset {
         };
         let plain_views = meshopt::decompress(&root, in_memory).collect::<Result<HashMap<_, _>, _>>()?;
         // Of those that are in the same place one.
-        let mut places = HashSet::new();
-        let buffer_bytes = buffers.iter().filter(|buffer| places.insert(buffer.place())).map(Buffer::len).sum();
+        let mut starts = HashSet::new();
+        let buffer_bytes = buffers.iter().filter(|buffer| starts.insert(buffer.place())).map(Buffer::len).sum();
         let view_bytes = plain_views.values().map(Vec::len).sum();
         Ok(Self {
             most: ((buffer_bytes + view_bytes + json_bytes) as u64).saturating_mul(MAX_RATIO).saturating_add(ALWAYS),
@@ -127,6 +139,7 @@ impl Asset {
             extensions_used,
             extensions_required,
             json_bytes,
+            places,
             buffers,
             plain_views,
             folder,
@@ -314,15 +327,15 @@ fn is_core(name: &str) -> bool {
     name == "POSITION" || name.starts_with("TEXCOORD_")
 }
 
-/// The content of every buffer; takes their URIs out of the JSON.
-fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<Vec<Buffer>, Fault> {
+/// The content of every buffer, and where it is; takes their URIs out of the JSON.
+fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<(Vec<Buffer>, Places), Fault> {
     let views = || root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
     let has_compressed = views().any(|v| meshopt::of_view(v).is_some());
     // The plain form of a view that is stored compressed is not needed, and often not there.
     let stored = |v: &Value| meshopt::of_view(v).map_or(v, |(_, compressed)| compressed).get("buffer")?.as_u64();
     let needed: HashSet<u64> = views().filter_map(stored).collect();
     let count = root.get("buffers").and_then(Value::as_array).map_or(0, Vec::len);
-    let (mut buffers, mut bin, mut known) = (vec![], bin, HashMap::new());
+    let (mut buffers, mut bin, mut known, mut places) = (vec![], bin, HashMap::new(), Places::default());
     for i in 0..count {
         let at = format!("/buffers/{i}");
         let length = root["buffers"][i].get("byteLength").and_then(Value::as_u64);
@@ -341,7 +354,12 @@ fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<
             (None, None) => return Err(Fault::pointer(at, "a uri or a GLB binary chunk", "neither")),
             (Some(uri), _) => {
                 let opened = open_once(uri, folder, &mut known, has_compressed);
-                opened.map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?
+                let data = opened.map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?;
+                if uri.starts_with("data:") {
+                    places.uris += uri.len();
+                    places.embedded += data.len();
+                }
+                data
             }
         };
         if (data.len() as u64) < length {
@@ -350,5 +368,6 @@ fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<
         }
         buffers.push(data);
     }
-    Ok(buffers)
+    places.beside = known.values().map(Buffer::len).sum();
+    Ok((buffers, places))
 }

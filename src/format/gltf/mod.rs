@@ -54,7 +54,7 @@ pub(super) use motion::Motion;
 pub(super) use pose::Poses;
 pub(super) use read::scene as scene_of;
 pub use remainder::Remnant;
-pub(super) use sizes::bytes_by_part;
+pub(super) use sizes::{Sizes, sizes};
 pub use source::Source;
 pub(super) use transform::placements;
 pub(super) use tree::document as describe;

@@ -294,7 +294,7 @@ fn without_its_bytes_a_document_does_not_stand() {
 /// Reads, describes and writes what may be damaged.
 fn exercise(bytes: &[u8], folder: &Path) {
     let Ok(asset) = Asset::parse(bytes, PathBuf::new()) else { return };
-    let _ = (bytes_by_part(&asset, 0), describe(&asset));
+    let _ = (sizes(&asset, 0), describe(&asset));
     let Ok((file, moving)) = read::scene_and_motion(&asset) else { return };
     let source = Source::new(asset, &file.scene, &file.cameras, moving, true);
     let _ = source.at(&file.scene, 0.3);

@@ -76,6 +76,17 @@ pub(super) fn open_once(
     Ok(opened)
 }
 
+/// Length of what a data URI holds, and at most its own.
+pub(super) fn embedded_bytes(uri: &str) -> usize {
+    match uri.split_once(";base64,") {
+        Some((_, encoded)) => {
+            let digits = encoded.trim_end_matches('=').len();
+            digits / 4 * 3 + digits % 4 * 3 / 4
+        }
+        None => uri.len(),
+    }
+}
+
 fn percent_decode(uri: &str) -> Option<String> {
     let mut bytes = vec![];
     let mut rest = uri.as_bytes();
