@@ -238,8 +238,8 @@ fn pointer(path: &serde_path_to_error::Path) -> String {
     path.iter().map_while(token).collect()
 }
 
-/// Names and messages hold what files say.
-fn one_line(text: &str) -> Cow<'_, str> {
+/// Text in one line, what would move a cursor escaped: names and messages hold what files say.
+pub(crate) fn one_line(text: &str) -> Cow<'_, str> {
     if !text.contains(char::is_control) {
         return text.into();
     }

@@ -36,7 +36,7 @@ pub use cameras::{
 };
 pub use error::{FormatError, Location};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
-pub use inspect::{CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
+pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use loss::{Loss, SplatError, WriteReport};
 pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};

@@ -1,7 +1,8 @@
 //! What is in a file, for people and for scripts.
 
+mod text;
+
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::Path;
 
 use glam::Vec3;
@@ -10,7 +11,7 @@ use serde::Serialize;
 use super::gltf::{self, Asset, Sizes, scene_of};
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
-use crate::scene::{ColorSpace, Composition, HybridScene, Mesh, Splats};
+use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -31,6 +32,8 @@ pub struct Summary {
     pub meshes: Vec<MeshSummary>,
     /// Number of cameras.
     pub cameras: usize,
+    /// What they see; none without cameras.
+    pub optics: Option<CameraSummary>,
     /// How it is blended; `None` where the format cannot say.
     pub composition: Option<CompositionSummary>,
     /// The tree of a glTF.
@@ -73,6 +76,15 @@ pub struct MeshSummary {
     pub sh_degree: u32,
 }
 
+/// Cameras in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraSummary {
+    /// Width and height of the pictures with the fewest and with the most pixels.
+    pub sizes: [[u32; 2]; 2],
+    /// Narrowest and widest vertical field of view, in degrees.
+    pub fov_y: [f64; 2],
+}
+
 /// The rule of blending.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompositionSummary {
@@ -105,20 +117,25 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let asset = Asset::open(path)?;
             let document = gltf::describe(&asset).map_err(|fault| fault.in_file(path))?;
             // What cannot be rendered can still be looked at.
-            let (scene, cameras, mut warnings) = match scene_of(&asset) {
-                Ok(file) => (file.scene, file.cameras.len(), file.notes),
+            let scene = scene_of(&asset);
+            let is_scene = scene.is_ok();
+            let (scene, cameras, mut warnings) = match scene {
+                Ok(file) => (file.scene, file.cameras, file.notes),
                 Err(fault) => {
                     let (location, expected, found) = fault.into_parts();
                     let none =
                         HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
                     let warning = format!("cannot be read as a scene: {location}expected {expected}, found {found}");
-                    (none, document.counts.get("cameras").copied().unwrap_or(0), vec![warning])
+                    (none, vec![], vec![warning])
                 }
             };
             warnings.extend(unknown_properties(&asset.root));
             let Sizes { total, parts } = gltf::sizes(&asset, bytes);
+            // Those that cannot be read are counted all the same.
+            let count = if is_scene { cameras.len() } else { document.counts.get("cameras").copied().unwrap_or(0) };
             Ok(Summary {
-                cameras,
+                cameras: count,
+                optics: optics(&cameras),
                 composition: Some(composition(&scene.composition)),
                 bytes_by_part: parts,
                 document: Some(document),
@@ -134,6 +151,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             Ok(Summary {
                 format: Kind::Usd.name(),
                 cameras: file.cameras.len(),
+                optics: optics(&file.cameras),
                 composition: Some(composition(&file.scene.composition)),
                 bytes_by_part: BTreeMap::from([(if is_package { "package" } else { "layer" }, bytes)]),
                 warnings: file.notes,
@@ -171,6 +189,7 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
         splats: (!scene.splats.is_empty()).then(|| splats(&scene.splats)),
         meshes: scene.meshes.iter().map(mesh).collect(),
         cameras: 0,
+        optics: None,
         composition: None,
         document: None,
         tables: vec![],
@@ -201,6 +220,17 @@ fn mesh(mesh: &Mesh) -> MeshSummary {
     }
 }
 
+fn optics(cameras: &[(String, Camera)]) -> Option<CameraSummary> {
+    let all = || cameras.iter().map(|(_, camera)| camera.intrinsics());
+    let sizes = || all().map(|k| [k.width, k.height]);
+    let pixels = |size: &[u32; 2]| u64::from(size[0]) * u64::from(size[1]);
+    let fov_y = || all().map(|k| (2.0 * (0.5 * f64::from(k.height) / k.fy).atan()).to_degrees());
+    Some(CameraSummary {
+        sizes: [sizes().min_by_key(pixels)?, sizes().max_by_key(pixels)?],
+        fov_y: [fov_y().reduce(f64::min)?, fov_y().reduce(f64::max)?],
+    })
+}
+
 fn composition(c: &Composition) -> CompositionSummary {
     CompositionSummary {
         mode: c.mode.name(),
@@ -214,110 +244,5 @@ fn composition(c: &Composition) -> CompositionSummary {
         near: c.near,
         filter_variance: c.pixel_filter.variance,
         filter_normalized: c.pixel_filter.normalized,
-    }
-}
-
-/// Nodes printed at most, and properties of a table; `--json` has all.
-const MAX_NODES: usize = 100;
-const MAX_PROPERTIES: usize = 12;
-
-fn tree(f: &mut fmt::Formatter<'_>, document: &gltf::Document) -> fmt::Result {
-    let counts: Vec<String> = document.counts.iter().map(|(kind, n)| format!("{n} {kind}")).collect();
-    write!(f, "\n├ document: {}", counts.join(", "))?;
-    if let Some(generator) = &document.generator {
-        write!(f, ", by {generator}")?;
-    }
-    for node in document.nodes.iter().take(MAX_NODES) {
-        write!(f, "\n│ {}• {}", "  ".repeat(node.depth.min(20)), node.name.as_deref().unwrap_or("(no name)"))?;
-        for (what, index) in [("camera", node.camera), ("skin", node.skin), ("mesh", node.mesh)] {
-            if let Some(index) = index {
-                write!(f, ", {what} {index}")?;
-            }
-        }
-        for p in &node.primitives {
-            match (p.triangles, p.sh_degree) {
-                (Some(triangles), _) => write!(f, ", {triangles} triangles of {} vertices", p.vertices)?,
-                (_, Some(degree)) => {
-                    write!(f, ", {} splats of degree {degree}{}", p.vertices, if p.is_spz { " (SPZ)" } else { "" })?;
-                }
-                _ => write!(f, ", {} {}", p.vertices, p.kind)?,
-            }
-            if p.morph_targets > 0 {
-                write!(f, ", {} morph targets", p.morph_targets)?;
-            }
-        }
-        if let Some(bounds) = node.bounds {
-            write!(f, ", {}", span(bounds.map(|corner| corner.map(|c| c as f32))))?;
-        }
-    }
-    if let Some(more) = document.nodes.len().checked_sub(MAX_NODES).filter(|&n| n > 0) {
-        write!(f, "\n│ … and {more} more nodes")?;
-    }
-    for clip in &document.animations {
-        let (name, [start, end]) = (clip.name.as_deref().unwrap_or("(no name)"), clip.range);
-        write!(f, "\n├ animation: {name}, {:.3} s", end - start)?;
-        if start != 0.0 {
-            write!(f, " from {start:.3} s")?;
-        }
-        write!(f, ", {} channels", clip.channels)?;
-    }
-    if !document.remainder.is_empty() {
-        write!(f, "\n├ beside the scene: {}", document.remainder.join(", "))?;
-    }
-    Ok(())
-}
-
-fn span([low, high]: [[f32; 3]; 2]) -> String {
-    format!("[{:.3} {:.3} {:.3}] to [{:.3} {:.3} {:.3}]", low[0], low[1], low[2], high[0], high[1], high[2])
-}
-
-impl fmt::Display for Summary {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}, {} bytes, {} floats", self.file, self.format, self.bytes, self.total_floats)?;
-        if let Some(s) = &self.splats {
-            write!(f, "\n├ splats: {}, SH degree {}, {}", s.count, s.sh_degree, span(s.bounds))?;
-        }
-        for m in &self.meshes {
-            let [w, h] = m.base_texels;
-            write!(f, "\n├ mesh: {} vertices, {} triangles, {}", m.vertices, m.triangles, span(m.bounds))?;
-            write!(f, "\n│   maps: {w}×{h}, SH degree {}", m.sh_degree)?;
-            if let Some([w, h]) = m.band_texels {
-                write!(f, " at {w}×{h}")?;
-            }
-        }
-        if let Some(c) = &self.composition {
-            let lambda = c.lambda.map_or("infinite".to_owned(), |l| l.to_string());
-            write!(f, "\n├ composition: {}, λ {lambda}, {} layer(s), {}", c.mode, c.layers, c.color_space)?;
-            write!(f, ", near {}, background {:?}", c.near, c.background)?;
-            let normalized = if c.filter_normalized { ", normalised (anti-aliased)" } else { "" };
-            write!(f, ", pixel filter {} px²{normalized}", c.filter_variance)?;
-        }
-        if self.cameras > 0 {
-            write!(f, "\n├ cameras: {}", self.cameras)?;
-        }
-        if let Some(document) = &self.document {
-            tree(f, document)?;
-        }
-        for table in &self.tables {
-            let (shown, more) = table.properties.split_at(table.properties.len().min(MAX_PROPERTIES));
-            write!(f, "\n├ {}: {} rows of {}", table.name, table.rows, shown.join(", "))?;
-            if !more.is_empty() {
-                write!(f, " and {} more", more.len())?;
-            }
-            if let Some(bounds) = table.bounds {
-                write!(f, ", {}", span(bounds))?;
-            }
-        }
-        if !self.extensions_used.is_empty() {
-            write!(f, "\n├ extensions: {}", self.extensions_used.join(", "))?;
-        }
-        if !self.extensions_required.is_empty() {
-            write!(f, "\n├ required: {}", self.extensions_required.join(", "))?;
-        }
-        for warning in &self.warnings {
-            write!(f, "\n├ warning: {warning}")?;
-        }
-        let parts: Vec<String> = self.bytes_by_part.iter().map(|(part, bytes)| format!("{part} {bytes}")).collect();
-        write!(f, "\n└ bytes: {}", parts.join(", "))
     }
 }
