@@ -139,7 +139,7 @@ fn point_clouds_without_points() {
     let scene = centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
     assert_eq!(scene.splats.len(), 500);
     let flags = ["--surface", "points", "--no-points"];
-    let line = failure(folder.path(), &mut train(folder.path(), flags));
+    let line = common::wrong_usage(folder.path(), &mut train(folder.path(), flags));
     assert_eq!(line, "error: --surface points: expected points, found --no-points");
 }
 

@@ -45,6 +45,58 @@ fn wrong_usage_is_exit_code_2() {
 }
 
 #[test]
+fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, expected) in [
+        (
+            &["train", "c", "-o", "a.glb", "--surface", "points", "--no-points"][..],
+            "--surface points: expected points, found --no-points",
+        ),
+        (
+            &["render", "a.glb", "-o", "a", "--layers", "--format", "png"],
+            "--layers writes EXR files: leave --format png away",
+        ),
+        (
+            &["render", "a.glb", "-o", "a", "--sh-direction", "ray"],
+            "--sh-direction ray needs --model ray: projected splats have one colour each",
+        ),
+        (
+            &["render", "a.glb", "-o", "a", "--video", "a.mp4", "--layers"],
+            "--video is made of PNG pictures: leave --format exr and --layers away",
+        ),
+        (
+            &["render", "a.glb", "-o", "a", "--exr-type", "half"],
+            "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
+        ),
+        (
+            &["cameras", "orbit", "a.glb", "-o", "a.json", "--with-scene"],
+            "a.json: --with-scene: expected a name that ends in .glb or .gltf",
+        ),
+    ] {
+        let line = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
+        assert_eq!(line, format!("error: {expected}"));
+    }
+    // Flags of jobs are found wrong before there is one.
+    std::fs::create_dir_all(folder.path().join("sets/one/sparse/0")).unwrap();
+    for (flags, expected) in [
+        (&["--seeds", "1,1"][..], "--seeds: 1 given twice"),
+        (&["--variant", "a", "--variant", "a=--no-mesh"], "--variant a: given twice"),
+        (
+            &["--protocol", "b", "--", "--max-side", "9"],
+            "--protocol b: expected no flag for the pictures, which it decides, found `--max-side`",
+        ),
+        (
+            &["--", "--max-splats", "many"],
+            "flags of default/one-0: invalid value 'many' for '--max-splats <N>': expected a whole number from 1",
+        ),
+    ] {
+        let mut bench = common::centaur(folder.path());
+        let line = common::wrong_usage(folder.path(), bench.args(["bench", "sets", "-o", "out"]).args(flags));
+        assert_eq!(line, format!("error: {expected}"));
+    }
+}
+
+#[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
     let commands =

@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::edits::{finite, point, positive};
 use super::output;
 use super::shared::{SamplingArgs, frame_rate, read_cameras};
+use super::usage;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -187,6 +188,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
 
 impl FileArgs {
     fn read(&self, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        usage::demand(
+            !self.with_scene || is_gltf(&self.output),
+            format!("{}: --with-scene: expected a name that ends in .glb or .gltf", self.output.display()),
+        )?;
         if is_folder(&self.output) {
             output::check_folder(&self.output)?;
         } else {
@@ -223,8 +228,7 @@ impl FileArgs {
             write_cameras(&self.output, &file)?
         };
         let CameraFile { cameras, fps, times, mut notes, .. } = file;
-        let is_gltf =
-            self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
+        let is_gltf = is_gltf(&self.output);
         if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
         }
@@ -254,6 +258,10 @@ impl FileArgs {
         lines.extend(notes.iter().map(|note| format!("note: {}: {note}", self.source.display())));
         output::print(&lines.join("\n"))
     }
+}
+
+fn is_gltf(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
 }
 
 fn is_folder(path: &Path) -> bool {

@@ -14,6 +14,7 @@ mod progress;
 mod render;
 mod shared;
 mod train;
+mod usage;
 mod validate;
 mod video;
 
@@ -47,8 +48,11 @@ enum Command {
     Devices(devices::Args),
 }
 
+/// Exit code of wrong usage, which is clap's.
+const WRONG_USAGE: u8 = 2;
+
 pub(crate) fn main() -> ExitCode {
-    // Wrong usage ends here with exit code 2.
+    // What clap knows to be wrong usage ends here with exit code 2.
     let result = match Cli::parse().command {
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
@@ -67,7 +71,7 @@ pub(crate) fn main() -> ExitCode {
         Err(e) => {
             // Nothing is left to be done if stderr is gone too.
             let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
-            ExitCode::FAILURE
+            if usage::is_wrong(&e) { ExitCode::from(WRONG_USAGE) } else { ExitCode::FAILURE }
         }
     }
 }

@@ -18,7 +18,7 @@ use super::eval::write_png;
 use super::output;
 use super::progress::Views;
 use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs, SamplingArgs};
-use super::video;
+use super::{usage, video};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -169,24 +169,31 @@ impl LookArgs {
     }
 }
 
+impl Args {
+    /// Refuses arguments that do not go together.
+    fn check(&self) -> Result<()> {
+        let (look, is_exr) = (&self.look, self.format == Some(Format::Exr));
+        usage::demand(
+            !(look.layers && self.format == Some(Format::Png)),
+            "--layers writes EXR files: leave --format png away",
+        )?;
+        usage::demand(
+            look.model == Model::Ray || look.sh_direction == Direction::Mean,
+            "--sh-direction ray needs --model ray: projected splats have one colour each",
+        )?;
+        usage::demand(
+            self.video.is_none() || !(look.layers || is_exr),
+            "--video is made of PNG pictures: leave --format exr and --layers away",
+        )?;
+        usage::demand(
+            look.layers || is_exr || (look.exr_type.is_none() && look.exr_compression.is_none()),
+            "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
+        )
+    }
+}
+
 pub(super) fn run(args: &Args) -> Result<()> {
-    ensure!(
-        !(args.look.layers && args.format == Some(Format::Png)),
-        "--layers writes EXR files: leave --format png away"
-    );
-    ensure!(
-        args.look.model == Model::Ray || args.look.sh_direction == Direction::Mean,
-        "--sh-direction ray needs --model ray: projected splats have one colour each"
-    );
-    ensure!(
-        args.video.is_none() || !(args.look.layers || args.format == Some(Format::Exr)),
-        "--video is made of PNG pictures: leave --format exr and --layers away"
-    );
-    let look = &args.look;
-    ensure!(
-        look.layers || args.format == Some(Format::Exr) || (look.exr_type.is_none() && look.exr_compression.is_none()),
-        "--exr-type and --exr-compression are of EXR files: say --format exr or --layers"
-    );
+    args.check()?;
     output::check_folder(&args.output)?;
     let at = if let Some(When::At(time)) = args.time { Some(time) } else { None };
     let file = read_file(&args.scene, &ReadOptions { time: at, ..ReadOptions::default() })?;

@@ -23,6 +23,7 @@ use super::history::Record;
 use super::output;
 use super::progress::Reporter;
 use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
+use super::usage;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -300,7 +301,7 @@ impl Args {
             ensure!(mesh.is_file(), "{}: expected a mesh file, found none", mesh.display());
         }
         let of_points = matches!(self.surface, Some(SurfaceOf::Points));
-        ensure!(!(of_points && self.no_points), "--surface points: expected points, found --no-points");
+        usage::demand(!(of_points && self.no_points), "--surface points: expected points, found --no-points")?;
         let checkpoint = self.checkpoint();
         ensure!(!self.resume || checkpoint.is_file(), "{}: expected a checkpoint, found none", checkpoint.display());
         Ok(())

@@ -44,10 +44,19 @@ pub(crate) fn tree(folder: &Path) -> Vec<String> {
 
 /// Runs a command that must fail with one line on stderr and leave the folder as it was; returns the line.
 pub(crate) fn failure(folder: &Path, command: &mut Command) -> String {
+    refusal(folder, command, 1)
+}
+
+/// As [`failure`], of a command that is wrong in itself.
+pub(crate) fn wrong_usage(folder: &Path, command: &mut Command) -> String {
+    refusal(folder, command, 2)
+}
+
+fn refusal(folder: &Path, command: &mut Command, code: i32) -> String {
     let before = tree(folder);
     let output = command.output().unwrap();
     let text = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{command:?}: {text}");
+    assert_eq!(output.status.code(), Some(code), "{command:?}: {text}");
     let one_line = text.starts_with("error: ") && text.lines().count() == 1;
     assert!(output.stdout.is_empty() && one_line, "{command:?}: {text}");
     assert_eq!(tree(folder), before, "{command:?} left something behind");

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Args;
 use super::record::Made;
+use crate::cli::usage;
 
 /// Scenes of Mip-NeRF 360 and by what their pictures are divided.
 pub(super) const MIPNERF360: [(&str, u32); 9] = [
@@ -110,13 +111,16 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     let usual = [Variant { name: "default".to_owned(), flags: vec![] }];
     let variants = if args.variants.is_empty() { &usual[..] } else { &args.variants };
     for (i, variant) in variants.iter().enumerate() {
-        ensure!(variants[..i].iter().all(|v| v.name != variant.name), "--variant {}: given twice", variant.name);
+        let is_new = variants[..i].iter().all(|v| v.name != variant.name);
+        usage::demand(is_new, format!("--variant {}: given twice", variant.name))?;
     }
     if let Some(protocol) = args.protocol {
         let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags));
         let given = given.find(|flag| chooses_pictures(flag));
         if let Some(flag) = given {
-            bail!("--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`");
+            return Err(usage::wrong(format!(
+                "--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`"
+            )));
         }
         // Scenes of other names are taken as they are, with their own flags.
         let decides = |name: &str| !size_of(name, protocol).is_empty();
@@ -131,7 +135,7 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
         }
     }
     for (i, seed) in args.seeds.iter().enumerate() {
-        ensure!(!args.seeds[..i].contains(seed), "--seeds: {seed} given twice");
+        usage::demand(!args.seeds[..i].contains(seed), format!("--seeds: {seed} given twice"))?;
     }
     let wanted = scenes.into_iter().filter(|(name, _)| args.scenes.is_empty() || args.scenes.contains(name));
     Ok(wanted
@@ -226,17 +230,21 @@ impl Job {
     pub(super) fn check(&self) -> Result<()> {
         let own = self.flags.iter().find(|flag| flag.split('=').next().is_some_and(|name| OF_JOBS.contains(&name)));
         if let Some(flag) = own {
-            bail!(
+            return Err(usage::wrong(format!(
                 "flags of {}: expected none that every job has of its own (-o, --seeds of this command), found `{flag}`",
                 self.name()
-            );
+            )));
         }
         let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".into()).chain(self.command()));
-        parsed
-            .map(drop)
-            .map_err(|e| anyhow::anyhow!("{}", e.to_string().lines().next().unwrap_or_default().to_owned()))
-            .with_context(|| format!("flags of {}", self.name()))
+        parsed.map(drop).map_err(|e| usage::wrong(first_line(&e))).with_context(|| format!("flags of {}", self.name()))
     }
+}
+
+/// What clap says first: what is wrong. Advice and usage follow.
+fn first_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let line = text.lines().next().unwrap_or_default();
+    line.strip_prefix("error: ").unwrap_or(line).to_owned()
 }
 
 /// A capture of a data set.
