@@ -60,8 +60,8 @@ fn failure(folder: &Path, args: &str) -> String {
 fn wrong_usage_is_exit_code_2() {
     let folder = tempfile::tempdir().unwrap();
     for args in [
-        "a.ply",
-        "a.ply b.txt",
+        "",
+        "a.ply -o b.txt",
         "a.ply b.ply --axes y-up",
         "a.ply b.ply --axes up:down",
         "a.ply b.ply --scale 0",
@@ -77,6 +77,32 @@ fn wrong_usage_is_exit_code_2() {
         let output = common::centaur(folder.path()).arg("convert").args(args.split(' ')).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args}");
         assert!(output.stdout.is_empty() && stderr(&output).contains("--help"), "{args}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn the_output_may_be_named_anywhere_by_an_option() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    ply::write(&path("a.ply"), &splats(5, 1)).unwrap();
+    convert(folder.path(), "a.ply b.glb");
+    for args in ["-o c.glb a.ply", "a.ply --output c.glb", "a.ply a.ply -o d.glb"] {
+        convert(folder.path(), args);
+    }
+    assert_eq!(std::fs::read(path("b.glb")).unwrap(), std::fs::read(path("c.glb")).unwrap());
+    assert_eq!(format::read_scene(&path("d.glb")).unwrap().splats.len(), 10);
+    let line = failure(folder.path(), "a.ply none.ply -o e.glb");
+    assert_eq!(line, "error: none.ply: cannot read: No such file or directory");
+    for (args, expected) in [
+        ("a.ply", "expected files to read and one to write, found one; --help says more"),
+        (
+            "a.ply b.txt",
+            "b.txt: expected a name that ends in .glb or .gltf or .usda or .usdz or .ply or .sog or .spz or .splat or .ksplat or .xml or .blend.py",
+        ),
+    ] {
+        let line =
+            common::wrong_usage(folder.path(), common::centaur(folder.path()).arg("convert").args(args.split(' ')));
+        assert_eq!(line, format!("error: {expected}"));
     }
 }
 

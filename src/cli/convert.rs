@@ -10,8 +10,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::edits::{EditArgs, Edited, Step};
-use super::output;
 use super::shared::{self, MessageArgs};
+use super::{output, usage};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -25,6 +25,10 @@ Examples:
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --decimate 25% --sh-degree 1";
 
+const USAGE: &str = "\
+centaur convert [OPTIONS] <INPUT>... <OUTPUT>
+       centaur convert [OPTIONS] <INPUT>... -o <OUTPUT>";
+
 /// Convert scenes between formats, and move, crop, thin or join them
 ///
 /// The output's format is that of its extension; an .xml is for Mitsuba, a .blend.py is a script that builds the scene in
@@ -37,14 +41,15 @@ Examples:
 /// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
 /// taken; glTF and USD are y-up and are turned on reading and writing. Spherical harmonics turn with whatever is turned.
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, override_usage = USAGE)]
 pub(super) struct Args {
-    /// Scenes to read, told apart by content; several are joined into one, at the highest SH degree among them
-    #[arg(required = true, num_args = 1.., value_name = "INPUT")]
-    inputs: Vec<PathBuf>,
-    /// File to write
-    #[arg(value_name = "OUTPUT", value_parser = |s: &str| output::with_extension(s, &[format::WRITABLE, format::EXPORTABLE].concat()))]
-    output: PathBuf,
+    /// Scenes to read, told apart by content, and where -o does not name it the file to write; several scenes are joined into one, at
+    /// the highest SH degree among them
+    #[arg(required = true, num_args = 1.., value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// File to write; all others are read then
+    #[arg(short, long, value_name = "OUTPUT", value_parser = writable)]
+    output: Option<PathBuf>,
     /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene
     #[arg(long)]
     strict: bool,
@@ -92,22 +97,51 @@ struct Outcome<'a> {
     notes: &'a [String],
 }
 
+/// What is read, and what is written.
+#[derive(Clone, Copy)]
+struct Files<'a> {
+    inputs: &'a [PathBuf],
+    output: &'a Path,
+}
+
+impl Args {
+    /// Where no option names the output, the last file is it.
+    fn files(&self) -> Result<Files<'_>> {
+        if let Some(output) = &self.output {
+            return Ok(Files { inputs: &self.files, output });
+        }
+        match self.files.split_last() {
+            Some((output, inputs)) if !inputs.is_empty() => {
+                let text = output.to_string_lossy();
+                let checked = writable(&text).map_err(|e| usage::wrong(format!("{}: {e}", output.display())));
+                checked.map(|_| Files { inputs, output })
+            }
+            _ => Err(usage::wrong("expected files to read and one to write, found one; --help says more")),
+        }
+    }
+}
+
+fn writable(text: &str) -> Result<PathBuf, String> {
+    output::with_extension(text, &[format::WRITABLE, format::EXPORTABLE].concat())
+}
+
 pub(super) fn run(args: &Args) -> Result<()> {
-    output::check_file(&args.output)?;
-    let bar = output::bar(&args.messages, args.inputs.len() as u64 + 2);
+    let files = args.files()?;
+    output::check_file(files.output)?;
+    let bar = output::bar(&args.messages, files.inputs.len() as u64 + 2);
     bar.set_style(
         ProgressStyle::with_template("{bar:16} {pos}/{len}  {wide_msg}").expect("the template is a constant"),
     );
-    let (scene, mut inputs) = read(args, &bar)?;
+    let (scene, mut inputs) = read(args, files, &bar)?;
     bar.set_message("editing");
     let edited = args.edits.apply(scene)?;
     ensure!(
         !edited.scene.splats.is_empty() || !edited.scene.meshes.is_empty(),
         "{}: expected something to write, found no splats and no meshes{}",
-        args.output.display(),
+        files.output.display(),
         if edited.steps.is_empty() { "" } else { " after removing" },
     );
-    if edited.source.as_ref().is_some_and(|s| is_gltf(&args.output) && s.stands(&edited.scene, &edited.cameras)) {
+    if edited.source.as_ref().is_some_and(|s| is_gltf(files.output) && s.stands(&edited.scene, &edited.cameras)) {
         // A document that is written again is taken over exactly, whatever a scene can hold of it.
         inputs.iter_mut().for_each(|input| input.notes.clear());
     }
@@ -117,11 +151,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         bail!("{}: --strict: {note}", input.file.display());
     }
     bar.inc(1);
-    bar.set_message(format!("writing {}", args.output.display()));
-    let report = write(args, &edited)?;
+    bar.set_message(format!("writing {}", files.output.display()));
+    let report = write(args, files, &edited)?;
     bar.finish_and_clear();
     let outcome = Outcome {
-        output: &args.output,
+        output: files.output,
         bytes: report.bytes,
         splats: edited.scene.splats.len(),
         sh_degree: report.loss.sh_degree.map_or(edited.scene.splats.sh_degree(), |[_, kept]| kept),
@@ -142,13 +176,13 @@ fn is_gltf(path: &Path) -> bool {
 }
 
 /// All inputs as one scene in the frame of captures, and what is to be said about them.
-fn read(args: &Args, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
-    let one = args.inputs.len() == 1;
+fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
+    let one = files.len() == 1;
     let options =
-        ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(&args.output), time: args.time };
+        ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(output), time: args.time };
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
     let mut document = None;
-    for file in &args.inputs {
+    for file in files {
         bar.set_message(format!("reading {}", file.display()));
         let SceneFile { scene, cameras: own, mut notes, y_up, attributes: extra, dropped, source } =
             format::read_file(file, &options)?;
@@ -197,8 +231,7 @@ fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> 
 }
 
 /// Writes beside the output first: what is lost is known only then, and may be refused.
-fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
-    let output = &args.output;
+fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> Result<WriteReport> {
     let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let named = || format!("{}: cannot write", output.display());
     let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder).with_context(named)?;
@@ -235,7 +268,7 @@ fn write(args: &Args, edited: &Edited) -> Result<WriteReport> {
     let companions: Vec<(&PathBuf, PathBuf)> =
         (files.iter().filter(|file| **file != staged)).map(|file| (file, beside(file))).collect();
     for (file, place) in &companions {
-        spare_foreign(output, file, place, &args.inputs)?;
+        spare_foreign(output, file, place, inputs)?;
     }
     for (file, place) in &companions {
         std::fs::rename(file, place).with_context(|| format!("{}: cannot write", place.display()))?;
