@@ -40,6 +40,14 @@ fn write_hybrid(path: &Path) {
     gltf::write_glb(path, &scene, &[("front".to_owned(), camera)], None).unwrap();
 }
 
+/// A record of a training, as scenes that were trained have it.
+fn write_trained(path: &Path) -> serde_json::Value {
+    let record = serde_json::json!({ "capture": "garden", "settings": { "iterations": 7 } });
+    let scene = HybridScene { splats: splats(3, 0), meshes: vec![], composition: Composition::default() };
+    gltf::write_glb(path, &scene, &[], Some(record.clone())).unwrap();
+    record
+}
+
 /// Runs `centaur convert` with `args` separated by blanks; what it prints.
 fn convert(folder: &Path, args: &str) -> String {
     let output = common::centaur(folder).arg("convert").args(args.split(' ')).output().unwrap();
@@ -144,6 +152,26 @@ fn what_is_lost_is_named_or_refused() {
     assert_eq!(before.scene.meshes, after.scene.meshes);
     let (camera, same) = (before.cameras[0].1, after.cameras[0].1);
     assert!(camera.rotation().abs_diff_eq(same.rotation(), 1e-12) && camera.translation() == same.translation());
+}
+
+#[test]
+fn records_of_trainings_are_kept_or_named_and_no_part_of_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = write_trained(&folder.path().join("a.glb"));
+    let kept =
+        |name: &str| format::read_file(&folder.path().join(name), &format::ReadOptions::default()).unwrap().record;
+    for args in ["a.glb b.usdz", "b.usdz c.glb", "c.glb d.gltf --decimate 2", "d.gltf e.usda"] {
+        let said = convert(folder.path(), args);
+        let output = args.split(' ').nth(1).unwrap();
+        assert!(kept(output) == Some(record.clone()) && !said.contains("record"), "{args}: {said}");
+    }
+    for output in ["a.ply", "a.spz", "a.sog"] {
+        let said = convert(folder.path(), &format!("a.glb {output}"));
+        assert!(said.starts_with("lost: the record of the training"), "{output}: {said}");
+    }
+    convert(folder.path(), "a.glb strict.ply --strict");
+    let said = convert(folder.path(), "a.glb a.ply two.glb --strict");
+    assert!(said.starts_with("lost: the record of the training") && kept("two.glb").is_none(), "{said}");
 }
 
 #[test]

@@ -50,7 +50,8 @@ pub(super) struct Args {
     /// File to write; all others are read then
     #[arg(short, long, value_name = "OUTPUT", value_parser = writable)]
     output: Option<PathBuf>,
-    /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene
+    /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene; what is known of its training
+    /// is no part of it
     #[arg(long)]
     strict: bool,
     /// Pose a scene that moves as its animations have it at this time; without it, it is taken as it rests. Animations,
@@ -78,6 +79,9 @@ struct Input {
     /// Splats left out because they are invalid.
     dropped: usize,
     notes: Vec<String>,
+    /// Whether it says how it was trained.
+    #[serde(skip)]
+    has_record: bool,
 }
 
 /// What was done, for scripts.
@@ -152,7 +156,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     bar.inc(1);
     bar.set_message(format!("writing {}", files.output.display()));
-    let report = write(args, files, &edited)?;
+    let mut report = write(args, files, &edited)?;
+    // That of one input is not that of all.
+    report.loss.record |= edited.record.is_none() && inputs.iter().any(|input| input.has_record);
     bar.finish_and_clear();
     let outcome = Outcome {
         output: files.output,
@@ -181,22 +187,24 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     let options =
         ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(output), time: args.time };
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
-    let mut document = None;
+    let (mut document, mut record) = (None, None);
     for file in files {
         bar.set_message(format!("reading {}", file.display()));
-        let SceneFile { scene, cameras: own, mut notes, y_up, attributes: extra, dropped, source } =
+        let SceneFile { scene, cameras: own, mut notes, y_up, attributes: extra, dropped, source, record: own_record } =
             format::read_file(file, &options)?;
         if let Some(source) = source.as_ref().filter(|_| !one) {
             notes.extend(source.remainder().iter().map(|part| format!("left out on joining: {part}")));
         }
-        let mut read = Edited { scene, cameras: own, attributes: extra, source, steps: vec![] };
+        let mut read = Edited { scene, cameras: own, attributes: extra, source, record: None, steps: vec![] };
         if y_up {
             let axes = |name: &str| name.parse::<Axes>().expect("a name that it knows");
             let turn = Similarity::new(1.0, axes("y-up").to(axes("y-down")), DVec3::ZERO)?;
             read = read.moved(&turn).with_context(|| file.display().to_string())?;
         }
         let (splats, meshes) = (read.scene.splats.len(), read.scene.meshes.len());
-        inputs.push(Input { file: file.clone(), splats, meshes, dropped, notes });
+        let has_record = own_record.is_some();
+        inputs.push(Input { file: file.clone(), splats, meshes, dropped, notes, has_record });
+        record = own_record.filter(|_| one);
         scenes.push(read.scene);
         cameras.extend(read.cameras);
         attributes.push(read.attributes);
@@ -205,7 +213,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     }
     let attributes = joined(&attributes, &mut inputs);
     let scene = if scenes.len() == 1 { scenes.remove(0) } else { edit::join(scenes).context("joining the inputs")? };
-    Ok((Edited { scene, cameras, attributes, source: document, steps: vec![] }, inputs))
+    Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
 }
 
 /// The attributes that all inputs have, one after the other; of the others a note is made.
@@ -245,6 +253,7 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         cameras: &edited.cameras,
         attributes: &edited.attributes,
         source: edited.source.as_ref(),
+        record: edited.record.as_ref(),
         spz: spz::Options { version, ..spz::Options::default() },
     };
     let report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {

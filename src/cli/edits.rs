@@ -88,6 +88,8 @@ pub(super) struct Edited {
     pub(super) attributes: Vec<Attribute>,
     /// The glTF document that it comes from.
     pub(super) source: Option<Source>,
+    /// How it was trained, if it says so.
+    pub(super) record: Option<serde_json::Value>,
     pub(super) steps: Vec<Step>,
 }
 

@@ -3,7 +3,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use centaur::capture::{Capture, View};
 use centaur::evaluate::{Evaluator, held_out};
-use centaur::format::gltf::Source;
 use centaur::format::{ReadOptions, atomic_write, read_file};
 use centaur::metrics::{
     Evaluation, Lpips, Measured, Scores, ViewScore,
@@ -29,7 +28,7 @@ Examples:
 /// Prints PSNR, SSIM, FLIP and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
 /// --max-side, --images and --masks as in training. Seconds per iteration and the curves of the training stand in scenes that
-/// `centaur train` wrote, and in what `centaur convert` made of them as glTF, whatever it left out.
+/// `centaur train` wrote, and in what `centaur convert` made of them as glTF or USD, whatever it left out.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -70,7 +69,7 @@ impl LpipsArgs {
 pub(super) fn run(args: &Args) -> Result<()> {
     args.output.as_deref().map_or(Ok(()), output::check_folder)?;
     let file = read_file(&args.scene, &ReadOptions::default())?;
-    let training = file.source.as_ref().and_then(Source::extras).and_then(Record::read);
+    let training = file.record.as_ref().and_then(Record::read);
     drop(file.source);
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
     let scene = file.scene;

@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 /// About as many points of the curves are kept: some kilobytes, and as many as a plot can show.
 const MOST_POINTS: usize = 300;
 
-/// `asset.extras.centaur` of a scene that was trained here. Older files end after the settings.
+/// `asset.extras.centaur` of a scene that was trained here, in USD the string `centaur` of `customLayerData`. Older files end after the settings.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Record {
     /// Name of the capture.

@@ -35,6 +35,8 @@ pub struct Loss {
     pub composition: bool,
     /// Names of what else was known of every splat, and is left out.
     pub attributes: Vec<String>,
+    /// True if what is known of how the scene was made is left out, see [`super::SceneFile::record`].
+    pub record: bool,
     /// What else the document had that the scene was read from: animations, extensions, extras.
     pub document: Vec<String>,
     /// SH degree of the scene and that of the file, where bands are left out.
@@ -69,15 +71,15 @@ impl Loss {
         *self == Self::default()
     }
 
-    /// True if nothing is lost but what comes of rounding to f32: a scale or an opacity instead of its logarithm or
-    /// logit, a quaternion normalised once more.
+    /// True if nothing of the scene is lost but what comes of rounding to f32: a scale or an opacity instead of its logarithm or
+    /// logit, a quaternion normalised once more. How it was made is no part of it.
     #[must_use]
     pub fn is_rounding(&self) -> bool {
         let e = &self.max_error;
         let unrounded = SplatError { rotation: 0.0, log_scale: 0.0, opacity: 0.0, ..*e };
         // Half a unit in the last place of a logarithm of 87 is 4e-6, of an opacity 3e-8; of a quaternion 1e-5°.
         let rounded = e.rotation <= 1e-4 && e.log_scale <= 1e-5 && e.opacity <= 1e-6;
-        rounded && Self { max_error: unrounded, ..self.clone() }.is_none()
+        rounded && Self { max_error: unrounded, record: false, ..self.clone() }.is_none()
     }
 
     /// That of splats which are written as `after`, splat by splat in the same order.
@@ -113,6 +115,9 @@ impl fmt::Display for Loss {
         }
         if !self.attributes.is_empty() {
             parts.push(format!("the attributes {}", self.attributes.join(", ")));
+        }
+        if self.record {
+            parts.push("the record of the training".to_owned());
         }
         parts.extend(self.document.iter().cloned());
         if let Some([before, after]) = self.sh_degree {
@@ -241,13 +246,14 @@ mod tests {
             cameras: 1,
             composition: true,
             attributes: vec!["label".to_owned(), "time".to_owned()],
+            record: true,
             document: vec!["2 animations".to_owned()],
             sh_degree: Some([3, 0]),
             max_error: SplatError { mean: 0.00012, rotation: 0.5, ..SplatError::default() },
         };
         assert_eq!(
             loss.to_string(),
-            "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; 2 animations; SH bands above degree 0 of 3; \
+            "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; the record of the training; 2 animations; SH bands above degree 0 of 3; \
              precision: mean ±1.20e-4, rotation ±5.00e-1°"
         );
         assert!(!loss.is_none());

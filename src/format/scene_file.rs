@@ -31,6 +31,8 @@ pub struct SceneFile {
     pub dropped: usize,
     /// The document of a glTF, which says more than a scene holds.
     pub source: Option<gltf::Source>,
+    /// What Centaur keeps of how the scene was made, as [`gltf::write_glb`] was given it as extras.
+    pub record: Option<serde_json::Value>,
 }
 
 impl SceneFile {
@@ -42,7 +44,16 @@ impl SceneFile {
 
     fn of_splats(splats: Splats) -> Self {
         let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
-        Self { scene, cameras: vec![], notes: vec![], y_up: false, attributes: vec![], dropped: 0, source: None }
+        Self {
+            scene,
+            cameras: vec![],
+            notes: vec![],
+            y_up: false,
+            attributes: vec![],
+            dropped: 0,
+            source: None,
+            record: None,
+        }
     }
 }
 
@@ -68,6 +79,8 @@ pub struct WriteOptions<'a> {
     pub attributes: &'a [Attribute],
     /// The document that the scene was read from: written again where it still holds, see [`gltf::Source::stands`].
     pub source: Option<&'a gltf::Source>,
+    /// How the scene was made, see [`SceneFile::record`]; glTF and USD hold it. A document that is written again has its own.
+    pub record: Option<&'a serde_json::Value>,
     /// Layout of SPZ.
     pub spz: spz::Options,
 }
@@ -121,13 +134,16 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
                     let (bytes, stands) = gltf::write_over(path, scene, options.cameras, source)?;
                     (bytes, if stands { Loss::default() } else { dropping(source, of_linear_values(splats)) })
                 }
-                None => (gltf::write_glb(path, scene, options.cameras, None)?, of_linear_values(splats)),
+                None => {
+                    let bytes = gltf::write_glb(path, scene, options.cameras, options.record.cloned())?;
+                    (bytes, of_linear_values(splats))
+                }
             };
             let loss = Loss { attributes: names(options.attributes), ..loss };
             return Ok(WriteReport { bytes, loss, ..WriteReport::default() });
         }
         "usda" | "usdz" => {
-            let (bytes, beside) = usd::write(path, scene, options.cameras)?;
+            let (bytes, beside) = usd::write(path, scene, options.cameras, options.record)?;
             let loss = Loss { attributes: names(options.attributes), ..of_linear_values(splats) };
             let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
             return Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() });
@@ -200,7 +216,8 @@ fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, stated_filter:
     let stated = |c: &Composition| (c.background, c.near, c.color_space, c.pixel_filter);
     let plain = stated(is) == stated(&usual);
     let composition = !scene.meshes.is_empty() || !plain;
-    let loss = Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, ..loss };
+    let record = options.record.is_some();
+    let loss = Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, record, ..loss };
     options.source.map_or(loss.clone(), |source| dropping(source, loss))
 }
 
@@ -240,6 +257,23 @@ mod tests {
                 // The report is what a reader finds.
                 assert_eq!(Loss::of_splats(&scene.splats, &back.scene.splats).max_error, report.loss.max_error);
             }
+        }
+    }
+
+    #[test]
+    fn the_record_of_the_training_is_kept_or_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = random_scene(3, 0, 1, 4);
+        let record = serde_json::json!({ "capture": "garden" });
+        for extension in WRITABLE.iter().chain(&["compressed.ply"]) {
+            let path = folder.path().join(format!("a.{extension}"));
+            let options = WriteOptions { record: Some(&record), ..WriteOptions::default() };
+            let loss = write_scene(&path, &scene, &options).unwrap().loss;
+            let back = read_file(&path, &ReadOptions::default()).unwrap().record;
+            assert_eq!(loss.record, back.is_none(), "{extension}");
+            assert_eq!(loss.to_string().contains("the record of the training"), back.is_none(), "{extension}: {loss}");
+            assert!(back.is_none_or(|back| back == record), "{extension}");
+            assert_eq!(["glb", "gltf", "usda", "usdz"].contains(extension), !loss.record, "{extension}");
         }
     }
 

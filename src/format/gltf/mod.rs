@@ -153,7 +153,7 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile,
         moving = moving.stopped(time);
     }
     let source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
-    Ok(SceneFile { source: Some(source), ..file })
+    Ok(SceneFile { record: source.extras().cloned(), source: Some(source), ..file })
 }
 
 /// Reads cameras alone, those that are animated frame by frame.

@@ -70,7 +70,7 @@ pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fau
     };
     let moving = Moving::new(asset.document.clone(), motion, rig.map(|rig| (poses, rig)));
     let y_up = !is_ours(&asset.document);
-    Ok((SceneFile { scene, cameras, notes, y_up, attributes: vec![], dropped: 0, source: None }, moving))
+    Ok((SceneFile { scene, cameras, notes, y_up, attributes: vec![], dropped: 0, source: None, record: None }, moving))
 }
 
 /// Splats of a primitive at a node.

@@ -173,7 +173,7 @@ mod tests {
         let scene = random_scene(2, 1, 0, 1);
         match extension {
             "glb" => drop(gltf::write_glb(&path, &scene, &cameras, None).unwrap()),
-            _ => drop(usd::write(&path, &scene, &cameras).unwrap()),
+            _ => drop(usd::write(&path, &scene, &cameras, None).unwrap()),
         }
         inspect(&path).unwrap()
     }

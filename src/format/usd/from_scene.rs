@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DMat4, DVec3, Mat3, Vec3};
 
-use super::document::{Field, Layer, Prim, Value};
+use super::document::{Entry, Field, Layer, Prim, Value};
 use super::{frame, maps, names};
 use crate::format::activation;
 use crate::format::gltf::extension::color_space_token;
@@ -18,7 +18,12 @@ pub(super) struct Export {
 }
 
 /// `prefix` begins the names of files. On failure: why a picture cannot be encoded.
-pub(super) fn export(scene: &HybridScene, cameras: &[(String, Camera)], prefix: &str) -> Result<Export, String> {
+pub(super) fn export(
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+    record: Option<&serde_json::Value>,
+    prefix: &str,
+) -> Result<Export, String> {
     let space = scene.composition.color_space;
     let mut root = Prim::new("Xform", names::ROOT);
     root.metadata.push(Field { edit: None, name: "kind".to_owned(), value: Value::text("component") });
@@ -49,12 +54,17 @@ pub(super) fn export(scene: &HybridScene, cameras: &[(String, Camera)], prefix: 
         root.children.push(looks);
     }
     let field = |name: &str, value| Field { edit: None, name: name.to_owned(), value };
-    let metadata = vec![
-        field("comment", Value::text(concat!("Centaur ", env!("CARGO_PKG_VERSION")))),
+    let mut metadata = vec![field("comment", Value::text(concat!("Centaur ", env!("CARGO_PKG_VERSION"))))];
+    metadata.extend(record.map(|record| {
+        let value = Value::Text(record.to_string());
+        let entry = Entry { type_name: "string".to_owned(), key: names::RECORD.to_owned(), value };
+        field("customLayerData", Value::Dictionary(vec![entry]))
+    }));
+    metadata.extend([
         field("defaultPrim", Value::text(names::ROOT)),
         field("metersPerUnit", Value::Number(1.0)),
         field("upAxis", Value::text("Y")),
-    ];
+    ]);
     Ok(Export { layer: Layer { metadata, prims: vec![root] }, files })
 }
 

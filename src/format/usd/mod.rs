@@ -8,6 +8,7 @@
 //!   `centaur:bandsMap`).
 //! * Cameras are `UsdGeomCamera`; a principal point off the centre is an aperture offset.
 //! * The rule of blending stands in attributes `centaur:*` of the default prim.
+//! * What is known of the training is JSON in the string `centaur` of `customLayerData`.
 //!
 //! Files are y up, a capture's world being turned by half a turn about x, SH and maps included.
 //!
@@ -109,7 +110,7 @@ fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
 
 /// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
 /// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the names of
-/// the pictures.
+/// the pictures. `record` is kept, see [`SceneFile::record`].
 ///
 /// Scales and opacities are stored linear in f32, as the schema demands: log-scales come back to 1e-6, opacities to 1e-7.
 /// Everything else that is optimised comes back bit for bit.
@@ -120,11 +121,12 @@ pub fn write(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
+    record: Option<&serde_json::Value>,
 ) -> Result<(u64, Vec<String>), FormatError> {
     let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
     let prefix = if is_package { String::new() } else { format!("{}_", exchange::stem(path, ".usda")) };
     let failed = |reason| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };
-    let export = from_scene::export(scene, cameras, &prefix).map_err(failed)?;
+    let export = from_scene::export(scene, cameras, record, &prefix).map_err(failed)?;
     if is_package {
         let bytes = atomic_write_with(path, |out| {
             package::write(out, |layer| print::print(&export.layer, layer), &export.files)

@@ -9,6 +9,9 @@ pub(super) const ROOT: &str = "Scene";
 /// The scope of materials below it.
 pub(super) const LOOKS: &str = "Looks";
 
+/// In `customLayerData`: how the scene was made, as JSON.
+pub(super) const RECORD: &str = "centaur";
+
 /// On the default prim: `capture` if the file is a capture's world turned by [`super::frame`].
 pub(super) const FRAME: &str = "centaur:frame";
 pub(super) const CAPTURE: &str = "capture";

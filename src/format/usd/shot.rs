@@ -117,7 +117,7 @@ pub(super) fn layer(shown: &CameraFile) -> Layer {
     let [first, last] = [codes.first(), codes.last()].map(|end| end.copied().unwrap_or_default());
     let composition = Composition::default();
     let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
-    let mut export = from_scene::export(&nothing, &[], "").expect("a scene without meshes has no pictures").layer;
+    let mut export = from_scene::export(&nothing, &[], None, "").expect("a scene without meshes has no pictures").layer;
     for (name, value) in
         [("startTimeCode", first), ("endTimeCode", last), ("timeCodesPerSecond", fps), ("framesPerSecond", fps)]
     {

@@ -42,7 +42,7 @@ fn round_trip() {
             [("IMG_01.jpg", camera()), ("b", camera().resized(320, 200)), ("splats", camera()), ("7é", camera())];
         let cameras = cameras.map(|(name, camera)| (name.to_owned(), camera));
         let path = folder.path().join(format!("scène @ {seed}.{}", ["usda", "USDZ"][seed as usize % 2]));
-        write(&path, &scene, &cameras).unwrap();
+        write(&path, &scene, &cameras, None).unwrap();
         let back = read(&path).unwrap();
         assert_eq!(back.notes, Vec::<String>::new());
         assert_eq!(back.scene.meshes, scene.meshes, "geometry, UVs and maps bit for bit");
@@ -65,20 +65,41 @@ fn parts_may_be_absent_and_names_strange() {
         let scene = random_scene(splats, meshes, 0, 2);
         for name in ["a:b@c %20.usda", "a.usdz", "-.usda"] {
             let path = folder.path().join(name);
-            write(&path, &scene, &[]).unwrap();
+            write(&path, &scene, &[], None).unwrap();
             let back = read(&path).unwrap();
             assert_eq!((back.scene.splats.len(), back.scene.meshes.len()), (splats, meshes as usize));
             assert!(back.notes.is_empty(), "{:?}", back.notes);
         }
     }
-    assert!(write(&folder.path().join("none/a.usda"), &random_scene(1, 1, 0, 2), &[]).is_err());
+    assert!(write(&folder.path().join("none/a.usda"), &random_scene(1, 1, 0, 2), &[], None).is_err());
+}
+
+#[test]
+fn the_record_of_the_training_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let record =
+        serde_json::json!({ "capture": "a \"b\"\n@c@ é", "loss": [0.1, 1e-7, null], "settings": { "x": true } });
+    for name in ["a.usda", "a.usdz"] {
+        let path = folder.path().join(name);
+        write(&path, &random_scene(1, 0, 0, 2), &[], Some(&record)).unwrap();
+        let back = read(&path).unwrap();
+        assert_eq!((back.record.as_ref(), back.notes), (Some(&record), vec![]));
+    }
+    let text = |entry: &str| read_text(&format!("(\n customLayerData = {{\n {entry}\n }}\n metersPerUnit = 1\n)\n"));
+    let other = text("string other = \"1\"");
+    assert!(other.record.is_none() && other.notes.is_empty());
+    let broken = text("string centaur = \"{\"");
+    assert_eq!(
+        (broken.record, &broken.notes[0][..]),
+        (None, "/customLayerData/centaur: the record of the training is no JSON and is left out")
+    );
 }
 
 #[test]
 fn a_package_is_aligned_stored_and_begins_with_its_layer() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.usdz");
-    let (written, beside) = write(&path, &random_scene(10, 2, 2, 3), &[]).unwrap();
+    let (written, beside) = write(&path, &random_scene(10, 2, 2, 3), &[], None).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     assert_eq!(written, bytes.len() as u64);
     assert!(beside.is_empty(), "a package holds all");
@@ -98,7 +119,7 @@ fn without_its_own_maps_a_mesh_shows_its_pictures() {
     for seed in [2, 3] {
         let path = folder.path().join("a.usda");
         let scene = random_scene(0, 1, 1, seed);
-        write(&path, &scene, &[]).unwrap();
+        write(&path, &scene, &[], None).unwrap();
         std::fs::remove_file(folder.path().join("a_mesh_0_base.exr")).unwrap();
         let back = read(&path).unwrap();
         assert_eq!(back.notes.len(), 2, "{:?}", back.notes);
@@ -351,7 +372,7 @@ fn paths_do_not_lead_out_of_folder_or_package() {
     let inner = folder.path().join("in");
     std::fs::create_dir(&inner).unwrap();
     let scene = random_scene(0, 1, 0, 2);
-    write(&inner.join("a.usda"), &scene, &[]).unwrap();
+    write(&inner.join("a.usda"), &scene, &[], None).unwrap();
     std::fs::rename(inner.join("a_mesh_0_base.exr"), folder.path().join("a_mesh_0_base.exr")).unwrap();
     let text = std::fs::read_to_string(inner.join("a.usda")).unwrap();
     for path in ["../a_mesh_0_base.exr", "/etc/passwd", "%2e%2e/a_mesh_0_base.exr"] {
@@ -373,7 +394,7 @@ proptest! {
     fn damaged_files_do_not_panic(which in 0usize..2, at: usize, byte: u8, cut: usize, seed in 0u64..3) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(["a.usda", "a.usdz"][which]);
-        write(&path, &random_scene(2, 1, 1, seed), &[("c".to_owned(), camera())]).unwrap();
+        write(&path, &random_scene(2, 1, 1, seed), &[("c".to_owned(), camera())], None).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         let at = at % bytes.len();
         bytes[at] = byte;

@@ -66,7 +66,20 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     if is_ours {
         scene = frame::back(scene).map_err(|e| Fault::from(e).under("/"))?;
     }
-    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None })
+    let record = record(layer, &mut notes);
+    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None, record })
+}
+
+/// How the scene was made, if it says so.
+fn record(layer: &Layer, notes: &mut Vec<String>) -> Option<serde_json::Value> {
+    let Some(Value::Dictionary(entries)) = layer.field("customLayerData") else { return None };
+    let entry = entries.iter().find(|entry| entry.key == names::RECORD)?;
+    let record = entry.value.as_text().and_then(|text| serde_json::from_str(text).ok());
+    if record.is_none() {
+        notes
+            .push(format!("/customLayerData/{}: the record of the training is no JSON and is left out", names::RECORD));
+    }
+    record
 }
 
 /// What a camera is called.

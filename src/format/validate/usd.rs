@@ -135,7 +135,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (seed, name) in [(1, "a.usda"), (2, "a.usdz")] {
             let path = folder.path().join(name);
-            usd::write(&path, &random_scene(40, 2, 2, seed), &[("c".to_owned(), camera())]).unwrap();
+            usd::write(&path, &random_scene(40, 2, 2, seed), &[("c".to_owned(), camera())], None).unwrap();
             assert_eq!(validate(&path).unwrap().findings, []);
         }
         // The reader asks for a value that is not there.
