@@ -10,6 +10,7 @@ its own, since `bpy` can be imported once.
 """
 import json
 import pathlib
+import re
 import shlex
 import subprocess
 import sys
@@ -130,6 +131,7 @@ def check_script(centaur, glb, folder):
         ([script, "--save", folder], 1, "a folder of this name exists"),
         ([script, "--render", "a.tif"], 2, "expected a name that ends in .exr or .png"),
         ([script, "--camera", "99"], 1, "--camera: expected 0 to "),
+        ([script, "--camera", "nobody"], 1, "found nobody"),
         ([script, "--camera", "path"], 1, "expected --path"),
         ([moved / script.name], 1, "it lies beside the script where"),
     ]:
@@ -149,6 +151,19 @@ def check_parts(centaur, glb, folder):
     print("scenes without meshes and cameras, and without splats: render")
 
 
+def check_names(script, folder):
+    """Of two cameras the second has the same picture by its number and by its name."""
+    head, told, rest = re.split(r"r\'\'\'(.*)\'\'\'", script.read_text(), maxsplit=1)
+    scene = json.loads(told)
+    scene["cameras"][1]["name"] = "turned"
+    named = folder / "named.blend.py"
+    named.write_text(f"{head}r'''{json.dumps(scene)}'''{rest}")
+    for camera in ("0", "1", "turned"):
+        run([sys.executable, named, "--camera", camera, "--render", folder / f"camera_{camera}.exr"])
+    same, other = (inside("compare", folder / "camera_turned.exr", folder / f"camera_{n}.exr")["psnr"] for n in (1, 0))
+    assert same > 80 > 40 > other, f"by name and by number {same:.1f} dB apart, of another camera {other:.1f} dB"
+
+
 def check_blend(centaur, glb, folder):
     """A .blend lives on without the script and the files beside it."""
     # Two cameras: of the scene, and of the scene turned.
@@ -157,6 +172,7 @@ def check_blend(centaur, glb, folder):
     run([*centaur, "convert", glb, folder / "turned.glb", script])
     run([sys.executable, script, "--save", folder / "scene.blend", "--path", "4", "--camera", "path",
          "--render", folder / "path.exr"])
+    check_names(script, folder)
     alone = folder / "alone"
     alone.mkdir(exist_ok=True)
     # Nothing moves but along the path: one frame, and for one camera.

@@ -36,6 +36,7 @@ EXAMPLES = """\
 examples:
   python NAME.blend.py --save scene.blend
   python NAME.blend.py --render out.exr --camera 3 --construction cap --layers
+  python NAME.blend.py --render out.png --camera IMG_0042.jpg
   python NAME.blend.py --render frames/out.png --frame all
   python NAME.blend.py --path 24 --camera path --render frames/out.png
   blender --background --python NAME.blend.py -- --save scene.blend"""
@@ -48,8 +49,8 @@ def parse(arguments):
     add("--save", metavar="FILE.blend", help="save the scene, maps packed into it")
     add("--render", metavar="FILE.exr|png", help="render; .exr holds 32-bit floats, premultiplied, without the background, in "
         "the space of --space; .png the picture on the background in sRGB")
-    add("--camera", default="0", metavar="N|all|path", help="number of the active camera, from 0; `all` renders each, to "
-        "FILE_000.exr and so on; `path` each frame of --path")
+    add("--camera", default="0", metavar="N|NAME|all|path", help="the active camera: its number, from 0, or its name in the scene; "
+        "`all` renders each, to FILE_000.exr and so on; `path` each frame of --path")
     add("--construction", choices=("cap", "ewa", "shell"), default="ewa", help="of splats, see above (default: ewa)")
     add("--space", choices=("blending", "linear"), default="blending", help="see above (default: blending)")
     add("--what", choices=("all", "splats", "mesh"), default="all", help="what is rendered")
@@ -159,9 +160,30 @@ def check(options):
             raise ScriptError("--camera path: expected --path and two cameras or more")
     elif options.camera == "all":
         if options.frame == "all" and count > 1:
-            raise ScriptError("--frame all: expected one camera, by --camera N or path")
-    elif count and not (options.camera.isdigit() and int(options.camera) < count):
-        raise ScriptError(f"--camera: expected 0 to {count - 1}, `all` or `path`, found {options.camera}")
+            raise ScriptError("--frame all: expected one camera, by --camera N, NAME or path")
+    elif count and camera_index(options.camera) is None:
+        names = [printable(camera["name"]) for camera in SCENE["cameras"][:SOME]]
+        some = ", ".join(names) + (", …" if count > SOME else "")
+        raise ScriptError(f"--camera: expected 0 to {count - 1}, a name ({some}), `all` or `path`, found {printable(options.camera)}")
+
+
+SOME = 5  # names of cameras that a message lists
+
+
+def printable(text):
+    """Text in one line, whatever is in it."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def camera_index(text):
+    """Index of the camera of this number, or else of this name; of several the first. None if there is none."""
+    names = [camera["name"] for camera in SCENE["cameras"]]
+    number = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else len(names)
+    if number < len(names) and text == str(number):
+        return number
+    if text in names:
+        return names.index(text)
+    return number if number < len(names) else None
 
 
 def chosen(options, root):
@@ -171,7 +193,7 @@ def chosen(options, root):
     cameras = scene_cameras(root)
     if not cameras:
         return [overview(root)]
-    return cameras if options.camera == "all" else [cameras[int(options.camera)]]
+    return cameras if options.camera == "all" else [cameras[camera_index(options.camera)]]
 
 
 def show(options, root):
