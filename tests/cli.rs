@@ -97,6 +97,17 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
 }
 
 #[test]
+fn a_report_in_the_place_of_another_output_is_wrong_usage() {
+    let folder = tempfile::tempdir().unwrap();
+    for (report, file) in [("./a.glb", "a.glb"), ("a.ply", "a.ply"), ("a.glb.checkpoint", "a.glb.checkpoint")] {
+        let mut train = common::centaur(folder.path());
+        let args = ["train", "c", "-o", "a.glb", "--ply", "a.ply", "--report", report];
+        let line = common::wrong_usage(folder.path(), train.args(args));
+        assert_eq!(line, format!("error: --report: expected another name than {file}, which is a file"));
+    }
+}
+
+#[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];
     let commands =

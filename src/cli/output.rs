@@ -59,6 +59,15 @@ pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path
     Ok(())
 }
 
+/// Whether two paths, of what need not be there yet, lead to the same place.
+pub(super) fn is_same(a: &Path, b: &Path) -> bool {
+    let place = |path: &Path| {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        path.canonicalize().ok().or_else(|| Some(folder.canonicalize().ok()?.join(path.file_name()?)))
+    };
+    place(a).is_some_and(|a| place(b) == Some(a))
+}
+
 /// Makes and removes a nameless file in `folder`. Permission bits alone say too little: read-only mounts, quotas.
 fn probe(folder: &Path) -> Result<()> {
     match folder.metadata() {
@@ -115,6 +124,19 @@ mod tests {
         assert!(spare(&at("b.glb"), [a.as_path()]).is_ok() && spare(&a, [at("b.glb").as_path()]).is_ok());
         let error = spare(&around, [at("b.glb").as_path(), &a]).unwrap_err().to_string();
         assert!(error.ends_with("a.glb, which would be lost"), "{error}");
+    }
+
+    #[test]
+    fn the_same_place_by_other_words() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("in")).unwrap();
+        for name in ["a.glb", "./a.glb", "in/../a.glb", "a.glb/"] {
+            assert!(is_same(&at("a.glb"), &at(name)), "{name}");
+        }
+        assert!(!is_same(&at("a.glb"), &at("in/a.glb")) && !is_same(&at("none/a.glb"), &at("none/a.glb")));
+        std::fs::write(at("a.glb"), "").unwrap();
+        assert!(is_same(&at("a.glb"), &at("./a.glb")) && !is_same(&at("a.glb"), &at("b.glb")));
     }
 
     #[test]

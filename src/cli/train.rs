@@ -290,6 +290,13 @@ impl Args {
 
     /// What can be known to fail before the first iteration.
     fn check(&self) -> Result<()> {
+        if let Some(report) = &self.report {
+            let files = [Some(&self.output), self.ply.as_ref(), Some(&self.checkpoint())];
+            let taken = files.into_iter().flatten().find(|file| output::is_same(file, report));
+            let found =
+                |file: &PathBuf| format!("--report: expected another name than {}, which is a file", file.display());
+            usage::demand(taken.is_none(), taken.map_or_else(String::new, found))?;
+        }
         output::check_file(&self.output)?;
         output::spare(&self.output, self.mesh.as_deref())?;
         if let Some(ply) = &self.ply {
