@@ -6,7 +6,7 @@ use centaur::format::{
     CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, write_cameras, write_cameras_with_scene,
 };
 use centaur::path::{self, Around, PathError, Shot, Spline};
-use centaur::scene::Camera;
+use centaur::scene::{Camera, Intrinsics};
 use clap::Subcommand;
 use glam::DVec3;
 
@@ -277,9 +277,10 @@ fn writable(text: &str) -> Result<PathBuf, String> {
 }
 
 fn size(text: &str) -> Result<[u32; 2], String> {
-    let side = |text: &str| text.parse().ok().filter(|n| (1..=16384).contains(n));
+    const MOST: u32 = Intrinsics::MAX_PICTURE_SIDE;
+    let side = |text: &str| text.parse().ok().filter(|n| (1..=MOST).contains(n));
     let sides = text.split_once(['x', '×', 'X']).and_then(|(w, h)| Some([side(w)?, side(h)?]));
-    sides.ok_or_else(|| "expected width and height up to 16384, as in 1280x720".to_owned())
+    sides.ok_or_else(|| format!("expected width and height up to {MOST}, as in 1280x720"))
 }
 
 fn field_of_view(text: &str) -> Result<f64, String> {

@@ -9,6 +9,7 @@ use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
 use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::{Gpu, Picture};
+use centaur::scene::Intrinsics;
 use image::Rgb32FImage;
 
 /// A step that finds out by itself where there is something for it to do.
@@ -36,7 +37,7 @@ pub(super) struct CaptureArgs {
     #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
     downscale: Option<u32>,
     /// Shrink photographs, or what is rendered, whose longer side has more pixels than this
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=16384))]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=i64::from(Intrinsics::MAX_PICTURE_SIDE)))]
     max_side: Option<u32>,
     /// Folder with the images, relative to the capture, such as `images_4` [default: images]
     #[arg(long, value_name = "FOLDER")]

@@ -20,6 +20,10 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
+    /// Most pixels a side of a picture that is asked for by its size, or that a camera without one is taken to have: what adapters with
+    /// the limits of Direct3D 12 hold as one texture.
+    pub const MAX_PICTURE_SIDE: u32 = 16384;
+
     /// Most pixels a side of an image that a file may ask for, as buffers are made for it: those of the largest photographs.
     pub const MAX_SIDE: u32 = 1 << 16;
     /// Most pixels of one, 2²⁸: four times a 64-megapixel camera, 1 GiB decoded to bytes. What claims more is a mistake or an attack.

@@ -51,7 +51,7 @@ pub(super) fn read(
     }
     let aspect = perspective.aspect_ratio.map(f64::from).filter(|a| a.is_finite() && *a > 0.0);
     let height = f64::from(DEFAULT_HEIGHT);
-    let width = (aspect.unwrap_or(16.0 / 9.0) * height).round().clamp(1.0, 16384.0);
+    let width = (aspect.unwrap_or(16.0 / 9.0) * height).round().clamp(1.0, f64::from(Intrinsics::MAX_PICTURE_SIDE));
     let f = 0.5 * height / (0.5 * yfov).tan();
     let (cx, cy) = (0.5 * width, 0.5 * height);
     let k = Intrinsics { width: width as u32, height: DEFAULT_HEIGHT, fx: f, fy: f, cx, cy };
