@@ -174,7 +174,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     progress.finish();
     let evaluation = evaluator.finish(scores)?;
     let measured = Measured {
-        file_bytes: std::fs::metadata(details.scene_file).map_or(0, |m| m.len()),
+        file_bytes: std::fs::metadata(details.scene_file).ok().map(|m| m.len()),
         seconds_per_iteration: details.training.and_then(|t| t.seconds_per_iteration),
         trained_on: details.training.and_then(|t| t.adapter.clone()).filter(|name| name != gpu.adapter()),
         ..evaluation.measured

@@ -128,8 +128,8 @@ impl ViewScore {
 /// What only the program that ran knows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Measured {
-    /// Size of the scene's file.
-    pub file_bytes: u64,
+    /// Size of the scene's file, where there is one to be measured.
+    pub file_bytes: Option<u64>,
     /// Mean wall time of a training iteration.
     pub seconds_per_iteration: Option<f64>,
     /// Name of the adapter that trained, if it is another than [`Self::adapter`].
@@ -194,8 +194,8 @@ impl Evaluation {
             ("triangles", thousands(self.triangles as u64)),
             ("texels", thousands(self.texels as u64)),
             ("total floats", thousands(self.total_floats as u64)),
-            ("file", format!("{} bytes", thousands(m.file_bytes))),
         ];
+        rows.extend(m.file_bytes.map(|bytes| ("file", format!("{} bytes", thousands(bytes)))));
         let on = m.trained_on.as_ref().map_or_else(String::new, |name| format!(" on {name}"));
         rows.extend(m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s{on}"))));
         rows.extend(m.fps.map(|f| ("frames per second", format!("{f:.1}"))));
@@ -265,7 +265,7 @@ pub(super) mod tests {
         ];
         let scene = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
         let measured =
-            Measured { file_bytes: 1_234_567, fps: Some(61.25), adapter: "test".into(), ..Measured::default() };
+            Measured { file_bytes: Some(1_234_567), fps: Some(61.25), adapter: "test".into(), ..Measured::default() };
         Evaluation::new(&scene, views, measured)
     }
 
@@ -288,6 +288,9 @@ pub(super) mod tests {
         assert_eq!(json["file_bytes"], 1_234_567);
         assert_eq!(json["views"][1]["masked"], true);
         assert!(json["seconds_per_iteration"].is_null());
+        let e = Evaluation { measured: Measured::default(), ..example() };
+        assert!(!e.to_string().contains("bytes"), "what nobody has measured is no row: {e}");
+        assert!(serde_json::to_value(e).unwrap()["file_bytes"].is_null());
         assert_eq!(json["psnr"].as_f64(), example().mean.map(|m| m.psnr));
         assert!(json["ssim_valid"].is_null() && json["ssim_reflect"].is_number(), "8 pixels high");
         let mut e = example();
