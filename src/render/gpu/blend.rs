@@ -4,7 +4,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
     scan::DispatchSize,
     shader::Defines,
-    splats::{COUNT_STORED_PAIRS, COUNT_VISIBLE, ImageCapacity, SplatLists},
+    splats::{COUNT_STORED_PAIRS, COUNT_VISIBLE, ImageCapacity, Purpose, SplatLists},
 };
 
 /// Threads of a workgroup of `sum_moments.wgsl`.
@@ -13,17 +13,6 @@ const SUM_THREADS: usize = 256;
 /// Sums per splat that `blend_backward.wgsl` finds.
 pub(crate) fn moments(absolute: bool) -> usize {
     if absolute { 12 } else { 10 }
-}
-
-/// What the backward pass is for.
-#[derive(Clone, Copy)]
-pub(crate) struct Gradients<'a> {
-    /// `[h·w]` vec4, ∂L/∂rgb.
-    pub(crate) image: &'a Buffer,
-    /// Splats.
-    pub(crate) capacity: usize,
-    /// Also sum up how strongly pixels pull at the means, whichever way.
-    pub(crate) absolute: bool,
 }
 
 /// Depth and colour of the mesh layers, and where their gradient goes.
@@ -38,16 +27,20 @@ pub(crate) struct LayerBuffers<'a> {
 pub(crate) struct Blend {
     /// `[h·w]` vec4: rgb, final transmittance.
     pub(crate) image: Buffer,
+    /// `[BUCKETS][pixel]` vec4: colour and transmittance of what is in a bucket. Empty where lists are not for training.
+    buckets: Buffer,
+    /// `[BUCKETS][pixel]`: pair after the last that a bucket used. Empty as well.
+    pub(crate) ends: Buffer,
     forward: (Kernel, Bindings),
-    backward: Option<Backward>,
 }
 
-struct Backward {
+/// From the gradient of the image to sums per splat and the gradient of mesh layers.
+pub(crate) struct BlendBackward {
     /// Of tiles, into rows; of the rows, into moments. One after the other where the rows of all pairs cannot be bound.
     windows: Vec<[(Kernel, Bindings); 2]>,
     per_splat: DispatchSize,
-    moments: Buffer,
-    ends: Buffer,
+    /// `[n]` rows of sums per splat; 0 of those that the last view does not see.
+    pub(crate) moments: Buffer,
 }
 
 /// Threads and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per thread, so
@@ -78,52 +71,67 @@ fn rows_at_most(gpu: &Gpu, n_moments: usize) -> usize {
     (gpu.max_binding_bytes() as usize / (4 * n_moments)).max(1)
 }
 
+fn base_defines(gpu: &Gpu, layers: u32) -> Defines {
+    let (threads, per_thread) = shape(gpu, layers);
+    gpu.defines()
+        .with("LAYERS", layers)
+        .with("BUCKETS", layers + 1)
+        .with("THREADS", threads)
+        .with("PER_THREAD", per_thread)
+}
+
 impl Blend {
-    /// Buffers and kernels, also for the backward pass if training.
+    /// Buffers and kernel. With lists for training it also saves what [`BlendBackward`] reads.
     pub(crate) fn new(
         gpu: &Gpu,
         lists: &SplatLists,
         image: ImageCapacity,
         view: &Buffer,
         layers: Option<LayerBuffers>,
-        training: Option<Gradients>,
     ) -> Result<Self, GpuError> {
         let n_layers = lists.layers();
-        let (threads, per_thread) = shape(gpu, n_layers);
-        let defines = gpu
-            .defines()
-            .with("LAYERS", n_layers)
-            .with("BUCKETS", n_layers + 1)
-            .with("THREADS", threads)
-            .with("PER_THREAD", per_thread)
-            .with("SAVE", u32::from(training.is_some()));
-        let forward_defines = with_paths(&defines, n_layers, true);
-        // Without subgroups the backward pass has barriers where the paths would part.
-        let backward_defines = with_paths(&defines, n_layers, gpu.profile().subgroups);
+        let saves = lists.purpose() == Purpose::Train;
+        let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true).with("SAVE", u32::from(saves));
+        let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
+        let saved = if saves { image.pixels * (n_layers as usize + 1) } else { 0 };
         let pixels = gpu.storage("image", image.pixels * 4)?;
-        let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &forward_defines);
-        let Some(gradients) = training else {
-            let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, &pixels];
-            if let Some(l) = layers {
-                buffers.extend([&lists.thresholds, l.depth, l.color]);
-            }
-            let bindings = kernel.bind(gpu, &buffers);
-            return Ok(Self { image: pixels, forward: (kernel, bindings), backward: None });
-        };
-
-        let n_buckets = n_layers as usize + 1;
-        let buckets = gpu.storage("blend buckets", image.pixels * 4 * n_buckets)?;
-        let ends = gpu.storage("blend ends", image.pixels * n_buckets)?;
-        let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, &pixels, &buckets, &ends];
+        let buckets = gpu.storage("blend buckets", saved * 4)?;
+        let ends = gpu.storage("blend ends", saved)?;
+        let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, &pixels];
+        if saves {
+            buffers.extend([&buckets, &ends]);
+        }
         if let Some(l) = layers {
             buffers.extend([&lists.thresholds, l.depth, l.color]);
         }
         let bindings = kernel.bind(gpu, &buffers);
-        let sums = gpu.storage("splat moments", gradients.capacity.max(1) * moments(gradients.absolute))?;
-        let backward_defines = backward_defines
-            .with("MOMENTS", moments(gradients.absolute) as u32)
-            .with("ABSOLUTE", u32::from(gradients.absolute));
-        let n_moments = moments(gradients.absolute);
+        Ok(Self { image: pixels, buckets, ends, forward: (kernel, bindings) })
+    }
+
+    /// Appends the blend of `tiles` tiles.
+    pub(crate) fn record(&self, frame: &mut Frame, tiles: usize) {
+        frame.dispatch(&self.forward.0, &self.forward.1, tiles);
+    }
+}
+
+impl BlendBackward {
+    /// For `capacity` splats in these lists, which are for training. `image_gradient` is `[h·w]` vec4, ∂L/∂rgb; with `absolute`
+    /// it also sums up how strongly pixels pull at the means, whichever way.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        lists: &SplatLists,
+        blend: &Blend,
+        view: &Buffer,
+        layers: Option<LayerBuffers>,
+        image_gradient: &Buffer,
+        (capacity, absolute): (usize, bool),
+    ) -> Result<Self, GpuError> {
+        let n_layers = lists.layers();
+        let n_moments = moments(absolute);
+        // Without subgroups there are barriers where the paths would part.
+        let defines = with_paths(&base_defines(gpu, n_layers), n_layers, gpu.profile().subgroups)
+            .with("MOMENTS", n_moments as u32)
+            .with("ABSOLUTE", u32::from(absolute));
         let lanes = if gpu.profile().is_cpu && n_moments.is_multiple_of(2) { 2 } else { 1 };
         let values = n_moments / lanes;
         let together = if gpu.profile().is_cpu { values } else { 1 };
@@ -137,10 +145,19 @@ impl Blend {
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
         let (pairs, window) = (lists.pair_capacity(), rows_at_most(gpu, n_moments));
+        let sums = gpu.storage("splat moments", capacity.max(1) * n_moments)?;
         let rows = gpu.storage("sums of pairs", pairs.min(window) * n_moments)?;
         let numbers = lists.numbers();
-        let mut tiles =
-            vec![view, &lists.ranges, numbers.pairs, &lists.projected, gradients.image, &buckets, &ends, &rows];
+        let mut tiles = vec![
+            view,
+            &lists.ranges,
+            numbers.pairs,
+            &lists.projected,
+            image_gradient,
+            &blend.buckets,
+            &blend.ends,
+            &rows,
+        ];
         if let Some(l) = layers {
             tiles.extend([&lists.thresholds, l.depth, l.color, l.gradient]);
         }
@@ -153,43 +170,22 @@ impl Blend {
             (kernel, bindings)
         };
         let of_window = |start: usize| {
-            let of_tiles = bound("blend_backward.wgsl", &backward_defines, start, &tiles);
+            let of_tiles = bound("blend_backward.wgsl", &defines, start, &tiles);
             [of_tiles, bound("sum_moments.wgsl", &sum_defines, start, &of_splats)]
         };
         let windows = (0..pairs.max(1)).step_by(window).map(of_window).collect();
-        let per_splat = DispatchSize::new(gpu, gradients.capacity, splats_a_group, numbers.counts, COUNT_VISIBLE)?;
-        Ok(Self {
-            image: pixels,
-            forward: (kernel, bindings),
-            backward: Some(Backward { windows, per_splat, moments: sums, ends }),
-        })
+        let per_splat = DispatchSize::new(gpu, capacity, splats_a_group, numbers.counts, COUNT_VISIBLE)?;
+        Ok(Self { windows, per_splat, moments: sums })
     }
 
-    /// Appends the forward blend of `tiles` tiles.
-    pub(crate) fn record_forward(&self, frame: &mut Frame, tiles: usize) {
-        frame.dispatch(&self.forward.0, &self.forward.1, tiles);
-    }
-
-    /// Appends the backward blend; does nothing if not made for training.
-    pub(crate) fn record_backward(&self, frame: &mut Frame, tiles: usize) {
-        if let Some(b) = &self.backward {
-            // Splats out of view would keep what another view has found of them.
-            frame.clear(&b.moments);
-            b.per_splat.record(frame);
-            for [of_tiles, of_splats] in &b.windows {
-                frame.dispatch(&of_tiles.0, &of_tiles.1, tiles);
-                b.per_splat.dispatch(frame, &of_splats.0, &of_splats.1);
-            }
+    /// Appends the gradients of `tiles` tiles.
+    pub(crate) fn record(&self, frame: &mut Frame, tiles: usize) {
+        // Splats out of view would keep what another view has found of them.
+        frame.clear(&self.moments);
+        self.per_splat.record(frame);
+        for [of_tiles, of_splats] in &self.windows {
+            frame.dispatch(&of_tiles.0, &of_tiles.1, tiles);
+            self.per_splat.dispatch(frame, &of_splats.0, &of_splats.1);
         }
-    }
-
-    /// `[BUCKETS][pixel]`: pair after the last that a bucket used, if made for training.
-    pub(crate) fn ends(&self) -> Option<&Buffer> {
-        self.backward.as_ref().map(|b| &b.ends)
-    }
-
-    /// `[n]` rows of sums per splat, if made for training; 0 of those that the last view does not see.
-    pub(crate) fn moments(&self) -> Option<&Buffer> {
-        self.backward.as_ref().map(|b| &b.moments)
     }
 }

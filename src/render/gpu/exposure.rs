@@ -1,6 +1,7 @@
 //! Exposures of photographs while a scene is trained (`shaders/exposure.wgsl`).
 
 use super::{
+    backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     pipeline::Pipeline,
     view::View,
@@ -102,9 +103,8 @@ impl Exposures {
         })
     }
 
-    /// Binds the buffers of a pipeline, one for training.
-    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline) {
-        let backward = pipeline.backward.as_ref().expect("made for training");
+    /// Binds the buffers of a pipeline and its way back.
+    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
         let [first, second] = &self.moments;
         self.bindings = Some(self.pull.bind(
             gpu,

@@ -131,8 +131,7 @@ impl<'g> LayeredRenderer<'g> {
             mesh.record_forward(&mut frame);
         }
         self.lists.record(self.gpu, &mut frame, self.n_splats);
-        let (x, y) = view.tiles();
-        frame.dispatch(&self.blend.0, &self.blend.1, x as usize * y as usize);
+        frame.dispatch(&self.blend.0, &self.blend.1, view.n_tiles());
         frame.submit();
         Ok(())
     }

@@ -186,10 +186,7 @@ fn evaluations(gpu: &Gpu, training: &Training, camera: &Camera) -> Result<usize,
     let tile = TILE as usize;
     let across = width.div_ceil(tile);
     let ranges: Vec<[u32; 2]> = gpu.read(&lists.ranges, across * height.div_ceil(tile))?;
-    let ends: Vec<u32> = match training.pipeline.blend.ends() {
-        Some(ends) => gpu.read(ends, (lists.layers() as usize + 1) * width * height)?,
-        None => vec![],
-    };
+    let ends: Vec<u32> = gpu.read(&training.pipeline.blend.ends, (lists.layers() as usize + 1) * width * height)?;
     let mut last: Vec<u32> = ranges.iter().map(|r| r[0]).collect();
     for (i, &end) in ends.iter().enumerate() {
         let (x, y) = (i % width, i / width % height);

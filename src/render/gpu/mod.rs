@@ -2,6 +2,7 @@
 //! same name in `shaders/`.
 
 pub(crate) mod adam;
+mod backward;
 mod blend;
 mod device;
 pub(crate) mod exposure;

@@ -3,6 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
+    backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
     pipeline::Pipeline,
 };
@@ -128,10 +129,9 @@ impl Poses {
         })
     }
 
-    /// Binds the buffers of a pipeline that differentiates by poses.
-    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline) {
-        let Some(backward) = &pipeline.backward else { return };
-        let Some(by_turn) = &backward.turn_gradient else { return };
+    /// Binds the buffers of a pipeline and its way back, if that differentiates by poses.
+    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
+        let Some(by_turn) = &backward.splats.turn else { return };
         let [first, second] = &self.moments;
         let buffers = [
             &pipeline.view,
@@ -140,7 +140,7 @@ impl Poses {
             first,
             second,
             by_turn,
-            &backward.geometry_gradient,
+            &backward.splats.geometry,
             &self.partial,
             &backward.status,
         ];

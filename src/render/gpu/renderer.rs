@@ -32,7 +32,7 @@ impl<'g> Renderer<'g> {
     /// If the adapter cannot hold it, or its composition is not valid.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera]) -> Result<Self, GpuError> {
         scene.composition.validate()?;
-        Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, false)? })
+        Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, None)? })
     }
 
     /// Renders one picture and waits for it.
@@ -65,9 +65,9 @@ impl<'g> Renderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let view = self.pipeline.prepare(self.gpu, camera)?;
+        let (view, _) = self.pipeline.prepare(self.gpu, camera)?;
         let mut frame = Frame::new(self.gpu);
-        self.pipeline.record_forward(self.gpu, &mut frame, &view);
+        self.pipeline.record(self.gpu, &mut frame, &view);
         frame.submit();
         Ok(())
     }

@@ -109,6 +109,7 @@ pub(crate) struct SplatLists {
     counts: Buffer,
     pair_capacity: usize,
     layers: u32,
+    purpose: Purpose,
     depth_sort: Sort,
     tile_sort: Sort,
     find_visible: Scan,
@@ -251,6 +252,7 @@ impl SplatLists {
             counts,
             pair_capacity,
             layers,
+            purpose,
             depth_sort,
             tile_sort,
             find_visible,
@@ -314,6 +316,11 @@ impl SplatLists {
     /// Mesh layers that splats are ordered against.
     pub(crate) fn layers(&self) -> u32 {
         self.layers
+    }
+
+    /// What they were made for.
+    pub(crate) fn purpose(&self) -> Purpose {
+        self.purpose
     }
 
     /// Pairs that fit.

@@ -6,8 +6,10 @@ use rand_pcg::Pcg32;
 
 use super::{
     GpuError, LayeredRenderer, Renderer,
+    backward::Backward,
     device::{Frame, Gpu},
     pipeline::Pipeline,
+    status::status_buffer,
     vertices::VertexState,
 };
 use crate::{
@@ -39,24 +41,31 @@ fn smoothed_frame(
     cotangent: Option<&Image>,
 ) -> (Image, Option<Parameters>, Vec<[f32; 4]>) {
     let k = *camera.intrinsics();
-    let mut pipeline = Pipeline::new(gpu, scene, 0, &[*camera], cotangent.is_some()).unwrap();
+    let status = cotangent.map(|_| status_buffer(gpu).unwrap());
+    let mut pipeline = Pipeline::new(gpu, scene, 0, &[*camera], status.as_ref()).unwrap();
+    let mut backward = status.map(|status| Backward::new(gpu, &pipeline, status).unwrap());
     let n = scene.splats.len();
     for (i, &deviation) in deviations.iter().enumerate() {
         gpu.write(&pipeline.splats.geometry, 48 * i as u64 + 44, &[deviation as f32]);
     }
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
-        let view = pipeline.prepare(gpu, camera).unwrap();
-        if let (Some(c), Some(b)) = (cotangent, &pipeline.backward) {
+        let (view, _) = pipeline.prepare(gpu, camera).unwrap();
+        if let (Some(c), Some(b)) = (cotangent, &backward) {
             let words: Vec<f32> = c.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
             gpu.write(&b.image_gradient, 0, &words);
         }
         let mut frame = Frame::new(gpu);
-        pipeline.record_forward(gpu, &mut frame, &view);
-        pipeline.record_backward(&mut frame, &view);
+        pipeline.record(gpu, &mut frame, &view);
+        if let Some(backward) = &backward {
+            backward.record(&mut frame, &pipeline, &view);
+        }
         frame.submit();
         if !pipeline.grow_if_short(gpu).unwrap() {
             break;
+        }
+        if let Some(backward) = &mut backward {
+            backward.renew(gpu, &pipeline).unwrap();
         }
     }
     let pixels = (k.width * k.height) as usize;
@@ -67,9 +76,9 @@ fn smoothed_frame(
         rgb: words.chunks_exact(4).map(|p| [p[0], p[1], p[2]].map(f64::from)).collect(),
         transmittance: words.chunks_exact(4).map(|p| f64::from(p[3])).collect(),
     };
-    let gradients = pipeline.backward.as_ref().map(|b| {
+    let gradients = backward.as_ref().map(|b| {
         let mut out = Parameters::of(scene).zeros_like();
-        let geometry: Vec<f32> = gpu.read(&b.geometry_gradient, n * 12).unwrap();
+        let geometry: Vec<f32> = gpu.read(&b.splats.geometry, n * 12).unwrap();
         for (i, g) in geometry.chunks_exact(12).enumerate() {
             let g: Vec<f64> = g.iter().copied().map(f64::from).collect();
             out.means[i] = glam::DVec3::new(g[0], g[1], g[2]);
@@ -77,7 +86,7 @@ fn smoothed_frame(
             out.rotations[i] = [g[4], g[5], g[6], g[7]];
             out.log_scales[i] = glam::DVec3::new(g[8], g[9], g[10]);
         }
-        let sh: Vec<f32> = gpu.read(&b.sh_gradient, n * 3 * terms).unwrap();
+        let sh: Vec<f32> = gpu.read(&b.splats.sh, n * 3 * terms).unwrap();
         for (i, c) in sh.chunks_exact(3).enumerate() {
             out.sh[i] = glam::DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
         }
@@ -88,8 +97,16 @@ fn smoothed_frame(
         }
         out
     });
-    let statistics = pipeline.backward.as_ref().map_or(vec![], |b| gpu.read(&b.statistics, n).unwrap());
+    let statistics = backward.as_ref().map_or(vec![], |b| gpu.read(&b.splats.statistics, n).unwrap());
     (rendered, gradients, statistics)
+}
+
+/// Frame and way back of the scene as this camera sees it.
+fn differentiable(gpu: &Gpu, scene: &HybridScene, camera: &Camera) -> (Pipeline, Backward) {
+    let status = status_buffer(gpu).unwrap();
+    let pipeline = Pipeline::new(gpu, scene, 0, &[*camera], Some(&status)).unwrap();
+    let backward = Backward::new(gpu, &pipeline, status).unwrap();
+    (pipeline, backward)
 }
 
 /// f32 depths, alphas and barycentrics resolve decisions down to about this.
@@ -339,25 +356,26 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
         let gpu = Gpu::open_restricted(None, subgroups).unwrap();
         let (scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
         let (cotangent, n) = (random_cotangent(&camera, 3), scene.splats.len());
-        let frame = |pipeline: &mut Pipeline, only: Option<usize>| -> Vec<f32> {
-            let view = pipeline.prepare(&gpu, &camera).unwrap();
+        let frame = |(pipeline, backward): &mut (Pipeline, Backward), only: Option<usize>| -> Vec<f32> {
+            let (view, _) = pipeline.prepare(&gpu, &camera).unwrap();
             let kept = |(p, g): (usize, &[f64; 3])| {
                 let g = if only.is_none_or(|only| only == p) { *g } else { [0.0; 3] };
                 [g[0] as f32, g[1] as f32, g[2] as f32, 0.0]
             };
             let words: Vec<f32> = cotangent.rgb.iter().enumerate().flat_map(kept).collect();
-            gpu.write(&pipeline.backward.as_ref().unwrap().image_gradient, 0, &words);
+            gpu.write(&backward.image_gradient, 0, &words);
             let mut frame = Frame::new(&gpu);
-            pipeline.record_forward(&gpu, &mut frame, &view);
-            pipeline.record_backward(&mut frame, &view);
+            pipeline.record(&gpu, &mut frame, &view);
+            backward.record(&mut frame, pipeline, &view);
             frame.submit();
-            gpu.read(pipeline.blend.moments().unwrap(), n * pipeline.moments()).unwrap()
+            let (moments, row) = backward.moments();
+            gpu.read(moments, n * row).unwrap()
         };
-        let mut plain = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
+        let mut plain = differentiable(&gpu, &scene, &camera);
         let mut expected = vec![[0.0_f64; 2]; n];
         for p in 0..cotangent.rgb.len() {
             let moments = frame(&mut plain, Some(p));
-            let projected: Vec<f32> = gpu.read(&plain.lists.projected, 12 * n).unwrap();
+            let projected: Vec<f32> = gpu.read(&plain.0.lists.projected, 12 * n).unwrap();
             for (i, sum) in expected.iter_mut().enumerate() {
                 let (m, q) = (&moments[10 * i..], &projected[12 * i + 4..]);
                 sum[0] += f64::from(q[0] * m[1] + q[1] * m[2]).abs();
@@ -365,10 +383,10 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
             }
         }
         let all = frame(&mut plain, None);
-        let mut absolute = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
-        absolute.sum_absolute_gradients(&gpu).unwrap();
+        let mut absolute = differentiable(&gpu, &scene, &camera);
+        absolute.1.sum_absolute_gradients(&gpu, &absolute.0).unwrap();
         let found = frame(&mut absolute, None);
-        let statistics: Vec<f32> = gpu.read(&absolute.backward.as_ref().unwrap().statistics, 4 * n).unwrap();
+        let statistics: Vec<f32> = gpu.read(&absolute.1.splats.statistics, 4 * n).unwrap();
         let k = camera.intrinsics();
         for (i, [u, v]) in expected.into_iter().enumerate() {
             let row = &found[12 * i..12 * (i + 1)];
@@ -446,18 +464,17 @@ fn vertex_gradients_equal_the_reference() {
             let (scene, camera) = testing::smooth_scene(seed, [1, 2, 4, 1][seed as usize], MODES[seed as usize % 3]);
             let cotangent = random_cotangent(&camera, seed);
             let expected = reference::backward(&scene, &camera, &cotangent).positions;
-            let mut pipeline = Pipeline::new(&gpu, &scene, 0, &[camera], true).unwrap();
+            let (mut pipeline, backward) = differentiable(&gpu, &scene, &camera);
             let state = VertexState::new(&scene.meshes, 1.0);
-            let status = &pipeline.backward.as_ref().unwrap().status;
             let mesh = pipeline.mesh.as_mut().unwrap();
-            mesh.free_vertices(&gpu, &scene.meshes, &pipeline.view, status, &state).unwrap();
-            let view = pipeline.prepare(&gpu, &camera).unwrap();
+            mesh.free_vertices(&gpu, &scene.meshes, &pipeline.view, &backward.status, &state).unwrap();
+            let (view, _) = pipeline.prepare(&gpu, &camera).unwrap();
             let words: Vec<f32> =
                 cotangent.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
-            gpu.write(&pipeline.backward.as_ref().unwrap().image_gradient, 0, &words);
+            gpu.write(&backward.image_gradient, 0, &words);
             let mut frame = Frame::new(&gpu);
-            pipeline.record_forward(&gpu, &mut frame, &view);
-            pipeline.record_backward(&mut frame, &view);
+            pipeline.record(&gpu, &mut frame, &view);
+            backward.record(&mut frame, &pipeline, &view);
             pipeline.mesh.as_ref().unwrap().record_vertex_backward(&mut frame);
             frame.submit();
             let found = pipeline.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap();

@@ -2,6 +2,7 @@
 
 use super::{
     adam::{AdamStep, SplatAdam, SplatFloats},
+    backward::Backward,
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
@@ -12,9 +13,10 @@ use super::{
     smoothing::Smoothing,
     splats::{GEOMETRY, SplatBuffers, longer_list},
     state::SplatState,
-    status::{ListCheck, Status},
+    status::{ListCheck, Status, status_buffer},
     texels::TexelStep,
     vertices::{VertexState, VertexStep},
+    view::View,
 };
 use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 
@@ -64,6 +66,7 @@ pub(crate) struct Step<'a> {
 pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
     pub(crate) pipeline: Pipeline,
+    backward: Backward,
     truth: Buffer,
     /// Of the largest pictures, (width, height), each once.
     sizes: Vec<(usize, usize)>,
@@ -90,21 +93,24 @@ impl<'g> Training<'g> {
         ssim_weight: f32,
     ) -> Result<Self, GpuError> {
         let capacity = with_headroom(gpu, scene.splats.len(), scene.splats.sh_degree());
-        let pipeline = Pipeline::new(gpu, scene, capacity, cameras, true)?;
+        let status = status_buffer(gpu)?;
+        let pipeline = Pipeline::new(gpu, scene, capacity, cameras, Some(&status))?;
+        let backward = Backward::new(gpu, &pipeline, status)?;
         let size = |c: &Camera| (c.intrinsics().width as usize, c.intrinsics().height as usize);
         let mut sizes: Vec<_> = cameras.iter().map(size).collect();
         sizes.sort_unstable();
         sizes.dedup();
         let truth = gpu.storage("photograph", pipeline.pixels())?;
-        let loss = new_loss(gpu, &pipeline, &truth, &sizes, ssim_weight, None)?;
+        let loss = new_loss(gpu, (&pipeline, &backward), &truth, &sizes, ssim_weight, None)?;
         let (moments, moments_of) = (new_moments(gpu, &pipeline)?, pipeline.splats.capacity);
-        let adam = new_adam(gpu, &pipeline, &moments)?;
-        let list_check = new_list_check(gpu, &pipeline);
+        let adam = new_adam(gpu, &pipeline, &backward, &moments)?;
+        let list_check = new_list_check(gpu, &pipeline, &backward.status);
         let rows = RowGather::new(gpu, sh_floats(&pipeline))?;
         let (smoothing, exposures, poses, timer) = (None, None, None, None);
         Ok(Self {
             gpu,
             pipeline,
+            backward,
             truth,
             sizes,
             ssim_weight,
@@ -125,7 +131,7 @@ impl<'g> Training<'g> {
     /// then nothing changes, by this step and those after it, until [`Self::grow_if_short`] is called. Does not wait.
     pub(crate) fn step(&mut self, step: &Step) -> Result<(), GpuError> {
         self.pipeline.composition.background = step.background;
-        let mut view = self.pipeline.prepare(self.gpu, step.camera)?;
+        let mut view = self.prepare(step.camera)?;
         view.sh_degree = step.sh_degree.min(view.sh_degree);
         view.band_degree = step.band_degree;
         if step.splats.is_none() {
@@ -140,7 +146,7 @@ impl<'g> Training<'g> {
             poses.record_correction(self.gpu, &mut frame, &step);
             poses
         });
-        self.pipeline.record_forward(self.gpu, &mut frame, &view);
+        self.pipeline.record(self.gpu, &mut frame, &view);
         self.list_check.record(&mut frame);
         let exposure = self.exposures.as_mut().zip(step.exposure);
         self.loss.set_truth(self.gpu, step.truth_alpha, exposure.as_ref().map_or(0, |(_, step)| step.view));
@@ -148,7 +154,7 @@ impl<'g> Training<'g> {
         if let Some((exposures, step)) = exposure {
             exposures.record(self.gpu, &mut frame, &view, &step);
         }
-        self.pipeline.record_backward(&mut frame, &view);
+        self.backward.record(&mut frame, &self.pipeline, &view);
         if let (Some(_), Some(mesh)) = (&step.vertices, &self.pipeline.mesh) {
             mesh.record_vertex_backward(&mut frame);
         }
@@ -193,11 +199,11 @@ impl<'g> Training<'g> {
             poses.write(self.gpu, state);
             return Ok(());
         }
-        self.pipeline.differentiate_poses(self.gpu)?;
+        self.backward.differentiate_poses(self.gpu, &self.pipeline)?;
         let mut poses = Poses::new(self.gpu, state)?;
-        poses.bind(self.gpu, &self.pipeline);
+        poses.bind(self.gpu, &self.pipeline, &self.backward);
         self.poses = Some(poses);
-        self.bind_loss()
+        Ok(())
     }
 
     /// The corrections as they are now, if there are any. Waits.
@@ -220,17 +226,14 @@ impl<'g> Training<'g> {
 
     /// From now on the statistics of density control hold absolute gradients as well.
     pub(crate) fn sum_absolute_gradients(&mut self) -> Result<(), GpuError> {
-        self.pipeline.sum_absolute_gradients(self.gpu)?;
-        self.bind_loss()
+        self.backward.sum_absolute_gradients(self.gpu, &self.pipeline)
     }
 
     /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.
     pub(crate) fn free_vertices(&mut self, meshes: &[Mesh], state: &VertexState) -> Result<(), GpuError> {
-        let Pipeline { mesh, backward, view, .. } = &mut self.pipeline;
-        match (mesh, backward) {
-            (Some(mesh), Some(backward)) => mesh.free_vertices(self.gpu, meshes, view, &backward.status, state),
-            _ => Ok(()),
-        }
+        let Pipeline { mesh, view, .. } = &mut self.pipeline;
+        let status = &self.backward.status;
+        mesh.as_mut().map_or(Ok(()), |mesh| mesh.free_vertices(self.gpu, meshes, view, status, state))
     }
 
     /// The meshes as they are now: moved vertices, trained maps. `meshes` are those of the scene. Waits.
@@ -256,12 +259,12 @@ impl<'g> Training<'g> {
     pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], splats: bool) -> Result<Picture, GpuError> {
         self.pipeline.composition.background = background;
         loop {
-            let mut view = self.pipeline.prepare(self.gpu, camera)?;
+            let mut view = self.prepare(camera)?;
             if !splats {
                 view.n_splats = 0;
             }
             let mut frame = Frame::new(self.gpu);
-            self.pipeline.record_forward(self.gpu, &mut frame, &view);
+            self.pipeline.record(self.gpu, &mut frame, &view);
             frame.submit();
             if !self.grow_after_frame()? {
                 return self.pipeline.read_picture(self.gpu, camera);
@@ -274,20 +277,17 @@ impl<'g> Training<'g> {
     pub(crate) fn gather(&mut self, camera: &Camera, values: &[[f32; 3]]) -> Result<Vec<[f32; 4]>, GpuError> {
         let padded: Vec<[f32; 4]> = values.iter().map(|v| [v[0], v[1], v[2], 0.0]).collect();
         loop {
-            let view = self.pipeline.prepare(self.gpu, camera)?;
-            let backward = self.pipeline.backward.as_ref().expect("made for training");
-            self.gpu.write(&backward.image_gradient, 0, &padded);
+            let view = self.prepare(camera)?;
+            self.gpu.write(&self.backward.image_gradient, 0, &padded);
             let mut frame = Frame::new(self.gpu);
-            self.pipeline.record_forward(self.gpu, &mut frame, &view);
-            let (x, y) = view.tiles();
-            self.pipeline.blend.record_backward(&mut frame, x as usize * y as usize);
+            self.pipeline.record(self.gpu, &mut frame, &view);
+            self.backward.record_blend(&mut frame, &view);
             frame.submit();
             if !self.grow_after_frame()? {
                 break;
             }
         }
-        let moments = self.pipeline.blend.moments().expect("made for training");
-        let row = self.pipeline.moments();
+        let (moments, row) = self.backward.moments();
         let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.n_splats * row)?;
         Ok(rows.chunks_exact(row).map(|m| [m[6], m[7], m[8], m[9]]).collect())
     }
@@ -316,7 +316,7 @@ impl<'g> Training<'g> {
 
     /// What the steps so far found out about themselves. Waits for the last one.
     pub(crate) fn status(&self) -> Result<Status, GpuError> {
-        Status::read(self.gpu, self.status_buffer())
+        Status::read(self.gpu, &self.backward.status)
     }
 
     /// Waits for the last step and enlarges lists that were too short for any so far. Returns how many of the last steps changed nothing
@@ -329,12 +329,17 @@ impl<'g> Training<'g> {
         let lengths = self.pipeline.list_lengths();
         let longer = |i: usize| if needed[i] > lengths[i] { longer_list(self.gpu, needed[i]) } else { 0 };
         self.lengthen_lists([longer(0), longer(1)])?;
-        Status::forget_skipped(self.gpu, self.status_buffer());
+        Status::forget_skipped(self.gpu, &self.backward.status);
         Ok(skipped)
     }
 
-    fn status_buffer(&self) -> &Buffer {
-        &self.pipeline.backward.as_ref().expect("made for training").status
+    /// As [`Pipeline::prepare`], everything bound to what the pipeline has then.
+    fn prepare(&mut self, camera: &Camera) -> Result<View, GpuError> {
+        let (view, renewed) = self.pipeline.prepare(self.gpu, camera)?;
+        if renewed {
+            self.rebind()?;
+        }
+        Ok(view)
     }
 
     /// Waits for a forward frame and enlarges lists that were too short for it; true if so.
@@ -391,8 +396,8 @@ impl<'g> Training<'g> {
         }
         let (p, [gm, gv, sm, sv]) = (&self.pipeline, &self.moments);
         // The next step writes gradients anew before it reads them.
-        let backward = p.backward.as_ref().expect("made for training");
-        let (scratch, sh_scratch) = (&backward.geometry_gradient, &backward.sh_gradient);
+        let gradients = &self.backward.splats;
+        let (scratch, sh_scratch) = (&gradients.geometry, &gradients.sh);
         let buffers = [
             (Rows::GeometryMoments, gm, scratch),
             (Rows::GeometryMoments, gv, scratch),
@@ -403,7 +408,7 @@ impl<'g> Training<'g> {
         self.rows.run(self.gpu, sources, &buffers)?;
         self.gpu.write(&p.splats.geometry, 0, geometry);
         let mut frame = Frame::new(self.gpu);
-        frame.clear(&backward.statistics);
+        frame.clear(&gradients.statistics);
         frame.submit();
         self.pipeline.n_splats = n;
         Ok(())
@@ -435,14 +440,12 @@ impl<'g> Training<'g> {
 
     /// Density statistics, `[N·4]`, see `splat_backward.wgsl`. Waits.
     pub(crate) fn read_statistics(&self) -> Result<Vec<f32>, GpuError> {
-        let backward = self.pipeline.backward.as_ref().expect("made for training");
-        self.gpu.read(&backward.statistics, self.pipeline.n_splats * 4)
+        self.gpu.read(&self.backward.splats.statistics, self.pipeline.n_splats * 4)
     }
 
     /// Replaces the density statistics.
     pub(crate) fn write_statistics(&self, statistics: &[f32]) {
-        let backward = self.pipeline.backward.as_ref().expect("made for training");
-        self.gpu.write(&backward.statistics, 0, statistics);
+        self.gpu.write(&self.backward.splats.statistics, 0, statistics);
     }
 
     /// The maps as they are now. Waits.
@@ -475,25 +478,26 @@ impl<'g> Training<'g> {
 
     /// Binds what reads the pipeline's buffers to their replacements; moments of another capacity start at zero.
     fn rebind(&mut self) -> Result<(), GpuError> {
-        self.list_check = new_list_check(self.gpu, &self.pipeline);
+        self.backward.renew(self.gpu, &self.pipeline)?;
+        self.list_check = new_list_check(self.gpu, &self.pipeline, &self.backward.status);
         self.bind_loss()?;
         if let Some(poses) = &mut self.poses {
-            poses.bind(self.gpu, &self.pipeline);
+            poses.bind(self.gpu, &self.pipeline, &self.backward);
         }
         if self.moments_of != self.pipeline.splats.capacity {
             self.moments = new_moments(self.gpu, &self.pipeline)?;
             self.moments_of = self.pipeline.splats.capacity;
         }
-        self.adam = new_adam(self.gpu, &self.pipeline, &self.moments)?;
+        self.adam = new_adam(self.gpu, &self.pipeline, &self.backward, &self.moments)?;
         Ok(())
     }
 
     fn bind_loss(&mut self) -> Result<(), GpuError> {
-        let Self { gpu, pipeline, truth, sizes, ssim_weight, .. } = &*self;
+        let Self { gpu, pipeline, backward, truth, sizes, ssim_weight, .. } = &*self;
         let exposures = self.exposures.as_ref().map(|exposures| &exposures.values);
-        self.loss = new_loss(gpu, pipeline, truth, sizes, *ssim_weight, exposures)?;
+        self.loss = new_loss(gpu, (pipeline, backward), truth, sizes, *ssim_weight, exposures)?;
         if let Some(exposures) = &mut self.exposures {
-            exposures.bind(self.gpu, &self.pipeline);
+            exposures.bind(self.gpu, &self.pipeline, &self.backward);
         }
         Ok(())
     }
@@ -511,19 +515,17 @@ fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
 
 fn new_loss(
     gpu: &Gpu,
-    pipeline: &Pipeline,
+    (pipeline, backward): (&Pipeline, &Backward),
     truth: &Buffer,
     sizes: &[(usize, usize)],
     ssim_weight: f32,
     exposures: Option<&Buffer>,
 ) -> Result<Loss, GpuError> {
-    let gradient = &pipeline.backward.as_ref().expect("made for training").image_gradient;
-    let image = &pipeline.blend.image;
+    let (image, gradient) = (&pipeline.blend.image, &backward.image_gradient);
     Loss::new(gpu, sizes, image, truth, gradient, &pipeline.view, ssim_weight, exposures)
 }
 
-fn new_list_check(gpu: &Gpu, pipeline: &Pipeline) -> ListCheck {
-    let status = &pipeline.backward.as_ref().expect("made for training").status;
+fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck {
     ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref(), status)
 }
 
@@ -537,14 +539,13 @@ fn new_moments(gpu: &Gpu, pipeline: &Pipeline) -> Result<[Buffer; 4], GpuError> 
     ])
 }
 
-fn new_adam(gpu: &Gpu, pipeline: &Pipeline, moments: &[Buffer; 4]) -> Result<SplatAdam, GpuError> {
-    let backward = pipeline.backward.as_ref().expect("made for training");
+fn new_adam(gpu: &Gpu, pipeline: &Pipeline, backward: &Backward, moments: &[Buffer; 4]) -> Result<SplatAdam, GpuError> {
     let [geometry_m, geometry_v, sh_m, sh_v] = moments;
     SplatAdam::new(
         gpu,
         sh_floats(pipeline),
         SplatFloats { geometry: &pipeline.splats.geometry, sh: &pipeline.splats.sh },
-        SplatFloats { geometry: &backward.geometry_gradient, sh: &backward.sh_gradient },
+        SplatFloats { geometry: &backward.splats.geometry, sh: &backward.splats.sh },
         SplatFloats { geometry: geometry_m, sh: sh_m },
         SplatFloats { geometry: geometry_v, sh: sh_v },
         &pipeline.lists.visible,

@@ -49,6 +49,12 @@ impl View {
         (k.width.div_ceil(TILE), k.height.div_ceil(TILE))
     }
 
+    /// Tiles.
+    pub(crate) fn n_tiles(&self) -> usize {
+        let (x, y) = self.tiles();
+        x as usize * y as usize
+    }
+
     /// Pixels.
     pub(crate) fn pixels(&self) -> usize {
         let k = self.camera.intrinsics();
