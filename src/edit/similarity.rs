@@ -1,7 +1,7 @@
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::scene::{Atlas, Camera, HybridScene, Intrinsics, Mesh, SceneError, Splats, Texture, sh};
+use crate::scene::{Camera, HybridScene, Intrinsics, Mesh, SceneError, Splats, placement};
 
 /// `p' = scale · orthogonal · p + translation`: everything that leaves shapes alone. `orthogonal` may mirror.
 ///
@@ -69,10 +69,9 @@ impl Similarity {
         let stretch = self.scale.ln();
         s.log_scales.par_iter_mut().for_each(|l| *l = (l.as_dvec3() + stretch).as_vec3());
         if self.orthogonal != DMat3::IDENTITY {
-            let turn = self.turn();
+            let (turn, all) = (self.turn(), 0..s.rotations.len());
             s.rotations.par_iter_mut().for_each(|q| *q = (turn * q.as_dquat()).as_quat());
-            let harmonics = sh::Rotation::new(self.orthogonal);
-            s.sh.par_chunks_exact_mut(sh::coefficients(s.sh_degree)).for_each(|c| harmonics.apply(&mut c[1..]));
+            placement::turn(&mut s, all, self.orthogonal);
         }
         s.check()
     }
@@ -89,21 +88,7 @@ impl Similarity {
             triangles.iter_mut().for_each(|t| t.swap(1, 2));
             corner_uvs.iter_mut().for_each(|uvs| uvs.swap(1, 2));
         }
-        let atlas = mesh.atlas();
-        let bands = match atlas.bands() {
-            Some(bands) if self.orthogonal != DMat3::IDENTITY => Some(self.turned(bands)?),
-            bands => bands.cloned(),
-        };
-        Mesh::new(positions, triangles, corner_uvs, Atlas::new(atlas.base().clone(), bands)?)
-    }
-
-    fn turned(&self, bands: &Texture) -> Result<Texture, SceneError> {
-        let harmonics = sh::Rotation::new(self.orthogonal);
-        let mut texels = bands.texels().to_vec();
-        texels
-            .par_chunks_exact_mut(bands.channels() as usize)
-            .for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
-        Texture::new(bands.width(), bands.height(), bands.channels(), texels)
+        Mesh::new(positions, triangles, corner_uvs, placement::turned(mesh.atlas(), self.orthogonal)?)
     }
 
     /// The camera to which a moved scene looks as the scene did to `camera`; mirrored left to right if the scene is.

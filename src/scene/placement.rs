@@ -40,23 +40,23 @@ pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DM
     splats.means[these.clone()].par_iter_mut().for_each(moved);
     splats.rotations[these.clone()].par_iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
     splats.log_scales[these.clone()].par_iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
-    turn(splats, these, rotation);
+    turn(splats, these, DMat3::from_quat(rotation));
     true
 }
 
-/// Turns the view dependence of some splats.
-pub(crate) fn turn(splats: &mut SplatArrays, these: Range<usize>, rotation: DQuat) {
-    if splats.sh_degree > 0 && rotation != DQuat::IDENTITY {
-        let (k, harmonics) = (sh::coefficients(splats.sh_degree), sh::Rotation::new(DMat3::from_quat(rotation)));
+/// Turns (or mirrors) the view dependence of some splats.
+pub(crate) fn turn(splats: &mut SplatArrays, these: Range<usize>, orthogonal: DMat3) {
+    if splats.sh_degree > 0 && orthogonal != DMat3::IDENTITY {
+        let (k, harmonics) = (sh::coefficients(splats.sh_degree), sh::Rotation::new(orthogonal));
         let all = splats.sh[these.start * k..these.end * k].par_chunks_exact_mut(k);
         all.for_each(|coefficients| harmonics.apply(&mut coefficients[1..]));
     }
 }
 
-/// Maps whose view dependence is turned.
-pub(crate) fn turned(atlas: &Atlas, rotation: DQuat) -> Result<Atlas, SceneError> {
-    let Some(bands) = atlas.bands() else { return Ok(atlas.clone()) };
-    let harmonics = sh::Rotation::new(DMat3::from_quat(rotation));
+/// Maps whose view dependence is turned (or mirrored).
+pub(crate) fn turned(atlas: &Atlas, orthogonal: DMat3) -> Result<Atlas, SceneError> {
+    let Some(bands) = atlas.bands().filter(|_| orthogonal != DMat3::IDENTITY) else { return Ok(atlas.clone()) };
+    let harmonics = sh::Rotation::new(orthogonal);
     let mut texels = bands.texels().to_vec();
     texels.par_chunks_exact_mut(bands.channels() as usize).for_each(|texel| harmonics.apply(texel.as_chunks_mut().0));
     let bands = Texture::new(bands.width(), bands.height(), bands.channels(), texels)?;

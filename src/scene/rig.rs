@@ -245,7 +245,7 @@ impl Rig {
             && atlas.sh_degree() > 0
             && let Since::Moved(_, Similarity { rotation, .. }) = self.since_rest(bone, pose, moved)?
         {
-            atlas = turned(&atlas, rotation)?;
+            atlas = turned(&atlas, DMat3::from_quat(rotation))?;
         }
         let mut positions = form.positions(pose);
         if moved != DMat4::IDENTITY {
@@ -329,7 +329,7 @@ impl Rig {
                     Harmonics::Triangles(turns) => rotation * turns[j] * unmoved,
                 }
             };
-            turn(splats, i..i + 1, turned_by);
+            turn(splats, i..i + 1, DMat3::from_quat(turned_by));
         }
         Ok(())
     }

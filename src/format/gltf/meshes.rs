@@ -3,7 +3,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use glam::{DMat4, Vec2, Vec3};
+use glam::{DMat3, DMat4, Vec2, Vec3};
 
 use super::binding::{Bindable, wanted};
 use super::extension::{HYBRID, Surface};
@@ -135,7 +135,7 @@ impl<'a> Meshes<'a> {
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            group.atlas = Some(turned(&maps.atlas, rotation).map_err(|e| Fault::from(e).under(&at))?);
+            group.atlas = Some(turned(&maps.atlas, DMat3::from_quat(rotation)).map_err(|e| Fault::from(e).under(&at))?);
         }
         let moves = self.poses.animates(&form, self.motion);
         let id = (node.index(), primitive.index());

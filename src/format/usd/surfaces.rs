@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat4, Vec2, Vec3};
+use glam::{DMat3, DMat4, Vec2, Vec3};
 
 use super::document::{Prim, Value, field};
 use super::materials::Materials;
@@ -55,7 +55,7 @@ pub(super) fn read(
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            atlas = turned(&atlas, rotation).map_err(|e| Fault::from(e).under(&at))?;
+            atlas = turned(&atlas, DMat3::from_quat(rotation)).map_err(|e| Fault::from(e).under(&at))?;
         }
         let uvs = CornerUvs::of(stage, prim, &primvar)?;
         if uvs.is_none() {

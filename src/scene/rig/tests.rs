@@ -206,7 +206,7 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     let mut expected = scene.splats.clone().into_arrays();
     assert!(place(&mut expected, 0..1, by));
     same_splats(&posed.splats, &expected.check().unwrap(), 2e-6);
-    let expected = turned(scene.meshes[0].atlas(), DQuat::from_rotation_y(0.9)).unwrap();
+    let expected = turned(scene.meshes[0].atlas(), DMat3::from_rotation_y(0.9)).unwrap();
     let texels = |atlas: &Atlas| atlas.bands().unwrap().texels().to_vec();
     for (a, b) in texels(posed.meshes[0].atlas()).iter().zip(texels(&expected)) {
         assert!((a - b).abs() < 1e-6);
