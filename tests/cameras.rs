@@ -7,6 +7,7 @@ mod common;
 use std::path::Path;
 
 use centaur::format::{WriteOptions, write_scene};
+use centaur::scene::color::linear_to_srgb;
 use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 use common::{centaur, failure, stderr, write_capture};
 use glam::{DMat3, DVec3, Quat, Vec3};
@@ -18,14 +19,70 @@ fn run(folder: &Path, args: &[&str]) -> String {
 }
 
 /// A ball, red at x > 0 and blue at x < 0.
-fn write_ball(path: &Path) {
+fn write_ball(path: &Path, composition: Composition) {
     let means = vec![Vec3::new(0.2, 0.0, 0.0), Vec3::new(-0.2, 0.0, 0.0)];
     let color = |c: [f32; 3]| c.map(|v| (v - 0.5) / 0.282_094_8);
     let sh = vec![color([1.0, 0.0, 0.0]), color([0.0, 0.0, 1.0])];
     let scales = vec![Vec3::splat(0.1f32.ln()); 2];
     let splats = Splats::new(means, vec![Quat::IDENTITY; 2], scales, vec![5.0; 2], 0, sh).unwrap();
-    let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
+    let scene = HybridScene { splats, meshes: vec![], composition };
     write_scene(path, &scene, &WriteOptions::default()).unwrap();
+}
+
+/// RGBA, row-major from the top.
+fn read_exr(path: &Path) -> Vec<[f32; 4]> {
+    use exr::prelude::{Vec2, read_first_rgba_layer_from_file};
+    let read = read_first_rgba_layer_from_file(
+        path,
+        |size: Vec2<usize>, _| (size.width(), vec![[0.0; 4]; size.area()]),
+        |(width, pixels), at: Vec2<usize>, (r, g, b, a): (f32, f32, f32, f32)| {
+            pixels[at.y() * *width + at.x()] = [r, g, b, a];
+        },
+    );
+    read.unwrap().layer_data.channel_data.pixels.1
+}
+
+/// Over a colour as browsers lay PNG, and in linear light as EXR has it, what is cut out is the picture.
+#[test]
+fn what_is_cut_out_makes_the_picture_again_over_its_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 9, (32, 24));
+    let background = [0.25, 0.5, 1.0];
+    write_ball(&at("ball.glb"), Composition { background, ..Composition::default() });
+    for model in ["ewa", "ray"] {
+        let render = |out: &str, flags: &[&str]| {
+            let base =
+                ["render", "ball.glb", "--cameras", "capture", "--camera", "000.png", "--model", model, "-o", out];
+            run(folder.path(), &[&base[..], flags].concat());
+            let mut files = std::fs::read_dir(at(out)).unwrap().map(|entry| entry.unwrap().path());
+            let (file, more) = (files.next().unwrap(), files.next());
+            assert_eq!(more, None);
+            file
+        };
+        let name = |kind: &str| format!("{model}-{kind}");
+        let whole = image::open(render(&name("whole"), &[])).unwrap().into_rgb8();
+        let cut = image::open(render(&name("cut"), &["--alpha"])).unwrap();
+        assert_eq!(cut.color(), image::ColorType::Rgba8);
+        let cut = cut.into_rgba8();
+        let linear = read_exr(&render(&name("linear"), &["--alpha", "--format", "exr"]));
+        let mut see_through = 0;
+        for ((whole, cut), linear) in whole.pixels().zip(cut.pixels()).zip(&linear) {
+            let alpha = f32::from(cut.0[3]) / 255.0;
+            see_through += u32::from(cut.0[3] > 5 && cut.0[3] < 250);
+            assert!((linear[3] - alpha).abs() <= 0.5001 / 255.0);
+            for c in 0..3 {
+                let over = alpha * f32::from(cut.0[c]) / 255.0 + (1.0 - alpha) * background[c];
+                // Three roundings to 8 bits: of the colour, of alpha and of what it is compared with.
+                assert!((over - f32::from(whole.0[c]) / 255.0).abs() <= 1.501 / 255.0, "{over} for {whole:?}");
+                let straight = if linear[3] > 0.0 { linear_to_srgb(linear[c] / linear[3]) } else { 0.0 };
+                assert!((straight.clamp(0.0, 1.0) - f32::from(cut.0[c]) / 255.0).abs() <= 0.51 / 255.0);
+            }
+        }
+        assert!(see_through > 10, "{see_through} pixels are half transparent");
+    }
+    let both = ["render", "ball.glb", "-o", "out", "--alpha", "--layers"];
+    assert_eq!(centaur(folder.path()).args(both).output().unwrap().status.code(), Some(2));
 }
 
 #[test]
@@ -34,7 +91,7 @@ fn paths_are_made_of_captures_without_photographs_and_rendered() {
     let at = |name: &str| folder.path().join(name);
     write_capture(&at("capture"), 9, (32, 24));
     std::fs::remove_dir_all(at("capture/images")).unwrap();
-    write_ball(&at("ball.glb"));
+    write_ball(&at("ball.glb"), Composition::default());
     let shot = ["--frames", "6", "--size", "20x15", "--fps", "12"];
     for (kind, out) in
         [("orbit", "orbit.json"), ("spline", "flight.glb"), ("lemniscate", "eight.usda"), ("orbit", "model")]
@@ -127,7 +184,7 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     write_capture(&at("capture"), 9, (32, 24));
-    write_ball(&at("ball.ply"));
+    write_ball(&at("ball.ply"), Composition::default());
     run(
         folder.path(),
         &["cameras", "orbit", "capture", "-o", "orbit.json", "--frames", "3", "--size", "21x15", "--fps", "12.5"],
@@ -171,7 +228,7 @@ fn what_makes_no_path_is_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     write_capture(&at("capture"), 9, (32, 24));
-    write_ball(&at("ball.glb"));
+    write_ball(&at("ball.glb"), Composition::default());
     run(folder.path(), &["cameras", "orbit", "capture", "-o", "orbit.glb", "--frames", "2"]);
     // One camera in a file, and one of another size.
     let one = r#"{ "w": 8, "h": 6, "fl_x": 8, "frames": [{ "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }"#;

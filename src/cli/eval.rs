@@ -11,7 +11,7 @@ use centaur::metrics::{
 };
 use centaur::render::gpu::Gpu;
 use centaur::scene::{Camera, HybridScene};
-use image::RgbImage;
+use image::{ImageBuffer, PixelWithColorType};
 
 use super::history::Record;
 use super::output;
@@ -205,7 +205,10 @@ fn caption(view: &ViewScore) -> String {
 }
 
 /// Writes an 8-bit PNG, whole or not at all.
-pub(super) fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
+pub(super) fn write_png<P>(path: &Path, image: &ImageBuffer<P, Vec<u8>>) -> Result<()>
+where
+    P: PixelWithColorType<Subpixel = u8>,
+{
     let mut bytes = std::io::Cursor::new(vec![]);
     image.write_to(&mut bytes, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
     Ok(atomic_write(path, bytes.get_ref())?)

@@ -1,20 +1,15 @@
+mod write;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::format::gltf::Source;
-use centaur::format::{
-    self, CameraFile, Channel, DEFAULT_FPS, ExrCompression, ExrHeader, MAX_FRAMES, ReadOptions, SampleType, Sampling,
-    frame_count, read_file,
-};
-use centaur::metrics::to_rgb8;
+use centaur::format::{CameraFile, DEFAULT_FPS, MAX_FRAMES, ReadOptions, Sampling, frame_count, read_file};
 use centaur::render::contract::{ImageModel, ShDirection};
-use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Renderer};
-use centaur::scene::color::{linear_to_srgb, srgb_to_linear};
-use centaur::scene::{Camera, ColorSpace, Composition, HybridScene};
+use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Picture, Renderer};
+use centaur::scene::{Camera, HybridScene};
 use clap::ValueEnum;
-use image::Rgb32FImage;
 
-use super::eval::write_png;
 use super::output;
 use super::progress::Views;
 use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs, SamplingArgs};
@@ -29,6 +24,7 @@ Examples:
   centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 -o frames
   centaur render head.glb --time 1.5 -o smile
   centaur render head.glb --camera front --time 0..4 --fps 25 -o frames --video talk.mp4
+  centaur render vase.glb --alpha -o cut-out
   centaur render garden.glb --layers --exr-type half -o layers
   centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
 
@@ -97,6 +93,12 @@ struct LookArgs {
     /// Write EXR files with splats, meshes, depth and normals in channels of their own
     #[arg(long)]
     layers: bool,
+    /// Leave the background out: PNG with straight alpha, EXR premultiplied
+    ///
+    /// A PNG laid over a colour as browsers do gives the picture over that colour, up to rounding, where the scene blends in
+    /// sRGB, as a rule. Layers have alpha anyway.
+    #[arg(long, conflicts_with_all = ["layers", "video"])]
+    alpha: bool,
     /// Samples of EXR files; depths and counts are 32 bits in either [default: float]
     #[arg(long, value_enum)]
     exr_type: Option<ExrType>,
@@ -107,9 +109,9 @@ struct LookArgs {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Format {
-    /// 8 bits, sRGB, over the scene's background
+    /// 8 bits, sRGB, over the scene's background (or see --alpha)
     Png,
-    /// Floats in linear light, Rec. 709 primaries, over the scene's background
+    /// Floats in linear light, Rec. 709 primaries, over the scene's background (or see --alpha)
     Exr,
 }
 
@@ -153,23 +155,13 @@ impl LookArgs {
             (Model::Ray, Direction::Ray) => ImageModel::Ray(ShDirection::Ray),
         }
     }
-
-    fn header(&self, camera: &Camera, color_space: ColorSpace, comment: &str) -> ExrHeader {
-        ExrHeader {
-            color_space,
-            pixel_aspect: format::pixel_aspect(camera.intrinsics()),
-            comment: comment.to_owned(),
-            samples: if self.exr_type == Some(ExrType::Half) { SampleType::Half } else { SampleType::Float },
-            compression: if self.exr_compression == Some(Compression::Piz) {
-                ExrCompression::Piz
-            } else {
-                ExrCompression::Zip
-            },
-        }
-    }
 }
 
 impl Args {
+    fn format(&self) -> Format {
+        self.format.unwrap_or(if self.look.layers { Format::Exr } else { Format::Png })
+    }
+
     /// Refuses arguments that do not go together.
     fn check(&self) -> Result<()> {
         let (look, is_exr) = (&self.look, self.format == Some(Format::Exr));
@@ -228,8 +220,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
     shared::make_folder(&args.output)?;
-    let format = args.format.unwrap_or(if args.look.layers { Format::Exr } else { Format::Png });
-    let extension = if format == Format::Png { "png" } else { "exr" };
+    let extension = if args.format() == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
     if !is_embedded {
@@ -251,17 +242,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         };
         let rendered = renderer.render(camera).with_context(|| name.clone())?;
         kept = Some(renderer);
+        let file = write::File { path, camera, composition: &composition, args };
         match rendered {
-            Rendered::Parts(picture) if args.look.layers => {
-                write_layers(path, picture, camera, &composition, &args.look)?;
-            }
-            Rendered::Parts(picture) => {
-                let rgb = picture.over(composition.background).into_flattened();
-                let image = Rgb32FImage::from_raw(picture.width, picture.height, rgb);
-                let image = image.context("a picture has width·height pixels of 3 floats")?;
-                write_frame(path, image, format, camera, &composition, &args.look)?;
-            }
-            Rendered::Whole(image) => write_frame(path, image, format, camera, &composition, &args.look)?,
+            Rendered::Parts(parts) if args.look.layers => file.layers(parts)?,
+            Rendered::Parts(parts) => file.picture(parts.flattened(composition.background))?,
+            Rendered::Whole(picture) => file.picture(picture)?,
         }
         progress.advance();
     }
@@ -336,7 +321,7 @@ enum AnyRenderer<'g> {
 }
 
 enum Rendered {
-    Whole(Rgb32FImage),
+    Whole(Picture),
     Parts(LayeredPicture),
 }
 
@@ -350,82 +335,8 @@ impl<'g> AnyRenderer<'g> {
 
     fn render(&mut self, camera: &Camera) -> Result<Rendered, GpuError> {
         Ok(match self {
-            Self::Whole(renderer) => Rendered::Whole(shared::image(renderer.render(camera)?)),
+            Self::Whole(renderer) => Rendered::Whole(renderer.render(camera)?),
             Self::Parts(renderer) => Rendered::Parts(renderer.render(camera)?),
         })
-    }
-}
-
-fn write_frame(
-    path: &Path,
-    image: Rgb32FImage,
-    format: Format,
-    camera: &Camera,
-    composition: &Composition,
-    look: &LookArgs,
-) -> Result<()> {
-    match (format, composition.color_space) {
-        (Format::Png, ColorSpace::SrgbDisplay) => write_png(path, &to_rgb8(&image)),
-        (Format::Png, ColorSpace::LinearDisplay) => write_png(path, &to_rgb8(&shared::mapped(image, linear_to_srgb))),
-        (Format::Exr, ColorSpace::SrgbDisplay) => {
-            write_linear(path, &shared::mapped(image, srgb_to_linear), camera, look)
-        }
-        (Format::Exr, ColorSpace::LinearDisplay) => write_linear(path, &image, camera, look),
-    }
-}
-
-fn write_linear(path: &Path, image: &Rgb32FImage, camera: &Camera, look: &LookArgs) -> Result<()> {
-    let channel = |(c, name): (usize, &str)| plain(name, image.pixels().map(|p| p.0[c]).collect());
-    let channels = ["R", "G", "B"].into_iter().enumerate().map(channel).collect();
-    let header = look.header(camera, ColorSpace::LinearDisplay, "Over the scene's background.");
-    Ok(format::write_exr(path, image.dimensions().into(), channels, &header)?)
-}
-
-fn plain(name: &str, values: Vec<f32>) -> Channel {
-    Channel { name: name.to_owned(), values, precise: false }
-}
-
-/// What no surface is at, in channels of depth: beyond all, as other programs write it.
-const NO_DEPTH: f32 = 1e10;
-
-fn write_layers(
-    path: &Path,
-    picture: LayeredPicture,
-    camera: &Camera,
-    composition: &Composition,
-    look: &LookArgs,
-) -> Result<()> {
-    let size = [picture.width, picture.height];
-    let depth = |name: &str, values: Vec<f32>| {
-        let values = values.into_iter().map(|z| if z > 0.0 { z } else { NO_DEPTH }).collect();
-        Channel { name: name.to_owned(), values, precise: true }
-    };
-    let mut channels = vec![];
-    for (c, suffix) in ["R", "G", "B", "A"].into_iter().enumerate() {
-        let both = picture.splats.iter().zip(&picture.mesh);
-        channels.push(plain(suffix, both.map(|(s, m)| s[c] + m[c]).collect()));
-        channels.push(plain(&format!("splats.{suffix}"), picture.splats.iter().map(|p| p[c]).collect()));
-        channels.push(plain(&format!("mesh.{suffix}"), picture.mesh.iter().map(|p| p[c]).collect()));
-    }
-    for (c, suffix) in ["X", "Y", "Z"].into_iter().enumerate() {
-        channels.push(plain(&format!("N.{suffix}"), picture.normal.iter().map(|n| n[c]).collect()));
-    }
-    channels.push(depth("Z", picture.expected_depth));
-    channels.push(depth("depth.first", picture.median_depth));
-    channels.push(Channel { name: "splats.count".to_owned(), values: picture.count, precise: true });
-    let comment = "Premultiplied, blended in colorSpace, not over the background. N is y-down: negate Y and Z for glTF and USD. Z is expected depth along the camera's \
-                   axis, depth.first where alpha passes one half.";
-    Ok(format::write_exr(path, size, channels, &look.header(camera, composition.color_space, comment))?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn transfer_functions_are_inverse() {
-        for c in [0.0_f32, 0.01, 0.5, 1.0] {
-            assert!((srgb_to_linear(linear_to_srgb(c)) - c).abs() < 1e-6);
-        }
     }
 }

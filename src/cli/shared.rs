@@ -8,9 +8,8 @@ use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
 use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
 use centaur::format::{self, CameraFile, Sampling};
-use centaur::render::gpu::{Gpu, Picture};
+use centaur::render::gpu::Gpu;
 use centaur::scene::Intrinsics;
-use image::Rgb32FImage;
 
 /// A step that finds out by itself where there is something for it to do.
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -170,18 +169,6 @@ impl AdapterArgs {
     pub(super) fn open(&self) -> Result<Gpu> {
         Ok(Gpu::open(self.adapter.as_deref())?)
     }
-}
-
-/// `f` of every channel.
-pub(super) fn mapped(mut image: Rgb32FImage, f: fn(f32) -> f32) -> Rgb32FImage {
-    image.iter_mut().for_each(|v| *v = f(*v));
-    image
-}
-
-/// A render as an image.
-pub(super) fn image(picture: Picture) -> Rgb32FImage {
-    Rgb32FImage::from_raw(picture.width, picture.height, picture.rgb.into_flattened())
-        .expect("a picture has width·height pixels of 3 floats")
 }
 
 /// Makes the folder if need be; [`super::output::check_folder`] has looked at its parent.

@@ -14,12 +14,18 @@ pub fn psnr(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricErro
     Ok(-10.0 * (squares / truth.as_raw().len() as f64).log10())
 }
 
+/// 8-bit value: clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.
+#[must_use]
+pub fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
 /// 8-bit image: values are clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.
 #[must_use]
 pub fn to_rgb8(image: &Rgb32FImage) -> RgbImage {
     let mut out = RgbImage::new(image.width(), image.height());
     for (o, &v) in out.iter_mut().zip(image.iter()) {
-        *o = (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        *o = to_byte(v);
     }
     out
 }

@@ -5,6 +5,7 @@ use super::{
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
     mesh::MeshStage,
     pipeline::PAIRS_PER_SPLAT,
+    renderer::Picture,
     splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list},
     view::{VIEW_WORDS, View},
 };
@@ -44,6 +45,13 @@ impl LayeredPicture {
     pub fn over(&self, background: [f32; 3]) -> Vec<[f32; 3]> {
         let parts = self.splats.iter().zip(&self.mesh).zip(&self.transmittance);
         parts.map(|((s, m), t)| [0, 1, 2].map(|c| s[c] + m[c] + t * background[c])).collect()
+    }
+
+    /// The same as a renderer of whole pictures gives it.
+    #[must_use]
+    pub fn flattened(self, background: [f32; 3]) -> Picture {
+        let rgb = self.over(background);
+        Picture { width: self.width, height: self.height, rgb, transmittance: self.transmittance }
     }
 }
 

@@ -1,0 +1,116 @@
+//! The files of `centaur render`.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use centaur::format::{self, Channel, ExrCompression, ExrHeader, SampleType};
+use centaur::metrics::to_byte;
+use centaur::render::gpu::{LayeredPicture, Picture};
+use centaur::scene::color::{linear_to_srgb, srgb_to_linear};
+use centaur::scene::{Camera, ColorSpace, Composition};
+use image::{RgbImage, RgbaImage};
+
+use super::{Args, Compression, ExrType, Format};
+use crate::cli::eval::write_png;
+
+/// What no surface is at, in channels of depth: beyond all, as other programs write it.
+const NO_DEPTH: f32 = 1e10;
+
+/// One file, and what it says besides colours.
+pub(super) struct File<'a> {
+    pub(super) path: &'a Path,
+    pub(super) camera: &'a Camera,
+    pub(super) composition: &'a Composition,
+    pub(super) args: &'a Args,
+}
+
+impl File<'_> {
+    /// A picture over the background, or with alpha in its place.
+    pub(super) fn picture(&self, picture: Picture) -> Result<()> {
+        let alpha = self.args.look.alpha;
+        let size = [picture.width, picture.height];
+        let colors: Vec<[f32; 4]> = if alpha {
+            picture.straight(self.composition.background)
+        } else {
+            picture.rgb.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
+        };
+        match self.args.format() {
+            Format::Png => self.png(size, &colors, alpha),
+            Format::Exr => self.exr(size, &colors, alpha),
+        }
+    }
+
+    fn png(&self, [width, height]: [u32; 2], colors: &[[f32; 4]], alpha: bool) -> Result<()> {
+        let encode: fn(f32) -> f32 = match self.composition.color_space {
+            ColorSpace::SrgbDisplay => |c| c,
+            ColorSpace::LinearDisplay => linear_to_srgb,
+        };
+        let encoded = |&[r, g, b, a]: &[f32; 4]| [encode(r), encode(g), encode(b), a].map(to_byte);
+        let bytes = |n| colors.iter().flat_map(|c| encoded(c).into_iter().take(n)).collect();
+        let expected = "a picture has width·height pixels";
+        if alpha {
+            write_png(self.path, &RgbaImage::from_raw(width, height, bytes(4)).context(expected)?)
+        } else {
+            write_png(self.path, &RgbImage::from_raw(width, height, bytes(3)).context(expected)?)
+        }
+    }
+
+    /// In linear light, premultiplied as EXR has it.
+    fn exr(&self, size: [u32; 2], colors: &[[f32; 4]], alpha: bool) -> Result<()> {
+        let decode: fn(f32) -> f32 = match self.composition.color_space {
+            ColorSpace::SrgbDisplay => srgb_to_linear,
+            ColorSpace::LinearDisplay => |c| c,
+        };
+        let color = |c: usize| colors.iter().map(|p| decode(p[c]) * p[3]).collect();
+        let mut channels = vec![plain("R", color(0)), plain("G", color(1)), plain("B", color(2))];
+        if alpha {
+            channels.push(plain("A", colors.iter().map(|p| p[3]).collect()));
+        }
+        let comment = if alpha { "Premultiplied, not over the background." } else { "Over the scene's background." };
+        Ok(format::write_exr(self.path, size, channels, &self.header(ColorSpace::LinearDisplay, comment))?)
+    }
+
+    /// What the picture is made of.
+    pub(super) fn layers(&self, picture: LayeredPicture) -> Result<()> {
+        let size = [picture.width, picture.height];
+        let depth = |name: &str, values: Vec<f32>| {
+            let values = values.into_iter().map(|z| if z > 0.0 { z } else { NO_DEPTH }).collect();
+            Channel { name: name.to_owned(), values, precise: true }
+        };
+        let mut channels = vec![];
+        for (c, suffix) in ["R", "G", "B", "A"].into_iter().enumerate() {
+            let both = picture.splats.iter().zip(&picture.mesh);
+            channels.push(plain(suffix, both.map(|(s, m)| s[c] + m[c]).collect()));
+            channels.push(plain(&format!("splats.{suffix}"), picture.splats.iter().map(|p| p[c]).collect()));
+            channels.push(plain(&format!("mesh.{suffix}"), picture.mesh.iter().map(|p| p[c]).collect()));
+        }
+        for (c, suffix) in ["X", "Y", "Z"].into_iter().enumerate() {
+            channels.push(plain(&format!("N.{suffix}"), picture.normal.iter().map(|n| n[c]).collect()));
+        }
+        channels.push(depth("Z", picture.expected_depth));
+        channels.push(depth("depth.first", picture.median_depth));
+        channels.push(Channel { name: "splats.count".to_owned(), values: picture.count, precise: true });
+        let comment = "Premultiplied, blended in colorSpace, not over the background. N is y-down: negate Y and Z for glTF and USD. Z is expected depth along the camera's \
+                       axis, depth.first where alpha passes one half.";
+        Ok(format::write_exr(self.path, size, channels, &self.header(self.composition.color_space, comment))?)
+    }
+
+    fn header(&self, color_space: ColorSpace, comment: &str) -> ExrHeader {
+        let look = &self.args.look;
+        ExrHeader {
+            color_space,
+            pixel_aspect: format::pixel_aspect(self.camera.intrinsics()),
+            comment: comment.to_owned(),
+            samples: if look.exr_type == Some(ExrType::Half) { SampleType::Half } else { SampleType::Float },
+            compression: if look.exr_compression == Some(Compression::Piz) {
+                ExrCompression::Piz
+            } else {
+                ExrCompression::Zip
+            },
+        }
+    }
+}
+
+fn plain(name: &str, values: Vec<f32>) -> Channel {
+    Channel { name: name.to_owned(), values, precise: false }
+}
