@@ -66,9 +66,11 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
         }
         _ => {
             let strict = format::read_file(&path, &ReadOptions::default()).map(drop);
-            let lenient =
-                format::read_file(&path, &ReadOptions { drop_invalid: true, keep_document: true, time: None })
-                    .map(drop);
+            let lenient = format::read_file(
+                &path,
+                &ReadOptions { drop_invalid: true, keep_document: true, ..ReadOptions::default() },
+            )
+            .map(drop);
             assert!(strict.is_err() || lenient.is_ok());
             let taken = strict.is_ok();
             let others = [

@@ -11,7 +11,7 @@ use centaur::scene::{Composition, HybridScene, Splats};
 use glam::{Quat, Vec3};
 use serde_json::{Value, json};
 
-const KEEP: ReadOptions = ReadOptions { drop_invalid: false, keep_document: true, time: None };
+const KEEP: ReadOptions<'_> = ReadOptions { drop_invalid: false, keep_document: true, time: None, animations: &[] };
 
 fn data(path: &str) -> PathBuf {
     let root = std::env::var_os("CENTAUR_DATA")

@@ -109,6 +109,51 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
 }
 
 #[test]
+fn animations_are_chosen_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
+    let mut document: Value = serde_json::from_str(&text).unwrap();
+    // The same node, up by 4.
+    let rise: Vec<u8> = [0.0_f32, 0.0, 0.0, 0.0, 4.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    std::fs::write(folder.path().join("rise.bin"), &rise).unwrap();
+    let mut add = |list: &str, what: Value| document[list].as_array_mut().unwrap().push(what);
+    add("buffers", json!({ "byteLength": rise.len(), "uri": "rise.bin" }));
+    add("bufferViews", json!({ "buffer": 1, "byteLength": rise.len() }));
+    add("accessors", json!({ "bufferView": 3, "componentType": 5126, "type": "VEC3", "count": 2 }));
+    let channel = json!({ "sampler": 0, "target": { "node": 0, "path": "translation" } });
+    add("animations", json!({ "name": "rise", "samplers": [{ "input": 1, "output": 3 }], "channels": [channel] }));
+    std::fs::write(folder.path().join("b.gltf"), document.to_string()).unwrap();
+    let first = |flags: &str| {
+        let said = as_json(folder.path(), &format!("convert b.gltf posed.glb --time 1 {flags}"));
+        let scene = gltf::read(&folder.path().join("posed.glb")).unwrap().scene;
+        // Scenes are y-down.
+        let moved = scene.meshes[0].positions()[0] - Vec3::new(-1.0, 1.0, 4.0);
+        (moved, said["inputs"][0]["notes"].to_string())
+    };
+    for (flags, expected, note) in [
+        ("--quiet", Vec3::new(2.0, 0.0, 0.0), "of channels that move the same, the first: 1 left out"),
+        ("--animation slide", Vec3::new(2.0, 0.0, 0.0), "not asked for, left out: 1"),
+        ("--animation rise", Vec3::new(0.0, -4.0, 0.0), "not asked for, left out: 1"),
+        ("--animation 1", Vec3::new(0.0, -4.0, 0.0), "not asked for, left out: 1"),
+        ("--animation rise --animation slide", Vec3::new(2.0, 0.0, 0.0), "the first: 1 left out"),
+    ] {
+        let (moved, notes) = first(flags);
+        assert!((moved - expected).length() < 1e-6 && notes.contains(note), "{flags}: {moved}, {notes}");
+    }
+    run(folder.path(), "render b.gltf --camera front --animation rise --time 0..1 --fps 2 -o up");
+    run(folder.path(), "render a.gltf --camera front --time 0..1 --fps 2 -o along");
+    let picture = |file: &str| image::open(folder.path().join(file)).unwrap().into_rgb8();
+    assert!(picture("up/frame_00000.png") == picture("along/frame_00000.png"));
+    assert!(picture("up/frame_00002.png") != picture("along/frame_00002.png"));
+    let error = failure(folder.path(), "render b.gltf -o no --animation fall --time 1");
+    assert_eq!(error, "error: b.gltf: /animations: expected one called fall, found slide, rise");
+    let args = ["convert", "b.gltf", "c.glb", "--animation", "rise"];
+    let error = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
+    assert!(error.contains("say --time, or another format"), "{error}");
+}
+
+#[test]
 fn what_is_malformed_keeps_still_in_blender_and_is_named() {
     let folder = tempfile::tempdir().unwrap();
     write_slide(folder.path());

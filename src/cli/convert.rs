@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::edits::{EditArgs, Edited, Step};
-use super::shared::{self, MessageArgs};
+use super::shared::{self, AnimationArgs, MessageArgs};
 use super::{output, usage};
 
 const EXAMPLES: &str = "\
@@ -22,6 +22,7 @@ Examples:
   mkdir mitsuba && centaur convert garden.glb mitsuba/garden.xml
   centaur convert garden.glb garden.blend.py
   centaur convert head.glb mitsuba/smile.xml --time 1.5
+  centaur convert fox.glb fox.blend.py --animation Run
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
   centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --decimate 25% --sh-degree 1";
 
@@ -58,6 +59,8 @@ pub(super) struct Args {
     /// skins, morph targets and bindings end there
     #[arg(long, value_name = "SECONDS", value_parser = shared::seconds, allow_hyphen_values = true)]
     time: Option<f64>,
+    #[command(flatten)]
+    played: AnimationArgs,
     /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
@@ -131,6 +134,10 @@ fn writable(text: &str) -> Result<PathBuf, String> {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let files = args.files()?;
+    usage::demand(
+        args.played.animations.is_empty() || args.time.is_some() || !is_gltf(files.output),
+        "--animation: a glTF takes all animations of a glTF over: say --time, or another format",
+    )?;
     output::check_file(files.output)?;
     let bar = output::bar(&args.messages, files.inputs.len() as u64 + 2);
     bar.set_style(
@@ -184,8 +191,12 @@ fn is_gltf(path: &Path) -> bool {
 /// All inputs as one scene in the frame of captures, and what is to be said about them.
 fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
     let one = files.len() == 1;
-    let options =
-        ReadOptions { drop_invalid: args.drop_invalid, keep_document: one && is_gltf(output), time: args.time };
+    let options = ReadOptions {
+        drop_invalid: args.drop_invalid,
+        keep_document: one && is_gltf(output),
+        time: args.time,
+        animations: &args.played.animations,
+    };
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
     let (mut document, mut record) = (None, None);
     for file in files {

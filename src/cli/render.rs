@@ -12,7 +12,7 @@ use clap::ValueEnum;
 
 use super::output;
 use super::progress::Views;
-use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs, SamplingArgs};
+use super::shared::{self, AdapterArgs, AnimationArgs, CaptureArgs, MessageArgs, SamplingArgs};
 use super::{usage, video};
 
 const EXAMPLES: &str = "\
@@ -23,6 +23,7 @@ Examples:
   centaur render garden.glb --cameras orbit.glb -o frames --video orbit.mp4
   centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 -o frames
   centaur render head.glb --time 1.5 -o smile
+  centaur render fox.glb --animation Run --camera side --time 0..1 -o run
   centaur render head.glb --camera front --time 0..4 --fps 25 -o frames --video talk.mp4
   centaur render vase.glb --alpha -o cut-out
   centaur render garden.glb --layers --exr-type half -o layers
@@ -61,6 +62,8 @@ pub(super) struct Args {
     /// show it as it rests.
     #[arg(long, value_name = "SECONDS|START..END", value_parser = When::parse, allow_hyphen_values = true)]
     time: Option<When>,
+    #[command(flatten)]
+    played: AnimationArgs,
     /// Folder for the pictures, named after the cameras
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -188,7 +191,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     output::check_folder(&args.output)?;
     let at = if let Some(When::At(time)) = args.time { Some(time) } else { None };
-    let file = read_file(&args.scene, &ReadOptions { time: at, ..ReadOptions::default() })?;
+    let file = read_file(
+        &args.scene,
+        &ReadOptions { time: at, animations: &args.played.animations, ..ReadOptions::default() },
+    )?;
     let sampling = Sampling { time: at, ..args.sampling.sampling() };
     let is_embedded = args.cameras == Path::new("embedded");
     let source = if is_embedded { &args.scene } else { &args.cameras };

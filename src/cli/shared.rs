@@ -89,6 +89,14 @@ impl SamplingArgs {
     }
 }
 
+/// What of a scene that moves is played.
+#[derive(clap::Args)]
+pub(super) struct AnimationArgs {
+    /// Only the animation of this name (or number, from 0) of a glTF; may be said several times [default: all, played together]
+    #[arg(long = "animation", value_name = "NAME")]
+    pub(super) animations: Vec<String>,
+}
+
 /// A time.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|t: &f64| t.is_finite()).ok_or_else(|| "expected a number of seconds".to_owned())

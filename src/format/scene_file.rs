@@ -59,7 +59,7 @@ impl SceneFile {
 
 /// How to read.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct ReadOptions {
+pub struct ReadOptions<'a> {
     /// Leave out splats with numbers that are not finite or rotations of zero, as failed trainings write them, instead
     /// of refusing the file. Of `.ply` and `.splat`; quantised formats cannot hold such splats, and glTF forbids them.
     pub drop_invalid: bool,
@@ -68,6 +68,8 @@ pub struct ReadOptions {
     pub keep_document: bool,
     /// Pose the scene and its cameras as the animations of a glTF have them at this time, in seconds; `None`: as they rest.
     pub time: Option<f64>,
+    /// Only these animations of a glTF, by their names, or numbers from 0 where no name is meant; empty: all, played together.
+    pub animations: &'a [String],
 }
 
 /// What is written besides the scene.
@@ -95,9 +97,9 @@ pub const EXPORTABLE: &[&str] = &["xml", "blend.py"];
 ///
 /// # Errors
 /// As [`super::read_scene`].
-pub fn read_file(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
+pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     let kind = kind(path)?;
-    if options.time.is_some() && kind != Kind::Gltf {
+    if (options.time.is_some() || !options.animations.is_empty()) && kind != Kind::Gltf {
         let expected = "a .glb or .gltf, whose animations can be evaluated at a time";
         return Err(Fault::whole(expected, kind.name()).in_file(path));
     }

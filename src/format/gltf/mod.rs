@@ -130,10 +130,10 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
 ///
 /// # Errors
 /// As [`read`].
-pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile, FormatError> {
+pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     let asset = Asset::open(path)?;
     let located = |fault: Fault| fault.in_file(path);
-    let (mut file, mut moving) = read::scene_and_motion(&asset).map_err(located)?;
+    let (mut file, mut moving) = read::scene_and_motion(&asset, options.animations).map_err(located)?;
     let mut keep = options.keep_document;
     if let Some(time) = options.time {
         let (cameras, notes) = moving.cameras_at(time).map_err(located)?;
@@ -159,7 +159,7 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions) -> Result<SceneFile,
 /// Reads cameras alone, those that are animated frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let asset = Asset::open(path)?;
-    let motion = Motion::read(&asset);
+    let motion = Motion::read(&asset, |_| true);
     motion.check().map_err(|fault| fault.in_file(path))?;
     motion::cameras(&asset.document, &motion, sampling).map_err(|fault| fault.in_file(path))
 }

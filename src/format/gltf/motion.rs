@@ -19,6 +19,9 @@ use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, Sampling, c
 use crate::format::error::Fault;
 use crate::scene::Camera;
 
+/// Names of animations that an error lists.
+const MOST_NAMES: usize = 8;
+
 /// Transforms of nodes that are evaluated for cameras: some seconds.
 const MOST_STEPS: usize = 1 << 27;
 
@@ -103,6 +106,8 @@ pub(in crate::format) struct Motion {
     faults: Vec<Fault>,
     /// How many channels move what one before them moves.
     overruled: usize,
+    /// How many animations were not asked for.
+    left_out: usize,
 }
 
 /// An animation of a document.
@@ -136,12 +141,41 @@ struct Track {
 }
 
 impl Motion {
-    /// Of all animations together; of channels that move the same, the first. Those that are malformed are left out, see
-    /// [`Motion::check`].
-    pub(super) fn read(asset: &Asset) -> Self {
+    /// Of the animations of these names, or numbers where no name is meant; of all if there are none. As [`Motion::read`].
+    pub(super) fn chosen(asset: &Asset, animations: &[String]) -> Result<Self, Fault> {
+        if animations.is_empty() {
+            return Ok(Self::read(asset, |_| true));
+        }
+        let all = &asset.document.as_json().animations;
+        let mut wanted = vec![false; all.len()];
+        for name in animations {
+            let mut these: Vec<usize> = (0..all.len()).filter(|&i| all[i].name.as_ref() == Some(name)).collect();
+            if these.is_empty() {
+                these.extend(name.parse().ok().filter(|number: &usize| *number < all.len()));
+            }
+            if these.is_empty() {
+                let names = all.iter().enumerate().map(|(i, a)| a.name.clone().unwrap_or_else(|| i.to_string()));
+                let mut some: Vec<String> = names.take(MOST_NAMES + 1).collect();
+                if some.len() > MOST_NAMES {
+                    some[MOST_NAMES] = "…".to_owned();
+                }
+                let found = if some.is_empty() { "none at all".to_owned() } else { some.join(", ") };
+                return Err(Fault::pointer("/animations", format!("one called {name}"), found));
+            }
+            these.into_iter().for_each(|i| wanted[i] = true);
+        }
+        let mut motion = Self::read(asset, |i| wanted[i]);
+        motion.left_out = wanted.iter().filter(|wanted| !**wanted).count();
+        Ok(motion)
+    }
+
+    /// Of these animations together, by number; of channels that move the same, the first. Those that are malformed are left out,
+    /// see [`Motion::check`].
+    pub(super) fn read(asset: &Asset, wants: impl Fn(usize) -> bool) -> Self {
         let mut motion = Self::default();
         let mut arrays = Arrays { asset, times: HashMap::new(), values: HashMap::new() };
-        for (a, animation) in asset.document.as_json().animations.iter().enumerate() {
+        let all = asset.document.as_json().animations.iter().enumerate();
+        for (a, animation) in all.filter(|(a, _)| wants(*a)) {
             let (mut range, mut channels): (Option<[f64; 2]>, usize) = (None, 0);
             for (c, channel) in asset.channels(a).into_iter().zip(&animation.channels) {
                 let (target, track) = match arrays.track(animation, channel, &format!("/animations/{a}/channels/{c}")) {
@@ -183,7 +217,8 @@ impl Motion {
             let all = "animations are played together; of channels that move the same, the first";
             format!("/animations: {all}: {} left out", self.overruled)
         });
-        fault.into_iter().chain(overruled).collect()
+        let left_out = (self.left_out > 0).then(|| format!("/animations: not asked for, left out: {}", self.left_out));
+        fault.into_iter().chain(overruled).chain(left_out).collect()
     }
 
     pub(super) fn fps(&self) -> Option<f64> {

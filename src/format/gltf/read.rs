@@ -20,19 +20,19 @@ use crate::scene::{Camera, ColorSpace, Composition, HybridScene, SplatArrays, sh
 
 /// A scene as it rests.
 pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
-    scene_and_motion(asset).map(|(file, _)| file)
+    scene_and_motion(asset, &[]).map(|(file, _)| file)
 }
 
 /// Cameras with their names.
 pub(super) type Cameras = Vec<(String, Camera)>;
 
-/// A scene as it rests, and what moves it.
-pub(super) fn scene_and_motion(asset: &Asset) -> Result<(SceneFile, Moving), Fault> {
+/// A scene as it rests, and what moves it: these of its animations, see [`super::super::ReadOptions::animations`].
+pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(SceneFile, Moving), Fault> {
     asset.check_required()?;
     let mut notes = vec![];
     let composition = composition(asset)?;
     let space = composition.color_space;
-    let motion = Motion::read(asset);
+    let motion = Motion::chosen(asset, animations)?;
     notes.extend(motion.notes());
     let (mut parts, mut meshes, mut hung) = (vec![], Meshes::new(asset, &motion, space)?, vec![]);
     let mut count = 0;

@@ -14,7 +14,7 @@ use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
 use crate::scene::PixelFilter;
 
-const KEEP: ReadOptions = ReadOptions { drop_invalid: false, keep_document: true, time: None };
+const KEEP: ReadOptions<'_> = ReadOptions { drop_invalid: false, keep_document: true, time: None, animations: &[] };
 
 /// A triangle with everything that a scene cannot hold.
 fn rich() -> (Builder, Value) {
@@ -286,7 +286,7 @@ fn a_document_whose_file_was_written_into_is_an_error_of_that_file() {
 fn without_its_bytes_a_document_does_not_stand() {
     let (b, document) = rich();
     let asset = Asset::parse(&b.file(&document), PathBuf::new()).map_err(|_| ()).unwrap();
-    let (file, moving) = read::scene_and_motion(&asset).map_err(|_| ()).unwrap();
+    let (file, moving) = read::scene_and_motion(&asset, &[]).map_err(|_| ()).unwrap();
     let source = Source::new(asset, &file.scene, &file.cameras, moving, false);
     assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
 }
@@ -295,7 +295,7 @@ fn without_its_bytes_a_document_does_not_stand() {
 fn exercise(bytes: &[u8], folder: &Path) {
     let Ok(asset) = Asset::parse(bytes, PathBuf::new()) else { return };
     let _ = (sizes(&asset, 0), describe(&asset));
-    let Ok((file, moving)) = read::scene_and_motion(&asset) else { return };
+    let Ok((file, moving)) = read::scene_and_motion(&asset, &[]) else { return };
     let source = Source::new(asset, &file.scene, &file.cameras, moving, true);
     let _ = source.at(&file.scene, 0.3);
     let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };

@@ -110,7 +110,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let length = |kind: &str| asset.root.get(kind).and_then(Value::as_array).map_or(0, Vec::len);
     let counts = kinds.into_iter().map(|kind| (kind, length(kind))).filter(|(_, n)| *n > 0).collect();
     let generator = asset.root.pointer("/asset/generator").and_then(Value::as_str).map(str::to_owned);
-    let animations = Motion::read(asset).clips().to_vec();
+    let animations = Motion::read(asset, |_| true).clips().to_vec();
     let remainder = remainder(&asset.root, is_ours(&asset.document)).into_iter().map(|part| part.what).collect();
     Ok(Document { generator, nodes, animations, counts, remainder })
 }

@@ -106,7 +106,7 @@ pub struct PlySplats {
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_with(path: &Path, options: &ReadOptions) -> Result<PlySplats, FormatError> {
+pub fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<PlySplats, FormatError> {
     parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 

@@ -53,7 +53,8 @@ pub struct Options {
     /// Bits of SH coefficients in band 1 and in the higher bands, 1 to 8. Readers do not need to know; fewer bits
     /// compress better. The default of 5 and 4 is that of the format's own library.
     pub sh_bits: [u32; 2],
-    /// Whether the file says that splats are to keep their integral over a picture (`PixelFilter::normalized`).
+    /// Whether the file says that splats are to keep their integral over a picture (`PixelFilter::normalized`);
+    /// [`super::write_scene`] says what the scene's composition does.
     pub antialiased: bool,
 }
 
