@@ -99,7 +99,8 @@ struct LookArgs {
     /// Leave the background out: PNG with straight alpha, EXR premultiplied
     ///
     /// A PNG laid over a colour as browsers do gives the picture over that colour, up to rounding, where the scene blends in
-    /// sRGB, as a rule. Layers have alpha anyway.
+    /// sRGB, as a rule. Only highlights that are brighter than their alpha, as PNG cannot have them, cover as much as they are
+    /// bright. Layers have alpha anyway.
     #[arg(long, conflicts_with_all = ["layers", "video"])]
     alpha: bool,
     /// Samples of EXR files; depths and counts are 32 bits in either [default: float]

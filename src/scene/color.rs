@@ -12,3 +12,15 @@ pub fn srgb_to_linear(c: f32) -> f32 {
 pub fn linear_to_srgb(c: f32) -> f32 {
     if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn transfer_functions_are_inverse() {
+        for c in [0.0_f32, 0.01, 0.5, 1.0] {
+            assert!((srgb_to_linear(linear_to_srgb(c)) - c).abs() < 1e-6);
+        }
+    }
+}

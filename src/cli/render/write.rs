@@ -30,7 +30,7 @@ impl File<'_> {
         let alpha = self.args.look.alpha;
         let size = [picture.width, picture.height];
         let colors: Vec<[f32; 4]> = if alpha {
-            picture.straight(self.composition.background)
+            picture.premultiplied(self.composition.background)
         } else {
             picture.rgb.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
         };
@@ -45,8 +45,7 @@ impl File<'_> {
             ColorSpace::SrgbDisplay => |c| c,
             ColorSpace::LinearDisplay => linear_to_srgb,
         };
-        let encoded = |&[r, g, b, a]: &[f32; 4]| [encode(r), encode(g), encode(b), a].map(to_byte);
-        let bytes = |n| colors.iter().flat_map(|c| encoded(c).into_iter().take(n)).collect();
+        let bytes = |n| colors.iter().flat_map(|c| pixel(c, encode).into_iter().take(n)).collect();
         let expected = "a picture has width·height pixels";
         if alpha {
             write_png(self.path, &RgbaImage::from_raw(width, height, bytes(4)).context(expected)?)
@@ -61,7 +60,7 @@ impl File<'_> {
             ColorSpace::SrgbDisplay => srgb_to_linear,
             ColorSpace::LinearDisplay => |c| c,
         };
-        let color = |c: usize| colors.iter().map(|p| decode(p[c]) * p[3]).collect();
+        let color = |c: usize| colors.iter().map(|p| decode(straight(p, p[3])[c]) * p[3]).collect();
         let mut channels = vec![plain("R", color(0)), plain("G", color(1)), plain("B", color(2))];
         if alpha {
             channels.push(plain("A", colors.iter().map(|p| p[3]).collect()));
@@ -111,6 +110,39 @@ impl File<'_> {
     }
 }
 
+/// Of a PNG, whose colours end at 1: what is brighter than its alpha keeps its brightness.
+fn pixel(premultiplied: &[f32; 4], encode: fn(f32) -> f32) -> [u8; 4] {
+    let alpha = premultiplied.iter().copied().fold(0.0, f32::max).min(1.0);
+    let [r, g, b, _] = straight(premultiplied, alpha);
+    [encode(r), encode(g), encode(b), alpha].map(to_byte)
+}
+
+/// Colours without the alpha that they are multiplied by; 0 where there is none.
+fn straight(&[r, g, b, _]: &[f32; 4], alpha: f32) -> [f32; 4] {
+    let color = |c: f32| if alpha > 0.0 { c / alpha } else { 0.0 };
+    [color(r), color(g), color(b), alpha]
+}
+
 fn plain(name: &str, values: Vec<f32>) -> Channel {
     Channel { name: name.to_owned(), values, precise: false }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn highlights_keep_their_brightness() {
+        let over_black = |p: [f32; 4]| {
+            let [r, g, b, a] = pixel(&p, |c| c).map(|v| f32::from(v) / 255.0);
+            [r * a, g * a, b * a, a]
+        };
+        for p in [[0.1, 0.2, 0.3, 0.6], [0.9, 0.2, 0.0, 0.8], [0.0; 4]] {
+            let found = over_black(p);
+            assert!((0..3).all(|c| (found[c] - p[c]).abs() < 1.01 / 255.0), "{p:?}: {found:?}");
+        }
+        assert_eq!(pixel(&[0.9, 0.2, 0.0, 0.8], |c| c), [255, 57, 0, 230]);
+        assert_eq!(pixel(&[1.5, 0.2, 0.1, 1.0], |c| c), [255, 51, 26, 255], "a picture without alpha is cut off at 1");
+        assert_eq!(pixel(&[1.2, 0.6, 0.0, 0.8], |c| c), [255, 153, 0, 255]);
+    }
 }

@@ -26,13 +26,12 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Colour and alpha without the `background` that the picture is over; colours are 0 where alpha is. `[height·width]`
+    /// Premultiplied colour and alpha without the `background` that the picture is over. `[height·width]`
     #[must_use]
-    pub fn straight(&self, background: [f32; 3]) -> Vec<[f32; 4]> {
+    pub fn premultiplied(&self, background: [f32; 3]) -> Vec<[f32; 4]> {
         let pixel = |(rgb, &t): (&[f32; 3], &f32)| {
-            let alpha = 1.0 - t;
-            let color = |c: usize| if alpha > 0.0 { (rgb[c] - t * background[c]) / alpha } else { 0.0 };
-            [color(0), color(1), color(2), alpha]
+            let color = |c: usize| rgb[c] - t * background[c];
+            [color(0), color(1), color(2), 1.0 - t]
         };
         self.rgb.iter().zip(&self.transmittance).map(pixel).collect()
     }
