@@ -18,6 +18,8 @@ pub struct Cameras {
     pub cameras: Vec<(String, Camera)>,
     /// How many there are a second, if they are a path that says so.
     pub fps: Option<f64>,
+    /// Whether their world is y up, as those of glTF and USD, or the frame of a capture; `None` where nothing says.
+    pub y_up: Option<bool>,
     /// Their photographs, as far as the capture names any; they need not exist.
     pub images: Vec<PathBuf>,
 }
@@ -62,15 +64,15 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
         views::inside(path, "--images", images)?;
     }
     let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
-    let (mut frames, fps, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
+    let (mut frames, fps, y_up, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
         let Listed { frames, list, .. } = colmap::load(path, &model, (options, false))?;
-        (frames, None, list)
+        (frames, None, None, list)
     } else {
         let Some((first, _)) = files.first() else {
             let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
-        let (mut frames, mut fps) = (vec![], None);
+        let (mut frames, mut fps, mut y_up) = (vec![], None, None);
         for (file, held_out) in &files {
             let text = error::read_text(file)?;
             if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
@@ -80,9 +82,10 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
             if let (Some(found), None) = (read.fps, fps) {
                 fps = Some(rate(found, file)?);
             }
+            y_up = y_up.or(read.y_up);
             frames.extend(read.frames);
         }
-        (frames, fps, first.clone())
+        (frames, fps, y_up, first.clone())
     };
     for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
         frame.name = format!("frame_{i:05}");
@@ -90,16 +93,11 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     let images = frames.iter().map(|frame| frame.image.clone()).collect();
     let mut cameras = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
     cameras.sort_by(|a, b| natural(&a.0, &b.0));
-    finish(cameras, fps, images, &list)
+    at_least_one(Cameras { cameras, fps, y_up, images }, &list)
 }
 
-fn finish(
-    cameras: Vec<(String, Camera)>,
-    fps: Option<f64>,
-    images: Vec<PathBuf>,
-    list: &Path,
-) -> Result<Cameras, CaptureError> {
-    if cameras.is_empty() {
+fn at_least_one(found: Cameras, list: &Path) -> Result<Cameras, CaptureError> {
+    if found.cameras.is_empty() {
         return Err(CaptureError::invalid(
             list,
             if is_json(list) { "/frames" } else { "byte 0" },
@@ -107,7 +105,7 @@ fn finish(
             "none",
         ));
     }
-    Ok(Cameras { cameras, fps, images })
+    Ok(found)
 }
 
 /// Frames a second that a file states.
@@ -179,7 +177,8 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
         sized(name, &camera, path, &format!("/camera_path/{i}"), options)
     };
     let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
-    finish(file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?, fps, vec![], path)
+    let cameras = file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?;
+    at_least_one(Cameras { cameras, fps, y_up: None, images: vec![] }, path)
 }
 
 /// Order of names in which `frame_2` is before `frame_10`.

@@ -26,8 +26,15 @@ struct Transforms {
     val_filenames: Vec<String>,
     train_filenames: Option<Vec<String>>,
     fps: Option<f64>,
+    /// What `centaur cameras` says besides.
+    centaur: Option<Ours>,
     /// Points, in the world of the poses (nerfstudio's `ns-process-data`).
     ply_file_path: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Ours {
+    y_up: Option<bool>,
 }
 
 #[derive(Deserialize)]
@@ -81,6 +88,8 @@ pub(super) struct Parsed {
     pub(super) frames: Vec<Frame>,
     /// How many frames there are a second, if they are a path.
     pub(super) fps: Option<f64>,
+    /// See [`super::Cameras::y_up`].
+    pub(super) y_up: Option<bool>,
     /// The PLY with its points.
     points: Option<PathBuf>,
 }
@@ -183,7 +192,7 @@ pub(super) fn parse(
         }
         _ => None,
     };
-    Ok(Parsed { frames, fps: file.fps, points })
+    Ok(Parsed { frames, fps: file.fps, y_up: file.centaur.and_then(|ours| ours.y_up), points })
 }
 
 /// The file of an image: another folder for `images` if asked for, a suffix if the name has none.

@@ -30,7 +30,8 @@ Photographs are not needed where the size of images is stated.
 
 OUT is, by its name:
   .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera
-                 to world, with OpenGL axes (x right, y up, z backwards); `fps` besides
+                 to world, with OpenGL axes (x right, y up, z backwards); besides `fps` and, under
+                 `centaur`, whether that world is y up, which Centaur goes by
   .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn
                  about x, as in scenes of Centaur, so that both fit in Blender. Exact intrinsics
                  are in `extras`
@@ -227,10 +228,14 @@ impl FileArgs {
         } else {
             write_cameras(&self.output, &file)?
         };
-        let CameraFile { cameras, fps, times, mut notes, .. } = file;
+        let CameraFile { cameras, fps, times, mut notes, y_up } = file;
         let is_gltf = is_gltf(&self.output);
         if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
+        }
+        if y_up == Some(true) && self.output.extension().is_none() {
+            let output = self.output.display();
+            notes.push(format!("its world is y up, which {output} does not say: it fits scenes in the same frame"));
         }
         let begins = times.first().copied().unwrap_or_default();
         let has_times = is_gltf || self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("usda"));

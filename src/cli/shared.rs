@@ -114,14 +114,14 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     if !(is_json || path.is_dir()) {
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
-    let Cameras { mut cameras, fps, .. } = capture::cameras(path, options)?;
+    let Cameras { mut cameras, fps, y_up, .. } = capture::cameras(path, options)?;
     if let Some(only) = sampling.only {
         cameras.retain(|(name, _)| name == only);
         ensure!(!cameras.is_empty(), "{}: expected a camera called {only}, found none", path.display());
     }
     let fps = sampling.fps.or(fps);
     let times = fps.map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
-    Ok(CameraFile { cameras, fps, y_up: None, times, notes: vec![] })
+    Ok(CameraFile { cameras, fps, y_up, times, notes: vec![] })
 }
 
 /// Refuses to write `pictures` over photographs of the capture, a folder or `.json`, that the cameras of `path` come from.

@@ -132,7 +132,7 @@ pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, 
 pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match &extension[..] {
-        "json" => transforms::write(path, &file.cameras, file.fps),
+        "json" => transforms::write(path, file),
         "glb" | "gltf" => gltf::write_cameras(path, file),
         "usda" => usd::write_cameras(path, &file.clone().in_frame(false)),
         _ => colmap::write(path, &file.cameras),

@@ -98,6 +98,13 @@ fn frames_of_reference_are_kept_where_files_have_one() {
         write_cameras(&path, &file).unwrap();
         assert!(largest_difference(&file.cameras, &read(&path).in_frame(true).cameras) < 1e-5, "{name}");
     }
+    for y_up in [Some(true), Some(false), None] {
+        let path = folder.path().join("a.json");
+        write_cameras(&path, &CameraFile { y_up, ..file.clone() }).unwrap();
+        let back = capture::cameras(&path, &LoadOptions::default()).unwrap();
+        assert_eq!(back.y_up, y_up);
+        assert!(largest_difference(&file.cameras, &back.cameras) < 1e-12, "{y_up:?}");
+    }
     let unstated = CameraFile { y_up: None, ..file.clone() };
     assert_eq!(unstated.in_frame(true).cameras, file.cameras);
     let there = file.clone().in_frame(false);

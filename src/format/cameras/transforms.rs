@@ -5,13 +5,13 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::captures::{GENERATOR, spare};
-use super::image_names;
+use super::{CameraFile, image_names};
 use crate::format::{FormatError, atomic_write};
 use crate::scene::{Camera, Intrinsics};
 
 /// Intrinsics stand once for all frames where these share them. Pictures need not exist; rendered into the folder of the file
 /// they have the names that stand in it, and make it a dataset.
-pub(super) fn write(path: &Path, cameras: &[(String, Camera)], fps: Option<f64>) -> Result<u64, FormatError> {
+pub(super) fn write(path: &Path, CameraFile { cameras, fps, y_up, .. }: &CameraFile) -> Result<u64, FormatError> {
     spare(path)?;
     let shared = cameras.first().map(|(_, first)| first.intrinsics());
     let shared = shared.filter(|k| cameras.iter().all(|(_, camera)| camera.intrinsics() == *k));
@@ -20,6 +20,9 @@ pub(super) fn write(path: &Path, cameras: &[(String, Camera)], fps: Option<f64>)
     document.insert("camera_model".to_owned(), json!("PINHOLE"));
     if let Some(fps) = fps {
         document.insert("fps".to_owned(), json!(fps));
+    }
+    if let Some(y_up) = y_up {
+        document.insert("centaur".to_owned(), json!({ "y_up": y_up }));
     }
     if let Some(k) = shared {
         document.extend(lens(k));
