@@ -287,6 +287,20 @@ fn gltf_of_others_stays_upright() {
         "buffers": [{ "uri": "points.bin", "byteLength": bytes.len() }],
     });
     std::fs::write(folder.path().join("theirs.gltf"), document.to_string()).unwrap();
+    // What `inspect` says is in the frame of crops, of the meshes as of the nodes.
+    let inspected = |name: &str| -> serde_json::Value {
+        let output = common::centaur(folder.path()).args(["inspect", name, "--json"]).output().unwrap();
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let bounds = serde_json::json!([[0.0, -3.0, -2.0], [1.0, -1.0, -2.0]]);
+    let theirs = inspected("theirs.gltf");
+    assert_eq!((&theirs["meshes"][0]["bounds"], &theirs["document"]["nodes"][0]["bounds"]), (&bounds, &bounds));
+    let layer = "#usda 1.0\ndef Mesh \"m\" {\n point3f[] points = [(0, 1, 2), (1, 1, 2), (0, 3, 2)]\n \
+                 int[] faceVertexCounts = [3]\n int[] faceVertexIndices = [0, 1, 2]\n}\n";
+    std::fs::write(folder.path().join("theirs.usda"), layer).unwrap();
+    assert_eq!(inspected("theirs.usda")["meshes"][0]["bounds"], bounds);
+    let kept = as_json(folder.path(), "theirs.gltf kept.glb --keep-box=0,-3,-2,1,-1,-2");
+    assert_eq!(kept["meshes"], 1, "{kept}");
     // Unchanged it stays theirs; joined, it is written anew, in our frame.
     convert(folder.path(), "theirs.gltf same.glb --strict");
     let same = gltf::read(&folder.path().join("same.glb")).unwrap();

@@ -193,7 +193,7 @@ fn what_cannot_be_read_can_be_inspected() {
     let summary = inspect(&path).unwrap();
     assert!(summary.warnings[0].starts_with("cannot be read as a scene: /extensionsRequired: "), "{summary}");
     let nodes = &summary.document.as_ref().unwrap().nodes;
-    assert_eq!((nodes[1].depth, nodes[1].bounds), (1, Some([[0.0, 0.0, 5.0], [1.0, 2.0, 5.0]])));
+    assert_eq!((nodes[1].depth, nodes[1].bounds), (1, Some([[0.0, -2.0, -5.0], [1.0, 0.0, -5.0]])));
     let text = summary.to_string();
     assert!(text.contains("│ • top\n│   • inner, mesh 0, 1 triangles of 3 vertices"), "{text}");
     assert!(text.contains("beside the scene: the tree of 2 nodes, the extension KHR_draco_mesh_compression"), "{text}");

@@ -10,7 +10,7 @@ use super::extension::{KHR_SPLATS, SPZ};
 use super::lift::Asset;
 use super::motion::{Clip, Motion};
 use super::remainder::remainder;
-use super::transform::{is_ours, placements};
+use super::transform::{FLIP, is_ours, placements};
 use crate::format::error::Fault;
 
 /// What a glTF document is made of.
@@ -45,7 +45,7 @@ pub struct Node {
     pub mesh: Option<usize>,
     /// Primitives of its mesh.
     pub primitives: Vec<Primitive>,
-    /// Lowest and highest corner of its mesh by the declared bounds, in the scene's frame; without skin and morph targets.
+    /// Lowest and highest corner of its mesh by the declared bounds, y down as in a capture; without skin and morph targets.
     pub bounds: Option<[[f64; 3]; 2]>,
 }
 
@@ -74,11 +74,14 @@ pub struct Primitive {
 pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let mut nodes: Vec<Node> = vec![];
     let mut depths: HashMap<usize, usize> = HashMap::new();
+    let is_ours = is_ours(&asset.document);
+    let to_capture = if is_ours { DMat4::IDENTITY } else { FLIP };
     for (node, transform) in placements(&asset.document)? {
         let depth = depths.get(&node.index()).copied().unwrap_or(0);
         depths.extend(node.children().map(|child| (child.index(), depth + 1)));
         let primitives = || node.mesh().into_iter().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
-        let corners = primitives().filter_map(|(_, p)| declared_bounds(&p)).flat_map(|b| moved(b, transform));
+        let corners =
+            primitives().filter_map(|(_, p)| declared_bounds(&p)).flat_map(|b| moved(b, to_capture * transform));
         let bounds = corners
             .fold(None, |all: Option<[DVec3; 2]>, p| Some(all.map_or([p, p], |[low, high]| [low.min(p), high.max(p)])));
         nodes.push(Node {
@@ -111,7 +114,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let counts = kinds.into_iter().map(|kind| (kind, length(kind))).filter(|(_, n)| *n > 0).collect();
     let generator = asset.root.pointer("/asset/generator").and_then(Value::as_str).map(str::to_owned);
     let animations = Motion::read(asset, |_| true).clips().to_vec();
-    let remainder = remainder(&asset.root, is_ours(&asset.document)).into_iter().map(|part| part.what).collect();
+    let remainder = remainder(&asset.root, is_ours).into_iter().map(|part| part.what).collect();
     Ok(Document { generator, nodes, animations, counts, remainder })
 }
 

@@ -55,7 +55,7 @@ pub struct SplatSummary {
     pub count: usize,
     /// SH degree, 0 to 3.
     pub sh_degree: u32,
-    /// Lowest and highest mean, in scene units.
+    /// Lowest and highest mean, in scene units; y down as in a capture, whatever the file's frame.
     pub bounds: [[f32; 3]; 2],
 }
 
@@ -66,7 +66,7 @@ pub struct MeshSummary {
     pub vertices: usize,
     /// Triangles.
     pub triangles: usize,
-    /// Lowest and highest vertex, in scene units.
+    /// Lowest and highest vertex, in scene units; y down as in a capture, whatever the file's frame.
     pub bounds: [[f32; 3]; 2],
     /// Width and height of the map of SH coefficient 0 and opacity.
     pub base_texels: [u32; 2],
@@ -119,14 +119,14 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             // What cannot be rendered can still be looked at.
             let scene = scene_of(&asset);
             let is_scene = scene.is_ok();
-            let (scene, cameras, mut warnings) = match scene {
-                Ok(file) => (file.scene, file.cameras, file.notes),
+            let (scene, y_up, cameras, mut warnings) = match scene {
+                Ok(file) => (file.scene, file.y_up, file.cameras, file.notes),
                 Err(fault) => {
                     let (location, expected, found) = fault.into_parts();
                     let none =
                         HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
                     let warning = format!("cannot be read as a scene: {location}expected {expected}, found {found}");
-                    (none, vec![], vec![warning])
+                    (none, false, vec![], vec![warning])
                 }
             };
             warnings.extend(unknown_properties(&asset.root));
@@ -142,7 +142,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 warnings,
                 extensions_used: asset.extensions_used,
                 extensions_required: asset.extensions_required,
-                ..summary(path, total, &scene)
+                ..summary(path, total, &scene, y_up)
             })
         }
         Kind::Usd => {
@@ -155,7 +155,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 composition: Some(composition(&file.scene.composition)),
                 bytes_by_part: BTreeMap::from([(if is_package { "package" } else { "layer" }, bytes)]),
                 warnings: file.notes,
-                ..summary(path, bytes, &file.scene)
+                ..summary(path, bytes, &file.scene, file.y_up)
             })
         }
         Kind::Ply => {
@@ -170,24 +170,31 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             };
             let part = if is_of_splats { "splats" } else { "tables" };
             let bytes_by_part = BTreeMap::from([(part, bytes)]);
-            Ok(Summary { format: Kind::Ply.name(), warnings, tables, bytes_by_part, ..summary(path, bytes, &scene) })
+            Ok(Summary {
+                format: Kind::Ply.name(),
+                warnings,
+                tables,
+                bytes_by_part,
+                ..summary(path, bytes, &scene, false)
+            })
         }
         kind => {
             let file = read_file(path, &ReadOptions::default())?;
-            Ok(Summary { format: kind.name(), warnings: file.notes, ..summary(path, bytes, &file.scene) })
+            Ok(Summary { format: kind.name(), warnings: file.notes, ..summary(path, bytes, &file.scene, file.y_up) })
         }
     }
 }
 
-fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
+/// `y_up`: whether the frame is glTF's, which is turned to that of captures.
+fn summary(path: &Path, bytes: u64, scene: &HybridScene, y_up: bool) -> Summary {
     Summary {
         file: path.display().to_string(),
         format: Kind::Gltf.name(),
         bytes,
         bytes_by_part: BTreeMap::from([("splats", bytes)]),
         total_floats: scene.total_floats(),
-        splats: (!scene.splats.is_empty()).then(|| splats(&scene.splats)),
-        meshes: scene.meshes.iter().map(mesh).collect(),
+        splats: (!scene.splats.is_empty()).then(|| splats(&scene.splats, y_up)),
+        meshes: scene.meshes.iter().map(|m| mesh(m, y_up)).collect(),
         cameras: 0,
         optics: None,
         composition: None,
@@ -199,21 +206,24 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
     }
 }
 
-fn bounds(points: &[Vec3]) -> [[f32; 3]; 2] {
-    let corner = |pick: fn(Vec3, Vec3) -> Vec3| points.iter().copied().reduce(pick).unwrap_or_default().to_array();
-    [corner(Vec3::min), corner(Vec3::max)]
+fn bounds(points: &[Vec3], y_up: bool) -> [[f32; 3]; 2] {
+    let frame = if y_up { Vec3::new(1.0, -1.0, -1.0) } else { Vec3::ONE };
+    // Zero added: no corner is at −0.
+    let corner =
+        |pick: fn(Vec3, Vec3) -> Vec3| points.iter().map(|&p| frame * p + Vec3::ZERO).reduce(pick).unwrap_or_default();
+    [corner(Vec3::min).to_array(), corner(Vec3::max).to_array()]
 }
 
-fn splats(splats: &Splats) -> SplatSummary {
-    SplatSummary { count: splats.len(), sh_degree: splats.sh_degree(), bounds: bounds(splats.means()) }
+fn splats(splats: &Splats, y_up: bool) -> SplatSummary {
+    SplatSummary { count: splats.len(), sh_degree: splats.sh_degree(), bounds: bounds(splats.means(), y_up) }
 }
 
-fn mesh(mesh: &Mesh) -> MeshSummary {
+fn mesh(mesh: &Mesh, y_up: bool) -> MeshSummary {
     let atlas = mesh.atlas();
     MeshSummary {
         vertices: mesh.positions().len(),
         triangles: mesh.triangles().len(),
-        bounds: bounds(mesh.positions()),
+        bounds: bounds(mesh.positions(), y_up),
         base_texels: [atlas.base().width(), atlas.base().height()],
         band_texels: atlas.bands().map(|b| [b.width(), b.height()]),
         sh_degree: atlas.sh_degree(),
