@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use centaur::capture::{Capture, View};
 use centaur::evaluate::{Evaluator, held_out};
-use centaur::format::{ReadOptions, atomic_write, read_file};
+use centaur::format::{ReadOptions, atomic_write, read_file, stored_bytes};
 use centaur::metrics::{
     Evaluation, Lpips, Measured, Scores, ViewScore,
     report::{self, Picture, Report},
@@ -174,7 +174,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     progress.finish();
     let evaluation = evaluator.finish(scores)?;
     let measured = Measured {
-        file_bytes: std::fs::metadata(details.scene_file).ok().map(|m| m.len()),
+        file_bytes: stored_bytes(details.scene_file).ok(),
         seconds_per_iteration: details.training.and_then(|t| t.seconds_per_iteration),
         trained_on: details.training.and_then(|t| t.adapter.clone()).filter(|name| name != gpu.adapter()),
         ..evaluation.measured

@@ -11,6 +11,7 @@ mod exr;
 pub mod gltf;
 mod inspect;
 pub mod ksplat;
+mod length;
 mod loss;
 pub mod mesh_import;
 pub mod mitsuba;
@@ -37,6 +38,7 @@ pub use cameras::{
 pub use error::{FormatError, Location};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
 pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
+pub use length::stored_bytes;
 pub use loss::{Loss, SplatError, WriteReport};
 pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
 pub use validate::{Finding, Severity, Validation, validate};

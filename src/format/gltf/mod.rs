@@ -59,7 +59,7 @@ pub use source::Source;
 pub(super) use transform::placements;
 pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
-pub(super) use uri::{Loaded, resolve};
+pub(super) use uri::{Loaded, bytes_of_files, resolve};
 
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;

@@ -79,18 +79,13 @@ struct Images {
 
 impl Images {
     fn of(asset: &Asset) -> Self {
-        let (mut images, mut files) = (Self::default(), HashMap::new());
-        let listed = asset.root.get("images").and_then(Value::as_array).into_iter().flatten();
-        for uri in listed.filter_map(|image| image.get("uri")?.as_str()) {
-            if uri.starts_with("data:") {
-                images.uris += uri.len() as u64;
-                images.embedded += uri::embedded_bytes(uri) as u64;
-            } else {
-                // Those that are not there are none of the bytes.
-                let _ = uri::open_once(uri, &asset.folder, &mut files, false);
-            }
+        let listed = || asset.root.get("images").and_then(Value::as_array).into_iter().flatten();
+        let uris = || listed().filter_map(|image| image.get("uri")?.as_str());
+        let mut images = Self { beside: uri::bytes_of_files(uris(), &asset.folder), ..Self::default() };
+        for uri in uris().filter(|uri| uri.starts_with("data:")) {
+            images.uris += uri.len() as u64;
+            images.embedded += uri::embedded_bytes(uri) as u64;
         }
-        images.beside = files.values().map(|file| file.len() as u64).sum();
         images
     }
 }

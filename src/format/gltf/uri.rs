@@ -76,6 +76,16 @@ pub(super) fn open_once(
     Ok(opened)
 }
 
+/// Length of the files at `uris`, of those that are there, each once; data URIs are none.
+pub(in crate::format) fn bytes_of_files<'a>(uris: impl Iterator<Item = &'a str>, folder: &Path) -> u64 {
+    let mut files = HashMap::new();
+    for uri in uris.filter(|uri| !uri.starts_with("data:")) {
+        // Those that are not there are none of the bytes.
+        let _ = open_once(uri, folder, &mut files, false);
+    }
+    files.values().map(|file| file.len() as u64).sum()
+}
+
 /// Length of what a data URI holds, and at most its own.
 pub(super) fn embedded_bytes(uri: &str) -> usize {
     match uri.split_once(";base64,") {

@@ -9,6 +9,7 @@ use glam::Vec3;
 use serde::Serialize;
 
 use super::gltf::{self, Asset, Sizes, scene_of};
+use super::length::{file_bytes, stored_bytes};
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, Splats};
@@ -20,7 +21,7 @@ pub struct Summary {
     pub file: String,
     /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat`, `ksplat` or `USD`.
     pub format: &'static str,
-    /// Length of the file; of a glTF, with that of the buffers and images beside it; of a SOG that is a folder, of its `meta.json`.
+    /// Length of the file and of those beside it that belong to it, see [`super::stored_bytes`].
     pub bytes: u64,
     /// Where the bytes go: part → bytes.
     pub bytes_by_part: BTreeMap<&'static str, u64>,
@@ -111,7 +112,6 @@ pub struct CompositionSummary {
 /// # Errors
 /// As [`super::read_scene`].
 pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
-    let bytes = std::fs::metadata(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })?.len();
     match kind(path)? {
         Kind::Gltf => {
             let asset = Asset::open(path)?;
@@ -130,7 +130,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 }
             };
             warnings.extend(unknown_properties(&asset.root));
-            let Sizes { total, parts } = gltf::sizes(&asset, bytes);
+            let Sizes { total, parts } = gltf::sizes(&asset, file_bytes(path)?);
             // Those that cannot be read are counted all the same.
             let count = if is_scene { cameras.len() } else { document.counts.get("cameras").copied().unwrap_or(0) };
             Ok(Summary {
@@ -147,18 +147,21 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
         }
         Kind::Usd => {
             let file = usd::read(path)?;
+            let (own, bytes) = (file_bytes(path)?, stored_bytes(path)?);
             let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
+            let parts = [(if is_package { "package" } else { "layer" }, own), ("beside", bytes - own)];
             Ok(Summary {
                 format: Kind::Usd.name(),
                 cameras: file.cameras.len(),
                 optics: optics(&file.cameras),
                 composition: Some(composition(&file.scene.composition)),
-                bytes_by_part: BTreeMap::from([(if is_package { "package" } else { "layer" }, bytes)]),
+                bytes_by_part: parts.into_iter().filter(|(_, bytes)| *bytes > 0).collect(),
                 warnings: file.notes,
                 ..summary(path, bytes, &file.scene, file.y_up)
             })
         }
         Kind::Ply => {
+            let bytes = file_bytes(path)?;
             let (tables, is_of_splats) = ply::tables(path)?;
             let (scene, warnings) = if is_of_splats {
                 let file = read_file(path, &ReadOptions::default())?;
@@ -180,6 +183,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
         }
         kind => {
             let file = read_file(path, &ReadOptions::default())?;
+            let bytes = stored_bytes(path)?;
             Ok(Summary { format: kind.name(), warnings: file.notes, ..summary(path, bytes, &file.scene, file.y_up) })
         }
     }

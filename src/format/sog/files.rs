@@ -1,5 +1,6 @@
 //! The files of a SOG: members of a zip, or of a folder.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Cursor, Read as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -66,6 +67,16 @@ impl FileSet {
             Place::Bundle(_) => self.read(META, "", MAX_META)?,
         };
         from_json(&text, 0, "the `meta.json` of a SOG").map_err(|fault| self.in_meta(fault))
+    }
+
+    /// Length of the images that `meta.json` names, where they are in a folder; each once, and none that is not there.
+    pub(super) fn bytes_beside(&mut self) -> Result<u64, Fault> {
+        let Place::Folder(folder) = &self.place else { return Ok(0) };
+        let folder = folder.clone();
+        let meta = self.meta()?;
+        let images: BTreeSet<PathBuf> =
+            meta.files().into_iter().filter_map(|name| inside(&folder, name).ok()).collect();
+        Ok(images.iter().filter_map(|image| image.metadata().ok()).map(|m| m.len()).sum())
     }
 
     /// A fault of `meta.json`.

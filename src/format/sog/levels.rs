@@ -1,14 +1,15 @@
 //! Streamed SOG: `lod-meta.json`, a tree of space over folders of splats in several levels of detail. Described at
 //! <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/>.
 
-use std::collections::{BTreeMap, HashSet};
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
 use super::files::{FileSet, folder_of, inside};
 use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
+use crate::format::length::file_bytes;
 use crate::format::record::{Columns, Record};
 use crate::scene::Splats;
 
@@ -40,11 +41,26 @@ struct Part {
     count: usize,
 }
 
+impl Index {
+    fn read(path: &Path) -> Result<Self, FormatError> {
+        let text = read_file(path)?;
+        from_json(&text, 0, "the `lod-meta.json` of a streamed SOG").map_err(|fault| fault.in_file(path))
+    }
+}
+
+/// Length of all levels that are there, each folder or bundle once.
+pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
+    let index = Index::read(path)?;
+    let names = index.filenames.iter().chain(&index.environment);
+    let sets: BTreeSet<PathBuf> = names.filter_map(|name| inside(folder_of(path), name).ok()).collect();
+    // Coarse levels are not read, and need not be readable.
+    let bytes = |set: &PathBuf| Some(file_bytes(set).ok()? + FileSet::open(set).ok()?.bytes_beside().unwrap_or(0));
+    Ok(sets.iter().filter_map(bytes).sum())
+}
+
 /// The splats of every leaf of the tree at the finest level whose file is there, and a sentence on what is missing.
 pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
-    let text = read_file(path)?;
-    let index: Index =
-        from_json(&text, 0, "the `lod-meta.json` of a streamed SOG").map_err(|fault| fault.in_file(path))?;
+    let index = Index::read(path)?;
     let folder = folder_of(path);
     let there: Vec<Option<_>> = index.filenames.iter().map(|name| inside(folder, name).ok()).collect();
     let (mut parts, mut coarser) = (vec![], 0);
@@ -136,7 +152,7 @@ mod tests {
     use crate::format::test_scenes::random_splats;
 
     /// Two leaves in levels 0 and 1, and an environment; returns the path of the index.
-    fn written(folder: &Path) -> std::path::PathBuf {
+    fn written(folder: &Path) -> PathBuf {
         for (name, count, degree) in [("0_0", 9, 1), ("1_0", 4, 0), ("env", 2, 2)] {
             std::fs::create_dir(folder.join(name)).unwrap();
             super::super::write(&folder.join(name).join("meta.json"), &random_splats(count, degree, 5)).unwrap();
@@ -168,6 +184,18 @@ mod tests {
         assert!(notes[0].contains("for 2 part(s)"), "{notes:?}");
         std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();
         assert!(read(&path).unwrap_err().to_string().contains("expected the file of at least one level"));
+    }
+
+    #[test]
+    fn all_levels_count_as_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        let mut files = vec![path.clone()];
+        for name in ["0_0", "1_0", "env"] {
+            files.extend(folder.path().join(name).read_dir().unwrap().map(|file| file.unwrap().path()));
+        }
+        let whole: u64 = files.iter().map(|file| file.metadata().unwrap().len()).sum();
+        assert_eq!(crate::format::stored_bytes(&path).unwrap(), whole);
     }
 
     #[test]

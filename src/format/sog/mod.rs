@@ -57,6 +57,14 @@ pub(super) fn is_named(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name == files::META || name == levels::INDEX)
 }
 
+/// Length of the files that a `meta.json` or a `lod-meta.json` names, see [`super::stored_bytes`]; a bundle has none.
+pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
+    if path.file_name().is_some_and(|name| name == levels::INDEX) {
+        return levels::bytes_beside(path);
+    }
+    FileSet::open(path)?.bytes_beside().map_err(|fault| fault.in_file(path))
+}
+
 impl FileSet {
     /// And whether the file says *antialias*.
     fn splats(&mut self) -> Result<(Splats, bool), Fault> {

@@ -46,7 +46,7 @@ mod xform;
 use std::path::Path;
 
 use self::document::{Layer, Specifier};
-use self::package::{Opened, located};
+use self::package::{Opened, Place, located};
 use self::stage::Stage;
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;
@@ -100,6 +100,14 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
     }
     found.iter_mut().for_each(|breach| breach.fault = located(breach.fault.clone(), member.as_ref()));
     Ok(found)
+}
+
+/// Length of the files beside a layer that its properties name, see [`super::stored_bytes`]; a package has none.
+pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
+    let Opened { layer, place, .. } = package::open(path)?;
+    let Place::Folder(folder) = place else { return Ok(0) };
+    let layer = document(layer).map_err(|fault| fault.in_file(path))?;
+    Ok(package::bytes_of_files(Stage::new(&layer).assets(), &folder))
 }
 
 /// A layer of either form.

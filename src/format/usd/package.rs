@@ -10,7 +10,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 use super::maps::Mismatch;
 use crate::format::FormatError;
 use crate::format::error::{Fault, open_file, read_file};
-use crate::format::gltf::resolve;
+use crate::format::gltf::{self, resolve};
 
 /// Data of a member begin at a multiple of this (the specification of USDZ), so that they can be mapped.
 const ALIGNMENT: u16 = 64;
@@ -34,8 +34,7 @@ impl Place {
     /// Content of the file at an asset path.
     pub(super) fn read(&mut self, path: &str) -> Result<Vec<u8>, Mismatch> {
         match self {
-            // Percent signs are no escapes here.
-            Self::Folder(folder) => resolve(&path.replace('%', "%25"), folder),
+            Self::Folder(folder) => resolve(&as_uri(path), folder),
             Self::Package { archive, folder } => {
                 let outside = || ("a file of the package".to_owned(), format!("`{path}`"));
                 let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
@@ -50,6 +49,17 @@ impl Place {
             }
         }
     }
+}
+
+/// Length of the files at asset paths beside a layer, each once.
+pub(super) fn bytes_of_files<'a>(paths: impl Iterator<Item = &'a str>, folder: &Path) -> u64 {
+    let uris: Vec<String> = paths.map(as_uri).collect();
+    gltf::bytes_of_files(uris.iter().map(String::as_str), folder)
+}
+
+/// Percent signs are no escapes in asset paths.
+fn as_uri(path: &str) -> String {
+    path.replace('%', "%25")
 }
 
 fn member(archive: &mut Archive, name: &str) -> Result<Vec<u8>, Mismatch> {

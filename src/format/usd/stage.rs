@@ -46,6 +46,22 @@ impl<'a> Stage<'a> {
         stage
     }
 
+    /// The paths of files that attributes of any prim have as values.
+    pub(super) fn assets(&self) -> impl Iterator<Item = &'a str> {
+        let values = self.prims.iter().flat_map(|prim| &prim.properties).flat_map(|property| match &property.kind {
+            PropertyKind::Attribute { value, samples, .. } => {
+                value.iter().chain(samples.iter().map(|(_, value)| value)).collect()
+            }
+            PropertyKind::Relationship { .. } => vec![],
+        });
+        let of_list =
+            |value: &'a Value| if let Value::List(all) = value { all.as_slice() } else { std::slice::from_ref(value) };
+        values.flat_map(of_list).filter_map(|value| match value {
+            Value::Asset(path) => Some(path.as_str()),
+            _ => None,
+        })
+    }
+
     /// The value of an attribute at [`Self::time`].
     pub(super) fn value(&self, prim: usize, name: &str) -> Option<Cow<'a, Value>> {
         match self.time {

@@ -1,0 +1,56 @@
+//! How many bytes a scene takes where it is stored.
+
+use std::path::Path;
+
+use super::gltf::{self, Asset};
+use super::{FormatError, Kind, kind, sog, usd};
+
+/// Length of a scene file, and of the files beside it that it consists of: buffers and images of a glTF, maps and pictures
+/// of a USD layer, images of a SOG that is a folder, and of one in levels of detail all folders. Each counts once, and those
+/// that are not there do not.
+///
+/// # Errors
+/// If the file cannot be read, is no scene, or does not say which files these are.
+pub fn stored_bytes(path: &Path) -> Result<u64, FormatError> {
+    let own = file_bytes(path)?;
+    Ok(match kind(path)? {
+        Kind::Gltf => gltf::sizes(&Asset::open(path)?, own).total,
+        Kind::Sog => own + sog::bytes_beside(path)?,
+        Kind::Usd => own + usd::bytes_beside(path)?,
+        Kind::Ksplat | Kind::Ply | Kind::Splat | Kind::Spz => own,
+    })
+}
+
+/// Length of the file alone.
+pub(super) fn file_bytes(path: &Path) -> Result<u64, FormatError> {
+    Ok(std::fs::metadata(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })?.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::format::test_scenes::random_scene;
+    use crate::format::{WriteOptions, inspect, write_scene};
+
+    #[test]
+    fn all_files_of_a_scene_count() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("sog")).unwrap();
+        // Of no scene.
+        std::fs::write(folder.path().join("sog/notes.txt"), [0; 99]).unwrap();
+        std::fs::write(folder.path().join("notes.png"), [0; 99]).unwrap();
+        let scene = random_scene(40, 2, 2, 5);
+        for name in ["a.glb", "a.gltf", "a.usda", "a.usdz", "sog/meta.json", "a.sog", "a.ply", "a.spz"] {
+            let path = folder.path().join(name);
+            let report = if name == "sog/meta.json" {
+                sog::write(&path, &scene.splats)
+            } else {
+                write_scene(&path, &scene, &WriteOptions::default())
+            };
+            let written = report.unwrap().bytes;
+            assert_eq!(stored_bytes(&path).unwrap(), written, "{name}");
+            let summary = inspect(&path).unwrap();
+            assert_eq!((summary.bytes, summary.bytes_by_part.values().sum()), (written, written), "{name}");
+        }
+    }
+}
