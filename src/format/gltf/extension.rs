@@ -28,6 +28,9 @@ pub(crate) const MOVED_NODE: &str = "moved";
 
 pub(crate) const ROTATION: &str = "KHR_gaussian_splatting:ROTATION";
 pub(crate) const SCALE: &str = "KHR_gaussian_splatting:SCALE";
+/// What early drafts called them.
+pub(super) const DRAFT_ROTATION: &str = "_ROTATION";
+pub(super) const DRAFT_SCALE: &str = "_SCALE";
 pub(crate) const OPACITY: &str = "KHR_gaussian_splatting:OPACITY";
 
 /// Attribute names of SH coefficients 0..(d+1)², in the order of `scene::sh::basis`.

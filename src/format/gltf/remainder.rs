@@ -5,7 +5,10 @@ use std::fmt;
 
 use serde_json::Value;
 
-use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
+use super::extension::{
+    DRAFT_ROTATION, DRAFT_SCALE, EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, ROTATION, SCALE, SPZ, TEXTURE_TRANSFORM,
+    UNLIT, WEBP,
+};
 use super::meshopt;
 
 /// The extension by which animations move what is no node.
@@ -61,14 +64,10 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     if root.get("extensions").is_some_and(|e| e.get(HYBRID).is_some()) {
         found.push(Remnant { what: "deformation fields".to_owned(), moves: true });
     }
-    let attributes: BTreeSet<&str> = primitives()
-        .flat_map(|p| p.get("attributes").and_then(Value::as_object))
-        .flat_map(|a| a.keys())
-        .map(String::as_str)
-        .collect();
-    let others: Vec<&str> = attributes.into_iter().filter(|name| !is_held(name)).collect();
+    let others: BTreeSet<&str> = primitives().flat_map(other_attributes).collect();
     if !others.is_empty() {
-        found.push(Remnant::still(format!("the attributes {}", others.join(", "))));
+        let names: Vec<&str> = others.into_iter().collect();
+        found.push(Remnant::still(format!("the attributes {}", names.join(", "))));
     }
     for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
         found.push(Remnant { what: format!("the extension {name}"), moves: name == ANIMATION_POINTER });
@@ -87,6 +86,25 @@ fn items(value: Option<&Value>) -> &[Value] {
 fn khr_extension(primitive: &Value, name: &str) -> bool {
     let khr = primitive.get("extensions").and_then(|e| e.get(KHR_SPLATS)?.get("extensions"));
     khr.is_some_and(|nested| nested.get(name).is_some())
+}
+
+/// Attributes of a primitive that a scene does not hold.
+fn other_attributes(primitive: &Value) -> Vec<&str> {
+    let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return vec![] };
+    let khr = primitive.get("extensions").and_then(|e| e.get(KHR_SPLATS));
+    // Read where the names of today are not there, and no SPZ stands for all.
+    let of_draft = khr.is_some_and(is_draft) && !khr_extension(primitive, SPZ);
+    let is_read = |name: &str| match name {
+        DRAFT_ROTATION => of_draft && !attributes.contains_key(ROTATION),
+        DRAFT_SCALE => of_draft && !attributes.contains_key(SCALE),
+        _ => is_held(name),
+    };
+    attributes.keys().map(String::as_str).filter(|name| !is_read(name)).collect()
+}
+
+/// Whether splats are of an early draft of the extension: it stated neither of these.
+fn is_draft(khr: &Value) -> bool {
+    ["kernel", "colorSpace"].iter().all(|key| khr.get(key).is_none_or(Value::is_null))
 }
 
 /// Vertex attributes that a scene holds by value. Joints and weights are counted with the skins.

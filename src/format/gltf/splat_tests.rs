@@ -4,6 +4,7 @@ use glam::{Quat, Vec3};
 use serde_json::{Value, json};
 
 use super::core_tests::{Builder, near};
+use super::remainder::remainder;
 use crate::format::activation;
 use crate::scene::sh;
 
@@ -70,6 +71,17 @@ fn splats_of_early_drafts() {
     assert!(file.notes[0].contains("of a draft of the extension"), "{:?}", file.notes);
     near(&sh::rgb_from_dc(file.scene.splats.sh_of(0)[0]), &[1.0, 0.2, 0.0], 1e-6);
     assert!((activation::opacity(file.scene.splats.opacity_logits()[0]) - 0.2).abs() < 1e-6);
+    let left_out = |attributes: &Value, khr: Value| {
+        let mut document = splat_document(attributes.as_object().unwrap(), khr);
+        document["asset"] = json!({ "version": "2.0" });
+        remainder(&document, false).into_iter().map(|part| part.what).collect::<Vec<_>>()
+    };
+    assert_eq!(left_out(&old, json!({})), Vec::<String>::new(), "what is read is not lost");
+    assert_eq!(left_out(&old, khr()), ["the attributes _ROTATION, _SCALE"]);
+    let mut both = old.clone();
+    both["KHR_gaussian_splatting:SCALE"] = old["_SCALE"].clone();
+    both["_LABEL"] = old["_SCALE"].clone();
+    assert_eq!(left_out(&both, json!({})), ["the attributes _LABEL, _SCALE"]);
     // With a kernel the names are no longer taken.
     let message = b.read(splat_document(old.as_object().unwrap(), khr())).unwrap_err();
     assert!(message.contains("expected the attribute `KHR_gaussian_splatting:ROTATION`"), "{message}");

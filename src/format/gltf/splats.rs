@@ -6,7 +6,8 @@ use glam::{DMat4, DVec4, Quat, Vec3};
 use serde_json::Value;
 
 use super::extension::{
-    HYBRID, KHR_SPLATS, Khr, OPACITY, ROTATION, SCALE, SPZ, Spz, color_space_token, parse_color_space, sh_attributes,
+    DRAFT_ROTATION, DRAFT_SCALE, HYBRID, KHR_SPLATS, Khr, OPACITY, ROTATION, SCALE, SPZ, Spz, color_space_token,
+    parse_color_space, sh_attributes,
 };
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
@@ -121,9 +122,9 @@ fn attributes(
         };
         if found == means.len() { Ok(()) } else { Err(fault()) }
     };
-    let rotations = asset.floats::<4>(find(ROTATION, "_ROTATION")?)?;
+    let rotations = asset.floats::<4>(find(ROTATION, DRAFT_ROTATION)?)?;
     same(rotations.len(), ROTATION)?;
-    let scales = asset.floats::<3>(find(SCALE, "_SCALE")?)?;
+    let scales = asset.floats::<3>(find(SCALE, DRAFT_SCALE)?)?;
     same(scales.len(), SCALE)?;
     // Drafts have the zeroth coefficient and the opacity as a colour.
     let dc_name = format!("{KHR_SPLATS}:SH_DEGREE_0_COEF_0");
