@@ -1,5 +1,6 @@
 //! Materials to maps: exact ones from our own files, else what `UsdPreviewSurface` shows.
 
+use super::Breach;
 use super::document::Value;
 use super::maps::{self, Mismatch};
 use super::names;
@@ -55,8 +56,11 @@ impl Materials<'_> {
         match self.exact(stage, mesh.prim) {
             None => {}
             Some(Ok(atlas)) => return Ok((atlas, ST.to_owned())),
-            Some(Err((expected, found))) => {
-                notes.push(format!("{at}: maps are those of the material: expected {expected}, found {found}"));
+            Some(Err(fault)) => {
+                let (place, expected, found) = fault.into_parts();
+                notes.push(format!(
+                    "{place}the maps are lost, those of the material are shown: expected {expected}, found {found}"
+                ));
             }
         }
         let Some(shader) = mesh.material.and_then(|material| preview_surface(stage, material)) else {
@@ -88,14 +92,20 @@ impl Materials<'_> {
     }
 
     /// The maps with all their bits, if the mesh names them.
-    fn exact(&mut self, stage: &Stage<'_>, mesh: usize) -> Option<Result<Atlas, Mismatch>> {
+    fn exact(&mut self, stage: &Stage<'_>, mesh: usize) -> Option<Result<Atlas, Fault>> {
         let base = stage.text(mesh, names::BASE_MAP)?;
         let bands = stage.text(mesh, names::BANDS_MAP);
-        let mut read = |path: &str, is_base| maps::from_exr(&self.place.read(path)?, is_base);
+        let fault = |name: &str, (expected, found): Mismatch| {
+            Fault::pointer(format!("{}.{name}", stage.path(mesh)), expected, found)
+        };
+        let mut read = |name: &str, path: &str| {
+            let content = self.place.read(path);
+            content.and_then(|exr| maps::from_exr(&exr, name == names::BASE_MAP)).map_err(|e| fault(name, e))
+        };
         let mut atlas = || {
-            let base = read(base, true)?;
-            let bands = bands.map(|path| read(path, false)).transpose()?;
-            Atlas::new(base, bands).map_err(|e| (e.expected, e.found))
+            let base = read(names::BASE_MAP, base)?;
+            let bands = bands.map(|path| read(names::BANDS_MAP, path)).transpose()?;
+            Atlas::new(base, bands).map_err(|e| fault(names::BASE_MAP, (e.expected, e.found)))
         };
         Some(atlas())
     }
@@ -169,6 +179,13 @@ impl Materials<'_> {
         };
         Ok(Picture { width, height, texels: rgba.iter().map(value).collect(), primvar: Some(primvar.to_owned()) })
     }
+}
+
+/// What keeps the maps that a mesh names from being read, its material being shown in their place.
+pub(super) fn check(stage: &Stage<'_>, mesh: usize, place: &mut Place) -> Option<Breach> {
+    let mut materials = Materials { place, space: ColorSpace::default() };
+    let fault = materials.exact(stage, mesh)?.err()?;
+    Some(Breach { code: "USD_MAP", is_error: true, fault })
 }
 
 /// Linear light in a space of blending.

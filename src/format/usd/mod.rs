@@ -89,6 +89,7 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
             for prim in (0..stage.prims.len()).filter(|&i| stage.prims[i].specifier == Specifier::Def) {
                 counts::check(&stage, prim, &mut found);
                 found.extend(extent::check(&stage, prim));
+                found.extend(materials::check(&stage, prim, &mut place));
             }
             to_scene::scene(&layer, &mut place).err()
         }

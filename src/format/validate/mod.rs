@@ -62,7 +62,8 @@ pub struct Validation {
 ///   of `KHR_gaussian_splatting` and of `EXT_gaussian_splatting_hybrid`.
 /// * `.ply` of splats: header, rows against the length of the file, values.
 /// * `.spz`: container, streams against the number of splats, values at the ends of their ranges.
-/// * `.usda`, `.usdc`, `.usdz`: what the reader refuses, lengths of arrays against their interpolation, extents.
+/// * `.usda`, `.usdc`, `.usdz`: what the reader refuses, lengths of arrays against their interpolation, extents,
+///   maps of ours that cannot be read.
 /// * other files of splats: what the reader refuses.
 ///
 /// # Errors

@@ -148,6 +148,30 @@ mod tests {
     }
 
     #[test]
+    fn maps_that_cannot_be_read_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.usda");
+        let (_, files) = usd::write(&path, &random_scene(0, 1, 2, 3), &[], None).unwrap();
+        for (map, attribute) in [("base", "baseMap"), ("bands", "bandsMap")] {
+            let name = files.iter().find(|name| name.contains(map) && name.ends_with(".exr")).unwrap();
+            let file = folder.path().join(name);
+            let content = std::fs::read(&file).unwrap();
+            for damage in [Some(b"junk"), None] {
+                match damage {
+                    Some(junk) => std::fs::write(&file, junk).unwrap(),
+                    None => std::fs::remove_file(&file).unwrap(),
+                }
+                let found = validate(&path).unwrap();
+                assert_eq!((found.errors, found.findings.len(), found.findings[0].code), (1, 1, "USD_MAP"), "{found}");
+                let place = found.findings[0].location.to_string();
+                assert!(place.ends_with(&format!(".centaur:{attribute}: ")), "{place}");
+            }
+            std::fs::write(&file, content).unwrap();
+        }
+        assert_eq!(validate(&path).unwrap().findings, []);
+    }
+
+    #[test]
     fn faults_in_a_package_name_its_member() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.usdz");
