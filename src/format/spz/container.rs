@@ -3,7 +3,7 @@
 use std::io::{self, Read, Write as _};
 
 use flate2::Compression;
-use flate2::read::GzDecoder;
+use flate2::bufread::GzDecoder;
 use flate2::write::GzEncoder;
 use rayon::prelude::*;
 
@@ -22,6 +22,7 @@ const HEADER: usize = 32;
 const TOC_ENTRY: usize = 16;
 pub(super) const ANTIALIASED: u8 = 1;
 const HAS_EXTENSIONS: u8 = 2;
+pub(in crate::format) const KNOWN_FLAGS: u8 = ANTIALIASED | HAS_EXTENSIONS;
 /// `SPZ_ADOBE_coordinate_system`.
 const COORDINATE_SYSTEM: u32 = 0xADBE_0003;
 
@@ -54,6 +55,8 @@ pub(in crate::format) struct Packed {
     pub(in crate::format) frame: Frame,
     pub(in crate::format) streams: [Vec<u8>; STREAMS],
     pub(in crate::format) notes: Vec<String>,
+    /// Bytes of the file, or of what it unpacks to, that are of no stream and no extension.
+    pub(in crate::format) unused: usize,
 }
 
 impl Header {
@@ -101,6 +104,7 @@ pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
     if bytes.starts_with(&GZIP) {
         let mut content = GzDecoder::new(bytes);
         let decoded = decode_legacy(&mut content, bytes.len());
+        let decoded = decoded.map(|packed| Packed { unused: packed.unused + content.get_ref().len(), ..packed });
         // Bytes of the header are those of what is unpacked; else it is known how far it was.
         return decoded.map_err(|fault| fault.unpacked().or_at_byte(bytes.len() - content.get_ref().len()));
     }
@@ -130,8 +134,7 @@ fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> 
     // Reading on to the end also verifies the checksum of gzip.
     let mut trailer = vec![];
     content.take(GREATEST_TRAILER).read_to_end(&mut trailer).map_err(|e| damaged("trailer", &e))?;
-    let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { trailer.as_slice() };
-    finish(header, streams, extensions)
+    finish(header, streams, &trailer)
 }
 
 fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
@@ -181,8 +184,8 @@ fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
     for (stream, content) in streams.iter_mut().zip(decompressed) {
         *stream = content?;
     }
-    let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { &bytes[HEADER..toc] };
-    finish(header, streams, extensions).map_err(|fault| fault.or_at_byte(HEADER))
+    let packed = finish(header, streams, &bytes[HEADER..toc]).map_err(|fault| fault.or_at_byte(HEADER))?;
+    Ok(Packed { unused: packed.unused + bytes.len() - offset, ..packed })
 }
 
 fn decompress(frame: &[u8], size: u64, name: &str) -> Result<Vec<u8>, Fault> {
@@ -211,8 +214,10 @@ fn damaged(name: &str, error: &io::Error) -> Fault {
     Fault::whole(format!("{name} that can be decompressed"), error.to_string())
 }
 
-fn finish(header: Header, streams: [Vec<u8>; STREAMS], extensions: &[u8]) -> Result<Packed, Fault> {
+/// `extra`: what lies where extensions do.
+fn finish(header: Header, streams: [Vec<u8>; STREAMS], extra: &[u8]) -> Result<Packed, Fault> {
     let (mut frame, mut notes) = (Frame::default(), vec![]);
+    let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { extra };
     let mut rest = extensions;
     // Records of type, length and content; what is left of a cut one is ignored, as by the format's own library.
     while let Some((&[a, b, c, d, e, f, g, h], after)) = rest.split_first_chunk::<8>() {
@@ -227,7 +232,8 @@ fn finish(header: Header, streams: [Vec<u8>; STREAMS], extensions: &[u8]) -> Res
             _ => notes.push(format!("the extension {kind:#010x} ({length} bytes) is not known and left out")),
         }
     }
-    Ok(Packed { header, frame, streams, notes })
+    let unused = extra.len() - (extensions.len() - rest.len());
+    Ok(Packed { header, frame, streams, notes, unused })
 }
 
 /// Compresses the attributes block by block.

@@ -116,7 +116,7 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
 }
 
 pub(super) fn parse(bytes: &[u8]) -> Result<NotedSplats, Fault> {
-    let Packed { header, frame, streams, mut notes } = container::decode(bytes)?;
+    let Packed { header, frame, streams, mut notes, .. } = container::decode(bytes)?;
     let sh_degree = header.sh_degree.min(sh::MAX_DEGREE);
     if sh_degree < header.sh_degree {
         notes.push(format!("SH bands above degree {sh_degree} of {} are left out", header.sh_degree));

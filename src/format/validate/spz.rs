@@ -2,7 +2,7 @@
 
 use super::{Findings, Offenders};
 use crate::format::error::Location;
-use crate::format::spz::container::{Packed, decode};
+use crate::format::spz::container::{KNOWN_FLAGS, Packed, decode};
 use crate::scene::sh;
 
 /// By how much rounding may lengthen the components that are stored of a unit quaternion: half a step of 1/127.5 in each
@@ -12,12 +12,19 @@ const ROTATION_TOLERANCE: [f64; 2] = [0.01, 0.002];
 /// Values are bytes, so that none is infinite or NaN; what can be wrong is the container, and values at the ends of what
 /// bytes can say.
 pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
-    let Packed { header, streams, notes, .. } = match decode(bytes) {
+    let Packed { header, streams, notes, unused, .. } = match decode(bytes) {
         Ok(packed) => packed,
         Err(fault) => return findings.fault("SPZ_CONTENT", fault),
     };
     for note in notes {
         findings.warning("SPZ_NOT_READ", Location::File, "what Centaur reads", note);
+    }
+    if unused > 0 {
+        findings.warning("SPZ_LENGTH", Location::File, "no bytes beside streams and extensions", unused);
+    }
+    if header.flags & !KNOWN_FLAGS != 0 {
+        let expected = "no flags but 0x1 (anti-aliased) and 0x2 (extensions)";
+        findings.warning("SPZ_FLAGS", Location::File, expected, format!("{:#x}", header.flags));
     }
     if header.sh_degree > sh::MAX_DEGREE {
         findings.warning("SPZ_SH_DEGREE", Location::File, "SH degree 0 to 3, as in glTF", header.sh_degree);
@@ -77,7 +84,7 @@ fn stored_norm(rotation: &[u8]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Finding;
+    use super::super::{Finding, Severity};
     use super::*;
     use crate::format::spz::container::{STREAMS, encode};
     use crate::format::spz::{Options, Version, write};
@@ -129,5 +136,41 @@ mod tests {
         let mut wider = streams;
         wider[5] = vec![128; 50 * 72];
         assert_eq!(findings(&encode(&header, &wider).unwrap())[0].code, "SPZ_SH_DEGREE");
+    }
+
+    #[test]
+    fn what_no_reader_looks_at_is_a_warning() {
+        use std::io::{Read as _, Write as _};
+        let only = |bytes: &[u8]| {
+            let found = findings(bytes);
+            assert_eq!((found.len(), found[0].severity), (1, Severity::Warning), "{found:?}");
+            (found[0].code, found[0].found.clone())
+        };
+        for version in [Version::V2, Version::V3, Version::V4] {
+            let mut file = written(version);
+            file.extend([0; 7]);
+            assert_eq!(only(&file), ("SPZ_LENGTH", "7".to_owned()), "{version:?}");
+            let Packed { mut header, streams, .. } = decode(&written(version)).map_err(|_| ()).unwrap();
+            header.flags = 0x1 | 0x80;
+            assert_eq!(only(&encode(&header, &streams).unwrap()), ("SPZ_FLAGS", "0x81".to_owned()), "{version:?}");
+            // It may have none.
+            header.flags = 0x2;
+            assert_eq!(findings(&encode(&header, &streams).unwrap()), []);
+        }
+        // Within the gzip.
+        let mut content = vec![];
+        flate2::read::GzDecoder::new(written(Version::V3).as_slice()).read_to_end(&mut content).unwrap();
+        content.extend([0; 5]);
+        let mut gzip = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+        gzip.write_all(&content).unwrap();
+        assert_eq!(only(&gzip.finish().unwrap()), ("SPZ_LENGTH", "5".to_owned()));
+        // A record of 8 bytes and a few more.
+        content.truncate(content.len() - 5);
+        content[14] = 0x2;
+        content.extend([9, 0, 0, 0, 1, 0, 0, 0, 42, 1, 2, 3]);
+        let mut gzip = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+        gzip.write_all(&content).unwrap();
+        let codes: Vec<_> = findings(&gzip.finish().unwrap()).into_iter().map(|f| (f.code, f.found)).collect();
+        assert_eq!((codes[0].0, codes[1].0, codes[1].1.as_str()), ("SPZ_NOT_READ", "SPZ_LENGTH", "3"), "{codes:?}");
     }
 }
