@@ -167,6 +167,7 @@ pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, F
 
 fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySplats, Fault> {
     let (header, mut body) = table::open(file)?;
+    header.repeated_property().map_or(Ok(()), Err)?;
     if compressed::is_compressed(&header) {
         return Ok(PlySplats { splats: compressed::parse(&header, &mut body)?, attributes: vec![], dropped: 0 });
     }
@@ -389,6 +390,16 @@ mod tests {
             "a.ply: byte 0: expected a PLY file (starts with `ply`), found something else"
         );
         let mut file = written(&random_splats(3, 0, 1));
+        let header = |from: &str, to: &str| {
+            let text = String::from_utf8_lossy(&file[..300]).replace(from, to).into_bytes();
+            message(&[&text, &file[300..]].concat())
+        };
+        assert_eq!(
+            header("ian 1.0", "ian 2.0"),
+            "a.ply: byte 4: expected version 1.0 of the format, found `format binary_little_endian 2.0`"
+        );
+        let twice = "a.ply: byte 36: expected each property once, found `x` twice";
+        assert_eq!(header("property float nx", "property float x "), twice);
         file.truncate(file.len() - 10);
         assert!(
             message(&file).contains("expected 3 rows of `vertex` of at least 68 bytes, found 194 bytes"),

@@ -226,7 +226,10 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
         match words.as_slice() {
             ["end_header"] => break start,
             [] | ["ply" | "comment" | "obj_info", ..] => {}
-            ["format", name, ..] => {
+            ["format", name, version @ ..] => {
+                if !matches!(version, [] | ["1.0", ..]) {
+                    return Err(bad("version 1.0 of the format"));
+                }
                 encoding = Some(match *name {
                     "ascii" => Encoding::Ascii,
                     "binary_little_endian" => Encoding::Little,
@@ -285,12 +288,13 @@ impl Header {
         self.element(name).ok_or_else(missing)
     }
 
-    /// A property that its element has twice; readers see the first alone.
-    pub(crate) fn repeated_property(&self) -> Option<&str> {
+    /// A property that its element has twice: nobody can tell which is meant.
+    pub(crate) fn repeated_property(&self) -> Option<Fault> {
         self.elements.iter().find_map(|element| {
-            let names = element.properties.iter().map(|p| p.name.as_str());
             let mut seen = std::collections::HashSet::new();
-            names.into_iter().find(|name| !seen.insert(*name))
+            let twice = element.properties.iter().find(|p| !seen.insert(p.name.as_str()))?;
+            let found = format!("{} twice", shown(twice.name.as_bytes()));
+            Some(Fault::byte(element.at, "each property once", found))
         })
     }
 }

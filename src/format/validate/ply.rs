@@ -22,9 +22,9 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         Err(fault) => return findings.fault("PLY_ELEMENT", fault),
     };
     let declared = || Location::Byte(vertex.at as u64);
-    if let Some(name) = ply.repeated_property() {
-        findings.error("PLY_PROPERTY_TWICE", declared(), "each property once", format!("`{name}` twice"));
-    }
+    let repeated = ply.repeated_property();
+    let is_ambiguous = repeated.is_some();
+    repeated.into_iter().for_each(|fault| findings.fault("PLY_PROPERTY_TWICE", fault));
     match body.bytes_after_rows(&ply) {
         Ok(0) => {}
         Ok(rest) => findings.warning("PLY_LENGTH", Location::File, "no bytes after the last row", rest),
@@ -32,7 +32,7 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     }
     if vertex.scalar("packed_position").is_some() {
         // All values are integers between the bounds of their chunk; what else can be wrong, the reader refuses.
-        if let Err(fault) = parse_splats(Cursor::new(bytes)) {
+        if !is_ambiguous && let Err(fault) = parse_splats(Cursor::new(bytes)) {
             findings.fault("PLY_PACKED", fault);
         }
         return;
@@ -218,6 +218,7 @@ mod tests {
         };
         let body = &file[header_end..];
         assert_eq!(code("ply\nformat ternary 1.0\n", b""), "PLY_HEADER");
+        assert_eq!(code(&header.replace("ian 1.0", "ian 2.0"), body), "PLY_HEADER");
         assert_eq!(code("ply\nformat ascii 1.0\nend_header\n", b""), "PLY_ELEMENT");
         assert_eq!(code(&header, &body[..body.len() - 1]), "PLY_LENGTH");
         assert_eq!(code(&header, &[body, b"more"].concat()), "PLY_LENGTH");
