@@ -423,3 +423,24 @@ fn cameras_with_and_without_perspective() {
     assert!((2.0 * (540.0 / k.fy).atan() - 1.0).abs() < 1e-6);
     assert!(file.notes.iter().any(|n| n.contains("camera left out: it is orthographic")), "{:?}", file.notes);
 }
+
+#[test]
+fn versions_that_are_not_understood_are_refused() {
+    let (b, attributes) = triangle();
+    let read = |asset: Value| {
+        b.read(json!({ "asset": asset, "meshes": [{ "primitives": [{ "attributes": attributes }] }] })).map(drop)
+    };
+    for asset in
+        [json!({ "version": "2.0" }), json!({ "version": "2.1" }), json!({ "version": "2.7", "minVersion": "2.0" })]
+    {
+        assert_eq!(read(asset), Ok(()));
+    }
+    let refused = |asset: Value| read(asset).unwrap_err();
+    let expected = "glTF 2.0, or a later 2 that it can be read as";
+    assert_eq!(refused(json!({ "version": "3.0" })), format!("f: /asset/version: expected {expected}, found `3.0`"));
+    for asset in [json!({ "version": "1.0" }), json!({ "version": "new" }), json!({ "version": "20.0" })] {
+        assert!(refused(asset).starts_with("f: /asset/version: expected"));
+    }
+    let least = refused(json!({ "version": "2.1", "minVersion": "2.1" }));
+    assert_eq!(least, format!("f: /asset/minVersion: expected {expected}, found `2.1`"));
+}

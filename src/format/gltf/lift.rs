@@ -187,8 +187,29 @@ impl Asset {
         of_core.map(|(i, _)| i).collect()
     }
 
-    /// Refuses files that require extensions without which they cannot be understood.
+    /// Refuses files of a version that is not understood here: of another major one, or of a minor one that says so.
+    pub(super) fn check_version(&self) -> Result<(), Fault> {
+        for (key, newest_minor) in [("version", u32::MAX), ("minVersion", 0)] {
+            let at = format!("/asset/{key}");
+            let Some(stated) = self.root.pointer(&at) else { continue };
+            let text = stated.as_str().map_or_else(|| stated.to_string(), str::to_owned);
+            let mut parts = text.split('.').map(str::parse::<u32>);
+            let is_understood = matches!(parts.next(), Some(Ok(2)))
+                && parts.next().is_none_or(|minor| minor.is_ok_and(|minor| minor <= newest_minor));
+            if !is_understood {
+                return Err(Fault::pointer(
+                    at,
+                    "glTF 2.0, or a later 2 that it can be read as",
+                    shown(text.as_bytes()),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// As [`Self::check_version`]; refuses also files that require extensions without which they cannot be understood.
     pub(in crate::format) fn check_required(&self) -> Result<(), Fault> {
+        self.check_version()?;
         let Some(unknown) = self.extensions_required.iter().find(|e| !UNDERSTOOD.contains(&e.as_str())) else {
             return Ok(());
         };

@@ -159,6 +159,7 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneF
 /// Reads cameras alone, those that are animated frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let asset = Asset::open(path)?;
+    asset.check_version().map_err(|fault| fault.in_file(path))?;
     let motion = Motion::read(&asset, |_| true);
     motion.check().map_err(|fault| fault.in_file(path))?;
     motion::cameras(&asset.document, &motion, sampling).map_err(|fault| fault.in_file(path))
