@@ -307,6 +307,7 @@ fn gltf_of_others_stays_upright() {
     assert!(same.y_up && same.scene.meshes[0].positions()[1] == Vec3::new(1.0, 1.0, 2.0));
     let said = convert(folder.path(), "theirs.gltf theirs.gltf ours.glb");
     assert!(said.contains("note: theirs.gltf: "), "a material that is reduced is worth a note: {said}");
+    assert!(said.contains("\nlost: nothing but what the notes say\n"), "{said}");
     let line = failure(folder.path(), "theirs.gltf theirs.gltf strict.glb --strict");
     assert!(line.starts_with("error: theirs.gltf: --strict: "), "{line}");
     let ours = gltf::read(&folder.path().join("ours.glb")).unwrap();

@@ -334,7 +334,9 @@ fn described(o: &Outcome<'_>) -> String {
         }
         lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
     }
-    lines.push(format!("lost: {}", o.loss));
+    let noted = o.inputs.iter().any(|input| !input.notes.is_empty());
+    let also = if noted && *o.loss == Loss::default() { " but what the notes say" } else { "" };
+    lines.push(format!("lost: {}{also}", o.loss));
     lines.extend(o.notes.iter().map(|note| format!("note: {}: {note}", o.output.display())));
     let mut parts = vec![format!("{} splats of SH degree {}", o.splats, o.sh_degree)];
     for (count, what) in [(o.meshes, "mesh(es)"), (o.cameras, "camera(s)")] {
