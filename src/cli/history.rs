@@ -25,7 +25,7 @@ pub(super) struct Record {
     /// Mean wall time of a joint iteration.
     #[serde(default)]
     pub(super) seconds_per_iteration: Option<f64>,
-    /// In the order of training, without what a resumed run did before.
+    /// In the order of training.
     #[serde(default)]
     history: Vec<Curves>,
 }

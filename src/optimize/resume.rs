@@ -6,8 +6,10 @@ use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::{
-    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions, checkpoint::Checkpoint, density::mcmc::EpochWeight,
-    static_scene::finite,
+    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions,
+    checkpoint::Checkpoint,
+    density::mcmc::EpochWeight,
+    static_scene::{Past, finite},
 };
 use crate::{
     render::gpu::{
@@ -36,6 +38,7 @@ pub(super) struct Saved {
     epoch: EpochWeight,
     /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
     lists: [usize; 2],
+    pub(super) past: Past,
 }
 
 /// What must be the same in a run that goes on from a checkpoint.
@@ -57,6 +60,7 @@ impl Saved {
         (surface, selection): (Option<SurfaceOrigin>, Option<Selection>),
         poses: Option<&PoseState>,
         epoch: &EpochWeight,
+        past: Past,
     ) -> Result<Self, TrainError> {
         let (splats, texel_moments) = (training.read_splats()?, training.read_texel_moments()?);
         // Before meshes refuse them, which do not know the iteration.
@@ -75,6 +79,7 @@ impl Saved {
             texel_moments,
             epoch: epoch.clone(),
             lists: training.pipeline.list_lengths(),
+            past,
         })
     }
 
@@ -119,6 +124,7 @@ impl Saved {
             }
             indices.insert(format!("{what}/steps"), steps);
         }
+        indices.insert("log".to_owned(), self.past.to_words());
         tensors.insert("texels/m".to_owned(), self.texel_moments.0);
         tensors.insert("texels/v".to_owned(), self.texel_moments.1);
         tensors.insert("statistics".to_owned(), self.statistics);
@@ -206,6 +212,9 @@ impl Saved {
         if poses.as_ref().is_some_and(|poses| !poses.is_of(views)) {
             return Err(damaged("poses"));
         }
+        // Files of this version were written without it before: of their runs it begins here.
+        let past = indices.remove("log").map_or_else(|| Some(Past::default()), |words| Past::from_words(&words));
+        let past = past.ok_or_else(|| damaged("log"))?;
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
         let moves = phase != Phase::Surface && run.finds_surface;
@@ -233,6 +242,7 @@ impl Saved {
             vertices,
             exposures,
             poses,
+            past,
             lists: serde_json::from_value(field("lists")?).map_err(|_| damaged("lists"))?,
             epoch: EpochWeight {
                 weight,

@@ -19,6 +19,7 @@ mod size;
 mod unseen;
 
 pub(super) use finite::finite;
+pub(super) use log::Past;
 pub use log::Progress;
 pub use poses::RefinedPose;
 pub use selection::Selection;
@@ -90,7 +91,7 @@ pub struct Trained {
     pub occluded_splats: usize,
     /// Why the run ended.
     pub outcome: Outcome,
-    /// All reports of this run.
+    /// Reports after every so many iterations, those from before the run was resumed included.
     pub history: Vec<Progress>,
     /// By the names of training views, the 3×4 matrix, by rows, that takes what is rendered, (r, g, b, 1), to the photograph; empty
     /// without [`TrainOptions::exposure`].
@@ -99,7 +100,7 @@ pub struct Trained {
     pub poses: Vec<(String, RefinedPose)>,
     /// Of all views of the capture, refined where they were.
     pub cameras: Vec<Camera>,
-    /// Seconds per joint iteration of this run, without evaluation; `None` if it had none.
+    /// Seconds per joint iteration, those before the run was resumed included, without evaluation; `None` if there was none.
     pub seconds_per_iteration: Option<f64>,
     /// Iterations of this run that were taken again because their view, or one before it, needed longer lists, which were made then.
     pub repeated_iterations: u32,
@@ -232,6 +233,7 @@ impl<'a> Run<'a> {
             _ => None,
         };
         let resumes = saved.is_some();
+        self.log.past = saved.as_mut().map(|saved| std::mem::take(&mut saved.past)).unwrap_or_default();
         self.hands_over = source.is_found();
         memory::check(
             self.session.gpu,
@@ -527,7 +529,7 @@ impl<'a> Run<'a> {
             outcome,
             seconds_per_iteration: self.log.seconds_per_iteration(),
             repeated_iterations: self.log.repeated_iterations,
-            history: std::mem::take(&mut self.log.history),
+            history: std::mem::take(&mut self.log.past.history),
         })
     }
 }

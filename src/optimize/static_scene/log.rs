@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::Phase;
 
 /// A sign of life, every few iterations.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Progress {
     /// Current phase.
     pub phase: Phase,
@@ -19,33 +19,33 @@ pub struct Progress {
     pub splats: usize,
     /// PSNR of a held-out view, whenever one was just rendered, dB.
     pub psnr: Option<f64>,
-    /// Seconds since this run began (not counting what a resumed run did before).
+    /// Seconds since the run that reported this began, not counting what had been done before it was resumed.
     pub seconds: f64,
 }
 
 /// Kept from the first iteration to the last.
 pub(super) struct Log {
     start: Instant,
-    /// All reports.
-    pub(super) history: Vec<Progress>,
+    /// What goes on in a run that is resumed.
+    pub(super) past: Past,
     /// The last iteration.
     pub(super) reached: (Phase, u32),
     /// Taken again, since lists were too short for them.
     pub(super) repeated_iterations: u32,
+}
+
+/// Of all that has been trained, before a stop too.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(in crate::optimize) struct Past {
+    /// The reports that are made without a stop.
+    pub(super) history: Vec<Progress>,
     joint_seconds: f64,
     joint_iterations: u32,
 }
 
 impl Log {
     pub(super) fn new() -> Self {
-        Self {
-            start: Instant::now(),
-            history: vec![],
-            reached: (Phase::Surface, 0),
-            repeated_iterations: 0,
-            joint_seconds: 0.0,
-            joint_iterations: 0,
-        }
+        Self { start: Instant::now(), past: Past::default(), reached: (Phase::Surface, 0), repeated_iterations: 0 }
     }
 
     /// Seconds since the run began.
@@ -56,8 +56,8 @@ impl Log {
     /// An iteration that began then is done.
     pub(super) fn count(&mut self, phase: Phase, begin: Instant) {
         if phase == Phase::Joint {
-            self.joint_seconds += begin.elapsed().as_secs_f64();
-            self.joint_iterations += 1;
+            self.past.joint_seconds += begin.elapsed().as_secs_f64();
+            self.past.joint_iterations += 1;
         }
     }
 
@@ -65,13 +65,77 @@ impl Log {
     pub(super) fn take_back(&mut self, again: u32, phase: Phase, begin: Instant) {
         self.repeated_iterations += again;
         if phase == Phase::Joint {
-            self.joint_seconds += begin.elapsed().as_secs_f64();
-            self.joint_iterations = self.joint_iterations.saturating_sub(again - 1);
+            self.past.joint_seconds += begin.elapsed().as_secs_f64();
+            self.past.joint_iterations = self.past.joint_iterations.saturating_sub(again - 1);
         }
     }
 
     /// Of the joint phase; `None` before it.
     pub(super) fn seconds_per_iteration(&self) -> Option<f64> {
-        (self.joint_iterations > 0).then(|| self.joint_seconds / f64::from(self.joint_iterations))
+        let Past { joint_seconds, joint_iterations, .. } = self.past;
+        (joint_iterations > 0).then(|| joint_seconds / f64::from(joint_iterations))
+    }
+}
+
+/// In the order of their numbers in [`Past::to_words`].
+const PHASES: [Phase; 3] = [Phase::Surface, Phase::Warmup, Phase::Joint];
+
+impl Past {
+    /// For a checkpoint, bit for bit: some 40 bytes for each report.
+    pub(in crate::optimize) fn to_words(&self) -> Vec<u32> {
+        let [low, high] = halves(self.joint_seconds);
+        let mut words = vec![low, high, self.joint_iterations];
+        for Progress { phase, iteration, of, loss, splats, psnr, seconds } in &self.history {
+            let phase = PHASES.iter().position(|p| p == phase).unwrap_or(0) as u32;
+            words.extend([phase, *iteration, *of, u32::try_from(*splats).unwrap_or(u32::MAX)]);
+            words.extend([*loss, psnr.unwrap_or(f64::NAN), *seconds].map(halves).as_flattened());
+        }
+        words
+    }
+
+    /// What [`Self::to_words`] made; `None` of anything else.
+    pub(in crate::optimize) fn from_words(words: &[u32]) -> Option<Self> {
+        let ([low, high, joint_iterations], rows) = words.split_first_chunk()?;
+        let (rows, []) = rows.as_chunks() else { return None };
+        let history = rows.iter().map(|&[phase, iteration, of, splats, l0, l1, p0, p1, s0, s1]| {
+            Some(Progress {
+                phase: *PHASES.get(phase as usize)?,
+                iteration,
+                of,
+                loss: whole(l0, l1),
+                splats: splats as usize,
+                psnr: Some(whole(p0, p1)).filter(|db| !db.is_nan()),
+                seconds: whole(s0, s1),
+            })
+        });
+        let joint_seconds = whole(*low, *high);
+        Some(Self { history: history.collect::<Option<_>>()?, joint_seconds, joint_iterations: *joint_iterations })
+    }
+}
+
+fn halves(value: f64) -> [u32; 2] {
+    [value.to_bits() as u32, (value.to_bits() >> 32) as u32]
+}
+
+fn whole(low: u32, high: u32) -> f64 {
+    f64::from_bits(u64::from(high) << 32 | u64::from(low))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_before_a_stop_survives_bit_for_bit() {
+        let report =
+            |phase, psnr| Progress { phase, iteration: 10, of: 90, loss: 0.1, splats: 7, psnr, seconds: 1.0 / 3.0 };
+        let history = vec![report(Phase::Surface, None), report(Phase::Warmup, Some(20.1)), report(Phase::Joint, None)];
+        let past = Past { history, joint_seconds: 0.7, joint_iterations: 3 };
+        let words = past.to_words();
+        assert_eq!(Past::from_words(&words), Some(past));
+        assert_eq!(Past::from_words(&Past::default().to_words()), Some(Past::default()));
+        assert_eq!(Past::from_words(&words[..words.len() - 1]), None);
+        assert_eq!(Past::from_words(&[]), None);
+        assert_eq!(Past::from_words(&[0, 0, 0, 3, 1, 1, 1, 0, 0, 0, 0, 0, 0]), None, "no such phase");
     }
 }

@@ -133,7 +133,8 @@ impl Run<'_> {
             }
             if saves && let Some(path) = &self.session.checkpoint {
                 let found = (self.found.surface, self.found.selection);
-                Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch)?
+                let past = self.log.past.clone();
+                Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?
                     .write(path, &self.identity)?;
             }
             if stop && done < plan.iterations {
@@ -353,7 +354,10 @@ impl Run<'_> {
             seconds: self.log.seconds(),
         };
         (self.session.progress)(&progress);
-        self.log.history.push(progress);
+        // A run that is stopped and resumed has the history of any other.
+        if is_due(done, REPORT_EVERY) || done == plan.iterations {
+            self.log.past.history.push(progress);
+        }
         Ok(())
     }
 
