@@ -85,7 +85,8 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
-        let cause = without_code(&cause.to_string().split_whitespace().collect::<Vec<_>>().join(" "));
+        let cause =
+            output::without_codes(&cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ")).into_owned();
         if line.is_empty() {
             line = cause;
         } else if !line.contains(&cause) {
@@ -93,14 +94,6 @@ fn one_line(error: &anyhow::Error) -> String {
         }
     }
     line
-}
-
-/// Rust's I/O errors end in `(os error 2)`, which tells a user nothing that the words before it do not.
-fn without_code(message: &str) -> String {
-    match message.rsplit_once(" (os error ") {
-        Some((words, code)) if code.trim_end_matches(')').parse::<i32>().is_ok() => words.to_owned(),
-        _ => message.to_owned(),
-    }
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! What commands print, and checks of where they are told to write.
 
+use std::borrow::Cow;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -15,12 +16,26 @@ pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
 
 /// Prints `text` and a line end on stdout.
 pub(super) fn print(text: &str) -> Result<()> {
-    Ok(writeln!(io::stdout().lock(), "{text}")?)
+    Ok(writeln!(io::stdout().lock(), "{}", without_codes(text))?)
 }
 
 /// Prints a line on stderr that is no error; a reader that has gone away does not stop the command.
 pub(super) fn note(text: &str) {
-    let _ = writeln!(io::stderr(), "note: {text}");
+    let _ = writeln!(io::stderr(), "note: {}", without_codes(text));
+}
+
+/// Rust's I/O errors end in ` (os error 2)`, which tells a user nothing that the words before it do not.
+pub(super) fn without_codes(text: &str) -> Cow<'_, str> {
+    const BEGIN: &str = " (os error ";
+    let mut parts = text.split(BEGIN);
+    let mut plain = Cow::Borrowed(parts.next().unwrap_or_default());
+    for part in parts {
+        match part.split_once(')') {
+            Some((code, rest)) if code.parse::<i32>().is_ok() => plain.to_mut().push_str(rest),
+            _ => plain.to_mut().extend([BEGIN, part]),
+        }
+    }
+    plain
 }
 
 /// A bar over `length` items; hidden on request and where stderr is no terminal.
@@ -113,6 +128,17 @@ mod tests {
         let error = check_file(&at("file/new.glb")).unwrap_err();
         assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");
+    }
+
+    #[test]
+    fn codes_of_the_system_are_left_out_and_nothing_else() {
+        let plain = without_codes;
+        assert_eq!(plain("a.png: No such file (os error 2)"), "a.png: No such file");
+        assert_eq!(plain("no mask (b.png: No such file (os error 2)), c"), "no mask (b.png: No such file), c");
+        assert_eq!(plain("a (os error 2): b (os error -13)\nc"), "a: b\nc");
+        for text in ["", "a (b)", "a (os error x)", "a (os error 2", "a (os error )"] {
+            assert_eq!(plain(text), text);
+        }
     }
 
     #[test]
