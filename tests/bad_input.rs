@@ -125,6 +125,13 @@ fn poses_and_points_that_are_no_numbers() {
 }
 
 #[test]
+fn budgets_without_room_for_a_splat() {
+    let folder = folder_with_capture(8);
+    let line = failure(folder.path(), &mut train(folder.path(), ["--no-mesh", "--max-floats", "10"]));
+    assert_eq!(line, "error: options: max_floats: expected at least the 59 of a splat of degree 3, found 10");
+}
+
+#[test]
 fn point_clouds_without_points() {
     let advice = "--no-points begins with splats at random places that the cameras look at";
     let line = refused(|c| std::fs::write(c.join("sparse/0/points3D.txt"), "# none\n").unwrap());

@@ -1,6 +1,6 @@
 //! What can be chosen of a training run, with defaults and their sources.
 
-use crate::scene::{Composition, OrderMode, SceneError, sh};
+use crate::scene::{Composition, OrderMode, SceneError, Splats, sh};
 
 /// How the number of splats changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -125,6 +125,11 @@ impl TrainOptions {
         if !(self.pose_reach >= 0.0 && self.pose_reach.is_finite()) {
             return Err(SceneError::new("pose_reach", "a number ≥ 0", self.pose_reach.to_string()));
         }
+        let splat = Splats::floats_each(self.sh_degree);
+        if let Some(floats) = self.max_floats.filter(|floats| *floats < splat) {
+            let expected = format!("at least the {splat} of a splat of degree {}", self.sh_degree);
+            return Err(SceneError::new("max_floats", expected, floats.to_string()));
+        }
         if let Some(side) = self.texture_size.filter(|side| !(16..=Self::LARGEST_TEXTURE).contains(side)) {
             let expected = format!("16 to {}", Self::LARGEST_TEXTURE);
             return Err(SceneError::new("texture_size", expected, side.to_string()));
@@ -206,8 +211,14 @@ mod tests {
             (TrainOptions { ssim_weight: 1.5, ..d() }, "ssim_weight"),
             (TrainOptions { pose_reach: f64::INFINITY, ..d() }, "pose_reach"),
             (TrainOptions { texture_size: Some(u32::MAX), ..d() }, "texture_size"),
+            (TrainOptions { max_floats: Some(58), ..d() }, "max_floats"),
         ] {
             assert_eq!(options.validate().unwrap_err().field, field);
+        }
+        for enough in
+            [TrainOptions { max_floats: Some(59), ..d() }, TrainOptions { max_floats: Some(14), sh_degree: 0, ..d() }]
+        {
+            assert!(enough.validate().is_ok());
         }
     }
 
