@@ -66,6 +66,23 @@ fn pictures_do_not_replace_photographs() {
     // Before training, not after it.
     let line = refused(folder.path(), "train capture -o s.glb --no-mesh --iterations 1 --report capture/images");
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
+    // Beside photographs of other names they would be taken for some of them.
+    let other = folder.path().join("other");
+    write_capture(&other, 9, (16, 12));
+    for i in 0..9 {
+        let at = |extension: &str| other.join(format!("images/{i:03}.{extension}"));
+        std::fs::rename(at("png"), at("PNG")).unwrap();
+    }
+    let list = other.join("sparse/0/images.txt");
+    std::fs::write(&list, std::fs::read_to_string(&list).unwrap().replace(".png", ".PNG")).unwrap();
+    for args in [
+        "render splats.ply --cameras other -o other/images",
+        "eval splats.ply other -o other/images",
+        "train other -o s.glb --no-mesh --iterations 1 --report ./other/images",
+    ] {
+        let line = refused(folder.path(), args);
+        assert!(line.ends_with("other/images: holds photographs of the capture: expected another folder"), "{line}");
+    }
     // Pictures of an earlier run are replaced, in the capture as anywhere.
     for _ in 0..2 {
         run(folder.path(), "render splats.ply --cameras capture -o capture/renders");

@@ -124,24 +124,32 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     Ok(CameraFile { cameras, fps, y_up, times, notes: vec![] })
 }
 
-/// Refuses to write `pictures` over photographs of the capture, a folder or `.json`, that the cameras of `path` come from.
+/// Refuses to write `pictures` among photographs of the capture, a folder or `.json`, that the cameras of `path` come from.
 pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &LoadOptions) -> Result<()> {
     let is_capture = path.is_dir() || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-    // Those that are not there yet cannot be photographs.
-    if !is_capture || !pictures.iter().any(|picture| picture.exists()) {
+    // In folders that are not there yet there are no photographs.
+    if !is_capture || !pictures.iter().any(|picture| picture.parent().is_some_and(Path::exists)) {
         return Ok(());
     }
     spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))
 }
 
-/// Refuses to write `pictures` over any of the photographs `images`.
-pub(super) fn spare_images<'a>(pictures: &[PathBuf], images: impl Iterator<Item = &'a Path>) -> Result<()> {
-    let images: HashSet<PathBuf> = images.filter_map(|image| image.canonicalize().ok()).collect();
-    let is_image = |picture: &&PathBuf| picture.canonicalize().is_ok_and(|place| images.contains(&place));
+/// Refuses to write `pictures` over any of the photographs `images`, or beside one, where they would be taken for more of them.
+pub(super) fn spare_images<'a>(pictures: &[PathBuf], images: impl Iterator<Item = &'a Path> + Clone) -> Result<()> {
+    let there: HashSet<PathBuf> = images.clone().filter_map(|image| image.canonicalize().ok()).collect();
+    let is_image = |picture: &&PathBuf| picture.canonicalize().is_ok_and(|place| there.contains(&place));
     if let Some(picture) = pictures.iter().find(is_image) {
         bail!("{}: is a photograph of the capture: expected another folder", picture.display());
     }
-    Ok(())
+    // As the capture names them: a photograph may be a link to one elsewhere.
+    let names: HashSet<&Path> = images.filter(|image| image.exists()).filter_map(Path::parent).collect();
+    let folders: HashSet<PathBuf> = names.into_iter().filter_map(|folder| folder.canonicalize().ok()).collect();
+    let mut parents = pictures.iter().filter_map(|picture| picture.parent());
+    let among = parents.find(|folder| folder.canonicalize().is_ok_and(|folder| folders.contains(&folder)));
+    match among {
+        Some(folder) => bail!("{}: holds photographs of the capture: expected another folder", folder.display()),
+        None => Ok(()),
+    }
 }
 
 fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions) -> CameraFile {
