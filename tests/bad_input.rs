@@ -10,8 +10,10 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use centaur::capture::{self, LoadOptions};
+use centaur::format::{WriteOptions, write_scene};
 use centaur::optimize::{self, MeshSource, Outcome, Session, TrainOptions};
 use centaur::render::gpu::Gpu;
+use centaur::scene::{Composition, HybridScene, Splats};
 use common::{centaur, failure, stderr, write_capture};
 
 /// A run of a second or two.
@@ -74,6 +76,9 @@ fn captures_with_missing_or_wrong_parts() {
     let line = refused(|c| std::fs::write(c.join("sparse/0/cameras.txt"), "# none\n").unwrap());
     assert_eq!(line, "error: capture/sparse/0/cameras.txt: cameras: expected at least one camera, found none");
 
+    let line = refused(|c| std::fs::write(c.join("sparse/0/cameras.txt"), "1 PINHOLE 48 32 48 0 24 16\n").unwrap());
+    assert_eq!(line, "error: capture/sparse/0/cameras.txt: line 1: expected positive focal lengths, found 0");
+
     let line = refused(|c| std::fs::write(c.join("sparse/0/images.txt"), "# none\n").unwrap());
     assert_eq!(line, "error: capture/sparse/0/images.txt: views: expected at least 2 posed images, found 0");
 
@@ -122,6 +127,15 @@ fn poses_and_points_that_are_no_numbers() {
     );
     let line = refused(|c| edit(&c.join("sparse/0/points3D.txt"), |text| format!("{text}999 0 NaN 0 1 2 3 0.1\n")));
     assert!(line.starts_with("error: capture/sparse/0/points3D.txt: line 301: expected finite numbers"), "{line}");
+}
+
+#[test]
+fn surfaces_of_no_splats() {
+    let folder = folder_with_capture(8);
+    let empty = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
+    write_scene(&folder.path().join("empty.ply"), &empty, &WriteOptions::default()).unwrap();
+    let line = failure(folder.path(), centaur(folder.path()).args(["mesh", "empty.ply", "capture", "-o", "s.glb"]));
+    assert_eq!(line, "error: empty.ply: expected trained splats, found none");
 }
 
 #[test]

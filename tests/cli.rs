@@ -143,8 +143,13 @@ fn inputs_that_are_not_there_or_not_scenes() {
         ),
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),
-        (&["mesh", "none.ply", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),
-        (&["train", "capture", "-o", "a.glb"], "error: capture: No such file or directory"),
+        (&["mesh", "none.ply", "capture", "-o", "a.glb"], "error: capture: cannot read: No such file or directory"),
+        (&["train", "capture", "-o", "a.glb"], "error: capture: cannot read: No such file or directory"),
+        (&["bench", "sets", "-o", "out"], "error: sets: cannot read: No such file or directory"),
+        (
+            &["cameras", "orbit", "none.json", "-o", "a.json"],
+            "error: none.json: cannot read: No such file or directory",
+        ),
         (&["train", ".", "-o", "a.glb", "--mesh", "none.obj"], "error: none.obj: expected a mesh file, found none"),
         (&["train", ".", "-o", "a.glb", "--resume"], "error: a.glb.checkpoint: expected a checkpoint, found none"),
     ] {

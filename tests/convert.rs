@@ -170,6 +170,9 @@ fn records_of_trainings_are_kept_or_named_and_no_part_of_the_scene() {
         assert!(said.starts_with("lost: the record of the training"), "{output}: {said}");
     }
     convert(folder.path(), "a.glb strict.ply --strict");
+    // What --strict lets go is no reason of its refusal.
+    let line = failure(folder.path(), "a.glb b.splat --strict");
+    assert!(line.starts_with("error: b.splat: --strict: a .splat would lose ") && !line.contains("record"), "{line}");
     let said = convert(folder.path(), "a.glb a.ply two.glb --strict");
     assert!(said.starts_with("lost: the record of the training") && kept("two.glb").is_none(), "{said}");
 }
@@ -507,6 +510,9 @@ fn invalid_splats_are_refused_or_dropped() {
     );
     let said = convert(folder.path(), "a.ply b.ply --drop-invalid");
     assert!(said.starts_with("a.ply: dropped 2 invalid splats\n"), "{said}");
+    write_labelled(&folder.path().join("one.ply"), 2, &[0]);
+    let said = convert(folder.path(), "one.ply c.ply --drop-invalid");
+    assert!(said.starts_with("one.ply: dropped 1 invalid splat\n") && said.contains(": 1 splat of SH"), "{said}");
     let left = ply::read_with(&folder.path().join("b.ply"), &format::ReadOptions::default()).unwrap();
     assert_eq!(left.attributes[0].values(), [1.0, 2.0, 4.0]);
     assert_eq!(as_json(folder.path(), "a.ply b.ply --drop-invalid")["inputs"][0]["dropped"].as_u64(), Some(2));

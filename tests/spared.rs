@@ -44,6 +44,15 @@ fn a_path_does_not_replace_the_scene_it_is_of() {
 }
 
 #[test]
+fn advice_is_of_what_the_format_can_do() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(&folder.path().join("capture"), 9, (16, 12));
+    run(folder.path(), "cameras convert capture -o path.json");
+    let line = refused(folder.path(), "cameras convert path.json -o path.json");
+    assert_eq!(line, "error: path.json: expected another file than path.json, which would be lost");
+}
+
+#[test]
 fn a_surface_does_not_replace_what_it_is_made_of() {
     let folder = tempfile::tempdir().unwrap();
     write_capture(&folder.path().join("capture"), 9, (16, 12));

@@ -85,6 +85,11 @@ pub(super) fn lens(name: &str, p: &[f64], width: u32, height: u32) -> Option<Len
     Some(Lens { intrinsics, distortion })
 }
 
+/// The focal length of a lens that is no pinhole's.
+pub(super) fn unfit_focal_length(lens: &Lens) -> Option<f64> {
+    [lens.intrinsics.fx, lens.intrinsics.fy].into_iter().find(|f| *f <= 0.0)
+}
+
 /// One line of `images.txt` or record of `images.bin`.
 #[derive(Debug)]
 pub(super) struct ImageRecord {

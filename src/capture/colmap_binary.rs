@@ -100,6 +100,9 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
             return Err(file.invalid(at, "camera", "finite parameters", v.to_string()));
         }
         let lens = colmap::lens(name, &values, width, height).ok_or_else(|| unsupported(name.into()))?;
+        if let Some(focal) = colmap::unfit_focal_length(&lens) {
+            return Err(file.invalid(at, "camera", "positive focal lengths", focal.to_string()));
+        }
         if cameras.insert(id, lens).is_some() {
             return Err(file.invalid(at, "camera", "a new number", id.to_string()));
         }

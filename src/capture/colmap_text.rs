@@ -68,6 +68,9 @@ pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, Cap
             return Err(line.invalid("finite camera parameters", &v.to_string()));
         }
         let lens = colmap::lens(model, &values, width, height).ok_or_else(unsupported)?;
+        if let Some(focal) = colmap::unfit_focal_length(&lens) {
+            return Err(line.invalid("positive focal lengths", &focal.to_string()));
+        }
         if cameras.insert(id, lens).is_some() {
             return Err(line.invalid("a new camera id", &id.to_string()));
         }

@@ -8,7 +8,7 @@ use crate::{format::FormatError, scene::SceneError};
 #[non_exhaustive]
 pub enum CaptureError {
     /// A file or folder cannot be read.
-    #[error("{}: {source}", .path.display())]
+    #[error("{}: cannot read: {source}", .path.display())]
     Io {
         /// What was opened.
         path: PathBuf,

@@ -199,8 +199,13 @@ impl FileArgs {
             output::check_file(&self.output)?;
         }
         if !self.with_scene {
-            let lost = || format!("--with-scene writes {} again with the path in it", self.source.display());
-            output::spare(&self.output, [self.source.as_path()]).with_context(lost)?;
+            let spared = output::spare(&self.output, [self.source.as_path()]);
+            if is_gltf(&self.output) {
+                let lost = || format!("--with-scene writes {} again with the path in it", self.source.display());
+                spared.with_context(lost)?;
+            } else {
+                spared?;
+            }
         }
         read_cameras(&self.source, sampling, &LoadOptions::default())
     }

@@ -10,6 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::edits::{EditArgs, Edited, Step};
+use super::output::counted;
 use super::shared::{self, AnimationArgs, MessageArgs};
 use super::{output, usage};
 
@@ -279,7 +280,9 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         bail!("{}: expected splats for a .{extension}, found meshes alone", output.display());
     }
     if args.strict && !report.loss.is_rounding() {
-        bail!("{}: --strict: a .{extension} would lose {}", output.display(), report.loss);
+        // It may lose the record of the training.
+        let loss = Loss { record: false, ..report.loss };
+        bail!("{}: --strict: a .{extension} would lose {loss}", output.display());
     }
     // Pictures of a .usda come first: a file that names them must not be there before they are.
     let entries = staging.path().read_dir().with_context(named)?;
@@ -320,17 +323,17 @@ fn described(o: &Outcome<'_>) -> String {
     let mut lines = vec![];
     for input in o.inputs {
         if input.dropped > 0 {
-            lines.push(format!("{}: dropped {} invalid splats", input.file.display(), input.dropped));
+            lines.push(format!("{}: dropped {}", input.file.display(), counted(input.dropped, "invalid splat")));
         }
         lines.extend(input.notes.iter().map(|note| format!("note: {}: {note}", input.file.display())));
     }
     for step in o.steps {
         let mut parts = vec![];
         if step.removed_splats > 0 || step.removed_triangles == 0 {
-            parts.push(format!("{} splats", step.removed_splats));
+            parts.push(counted(step.removed_splats, "splat"));
         }
         if step.removed_triangles > 0 {
-            parts.push(format!("{} triangles", step.removed_triangles));
+            parts.push(counted(step.removed_triangles, "triangle"));
         }
         lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
     }
@@ -338,7 +341,7 @@ fn described(o: &Outcome<'_>) -> String {
     let also = if noted && *o.loss == Loss::default() { " but what the notes say" } else { "" };
     lines.push(format!("lost: {}{also}", o.loss));
     lines.extend(o.notes.iter().map(|note| format!("note: {}: {note}", o.output.display())));
-    let mut parts = vec![format!("{} splats of SH degree {}", o.splats, o.sh_degree)];
+    let mut parts = vec![format!("{} of SH degree {}", counted(o.splats, "splat"), o.sh_degree)];
     for (count, what) in [(o.meshes, "mesh(es)"), (o.cameras, "camera(s)")] {
         if count > 0 {
             parts.push(format!("{count} {what}"));

@@ -95,6 +95,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         (None, Some(splats)) => {
             let scene = read_scene(splats)?;
+            ensure!(!scene.splats.is_empty(), "{}: expected trained splats, found none", splats.display());
             let gpu = args.adapter.open()?;
             let mut views = Views::new(&args.messages, "fusing", capture.views.len());
             let (triangles, planar) = (args.triangles, args.planar.is_auto());

@@ -93,6 +93,11 @@ fn probe(folder: &Path) -> Result<()> {
     tempfile::tempfile_in(folder).map(drop).with_context(|| format!("folder {}", folder.display()))
 }
 
+/// `1 picture`, `2 pictures`.
+pub(super) fn counted(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
 /// A whole number from 1 on; for clap's `value_parser`.
 pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "expected a whole number from 1".into())

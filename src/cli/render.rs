@@ -270,7 +270,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         return output::print_json(&outcome);
     }
-    let mut lines = vec![format!("{}: {} pictures", args.output.display(), written.len())];
+    let mut lines = vec![format!("{}: {}", args.output.display(), output::counted(written.len(), "picture"))];
     if let Some(path) = &args.video {
         lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), written.len() as f64 / fps));
     }

@@ -112,13 +112,13 @@ pub fn surface_from_fusion(
     let extracted = fusion.extract_contracted();
     stats.extracted = extracted.triangles.len();
     if stats.extracted == 0 {
-        let hint = "too few views agree on a depth within the bounds and max_depth";
+        let hint = "too few views agree on how far away it is";
         return Err(GeometryError::EmptySurface { step: "extraction", hint });
     }
     let cleaned = clean(extracted, options.min_component_faces, options.keep_components);
     stats.cleaned = cleaned.triangles.len();
     if stats.cleaned == 0 {
-        let hint = "every component is smaller than min_component_faces";
+        let hint = "all its pieces are too small to be kept";
         return Err(GeometryError::EmptySurface { step: "cleaning", hint });
     }
     let mut smoothed;

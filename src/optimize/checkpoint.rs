@@ -208,7 +208,8 @@ impl Checkpoint {
 /// overflows for those that somebody made up.
 fn check_offsets(bytes: &[u8]) -> Result<(), SceneError> {
     let no_file = |found: String| SceneError::new("file", "a safetensors file", found);
-    let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(|| no_file(format!("{} bytes", bytes.len())))?;
+    let too_short = || no_file(format!("{} byte{}", bytes.len(), if bytes.len() == 1 { "" } else { "s" }));
+    let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(too_short)?;
     let length = u64::from_le_bytes(*length);
     let parts = usize::try_from(length).ok().and_then(|n| rest.split_at_checked(n));
     let (header, arrays) = parts.ok_or_else(|| no_file(format!("a header of {length} bytes in {}", bytes.len())))?;
@@ -371,7 +372,8 @@ mod tests {
         assert!(edited("F32", "I32").contains("expected f32 or u32 of one axis, found I32"));
         assert!(edited("centaur_checkpoint", "somebody_elses_foo").contains("metadata: expected an entry"));
         assert!(message(&bytes[..bytes.len() - 1]).contains("truncated"));
-        assert!(message(b"PNG").contains("expected a safetensors file, found 3 bytes"));
+        assert!(message(b"PNG").ends_with("expected a safetensors file, found 3 bytes"));
+        assert!(message(b"P").ends_with("expected a safetensors file, found 1 byte"));
     }
 
     #[test]

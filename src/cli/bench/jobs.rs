@@ -272,8 +272,9 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
         return listed(&list);
     }
     let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(dataset).with_context(|| dataset.display().to_string())? {
-        let path = entry.with_context(|| dataset.display().to_string())?.path();
+    let unread = || format!("{}: cannot read", dataset.display());
+    for entry in std::fs::read_dir(dataset).with_context(unread)? {
+        let path = entry.with_context(unread)?.path();
         // One that has lost its cameras is to fail by its name, not to be missing from the table.
         let is_one = capture::is_capture(&path) || path.join("sparse").is_dir();
         if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| is_one) {
@@ -291,7 +292,9 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
 /// Reads `scenes.json`. Its names become those of files, and its folders lie within its own.
 fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
     let here = || list.display().to_string();
-    let Listed { scenes } = serde_json::from_slice(&std::fs::read(list).with_context(here)?).with_context(here)?;
+    let Listed { scenes } =
+        serde_json::from_slice(&std::fs::read(list).with_context(|| format!("{}: cannot read", here()))?)
+            .with_context(here)?;
     ensure!(!scenes.is_empty(), "{}: expected scenes, found none", here());
     for (name, scene) in &scenes {
         let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
