@@ -10,26 +10,18 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use centaur::capture::{self, LoadOptions};
-use centaur::format::{WriteOptions, write_scene};
+use centaur::format::{WriteOptions, gltf, write_scene};
 use centaur::optimize::{self, MeshSource, Outcome, Session, TrainOptions};
 use centaur::render::gpu::Gpu;
 use centaur::scene::{Composition, HybridScene, Splats};
 use common::{centaur, failure, stderr, write_capture};
+use glam::{Quat, Vec3};
 
 /// A run of a second or two.
-const SHORT: [&str; 11] = [
-    "train",
-    "capture",
-    "-o",
-    "scene.glb",
-    "--iterations",
-    "12",
-    "--warmup",
-    "4",
-    "--no-eval",
-    "--quiet",
-    "--surface-iterations=11",
-];
+const SHORT: [&str; 8] = ["train", "capture", "-o", "scene.glb", "--iterations", "12", "--no-eval", "--quiet"];
+
+/// Those that mean nothing beside --no-mesh.
+const OF_A_MESH: [&str; 3] = ["--warmup", "4", "--surface-iterations=11"];
 
 fn folder_with_capture(views: usize) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -38,8 +30,9 @@ fn folder_with_capture(views: usize) -> tempfile::TempDir {
 }
 
 fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
+    let more: Vec<&str> = more.into_iter().collect();
     let mut command = centaur(folder);
-    command.args(SHORT).args(more);
+    command.args(SHORT).args(if more.contains(&"--no-mesh") { &[][..] } else { &OF_A_MESH }).args(more);
     command
 }
 
@@ -136,6 +129,32 @@ fn surfaces_of_no_splats() {
     write_scene(&folder.path().join("empty.ply"), &empty, &WriteOptions::default()).unwrap();
     let line = failure(folder.path(), centaur(folder.path()).args(["mesh", "empty.ply", "capture", "-o", "s.glb"]));
     assert_eq!(line, "error: empty.ply: expected trained splats, found none");
+}
+
+#[test]
+fn scenes_of_another_capture_are_scored_and_it_is_said() {
+    let folder = folder_with_capture(9);
+    let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], vec![Vec3::ZERO], vec![0.0], 0, vec![[0.5; 3]]);
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    for (trained_on, notes) in [
+        ("gar\u{1b}den", "note: the scene was trained on a capture called garden, this one is called capture\n"),
+        ("capture", ""),
+    ] {
+        let record = serde_json::json!({ "capture": trained_on, "settings": {} });
+        gltf::write_glb(&folder.path().join("s.glb"), &scene, &[], Some(record)).unwrap();
+        let output = centaur(folder.path()).args(["eval", "s.glb", "capture", "--quiet"]).output().unwrap();
+        assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), notes));
+    }
+}
+
+/// Variants of a benchmark share them with hybrids.
+#[test]
+fn flags_of_a_mesh_beside_none_are_noted() {
+    let folder = folder_with_capture(8);
+    let more = ["--no-mesh", "--max-splats", "500", "--triangles", "9", "--shell", "off", "--band-degree", "2"];
+    let output = train(folder.path(), more).args(OF_A_MESH).output().unwrap();
+    let note = "note: --no-mesh: --warmup, --surface-iterations, --triangles, --shell have no effect\n";
+    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
 }
 
 #[test]
@@ -290,7 +309,7 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
         assert!(resumed(&[]).contains("expected a safetensors file"));
     }
 
-    let options = TrainOptions { iterations: 12, warmup: 0, surface_iterations: Some(11), ..TrainOptions::default() };
+    let options = TrainOptions { iterations: 12, warmup: 0, ..TrainOptions::default() };
     stop_after_one_iteration(folder.path(), &options, &checkpoint);
     let whole = std::fs::read(&checkpoint).unwrap();
     let line = resumed(&["--seed", "7"]);

@@ -69,6 +69,14 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
             "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
         ),
         (
+            &["render", "a.glb", "-o", "a", "--masks"],
+            "--images and --masks are of photographs: say --cameras CAPTURE, or leave them away",
+        ),
+        (
+            &["convert", "a.ply", "a.glb", "--spz-version", "3"],
+            "a.glb: --spz-version: expected a name that ends in .spz",
+        ),
+        (
             &["cameras", "orbit", "a.glb", "-o", "a.json", "--with-scene"],
             "a.json: --with-scene: expected a name that ends in .glb or .gltf",
         ),

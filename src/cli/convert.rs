@@ -65,9 +65,9 @@ pub(super) struct Args {
     /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
-    /// Version of .spz: 2 and 3 are for older readers
-    #[arg(long, value_name = "2..4", default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=4))]
-    spz_version: u8,
+    /// Version of .spz: 2 and 3 are for older readers [default: 4]
+    #[arg(long, value_name = "2..4", value_parser = clap::value_parser!(u8).range(2..=4))]
+    spz_version: Option<u8>,
     #[command(flatten)]
     edits: EditArgs,
     #[command(flatten)]
@@ -138,6 +138,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     usage::demand(
         args.played.animations.is_empty() || args.time.is_some() || !is_gltf(files.output),
         "--animation: a glTF takes all animations of a glTF over: say --time, or another format",
+    )?;
+    let is_spz = files.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("spz"));
+    usage::demand(
+        is_spz || args.spz_version.is_none(),
+        format!("{}: --spz-version: expected a name that ends in .spz", files.output.display()),
     )?;
     output::check_file(files.output)?;
     let bar = output::bar(&args.messages, files.inputs.len() as u64 + 2);
@@ -257,8 +262,8 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
     let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder).with_context(named)?;
     let staged = staging.path().join(output.file_name().unwrap_or_default());
     let version = match args.spz_version {
-        2 => spz::Version::V2,
-        3 => spz::Version::V3,
+        Some(2) => spz::Version::V2,
+        Some(3) => spz::Version::V3,
         _ => spz::Version::V4,
     };
     let options = WriteOptions {

@@ -74,6 +74,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
     let scene = file.scene;
     let capture = args.loading.open(&args.capture)?;
+    notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     // Cameras of other programs may have no size of their own.
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
     if args.loading.masks && capture.views.iter().all(|view| view.source.mask().is_none()) {

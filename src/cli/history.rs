@@ -65,9 +65,16 @@ impl Record {
     /// Of the extras of a file; none where these are something else.
     pub(super) fn read(extras: &Value) -> Option<Self> {
         let mut record = Self::deserialize(extras).ok()?;
-        // It goes to a terminal.
-        record.adapter = record.adapter.map(|name| name.chars().filter(|c| !c.is_control()).take(200).collect());
+        record.adapter = record.adapter.map(|name| printable(&name));
         Some(record)
+    }
+
+    /// Says so where it is of a capture of another name than this one.
+    pub(super) fn of_another(&self, capture: &Capture) -> Option<String> {
+        (self.capture != capture.name).then(|| {
+            let [before, now] = [&self.capture, &capture.name].map(|name| printable(name));
+            format!("the scene was trained on a capture called {before}, this one is called {now}")
+        })
     }
 
     /// Options as rows of a table.
@@ -94,6 +101,11 @@ impl Record {
             .map(|(title, log_y, points)| Plot { title: title.into(), x_label: "iteration".into(), log_y, points })
             .collect()
     }
+}
+
+/// What may go to a terminal.
+fn printable(name: &str) -> String {
+    name.chars().filter(|c| !c.is_control()).take(200).collect()
 }
 
 fn thinned(history: &[Progress]) -> Vec<Curves> {

@@ -166,12 +166,20 @@ impl Args {
         self.format.unwrap_or(if self.look.layers { Format::Exr } else { Format::Png })
     }
 
+    fn is_embedded(&self) -> bool {
+        self.cameras == Path::new("embedded")
+    }
+
     /// Refuses arguments that do not go together.
     fn check(&self) -> Result<()> {
         let (look, is_exr) = (&self.look, self.format == Some(Format::Exr));
         usage::demand(
             !(look.layers && self.format == Some(Format::Png)),
             "--layers writes EXR files: leave --format png away",
+        )?;
+        usage::demand(
+            !(self.is_embedded() && self.loading.asks_for_photographs()),
+            "--images and --masks are of photographs: say --cameras CAPTURE, or leave them away",
         )?;
         usage::demand(
             look.model == Model::Ray || look.sh_direction == Direction::Mean,
@@ -197,7 +205,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         &ReadOptions { time: at, animations: &args.played.animations, ..ReadOptions::default() },
     )?;
     let sampling = Sampling { time: at, ..args.sampling.sampling() };
-    let is_embedded = args.cameras == Path::new("embedded");
+    let is_embedded = args.is_embedded();
     let source = if is_embedded { &args.scene } else { &args.cameras };
     let shot = match &file.source {
         _ if is_embedded && file.cameras.is_empty() => {

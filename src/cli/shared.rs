@@ -52,6 +52,11 @@ impl CaptureArgs {
         Ok(capture::open(path, &self.options())?)
     }
 
+    /// Whether something is said of photographs, which only a capture has.
+    pub(super) fn asks_for_photographs(&self) -> bool {
+        self.images.is_some() || self.masks
+    }
+
     pub(super) fn options(&self) -> LoadOptions {
         let downscale = match (self.downscale, self.max_side) {
             (Some(n), _) => Downscale::Factor(n),

@@ -288,6 +288,22 @@ impl Args {
         }
     }
 
+    /// Flags of a mesh that are given beside --no-mesh. Variants of `centaur bench` share them with others: they are no mistake.
+    fn idle_without_mesh(&self) -> Vec<&'static str> {
+        let usual = TrainOptions::default();
+        let flags = [
+            (self.warmup.is_some_and(|iterations| iterations > 0), "--warmup"),
+            (self.dense_texels, "--dense-texels"),
+            (self.surface_iterations.is_some(), "--surface-iterations"),
+            (self.triangles != usual.triangles, "--triangles"),
+            (!self.planar.is_auto(), "--planar"),
+            (!self.shell.is_auto(), "--shell"),
+            (self.texture_size.is_some(), "--texture-size"),
+            (self.band_degree != usual.band_degree, "--band-degree"),
+        ];
+        flags.into_iter().filter(|(is_given, _)| *is_given && self.no_mesh).map(|(_, flag)| flag).collect()
+    }
+
     /// What can be known to fail before the first iteration.
     fn check(&self) -> Result<()> {
         if let Some(report) = &self.report {
@@ -509,6 +525,9 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
             args.iterations
         )
     });
+    let idle = args.idle_without_mesh();
+    let idle = (!idle.is_empty())
+        .then(|| format!("--no-mesh: {} {} no effect", idle.join(", "), if idle.len() == 1 { "has" } else { "have" }));
     let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
@@ -516,7 +535,12 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
     let too_many = asks.then(|| {
         format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
     });
-    of_capture.map(|what| format!("{}: {what}", args.capture.display())).chain(too_many).chain(none_left).collect()
+    of_capture
+        .map(|what| format!("{}: {what}", args.capture.display()))
+        .chain(too_many)
+        .chain(none_left)
+        .chain(idle)
+        .collect()
 }
 
 /// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.
