@@ -108,6 +108,26 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
     }
 }
 
+/// Its world is y up, as none of Centaur's is.
+#[test]
+fn cameras_of_others_stay_where_they_are_in_every_format() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let picture = |cameras: &str, out: &str| {
+        run(folder.path(), &format!("render a.gltf --cameras {cameras} -o {out}"));
+        let mut files = std::fs::read_dir(folder.path().join(out)).unwrap();
+        image::open(files.next().unwrap().unwrap().path()).unwrap().into_rgb8()
+    };
+    let expected = picture("embedded", "own");
+    assert!(expected.pixels().any(|p| p.0 != expected.get_pixel(0, 0).0), "nothing is seen");
+    for (from, to) in [("a.gltf", "p.json"), ("p.json", "p.glb"), ("p.glb", "q.json"), ("q.json", "q.usda")] {
+        run(folder.path(), &format!("cameras convert {from} -o {to}"));
+        assert!(picture(to, &format!("by-{to}")) == expected, "{to}");
+    }
+    let said = run(folder.path(), "cameras convert a.gltf -o model");
+    assert!(said.contains("note: a.gltf: its world is y up, which model does not say"), "{said}");
+}
+
 #[test]
 fn animations_are_chosen_by_name() {
     let folder = tempfile::tempdir().unwrap();

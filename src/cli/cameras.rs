@@ -238,7 +238,7 @@ impl FileArgs {
         if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
         }
-        if y_up == Some(true) && self.output.extension().is_none() {
+        if y_up == Some(true) && is_folder(&self.output) {
             let output = self.output.display();
             notes.push(format!("its world is y up, which {output} does not say: it fits scenes in the same frame"));
         }

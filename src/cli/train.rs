@@ -308,10 +308,10 @@ impl Args {
     fn check(&self) -> Result<()> {
         if let Some(report) = &self.report {
             let files = [Some(&self.output), self.ply.as_ref(), Some(&self.checkpoint())];
-            let taken = files.into_iter().flatten().find(|file| output::is_same(file, report));
-            let found =
-                |file: &PathBuf| format!("--report: expected another name than {}, which is a file", file.display());
-            usage::demand(taken.is_none(), taken.map_or_else(String::new, found))?;
+            if let Some(file) = files.into_iter().flatten().find(|file| output::is_same(file, report)) {
+                let file = file.display();
+                return Err(usage::wrong(format!("--report: expected another name than {file}, which is a file")));
+            }
         }
         output::check_file(&self.output)?;
         output::spare(&self.output, self.mesh.as_deref())?;

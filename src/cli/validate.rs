@@ -16,7 +16,7 @@ Exit code 1 if there is an error; warnings alone leave it at 0.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// A .glb, .gltf, .ply or .spz; a .usda, .usdc or .usdz, whose arrays and extents are compared with what they are of; of other files
+    /// A .glb, .gltf, .ply or .spz; a .usda, .usdc or .usdz, whose arrays, extents and maps are looked at; of other files
     /// that `centaur convert` reads, whether they can be read
     file: PathBuf,
     /// Print one JSON object: severity, code, location (JSON pointer or byte), expected and found of each finding
