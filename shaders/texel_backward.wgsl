@@ -1,40 +1,75 @@
-// Scatters the gradient of every fragment's colour and alpha to its texels, a thread to a fragment.
+// Scatters the gradient of every fragment's colour and alpha to its texels, a thread to a fragment, a workgroup to 8 × 8 pixels of a
+// layer.
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
 // times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient
 // flows to uv, mip level or direction.
 //
-// Per fragment 112 bytes read; per texel of its footprint, of which there are 4 or 8, 4 atomic additions of integers to the base
-// and 3·((d+1)²−1) to the bands, 24 at degree 2.
+// Neighbours see the same texels, those of the bands above all. So a subgroup takes the texels that its fragments see one by one,
+// sums up what all of them give to it, and adds every sum once, each by a lane of its own: per texel that a block sees 4 atomic additions
+// to the base and 3·((d+1)²−1) to the bands, 24 at degree 2. Without subgroups there are as many for each of a fragment's 4 or 8 texels.
+// Per fragment 112 bytes read.
 
 //#import shared/view.wgsl
 //#import shared/sh.wgsl
 //#import shared/mesh_fragment.wgsl
 //#import shared/fragment_gradient.wgsl
 
+const SIDE: u32 = 8u;                   // of a workgroup's pixels, as in mesh.rs
+const NONE: u32 = 0xffffffffu;
+
 @compute @workgroup_size(64)
 fn backward(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) thread: u32,
+//#if SUBGROUPS
+    @builtin(subgroup_invocation_id) lane: u32,
+//#end
 ) {
-    let i = group_index(group) * 64u + thread;
-    let area = view.size.x * view.size.y;
-    if i >= LAYERS * area { return; }
-    let triangle = layer_triangle[i];
-    if triangle == 0u { return; }
-    let g = fragment_gradient(i, fixed_scale(peaks[0]));
-    if all(g == vec4f(0.0)) { return; }
-    let pixel = i % area;
-    let f = fragment(vec2u(pixel % view.size.x, pixel / view.size.x), triangle - 1u);
+    let blocks = (view.size + SIDE - 1u) / SIDE;
+    let index = group_index(group);
+    let layer = index / (blocks.x * blocks.y);
+    if layer >= LAYERS { return; }
+    let block = index - layer * blocks.x * blocks.y;
+    let at = SIDE * vec2u(block % blocks.x, block / blocks.x) + vec2u(thread % SIDE, thread / SIDE);
+    var triangle = 0u;
+    var g = vec4f(0.0);
+    if all(at < view.size) {
+        let i = (layer * view.size.y + at.y) * view.size.x + at.x;
+        triangle = layer_triangle[i];
+        if triangle != 0u { g = fragment_gradient(i, fixed_scale(peaks[0])); }
+    }
+    let is_seen = any(g != vec4f(0.0));
+//#if SUBGROUPS
+    if !subgroupAny(is_seen) { return; }
+    // Counted: some drivers say another subgroup_size than they compile for.
+    let lanes = subgroupAdd(1u);
+//#else
+    if !is_seen { return; }
+//#end
+    let f = fragment(at, max(triangle, 1u) - 1u);
     let map = maps[f.mesh];
     let base_g = vec4f(SH_C0 * g.rgb, g.a);
     let base_level = mip_level(f, map.base);
     let base_finer = u32(base_level);
     for (var l = 0u; l < 2u; l += 1u) {
         let share = abs(f32(1u - l) - fract(base_level));
+        let t = taps(map.base, min(base_finer + l, map.base.levels - 1u), share, f.uv);
+//#if SUBGROUPS
+        var left = select(vec4u(NONE), t.texel, is_seen && share != 0.0);
+        loop {
+            let texel = subgroupMin(min(min(left.x, left.y), min(left.z, left.w)));
+            if texel == NONE { break; }
+            let is_it = left == vec4u(texel);
+            left = select(left, vec4u(NONE), is_it);
+            // Of the four more than one at the border of a map.
+            let weight = dot(t.weight, select(vec4f(0.0), vec4f(1.0), is_it));
+            let sum = subgroupAdd(vec4i(round(weight * base_g)));
+            for (var c = lane; c < 4u; c += lanes) { atomicAdd(&base_gradient[4u * texel + c], select(select(sum.x, sum.y, c == 1u), select(sum.z, sum.w, c == 3u), c >= 2u)); }
+        }
+//#else
         if share == 0.0 { break; }
-        let t = taps(map.base, base_finer + l, share, f.uv);
-        //#for s in 0..4
+//#for s in 0..4
         {
             let sum = t.weight[$s] * base_g;
             add_base_gradient(4u * t.texel[$s], sum.x);
@@ -42,32 +77,64 @@ fn backward(
             add_base_gradient(4u * t.texel[$s] + 2u, sum.z);
             add_base_gradient(4u * t.texel[$s] + 3u, sum.w);
         }
-        //#end
+//#end
+//#end
     }
-    //#if BANDS
+//#if BANDS
     let degree = min(map.degree, view.band_degree);
+//#if SUBGROUPS
+    if subgroupMax(degree) == 0u { return; }
+//#else
     if degree == 0u { return; }
+//#end
     let stride = 3u * ((map.degree + 1u) * (map.degree + 1u) - 1u);
+    let learnt = 3u * ((degree + 1u) * (degree + 1u) - 1u);     // floats of a texel that are learnt now
     let basis = sh_basis(f.direction);
+    let band_g = g.rgb / BAND_UNIT;
     let band_level = mip_level(f, map.bands);
     let band_finer = u32(band_level);
     for (var l = 0u; l < 2u; l += 1u) {
         let share = abs(f32(1u - l) - fract(band_level));
-        if share == 0.0 { break; }
-        let t = taps(map.bands, band_finer + l, share, f.uv);
-        //#for s in 0..4
-        {
-            let texel = map.band_offset + stride * t.texel[$s];
-            let weighted = t.weight[$s] / BAND_UNIT * g.rgb;
-            //#for k in 0..BANDS
-            if $ku + 1u < (degree + 1u) * (degree + 1u) {
-                add_band_gradient(texel + 3u * $ku, basis[$k + 1] * weighted.r);
-                add_band_gradient(texel + 3u * $ku + 1u, basis[$k + 1] * weighted.g);
-                add_band_gradient(texel + 3u * $ku + 2u, basis[$k + 1] * weighted.b);
+        let t = taps(map.bands, min(band_finer + l, map.bands.levels - 1u), share, f.uv);
+        let first = map.band_offset + stride * t.texel;
+//#if SUBGROUPS
+        var left = select(vec4u(NONE), first, is_seen && share != 0.0 && degree != 0u);
+        loop {
+            let texel = subgroupMin(min(min(left.x, left.y), min(left.z, left.w)));
+            if texel == NONE { break; }
+            let is_it = left == vec4u(texel);
+            left = select(left, vec4u(NONE), is_it);
+            let count = subgroupMax(select(0u, learnt, any(is_it)));
+            let weighted = dot(t.weight, select(vec4f(0.0), vec4f(1.0), is_it)) * band_g;
+//#for k in 0..BANDS
+            var sum$k = vec3i(0);
+            if 3u * $ku < count { sum$k = subgroupAdd(vec3i(round(basis[$k + 1] * weighted))); }
+//#end
+            for (var c = lane; c < count; c += lanes) {
+                var sum = 0;
+//#for k in 0..BANDS
+                if c == 3u * $ku { sum = sum$k.x; }
+                if c == 3u * $ku + 1u { sum = sum$k.y; }
+                if c == 3u * $ku + 2u { sum = sum$k.z; }
+//#end
+                atomicAdd(&band_gradient[texel + c], sum);
             }
-            //#end
         }
-        //#end
+//#else
+        if share == 0.0 { break; }
+//#for s in 0..4
+        {
+            let weighted = t.weight[$s] * band_g;
+//#for k in 0..BANDS
+            if 3u * $ku < learnt {
+                add_band_gradient(first[$s] + 3u * $ku, basis[$k + 1] * weighted.r);
+                add_band_gradient(first[$s] + 3u * $ku + 1u, basis[$k + 1] * weighted.g);
+                add_band_gradient(first[$s] + 3u * $ku + 2u, basis[$k + 1] * weighted.b);
+            }
+//#end
+        }
+//#end
+//#end
     }
-    //#end
+//#end
 }

@@ -90,10 +90,10 @@ struct Bound {
     vertices: Option<[Bindings; 3]>,
 }
 
-/// Kernel of the texels' gradients, and how many pixels of a column each of its threads takes. On a software adapter an atomic
-/// addition takes each lane in turn, so a thread adds to a texel once for all of them; hardware wants the threads.
-fn texel_backward(gpu: &Gpu) -> (&'static str, u32) {
-    if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", 32) } else { ("texel_backward.wgsl", 1) }
+/// Kernel of the texels' gradients, and the pixels that a thread (a column) or a workgroup (a square) of it takes. On a software adapter
+/// an atomic addition takes each lane in turn, so a thread adds to a texel once for all of them; hardware wants the threads.
+fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2]) {
+    if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32]) } else { ("texel_backward.wgsl", [8, 8]) }
 }
 
 impl Geometry {
@@ -152,7 +152,7 @@ impl Kernels {
             .with("LAYERS", layers)
             .with("BANDS", texels.band_coefficients())
             .with("FOURS", u32::from(texels.bands_are_in_fours()))
-            .with("RUN", run)
+            .with("RUN", run[1])
             .with("BIN", BIN)
             .with("PER_THREAD", per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -213,7 +213,9 @@ impl MeshStage {
             self.bound = Some(self.bind(gpu, view_uniform));
         }
         if let Some(bound) = &mut self.bound {
-            let runs = (k.width * k.height.div_ceil(texel_backward(gpu).1)) as usize;
+            let (_, [w, h]) = texel_backward(gpu);
+            // As many threads as a square has pixels.
+            let runs = (w * w * k.width.div_ceil(w) * k.height.div_ceil(h)) as usize;
             let layers = self.layers as usize;
             (bound.bins, bound.fragments, bound.runs) = (bins, layers * pixels, layers * runs);
         }
