@@ -61,6 +61,57 @@ fn write(number: u32, moment: u32, sum: f32) {
     if number >= WINDOW_START && number < WINDOW_END { rows[(number - WINDOW_START) * MOMENTS + moment] = sum; }
 }
 
+//#if TWO
+// Sums over a subgroup of at least 8 lanes, for two splats. At every step a lane keeps half of the sums that it has, and gives its
+// neighbour the others for what that has of the first: in the end a lane of 32 has one, for 21 exchanges in five steps, where each of 20
+// sums by itself takes five. Of fewer lanes each has up to three; `places` says which.
+fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32) -> vec3f {
+    let is_odd = (vec4u(lane) & vec4u(1u, 2u, 4u, 8u)) != vec4u(0u);
+//#for c in 0..MOMENTS
+    let of_splat$c = select(a[$c], b[$c], is_odd.x) + subgroupShuffleXor(select(b[$c], a[$c], is_odd.x), 1u);
+//#end
+//#if ABSOLUTE
+    let h0 = select(of_splat0, of_splat6, is_odd.y) + subgroupShuffleXor(select(of_splat6, of_splat0, is_odd.y), 2u);
+    let h1 = select(of_splat1, of_splat7, is_odd.y) + subgroupShuffleXor(select(of_splat7, of_splat1, is_odd.y), 2u);
+    let h2 = select(of_splat2, of_splat8, is_odd.y) + subgroupShuffleXor(select(of_splat8, of_splat2, is_odd.y), 2u);
+    let h3 = select(of_splat3, of_splat9, is_odd.y) + subgroupShuffleXor(select(of_splat9, of_splat3, is_odd.y), 2u);
+    let h4 = select(of_splat4, of_splat10, is_odd.y) + subgroupShuffleXor(select(of_splat10, of_splat4, is_odd.y), 2u);
+    let h5 = select(of_splat5, of_splat11, is_odd.y) + subgroupShuffleXor(select(of_splat11, of_splat5, is_odd.y), 2u);
+    let q2 = select(h2, h5, is_odd.z) + subgroupShuffleXor(select(h5, h2, is_odd.z), 4u);
+//#else
+    let h0 = select(of_splat0, of_splat5, is_odd.y) + subgroupShuffleXor(select(of_splat5, of_splat0, is_odd.y), 2u);
+    let h1 = select(of_splat1, of_splat6, is_odd.y) + subgroupShuffleXor(select(of_splat6, of_splat1, is_odd.y), 2u);
+    let h2 = select(of_splat2, of_splat7, is_odd.y) + subgroupShuffleXor(select(of_splat7, of_splat2, is_odd.y), 2u);
+    let h3 = select(of_splat3, of_splat8, is_odd.y) + subgroupShuffleXor(select(of_splat8, of_splat3, is_odd.y), 2u);
+    let h4 = select(of_splat4, of_splat9, is_odd.y) + subgroupShuffleXor(select(of_splat9, of_splat4, is_odd.y), 2u);
+    let q2 = h2 + subgroupShuffleXor(h2, 4u);
+//#end
+    let q0 = select(h0, h3, is_odd.z) + subgroupShuffleXor(select(h3, h0, is_odd.z), 4u);
+    let q1 = select(h1, h4, is_odd.z) + subgroupShuffleXor(select(h4, h1, is_odd.z), 4u);
+    if lanes < 16u { return vec3f(q0, q1, q2); }
+    let e0 = select(q0, q2, is_odd.w) + subgroupShuffleXor(select(q2, q0, is_odd.w), 8u);
+    let e1 = q1 + subgroupShuffleXor(q1, 8u);
+    if lanes < 32u { return vec3f(e0, e1, 0.0); }
+    let last = (lane & 16u) != 0u;
+    var sum = select(e0, e1, last) + subgroupShuffleXor(select(e1, e0, last), 16u);
+    for (var apart = 32u; apart < lanes; apart *= 2u) { sum += subgroupShuffleXor(sum, apart); }
+    return vec3f(sum, 0.0, 0.0);
+}
+
+// Which of 2·MOMENTS sums a lane of `spread` has, first those of the first splat; 2·MOMENTS for none.
+fn places(lane: u32, lanes: u32) -> vec3u {
+    const NONE: u32 = 2u * MOMENTS;
+    let bit = (vec4u(lane) >> vec4u(0u, 1u, 2u, 3u)) & vec4u(1u);
+    let of_splat = MOMENTS * bit.x + HALF * bit.y;
+    // Of HALF, the first three or what is left of them.
+    var place = vec3u(0u, 1u, 2u) + 3u * bit.z;
+    if lanes >= 16u { place = vec3u(place.x + 2u * bit.w, select(NONE, place.y, bit.w == 0u), NONE); }
+    if lanes >= 32u { place = vec3u(select(place.x, place.y, (lane & 16u) != 0u), NONE, NONE); }
+    let inside = (place < vec3u(HALF)) & (vec3u(lane) < vec3u(32u));
+    return select(vec3u(NONE), of_splat + place, inside);
+}
+//#end
+
 @compute @workgroup_size(THREADS)
 fn main(
     @builtin(workgroup_id) group: vec3u,
@@ -78,6 +129,9 @@ fn main(
 //#if SUBGROUPS
     // Counted: some drivers say another subgroup_size than they compile for.
     let lanes = subgroupAdd(1u);
+//#if TWO
+    let place = places(lane, lanes);
+//#end
 //#end
     if thread == 0u {
         atomicStore(&last_end, 0u);
@@ -87,7 +141,7 @@ fn main(
     }
     workgroupBarrier();
     let x = (tile % view.tiles.x) * TILE + thread % TILE;
-    let y = (tile / view.tiles.x) * TILE + thread / TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE * PER_THREAD;
     let px = f32(x) + 0.5;
     let n_pixels = view.size.x * view.size.y;
 
@@ -97,7 +151,7 @@ fn main(
     var end: array<array<u32, BUCKETS>, PER_THREAD>;
     var last = 0u;
 //#for j in 0..PER_THREAD
-    let y$j = y + $ju * (THREADS / TILE);
+    let y$j = y + $ju;
     let py$j = f32(y$j) + 0.5;
     let pixel$j = y$j * view.size.x + x;
     var g$j = vec3f(0.0);
@@ -200,10 +254,95 @@ fn main(
         // Path p: bucket p for all pixels or, at last, decided for each.
 //#if RUNS
         let end_of_$p = select(s, run, path == $pu);
-        for (; s < end_of_$p; s++) {
 //#else
-        for (; s < n; s++) {
+        let end_of_$p = n;
 //#end
+//#if TWO
+        if lanes >= 8u {
+            for (; s < end_of_$p; s += 2u) {
+                // Of both splats at once, without branches: what a thread waits for in one it does of the other.
+                var is_seen = false;
+//#for m in 0..2
+                let at$m = min(s + $mu, end_of_$p - 1u);
+                let is_one$m = s + $mu < end_of_$p;
+                let center$m = batch_center[at$m];
+                let conic$m = batch_conic[at$m];
+                let rgb$m = batch_color[at$m].xyz;
+                let dx$m = px - center$m.x;
+                let power_x$m = -0.5 * conic$m.x * dx$m * dx$m;
+                let power_xy$m = -conic$m.y * dx$m;
+//#for l in 0..LAYERS
+                let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
+//#end
+//#for j in 0..PER_THREAD
+                let dy$m_$j = py$j - center$m.y;
+                let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
+                let raw$m_$j = center$m.w * exp(power$m_$j);
+                let reaches$m_$j = is_one$m && min(ALPHA_CAP, raw$m_$j) >= ALPHA_CUT;
+                var bucket$m_$j = $pu % BUCKETS;
+//#for l in 0..LAYERS
+                if $pu == MIXED && depth$j_$l < threshold$m_$l { bucket$m_$j = $lu + 1u; }
+//#end
+//#for b in 0..BUCKETS
+                let alpha$m_$j_$b = select(
+                    0.0,
+                    min(ALPHA_CAP, raw$m_$j),
+                    reaches$m_$j && bucket$m_$j == $bu && start + at$m < end[$j][$b],
+                );
+                is_seen = is_seen || alpha$m_$j_$b > 0.0;
+//#end
+//#end
+//#end
+                var total = vec3f(0.0);
+                if subgroupAny(is_seen) {
+//#for m in 0..2
+                    var sum_p$m = vec3f(0.0);     // p·(1, dy, dy²)
+                    var sum_w$m = vec4f(0.0);     // w·(g, 1)
+//#if ABSOLUTE
+                    var sum_pull$m = vec2f(0.0);  // |p·Qd|
+//#end
+//#for j in 0..PER_THREAD
+//#for b in 0..BUCKETS
+                    {
+                        let alpha = alpha$m_$j_$b;
+                        let w = t[$j][$b] * alpha;
+                        let c = dot(g$j, rgb$m);
+                        q[$j][$b] -= w * c;
+                        // The cap passes no gradient.
+                        let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw$m_$j > ALPHA_CAP);
+                        t[$j][$b] *= 1.0 - alpha;
+                        let p = before[$j][$b] * alpha * slope;
+                        sum_p$m += p * vec3f(1.0, dy$m_$j, dy$m_$j * dy$m_$j);
+//#if ABSOLUTE
+                        sum_pull$m += abs(p * vec2f(
+                            conic$m.x * dx$m + conic$m.y * dy$m_$j,
+                            conic$m.y * dx$m + conic$m.z * dy$m_$j,
+                        ));
+//#end
+                        sum_w$m += before[$j][$b] * w * vec4f(g$j, 1.0);
+                    }
+//#end
+//#end
+                    let sums$m = array<f32, MOMENTS>(
+                        sum_p$m.x, dx$m * sum_p$m.x, sum_p$m.y, dx$m * dx$m * sum_p$m.x, dx$m * sum_p$m.y, sum_p$m.z,
+                        sum_w$m.x, sum_w$m.y, sum_w$m.z, sum_w$m.w,
+//#if ABSOLUTE
+                        sum_pull$m.x, sum_pull$m.y,
+//#end
+                    );
+//#end
+                    total = spread(sums0, sums1, lane, lanes);
+                }
+                let first = (subgroup * range.z + s) * MOMENTS;
+                let places_end = min(end_of_$p - s, 2u) * MOMENTS;
+                if place.x < places_end { sums_of_batch[first + place.x] = total.x; }
+                if place.y < places_end { sums_of_batch[first + place.y] = total.y; }
+                if place.z < places_end { sums_of_batch[first + place.z] = total.z; }
+            }
+            s = end_of_$p;
+        }
+//#end
+        for (; s < end_of_$p; s++) {
             let center = batch_center[s];
             let conic = batch_conic[s];
             let rgb = batch_color[s].xyz;

@@ -57,7 +57,7 @@ fn main(
     }
     let range = workgroupUniformLoad(&tile_range);
     let x = (tile % view.tiles.x) * TILE + thread % TILE;
-    let y = (tile / view.tiles.x) * TILE + thread / TILE;
+    let y = (tile / view.tiles.x) * TILE + thread / TILE * PER_THREAD;
     let px = f32(x) + 0.5;
     let n_pixels = view.size.x * view.size.y;
 
@@ -67,7 +67,7 @@ fn main(
     var front: array<array<f32, BUCKETS>, PER_THREAD>;  // bounds the transmittance of what lies before a bucket
     var open: array<array<bool, BUCKETS>, PER_THREAD>;
 //#for j in 0..PER_THREAD
-    let y$j = y + $ju * (THREADS / TILE);
+    let y$j = y + $ju;
     let py$j = f32(y$j) + 0.5;
     let inside$j = x < view.size.x && y$j < view.size.y;
     let pixel$j = y$j * view.size.x + x;
@@ -174,29 +174,51 @@ fn main(
         // Path p: bucket p for all pixels or, at last, decided for each.
 //#if RUNS
         let end_of_$p = select(s, run, path == $pu);
-        for (; s < end_of_$p; s++) {
 //#else
-        for (; s < n; s++) {
+        let end_of_$p = n;
 //#end
-            let center = batch_center[s];
-            let conic = batch_conic[s];
-            let rgb = batch_color[s].xyz;
-            let dx = px - center.x;
+        for (; s < end_of_$p; s += MANY) {
+//#for m in 0..MANY
+//#if $m<1
+            let at$m = s;
+//#else
+            let at$m = min(s + $mu, end_of_$p - 1u);
+//#end
+            let center$m = batch_center[at$m];
+            let conic$m = batch_conic[at$m];
+            let dx$m = px - center$m.x;
             // Near the axis of a needle, terms that cancel may round to more than 0.
-            let power_x = -0.5 * conic.x * dx * dx;
-            let power_xy = -conic.y * dx;
+            let power_x$m = -0.5 * conic$m.x * dx$m * dx$m;
+            let power_xy$m = -conic$m.y * dx$m;
 //#for l in 0..LAYERS
-            let threshold$l = batch_threshold[s * LAYERS + $lu];
+            let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
 //#end
+//#end
+//#if 1<MANY
+            // Of MANY splats at once: what a thread waits for in one it does of the others.
+//#for m in 0..MANY
+//#for j in 0..PER_THREAD
+            let dy$m_$j = py$j - center$m.y;
+            let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
+            let alpha$m_$j = select(0.0, min(ALPHA_CAP, center$m.w * exp(power$m_$j)), s + $mu < end_of_$p);
+//#end
+//#end
+//#end
+//#for m in 0..MANY
+            let rgb$m = batch_color[at$m].xyz;
 //#for j in 0..PER_THREAD
             {
-                let dy = py$j - center.y;
-                let power = min(power_x + dy * (power_xy - 0.5 * conic.z * dy), 0.0);
-                let alpha = min(ALPHA_CAP, center.w * exp(power));
+//#if 1<MANY
+                let alpha = alpha$m_$j;
+//#else
+                let dy = py$j - center$m.y;
+                let power = min(power_x$m + dy * (power_xy$m - 0.5 * conic$m.z * dy), 0.0);
+                let alpha = min(ALPHA_CAP, center$m.w * exp(power));
+//#end
                 if alpha >= ALPHA_CUT {
                     var bucket = $pu % BUCKETS;
 //#for l in 0..LAYERS
-                    if $pu == MIXED && depth$j_$l < threshold$l { bucket = $lu + 1u; }
+                    if $pu == MIXED && depth$j_$l < threshold$m_$l { bucket = $lu + 1u; }
 //#end
 //#for b in 0..BUCKETS
                     if bucket == $bu && open[$j][$b] {
@@ -205,16 +227,18 @@ fn main(
                         if front[$j][$b] * after < STOP {
                             open[$j][$b] = false;
                         } else {
-                            color[$j][$b] += t[$j][$b] * alpha * rgb;
+                            color[$j][$b] += t[$j][$b] * alpha * rgb$m;
                             t[$j][$b] = after;
-                            end[$j][$b] = start + s + 1u;
+                            end[$j][$b] = start + s + $mu + 1u;
                         }
                     }
 //#end
                 }
             }
 //#end
+//#end
         }
+        s = min(s, end_of_$p);
 //#end
 //#if RUNS
         }

@@ -37,7 +37,16 @@ fn main(
     var sum$j = Value();
     if first < WINDOW_START { sum$j = moments[place + $ju]; }
     //#end
-    for (var row = max(first, WINDOW_START); row < end; row++) {
+    var row = max(first, WINDOW_START);
+//#if EIGHT
+    // A splat before the whole picture has thousands of rows, and nothing to do while it waits for each.
+    for (; row + 8u <= end; row += 8u) {
+        let at = (row - WINDOW_START) * VALUES + value;
+        sum0 += ((rows[at] + rows[at + VALUES]) + (rows[at + 2u * VALUES] + rows[at + 3u * VALUES]))
+            + ((rows[at + 4u * VALUES] + rows[at + 5u * VALUES]) + (rows[at + 6u * VALUES] + rows[at + 7u * VALUES]));
+    }
+//#end
+    for (; row < end; row++) {
         let at = (row - WINDOW_START) * VALUES + value;
         //#for j in 0..TOGETHER
         sum$j += rows[at + $ju];

@@ -44,14 +44,19 @@ pub(crate) struct BlendBackward {
 }
 
 /// Threads and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per thread, so
-/// more pixels per thread are faster until their state leaves the registers. A software adapter reads workgroup memory
-/// lane by lane and has no parallelism to hide it, so there a tile is one or two subgroups.
+/// more pixels per thread are faster until their state leaves the registers, or until too few threads are left to hide what each of them
+/// waits for. A software adapter reads workgroup memory lane by lane and has nothing to hide, so there a tile is one or two subgroups.
 fn shape(gpu: &Gpu, layers: u32) -> (u32, u32) {
     match (gpu.profile().is_cpu, layers) {
         (true, 0..=1) => (16, 16),
         (true, _) => (32, 8),
-        (false, _) => (64, 4),
+        (false, _) => (128, 2),
     }
+}
+
+/// Splats that a thread of the forward blend evaluates at once: hardware waits for one while it does the others.
+fn splats_at_once(gpu: &Gpu) -> u32 {
+    if gpu.profile().is_cpu { 1 } else { 4 }
 }
 
 /// Adds the paths of the loop over splats: one per bucket, for splats that are in it throughout the tile, and one that
@@ -91,7 +96,9 @@ impl Blend {
     ) -> Result<Self, GpuError> {
         let n_layers = lists.layers();
         let saves = lists.purpose() == Purpose::Train;
-        let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true).with("SAVE", u32::from(saves));
+        let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true)
+            .with("SAVE", u32::from(saves))
+            .with("MANY", splats_at_once(gpu));
         let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
         let saved = if saves { image.pixels * (n_layers as usize + 1) } else { 0 };
         let pixels = gpu.storage("image", image.pixels * 4)?;
@@ -131,13 +138,16 @@ impl BlendBackward {
         // Without subgroups there are barriers where the paths would part.
         let defines = with_paths(&base_defines(gpu, n_layers), n_layers, gpu.profile().subgroups)
             .with("MOMENTS", n_moments as u32)
-            .with("ABSOLUTE", u32::from(absolute));
+            .with("ABSOLUTE", u32::from(absolute))
+            .with("TWO", u32::from(gpu.profile().subgroups && !gpu.profile().is_cpu))
+            .with("HALF", n_moments as u32 / 2);
         let lanes = if gpu.profile().is_cpu && n_moments.is_multiple_of(2) { 2 } else { 1 };
         let values = n_moments / lanes;
         let together = if gpu.profile().is_cpu { values } else { 1 };
         let splats_a_group = SUM_THREADS / (values / together);
         let sum_defines = gpu
             .defines()
+            .with("EIGHT", u32::from(together == 1))
             .with("PAIRED", u32::from(lanes == 2))
             .with("VALUES", values as u32)
             .with("TOGETHER", together as u32)
