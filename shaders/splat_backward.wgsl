@@ -8,14 +8,20 @@
 //#import shared/sh_gradient.wgsl
 //#import shared/status.wgsl
 
+//#if FOURS
+alias Floats = vec4f;                   // of SH: a splat's begin at multiples of four
+//#else
+alias Floats = f32;
+//#end
+
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
-@group(0) @binding(2) var<storage, read> sh: array<f32>;
+@group(0) @binding(2) var<storage, read> sh: array<Floats>;
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read> visible: array<u32>;
 @group(0) @binding(5) var<storage, read> moments: array<f32>;
 @group(0) @binding(6) var<storage, read_write> geometry_gradient: array<vec4f>;
-@group(0) @binding(7) var<storage, read_write> sh_gradient: array<f32>;
+@group(0) @binding(7) var<storage, read_write> sh_gradient: array<Floats>;
 // Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, views in which it was visible, blend weight, and, where ABSOLUTE, the
 // first with the sums of what every pixel pulls, else 0.
 @group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
@@ -31,12 +37,12 @@ fn main(
 ) {
     let i = group_index(group) * 256u + thread;
     if i >= view.n_splats { return; }
-    let first = i * 3u * SH_TERMS;
+    let first = i * SH_LOADS;
     if visible[i] == 0u {
         geometry_gradient[3u * i] = vec4f(0.0);
         geometry_gradient[3u * i + 1u] = vec4f(0.0);
         geometry_gradient[3u * i + 2u] = vec4f(0.0);
-        for (var k = 0u; k < 3u * SH_TERMS; k++) { sh_gradient[first + k] = 0.0; }
+        for (var k = 0u; k < SH_LOADS; k++) { sh_gradient[first + k] = Floats(); }
 //#if POSES
         turn_gradient[i] = vec4f(0.0);
 //#end
@@ -61,17 +67,36 @@ fn main(
     let slopes = sh_basis_gradient(direction);
     let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
     g_color = select(vec3f(0.0), g_color, projected[3u * i + 2u].xyz > vec3f(0.0));
+    // Its coefficients, then what the loss asks of each.
+    var coefficients: array<f32, 3u * SH_TERMS>;
+//#for l in 0..SH_LOADS
+//#if FOURS
+    let loaded$l = sh[first + $lu];
+    coefficients[4u * $lu] = loaded$l.x;
+    coefficients[4u * $lu + 1u] = loaded$l.y;
+    coefficients[4u * $lu + 2u] = loaded$l.z;
+    coefficients[4u * $lu + 3u] = loaded$l.w;
+//#else
+    coefficients[$l] = sh[first + $lu];
+//#end
+//#end
     var g_direction = vec3f(0.0);
 //#for k in 0..SH_TERMS
     {
         let on = select(0.0, 1.0, $ku < active_terms);
-        let c = vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
-        g_direction += on * dot(c, g_color) * slopes[$k];
+        g_direction += on * dot(vec3f(coefficients[3u * $ku], coefficients[3u * $ku + 1u], coefficients[3u * $ku + 2u]), g_color) * slopes[$k];
         let g_c = on * basis[$k] * g_color;
-        sh_gradient[first + 3u * $ku] = g_c.x;
-        sh_gradient[first + 3u * $ku + 1u] = g_c.y;
-        sh_gradient[first + 3u * $ku + 2u] = g_c.z;
+        coefficients[3u * $ku] = g_c.x;
+        coefficients[3u * $ku + 1u] = g_c.y;
+        coefficients[3u * $ku + 2u] = g_c.z;
     }
+//#end
+//#for l in 0..SH_LOADS
+//#if FOURS
+    sh_gradient[first + $lu] = vec4f(coefficients[4u * $lu], coefficients[4u * $lu + 1u], coefficients[4u * $lu + 2u], coefficients[4u * $lu + 3u]);
+//#else
+    sh_gradient[first + $lu] = coefficients[$l];
+//#end
 //#end
     var g_mean = (g_direction - direction * dot(direction, g_direction)) / distance;
 

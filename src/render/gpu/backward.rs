@@ -149,9 +149,13 @@ fn of_splats(
     Besides { absolute, by_pose }: Besides,
 ) -> (Kernel, Bindings) {
     let Pipeline { view, splats, lists, .. } = pipeline;
+    let terms = sh::coefficients(splats.sh_degree) as u32;
+    let fours = (3 * terms).is_multiple_of(4);
     let defines = gpu
         .defines()
-        .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
+        .with("SH_TERMS", terms)
+        .with("FOURS", u32::from(fours))
+        .with("SH_LOADS", if fours { 3 * terms / 4 } else { 3 * terms })
         .with("MOMENTS", moments(absolute) as u32)
         .with("ABSOLUTE", u32::from(absolute))
         .with("POSES", u32::from(by_pose));
