@@ -195,13 +195,9 @@ fn sample_with_repetition(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<
         })
         .collect();
     let Some(last) = scores.iter().rposition(|&s| s > 0.0).filter(|_| total > 0.0) else { return vec![] };
-    (0..count)
-        .map(|_| {
-            let x = rng.random::<f64>() * total;
-            // The product may round up to the total itself.
-            cumulative.partition_point(|&c| c <= x).min(last)
-        })
-        .collect()
+    let drawn: Vec<f64> = (0..count).map(|_| rng.random::<f64>() * total).collect();
+    // The product may round up to the total itself.
+    drawn.into_par_iter().map(|x| cumulative.partition_point(|&c| c <= x).min(last)).collect()
 }
 
 /// Gives every sampled splat the opacity and scale that it has in common with its copies-to-be, and no moments.

@@ -144,10 +144,11 @@ impl Pipeline {
     }
 
     /// Makes the pipeline anew around other splat buffers (for more splats).
-    pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<(), GpuError> {
-        self.splats = splats;
+    pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<SplatBuffers, GpuError> {
+        let before = std::mem::replace(&mut self.splats, splats);
         let pairs = splats_pairs(self.splats.capacity).min(longest_list(gpu));
-        self.renew_lists(gpu, pairs.max(self.lists.pair_capacity()))
+        self.renew_lists(gpu, pairs.max(self.lists.pair_capacity()))?;
+        Ok(before)
     }
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {

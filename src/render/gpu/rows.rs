@@ -45,7 +45,8 @@ impl Source {
         (self.0 & Self::SPLAT) as usize
     }
 
-    /// Puts the rows of `before`, of `width` floats each, into the order of `sources`, as `what` they are.
+    /// What [`RowGather::run`] does, here: puts the rows of `before`, of `width` floats each, into the order of `sources`, as `what` they are.
+    #[cfg(test)]
     pub(crate) fn gather(sources: &[Self], before: &[f32], width: usize, what: Rows) -> Vec<f32> {
         let mut after = Vec::with_capacity(sources.len() * width);
         for source in sources {

@@ -23,6 +23,7 @@ use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 /// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
 pub(crate) const HEADROOM: f64 = 0.5;
 
+#[cfg(test)]
 impl SplatState {
     /// As [`Training::rearrange`], here.
     pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source]) -> Self {
@@ -391,8 +392,7 @@ impl<'g> Training<'g> {
         assert_eq!(geometry.len(), n * GEOMETRY, "one source per splat");
         debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.n_splats), "sources are splats");
         if n > self.pipeline.splats.capacity {
-            let all = self.read_splats()?.rearranged(geometry, sources);
-            return self.write_splats(&all);
+            self.enlarge(n)?;
         }
         let (p, [gm, gv, sm, sv]) = (&self.pipeline, &self.moments);
         // The next step writes gradients anew before it reads them.
@@ -411,6 +411,27 @@ impl<'g> Training<'g> {
         frame.clear(&gradients.statistics);
         frame.submit();
         self.pipeline.n_splats = n;
+        Ok(())
+    }
+
+    /// Makes room for `n` splats. What every step makes anew goes first; parameters and moments are copied on the GPU.
+    fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
+        let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.splats.sh_degree, self.pipeline.n_splats);
+        self.pipeline.n_splats = 0;
+        let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?)?;
+        let moments = std::mem::replace(&mut self.moments, new_moments(gpu, &self.pipeline)?);
+        self.moments_of = self.pipeline.splats.capacity;
+        self.rebind()?;
+        self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?)?;
+        self.rebind()?;
+        let p = &self.pipeline;
+        let parameters = [(&splats.geometry, &p.splats.geometry), (&splats.sh, &p.splats.sh)];
+        let mut frame = Frame::new(gpu);
+        for (from, to) in parameters.into_iter().chain(moments.iter().zip(&self.moments)) {
+            frame.copy(from, to);
+        }
+        frame.submit();
+        self.pipeline.n_splats = n_splats;
         Ok(())
     }
 

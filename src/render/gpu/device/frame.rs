@@ -73,6 +73,12 @@ impl<'a> Frame<'a> {
         self.encoder.clear_buffer(&buffer.raw, 0, None);
     }
 
+    /// Copies all of a buffer to the start of another that is at least as long.
+    pub(crate) fn copy(&mut self, from: &Buffer, to: &Buffer) {
+        self.pass = None;
+        self.encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, from.raw.size());
+    }
+
     /// Hands the commands to the adapter; does not wait.
     pub(crate) fn submit(mut self) {
         self.pass = None;
