@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use centaur::{
-    format::atomic_write,
+    format::{ReadOptions, atomic_write, read_file},
     metrics::plot::{self, Plot},
     render::gpu::{
         Gpu,
@@ -39,6 +39,9 @@ struct Options {
     /// Nothing but bytes of GPU memory, up to those of 1 M splats at 1920×1080.
     #[arg(long, conflicts_with = "yardstick")]
     memory: bool,
+    /// Nothing but a step of this scene, as `centaur train` writes it, by the camera in the middle of its list.
+    #[arg(long, value_name = "SCENE.glb", conflicts_with_all = ["yardstick", "memory"])]
+    scene: Option<PathBuf>,
     /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -120,6 +123,15 @@ fn main() -> anyhow::Result<()> {
     let gpu = Gpu::open(options.adapter.as_deref())?;
     let ceilings = measure::ceilings(&gpu)?;
     tables::print_adapter(&gpu, ceilings.as_ref());
+
+    if let Some(file) = &options.scene {
+        let read = read_file(file, &ReadOptions::default())?;
+        let (name, camera) = (read.cameras.get(read.cameras.len() / 2))
+            .with_context(|| format!("{}: has no cameras", file.display()))?;
+        println!("\n{} from {name}\n", file.display());
+        tables::print_stages(&[timed(&gpu, &read.scene, camera)?], ceilings.as_ref());
+        return Ok(());
+    }
 
     let mut results = Results {
         adapter: gpu.adapter().into(),
