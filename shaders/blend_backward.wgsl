@@ -61,35 +61,35 @@ fn write(number: u32, moment: u32, sum: f32) {
     if number >= WINDOW_START && number < WINDOW_END { rows[(number - WINDOW_START) * MOMENTS + moment] = sum; }
 }
 
-//#if TWO
+//#if PAIRWISE
 // Sums over a subgroup of at least 8 lanes, for two splats. At every step a lane keeps half of the sums that it has, and gives its
 // neighbour the others for what that has of the first: in the end a lane of 32 has one, for 21 exchanges in five steps, where each of 20
 // sums by itself takes five. Of fewer lanes each has up to three; `places` says which.
 fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32) -> vec3f {
-    let is_odd = (vec4u(lane) & vec4u(1u, 2u, 4u, 8u)) != vec4u(0u);
+    let is_upper = (vec4u(lane) & vec4u(1u, 2u, 4u, 8u)) != vec4u(0u);
 //#for c in 0..MOMENTS
-    let of_splat$c = select(a[$c], b[$c], is_odd.x) + subgroupShuffleXor(select(b[$c], a[$c], is_odd.x), 1u);
+    let of_splat$c = select(a[$c], b[$c], is_upper.x) + subgroupShuffleXor(select(b[$c], a[$c], is_upper.x), 1u);
 //#end
 //#if ABSOLUTE
-    let h0 = select(of_splat0, of_splat6, is_odd.y) + subgroupShuffleXor(select(of_splat6, of_splat0, is_odd.y), 2u);
-    let h1 = select(of_splat1, of_splat7, is_odd.y) + subgroupShuffleXor(select(of_splat7, of_splat1, is_odd.y), 2u);
-    let h2 = select(of_splat2, of_splat8, is_odd.y) + subgroupShuffleXor(select(of_splat8, of_splat2, is_odd.y), 2u);
-    let h3 = select(of_splat3, of_splat9, is_odd.y) + subgroupShuffleXor(select(of_splat9, of_splat3, is_odd.y), 2u);
-    let h4 = select(of_splat4, of_splat10, is_odd.y) + subgroupShuffleXor(select(of_splat10, of_splat4, is_odd.y), 2u);
-    let h5 = select(of_splat5, of_splat11, is_odd.y) + subgroupShuffleXor(select(of_splat11, of_splat5, is_odd.y), 2u);
-    let q2 = select(h2, h5, is_odd.z) + subgroupShuffleXor(select(h5, h2, is_odd.z), 4u);
+    let h0 = select(of_splat0, of_splat6, is_upper.y) + subgroupShuffleXor(select(of_splat6, of_splat0, is_upper.y), 2u);
+    let h1 = select(of_splat1, of_splat7, is_upper.y) + subgroupShuffleXor(select(of_splat7, of_splat1, is_upper.y), 2u);
+    let h2 = select(of_splat2, of_splat8, is_upper.y) + subgroupShuffleXor(select(of_splat8, of_splat2, is_upper.y), 2u);
+    let h3 = select(of_splat3, of_splat9, is_upper.y) + subgroupShuffleXor(select(of_splat9, of_splat3, is_upper.y), 2u);
+    let h4 = select(of_splat4, of_splat10, is_upper.y) + subgroupShuffleXor(select(of_splat10, of_splat4, is_upper.y), 2u);
+    let h5 = select(of_splat5, of_splat11, is_upper.y) + subgroupShuffleXor(select(of_splat11, of_splat5, is_upper.y), 2u);
+    let q2 = select(h2, h5, is_upper.z) + subgroupShuffleXor(select(h5, h2, is_upper.z), 4u);
 //#else
-    let h0 = select(of_splat0, of_splat5, is_odd.y) + subgroupShuffleXor(select(of_splat5, of_splat0, is_odd.y), 2u);
-    let h1 = select(of_splat1, of_splat6, is_odd.y) + subgroupShuffleXor(select(of_splat6, of_splat1, is_odd.y), 2u);
-    let h2 = select(of_splat2, of_splat7, is_odd.y) + subgroupShuffleXor(select(of_splat7, of_splat2, is_odd.y), 2u);
-    let h3 = select(of_splat3, of_splat8, is_odd.y) + subgroupShuffleXor(select(of_splat8, of_splat3, is_odd.y), 2u);
-    let h4 = select(of_splat4, of_splat9, is_odd.y) + subgroupShuffleXor(select(of_splat9, of_splat4, is_odd.y), 2u);
+    let h0 = select(of_splat0, of_splat5, is_upper.y) + subgroupShuffleXor(select(of_splat5, of_splat0, is_upper.y), 2u);
+    let h1 = select(of_splat1, of_splat6, is_upper.y) + subgroupShuffleXor(select(of_splat6, of_splat1, is_upper.y), 2u);
+    let h2 = select(of_splat2, of_splat7, is_upper.y) + subgroupShuffleXor(select(of_splat7, of_splat2, is_upper.y), 2u);
+    let h3 = select(of_splat3, of_splat8, is_upper.y) + subgroupShuffleXor(select(of_splat8, of_splat3, is_upper.y), 2u);
+    let h4 = select(of_splat4, of_splat9, is_upper.y) + subgroupShuffleXor(select(of_splat9, of_splat4, is_upper.y), 2u);
     let q2 = h2 + subgroupShuffleXor(h2, 4u);
 //#end
-    let q0 = select(h0, h3, is_odd.z) + subgroupShuffleXor(select(h3, h0, is_odd.z), 4u);
-    let q1 = select(h1, h4, is_odd.z) + subgroupShuffleXor(select(h4, h1, is_odd.z), 4u);
+    let q0 = select(h0, h3, is_upper.z) + subgroupShuffleXor(select(h3, h0, is_upper.z), 4u);
+    let q1 = select(h1, h4, is_upper.z) + subgroupShuffleXor(select(h4, h1, is_upper.z), 4u);
     if lanes < 16u { return vec3f(q0, q1, q2); }
-    let e0 = select(q0, q2, is_odd.w) + subgroupShuffleXor(select(q2, q0, is_odd.w), 8u);
+    let e0 = select(q0, q2, is_upper.w) + subgroupShuffleXor(select(q2, q0, is_upper.w), 8u);
     let e1 = q1 + subgroupShuffleXor(q1, 8u);
     if lanes < 32u { return vec3f(e0, e1, 0.0); }
     let last = (lane & 16u) != 0u;
@@ -129,7 +129,7 @@ fn main(
 //#if SUBGROUPS
     // Counted: some drivers say another subgroup_size than they compile for.
     let lanes = subgroupAdd(1u);
-//#if TWO
+//#if PAIRWISE
     let place = places(lane, lanes);
 //#end
 //#end
@@ -215,8 +215,9 @@ fn main(
     if thread == 0u {
         let used = atomicLoad(&last_end);
 //#if SUBGROUPS
-        let room = max(SUM_FLOATS / (subgroups * MOMENTS) / 8u * 8u, 1u);
-        tile_range = vec4u(pairs.x, used, min(BATCH, room), subgroups);
+        let room = SUM_FLOATS / (subgroups * MOMENTS);
+        // A multiple of 8 where there is room for that many.
+        tile_range = vec4u(pairs.x, used, clamp(select(room / 8u * 8u, room, room < 8u), 1u, BATCH), subgroups);
 //#else
         tile_range = vec4u(pairs.x, used, BATCH, 0u);
 //#end
@@ -257,14 +258,14 @@ fn main(
 //#else
         let end_of_$p = n;
 //#end
-//#if TWO
+//#if PAIRWISE
         if lanes >= 8u {
             for (; s < end_of_$p; s += 2u) {
                 // Of both splats at once, without branches: what a thread waits for in one it does of the other.
                 var is_seen = false;
 //#for m in 0..2
                 let at$m = min(s + $mu, end_of_$p - 1u);
-                let is_one$m = s + $mu < end_of_$p;
+                let is_there$m = s + $mu < end_of_$p;
                 let center$m = batch_center[at$m];
                 let conic$m = batch_conic[at$m];
                 let rgb$m = batch_color[at$m].xyz;
@@ -278,7 +279,7 @@ fn main(
                 let dy$m_$j = py$j - center$m.y;
                 let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
                 let raw$m_$j = center$m.w * exp(power$m_$j);
-                let reaches$m_$j = is_one$m && min(ALPHA_CAP, raw$m_$j) >= ALPHA_CUT;
+                let reaches$m_$j = is_there$m && min(ALPHA_CAP, raw$m_$j) >= ALPHA_CUT;
                 var bucket$m_$j = $pu % BUCKETS;
 //#for l in 0..LAYERS
                 if $pu == MIXED && depth$j_$l < threshold$m_$l { bucket$m_$j = $lu + 1u; }

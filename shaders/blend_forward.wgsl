@@ -177,8 +177,8 @@ fn main(
 //#else
         let end_of_$p = n;
 //#end
-        for (; s < end_of_$p; s += MANY) {
-//#for m in 0..MANY
+        for (; s < end_of_$p; s += AT_ONCE) {
+//#for m in 0..AT_ONCE
 //#if $m<1
             let at$m = s;
 //#else
@@ -194,9 +194,9 @@ fn main(
             let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
 //#end
 //#end
-//#if 1<MANY
-            // Of MANY splats at once: what a thread waits for in one it does of the others.
-//#for m in 0..MANY
+//#if 1<AT_ONCE
+            // Of several splats at once: what a thread waits for in one it does of the others.
+//#for m in 0..AT_ONCE
 //#for j in 0..PER_THREAD
             let dy$m_$j = py$j - center$m.y;
             let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
@@ -204,11 +204,11 @@ fn main(
 //#end
 //#end
 //#end
-//#for m in 0..MANY
+//#for m in 0..AT_ONCE
             let rgb$m = batch_color[at$m].xyz;
 //#for j in 0..PER_THREAD
             {
-//#if 1<MANY
+//#if 1<AT_ONCE
                 let alpha = alpha$m_$j;
 //#else
                 let dy = py$j - center$m.y;

@@ -1,4 +1,4 @@
-// What tiles found of a splat, added up in the order of its tiles: the sum is the same in every run. On GPUs a thread per splat in
+// What tiles found of a splat, added up in one order of its tiles: the sum is the same in every run. On GPUs a thread per splat in
 // view and moment: neighbouring threads read a row of moments together, and rows in a row. On software adapters, which take the lanes of
 // every load in turn, a thread per splat with all of its moments, two to a load where their number is even. Per (tile, splat) pair
 // 4·MOMENTS bytes read.
@@ -38,7 +38,7 @@ fn main(
     if first < WINDOW_START { sum$j = moments[place + $ju]; }
     //#end
     var row = max(first, WINDOW_START);
-//#if EIGHT
+//#if BY_EIGHT
     // A splat before the whole picture has thousands of rows, and nothing to do while it waits for each.
     for (; row + 8u <= end; row += 8u) {
         let at = (row - WINDOW_START) * VALUES + value;

@@ -6,7 +6,7 @@
 // flows to uv, mip level or direction.
 //
 // Neighbours see the same texels, those of the bands above all. So a subgroup takes the texels that its fragments see one by one,
-// sums up what all of them give to it, and adds every sum once, each by a lane of its own: per texel that a block sees 4 atomic additions
+// sums up what all of them give to it, and adds every sum once, each by a lane of its own: per texel that a subgroup sees 4 atomic additions
 // to the base and 3·((d+1)²−1) to the bands, 24 at degree 2. Without subgroups there are as many for each of a fragment's 4 or 8 texels.
 // Per fragment 112 bytes read.
 
@@ -63,7 +63,7 @@ fn backward(
             let is_it = left == vec4u(texel);
             left = select(left, vec4u(NONE), is_it);
             // Of the four more than one at the border of a map.
-            let weight = dot(t.weight, select(vec4f(0.0), vec4f(1.0), is_it));
+            let weight = dot(select(vec4f(0.0), t.weight, is_it), vec4f(1.0));
             let sum = subgroupAdd(vec4i(round(weight * base_g)));
             for (var c = lane; c < 4u; c += lanes) { atomicAdd(&base_gradient[4u * texel + c], select(select(sum.x, sum.y, c == 1u), select(sum.z, sum.w, c == 3u), c >= 2u)); }
         }
@@ -100,12 +100,12 @@ fn backward(
 //#if SUBGROUPS
         var left = select(vec4u(NONE), first, is_seen && share != 0.0 && degree != 0u);
         loop {
-            let texel = subgroupMin(min(min(left.x, left.y), min(left.z, left.w)));
-            if texel == NONE { break; }
-            let is_it = left == vec4u(texel);
+            let float = subgroupMin(min(min(left.x, left.y), min(left.z, left.w)));
+            if float == NONE { break; }
+            let is_it = left == vec4u(float);
             left = select(left, vec4u(NONE), is_it);
             let count = subgroupMax(select(0u, learnt, any(is_it)));
-            let weighted = dot(t.weight, select(vec4f(0.0), vec4f(1.0), is_it)) * band_g;
+            let weighted = dot(select(vec4f(0.0), t.weight, is_it), vec4f(1.0)) * band_g;
 //#for k in 0..BANDS
             var sum$k = vec3i(0);
             if 3u * $ku < count { sum$k = subgroupAdd(vec3i(round(basis[$k + 1] * weighted))); }
@@ -117,7 +117,7 @@ fn backward(
                 if c == 3u * $ku + 1u { sum = sum$k.y; }
                 if c == 3u * $ku + 2u { sum = sum$k.z; }
 //#end
-                atomicAdd(&band_gradient[texel + c], sum);
+                atomicAdd(&band_gradient[float + c], sum);
             }
         }
 //#else

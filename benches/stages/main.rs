@@ -40,7 +40,7 @@ struct Options {
     #[arg(long, conflicts_with = "yardstick")]
     memory: bool,
     /// Nothing but a step of this scene, as `centaur train` writes it, by the camera in the middle of its list.
-    #[arg(long, value_name = "SCENE.glb", conflicts_with_all = ["yardstick", "memory"])]
+    #[arg(long, value_name = "SCENE.glb", conflicts_with_all = ["yardstick", "memory", "json"])]
     scene: Option<PathBuf>,
     /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]

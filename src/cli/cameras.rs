@@ -178,7 +178,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         Kind::Spline { files, shot, keys, closed } => {
             let options = Spline { keys: keys.map(|n| n as usize), closed: *closed };
-            files.generate(shot, |views| path::spline(views, &options, &shot.shot()))
+            files.generate(shot, |views| {
+                if let Some(keys) = keys.filter(|&keys| keys as usize > views.len()) {
+                    output::note(&format!("--keys {keys}: all of {} are keys", output::counted(views.len(), "camera")));
+                }
+                path::spline(views, &options, &shot.shot())
+            })
         }
         Kind::Lemniscate { files, shot, around } => {
             files.generate(shot, |views| path::lemniscate(views, &around.around(), &shot.shot()))

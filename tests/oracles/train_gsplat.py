@@ -1,14 +1,14 @@
 """Trains splats by gsplat's own kernels and MCMC strategy, to stand beside `centaur train --no-mesh`: same photographs, iterations,
 number of splats, degree and rates.
 
-    pip install gsplat==1.5.3 pillow        (and torch; needs an NVIDIA GPU and its compiler, nvcc)
+    pip install gsplat==1.5.3 pillow scipy        (and torch; needs an NVIDIA GPU and its compiler, nvcc)
     centaur cameras convert CAPTURE -o cameras.json
     python train_gsplat.py CAPTURE cameras.json OUT.ply [--iterations 7000] [--max-splats 300000] [--json OUT.json]
 
 CAPTURE is a COLMAP model of pinholes with images/; every 8th photograph is held out. `centaur eval OUT.ply CAPTURE` scores the result.
-Constants are those of gsplat's example trainer for MCMC, at their defaults; what differs is in gsplat's favour: photographs lie on the GPU
-before the clock starts, and Adam is fused. SSIM, for which that trainer takes a kernel that PyPI does not have, is compiled by torch;
-what it takes is told apart.
+Constants are those of gsplat's example trainer for MCMC, at their defaults. In gsplat's favour photographs lie on the GPU before the clock
+starts, and Adam is fused; against it SSIM, for which that trainer takes a kernel that PyPI does not have, is compiled by torch: what it
+takes is told apart. Density control begins after 500 iterations, so that shorter runs have none.
 The clock stands still during set-up, the first ten iterations (which compile) and scoring.
 """
 
@@ -90,17 +90,15 @@ def loss_of(image, truth):
 
 
 def milliseconds_of_loss(image, truth):
-    """Of the loss and its gradient, the median of 100."""
-    times = []
+    """Of the loss and its gradient, the mean of 100 that follow each other as those of a training do."""
+    x = image.detach().requires_grad_()
+    begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    begin.record()
     for _ in range(100):
-        x = image.detach().requires_grad_()
-        events = [torch.cuda.Event(enable_timing=True) for _ in range(2)]
-        events[0].record()
         loss_of(x, truth.float() / 255).backward()
-        events[1].record()
-        torch.cuda.synchronize()
-        times.append(events[0].elapsed_time(events[1]))
-    return float(np.median(times))
+    end.record()
+    torch.cuda.synchronize()
+    return begin.elapsed_time(end) / 100
 
 
 def initial_splats(points, colours):
@@ -161,6 +159,8 @@ def main():
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--json")
     options = arguments.parse_args()
+    if options.iterations < 4 * WARM_UP:
+        arguments.error(f"--iterations: expected at least {4 * WARM_UP}, as the first {WARM_UP} are not timed")
     torch.manual_seed(options.seed)
 
     poses, intrinsics, photographs = read_views(options.capture, options.cameras)

@@ -50,7 +50,9 @@ fn shape(gpu: &Gpu, layers: u32) -> (u32, u32) {
     match (gpu.profile().is_cpu, layers) {
         (true, 0..=1) => (16, 16),
         (true, _) => (32, 8),
-        (false, _) => (128, 2),
+        (false, _) if gpu.profile().subgroups => (128, 2),
+        // Sums of every thread lie in workgroup memory then, of which there may be 16 KiB.
+        (false, _) => (64, 4),
     }
 }
 
@@ -98,7 +100,7 @@ impl Blend {
         let saves = lists.purpose() == Purpose::Train;
         let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true)
             .with("SAVE", u32::from(saves))
-            .with("MANY", splats_at_once(gpu));
+            .with("AT_ONCE", splats_at_once(gpu));
         let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
         let saved = if saves { image.pixels * (n_layers as usize + 1) } else { 0 };
         let pixels = gpu.storage("image", image.pixels * 4)?;
@@ -139,7 +141,7 @@ impl BlendBackward {
         let defines = with_paths(&base_defines(gpu, n_layers), n_layers, gpu.profile().subgroups)
             .with("MOMENTS", n_moments as u32)
             .with("ABSOLUTE", u32::from(absolute))
-            .with("TWO", u32::from(gpu.profile().subgroups && !gpu.profile().is_cpu))
+            .with("PAIRWISE", u32::from(gpu.profile().subgroups && !gpu.profile().is_cpu))
             .with("HALF", n_moments as u32 / 2);
         let lanes = if gpu.profile().is_cpu && n_moments.is_multiple_of(2) { 2 } else { 1 };
         let values = n_moments / lanes;
@@ -147,7 +149,7 @@ impl BlendBackward {
         let splats_a_group = SUM_THREADS / (values / together);
         let sum_defines = gpu
             .defines()
-            .with("EIGHT", u32::from(together == 1))
+            .with("BY_EIGHT", u32::from(together == 1))
             .with("PAIRED", u32::from(lanes == 2))
             .with("VALUES", values as u32)
             .with("TOGETHER", together as u32)

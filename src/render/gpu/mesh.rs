@@ -77,8 +77,8 @@ struct Kernels {
 struct Bound {
     bins: usize,
     fragments: usize,
-    /// Runs of pixels in all columns and layers.
-    runs: usize,
+    /// Threads of the texels' gradients for all layers.
+    texel_threads: usize,
     setup: Bindings,
     count: Bindings,
     scan: Bindings,
@@ -90,10 +90,10 @@ struct Bound {
     vertices: Option<[Bindings; 3]>,
 }
 
-/// Kernel of the texels' gradients, and the pixels that a thread (a column) or a workgroup (a square) of it takes. On a software adapter
-/// an atomic addition takes each lane in turn, so a thread adds to a texel once for all of them; hardware wants the threads.
-fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2]) {
-    if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32]) } else { ("texel_backward.wgsl", [8, 8]) }
+/// Kernel of the texels' gradients, and the pixels, across and down, that so many of its threads take together. On a software adapter
+/// an atomic addition takes each lane in turn, so a thread adds to a texel once for all pixels of a column; hardware wants the threads.
+fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2], u32) {
+    if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32], 1) } else { ("texel_backward.wgsl", [8, 8], 64) }
 }
 
 impl Geometry {
@@ -146,13 +146,13 @@ impl Kernels {
         // many pixels saves loads. Hardware wants the lanes.
         let per_thread: u32 = if gpu.profile().is_cpu { 8 } else { 1 };
         assert!((BIN * BIN).is_multiple_of(per_thread), "threads share out a bin without rest");
-        let (backward, run) = texel_backward(gpu);
+        let (backward, [_, run], _) = texel_backward(gpu);
         let defines: Defines = gpu
             .defines()
             .with("LAYERS", layers)
             .with("BANDS", texels.band_coefficients())
             .with("FOURS", u32::from(texels.bands_are_in_fours()))
-            .with("RUN", run[1])
+            .with("RUN", run)
             .with("BIN", BIN)
             .with("PER_THREAD", per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -213,11 +213,10 @@ impl MeshStage {
             self.bound = Some(self.bind(gpu, view_uniform));
         }
         if let Some(bound) = &mut self.bound {
-            let (_, [w, h]) = texel_backward(gpu);
-            // As many threads as a square has pixels.
-            let runs = (w * w * k.width.div_ceil(w) * k.height.div_ceil(h)) as usize;
+            let (_, [w, h], threads) = texel_backward(gpu);
+            let of_layer = (threads * k.width.div_ceil(w) * k.height.div_ceil(h)) as usize;
             let layers = self.layers as usize;
-            (bound.bins, bound.fragments, bound.runs) = (bins, layers * pixels, layers * runs);
+            (bound.bins, bound.fragments, bound.texel_threads) = (bins, layers * pixels, layers * of_layer);
         }
         Ok(grow)
     }
@@ -258,8 +257,8 @@ impl MeshStage {
         }
         self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", pairs)?;
         self.screen.capacity = pairs;
-        if let Some(Bound { bins, fragments, runs, .. }) = self.bound {
-            self.bound = Some(Bound { bins, fragments, runs, ..self.bind(gpu, view_uniform) });
+        if let Some(Bound { bins, fragments, texel_threads, .. }) = self.bound {
+            self.bound = Some(Bound { bins, fragments, texel_threads, ..self.bind(gpu, view_uniform) });
         }
         Ok(true)
     }
@@ -279,7 +278,7 @@ impl MeshStage {
         Bound {
             bins: 0,
             fragments: 0,
-            runs: 0,
+            texel_threads: 0,
             setup: k.setup.bind(gpu, &[view, &g.positions, &g.triangles, &g.corners, &g.boxes]),
             count: k.count.bind(gpu, &bin),
             scan: k.scan.bind(gpu, &bin),
@@ -309,8 +308,8 @@ impl MeshStage {
         let defines = gpu.defines().with("LAYERS", self.layers).with("BANDS", self.texels.band_coefficients());
         let besides = [status, self.texels.peaks()];
         self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, besides, state)?);
-        if let Some(Bound { bins, fragments, runs, .. }) = self.bound {
-            self.bound = Some(Bound { bins, fragments, runs, ..self.bind(gpu, view_uniform) });
+        if let Some(Bound { bins, fragments, texel_threads, .. }) = self.bound {
+            self.bound = Some(Bound { bins, fragments, texel_threads, ..self.bind(gpu, view_uniform) });
         }
         Ok(())
     }
@@ -395,10 +394,10 @@ impl MeshStage {
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
-        let Some(Bound { backward: Some([peak, texels]), fragments, runs, .. }) = &self.bound else { return };
+        let Some(Bound { backward: Some([peak, texels]), fragments, texel_threads, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
         frame.dispatch(&self.kernels.peak, peak, groups(*fragments, PEAK_FRAGMENTS));
-        frame.dispatch(&self.kernels.backward, texels, groups(*runs, RUN_GROUP));
+        frame.dispatch(&self.kernels.backward, texels, groups(*texel_threads, RUN_GROUP));
         self.texels.record_pull(frame);
     }
 

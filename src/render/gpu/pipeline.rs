@@ -143,7 +143,7 @@ impl Pipeline {
         Ok(short || mesh_grew)
     }
 
-    /// Makes the pipeline anew around other splat buffers (for more splats).
+    /// Makes the pipeline anew around other splat buffers (for more splats); returns those before.
     pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<SplatBuffers, GpuError> {
         let before = std::mem::replace(&mut self.splats, splats);
         let pairs = splats_pairs(self.splats.capacity).min(longest_list(gpu));

@@ -74,7 +74,7 @@ pub(crate) enum Rows {
     GeometryMoments,
 }
 
-/// The same on the GPU, for what changes.
+/// Moves rows of splats on the GPU, those that change.
 pub(crate) struct RowGather {
     /// `[parameters, SH moments, geometry moments]`: fetch and place.
     kernels: [[Kernel; 2]; 3],

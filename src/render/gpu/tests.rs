@@ -323,7 +323,12 @@ fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics]
 fn gradients_equal_the_reference() {
     let restricted = [true, false].map(|subgroups| (Gpu::open_restricted(None, subgroups).unwrap(), 6));
     // Kernels as they are on GPUs take their time on a software adapter.
-    let others = [Gpu::open(None).unwrap().posing_as_gpu(), Gpu::open(None).unwrap().narrowed(7)].map(|gpu| (gpu, 2));
+    let without = Gpu::open_restricted(None, false).unwrap();
+    let others = [
+        (Gpu::open(None).unwrap().posing_as_gpu(), 2),
+        (without.posing_as_gpu(), 1),
+        (Gpu::open(None).unwrap().narrowed(7), 2),
+    ];
     for (gpu, seeds) in restricted.into_iter().chain(others) {
         for seed in 0..seeds {
             let (layers, mode) = ([1, 2, 4][seed as usize % 3], MODES[seed as usize / 2]);

@@ -103,7 +103,7 @@ impl<'g> Training<'g> {
         sizes.dedup();
         let truth = gpu.storage("photograph", pipeline.pixels())?;
         let loss = new_loss(gpu, (&pipeline, &backward), &truth, &sizes, ssim_weight, None)?;
-        let (moments, moments_of) = (new_moments(gpu, &pipeline)?, pipeline.splats.capacity);
+        let (moments, moments_of) = (new_moments(gpu, &pipeline.splats)?, pipeline.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &backward, &moments)?;
         let list_check = new_list_check(gpu, &pipeline, &backward.status);
         let rows = RowGather::new(gpu, sh_floats(&pipeline))?;
@@ -414,25 +414,35 @@ impl<'g> Training<'g> {
         Ok(())
     }
 
-    /// Makes room for `n` splats. What every step makes anew goes first; parameters and moments are copied on the GPU.
+    /// Makes room for `n` splats. What every step makes anew is freed first and made again last, so that what is copied between, parameters
+    /// and moments, takes no more at its peak than all of it afterwards. Waits.
     fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
         let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.splats.sh_degree, self.pipeline.n_splats);
         self.pipeline.n_splats = 0;
         let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?)?;
-        let moments = std::mem::replace(&mut self.moments, new_moments(gpu, &self.pipeline)?);
-        self.moments_of = self.pipeline.splats.capacity;
+        let moments = self.replace_moments(new_moments(gpu, &self.pipeline.splats)?);
         self.rebind()?;
-        self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?)?;
-        self.rebind()?;
-        let p = &self.pipeline;
-        let parameters = [(&splats.geometry, &p.splats.geometry), (&splats.sh, &p.splats.sh)];
+        let larger = SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?;
+        let larger_moments = new_moments(gpu, &larger)?;
+        let parameters = [(&splats.geometry, &larger.geometry), (&splats.sh, &larger.sh)];
         let mut frame = Frame::new(gpu);
-        for (from, to) in parameters.into_iter().chain(moments.iter().zip(&self.moments)) {
+        for (from, to) in parameters.into_iter().chain(moments.iter().zip(&larger_moments)) {
             frame.copy(from, to);
         }
         frame.submit();
+        drop((splats, moments));
+        gpu.wait()?;
+        self.pipeline.replace_splats(gpu, larger)?;
+        self.replace_moments(larger_moments);
+        self.rebind()?;
         self.pipeline.n_splats = n_splats;
         Ok(())
+    }
+
+    /// Puts moments of as many splats as the pipeline has room for in place of those before.
+    fn replace_moments(&mut self, moments: [Buffer; 4]) -> [Buffer; 4] {
+        self.moments_of = self.pipeline.splats.capacity;
+        std::mem::replace(&mut self.moments, moments)
     }
 
     /// Replaces all splats. Statistics are zeroed.
@@ -506,8 +516,7 @@ impl<'g> Training<'g> {
             poses.bind(self.gpu, &self.pipeline, &self.backward);
         }
         if self.moments_of != self.pipeline.splats.capacity {
-            self.moments = new_moments(self.gpu, &self.pipeline)?;
-            self.moments_of = self.pipeline.splats.capacity;
+            self.replace_moments(new_moments(self.gpu, &self.pipeline.splats)?);
         }
         self.adam = new_adam(self.gpu, &self.pipeline, &self.backward, &self.moments)?;
         Ok(())
@@ -550,8 +559,8 @@ fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck 
     ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref(), status)
 }
 
-fn new_moments(gpu: &Gpu, pipeline: &Pipeline) -> Result<[Buffer; 4], GpuError> {
-    let (n, terms) = (pipeline.splats.capacity, sh_floats(pipeline));
+fn new_moments(gpu: &Gpu, splats: &SplatBuffers) -> Result<[Buffer; 4], GpuError> {
+    let (n, terms) = (splats.capacity, 3 * sh::coefficients(splats.sh_degree));
     Ok([
         gpu.storage("geometry moment 1", n * GEOMETRY)?,
         gpu.storage("geometry moment 2", n * GEOMETRY)?,
