@@ -261,25 +261,11 @@ fn main(
 //#if PAIRWISE
         if lanes >= 8u {
             for (; s < end_of_$p; s += 2u) {
-                // Of both splats at once, without branches: what a thread waits for in one it does of the other.
+//#import shared/splats_at_pixels.wgsl with COUNT=2 END=end_of_$p
                 var is_seen = false;
 //#for m in 0..2
-                let at$m = min(s + $mu, end_of_$p - 1u);
-                let is_there$m = s + $mu < end_of_$p;
-                let center$m = batch_center[at$m];
-                let conic$m = batch_conic[at$m];
                 let rgb$m = batch_color[at$m].xyz;
-                let dx$m = px - center$m.x;
-                let power_x$m = -0.5 * conic$m.x * dx$m * dx$m;
-                let power_xy$m = -conic$m.y * dx$m;
-//#for l in 0..LAYERS
-                let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
-//#end
 //#for j in 0..PER_THREAD
-                let dy$m_$j = py$j - center$m.y;
-                let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
-                let raw$m_$j = center$m.w * exp(power$m_$j);
-                let reaches$m_$j = is_there$m && min(ALPHA_CAP, raw$m_$j) >= ALPHA_CUT;
                 var bucket$m_$j = $pu % BUCKETS;
 //#for l in 0..LAYERS
                 if $pu == MIXED && depth$j_$l < threshold$m_$l { bucket$m_$j = $lu + 1u; }
@@ -288,7 +274,7 @@ fn main(
                 let alpha$m_$j_$b = select(
                     0.0,
                     min(ALPHA_CAP, raw$m_$j),
-                    reaches$m_$j && bucket$m_$j == $bu && start + at$m < end[$j][$b],
+                    min(ALPHA_CAP, raw$m_$j) >= ALPHA_CUT && bucket$m_$j == $bu && start + at$m < end[$j][$b],
                 );
                 is_seen = is_seen || alpha$m_$j_$b > 0.0;
 //#end

@@ -178,38 +178,13 @@ fn main(
         let end_of_$p = n;
 //#end
         for (; s < end_of_$p; s += AT_ONCE) {
-//#for m in 0..AT_ONCE
-//#if $m<1
-            let at$m = s;
-//#else
-            let at$m = min(s + $mu, end_of_$p - 1u);
-//#end
-            let center$m = batch_center[at$m];
-            let conic$m = batch_conic[at$m];
-            let dx$m = px - center$m.x;
-            // Near the axis of a needle, terms that cancel may round to more than 0.
-            let power_x$m = -0.5 * conic$m.x * dx$m * dx$m;
-            let power_xy$m = -conic$m.y * dx$m;
-//#for l in 0..LAYERS
-            let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
-//#end
-//#end
-//#if 1<AT_ONCE
-            // Of several splats at once: what a thread waits for in one it does of the others.
-//#for m in 0..AT_ONCE
-//#for j in 0..PER_THREAD
-            let dy$m_$j = py$j - center$m.y;
-            let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
-            let alpha$m_$j = select(0.0, min(ALPHA_CAP, center$m.w * exp(power$m_$j)), s + $mu < end_of_$p);
-//#end
-//#end
-//#end
+//#import shared/splats_at_pixels.wgsl with COUNT=AT_ONCE END=end_of_$p
 //#for m in 0..AT_ONCE
             let rgb$m = batch_color[at$m].xyz;
 //#for j in 0..PER_THREAD
             {
 //#if 1<AT_ONCE
-                let alpha = alpha$m_$j;
+                let alpha = min(ALPHA_CAP, raw$m_$j);
 //#else
                 let dy = py$j - center$m.y;
                 let power = min(power_x$m + dy * (power_xy$m - 0.5 * conic$m.z * dy), 0.0);

@@ -67,6 +67,7 @@ embed![
     "shared/saturating_add.wgsl",
     "shared/sh.wgsl",
     "shared/sh_gradient.wgsl",
+    "shared/splats_at_pixels.wgsl",
     "shared/status.wgsl",
     "shared/sum_rows.wgsl",
     "shared/tile_bucket.wgsl",
