@@ -136,9 +136,5 @@ pub(crate) fn print_memory(memory: &Memory) {
     if let Some(t) = &memory.large.trained {
         println!("  {} splats, trained  {}, by the account {}", t.splats, gigabytes(t.bytes), gigabytes(t.accounted));
     }
-    println!(
-        "  1000000 splats, by the account  {}; at most {} while buffers grow (≤ 8 GB)",
-        gigabytes(memory.large.accounted),
-        gigabytes(2 * memory.large.accounted)
-    );
+    println!("  1000000 splats, by the account  {} (≤ 8 GB)", gigabytes(memory.large.accounted));
 }

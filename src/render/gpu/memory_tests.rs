@@ -5,6 +5,8 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use super::{
     Gpu, LayeredRenderer, Renderer,
     memory::{TrainingSize, training_bytes},
+    rows::Source,
+    splats::GEOMETRY,
     training::Training,
     vertices::VertexState,
 };
@@ -26,8 +28,8 @@ enum Kind {
     Layers(ImageModel),
 }
 
-/// Peak bytes for a picture of `side`² pixels of `n` splats and a triangle with a base map of `texels`² texels.
-fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
+/// `n` splats and a triangle with a base map of `texels`² texels, and a picture of `side`² pixels.
+fn seen(n: usize, texels: u32, side: u32) -> (HybridScene, Camera) {
     let splats = Splats::new(
         vec![Vec3::ZERO; n],
         vec![Quat::IDENTITY; n],
@@ -45,7 +47,12 @@ fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
     let scene = HybridScene { splats, meshes: vec![mesh], composition };
     let size = f64::from(side);
     let intrinsics = Intrinsics { width: side, height: side, fx: size, fy: size, cx: 0.5 * size, cy: 0.5 * size };
-    let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap();
+    (scene, Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap())
+}
+
+/// Peak bytes for [`seen`].
+fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
+    let (scene, camera) = seen(n, texels, side);
     // A fresh adapter each time, as the peak of one never falls. Nothing is read back, as staging counts too.
     let gpu = Gpu::open(None).unwrap();
     match kind {
@@ -88,6 +95,20 @@ fn training_takes_the_stated_bytes() {
     let per_splat = 332.0 + 48.0 * SH_TERMS + 4.0 * layers + TRAINING_PAIRS;
     // Texels and gradients have mips, the two moments have none. Room is made for half as many splats again.
     check(Kind::Training, [1.5 * per_splat, 16.0 * (2.0 * 341.0 / 256.0 + 2.0), 104.0 + 60.0 * layers]);
+}
+
+/// Parameters and moments of before lie beside the larger ones, but while what is made anew in every step does not.
+#[test]
+fn growing_takes_what_the_larger_buffers_take() {
+    let (before, after) = (40_000, 70_000);
+    let (scene, camera) = seen(before, 64, 64);
+    let gpu = Gpu::open(None).unwrap();
+    let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+    let sources: Vec<Source> = (0..after).map(|i| Source::new(i % before)).collect();
+    training.rearrange(&vec![0.0; after * GEOMETRY], &sources).unwrap();
+    let (grown, made) = (gpu.peak_bytes() as f64, peak(after, 64, 64, Kind::Training));
+    // The list of what goes where is no part of the account.
+    assert!((0.99..1.01).contains(&(grown / made)), "{grown} bytes, not {made}");
 }
 
 #[test]
