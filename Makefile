@@ -64,8 +64,8 @@ doc:
 test-rust: ## unit, integration and documentation tests
 	cargo test --release --no-fail-fast
 	@# Kernels for GPUs have other ways for subgroups of 4 and of 16 lanes; Mesa's software adapter makes them of 8 by itself.
-	LP_NATIVE_VECTOR_WIDTH=128 cargo test --release --lib -- gpu::tests::gradients_equal gpu::texel_tests
-	LP_NATIVE_VECTOR_WIDTH=512 cargo test --release --lib -- gpu::tests::gradients_equal gpu::texel_tests
+	LP_NATIVE_VECTOR_WIDTH=128 cargo test --release --lib -- gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
+	LP_NATIVE_VECTOR_WIDTH=512 cargo test --release --lib -- gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
 
 # Test files with a test that needs the shared data; all ignored tests of such a file run.
 DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs))

@@ -67,23 +67,18 @@ fn write(number: u32, moment: u32, sum: f32) {
 // sums by itself takes five. Of fewer lanes each has up to three; `places` says which.
 fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32) -> vec3f {
     let is_upper = (vec4u(lane) & vec4u(1u, 2u, 4u, 8u)) != vec4u(0u);
+    var of_splat: array<f32, MOMENTS>;
 //#for c in 0..MOMENTS
-    let of_splat$c = select(a[$c], b[$c], is_upper.x) + subgroupShuffleXor(select(b[$c], a[$c], is_upper.x), 1u);
+    of_splat[$c] = select(a[$c], b[$c], is_upper.x) + subgroupShuffleXor(select(b[$c], a[$c], is_upper.x), 1u);
 //#end
+//#for c in 0..HALF
+    let h$c = select(of_splat[$c], of_splat[$c + HALF], is_upper.y)
+        + subgroupShuffleXor(select(of_splat[$c + HALF], of_splat[$c], is_upper.y), 2u);
+//#end
+    // Of five the middle one has no other to give for.
 //#if ABSOLUTE
-    let h0 = select(of_splat0, of_splat6, is_upper.y) + subgroupShuffleXor(select(of_splat6, of_splat0, is_upper.y), 2u);
-    let h1 = select(of_splat1, of_splat7, is_upper.y) + subgroupShuffleXor(select(of_splat7, of_splat1, is_upper.y), 2u);
-    let h2 = select(of_splat2, of_splat8, is_upper.y) + subgroupShuffleXor(select(of_splat8, of_splat2, is_upper.y), 2u);
-    let h3 = select(of_splat3, of_splat9, is_upper.y) + subgroupShuffleXor(select(of_splat9, of_splat3, is_upper.y), 2u);
-    let h4 = select(of_splat4, of_splat10, is_upper.y) + subgroupShuffleXor(select(of_splat10, of_splat4, is_upper.y), 2u);
-    let h5 = select(of_splat5, of_splat11, is_upper.y) + subgroupShuffleXor(select(of_splat11, of_splat5, is_upper.y), 2u);
     let q2 = select(h2, h5, is_upper.z) + subgroupShuffleXor(select(h5, h2, is_upper.z), 4u);
 //#else
-    let h0 = select(of_splat0, of_splat5, is_upper.y) + subgroupShuffleXor(select(of_splat5, of_splat0, is_upper.y), 2u);
-    let h1 = select(of_splat1, of_splat6, is_upper.y) + subgroupShuffleXor(select(of_splat6, of_splat1, is_upper.y), 2u);
-    let h2 = select(of_splat2, of_splat7, is_upper.y) + subgroupShuffleXor(select(of_splat7, of_splat2, is_upper.y), 2u);
-    let h3 = select(of_splat3, of_splat8, is_upper.y) + subgroupShuffleXor(select(of_splat8, of_splat3, is_upper.y), 2u);
-    let h4 = select(of_splat4, of_splat9, is_upper.y) + subgroupShuffleXor(select(of_splat9, of_splat4, is_upper.y), 2u);
     let q2 = h2 + subgroupShuffleXor(h2, 4u);
 //#end
     let q0 = select(h0, h3, is_upper.z) + subgroupShuffleXor(select(h3, h0, is_upper.z), 4u);

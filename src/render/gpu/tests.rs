@@ -357,8 +357,9 @@ fn gradients_equal_the_reference() {
 /// The sums over pixels of |∂L/∂u| and |∂L/∂v| are those of pictures whose cotangent is 0 but for one pixel.
 #[test]
 fn absolute_gradients_are_those_of_every_pixel_alone() {
-    for subgroups in [true, false] {
+    for (subgroups, poses) in [(true, false), (false, false), (true, true), (false, true)] {
         let gpu = Gpu::open_restricted(None, subgroups).unwrap();
+        let gpu = if poses { gpu.posing_as_gpu() } else { gpu };
         let (scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
         let (cotangent, n) = (random_cotangent(&camera, 3), scene.splats.len());
         let frame = |(pipeline, backward): &mut (Pipeline, Backward), only: Option<usize>| -> Vec<f32> {

@@ -210,8 +210,12 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
     let splats = scene.splats.into_arrays();
     scene.splats = crate::scene::SplatArrays { log_scales: vec![Vec3::splat(3.0); 1000], ..splats }.check().unwrap();
     let near = camera(3.0).resized(64, 64);
-    for (subgroups, absolute) in [(true, false), (false, false), (true, true), (false, true)] {
-        let open = || Gpu::open_restricted(None, subgroups).unwrap();
+    let ways = [(true, false), (false, false), (true, true), (false, true)];
+    for ((subgroups, absolute), poses) in ways.into_iter().flat_map(|way| [(way, false), (way, true)]) {
+        let open = || {
+            let gpu = Gpu::open_restricted(None, subgroups).unwrap();
+            if poses { gpu.posing_as_gpu() } else { gpu }
+        };
         let [all, parts] = [open(), open().binding_at_most(256 << 10)].map(|gpu| {
             let mut training = stepped(&gpu, &scene, &[near], &near);
             if absolute {
@@ -222,7 +226,7 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
             learnt(&training)
         });
         assert!(all.0.geometry_m.iter().filter(|m| **m != 0.0).count() > 50);
-        assert!(all == parts, "subgroups {subgroups}, absolute {absolute}");
+        assert!(all == parts, "subgroups {subgroups}, absolute {absolute}, as a GPU {poses}");
     }
 }
 
