@@ -154,37 +154,32 @@ def main():
     arguments.add_argument("--iterations", type=int, default=7000)
     arguments.add_argument("--max-splats", type=int, default=300_000)
     arguments.add_argument("--start", metavar="FILE.ply", help="splats to begin with, all their bands in use, instead of the points")
-    arguments.add_argument("--normalize", action="store_true", help="scale the world so that the median camera is at a distance of 1 from their mean, as gsplat's example trainer does")
-    arguments.add_argument("--antialias", action="store_true")
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--json")
     options = arguments.parse_args()
     if options.iterations < 4 * WARM_UP:
         arguments.error(f"--iterations: expected at least {4 * WARM_UP}, as the first {WARM_UP} are not timed")
+    if not torch.cuda.is_available():
+        arguments.exit(1, "torch finds no NVIDIA GPU, which gsplat's kernels need\n")
     torch.manual_seed(options.seed)
 
     poses, intrinsics, photographs = read_views(options.capture, options.cameras)
     height, width = photographs.shape[1:3]
     centres = torch.linalg.inv(poses)[:, :3, 3]
-    scale = 1 / (centres - centres.mean(0)).norm(dim=1).median() if options.normalize else torch.tensor(1.0)
-    poses[:, :3, 3] *= scale
-    centres *= scale
     scene_scale = 1.1 * (centres - centres.mean(0)).norm(dim=1).max().item()
     points = Path(options.capture) / "sparse/0/points3D.bin"
     begin = read_ply(options.start) if options.start else initial_splats(*read_points(points))
-    begin["means"] *= scale.item()
-    begin["scales"] += scale.log().item()
     parameters, optimisers = optimised(begin, scene_scale)
     decay = torch.optim.lr_scheduler.ExponentialLR(optimisers["means"], gamma=0.01 ** (1 / options.iterations))
     strategy = MCMCStrategy(cap_max=options.max_splats)
     strategy.check_sanity(parameters, optimisers)
     state = strategy.initialize_state()
+
     def render(view, degree):
         colours = torch.cat([parameters["sh0"], parameters["shN"]], 1)
         return rasterization(
             parameters["means"], parameters["quats"], parameters["scales"].exp(), parameters["opacities"].sigmoid(), colours,
             poses[view : view + 1], intrinsics[view : view + 1], width, height, sh_degree=degree, packed=False,
-            rasterize_mode="antialiased" if options.antialias else "classic",
         )
 
     last = options.iterations - min(1000, options.iterations // 2)
@@ -232,8 +227,8 @@ def main():
     if options.json:
         Path(options.json).write_text(json.dumps(result, indent=1))
     export_splats(
-        parameters["means"] / scale, parameters["scales"] - scale.log(), parameters["quats"], parameters["opacities"], parameters["sh0"],
-        parameters["shN"], format="ply", save_to=options.out,
+        parameters["means"], parameters["scales"], parameters["quats"], parameters["opacities"], parameters["sh0"], parameters["shN"],
+        format="ply", save_to=options.out,
     )
 
 
