@@ -7,23 +7,28 @@
 //     ∂S/∂x = blur(g1) + 2d·blur(g2) + y·blur(g3),
 // with the slopes of S: g1 by the mean of x, g2 by blur(d²), g3 by blur(xy).
 //
-// A workgroup does one channel of a 16 × 48 tile. Rows are blurred from global memory (8 outputs per thread out of 18
-// loads), columns from workgroup memory (6 outputs out of 16 loads). Per pixel and channel:
-//   forward   5.4 cached loads, 1.2 × 16 B workgroup stores and 2.7 loads, 98 multiply-adds, 16 B written
-//   backward  2.7 cached 16 B loads, the same in workgroup memory, 73 multiply-adds, 4 B written
+// A workgroup does one channel of a 16 × 40 tile, and of the 5 pixels around it whatever windows reach. It brings these into workgroup
+// memory, threads in a row next to each other in the picture, so that every cache line is read once and whole; with a thread to a row
+// each would read lines of its own. Then rows are blurred (8 outputs a thread out of 18 inputs), in place, then columns (5 out of 15). Per
+// pixel and channel:
+//   forward   2.0 loads, in workgroup memory 1.0 + 1.3 × 16 B stored and 1.4 + 3 × 16 B loaded, 99 multiply-adds, 16 B written
+//   backward  2.0 loads of 16 B, in workgroup memory 1.6 + 1.3 × 16 B stored and 2.3 + 3 × 16 B loaded, 74 multiply-adds, 4 B written
 // Memory traffic is 20 + 48 B per pixel forward and 48 + 20 + 16 B backward: 79 MB at 960 × 540, some 16 µs at 5 TB/s.
 
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
 const WIDTH: u32 = 16u;                 // of a tile; as in loss.rs
-const HEIGHT: u32 = 48u;
+const HEIGHT: u32 = 40u;
 const REACH: u32 = 5u;
-const ROWS: u32 = 58u;                  // HEIGHT + 2·REACH
-const STRIDE: u32 = 17u;                // WIDTH and a gap: threads on successive rows hit different banks
+const ROWS: u32 = 50u;                  // HEIGHT + 2·REACH
+// Strides of rows, in vectors. Threads on successive rows hit different banks with each.
+const STRIDE: u32 = 17u;                // of what is blurred along x: WIDTH and a gap
+const PAIRS: u32 = 13u;                 // of two numbers of each of WIDTH + 2·REACH pixels, two pixels to a vector
+const QUADS: u32 = 7u;                  // of one number of each, four pixels to a vector
+const SINGLE: u32 = 650u;               // where these begin, after ROWS × PAIRS
 
-var<workgroup> rows: array<vec4f, 986>; // ROWS × STRIDE, blurred along x
-var<workgroup> sums: array<f32, 128>;
+var<workgroup> tile_memory: array<vec4f, 1000>;     // ROWS × (PAIRS + QUADS), then ROWS × STRIDE, then sums of threads
 
 struct Tile {
     corner: vec2u,
@@ -38,21 +43,33 @@ fn tile_of(group: u32) -> Tile {
     return Tile(vec2u(tile % across * WIDTH, tile / across * HEIGHT), group % 3u, tile < across * down);
 }
 
+// Of a tile's pixels and those around it by column and row. Wraps around above and left of the image, and is then outside, too.
+fn pixel_around(tile: Tile, column: u32, row: u32) -> vec2u { return tile.corner + vec2u(column, row) - REACH; }
+
+fn is_inside(at: vec2u) -> bool { return all(at < view.size); }
+
 // Sum over the workgroup's 128 threads; valid in thread 0.
 fn workgroup_sum(thread: u32, value: f32) -> f32 {
-    sums[thread] = value;
+    workgroupBarrier();                 // all threads have read their columns
+    tile_memory[thread].x = value;
     workgroupBarrier();
     if thread < 8u {
         var sum = 0.0;
-        for (var i = 0u; i < 16u; i++) { sum += sums[i * 8u + thread]; }
-        sums[thread] = sum;
+        for (var i = 0u; i < 16u; i++) { sum += tile_memory[i * 8u + thread].x; }
+        tile_memory[thread].x = sum;
     }
     workgroupBarrier();
     var total = 0.0;
     if thread == 0u {
-        for (var i = 0u; i < 8u; i++) { total += sums[i]; }
+        for (var i = 0u; i < 8u; i++) { total += tile_memory[i].x; }
     }
     return total;
+}
+
+// Rendered and true colour, zeros outside the image.
+fn compared(at: vec2u, channel: u32, background: f32) -> vec2f {
+    if !is_inside(at) { return vec2f(); }
+    return colors(at.y * view.size.x + at.x, channel, background).xy;
 }
 
 @compute @workgroup_size(128)
@@ -66,49 +83,66 @@ fn forward(
         if thread == 0u && index < arrayLength(&means) { means[index].x = 0.0; }
         return;
     }
-    let size = view.size;
     let background = view.background[tile.channel];
+
+    for (var i = thread; i < ROWS * PAIRS; i += 128u) {
+        let at = pixel_around(tile, i % PAIRS * 2u, i / PAIRS);
+        tile_memory[i] = vec4f(
+            compared(at, tile.channel, background), compared(at + vec2u(1u, 0u), tile.channel, background));
+    }
+    workgroupBarrier();
 
     let row = thread % 64u;
     let left = thread / 64u * 8u;
+    var blurred: array<vec4f, 8>;
     if row < ROWS {
-        // Wraps around above and left of the image, and is then outside, too.
-        let py = tile.corner.y + row - REACH;
-        let px = tile.corner.x + left - REACH;
         var v: array<vec4f, 18>;
-        //#for i in 0..18
-        v[$i] = vec4f();
-        if py < size.y && px + $iu < size.x {
-            v[$i] = maps_of(colors(py * size.x + px + $iu, tile.channel, background));
+        //#for i in 0..9
+        {
+            let pair = tile_memory[row * PAIRS + left / 2u + $iu];
+            v[2 * $i] = maps_of(pair.xy);
+            v[2 * $i + 1] = maps_of(pair.zw);
         }
         //#end
         //#for k in 0..8
-        rows[row * STRIDE + left + $ku] = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
+        blurred[$k] = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
             + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+        //#end
+    }
+    workgroupBarrier();
+    if row < ROWS {
+        //#for k in 0..8
+        tile_memory[row * STRIDE + left + $ku] = blurred[$k];
         //#end
     }
     workgroupBarrier();
 
     let column = thread % WIDTH;
-    let top = thread / WIDTH * 6u;
+    let top = thread / WIDTH * 5u;
     let at = tile.corner + vec2u(column, top);
-    let n_pixels = size.x * size.y;
+    let n_pixels = view.size.x * view.size.y;
     var sum = 0.0;
-    var v: array<vec4f, 16>;
-    //#for i in 0..16
-    v[$i] = rows[(top + $iu) * STRIDE + column];
+    var v: array<vec4f, 15>;
+    //#for i in 0..15
+    v[$i] = tile_memory[(top + $iu) * STRIDE + column];
     //#end
-    //#for k in 0..6
-    if at.x < size.x && at.y + $ku < size.y {
+    //#for k in 0..5
+    if is_inside(at + vec2u(0u, $ku)) {
         let m = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
             + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
         let s = ssim(m);
         sum += s.value;
-        slopes[tile.channel * n_pixels + (at.y + $ku) * size.x + at.x] = vec4f(s.slopes, 0.0);
+        slopes[tile.channel * n_pixels + (at.y + $ku) * view.size.x + at.x] = vec4f(s.slopes, 0.0);
     }
     //#end
     let total = workgroup_sum(thread, sum);
     if thread == 0u { means[index].x = total / f32(3u * n_pixels); }
+}
+
+// Slopes g1, g2, g3, zeros outside the image.
+fn slopes_at(at: vec2u, channel: u32) -> vec3f {
+    if !is_inside(at) { return vec3f(); }
+    return slopes[(channel * view.size.y + at.y) * view.size.x + at.x].xyz;
 }
 
 @compute @workgroup_size(128)
@@ -122,43 +156,72 @@ fn backward(
         if thread == 0u && index < arrayLength(&means) { means[index].y = 0.0; }
         return;
     }
-    let size = view.size;
     let background = view.background[tile.channel];
-    let n_pixels = size.x * size.y;
+    let n_pixels = view.size.x * view.size.y;
+
+    // Four pixels a thread: a vector is one thread's. Of the last four in a row there are two.
+    for (var i = thread; i < ROWS * QUADS; i += 128u) {
+        let quad = i % QUADS;
+        let row = i / QUADS;
+        let at = pixel_around(tile, 4u * quad, row);
+        let a = slopes_at(at, tile.channel);
+        let b = slopes_at(at + vec2u(1u, 0u), tile.channel);
+        var c = vec3f();
+        var d = vec3f();
+        tile_memory[row * PAIRS + 2u * quad] = vec4f(a.xy, b.xy);
+        if 2u * quad + 1u < PAIRS {
+            c = slopes_at(at + vec2u(2u, 0u), tile.channel);
+            d = slopes_at(at + vec2u(3u, 0u), tile.channel);
+            tile_memory[row * PAIRS + 2u * quad + 1u] = vec4f(c.xy, d.xy);
+        }
+        tile_memory[SINGLE + i] = vec4f(a.z, b.z, c.z, d.z);
+    }
+    workgroupBarrier();
 
     let row = thread % 64u;
     let left = thread / 64u * 8u;
+    var blurred: array<vec3f, 8>;
     if row < ROWS {
-        let py = tile.corner.y + row - REACH;
-        let px = tile.corner.x + left - REACH;
-        let first = tile.channel * n_pixels + py * size.x + px;
-        var v: array<vec3f, 18>;
-        //#for i in 0..18
-        v[$i] = vec3f();
-        if py < size.y && px + $iu < size.x { v[$i] = slopes[first + $iu].xyz; }
+        var v: array<vec3f, 20>;
+        //#for i in 0..5
+        {
+            // Of the last, half is not used.
+            let a = tile_memory[row * PAIRS + left / 2u + 2u * $iu];
+            let b = tile_memory[row * PAIRS + left / 2u + min(2u * $iu + 1u, 8u)];
+            let c = tile_memory[SINGLE + row * QUADS + left / 4u + $iu];
+            v[4 * $i] = vec3f(a.xy, c.x);
+            v[4 * $i + 1] = vec3f(a.zw, c.y);
+            v[4 * $i + 2] = vec3f(b.xy, c.z);
+            v[4 * $i + 3] = vec3f(b.zw, c.w);
+        }
         //#end
         //#for k in 0..8
-        rows[row * STRIDE + left + $ku] = vec4f(W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6])
-            + W2 * (v[$k + 3] + v[$k + 7]) + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9])
-            + W5 * (v[$k] + v[$k + 10]), 0.0);
+        blurred[$k] = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
+            + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+        //#end
+    }
+    workgroupBarrier();
+    if row < ROWS {
+        //#for k in 0..8
+        tile_memory[row * STRIDE + left + $ku] = vec4f(blurred[$k], 0.0);
         //#end
     }
     workgroupBarrier();
 
     let column = thread % WIDTH;
-    let top = thread / WIDTH * 6u;
+    let top = thread / WIDTH * 5u;
     let at = tile.corner + vec2u(column, top);
     let scale = 1.0 / f32(3u * n_pixels);
     var l1 = 0.0;
-    var v: array<vec3f, 16>;
-    //#for i in 0..16
-    v[$i] = rows[(top + $iu) * STRIDE + column].xyz;
+    var v: array<vec3f, 15>;
+    //#for i in 0..15
+    v[$i] = tile_memory[(top + $iu) * STRIDE + column].xyz;
     //#end
-    //#for k in 0..6
-    if at.x < size.x && at.y + $ku < size.y {
+    //#for k in 0..5
+    if is_inside(at + vec2u(0u, $ku)) {
         let g = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
             + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
-        let pixel = (at.y + $ku) * size.x + at.x;
+        let pixel = (at.y + $ku) * view.size.x + at.x;
         let c = colors(pixel, tile.channel, background);
         l1 += abs(c.x - c.y);
         gradient[4u * pixel + tile.channel] = loss_slope(c, g, scale);

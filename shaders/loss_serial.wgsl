@@ -49,7 +49,7 @@ fn forward(
         //#for i in 0..18
         {
             let px = strip.corner.x + $iu - REACH;
-            let maps = maps_of(colors(line + min(px, size.x - 1u), strip.channel, background));
+            let maps = maps_of(colors(line + min(px, size.x - 1u), strip.channel, background).xy);
             v[$i] = select(vec4f(), maps, py < size.y && px < size.x);
         }
         //#end

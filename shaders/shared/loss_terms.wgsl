@@ -60,8 +60,8 @@ fn ssim(mean: vec4f) -> Ssim {
     return Ssim(s, vec3f(2.0 * (m2 * (by_a - by_b) + md * s * (d - c)), -s * d, 2.0 * by_b));
 }
 
-// The four maps that are blurred.
-fn maps_of(c: vec3f) -> vec4f {
+// The four maps that are blurred, of rendered and true colour.
+fn maps_of(c: vec2f) -> vec4f {
     let d = c.x - c.y;
     return vec4f(c.y, d, d * d, c.x * c.y);
 }

@@ -15,7 +15,7 @@ struct Tiling {
 }
 
 /// A workgroup to a tile.
-const PARALLEL: Tiling = Tiling { file: "loss.wgsl", width: 16, height: 48, tiles_per_group: 1 };
+const PARALLEL: Tiling = Tiling { file: "loss.wgsl", width: 16, height: 40, tiles_per_group: 1 };
 /// A thread to a tile.
 const SERIAL: Tiling = Tiling { file: "loss_serial.wgsl", width: 8, height: 64, tiles_per_group: 32 };
 
@@ -239,7 +239,7 @@ mod tests {
     fn loss_and_gradient_match_the_definition() {
         let cases = [
             ([37, 101], TruthAlpha::Ignore),
-            ([16, 48], TruthAlpha::Composite),
+            ([16, 40], TruthAlpha::Composite),
             ([53, 20], TruthAlpha::Mask),
             ([3, 2], TruthAlpha::Ignore),
         ];
