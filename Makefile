@@ -33,7 +33,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -96,7 +96,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
 
-test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd bench-ray ## compare with programs of others from PyPI and npm (Python 3.11 with venv, Node 20; 11 GB)
+test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd oracle-tint bench-ray ## compare with programs of others from PyPI and npm (Python 3.11 with venv, Node 20; 11 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
@@ -174,6 +174,14 @@ oracle-splat-transform: ## splats that we convert by splat-transform, both ways
 
 oracle-usd: $(ORACLES_USD)/installed ## USD that we read and write by usd-core
 	CENTAUR_USD_PYTHON=$(abspath $(ORACLES_USD)/bin/python) cargo test --release --test usd_oracle -- --ignored
+
+# What tests compile, for software adapters and for GPUs, with subgroups and without.
+oracle-tint: ## kernels by Tint, the compiler of WGSL in Chrome (npm's webgpu, 130 MB; 2 minutes)
+	@rm -rf target/wgsl && mkdir -p target/wgsl target/oracles
+	cp tests/oracles/tint.mjs target/oracles
+	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . webgpu@0.6.2
+	CENTAUR_WGSL=$(abspath target/wgsl) cargo test --release --quiet --lib -- render::gpu
+	node target/oracles/tint.mjs target/wgsl
 
 # What our scripts do in Blender itself, two versions of it as modules of Python 3.11 (2.4 GB); libraries of X, which `bpy` is linked to.
 BLENDERS ?= 4.5.15 5.0.1

@@ -36,6 +36,8 @@ impl Kernel {
             // it is run. Storage it leaves alone.
             wgsl = wgsl.replace("var<uniform>", "var<storage, read>");
         }
+        #[cfg(test)]
+        keep(&wgsl, file, entry);
         let bindings = shader::bindings(&wgsl);
         let entries: Vec<_> = bindings
             .iter()
@@ -98,4 +100,16 @@ impl Kernel {
         });
         Bindings { group, _allocations: buffers.iter().map(|b| Arc::clone(&b.allocation)).collect() }
     }
+}
+
+/// Leaves what is compiled in the folder that CENTAUR_WGSL names, for `make oracle-tint`.
+#[cfg(test)]
+fn keep(wgsl: &str, file: &str, entry: &str) {
+    use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+
+    let Some(folder) = std::env::var_os("CENTAUR_WGSL") else { return };
+    let mut hasher = DefaultHasher::new();
+    wgsl.hash(&mut hasher);
+    let name = format!("{}-{entry}-{:016x}.wgsl", file.trim_end_matches(".wgsl"), hasher.finish());
+    std::fs::write(std::path::Path::new(&folder).join(name), wgsl).unwrap();
 }
