@@ -237,7 +237,7 @@ mod tests {
         let error = |json: &str| read(json).unwrap_err().to_string();
         let unsized_ = error(&format!(r#"{{ "fl_x": 30, "frames": {frames} }}"#));
         assert!(unsized_.ends_with("expected its image, or its size as w and h, found neither"), "{unsized_}");
-        let large = error(&format!(r#"{{ "fl_x": 30, "w": 1e9, "h": 9, "frames": {frames} }}"#));
+        let large = error(&format!(r#"{{ "fl_x": 1e9, "fl_y": 9, "w": 1e9, "h": 9, "frames": {frames} }}"#));
         assert!(large.contains("a side, found 500000000×4"), "{large}");
         assert!(
             error(&format!(r#"{{ {lens}, "frames": [] }}"#))

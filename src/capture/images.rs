@@ -189,7 +189,7 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     let mut rgba = image.into_rgba8();
     let has_alpha = rgba.pixels().any(|p| p[3] < 255);
     if let Some(path) = &source.mask {
-        let mask = mask(path, width, height)?;
+        let mask = mask(path, source.orientation, (width, height))?;
         for (pixel, m) in rgba.pixels_mut().zip(mask.pixels()) {
             // Rounded product of two fractions of 255.
             pixel[3] = ((u32::from(pixel[3]) * u32::from(m[0]) + 127) / 255) as u8;
@@ -206,16 +206,24 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     Ok(Photo { width, height, rgba, has_alpha, masked })
 }
 
-/// The mask at `path` in the size of its photograph.
-fn mask(path: &Path, width: u32, height: u32) -> Result<GrayImage, CaptureError> {
-    let (mut image, orientation) = pixels(path)?;
-    image.apply_orientation(orientation);
-    let size = (image.width(), image.height());
-    if !same_aspect(size, (width, height)) {
-        let expected = format!("the aspect ratio of its image, {width}×{height}");
-        return Err(CaptureError::invalid(path, "mask size", expected, format!("{}×{}", size.0, size.1)));
+/// The mask at `path` in the size of its photograph, which was turned by `orientation`: 255 where pixels count.
+fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> Result<GrayImage, CaptureError> {
+    let (mut image, own) = pixels(path)?;
+    let header = Header { size: (image.width(), image.height()), orientation: own };
+    // As its photograph: as stored, whatever EXIF says, or turned, by a note of its own or, where there is none, by the photograph's.
+    let stored = header.stored();
+    let turned = [header.upright(), stored, Header { orientation, ..header }.upright()];
+    let ways = if orientation == Orientation::NoTransforms { [stored, turned[0], stored] } else { turned };
+    let Some((turn, size)) = ways.into_iter().find(|way| same_aspect(way.1, (width, height))) else {
+        let (expected, (w, h)) = (format!("the aspect ratio of its image, {width}×{height}"), ways[0].1);
+        return Err(CaptureError::invalid(path, "mask size", expected, format!("{w}×{h}")));
+    };
+    image.apply_orientation(turn);
+    let mut mask = image.into_luma8();
+    // Of labels, 0 and 1: COLMAP takes whatever is not black for white.
+    if mask.iter().all(|v| *v <= 1) {
+        mask.iter_mut().for_each(|v| *v *= 255);
     }
-    let mask = image.into_luma8();
     if size == (width, height) {
         return Ok(mask);
     }
@@ -307,6 +315,50 @@ mod tests {
         // Orientation 3 is upside down, which no size tells.
         let photo = photo_of(&oriented(3), 16, 8, Downscale::Full).unwrap();
         assert!(photo.rgba[0] > 200 && photo.rgba[4 * (16 * 8 - 1)] < 50);
+    }
+
+    /// Whatever is done to a photograph because of its EXIF orientation, or not done, happens to its mask.
+    #[test]
+    fn masks_are_turned_as_their_photographs() {
+        // White at the top left, stored as the photograph, and upright where that is orientation 6.
+        let upright = || {
+            DynamicImage::ImageLuma8(GrayImage::from_fn(8, 16, |x, y| {
+                image::Luma([if x >= 4 && y < 8 { 255 } else { 0 }])
+            }))
+        };
+        for (photograph, mask, (width, height)) in [
+            (oriented(3), oriented(3), (16, 8)),
+            (oriented(6), oriented(6), (16, 8)),
+            (jpeg(), oriented(3), (16, 8)),
+            (oriented(6), oriented(6), (8, 16)),
+            (oriented(6), jpeg(), (8, 16)),
+            (oriented(6), png(&upright()), (8, 16)),
+        ] {
+            let folder = capture_of(&photograph, width, height);
+            std::fs::create_dir(folder.path().join("masks")).unwrap();
+            for name in ["00.png", "01.png"] {
+                std::fs::write(folder.path().join("masks").join(name), &mask).unwrap();
+            }
+            let options = LoadOptions { masks: true, ..LoadOptions::default() };
+            let photo = decode(&open(folder.path(), &options).unwrap().views[0]).unwrap();
+            let pixels = photo.rgba.chunks_exact(4);
+            assert!(pixels.clone().all(|p| (p[0] > 125) == (p[3] > 125)), "{width}×{height}");
+            assert_eq!(pixels.filter(|p| p[3] > 125).count(), 32, "{width}×{height}");
+        }
+    }
+
+    /// As COLMAP has it: what is not black counts.
+    #[test]
+    fn masks_of_labels_are_masks() {
+        let folder = capture_of(&jpeg(), 16, 8);
+        std::fs::create_dir(folder.path().join("masks")).unwrap();
+        for name in ["00.png", "01.png"] {
+            let labels = GrayImage::from_fn(16, 8, |x, _| image::Luma([u8::from(x < 5)]));
+            labels.save(folder.path().join("masks").join(name)).unwrap();
+        }
+        let options = LoadOptions { masks: true, ..LoadOptions::default() };
+        let photo = decode(&open(folder.path(), &options).unwrap().views[0]).unwrap();
+        assert!(photo.rgba.chunks_exact(4).enumerate().all(|(i, p)| p[3] == if i % 16 < 5 { 255 } else { 0 }));
     }
 
     #[test]

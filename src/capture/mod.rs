@@ -221,12 +221,14 @@ fn folder_of(file: &Path) -> &Path {
 }
 
 /// Size of the scene as INRIA 3DGS means it (`scene/dataset_readers.py`): 1.1 × the largest distance of a camera from the mean
-/// of all camera centres, in world units. 0 without cameras.
+/// of all camera centres, in world units. 0 without cameras, or where all are at one place.
 #[must_use]
 pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
     let centers: Vec<_> = cameras.into_iter().map(Camera::center).collect();
     let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
-    1.1 * centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)
+    let farthest = centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
+    // Centres follow from rotations and translations, and round.
+    if farthest <= 1e-12 * mean.length() { 0.0 } else { 1.1 * farthest }
 }
 
 #[cfg(test)]

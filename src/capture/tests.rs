@@ -3,11 +3,12 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use proptest::prelude::*;
 
 use super::*;
+use crate::scene::Intrinsics;
 
 /// A camera file with one camera.
 fn cameras_bin(model: i32, width: u64, height: u64, parameters: &[f64]) -> Vec<u8> {
@@ -265,7 +266,8 @@ fn transforms_in_opengl_axes() {
     std::fs::write(&file, frames(r#","k1":0.1,"p1":0.01,"test_filenames":["./train/r_1.png"]"#)).unwrap();
     let capture = open(&file, &full()).unwrap();
     let k = capture.views[1].camera.intrinsics();
-    assert_eq!((k.fx, k.fy, k.cx, k.cy), (5.0, 7.0, 4.5, 3.5));
+    // What a frame says of one axis it says of both, as in instant-ngp.
+    assert_eq!((k.fx, k.fy, k.cx, k.cy), (5.0, 5.0, 4.5, 3.5));
     let brown = Distortion::Brown { k: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.01, 0.0] };
     assert_eq!(capture.views[1].source.lens().distortion, brown);
     assert_eq!(Split::Every8th.split(&capture.views), (vec![0], vec![1]));
@@ -425,6 +427,54 @@ fn images_txt_without_its_empty_lines_is_refused() {
     assert!(message.contains("line 2: expected the 2-D points of the image above, or an empty line"), "{message}");
 }
 
+#[test]
+fn frames_have_lenses_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    write_transforms(folder.path(), 0.0);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file).unwrap();
+    // Pictures of 8×8; 90° are half of a side.
+    let focal = |of_file: &str, of_frame: &str| {
+        let own = format!(r#""file_path":"1.png",{of_frame}"#);
+        let text = text.replace(r#""fl_x":8"#, of_file).replace(r#""file_path":"1.png","#, &own);
+        std::fs::write(&file, text).unwrap();
+        open(&file, &full()).map(|capture| {
+            let k = capture.views[1].camera.intrinsics();
+            [k.fx, k.fy].map(|f| (f * 1e6).round() / 1e6)
+        })
+    };
+    let right = "1.5707963267948966";
+    for (of_file, of_frame, expected) in [
+        (r#""fl_x":8,"fl_y":9"#, String::new(), [8.0, 9.0]),
+        (r#""fl_x":8,"fl_y":9"#, format!(r#""camera_angle_x":{right},"#), [4.0, 4.0]),
+        (r#""fl_x":8,"fl_y":9"#, r#""fl_y":7,"#.into(), [7.0, 7.0]),
+        (r#""x_fov":90,"fl_x":8"#, String::new(), [4.0, 4.0]),
+        (r#""fl_x":8"#, format!(r#""camera_angle_x":{right},"fl_y":6,"#), [4.0, 6.0]),
+    ] {
+        assert_eq!(focal(of_file, &of_frame).unwrap(), expected, "{of_file} {of_frame}");
+    }
+    for angle in ["3.15", "40", "0", "-1"] {
+        let refusal = focal(&format!(r#""camera_angle_x":{angle}"#), "").unwrap_err().to_string();
+        assert!(refusal.contains("an angle of view between 0 and π radians"), "{refusal}");
+    }
+    let refusal = focal(r#""fl_x":8"#, r#""fl_x":1e300,"#).unwrap_err().to_string();
+    assert!(refusal.contains("focal length: expected 0.001 to 1000000 times the sides"), "{refusal}");
+    let refusal = focal(r#""fl_x":8,"latlong":true"#, "").unwrap_err().to_string();
+    assert!(refusal.contains("latlong"), "{refusal}");
+}
+
+#[test]
+fn a_photograph_is_one_view_however_its_path_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    write_transforms(folder.path(), 0.0);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file).unwrap();
+    for other in ["./0.png", ".//0.png", "././0.png"] {
+        std::fs::write(&file, text.replace(r#""1.png""#, &format!("\"{other}\""))).unwrap();
+        assert!(message(&file, &full()).contains("0.png twice"), "{}", message(&file, &full()));
+    }
+}
+
 /// Two frames of `transforms.json` from `x` on, the second with a mask.
 fn write_transforms(root: &Path, x: f64) {
     let frames: Vec<String> = [(0, ""), (1, r#""mask_path":"cut/out.png","#)]
@@ -477,4 +527,18 @@ fn scenes_too_far_away_for_floats_are_refused() {
     write_transforms(root, 5e6);
     let far = message(root, &full());
     assert!(far.contains("coordinates of 5000001, where they are 6.0e-1 apart, in a scene of 0.550"), "{far}");
+}
+
+/// As far as rounding tells.
+#[test]
+fn cameras_on_a_tripod_have_no_extent() {
+    let center = DVec3::new(7.1, -3.3, 2.7);
+    let cameras = (0..9).map(|i| {
+        let rotation = DMat3::from_rotation_y(0.3 * f64::from(i)) * DMat3::from_rotation_x(0.1 * f64::from(i));
+        let intrinsics = Intrinsics { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 };
+        Camera::new(intrinsics, rotation, -(rotation * center)).unwrap()
+    });
+    let cameras: Vec<Camera> = cameras.collect();
+    assert!(cameras.iter().any(|camera| camera.center() != cameras[0].center()));
+    assert_eq!(extent(&cameras), 0.0);
 }

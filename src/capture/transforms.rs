@@ -1,7 +1,8 @@
 //! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes.
 
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::f64::consts::PI;
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
@@ -54,6 +55,10 @@ struct LensFields {
     camera_model: Option<String>,
     is_fisheye: Option<bool>,
     ftheta_p0: Option<IgnoredAny>,
+    latlong: Option<bool>,
+    /// Degrees, as nothing else.
+    x_fov: Option<f64>,
+    y_fov: Option<f64>,
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
     fl_x: Option<f64>,
@@ -116,9 +121,10 @@ pub(super) fn load(
     Ok(Listed { frames, list, points, points_file: clouds.into_iter().next() })
 }
 
-/// `./train/r_0` is `train/r_0`.
-fn plain(name: &str) -> &str {
-    name.strip_prefix("./").unwrap_or(name)
+/// `./train//r_0` is `train/r_0`.
+fn plain(name: &str) -> String {
+    let parts = Path::new(name).components().filter(|part| *part != Component::CurDir);
+    parts.collect::<PathBuf>().to_string_lossy().into_owned()
 }
 
 /// Without `photographs`, names need not be those of files in the capture.
@@ -136,7 +142,7 @@ pub(super) fn parse(
     let trains = |name: &str| file.train_filenames.iter().flatten().any(|t| plain(t) == name);
     // Of neither list where there is one of what to train on: left out, as by nerfstudio, which also refuses names of no frame.
     let is_listed = |name: &str| !photographs || file.train_filenames.is_none() || trains(name) || tests(name);
-    let names: HashSet<&str> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
+    let names: HashSet<String> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
     let lists = file.train_filenames.iter().flatten().chain(&file.test_filenames).chain(&file.val_filenames);
     if let Some(name) = lists.map(|name| plain(name)).find(|name| photographs && !names.contains(name)) {
         return Err(CaptureError::invalid(path, "train_, test_ or val_filenames", "the file_path of a frame", name));
@@ -146,18 +152,18 @@ pub(super) fn parse(
         .frames
         .par_iter()
         .enumerate()
-        .filter(|(_, fields)| is_listed(plain(&fields.file_path)))
+        .filter(|(_, fields)| is_listed(&plain(&fields.file_path)))
         .map(|(i, fields)| {
             let name = plain(&fields.file_path);
             let at = format!("/frames/{i}");
-            let image = match (inside(path, &format!("{at}/file_path"), name), photographs) {
+            let image = match (inside(path, &format!("{at}/file_path"), &name), photographs) {
                 (Ok(name), _) => find_image(root, name, options),
                 (Err(e), true) => return Err(e),
                 // The name is only a name.
                 (Err(_), false) => PathBuf::new(),
             };
             let mask = match &fields.mask_path {
-                Some(mask) if photographs => Some(root.join(inside(path, &format!("{at}/mask_path"), plain(mask))?)),
+                Some(mask) if photographs => Some(root.join(inside(path, &format!("{at}/mask_path"), &plain(mask))?)),
                 _ => None,
             };
             let (rotation, translation) = world_to_camera(&fields.transform_matrix).ok_or_else(|| {
@@ -168,14 +174,14 @@ pub(super) fn parse(
             Ok(Frame {
                 lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
-                name: name.to_owned(),
+                held_out: held_out.or_else(|| own_split.then(|| tests(&name))),
+                name,
                 list: list.clone(),
                 at,
                 image,
                 mask,
                 rotation,
                 translation,
-                held_out: held_out.or_else(|| own_split.then(|| tests(name))),
                 sees: vec![],
             })
         })
@@ -188,7 +194,7 @@ pub(super) fn parse(
     }
     let points = match &file.ply_file_path {
         Some(name) if photographs && !options.without_points => {
-            Some(root.join(inside(path, "/ply_file_path", plain(name))?))
+            Some(root.join(inside(path, "/ply_file_path", &plain(name))?))
         }
         _ => None,
     };
@@ -221,6 +227,29 @@ pub(super) fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
     Some((rotation, -(rotation * column(3))))
 }
 
+/// Focal lengths of pictures of this size, (width, height), both in pixels, that a file or a frame gives, if it gives any.
+fn focal_lengths(
+    fields: &LensFields,
+    (w, h): (f64, f64),
+    path: &Path,
+    at: &str,
+) -> Result<Option<(f64, f64)>, CaptureError> {
+    let of_angle = |side: f64, angle: f64| {
+        let is_angle = angle > 0.0 && angle < PI;
+        is_angle.then(|| side / (2.0 * (angle / 2.0).tan())).ok_or_else(|| {
+            CaptureError::invalid(path, at, "an angle of view between 0 and π radians", format!("{angle} radians"))
+        })
+    };
+    let of_axis = |side, fov: Option<f64>, length: Option<f64>, angle: Option<f64>| match (fov, length) {
+        (Some(fov), _) => of_angle(side, fov.to_radians()).map(Some),
+        (None, Some(_)) => Ok(length),
+        (None, None) => angle.map(|angle| of_angle(side, angle)).transpose(),
+    };
+    let x = of_axis(w, fields.x_fov, fields.fl_x, fields.camera_angle_x)?;
+    let y = of_axis(h, fields.y_fov, fields.fl_y, fields.camera_angle_y)?;
+    Ok(x.or(y).zip(y.or(x)))
+}
+
 /// The lens of a frame, with the file's values where the frame has none of its own.
 fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Path) -> Result<Lens, CaptureError> {
     let value = |field: fn(&LensFields) -> Option<f64>| field(frame).or_else(|| field(file));
@@ -232,10 +261,12 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Pa
         _ => images::header(image)?.stored().1,
     };
     let (w, h) = (f64::from(width), f64::from(height));
-    let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
-    let fx = value(|l| l.fl_x).or_else(|| value(|l| l.camera_angle_x).map(|a| from_angle(w, a)));
-    let fx = fx.ok_or_else(|| CaptureError::invalid(path, at, "fl_x or camera_angle_x", "neither"))?;
-    let fy = value(|l| l.fl_y).or_else(|| value(|l| l.camera_angle_y).map(|a| from_angle(h, a))).unwrap_or(fx);
+    // What a frame says of one axis says it of both, as in instant-ngp.
+    let (fx, fy) = match focal_lengths(frame, (w, h), path, at)? {
+        None => focal_lengths(file, (w, h), path, at)?,
+        own => own,
+    }
+    .ok_or_else(|| CaptureError::invalid(path, at, "fl_x or camera_angle_x", "neither"))?;
     let cx = value(|l| l.cx).unwrap_or(w / 2.0);
     let cy = value(|l| l.cy).unwrap_or(h / 2.0);
     let intrinsics = Intrinsics { width, height, fx, fy, cx, cy };
@@ -249,6 +280,9 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Pa
     };
     if frame.ftheta_p0.is_some() || file.ftheta_p0.is_some() {
         return unsupported("ftheta");
+    }
+    if frame.latlong.or(file.latlong).unwrap_or(false) {
+        return unsupported("latlong");
     }
     let fisheye = frame.is_fisheye.or(file.is_fisheye).unwrap_or(false);
     let distortion = match model {

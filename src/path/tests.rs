@@ -218,7 +218,7 @@ fn degenerate_views_give_a_reason_or_a_path_but_no_nan() {
         }
     }
     let options = |fov_y| spline(&parallel, &Spline::default(), &Shot { fov_y: Some(fov_y), ..frames(3) });
-    assert!(options(1.0).is_ok() && options(f64::NAN).is_err() && options(PI).is_ok_and(|c| all_finite(&c)));
+    assert!(options(1.0).is_ok() && options(f64::NAN).is_err() && options(PI).is_err());
 }
 
 #[test]

@@ -1,6 +1,13 @@
+use std::ops::RangeInclusive;
+
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::SceneError;
+
+/// Focal lengths in sides of the image: angles of view from 179.9° down to a microradian. What is beyond is a mistake.
+const FOCAL_LENGTHS: RangeInclusive<f64> = 1e-3..=1e6;
+/// Principal points lie at most so many sides of the image away from its first corner: it may be cut out of a larger one.
+const FARTHEST_CENTER: f64 = 1e3;
 
 /// Pinhole intrinsics in pixels. Pixel (i, j) covers `[i, i+1)×[j, j+1)`; its centre is at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,18 +63,22 @@ impl Camera {
     /// Validates and takes intrinsics and the world→camera pose. The rotation is made orthonormal.
     ///
     /// # Errors
-    /// If a number is not finite, the image is empty, a focal length is not positive, or the matrix is not close
-    /// to a rotation (lengths and cosines of its axes within 1 % of 1 and 0, no mirroring).
+    /// If a number is not finite, the image is empty, a focal length is not between a thousandth and a million times its sides, the principal
+    /// point is farther away than a thousand of them, or the matrix is not close to a rotation (lengths and cosines of its axes within 1 % of 1 and 0, no mirroring).
     pub fn new(intrinsics: Intrinsics, rotation: DMat3, translation: DVec3) -> Result<Self, SceneError> {
         let k = &intrinsics;
         if k.width == 0 || k.height == 0 {
             return Err(SceneError::new("image size", "at least 1×1", format!("{}×{}", k.width, k.height)));
         }
-        if !(k.fx > 0.0 && k.fy > 0.0 && k.fx.is_finite() && k.fy.is_finite()) {
-            return Err(SceneError::new("focal length", "positive numbers", format!("{}, {}", k.fx, k.fy)));
+        let [width, height] = [k.width, k.height].map(f64::from);
+        if !(FOCAL_LENGTHS.contains(&(k.fx / width)) && FOCAL_LENGTHS.contains(&(k.fy / height))) {
+            let (least, most) = FOCAL_LENGTHS.into_inner();
+            let expected = format!("{least} to {most} times the sides of an image of {width}×{height}");
+            return Err(SceneError::new("focal length", expected, format!("{}, {}", k.fx, k.fy)));
         }
-        if !(k.cx.is_finite() && k.cy.is_finite()) {
-            return Err(SceneError::new("principal point", "finite numbers", format!("{}, {}", k.cx, k.cy)));
+        if !((k.cx / width).abs() <= FARTHEST_CENTER && (k.cy / height).abs() <= FARTHEST_CENTER) {
+            let expected = format!("at most {FARTHEST_CENTER} times the sides of an image of {width}×{height}");
+            return Err(SceneError::new("principal point", expected, format!("{}, {}", k.cx, k.cy)));
         }
         if !(rotation.is_finite() && translation.is_finite()) {
             return Err(SceneError::new(
