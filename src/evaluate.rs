@@ -65,8 +65,16 @@ pub fn evaluate(
 ) -> Result<Evaluation, EvaluateError> {
     let views = held_out(capture)?;
     let mut evaluator = Evaluator::new(gpu, scene, &views)?;
-    let scores: Result<_, _> = views.iter().map(|view| evaluator.compare(view)?.score(&view.name, lpips)).collect();
-    evaluator.finish(scores?)
+    let (mut scores, mut left_out) = (vec![], vec![]);
+    for view in views {
+        let comparison = evaluator.compare(view)?;
+        if comparison.is_empty {
+            left_out.push(view.name.clone());
+        } else {
+            scores.push(comparison.score(&view.name, lpips)?);
+        }
+    }
+    Ok(Evaluation { left_out, ..evaluator.finish(scores)? })
 }
 
 /// The views that scores are taken on: those that training leaves out, see [`Split::Every8th`].
@@ -140,6 +148,8 @@ pub struct Comparison {
     pub render: Rgb32FImage,
     /// A mask multiplied both.
     pub masked: bool,
+    /// It leaves nothing of them: both are black, and no score says anything.
+    pub is_empty: bool,
 }
 
 impl Comparison {
@@ -163,7 +173,8 @@ impl Comparison {
             let mask = if are_alike { expected(photo, p, background).1 } else { 1.0 };
             *render = Rgb(encoded(*rgb).map(|c| c * mask));
         }
-        Self { truth, render, masked: photo.masked }
+        let is_empty = photo.masked && photo.rgba.chunks_exact(4).all(|rgba| rgba[3] == 0);
+        Self { truth, render, masked: photo.masked, is_empty }
     }
 
     /// The scores of the view of this name.
@@ -214,7 +225,11 @@ mod tests {
         let plain = Comparison::new(&photo(false), &grey(0.5, 2), &white);
         assert_eq!(plain.truth.as_raw(), &[1.0, 1.0, 1.0, 0.0, 1.0, 0.0]);
         assert_eq!(plain.render.as_raw(), &[0.5; 6]);
-        assert!(masked.masked && !plain.masked);
+        assert!(masked.masked && !plain.masked && !masked.is_empty && !plain.is_empty);
+        // Of a mask that leaves nothing there is no score, which would be perfect; what is transparent shows the background.
+        let nothing = |masked| Photo { rgba: vec![9, 9, 9, 0, 9, 9, 9, 0], ..photo(masked) };
+        assert!(Comparison::new(&nothing(true), &grey(0.5, 2), &white).is_empty);
+        assert!(!Comparison::new(&nothing(false), &grey(0.5, 2), &white).is_empty);
         // Half is level 128: 127 from white in four channels, 128 from black in two.
         let squares = (4.0 * 127.0_f64.powi(2) + 2.0 * 128.0_f64.powi(2)) / 255.0_f64.powi(2);
         assert!((plain.psnr().unwrap() - -10.0 * (squares / 6.0).log10()).abs() < 1e-5, "{}", plain.psnr().unwrap());

@@ -159,17 +159,21 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     let files = details.folder.map(|folder| report_pictures(folder, capture)).transpose()?.unwrap_or_default();
     details.folder.map_or(Ok(()), shared::make_folder)?;
     let mut evaluator = Evaluator::new(gpu, scene, &views)?;
-    let (mut scores, mut pictures) = (vec![], vec![]);
+    let (mut scores, mut left_out, mut pictures) = (vec![], vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());
     for (i, view) in views.into_iter().enumerate() {
         let comparison = evaluator.compare(view)?;
-        let score = comparison.score(&view.name, details.lpips)?;
-        if let Some(file) = files.get(i) {
-            let sheet = side_by_side(&comparison.truth, &comparison.render)?;
-            pictures.push(Picture::new(caption(&score), &sheet).with_context(|| view.name.clone())?);
-            write_png(file, &sheet)?;
+        if comparison.is_empty {
+            left_out.push(view.name.clone());
+        } else {
+            let score = comparison.score(&view.name, details.lpips)?;
+            if let Some(file) = files.get(i) {
+                let sheet = side_by_side(&comparison.truth, &comparison.render)?;
+                pictures.push(Picture::new(caption(&score), &sheet).with_context(|| view.name.clone())?);
+                write_png(file, &sheet)?;
+            }
+            scores.push(score);
         }
-        scores.push(score);
         progress.advance();
     }
     progress.finish();
@@ -180,7 +184,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
         trained_on: details.training.and_then(|t| t.adapter.clone()).filter(|name| name != gpu.adapter()),
         ..evaluation.measured
     };
-    let evaluation = Evaluation { measured, ..evaluation };
+    let evaluation = Evaluation { measured, left_out, ..evaluation };
     if let Some(folder) = details.folder {
         let page = report::html(&Report {
             title: &capture.name,

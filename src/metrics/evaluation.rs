@@ -164,6 +164,9 @@ pub struct Evaluation {
     pub protocol: String,
     /// One score per held-out view.
     pub views: Vec<ViewScore>,
+    /// Held-out views of which masks leave nothing: they have no score.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<String>,
 }
 
 impl Evaluation {
@@ -182,6 +185,7 @@ impl Evaluation {
             measured,
             protocol: mean.map_or_else(String::new, |mean| mean.protocol()),
             views,
+            left_out: vec![],
         }
     }
 
@@ -202,6 +206,9 @@ impl Evaluation {
         let mib = |b: u64| format!("{} MiB", thousands(b.div_ceil(1 << 20)));
         rows.extend(m.peak_gpu_bytes.map(|b| ("peak GPU memory", mib(b))));
         rows.push(("adapter", m.adapter.clone()));
+        if !self.left_out.is_empty() {
+            rows.push(("left out", format!("{}, of which masks leave nothing", self.left_out.join(", "))));
+        }
         if let Some(mean) = &self.mean {
             rows.push(("PSNR of floats", format!("{:.3} dB", mean.psnr_float)));
             rows.extend(mean.ssim_valid.map(|s| ("SSIM, inside only", format!("{s:.4}"))));

@@ -369,8 +369,11 @@ impl Run<'_> {
             let view = &self.capture.views[i];
             let photo = self.photos.whole(view)?;
             let picture = training.render(&view.camera, composition.background, phase != Phase::Warmup)?;
-            // Photographs are as large as their cameras say.
-            scores.extend(Comparison::new(&photo, &picture, &composition).psnr());
+            let comparison = Comparison::new(&photo, &picture, &composition);
+            if !comparison.is_empty {
+                // Photographs are as large as their cameras say.
+                scores.extend(comparison.psnr());
+            }
         }
         Ok((!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64))
     }
