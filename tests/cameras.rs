@@ -219,6 +219,9 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
     std::fs::remove_file(at("film.mp4")).unwrap();
     let (code, said) = film(Some("echo 'Unknown encoder libx264' >&2; exit 1"));
     assert_eq!((code, &said[..]), (Some(1), "error: film.mp4: not made: ffmpeg: Unknown encoder libx264\n"));
+    // It is not who reads our output, and has not seen enough.
+    let (code, said) = film(Some("exec <&-"));
+    assert!(code == Some(1) && said.starts_with("error: ") && !at("film.mp4").exists(), "{code:?} {said}");
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert!(left.iter().all(|name| !name.to_string_lossy().starts_with(".centaur-")), "{left:?}");
 }

@@ -167,6 +167,20 @@ fn inputs_that_are_not_there_or_not_scenes() {
     assert!(line.contains("COLMAP") && line.contains("transforms"), "{line}");
 }
 
+#[cfg(unix)]
+#[test]
+fn names_that_json_cannot_hold_are_refused_before_any_work() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let name = std::ffi::OsStr::from_bytes(b"\xff.glb");
+    let of = |args: &[&str]| {
+        let output = common::centaur(folder.path()).arg("inspect").arg(name).args(args).output().unwrap();
+        (output.status.code(), stderr(&output))
+    };
+    assert_eq!(of(&["--json"]), (Some(2), "error: --json: expected names in UTF-8, found \u{fffd}.glb\n".to_owned()));
+    assert!(of(&[]).1.contains("No such file"));
+}
+
 #[test]
 fn outputs_that_cannot_be_written_are_found_before_any_work() {
     let folder = tempfile::tempdir().unwrap();

@@ -92,10 +92,30 @@ fn pictures_do_not_replace_photographs() {
         let line = refused(folder.path(), args);
         assert!(line.ends_with("other/images: holds photographs of the capture: expected another folder"), "{line}");
     }
+    // Cameras that are in the scene's own file do not say where photographs are.
+    run(folder.path(), "train capture -o s.glb --ply s.ply --no-mesh --iterations 1 --max-splats 50 --no-eval");
+    let line = refused(folder.path(), "render s.glb -o capture/images");
+    assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
     // Pictures of an earlier run are replaced, in the capture as anywhere.
     for _ in 0..2 {
         run(folder.path(), "render splats.ply --cameras capture -o capture/renders");
     }
+}
+
+#[test]
+fn splats_do_not_replace_the_points_that_they_begin_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 9, (16, 12));
+    run(folder.path(), "cameras convert capture -o capture/images/transforms.json");
+    let list = at("capture/images/transforms.json");
+    let text = std::fs::read_to_string(&list).unwrap().replacen('{', r#"{"ply_file_path":"points.ply","#, 1);
+    std::fs::write(&list, text).unwrap();
+    let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n\
+                  property uchar green\nproperty uchar blue\nend_header\n0 0 0 9 9 9\n0 0.1 0 9 9 9\n";
+    std::fs::write(at("capture/images/points.ply"), points).unwrap();
+    let line = refused(folder.path(), "train capture/images -o s.glb --ply capture/images/points.ply --iterations 1");
+    assert!(line.ends_with("points.ply, which would be lost"), "{line}");
 }
 
 #[test]

@@ -18,9 +18,11 @@ mod usage;
 mod validate;
 mod video;
 
+use std::ffi::OsString;
 use std::io::{self, Write as _};
 use std::process::ExitCode;
 
+use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
@@ -53,7 +55,21 @@ const WRONG_USAGE: u8 = 2;
 
 pub(crate) fn main() -> ExitCode {
     // What clap knows to be wrong usage ends here with exit code 2.
-    let result = match Cli::parse().command {
+    let command = Cli::parse().command;
+    let result = names_for_json(std::env::args_os()).and_then(|()| run(command));
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) if output::is_read_enough(&e) => ExitCode::SUCCESS,
+        Err(e) => {
+            // Nothing is left to be done if stderr is gone too.
+            let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
+            if usage::is_wrong(&e) { ExitCode::from(WRONG_USAGE) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+fn run(command: Command) -> Result<()> {
+    match command {
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
@@ -64,21 +80,17 @@ pub(crate) fn main() -> ExitCode {
         Command::Mesh(args) => mesh::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Devices(args) => devices::run(&args),
-    };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(e) if is_broken_pipe(&e) => ExitCode::SUCCESS,
-        Err(e) => {
-            // Nothing is left to be done if stderr is gone too.
-            let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
-            if usage::is_wrong(&e) { ExitCode::from(WRONG_USAGE) } else { ExitCode::FAILURE }
-        }
     }
 }
 
-/// Whoever read our output has seen enough: `centaur inspect scene.glb | head -3`.
-fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe)
+/// JSON has no way to write a name that is not UTF-8, and that is better said before anything is done.
+fn names_for_json(arguments: impl IntoIterator<Item = OsString>) -> Result<()> {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let is_asked_for = arguments.iter().any(|argument| argument == "--json");
+    match arguments.iter().find(|argument| is_asked_for && argument.to_str().is_none()) {
+        Some(name) => Err(usage::wrong(format!("--json: expected names in UTF-8, found {}", name.display()))),
+        None => Ok(()),
+    }
 }
 
 /// The chain of causes, outermost first, on one line. A cause that its effect already quotes is not repeated.

@@ -16,7 +16,22 @@ pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
 
 /// Prints `text` and a line end on stdout.
 pub(super) fn print(text: &str) -> Result<()> {
-    Ok(writeln!(io::stdout().lock(), "{}", without_codes(text))?)
+    write(format!("{}\n", without_codes(text)).as_bytes())
+}
+
+/// Writes `bytes` to stdout.
+pub(super) fn write(bytes: &[u8]) -> Result<()> {
+    Ok(io::stdout().lock().write_all(bytes).map_err(StdoutError)?)
+}
+
+/// Nobody takes what is printed, or it has no room.
+#[derive(Debug, thiserror::Error)]
+#[error("stdout: {0}")]
+struct StdoutError(#[source] io::Error);
+
+/// Whether whoever read our output has seen enough: `centaur inspect scene.glb | head -3`. Of other programs that stop reading it is an error.
+pub(super) fn is_read_enough(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<StdoutError>().is_some_and(|e| e.0.kind() == io::ErrorKind::BrokenPipe)
 }
 
 /// Prints a line on stderr that is no error; a reader that has gone away does not stop the command.

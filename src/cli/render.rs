@@ -238,9 +238,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let extension = if args.format() == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
-    if !is_embedded {
-        shared::spare_photographs(&written, source, &args.loading.options())?;
-    }
+    shared::spare_photographs(&written, source, &args.loading.options())?;
     let mut progress = Views::new(&args.messages, "rendering", cameras.len());
     let composition = rest.composition;
     let mut kept: Option<AnyRenderer<'_>> = None;

@@ -129,14 +129,19 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     Ok(CameraFile { cameras, fps, y_up, times, notes: vec![] })
 }
 
-/// Refuses to write `pictures` among photographs of the capture, a folder or `.json`, that the cameras of `path` come from.
+/// Refuses to write `pictures`, all in one folder, among photographs of the capture, a folder or `.json`, that the cameras of `path` come from, or of
+/// one that the folder is part of: cameras in a file do not say where their photographs are.
 pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &LoadOptions) -> Result<()> {
-    let is_capture = path.is_dir() || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     // In folders that are not there yet there are no photographs.
-    if !is_capture || !pictures.iter().any(|picture| picture.parent().is_some_and(Path::exists)) {
+    let Some(folder) = pictures.iter().find_map(|picture| picture.parent()?.canonicalize().ok()) else {
         return Ok(());
+    };
+    if path.is_dir() || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+        spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))?;
     }
-    spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))
+    // What cannot be read is none.
+    let around = folder.ancestors().take(2).filter_map(|place| capture::cameras(place, &LoadOptions::default()).ok());
+    around.into_iter().try_for_each(|own| spare_images(pictures, own.images.iter().map(PathBuf::as_path)))
 }
 
 /// Refuses to write `pictures` over any of the photographs `images`, or beside one, where they would be taken for more of them.

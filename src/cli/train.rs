@@ -333,6 +333,7 @@ impl Args {
     fn open(&self) -> Result<Capture> {
         let options = LoadOptions { without_points: self.no_points, ..self.loading.options() };
         let capture = capture::open(&self.capture, &options)?;
+        self.ply.as_deref().map_or(Ok(()), |ply| output::spare(ply, capture.points_file.as_deref()))?;
         match &capture.points_file {
             Some(file) if capture.points.is_empty() => bail!(
                 "{}: expected points, found none; --no-points begins with splats at random places that the cameras look at",

@@ -74,7 +74,7 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
         let reason = said.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("it does not say why");
         bail!("{}: not made: ffmpeg: {reason}", path.display());
     }
-    fed.context("ffmpeg")?;
+    fed.with_context(|| format!("{}: not made: ffmpeg stopped reading", path.display()))?;
     ensure!(temporary.metadata().with_context(named)?.len() > 0, "{}: not made: ffmpeg wrote nothing", path.display());
     temporary.persist(path).map_err(|e| e.error).with_context(named)
 }

@@ -7,7 +7,6 @@ mod table;
 mod work;
 
 use std::ffi::OsStr;
-use std::io::{self, Write as _};
 use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
@@ -156,7 +155,7 @@ fn list(job: &Job, args: &Args) -> Result<()> {
         line.extend(quoted(&word));
     }
     line.push(b'\n');
-    Ok(io::stdout().lock().write_all(&line)?)
+    output::write(&line)
 }
 
 /// For a shell.
