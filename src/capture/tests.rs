@@ -288,7 +288,7 @@ fn transforms_in_opengl_axes() {
     let missing = open(&file, &full()).unwrap_err().to_string();
     assert!(missing.contains("none.ply: "), "{missing}");
     for lists in [
-        r#","val_filenames":["train/r_0.png"]"#,
+        r#","test_filenames":null,"val_filenames":["train/r_0.png"]"#,
         r#","train_filenames":["train/r_1.png"],"val_filenames":["train/r_0.png"]"#,
     ] {
         std::fs::write(&file, frames(lists)).unwrap();

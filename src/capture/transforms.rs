@@ -21,11 +21,9 @@ struct Transforms {
     #[serde(flatten)]
     lens: LensFields,
     frames: Vec<FrameFields>,
-    #[serde(default)]
-    test_filenames: Vec<String>,
-    #[serde(default)]
-    val_filenames: Vec<String>,
     train_filenames: Option<Vec<String>>,
+    test_filenames: Option<Vec<String>>,
+    val_filenames: Option<Vec<String>>,
     fps: Option<f64>,
     /// What `centaur cameras` says besides.
     centaur: Option<Ours>,
@@ -137,13 +135,14 @@ pub(super) fn parse(
 ) -> Result<Parsed, CaptureError> {
     let file: Transforms =
         serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a transforms.json with frames", &e))?;
-    let own_split = file.train_filenames.is_some() || !file.test_filenames.is_empty() || !file.val_filenames.is_empty();
-    let tests = |name: &str| file.test_filenames.iter().chain(&file.val_filenames).any(|t| plain(t) == name);
+    let held_out_names = || file.test_filenames.iter().chain(&file.val_filenames).flatten();
+    let own_split = file.train_filenames.is_some() || held_out_names().next().is_some();
+    let tests = |name: &str| held_out_names().any(|t| plain(t) == name);
     let trains = |name: &str| file.train_filenames.iter().flatten().any(|t| plain(t) == name);
     // Of neither list where there is one of what to train on: left out, as by nerfstudio, which also refuses names of no frame.
     let is_listed = |name: &str| !photographs || file.train_filenames.is_none() || trains(name) || tests(name);
     let names: HashSet<String> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
-    let lists = file.train_filenames.iter().flatten().chain(&file.test_filenames).chain(&file.val_filenames);
+    let lists = file.train_filenames.iter().flatten().chain(held_out_names());
     if let Some(name) = lists.map(|name| plain(name)).find(|name| photographs && !names.contains(name)) {
         return Err(CaptureError::invalid(path, "train_, test_ or val_filenames", "the file_path of a frame", name));
     }

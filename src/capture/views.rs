@@ -96,7 +96,8 @@ pub(super) fn assemble(
         let masks = || frames.iter().filter_map(|f| f.mask.as_deref());
         all_exist(root, "masks", masks().map(|mask| (mask.strip_prefix(root).unwrap_or(mask), mask.is_file())))?;
         if masks().next().is_some() || folder.is_dir() {
-            all_exist(&folder, "masks", frames.iter().map(|f| (Path::new(&f.name), f.mask.is_some())))?;
+            let place = if folder.is_dir() { &folder } else { root };
+            all_exist(place, "masks", frames.iter().map(|f| (Path::new(&f.name), f.mask.is_some())))?;
         }
     }
     frames.into_par_iter().map(|frame| view(frame, options)).collect()

@@ -174,19 +174,19 @@ impl AroundArgs {
 pub(super) fn run(args: &Args) -> Result<()> {
     match &args.kind {
         Kind::Orbit { files, shot, around } => {
-            files.generate(shot, |views| path::orbit(views, &around.around(), &shot.shot()))
+            files.generate(shot, |views, _| path::orbit(views, &around.around(), &shot.shot()))
         }
         Kind::Spline { files, shot, keys, closed } => {
             let options = Spline { keys: keys.map(|n| n as usize), closed: *closed };
-            files.generate(shot, |views| {
+            files.generate(shot, |views, notes| {
                 if let Some(keys) = keys.filter(|&keys| keys as usize > views.len()) {
-                    output::note(&format!("--keys {keys}: all of {} are keys", output::counted(views.len(), "camera")));
+                    notes.push(format!("--keys {keys}: all of {} are keys", output::counted(views.len(), "camera")));
                 }
                 path::spline(views, &options, &shot.shot())
             })
         }
         Kind::Lemniscate { files, shot, around } => {
-            files.generate(shot, |views| path::lemniscate(views, &around.around(), &shot.shot()))
+            files.generate(shot, |views, _| path::lemniscate(views, &around.around(), &shot.shot()))
         }
         Kind::Convert { files, sampling } => files.write(files.read(&sampling.sampling())?),
     }
@@ -215,11 +215,16 @@ impl FileArgs {
         read_cameras(&self.source, sampling, &LoadOptions::default())
     }
 
-    fn generate(&self, shot: &ShotArgs, make: impl Fn(&[Camera]) -> Result<Vec<Camera>, PathError>) -> Result<()> {
+    /// `make` is given the cameras of the source, and where notes go.
+    fn generate(
+        &self,
+        shot: &ShotArgs,
+        make: impl FnOnce(&[Camera], &mut Vec<String>) -> Result<Vec<Camera>, PathError>,
+    ) -> Result<()> {
         // A path that SOURCE has of us gives way to this one; it is none of the cameras to go by.
-        let source = self.read(&Sampling { without_paths: self.with_scene, ..Sampling::default() })?;
+        let mut source = self.read(&Sampling { without_paths: self.with_scene, ..Sampling::default() })?;
         let views: Vec<Camera> = source.cameras.iter().map(|(_, camera)| *camera).collect();
-        let frames = match make(&views) {
+        let frames = match make(&views, &mut source.notes) {
             Err(e @ (PathError::NoFocus | PathError::Outwards)) => {
                 bail!("{}: {e} (--focus X,Y,Z)", self.source.display())
             }

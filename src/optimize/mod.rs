@@ -51,7 +51,7 @@ pub enum TrainError {
     #[error("{0}")]
     Resume(String),
     /// Nothing to train on.
-    #[error("{capture}: expected at least 2 views to train on and those held out (every 8th), found {found} in all")]
+    #[error("{capture}: expected at least 2 views to train on besides those held out, found {found} in all")]
     TooFewViews {
         /// Name of the capture.
         capture: String,
