@@ -102,7 +102,7 @@ impl Kernel {
     }
 }
 
-/// Leaves what is compiled in the folder that CENTAUR_WGSL names, for `make oracle-tint`.
+/// Leaves what is compiled in the folder that `CENTAUR_WGSL` names, for `make oracle-tint`.
 #[cfg(test)]
 fn keep(wgsl: &str, file: &str, entry: &str) {
     use std::hash::{DefaultHasher, Hash as _, Hasher as _};
