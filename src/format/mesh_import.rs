@@ -284,6 +284,8 @@ mod tests {
             "f 1//1 2//1 3//1\r\nv 0 0 0 1 1 1\r\nvn 0 0 1\r\nv 1 0 \\\r\n0\r\nv 0 1 0\r\nf -3 -2 -1\r\nl 1 2\r\n";
         let mesh = obj::parse(text.as_bytes()).and_then(Soup::finish).unwrap();
         assert_eq!((mesh.positions, mesh.triangles), (vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![[0, 1, 2]; 2]));
+        let marked = obj::parse(format!("\u{feff}v 2 0 0\n{}", text.replace("f 1//1 2//1 3//1", "f 1 3 4")).as_bytes());
+        assert_eq!(marked.and_then(Soup::finish).unwrap().positions[0], 2.0 * Vec3::X, "after a byte order mark");
         let part_without = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0\nf 1/1 2/1 3/1\nf 1 2 3\n";
         assert!(obj::parse(part_without.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.is_none());
     }

@@ -23,8 +23,10 @@ struct Obj {
 pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
     let (mut obj, mut soup) = (Obj::default(), Soup::default());
     let (mut names, mut material) = (HashMap::<String, usize>::new(), None);
-    let (mut offset, mut start, mut line) = (0, 0, String::new());
-    for raw in bytes.split_inclusive(|&b| b == b'\n').chain([&b""[..]]) {
+    // Editors of Windows put a mark before the first word.
+    let text = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes);
+    let (mut offset, mut start, mut line) = (bytes.len() - text.len(), 0, String::new());
+    for raw in text.split_inclusive(|&b| b == b'\n').chain([&b""[..]]) {
         if line.is_empty() {
             start = offset;
         }
