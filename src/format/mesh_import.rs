@@ -10,6 +10,7 @@ use glam::{Vec2, Vec3};
 use super::error::{Fault, FormatError, Location, read_file};
 use super::gltf::{Asset, Motion, Poses, placements, triangles};
 use super::ply::table;
+use super::polygon;
 
 /// A mesh without maps.
 #[derive(Clone, Debug, PartialEq)]
@@ -194,13 +195,13 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
             let has_own = texcoords.len() == 2 * polygon.len();
             // PLY has v upwards, as the programs do that write UVs into it.
             let own = |corner: usize| Vec2::new(texcoords[2 * corner] as f32, 1.0 - texcoords[2 * corner + 1] as f32);
-            for second in 1..polygon.len().saturating_sub(1) {
-                let fan = [0, second, second + 1];
-                triangles.push(fan.map(|corner| polygon[corner] as u32));
+            let outline: Vec<Vec3> = polygon.iter().map(|&v| positions[v as usize]).collect();
+            for triangle in polygon::triangles(&outline) {
+                triangles.push(triangle.map(|corner| polygon[corner] as u32));
                 if has_own {
-                    uvs.push(fan.map(own));
+                    uvs.push(triangle.map(own));
                 } else if uv_columns.is_some() {
-                    uvs.push(fan.map(|corner| vertex_uvs[polygon[corner] as usize]));
+                    uvs.push(triangle.map(|corner| vertex_uvs[polygon[corner] as usize]));
                 }
             }
             Ok(())
@@ -233,6 +234,21 @@ mod tests {
         assert_eq!(obj.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(obj.corner_uvs.as_ref().unwrap()[1][2], Vec2::new(0.0, 0.25), "v is flipped");
         assert_eq!(from_ply(QUAD_PLY.as_bytes()).and_then(Soup::finish).unwrap(), obj);
+    }
+
+    #[test]
+    fn concave_polygons_keep_their_area() {
+        let vertices = ["0 0 0", "2 0 0", "2 2 0", "1 .5 0", "0 2 0"];
+        let obj = format!("v {}\nf 1 2 3 4 5\n", vertices.join("\nv "));
+        let ply = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n\
+            element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+        let ply = format!("{ply}{}\n5 0 1 2 3 4\n", vertices.join("\n"));
+        for soup in [obj::parse(obj.as_bytes()), from_ply(ply.as_bytes())] {
+            let mesh = soup.and_then(Soup::finish).unwrap();
+            let corners = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize]));
+            let areas: Vec<f32> = corners.map(|[a, b, c]| 0.5 * (b - a).cross(c - a).z).collect();
+            assert!(areas.iter().all(|&a| a > 0.0) && areas.iter().sum::<f32>() == 2.5, "{areas:?}");
+        }
     }
 
     #[test]

@@ -17,6 +17,7 @@ pub mod mesh_import;
 pub mod mitsuba;
 mod placed;
 pub mod ply;
+mod polygon;
 mod record;
 mod scene_file;
 pub mod sog;

@@ -7,17 +7,17 @@ use glam::{Vec2, Vec3};
 
 use super::Soup;
 use crate::format::error::{Fault, Location, shown};
+use crate::format::polygon;
 
 /// A file while it is read. Indices may point to what follows, so that they are looked up at the end.
 #[derive(Default)]
 struct Obj {
     positions: Vec<Vec3>,
     texcoords: Vec<Vec2>,
-    triangles: Vec<[u32; 3]>,
-    /// Of the corners of the triangles; `None` where a face has none.
-    texcoord_indices: Vec<Option<[u32; 3]>>,
-    /// Offset of the face of each triangle.
-    places: Vec<usize>,
+    /// Position and texture coordinate, if it has one, of the corners of all faces, one after the other.
+    corners: Vec<(u32, Option<u32>)>,
+    /// Corners of each face and where it stands, an offset.
+    faces: Vec<(usize, usize)>,
 }
 
 pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
@@ -82,9 +82,8 @@ fn numbers<const N: usize>(words: &mut SplitAsciiWhitespace<'_>, start: usize, l
 }
 
 impl Obj {
-    /// Cuts a polygon into a fan. Points and lines leave nothing.
     fn face(&mut self, words: SplitAsciiWhitespace<'_>, start: usize) -> Result<(), Fault> {
-        let mut corners: Vec<(u32, Option<u32>)> = vec![];
+        let before = self.corners.len();
         for word in words {
             let mut parts = word.split('/');
             let vertex = parts.next().and_then(|text| index(text, self.positions.len()));
@@ -93,33 +92,35 @@ impl Obj {
             let (Some(vertex), Some(texcoord)) = (vertex, texcoord.map_or(Some(None), |t| t.map(Some))) else {
                 return Err(Fault::byte(start, "a face of indices as in an OBJ", shown(word.as_bytes())));
             };
-            corners.push((vertex, texcoord));
+            self.corners.push((vertex, texcoord));
         }
-        for second in 1..corners.len().saturating_sub(1) {
-            let fan = [corners[0], corners[second], corners[second + 1]];
-            self.triangles.push(fan.map(|(vertex, _)| vertex));
-            let texcoords = match fan.map(|(_, texcoord)| texcoord) {
-                [Some(a), Some(b), Some(c)] => Some([a, b, c]),
-                _ => None,
-            };
-            self.texcoord_indices.push(texcoords);
-            self.places.push(start);
-        }
+        self.faces.push((self.corners.len() - before, start));
         Ok(())
     }
 
+    /// Cuts polygons into triangles. Points and lines leave nothing.
     fn finish(self, mut soup: Soup) -> Result<Soup, Fault> {
-        for (triangle, &place) in self.triangles.iter().zip(&self.places) {
-            if let Some(&bad) = triangle.iter().find(|&&v| v as usize >= self.positions.len()) {
+        let uv = |i: u32| self.texcoords.get(i as usize).copied().unwrap_or(Vec2::NAN);
+        let (mut rest, mut uvs) = (&self.corners[..], vec![]);
+        for &(count, place) in &self.faces {
+            let (corners, after) = rest.split_at(count);
+            rest = after;
+            let position = |&(v, _): &(u32, _)| self.positions.get(v as usize).copied().ok_or(v);
+            let outline = corners.iter().map(position).collect::<Result<Vec<_>, _>>().map_err(|bad| {
                 let expected = format!("a face of the {} vertices in the OBJ", self.positions.len());
-                return Err(Fault::byte(place, expected, format!("vertex {}", u64::from(bad) + 1)));
+                Fault::byte(place, expected, format!("vertex {}", u64::from(bad) + 1))
+            })?;
+            for triangle in polygon::triangles(&outline) {
+                let corners = triangle.map(|corner| corners[corner]);
+                soup.triangles.push(corners.map(|(vertex, _)| vertex));
+                uvs.push(match corners.map(|(_, texcoord)| texcoord) {
+                    [Some(a), Some(b), Some(c)] => Some([a, b, c].map(uv)),
+                    _ => None,
+                });
             }
         }
-        let uv = |i: u32| self.texcoords.get(i as usize).copied().unwrap_or(Vec2::NAN);
-        let uvs: Option<Vec<[Vec2; 3]>> = self.texcoord_indices.iter().map(|t| t.map(|t| t.map(uv))).collect();
         soup.positions = self.positions;
-        soup.triangles = self.triangles;
-        soup.corner_uvs = uvs.unwrap_or_default();
+        soup.corner_uvs = uvs.into_iter().collect::<Option<_>>().unwrap_or_default();
         Ok(soup)
     }
 }

@@ -10,6 +10,7 @@ use super::names;
 use super::stage::Stage;
 use crate::format::error::Fault;
 use crate::format::placed::{Similarity, similarity, turned};
+use crate::format::polygon;
 use crate::scene::Mesh;
 
 /// Where the prim lies and which material is bound to it.
@@ -64,8 +65,10 @@ pub(super) fn read(
         }
         let (mut triangles, mut corner_uvs) = (vec![], vec![]);
         for &Face { index, first, count } in faces {
-            for i in 1..count.saturating_sub(1) {
-                let corners = [first, first + i, first + i + 1];
+            let outline: Vec<Vec3> =
+                polygons.corners[first..first + count].iter().map(|&v| polygons.points[v as usize]).collect();
+            for triangle in polygon::triangles(&outline) {
+                let corners = triangle.map(|corner| first + corner);
                 triangles.push(corners.map(|c| polygons.corners[c]));
                 let mut of_triangle = [Vec2::splat(0.5); 3];
                 if let Some(uvs) = &uvs {

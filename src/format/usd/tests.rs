@@ -315,6 +315,25 @@ def Mesh "M" {
 }
 
 #[test]
+fn concave_polygons_keep_their_area() {
+    let file = read_text(
+        r#"def Mesh "M" {
+    int[] faceVertexCounts = [5]
+    int[] faceVertexIndices = [0, 1, 2, 3, 4]
+    point3f[] points = [(0, 0, 0), (2, 0, 0), (2, 2, 0), (1, 0.5, 0), (0, 2, 0)]
+    uniform token subdivisionScheme = "none"
+}
+"#,
+    );
+    let mesh = &file.scene.meshes[0];
+    let corners = mesh.triangles().iter().map(|t| t.map(|v| mesh.positions()[v as usize]));
+    let areas: Vec<f32> = corners.map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).collect();
+    // A stage is in centimetres if nothing is said.
+    let unit = mesh.positions()[1].length() / 2.0;
+    assert!((areas.iter().sum::<f32>() / (unit * unit) - 2.5).abs() < 1e-5, "{areas:?}");
+}
+
+#[test]
 fn what_cannot_be_taken_over_is_refused_in_one_line() {
     let splats = |body: &str| format!("def ParticleField3DGaussianSplat \"S\" {{ {body} }}");
     let one = "point3f[] positions = [(0,0,0)] float3[] scales = [(1,1,1)] float[] opacities = [0.5] ";
