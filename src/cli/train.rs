@@ -138,8 +138,8 @@ pub(super) struct Args {
     #[arg(long, help_heading = OPTIMISATION)]
     no_points: bool,
 
-    /// Surface to use, in the coordinates of the poses: .glb, .gltf, .obj or .ply. Its vertices, triangles and UVs are kept as they
-    /// are; no shell is added [default: one made from the capture, see --surface]
+    /// Surface to use, in the coordinates of the poses: .glb, .gltf, .obj or .ply. Its vertices and triangles are kept as they
+    /// are, and so are UVs of one material, scaled where they leave 0..1; no shell is added [default: one made from the capture, see --surface]
     #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
     mesh: Option<PathBuf>,
     /// Splats alone
@@ -350,18 +350,21 @@ impl Args {
         name.into()
     }
 
-    fn mesh(&self, capture: &Capture) -> Result<MeshSource> {
+    /// Where the mesh comes from, and what its reader says of it.
+    fn mesh(&self, capture: &Capture) -> Result<(MeshSource, Vec<String>)> {
         let Some(file) = &self.mesh else {
-            return Ok(match (self.no_mesh, self.surface) {
+            let source = match (self.no_mesh, self.surface) {
                 (true, _) => MeshSource::None,
                 (false, Some(SurfaceOf::Splats)) => MeshSource::Splats,
                 (false, Some(SurfaceOf::Points)) => MeshSource::Points,
                 (false, None) => MeshSource::suited_to(capture),
-            });
+            };
+            return Ok((source, vec![]));
         };
         let mesh = mesh_import::read(file)?;
         let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
-        Ok(MeshSource::Given { surface, corner_uvs: mesh.corner_uvs })
+        let notes = mesh.notes.iter().map(|note| format!("{}: {note}", file.display())).collect();
+        Ok((MeshSource::Given { surface, corner_uvs: mesh.corner_uvs }, notes))
     }
 }
 
@@ -377,7 +380,7 @@ enum SurfaceOf {
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     let capture = args.open()?;
-    let mesh = args.mesh(&capture)?;
+    let (mesh, of_mesh) = args.mesh(&capture)?;
     let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
     let options = args.options();
@@ -403,6 +406,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         eval::report_pictures(folder, &capture)?;
     }
     let mut notes = before_training(args, &capture, &gpu, scores);
+    notes.extend(of_mesh);
     let aside = set_aside(args)?;
     notes.extend(aside.iter().map(|aside| {
         format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.display())

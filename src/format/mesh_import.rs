@@ -5,7 +5,7 @@ mod obj;
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
-use glam::{Vec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 
 use super::error::{Fault, FormatError, Location, read_file};
 use super::gltf::{Asset, Motion, Poses, placements, triangles};
@@ -21,9 +21,11 @@ pub struct ImportedMesh {
     /// Indices `[F]`; at least one triangle, and no triangle has the same vertex twice.
     pub triangles: Vec<[u32; 3]>,
     /// UVs `[F]` of the corners, v downwards, in 0..1; those that leave this square are scaled into it, evenly, so that
-    /// repeats of a tile get texels of their own. `None` if part of the mesh has none, or if they belong to several
-    /// materials: then they are not one atlas.
+    /// repeats of a tile get texels of their own. `None` if part of the mesh has none that are finite, or if they belong to
+    /// several materials: then they are not one atlas.
     pub corner_uvs: Option<Vec<[Vec2; 3]>>,
+    /// Why UVs of the file are not here, or not as they are there, one sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Reads a mesh; told apart by content, and by extension for `.obj`.
@@ -56,8 +58,8 @@ pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
 struct Soup {
     positions: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
-    /// As long as `triangles`, if no part lacks UVs.
-    corner_uvs: Vec<[Vec2; 3]>,
+    /// As long as `triangles`; `None` for those without UVs.
+    corner_uvs: Vec<Option<[Vec2; 3]>>,
     materials: BTreeSet<Option<usize>>,
     /// Vertices that are not finite, in order, and where they stand: no triangle may have them.
     unusable: Vec<(u32, Location)>,
@@ -71,7 +73,7 @@ impl Soup {
         &mut self,
         positions: impl IntoIterator<Item = Vec3>,
         triangles: &[[u32; 3]],
-        uvs: Option<Vec<[Vec2; 3]>>,
+        uvs: Option<Vec<Option<[Vec2; 3]>>>,
         material: Option<usize>,
         place: impl Fn(usize) -> Location,
     ) -> Result<(), Fault> {
@@ -83,25 +85,43 @@ impl Soup {
         let unusable = own.iter().enumerate().filter(|(_, p)| !p.is_finite());
         self.unusable.extend(unusable.map(|(i, _)| (first + i as u32, place(i))));
         self.triangles.extend(triangles.iter().map(|t| t.map(|v| v + first)));
-        self.corner_uvs.extend(uvs.unwrap_or_default());
+        match uvs {
+            Some(uvs) => self.corner_uvs.extend(uvs),
+            None => self.corner_uvs.resize(self.triangles.len(), None),
+        }
         self.materials.insert(material);
         Ok(())
     }
 
+    /// The UVs, if they are one atlas, and what there is to say if they are not, or not as they were.
+    fn atlas(&self) -> (Option<Vec<[Vec2; 3]>>, Option<String>) {
+        let mut uvs: Vec<[Vec2; 3]> = self.corner_uvs.iter().flatten().copied().collect();
+        let (all, given, materials) = (self.triangles.len(), uvs.len(), self.materials.len());
+        let usable = uvs.iter().filter(|uvs| uvs.iter().all(|uv| uv.is_finite())).count();
+        let why_not = if given == 0 {
+            return (None, None);
+        } else if given < all {
+            format!("{} of {all} triangles have none", all - given)
+        } else if usable < all {
+            format!("those of {} of {all} triangles are not finite or not there", all - usable)
+        } else if materials > 1 {
+            format!("they are of {materials} materials")
+        } else {
+            let note = scale_into_square(uvs.as_flattened_mut());
+            return (Some(uvs), note);
+        };
+        (None, Some(format!("its UVs are not kept, it is unwrapped anew: {why_not}")))
+    }
+
     fn finish(self) -> Result<ImportedMesh, Fault> {
-        let mut corner_uvs = self.corner_uvs;
-        let corners = corner_uvs.as_flattened();
-        let one_atlas = corner_uvs.len() == self.triangles.len()
-            && self.materials.len() <= 1
-            && corners.iter().all(|uv| uv.is_finite());
-        let low = corners.iter().copied().fold(Vec2::ZERO, Vec2::min);
-        let high = corners.iter().copied().fold(Vec2::ONE, Vec2::max);
-        if one_atlas && (low, high) != (Vec2::ZERO, Vec2::ONE) {
-            let extent = (high - low).max_element();
-            corner_uvs.as_flattened_mut().iter_mut().for_each(|uv| *uv = (*uv - low) / extent);
-        }
+        let (uvs, note) = self.atlas();
         let mut index: HashMap<[u32; 3], u32> = HashMap::new();
-        let mut mesh = ImportedMesh { positions: vec![], triangles: vec![], corner_uvs: one_atlas.then(Vec::new) };
+        let mut mesh = ImportedMesh {
+            positions: vec![],
+            triangles: vec![],
+            corner_uvs: uvs.as_ref().map(|_| vec![]),
+            notes: note.into_iter().collect(),
+        };
         for (f, triangle) in self.triangles.iter().enumerate() {
             let mut welded = *triangle;
             for v in &mut welded {
@@ -120,8 +140,8 @@ impl Soup {
             let [a, b, c] = welded;
             if a != b && b != c && c != a {
                 mesh.triangles.push(welded);
-                if let Some(uvs) = &mut mesh.corner_uvs {
-                    uvs.push(corner_uvs[f]);
+                if let (Some(kept), Some(uvs)) = (&mut mesh.corner_uvs, &uvs) {
+                    kept.push(uvs[f]);
                 }
             }
         }
@@ -136,6 +156,18 @@ impl Soup {
     }
 }
 
+/// Scales UVs that leave 0..1 into it, and says so.
+fn scale_into_square(uvs: &mut [Vec2]) -> Option<String> {
+    let low = uvs.iter().copied().fold(Vec2::ZERO, Vec2::min).as_dvec2();
+    let high = uvs.iter().copied().fold(Vec2::ONE, Vec2::max).as_dvec2();
+    if (low, high) == (DVec2::ZERO, DVec2::ONE) {
+        return None;
+    }
+    let extent = (high - low).max_element();
+    uvs.iter_mut().for_each(|uv| *uv = ((uv.as_dvec2() - low) / extent).as_vec2());
+    Some(format!("its UVs leave 0..1: they are scaled into it, by 1/{:?}", extent as f32))
+}
+
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
     let mut soup = Soup { faces: Some(Location::Pointer("/meshes".to_owned())), ..Soup::default() };
@@ -147,7 +179,7 @@ fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
             let Some(t) = triangles::read((asset, &motion), &mut poses, (&node, transform), &primitive, 0)? else {
                 continue;
             };
-            let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| t.map(|v| uvs[v as usize])).collect());
+            let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| Some(t.map(|v| uvs[v as usize]))).collect());
             let mesh = node.mesh().map_or(0, |m| m.index());
             let place = Location::Pointer(format!("/meshes/{mesh}/primitives/{}", primitive.index()));
             soup.add(t.positions, &t.triangles, uvs, primitive.material().index(), |_| place.clone())?;
@@ -198,11 +230,8 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
             let outline: Vec<Vec3> = polygon.iter().map(|&v| positions[v as usize]).collect();
             for triangle in polygon::triangles(&outline) {
                 triangles.push(triangle.map(|corner| polygon[corner] as u32));
-                if has_own {
-                    uvs.push(triangle.map(own));
-                } else if uv_columns.is_some() {
-                    uvs.push(triangle.map(|corner| vertex_uvs[polygon[corner] as usize]));
-                }
+                let of_vertices = || uv_columns.map(|_| triangle.map(|corner| vertex_uvs[polygon[corner] as usize]));
+                uvs.push(if has_own { Some(triangle.map(own)) } else { of_vertices() });
             }
             Ok(())
         },
@@ -259,14 +288,37 @@ mod tests {
     }
 
     #[test]
-    fn uvs_that_tile_are_scaled_and_those_of_two_materials_dropped() {
+    fn uvs_that_tile_are_scaled() {
         let tiled = QUAD_OBJ.replace("vt 1 1", "vt 1 3");
-        let uvs = obj::parse(tiled.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.unwrap();
+        let mesh = obj::parse(tiled.as_bytes()).and_then(Soup::finish).unwrap();
         // v = 3 is −2 downwards: of −2..1, 3 long, the top; u keeps its proportion.
-        assert_eq!(uvs[0], [Vec2::new(0.0, 1.0), Vec2::new(1.0 / 3.0, 1.0), Vec2::new(1.0 / 3.0, 0.0)]);
-        let mut two = obj::parse(QUAD_OBJ.as_bytes()).unwrap();
-        two.materials.insert(Some(7));
-        assert!(two.finish().unwrap().corner_uvs.is_none());
+        let expected = [Vec2::new(0.0, 1.0), Vec2::new(1.0 / 3.0, 1.0), Vec2::new(1.0 / 3.0, 0.0)];
+        assert_eq!(mesh.corner_uvs.unwrap()[0], expected);
+        assert_eq!(mesh.notes, ["its UVs leave 0..1: they are scaled into it, by 1/3.0"]);
+        let widest = QUAD_OBJ.replace("vt 1 1", "vt 3e38 -3e38");
+        let uvs = obj::parse(widest.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.unwrap();
+        assert!(uvs.as_flattened().iter().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0), "{uvs:?}");
+    }
+
+    #[test]
+    fn uvs_that_are_not_kept_are_noted() {
+        let noted = |soup: Result<Soup, Fault>| {
+            let mesh = soup.and_then(Soup::finish).unwrap();
+            assert_eq!(mesh.corner_uvs, None);
+            let [note] = &mesh.notes[..] else { panic!("{:?}", mesh.notes) };
+            note.strip_prefix("its UVs are not kept, it is unwrapped anew: ").unwrap().to_owned()
+        };
+        let noted_obj = |text: &str| noted(obj::parse(text.as_bytes()));
+        let face = "f 1/1 2/2 3/3 4/4\n";
+        let two = QUAD_OBJ.replace(face, &format!("usemtl a\n{face}usemtl b\n{face}"));
+        assert_eq!(noted_obj(&two), "they are of 2 materials");
+        assert_eq!(noted_obj(&format!("{QUAD_OBJ}f 1 2 3\n")), "1 of 3 triangles have none");
+        let lost = "those of 1 of 2 triangles are not finite or not there";
+        assert_eq!(noted_obj(&QUAD_OBJ.replace("4/4", "4/5")), lost);
+        assert_eq!(noted_obj(&QUAD_OBJ.replace("vt 0 0.75", "vt nan 0")), lost);
+        assert_eq!(noted(from_ply(QUAD_PLY.replace("0 0.75", "0 nan").as_bytes())), lost);
+        let bare = obj::parse(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").and_then(Soup::finish).unwrap();
+        assert!(bare.notes.is_empty(), "there were none");
     }
 
     #[test]

@@ -101,7 +101,7 @@ impl Obj {
     /// Cuts polygons into triangles. Points and lines leave nothing.
     fn finish(self, mut soup: Soup) -> Result<Soup, Fault> {
         let uv = |i: u32| self.texcoords.get(i as usize).copied().unwrap_or(Vec2::NAN);
-        let (mut rest, mut uvs) = (&self.corners[..], vec![]);
+        let mut rest = &self.corners[..];
         for &(count, place) in &self.faces {
             let (corners, after) = rest.split_at(count);
             rest = after;
@@ -113,14 +113,13 @@ impl Obj {
             for triangle in polygon::triangles(&outline) {
                 let corners = triangle.map(|corner| corners[corner]);
                 soup.triangles.push(corners.map(|(vertex, _)| vertex));
-                uvs.push(match corners.map(|(_, texcoord)| texcoord) {
+                soup.corner_uvs.push(match corners.map(|(_, texcoord)| texcoord) {
                     [Some(a), Some(b), Some(c)] => Some([a, b, c].map(uv)),
                     _ => None,
                 });
             }
         }
         soup.positions = self.positions;
-        soup.corner_uvs = uvs.into_iter().collect::<Option<_>>().unwrap_or_default();
         Ok(soup)
     }
 }
