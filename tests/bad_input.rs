@@ -232,6 +232,34 @@ fn meshes_without_triangles() {
     }
 }
 
+#[test]
+fn surfaces_without_room_name_their_file() {
+    let folder = folder_with_capture(8);
+    let apart = |i: i32| format!("v {i} 0 0\nv {i}.5 0 0\nv {i} 1 0\nf -3 -2 -1\n");
+    std::fs::write(folder.path().join("apart.obj"), (0..200).map(apart).collect::<String>()).unwrap();
+    let line = failure(folder.path(), &mut train(folder.path(), ["--mesh", "apart.obj", "--texture-size", "16"]));
+    assert!(line.starts_with("error: apart.obj: making the mesh: unwrap: expected the 200 charts "), "{line}");
+    assert!(line.ends_with("; see --texture-size"), "{line}");
+
+    edit(&folder.path().join("capture/sparse/0/points3D.txt"), |_| "1 0 0 0 1 2 3 0.1\n".to_owned());
+    let line = failure(folder.path(), centaur(folder.path()).args(["mesh", "capture", "-o", "s.glb"]));
+    assert!(line.starts_with("error: capture: surface: expected triangles after lifting "), "{line}");
+}
+
+#[test]
+fn uvs_of_a_mesh_that_are_not_kept_are_noted() {
+    let folder = folder_with_capture(8);
+    let vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n";
+    for (material, notes) in
+        [("a", ""), ("b", "note: mesh.obj: its UVs are not kept, it is unwrapped anew: they are of 2 materials\n")]
+    {
+        let faces = format!("usemtl a\nf 1/1 2/2 3/3\nusemtl {material}\nf 2/2 4/4 3/3\n");
+        std::fs::write(folder.path().join("mesh.obj"), [vertices, &faces].concat()).unwrap();
+        let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
+        assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), notes));
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn folders_that_take_no_files() {

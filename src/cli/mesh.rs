@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
 use centaur::geometry::{
@@ -100,7 +100,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
             let mut views = Views::new(&args.messages, "fusing", capture.views.len());
             let (triangles, planar) = (args.triangles, args.planar.is_auto());
             let (surface, steps) =
-                surface_from_splats(&gpu, &scene, &capture, triangles, planar, |view| views.reach(view + 1))?;
+                surface_from_splats(&gpu, &scene, &capture, triangles, planar, |view| views.reach(view + 1))
+                    .with_context(|| splats.display().to_string())?;
             views.finish();
             (surface, steps, SurfaceOrigin::Splats)
         }
@@ -116,7 +117,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let compared = truth.as_ref().map(compare).transpose()?;
     let charts_in = steps.contraction.map(ChartSpace::unbounded);
-    let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), args.texture_size)?;
+    let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), args.texture_size).map_err(|e| {
+        let source = args.mesh.as_ref().or(args.splats.as_ref()).unwrap_or(&args.capture);
+        anyhow!("{}: {e}; see --texture-size and --triangles", source.display())
+    })?;
     let charts = unwrapped.stats;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
     let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
@@ -233,7 +237,8 @@ fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats,
     );
     let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
     let views: Vec<PointView> = capture.views.iter().map(view).collect();
-    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar.is_auto())?;
+    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar.is_auto())
+        .with_context(|| args.capture.display().to_string())?;
     if !args.messages.json && !args.messages.quiet {
         let SparseStats { views, guessed, lifted, clear, .. } = steps;
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;

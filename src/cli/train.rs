@@ -430,7 +430,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             output::note(&format!("{}: is back, since this run left none", args.checkpoint().display()));
         }
     }
-    let trained = trained.map_err(with_advice)?;
+    let trained = trained.map_err(|error| with_advice(error, args))?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         return report_interruption(args, &notes);
     }
@@ -627,13 +627,18 @@ fn evaluate(
 }
 
 /// The failure, and what of this command changes it.
-fn with_advice(error: TrainError) -> anyhow::Error {
-    let advice = match &error {
-        TrainError::Gpu(e) if e.is_lack_of_memory() => "see --max-splats, --texture-size and --downscale",
-        TrainError::Geometry(_) => "--no-mesh trains splats alone, --mesh FILE takes yours",
-        _ => return error.into(),
-    };
-    anyhow!("{error}; {advice}")
+fn with_advice(error: TrainError, args: &Args) -> anyhow::Error {
+    match (&error, &args.mesh) {
+        (TrainError::Gpu(e), _) if e.is_lack_of_memory() => {
+            anyhow!("{error}; see --max-splats, --texture-size and --downscale")
+        }
+        (TrainError::Geometry(_), Some(mesh)) => anyhow!("{}: {error}; see --texture-size", mesh.display()),
+        (TrainError::Geometry(_), None) => {
+            let capture = args.capture.display();
+            anyhow!("{capture}: {error}; --no-mesh trains splats alone, --mesh FILE takes yours")
+        }
+        _ => error.into(),
+    }
 }
 
 /// The flag that the trainer polls, set by Ctrl-C and, on Unix, by a termination. A second of them does what it does to any program, as does
