@@ -112,10 +112,14 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, CaptureError> {
     std::fs::read(path).map_err(|source| CaptureError::Io { path: path.into(), source })
 }
 
-/// The text of `path`.
+/// The text of `path`, without the byte order mark that editors of Windows put before it.
 pub(super) fn read_text(path: &Path) -> Result<String, CaptureError> {
-    String::from_utf8(read(path)?).map_err(|e| {
+    let mut text = String::from_utf8(read(path)?).map_err(|e| {
         let at = format!("byte {}", e.utf8_error().valid_up_to());
         CaptureError::invalid(path, at, "UTF-8 text", "other bytes")
-    })
+    })?;
+    if text.starts_with('\u{feff}') {
+        text.remove(0);
+    }
+    Ok(text)
 }

@@ -232,4 +232,6 @@ pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
 }
 
 #[cfg(test)]
+mod colmap_tests;
+#[cfg(test)]
 mod tests;

@@ -70,6 +70,24 @@ pub(super) fn write_capture(root: &Path, count: usize, width: u32, height: u32) 
     }
 }
 
+/// The capture of three images of 20×10 pixels with a model in text.
+pub(super) fn write_text_capture(root: &Path) {
+    write_capture(root, 3, 20, 10);
+    let sparse = root.join("sparse/0");
+    for stem in ["cameras", "images", "points3D"] {
+        std::fs::remove_file(sparse.join(format!("{stem}.bin"))).unwrap();
+    }
+    std::fs::write(sparse.join("cameras.txt"), "# comment\n7 PINHOLE 20 10 20 20 10 5\n").unwrap();
+    let mut images = String::from("# comment\n");
+    for i in [2, 0, 1] {
+        // The second lines: empty, and one observation.
+        write!(images, "{} 1 0 0 0 {} 0 0 7 {i:02}.png\n{}\n", i + 1, -i, ["", "1.5 2.5 -1"][i as usize % 2]).unwrap();
+    }
+    std::fs::write(sparse.join("images.txt"), images).unwrap();
+    let points = "1 0 2 5 10 20 30 0.5 1 0\n2 1 2 5 10 20 30 0.5\n3 2 2 5 10 20 30 0.5\n";
+    std::fs::write(sparse.join("points3D.txt"), points).unwrap();
+}
+
 /// The message of the error that opening `root` gives, which must be one line.
 fn message(root: &Path, options: &LoadOptions) -> String {
     let message = open(root, options).expect_err("must be refused").to_string();
@@ -77,7 +95,7 @@ fn message(root: &Path, options: &LoadOptions) -> String {
     message
 }
 
-fn full() -> LoadOptions {
+pub(super) fn full() -> LoadOptions {
     LoadOptions::default()
 }
 
@@ -92,19 +110,7 @@ fn binary_and_text_say_the_same() {
     assert_eq!(binary.views[2].camera.center(), DVec3::new(2.0, 0.0, 0.0));
     assert!((extent(binary.views.iter().map(|v| &v.camera)) - 1.1).abs() < 1e-12);
 
-    let sparse = root.join("sparse/0");
-    for stem in ["cameras", "images", "points3D"] {
-        std::fs::remove_file(sparse.join(format!("{stem}.bin"))).unwrap();
-    }
-    std::fs::write(sparse.join("cameras.txt"), "# comment\n7 PINHOLE 20 10 20 20 10 5\n").unwrap();
-    let mut images = String::from("# comment\n");
-    for i in [2, 0, 1] {
-        // The second lines: empty, and one observation.
-        write!(images, "{} 1 0 0 0 {} 0 0 7 {i:02}.png\n{}\n", i + 1, -i, ["", "1.5 2.5 -1"][i as usize % 2]).unwrap();
-    }
-    std::fs::write(sparse.join("images.txt"), images).unwrap();
-    let points = "1 0 2 5 10 20 30 0.5 1 0\n2 1 2 5 10 20 30 0.5\n3 2 2 5 10 20 30 0.5\n";
-    std::fs::write(sparse.join("points3D.txt"), points).unwrap();
+    write_text_capture(root);
     let text = open(root, &full()).unwrap();
     assert_eq!(text.points, binary.points);
     for (a, b) in text.views.iter().zip(&binary.views) {
@@ -476,7 +482,7 @@ fn a_photograph_is_one_view_however_its_path_is_written() {
 }
 
 /// Two frames of `transforms.json` from `x` on, the second with a mask.
-fn write_transforms(root: &Path, x: f64) {
+pub(super) fn write_transforms(root: &Path, x: f64) {
     let frames: Vec<String> = [(0, ""), (1, r#""mask_path":"cut/out.png","#)]
         .into_iter()
         .map(|(i, mask)| {
