@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::distortion::{Distortion, Lens};
 use super::views::{Frame, inside};
-use super::{CaptureError, Listed, LoadOptions, Point, colmap_binary, colmap_text};
+use super::{CaptureError, Listed, LoadOptions, Point, colmap_binary, colmap_text, error};
 use crate::scene::Intrinsics;
 
 /// Number, name and parameter count of every camera model of COLMAP 4.2, parameters in COLMAP's order. They
@@ -127,30 +127,33 @@ pub(super) fn load(
     folder: &Path,
     (options, wants_points): (&LoadOptions, bool),
 ) -> Result<Listed, CaptureError> {
-    let binary = folder.join("cameras.bin").is_file();
-    let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
+    // In the encoding of the cameras, else in the other.
+    let extensions = if folder.join("cameras.bin").is_file() { ["bin", "txt"] } else { ["txt", "bin"] };
+    let file = |stem: &str| {
+        let [usual, other] = extensions.map(|extension| folder.join(format!("{stem}.{extension}")));
+        if other.is_file() && !usual.is_file() { other } else { usual }
+    };
     let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
     if !images_file.is_file() && (folder.join("frames.bin").is_file() || folder.join("frames.txt").is_file()) {
         let expected = "an images file beside rigs and frames; export the model again with COLMAP's model_converter";
         return Err(CaptureError::invalid(folder, "COLMAP model", expected, "frames only"));
     }
-    let (cameras, images) = if binary {
-        (
-            colmap_binary::cameras(&super::error::read(&cameras_file)?, &cameras_file)?,
-            colmap_binary::images(&super::error::read(&images_file)?, &images_file)?,
-        )
+    let cameras = if is_binary(&cameras_file) {
+        colmap_binary::cameras(&error::read(&cameras_file)?, &cameras_file)?
     } else {
-        (
-            colmap_text::cameras(&super::error::read_text(&cameras_file)?, &cameras_file)?,
-            colmap_text::images(&super::error::read_text(&images_file)?, &images_file)?,
-        )
+        colmap_text::cameras(&error::read_text(&cameras_file)?, &cameras_file)?
+    };
+    let images = if is_binary(&images_file) {
+        colmap_binary::images(&error::read(&images_file)?, &images_file)?
+    } else {
+        colmap_text::images(&error::read_text(&images_file)?, &images_file)?
     };
     // As `transforms.json` need not name any.
     let points_file = Some(points_file).filter(|file| wants_points && file.exists());
-    let PointRecords { points, tracks } = match (&points_file, binary) {
-        (None, _) => PointRecords::default(),
-        (Some(file), true) => colmap_binary::points(&super::error::read(file)?, file)?,
-        (Some(file), false) => colmap_text::points(&super::error::read_text(file)?, file)?,
+    let PointRecords { points, tracks } = match &points_file {
+        None => PointRecords::default(),
+        Some(file) if is_binary(file) => colmap_binary::points(&error::read(file)?, file)?,
+        Some(file) => colmap_text::points(&error::read_text(file)?, file)?,
     };
     if cameras.is_empty() {
         return Err(CaptureError::invalid(&cameras_file, "cameras", "at least one camera", "none"));
@@ -167,6 +170,10 @@ pub(super) fn load(
         }
     }
     Ok(Listed { frames, list: images_file, points, points_file })
+}
+
+fn is_binary(file: &Path) -> bool {
+    file.extension().is_some_and(|e| e == "bin")
 }
 
 /// Joins images with their cameras.
