@@ -159,7 +159,12 @@ pub(super) fn load(
         return Err(CaptureError::invalid(&cameras_file, "cameras", "at least one camera", "none"));
     }
     let images_folder = root.join(options.images.as_deref().unwrap_or("images"));
-    let numbers: HashMap<u32, usize> = images.iter().enumerate().map(|(i, image)| (image.id, i)).collect();
+    let mut numbers = HashMap::with_capacity(images.len());
+    for (i, image) in images.iter().enumerate() {
+        if numbers.insert(image.id, i).is_some() {
+            return Err(CaptureError::invalid(&images_file, &image.at, "a new image id", image.id.to_string()));
+        }
+    }
     let mut frames = frames(images, &cameras, &images_file, &images_folder)?;
     for (point, track) in (0u32..).zip(&tracks) {
         for &frame in track.iter().filter_map(|id| numbers.get(id)) {

@@ -69,6 +69,14 @@ impl<'a> Cursor<'a> {
         self.offset += count * size;
     }
 
+    /// Error if anything follows the last of the records.
+    fn end(&self, records: &str) -> Result<(), CaptureError> {
+        match self.left() {
+            0 => Ok(()),
+            left => Err(self.invalid(self.offset, "end", &format!("no more than {records}"), format!("{left} bytes"))),
+        }
+    }
+
     fn invalid(&self, at: usize, what: &str, expected: &str, found: impl Into<String>) -> CaptureError {
         CaptureError::invalid(self.path, format!("{what} at byte {at}"), expected, found)
     }
@@ -83,9 +91,9 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
         let at = file.offset;
         let id = file.u32("camera id")?;
         let model = file.take("camera model").map(i32::from_le_bytes)?;
-        let size = [file.u64("width")?, file.u64("height")?].map(u32::try_from);
-        let [Ok(width), Ok(height)] = size else {
-            return Err(file.invalid(at, "camera", "a width and height below 2^32", format!("{size:?}")));
+        let [width, height] = [file.u64("width")?, file.u64("height")?];
+        let (Ok(width), Ok(height)) = (u32::try_from(width), u32::try_from(height)) else {
+            return Err(file.invalid(at, "camera", "a width and height below 2^32", format!("{width}×{height}")));
         };
         let unsupported = |model: String| CaptureError::UnsupportedModel {
             path: path.into(),
@@ -107,6 +115,7 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
             return Err(file.invalid(at, "camera", "a new number", id.to_string()));
         }
     }
+    file.end(&format!("{count} cameras"))?;
     Ok(cameras)
 }
 
@@ -133,6 +142,7 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, Capt
         file.skip(observations, 24);
         images.push(ImageRecord { at, id, name, camera, rotation, translation });
     }
+    file.end(&format!("{count} images"))?;
     Ok(images)
 }
 
@@ -158,5 +168,6 @@ pub(super) fn points(bytes: &[u8], path: &Path) -> Result<PointRecords, CaptureE
         records.points.push(Point { position, rgb });
         records.tracks.push(track);
     }
+    file.end(&format!("{count} points"))?;
     Ok(records)
 }

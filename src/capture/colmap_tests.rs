@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::tests::{full, write_capture, write_text_capture, write_transforms};
+use super::tests::{cameras_bin, full, message, write_capture, write_text_capture, write_transforms};
 use super::*;
 
 #[test]
@@ -37,5 +37,46 @@ fn a_model_may_be_in_both_encodings() {
         }
         let capture = open(root, &full()).unwrap();
         assert_eq!((capture.views.len(), capture.points.len()), (3, 3), "{in_text}");
+    }
+}
+
+#[test]
+fn models_that_do_not_add_up_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let sparse = root.join("sparse/0");
+    let refused = |file: &str, change: &dyn Fn(Vec<u8>) -> Vec<u8>| {
+        let write: fn(&Path) =
+            if file.ends_with(".bin") { |root| write_capture(root, 3, 20, 10) } else { write_text_capture };
+        write(root);
+        let path = sparse.join(file);
+        std::fs::write(&path, change(std::fs::read(&path).unwrap())).unwrap();
+        message(root, &full()).split_once(": ").unwrap().1.to_owned()
+    };
+    for (file, end) in [
+        ("cameras.bin", "end at byte 64: expected no more than 1 cameras, found 2 bytes"),
+        ("images.bin", "end at byte 269: expected no more than 3 images, found 2 bytes"),
+        ("points3D.bin", "end at byte 185: expected no more than 3 points, found 2 bytes"),
+    ] {
+        assert_eq!(refused(file, &|bytes| [&bytes[..], b"ab"].concat()), end);
+    }
+    let fewer = refused("images.bin", &|bytes| [&2u64.to_le_bytes(), &bytes[8..]].concat());
+    assert!(fewer.contains("expected no more than 2 images, found"), "{fewer}");
+    let wide = refused("cameras.bin", &|_| cameras_bin(1, 1 << 40, 10, &[20.0, 20.0, 10.0, 5.0]));
+    assert_eq!(wide, "camera at byte 8: expected a width and height below 2^32, found 1099511627776×10");
+
+    let refused = |file: &str, from: &str, to: &str| {
+        refused(file, &|bytes| String::from_utf8(bytes).unwrap().replace(from, to).into_bytes())
+    };
+    let twice = refused("images.txt", "\n3 1 0", "\n1 1 0");
+    assert!(twice.ends_with(": expected a new image id, found 1"), "{twice}");
+    let parameters = refused("cameras.txt", "20 20 10 5", "20 20 10 5 6");
+    assert_eq!(parameters, "line 2: expected 4 parameters of PINHOLE, found 6 after them");
+    for (track, found) in [
+        ("0.5 1 0 2", "expected a 2-D point of a track, found the end of the line"),
+        ("0.5 foo 0", "expected an image id of a track, found foo"),
+        ("0.5 1 bar", "expected a 2-D point of a track, found bar"),
+    ] {
+        assert_eq!(refused("points3D.txt", "0.5 1 0", track), format!("line 1: {found}"));
     }
 }

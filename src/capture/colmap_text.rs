@@ -67,6 +67,9 @@ pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, Cap
         if let Some(v) = values.iter().find(|v| !v.is_finite()) {
             return Err(line.invalid("finite camera parameters", &v.to_string()));
         }
+        if let Some(word) = line.words.next() {
+            return Err(line.invalid(&format!("{count} parameters of {model}"), &format!("{word} after them")));
+        }
         let lens = colmap::lens(model, &values, width, height).ok_or_else(unsupported)?;
         if let Some(focal) = colmap::unfit_focal_length(&lens) {
             return Err(line.invalid("positive focal lengths", &focal.to_string()));
@@ -118,7 +121,7 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
 /// The points in the order of the file.
 pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureError> {
     let mut records = PointRecords::default();
-    for (text, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
+    for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
         line.number::<u64>("a point id")?;
         let position = DVec3::from(line.numbers("a position")?);
         if !position.is_finite() {
@@ -126,7 +129,12 @@ pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureErr
         }
         let rgb = line.numbers("a colour of 0 to 255")?;
         // After the reprojection error, pairs of an image's number and that of one of its 2-D points.
-        let track = text.split_whitespace().skip(8).step_by(2).filter_map(|id| id.parse().ok()).collect();
+        line.words.next();
+        let mut track = vec![];
+        while line.words.clone().next().is_some() {
+            track.push(line.number("an image id of a track")?);
+            line.number::<u32>("a 2-D point of a track")?;
+        }
         records.points.push(Point { position, rgb });
         records.tracks.push(track);
     }

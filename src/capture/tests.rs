@@ -11,7 +11,7 @@ use super::*;
 use crate::scene::Intrinsics;
 
 /// A camera file with one camera.
-fn cameras_bin(model: i32, width: u64, height: u64, parameters: &[f64]) -> Vec<u8> {
+pub(super) fn cameras_bin(model: i32, width: u64, height: u64, parameters: &[f64]) -> Vec<u8> {
     let mut out = 1u64.to_le_bytes().to_vec();
     out.extend(7u32.to_le_bytes());
     out.extend(model.to_le_bytes());
@@ -89,7 +89,7 @@ pub(super) fn write_text_capture(root: &Path) {
 }
 
 /// The message of the error that opening `root` gives, which must be one line.
-fn message(root: &Path, options: &LoadOptions) -> String {
+pub(super) fn message(root: &Path, options: &LoadOptions) -> String {
     let message = open(root, options).expect_err("must be refused").to_string();
     assert!(!message.contains('\n'), "one line: {message}");
     message
