@@ -11,6 +11,7 @@ use std::sync::atomic::AtomicBool;
 
 use centaur::capture::{self, LoadOptions};
 use centaur::format::{WriteOptions, gltf, write_scene};
+use centaur::optimize::checkpoint::Checkpoint;
 use centaur::optimize::{self, MeshSource, Outcome, Session, TrainOptions};
 use centaur::render::gpu::Gpu;
 use centaur::scene::{Composition, HybridScene, Splats};
@@ -346,6 +347,15 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     assert!(line.contains("expected a checkpoint of the same photographs and masks at the same size"), "{line}");
     std::fs::write(&checkpoint, &whole[..whole.len() - 7]).unwrap();
     assert!(resumed(&[]).contains("truncated"));
+    let mut flipped = whole.clone();
+    flipped[whole.len() / 2] ^= 1;
+    std::fs::write(&checkpoint, flipped).unwrap();
+    assert!(resumed(&[]).ends_with(": the file is damaged"));
+    std::fs::write(&checkpoint, whole).unwrap();
+    let mut beyond = Checkpoint::read(&checkpoint).unwrap();
+    beyond.meta["iteration"] = 13.into();
+    beyond.write(&checkpoint).unwrap();
+    assert!(resumed(&[]).ends_with("iteration: expected at most the 12 of its phase, found 13"));
 }
 
 fn stop_after_one_iteration(folder: &Path, options: &TrainOptions, checkpoint: &Path) {

@@ -1,4 +1,4 @@
-//! An optimisation on disk, from which it can go on: a safetensors file with all parameters and moments.
+//! An optimisation on disk, from which it can go on: a safetensors file with all parameters and moments, and a checksum at its end.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -6,6 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use flate2::{Crc, CrcWriter};
 use safetensors::{
     Dtype, SafeTensorError, SafeTensors,
     tensor::{Metadata, TensorInfo},
@@ -20,10 +21,13 @@ use crate::{
 };
 
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
-pub const VERSION: u32 = 8;
+pub const VERSION: u32 = 9;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";
+/// Name of the last array, one number: the CRC-32 of all bytes before it. A run that goes on from a flipped bit is another run, which nothing
+/// else would tell.
+const CHECKSUM: &str = "checksum";
 /// Longest header of a safetensors file that its readers take, bytes.
 const MAX_HEADER: usize = 100_000_000;
 /// Names of the arrays of [`SplatState`].
@@ -40,7 +44,8 @@ pub struct Checkpoint {
     pub meta: Value,
     /// The splats with their moments.
     pub splats: SplatState,
-    /// Other arrays by name, such as texels and their moments. Names must not begin with `splats/`.
+    /// Other arrays by name, such as texels and their moments. Names must not be `checksum` or begin with
+    /// `splats/`.
     pub tensors: BTreeMap<String, Vec<f32>>,
     /// Whole numbers by name, such as the corners of triangles. Names must be others than those of `tensors`.
     pub indices: BTreeMap<String, Vec<u32>>,
@@ -97,7 +102,8 @@ impl Checkpoint {
         let own = SPLATS.into_iter().zip(self.splats.arrays().map(Array::Floats));
         let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::Floats(values)));
         let indices = self.indices.iter().map(|(name, values)| (name.as_str(), Array::Indices(values)));
-        let arrays: BTreeMap<&str, Array> = own.chain(others).chain(indices).collect();
+        // The checksum is known when all else is written.
+        let arrays: Vec<_> = own.chain(others).chain(indices).chain([(CHECKSUM, Array::Indices(&[0]))]).collect();
         let too_much = |e: String| invalid(path)(SceneError::new("checkpoint", "at most 100 MB of metadata", e));
         let header = described(&arrays, header).map_err(|e| too_much(e.to_string()))?;
         if header.len() > MAX_HEADER {
@@ -105,9 +111,12 @@ impl Checkpoint {
         }
         // In the order in which they are described.
         atomic::write_with(path, |out| {
+            let mut out = CrcWriter::new(out);
             out.write_all(&(header.len() as u64).to_le_bytes())?;
             out.write_all(&header)?;
-            arrays.values().try_for_each(|array| array.write(out))
+            arrays[..arrays.len() - 1].iter().try_for_each(|(_, array)| array.write(&mut out))?;
+            let sum = out.crc().sum();
+            Array::Indices(&[sum]).write(&mut out)
         })
         .map(drop)
         .map_err(|source| CheckpointError::Io { path: path.into(), source })
@@ -116,8 +125,8 @@ impl Checkpoint {
     /// Reads what [`Self::write`] wrote.
     ///
     /// # Errors
-    /// If the file cannot be read, is no safetensors file of this version, or has an array that is missing, of the
-    /// wrong type or length, or not finite.
+    /// If the file cannot be read, is no safetensors file of this version, is not as it was written, or has an array that is missing, of
+    /// the wrong type or length, or not finite.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Io { path: path.into(), source })?;
         Self::from_bytes(&bytes).map_err(invalid(path))
@@ -137,6 +146,7 @@ impl Checkpoint {
         if version.as_u64() != Some(u64::from(VERSION)) {
             return Err(SceneError::new("version", VERSION.to_string(), version.to_string()));
         }
+        check_sum(bytes)?;
         let header: Header = serde_json::from_value(header)
             .map_err(|e| SceneError::new(HEADER, "version, sh_degree and meta", e.to_string()))?;
 
@@ -155,6 +165,7 @@ impl Checkpoint {
                 }
             }
         }
+        indices.remove(CHECKSUM);
         let mut take = |name: &str| tensors.remove(name).ok_or_else(|| SceneError::new(name, "an array", "none"));
         let [geometry, sh, geometry_m, geometry_v, sh_m, sh_v] = SPLATS;
         let splats = SplatState {
@@ -191,7 +202,7 @@ impl Checkpoint {
         }
         for name in self.tensors.keys().chain(self.indices.keys()) {
             let is_twice = self.tensors.contains_key(name) && self.indices.contains_key(name);
-            if name.starts_with("splats/") || name == "__metadata__" || is_twice {
+            if name.starts_with("splats/") || [CHECKSUM, "__metadata__"].contains(&name.as_str()) || is_twice {
                 return Err(SceneError::new(name, "an array of another name", "this one"));
             }
         }
@@ -224,6 +235,18 @@ fn check_offsets(bytes: &[u8]) -> Result<(), SceneError> {
     Ok(())
 }
 
+/// Error unless the last four bytes are the checksum of the others.
+fn check_sum(bytes: &[u8]) -> Result<(), SceneError> {
+    let (content, stated) = bytes.split_last_chunk().unwrap_or((bytes, &[0; 4]));
+    let (mut crc, stated) = (Crc::new(), u32::from_le_bytes(*stated));
+    crc.update(content);
+    if crc.sum() == stated {
+        return Ok(());
+    }
+    let found = format!("{:08x}: the file is damaged", crc.sum());
+    Err(SceneError::new(CHECKSUM, format!("{stated:08x}"), found))
+}
+
 /// A one-dimensional tensor of 4-byte words.
 #[derive(Clone, Copy)]
 enum Array<'a> {
@@ -250,7 +273,7 @@ impl<'a> Array<'a> {
 
 /// The header of a safetensors file of these arrays, one behind the other, padded to eight bytes. `safetensors` writes such a file only
 /// from memory that holds it, or by itself and for its owner alone.
-fn described(arrays: &BTreeMap<&str, Array>, header: String) -> Result<Vec<u8>, SafeTensorError> {
+fn described(arrays: &[(&str, Array)], header: String) -> Result<Vec<u8>, SafeTensorError> {
     let mut end = 0;
     let infos = arrays.iter().map(|(name, array)| {
         let dtype = if matches!(array, Array::Floats(_)) { Dtype::F32 } else { Dtype::U32 };
@@ -300,6 +323,16 @@ mod tests {
             assert_eq!(mode(&path), mode(&plain), "as readable as any other file");
         }
         std::fs::read(path).unwrap()
+    }
+
+    /// With the checksum that belongs to them.
+    fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
+        if let Some((content, sum)) = bytes.split_last_chunk_mut::<4>() {
+            let mut crc = Crc::new();
+            crc.update(content);
+            *sum = crc.sum().to_le_bytes();
+        }
+        bytes
     }
 
     fn message(bytes: &[u8]) -> String {
@@ -353,6 +386,7 @@ mod tests {
         assert_eq!(broken(|c| c.tensors.get_mut("mesh0/base").unwrap()[1] = f32::NAN), "mesh0/base[1]");
         assert_eq!(broken(|c| drop(c.tensors.insert("splats/sh".into(), vec![]))), "splats/sh");
         assert_eq!(broken(|c| drop(c.indices.insert("mesh0/base".into(), vec![]))), "mesh0/base");
+        assert_eq!(broken(|c| drop(c.indices.insert("checksum".into(), vec![]))), "checksum");
     }
 
     #[test]
@@ -363,17 +397,32 @@ mod tests {
             let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
             let mut bytes = bytes.clone();
             bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
-            message(&bytes)
+            message(&sealed(bytes))
         };
         let version = |v: u32| format!(r#"version\":{v}"#);
-        let found = edited(&version(VERSION), &version(9));
-        assert!(found.contains(&format!("version: expected {VERSION}, found 9")), "{found}");
+        let found = edited(&version(VERSION), &version(8));
+        assert!(found.contains(&format!("version: expected {VERSION}, found 8")), "{found}");
         assert!(edited("splats/sh_m", "splats/sh_x").contains("splats/sh_m: expected an array, found none"));
         assert!(edited("F32", "I32").contains("expected f32 or u32 of one axis, found I32"));
         assert!(edited("centaur_checkpoint", "somebody_elses_foo").contains("metadata: expected an entry"));
         assert!(message(&bytes[..bytes.len() - 1]).contains("truncated"));
         assert!(message(b"PNG").ends_with("expected a safetensors file, found 3 bytes"));
         assert!(message(b"P").ends_with("expected a safetensors file, found 1 byte"));
+    }
+
+    #[test]
+    fn every_flipped_bit_is_noticed() {
+        let whole = bytes_of(&checkpoint());
+        for bit in 0..8 * whole.len() {
+            let mut bytes = whole.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            assert!(Checkpoint::from_bytes(&bytes).is_err(), "bit {bit}");
+        }
+        let mut bytes = whole;
+        let last_of_arrays = bytes.len() - 5;
+        bytes[last_of_arrays] ^= 1;
+        let found = message(&bytes);
+        assert!(found.contains("checksum: expected ") && found.ends_with(": the file is damaged"), "{found}");
     }
 
     #[test]
@@ -404,7 +453,7 @@ mod tests {
                 let at = at.index(bytes.len());
                 bytes[at] = value;
             }
-            if let Ok(c) = Checkpoint::from_bytes(&bytes) {
+            if let Ok(c) = Checkpoint::from_bytes(&sealed(bytes)) {
                 prop_assert!(c.splats.first_non_finite().is_none());
             }
         }

@@ -1,5 +1,6 @@
 //! What can be chosen of a training run, with defaults and their sources.
 
+use super::Phase;
 use crate::scene::{Composition, OrderMode, SceneError, Splats, sh};
 
 /// How the number of splats changes.
@@ -153,6 +154,16 @@ impl TrainOptions {
     #[must_use]
     pub fn before_surface(&self) -> u32 {
         self.surface_iterations.unwrap_or(self.iterations / 2).min(self.iterations)
+    }
+
+    /// Iterations of a phase, of a run that makes its surface itself or does not.
+    pub(super) fn iterations_of(&self, phase: Phase, finds_surface: bool) -> u32 {
+        match phase {
+            Phase::Surface => self.before_surface(),
+            Phase::Warmup => self.warmup,
+            Phase::Joint if finds_surface => self.iterations - self.before_surface(),
+            Phase::Joint => self.iterations,
+        }
     }
 }
 

@@ -212,11 +212,16 @@ impl Saved {
         if poses.as_ref().is_some_and(|poses| !poses.is_of(views)) {
             return Err(damaged("poses"));
         }
-        // Files of this version were written without it before: of their runs it begins here.
-        let past = indices.remove("log").map_or_else(|| Some(Past::default()), |words| Past::from_words(&words));
-        let past = past.ok_or_else(|| damaged("log"))?;
+        let past = indices.remove("log").and_then(|words| Past::from_words(&words)).ok_or_else(|| damaged("log"))?;
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
+        let iteration: u32 = serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?;
+        let iterations = run.options.iterations_of(phase, run.finds_surface);
+        if iteration > iterations {
+            return Err(refused(format!(
+                "iteration: expected at most the {iterations} of its phase, found {iteration}"
+            )));
+        }
         let moves = phase != Phase::Surface && run.finds_surface;
         if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
             return Err(damaged("vertices"));
@@ -232,7 +237,7 @@ impl Saved {
         }
         Ok(Self {
             phase,
-            iteration: serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?,
+            iteration,
             surface: serde_json::from_value(field("surface")?).map_err(|_| damaged("surface"))?,
             selection: serde_json::from_value(field("selection")?).map_err(|_| damaged("selection"))?,
             meshes,

@@ -57,7 +57,7 @@ impl Log {
     pub(super) fn count(&mut self, phase: Phase, begin: Instant) {
         if phase == Phase::Joint {
             self.past.joint_seconds += begin.elapsed().as_secs_f64();
-            self.past.joint_iterations += 1;
+            self.past.joint_iterations = self.past.joint_iterations.saturating_add(1);
         }
     }
 

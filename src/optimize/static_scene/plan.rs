@@ -24,13 +24,9 @@ impl Run<'_> {
         // Surface and joint phase are two parts of one run of the splats: their clock goes on.
         let before = o.before_surface();
         let is_second_part = phase == Phase::Joint && self.hands_over;
-        let (iterations, clock, of) = match phase {
-            Phase::Surface => (before, 0, o.iterations),
-            Phase::Warmup => (o.warmup, 0, o.warmup),
-            Phase::Joint if is_second_part => (o.iterations - before, before, o.iterations),
-            Phase::Joint => (o.iterations, 0, o.iterations),
-        };
-        let mut schedule = Schedule::new(of);
+        let iterations = o.iterations_of(phase, self.hands_over);
+        let clock = if is_second_part { before } else { 0 };
+        let mut schedule = Schedule::new(if phase == Phase::Warmup { o.warmup } else { o.iterations });
         if o.density == Density::Mcmc {
             schedule = schedule.for_mcmc();
         }

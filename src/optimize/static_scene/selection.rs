@@ -48,7 +48,8 @@ impl Selection {
     /// Those that were kept.
     #[must_use]
     pub fn kept(&self) -> usize {
-        self.triangles - self.unseen - self.worse - self.small
+        // Whatever a checkpoint says.
+        self.triangles.saturating_sub(self.unseen).saturating_sub(self.worse).saturating_sub(self.small)
     }
 }
 
@@ -254,6 +255,13 @@ mod tests {
         let texels = (0..64 * 64).flat_map(|i| [(i % 64) as f32 / 64.0, (i / 64) as f32 / 64.0, 0.0, 1.0]).collect();
         let atlas = Atlas::new(Texture::new(64, 64, 4, texels).unwrap(), None).unwrap();
         Mesh::new(positions, triangles, uvs, atlas).unwrap()
+    }
+
+    #[test]
+    fn none_are_kept_of_counts_that_make_no_sense() {
+        let selection = Selection { triangles: 9, unseen: usize::MAX, worse: 1, small: usize::MAX };
+        assert_eq!(selection.kept(), 0);
+        assert_eq!(Selection { unseen: 2, small: 3, ..selection }.kept(), 3);
     }
 
     #[test]

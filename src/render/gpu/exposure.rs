@@ -127,7 +127,7 @@ impl Exposures {
         let Some(bindings) = &self.bindings else { return };
         // Also where the step turns out to change nothing, which the host does not wait to know: only the correction of the bias counts.
         if step.rate != 0.0 {
-            self.steps[step.view] += 1;
+            self.steps[step.view] = self.steps[step.view].saturating_add(1);
         }
         let n = groups(view.pixels(), PIXELS);
         let number = f64::from(self.steps[step.view].max(1));

@@ -153,7 +153,7 @@ impl Poses {
         let Some(bindings) = &self.bindings else { return };
         // Also where the step turns out to change nothing, as for exposures.
         if step.turn_rate != 0.0 {
-            self.steps[step.view] += 1;
+            self.steps[step.view] = self.steps[step.view].saturating_add(1);
         }
         let number = f64::from(self.steps[step.view].max(1));
         let correction = |beta: f64| ((1.0 - beta.powf(number)) as f32).to_bits();
