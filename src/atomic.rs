@@ -1,8 +1,125 @@
-//! Files that are written whole or not at all.
+//! Files that are written whole or not at all, however the program ends.
 
-use std::fs::File;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use tempfile::TempDir;
+
+/// What is under a temporary name now, and where it belongs, if it is to be back there.
+static LISTED: Mutex<BTreeMap<PathBuf, Option<PathBuf>>> = Mutex::new(BTreeMap::new());
+
+fn list() -> MutexGuard<'static, BTreeMap<PathBuf, Option<PathBuf>>> {
+    LISTED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// For a program that is about to end without unwinding, as by a signal: removes the temporary files and folders that are being written, and puts
+/// back what is [`Aside`]. Whoever is about to make one, or is done with one, waits for that end.
+pub fn abandon_all() {
+    let list = list();
+    for (path, place) in list.iter() {
+        // Nobody is left who could be told.
+        let _ = match place {
+            Some(place) => put_back(path, place).map(drop),
+            None if path.is_dir() => fs::remove_dir_all(path),
+            None => fs::remove_file(path),
+        };
+    }
+    std::mem::forget(list);
+}
+
+/// Keeps [`abandon_all`] waiting as long as what it returns is held: temporary folders hold what would be lost with them.
+pub(crate) fn undisturbed() -> impl Drop {
+    list()
+}
+
+/// Whether nothing had taken the place.
+fn put_back(path: &Path, place: &Path) -> io::Result<bool> {
+    let is_free = !place.exists();
+    if is_free {
+        fs::rename(path, place)?;
+    }
+    Ok(is_free)
+}
+
+/// An entry of the list.
+struct Listed(PathBuf);
+
+impl Drop for Listed {
+    fn drop(&mut self) {
+        list().remove(&self.0);
+    }
+}
+
+/// Makes a temporary file or folder, with its entry, which has to be dropped after it.
+fn listed<T: AsRef<Path>>(make: impl FnOnce() -> io::Result<T>) -> io::Result<(Listed, T)> {
+    let mut list = list();
+    let temporary = make()?;
+    let path = temporary.as_ref().to_owned();
+    list.insert(path.clone(), None);
+    Ok((Listed(path), temporary))
+}
+
+/// A hidden folder for files on their way to one beside it; removed with what is left in it.
+pub struct Staging {
+    folder: TempDir,
+    _listed: Listed,
+}
+
+impl Staging {
+    /// A new one.
+    ///
+    /// # Errors
+    /// If `folder` does not exist or cannot be written to.
+    pub fn within(folder: &Path) -> io::Result<Self> {
+        let (listed, folder) = listed(|| tempfile::Builder::new().prefix(PREFIX).tempdir_in(folder))?;
+        Ok(Self { folder, _listed: listed })
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
+/// A file under another name, where nothing overwrites it.
+pub struct Aside {
+    listed: Listed,
+    place: PathBuf,
+}
+
+impl Aside {
+    /// Renames `place` to `name`, for good unless [`Self::back`] or [`abandon_all`] comes before this is dropped.
+    ///
+    /// # Errors
+    /// If it cannot be renamed.
+    pub fn set(place: PathBuf, name: PathBuf) -> io::Result<Self> {
+        let mut list = list();
+        fs::rename(&place, &name)?;
+        list.insert(name.clone(), Some(place.clone()));
+        Ok(Self { listed: Listed(name), place })
+    }
+
+    /// Its name now.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.listed.0
+    }
+
+    /// Gives it its own name again, unless something else has that now; whether it did.
+    ///
+    /// # Errors
+    /// If it cannot be renamed.
+    pub fn back(self) -> io::Result<bool> {
+        put_back(self.path(), &self.place)
+    }
+}
+
+/// Of the names of temporary files and folders.
+const PREFIX: &str = ".centaur-";
 
 /// Writes to `path` what `produce` makes, by way of a temporary file in the same folder, so that `path` holds either its former content or
 /// all of the new one. Returns the number of bytes written.
@@ -18,11 +135,11 @@ pub(crate) fn write_with(
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder of this name exists"));
     }
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".centaur-");
+    builder.prefix(PREFIX);
     // Temporary files are private by default; a result is as readable as the umask allows, like any other file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut temporary = builder.tempfile_in(folder)?;
+    let (_listed, mut temporary) = listed(|| builder.tempfile_in(folder))?;
     let mut out = BufWriter::with_capacity(1 << 20, temporary.as_file_mut());
     produce(&mut out)?;
     out.flush()?;
@@ -50,12 +167,45 @@ mod tests {
             Err(io::Error::other("disk full"))
         });
         assert_eq!(failed.unwrap_err().to_string(), "disk full");
-        assert_eq!(std::fs::read(&path).unwrap(), b"old");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 
         assert_eq!(write(&path, b"newer").unwrap(), 5);
-        assert_eq!(std::fs::read(&path).unwrap(), b"newer");
+        assert_eq!(fs::read(&path).unwrap(), b"newer");
         assert!(write(&folder.path().join("none/a.bin"), b"").is_err());
         assert!(write(folder.path(), b"").is_err());
+    }
+
+    /// Of what is listed by this test alone: others write meanwhile.
+    #[test]
+    fn what_is_abandoned_is_removed_or_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let names = || {
+            let entries = fs::read_dir(folder.path()).unwrap();
+            let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+            names.sort();
+            names
+        };
+        write(&at("kept"), b"old").unwrap();
+        write(&at("replaced"), b"old").unwrap();
+        let kept = Aside::set(at("kept"), at("kept.before")).unwrap();
+        let replaced = Aside::set(at("replaced"), at("replaced.before")).unwrap();
+        write(&at("replaced"), b"new").unwrap();
+        assert!(kept.back().unwrap() && !replaced.back().unwrap());
+        assert_eq!(names(), ["kept", "replaced", "replaced.before"]);
+        assert_eq!(fs::read(at("replaced")).unwrap(), b"new");
+
+        let staging = Staging::within(folder.path()).unwrap();
+        write(&staging.path().join("a"), b"").unwrap();
+        assert_eq!(list().get(staging.path()), Some(&None));
+        drop(staging);
+        write_with(&at("kept"), |_| {
+            assert!(list().keys().any(|path| path.parent() == Some(folder.path())));
+            Ok(())
+        })
+        .unwrap();
+        assert!(!list().keys().any(|path| path.starts_with(folder.path())));
+        assert_eq!(names(), ["kept", "replaced", "replaced.before"]);
     }
 }

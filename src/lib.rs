@@ -45,7 +45,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test"))]
 
-mod atomic;
+pub mod atomic;
 pub mod capture;
 pub mod edit;
 pub mod evaluate;

@@ -2,6 +2,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
+use centaur::atomic::Staging;
 use centaur::edit::{self, Axes, Similarity};
 use centaur::format::ply::Attribute;
 use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, spz};
@@ -259,7 +260,7 @@ fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> 
 fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> Result<WriteReport> {
     let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let named = || format!("{}: cannot write", output.display());
-    let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder).with_context(named)?;
+    let staging = Staging::within(folder).with_context(named)?;
     let staged = staging.path().join(output.file_name().unwrap_or_default());
     let version = match args.spz_version {
         Some(2) => spz::Version::V2,

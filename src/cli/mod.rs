@@ -8,6 +8,7 @@ mod edits;
 mod eval;
 mod history;
 mod inspect;
+mod interrupt;
 mod mesh;
 mod output;
 mod progress;
@@ -50,13 +51,30 @@ enum Command {
     Devices(devices::Args),
 }
 
+impl Command {
+    fn run(&self) -> Result<()> {
+        match self {
+            Self::Train(args) => train::run(args),
+            Self::Eval(args) => eval::run(args),
+            Self::Render(args) => render::run(args),
+            Self::Cameras(args) => cameras::run(args),
+            Self::Convert(args) => convert::run(args),
+            Self::Inspect(args) => inspect::run(args),
+            Self::Validate(args) => validate::run(args),
+            Self::Mesh(args) => mesh::run(args),
+            Self::Bench(args) => bench::run(args),
+            Self::Devices(args) => devices::run(args),
+        }
+    }
+}
+
 /// Exit code of wrong usage, which is clap's.
 const WRONG_USAGE: u8 = 2;
 
 pub(crate) fn main() -> ExitCode {
     // What clap knows to be wrong usage ends here with exit code 2.
     let command = Cli::parse().command;
-    let result = names_for_json(std::env::args_os()).and_then(|()| run(command));
+    let result = names_for_json(std::env::args_os()).and_then(|()| interrupt::handle()).and_then(|()| command.run());
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) if output::is_read_enough(&e) => ExitCode::SUCCESS,
@@ -65,21 +83,6 @@ pub(crate) fn main() -> ExitCode {
             let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
             if usage::is_wrong(&e) { ExitCode::from(WRONG_USAGE) } else { ExitCode::FAILURE }
         }
-    }
-}
-
-fn run(command: Command) -> Result<()> {
-    match command {
-        Command::Train(args) => train::run(&args),
-        Command::Eval(args) => eval::run(&args),
-        Command::Render(args) => render::run(&args),
-        Command::Cameras(args) => cameras::run(&args),
-        Command::Convert(args) => convert::run(&args),
-        Command::Inspect(args) => inspect::run(&args),
-        Command::Validate(args) => validate::run(&args),
-        Command::Mesh(args) => mesh::run(&args),
-        Command::Bench(args) => bench::run(&args),
-        Command::Devices(args) => devices::run(&args),
     }
 }
 

@@ -1,9 +1,10 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use centaur::atomic::Aside;
 use centaur::capture::{self, Capture, LoadOptions, Split, View};
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
@@ -20,6 +21,7 @@ use clap::ValueEnum;
 use super::edits::positive;
 use super::eval::{self, Details};
 use super::history::Record;
+use super::interrupt;
 use super::output;
 use super::progress::Reporter;
 use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
@@ -384,7 +386,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let lpips = args.lpips.open()?;
     let gpu = args.adapter.open()?;
     let options = args.options();
-    let stop = stop_on_ctrl_c()?;
+    let stop = interrupt::stop_flag();
     if args.stop_at_eof {
         // A terminal that goes away hangs up on all: where that ends whoever holds the other end, it is heard of by that.
         #[cfg(unix)]
@@ -409,7 +411,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     notes.extend(of_mesh);
     let aside = set_aside(args)?;
     notes.extend(aside.iter().map(|aside| {
-        format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.display())
+        format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.path().display())
     }));
     if !args.messages.json {
         notes.iter().for_each(|note| output::note(note));
@@ -424,11 +426,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let trained = optimize::train(&capture, mesh, &options, session);
     reporter.finish();
-    if let (Err(_), Some(aside), false) = (&trained, &aside, args.checkpoint().exists()) {
-        // Nothing has taken its place.
-        if std::fs::rename(aside, args.checkpoint()).is_ok() {
-            output::note(&format!("{}: is back, since this run left none", args.checkpoint().display()));
-        }
+    if let (Err(_), Some(aside)) = (&trained, aside)
+        && aside.back().is_ok_and(|is_back| is_back)
+    {
+        output::note(&format!("{}: is back, since this run left none", args.checkpoint().display()));
     }
     let trained = trained.map_err(|error| with_advice(error, args))?;
     if matches!(trained.outcome, Outcome::Interrupted) {
@@ -559,16 +560,16 @@ fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
     is_held_back.then(|| format!("there were {most} splats: with a larger --max-splats there would be more"))
 }
 
-/// What an interrupted run left stays, under the name that is returned, where this one does not go on from it.
-fn set_aside(args: &Args) -> Result<Option<PathBuf>> {
+/// What an interrupted run left stays, under another name, where this one does not go on from it.
+fn set_aside(args: &Args) -> Result<Option<Aside>> {
     let checkpoint = args.checkpoint();
     if args.resume || !checkpoint.is_file() {
         return Ok(None);
     }
     let mut names = (1..).map(|n| checkpoint.with_extension(format!("checkpoint.before-{n}")));
-    let aside = names.find(|name| !name.exists()).context("no name is left for an earlier checkpoint")?;
-    std::fs::rename(&checkpoint, &aside).with_context(|| format!("cannot rename {}", checkpoint.display()))?;
-    Ok(Some(aside))
+    let name = names.find(|name| !name.exists()).context("no name is left for an earlier checkpoint")?;
+    let cannot = format!("cannot rename {}", checkpoint.display());
+    Ok(Some(Aside::set(checkpoint, name).context(cannot)?))
 }
 
 fn why_no_mesh(trained: &Trained) -> String {
@@ -639,34 +640,6 @@ fn with_advice(error: TrainError, args: &Args) -> anyhow::Error {
         }
         _ => error.into(),
     }
-}
-
-/// The flag that the trainer polls, set by Ctrl-C and, on Unix, by a termination. A second of them does what it does to any program, as does
-/// a hangup: `nohup` has it ignored.
-pub(super) fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    // The flag itself may have been set otherwise.
-    let is_second = AtomicBool::new(false);
-    ctrlc::set_handler(move || {
-        if is_second.swap(true, Ordering::Relaxed) {
-            // 128 + SIGINT, as shells have it.
-            std::process::exit(130);
-        }
-        flag.store(true, Ordering::Relaxed);
-    })
-    .context("cannot handle Ctrl-C")?;
-    #[cfg(unix)]
-    {
-        use signal_hook::{consts::SIGTERM, flag};
-        let asked = Arc::new(AtomicBool::new(false));
-        // In this order: the first finds it not asked for, the second 128 + SIGTERM, as shells have it.
-        flag::register_conditional_shutdown(SIGTERM, 143, Arc::clone(&asked))
-            .and_then(|_| flag::register(SIGTERM, asked))
-            .and_then(|_| flag::register(SIGTERM, Arc::clone(&stop)))
-            .context("cannot handle SIGTERM")?;
-    }
-    Ok(stop)
 }
 
 /// Ctrl-C is no failure: the work so far is in the checkpoint.

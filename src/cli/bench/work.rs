@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::Args;
 use super::jobs::Job;
-use crate::cli::{output, train::stop_on_ctrl_c};
+use crate::cli::{interrupt, output};
 
 /// How a job ended that did not fail.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -28,7 +28,7 @@ enum Ended {
 
 /// Does the jobs and returns those that failed, with reasons.
 pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, String)>> {
-    let stop = stop_on_ctrl_c()?;
+    let stop = interrupt::stop_flag();
     let bar = output::bar(&args.messages, open.len() as u64);
     bar.set_style(ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
     let at_a_time = open.len().min(args.jobs.into());

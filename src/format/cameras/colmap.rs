@@ -8,6 +8,7 @@ use glam::DQuat;
 
 use super::captures::{FILES, NO_POINTS, spare_in};
 use super::image_names;
+use crate::atomic::{self, Staging};
 use crate::format::FormatError;
 use crate::scene::{Camera, Intrinsics};
 
@@ -39,10 +40,11 @@ pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, 
 fn place(folder: &Path, files: [&str; 3]) -> io::Result<()> {
     let sparse = folder.join("sparse");
     fs::create_dir_all(&sparse)?;
-    let staging = tempfile::Builder::new().prefix(".centaur-").tempdir_in(folder)?;
+    let staging = Staging::within(folder)?;
     let [model, new, former] = [sparse.join("0"), staging.path().join("new"), staging.path().join("former")];
     fs::create_dir(&new)?;
     FILES.iter().zip(files).try_for_each(|(name, text)| fs::write(new.join(name), text))?;
+    let _undisturbed = atomic::undisturbed();
     let replaces = model.exists();
     if replaces {
         fs::rename(&model, &former)?;

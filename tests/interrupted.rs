@@ -1,0 +1,72 @@
+//! What Ctrl-C and terminations leave behind: files that are whole, under the names that they had or were to get.
+
+#![cfg(unix)]
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod common;
+
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::Duration;
+
+use centaur::format::ply;
+use centaur::scene::Splats;
+use glam::{Quat, Vec3};
+
+fn start(folder: &Path, arguments: &str) -> Child {
+    let mut command = common::centaur(folder);
+    command.args(arguments.split(' ')).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+fn wait_for(child: &mut Child, what: &str, mut is_so: impl FnMut() -> bool) {
+    for _ in 0..60_000 {
+        if is_so() {
+            return;
+        }
+        assert_eq!(child.try_wait().unwrap(), None, "it ended before there was {what}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    panic!("{what}: not after a minute");
+}
+
+#[test]
+fn what_was_being_written_is_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let n = 100_000;
+    let splats = Splats::new(
+        vec![Vec3::ONE; n],
+        vec![Quat::IDENTITY; n],
+        vec![Vec3::splat(-3.0); n],
+        vec![0.5; n],
+        3,
+        vec![[0.1; 3]; 16 * n],
+    );
+    ply::write(&folder.path().join("in.ply"), &splats.unwrap()).unwrap();
+    for (signal, number) in [("INT", 2), ("TERM", 15)] {
+        let mut child = start(folder.path(), "convert in.ply out.usda");
+        wait_for(&mut child, "a file in a temporary folder", || {
+            common::tree(folder.path()).iter().filter(|path| path.contains(".centaur-")).count() > 1
+        });
+        common::send(signal, &child.id().to_string());
+        assert_eq!(child.wait().unwrap().signal(), Some(number));
+        assert_eq!(common::tree(folder.path()), [folder.path().join("in.ply").display().to_string()], "{signal}");
+    }
+}
+
+/// The first signal of two asks training to stop.
+#[test]
+fn a_checkpoint_that_was_set_aside_is_back() {
+    let folder = tempfile::tempdir().unwrap();
+    common::write_capture(&folder.path().join("capture"), 8, (48, 32));
+    let at = |name: &str| folder.path().join(name);
+    std::fs::write(at("scene.glb.checkpoint"), "of another run").unwrap();
+    let before = common::tree(folder.path());
+    let mut child = start(folder.path(), "train capture -o scene.glb --no-mesh --iterations 1000000");
+    wait_for(&mut child, "another name", || at("scene.glb.checkpoint.before-1").exists());
+    common::send("INT", &child.id().to_string());
+    common::send("TERM", &child.id().to_string());
+    assert_eq!(child.wait().unwrap().signal(), Some(15));
+    assert_eq!(common::tree(folder.path()), before);
+    assert_eq!(std::fs::read(at("scene.glb.checkpoint")).unwrap(), b"of another run");
+}
