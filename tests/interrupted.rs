@@ -5,6 +5,7 @@
 
 mod common;
 
+use std::io::{BufRead as _, BufReader};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
 use std::process::{Child, Stdio};
@@ -52,6 +53,28 @@ fn what_was_being_written_is_gone() {
         assert_eq!(child.wait().unwrap().signal(), Some(number));
         assert_eq!(common::tree(folder.path()), [folder.path().join("in.ply").display().to_string()], "{signal}");
     }
+}
+
+/// By a termination as by Ctrl-C.
+#[test]
+fn scoring_stops_and_the_scene_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    common::write_capture(&folder.path().join("capture"), 80, (640, 480));
+    let arguments = "train capture -o scene.glb --no-mesh --iterations 1 --checkpoint-every 1 --eval-every 0";
+    let mut command = common::centaur(folder.path());
+    command.args(arguments.split(' ')).args(["--max-splats", "50", "--json"]).stdout(Stdio::piped());
+    let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains(r#""phase":"scoring""#)), "it scores nothing");
+    common::send("TERM", &child.id().to_string());
+    let views = 1 + lines.filter(|line| line.contains(r#""phase":"scoring""#)).count();
+    assert!(views < 10, "it scored all {views}");
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(said, serde_json::json!({ "outcome": "interrupted", "scene": "scene.glb", "notes": said["notes"] }));
+    centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
+    assert!(folder.path().join("scene.glb.checkpoint").is_file());
 }
 
 /// The first signal of two asks training to stop.

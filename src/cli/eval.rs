@@ -1,4 +1,5 @@
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result};
 use centaur::capture::{Capture, View};
@@ -96,8 +97,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
             settings: &training.as_ref().map_or_else(Vec::new, Record::settings),
             training: training.as_ref(),
             messages: &args.messages,
+            stop: &AtomicBool::new(false),
         },
     )?;
+    // Nothing sets that flag: Ctrl-C ends the program.
+    let Some(evaluation) = evaluation else { return Ok(()) };
     if args.messages.json {
         output::print_json(&Noted { evaluation: &evaluation, notes: &notes })
     } else {
@@ -141,6 +145,8 @@ pub(super) struct Details<'a> {
     pub(super) training: Option<&'a Record>,
     /// Who is told how far it is.
     pub(super) messages: &'a MessageArgs,
+    /// Set from outside to end after the current view.
+    pub(super) stop: &'a AtomicBool,
 }
 
 /// Where pictures of the held-out views go in the folder of a report. None of the capture's photographs may be there, those that are trained
@@ -153,8 +159,13 @@ pub(super) fn report_pictures(folder: &Path, capture: &Capture) -> Result<Vec<Pa
     Ok(pictures)
 }
 
-/// Scores every held-out view; writes the folder of `details`.
-pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, details: &Details<'_>) -> Result<Evaluation> {
+/// Scores every held-out view; writes the folder of `details`. `None` if that was stopped: pictures that are already there stay.
+pub(super) fn evaluate(
+    gpu: &Gpu,
+    scene: &HybridScene,
+    capture: &Capture,
+    details: &Details<'_>,
+) -> Result<Option<Evaluation>> {
     let views = held_out(capture)?;
     let files = details.folder.map(|folder| report_pictures(folder, capture)).transpose()?.unwrap_or_default();
     details.folder.map_or(Ok(()), shared::make_folder)?;
@@ -162,6 +173,10 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
     let (mut scores, mut left_out, mut pictures) = (vec![], vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());
     for (i, view) in views.into_iter().enumerate() {
+        if details.stop.load(Ordering::Relaxed) {
+            progress.finish();
+            return Ok(None);
+        }
         let comparison = evaluator.compare(view)?;
         if comparison.is_empty {
             left_out.push(view.name.clone());
@@ -196,7 +211,7 @@ pub(super) fn evaluate(gpu: &Gpu, scene: &HybridScene, capture: &Capture, detail
         atomic_write(&folder.join("report.html"), page.as_bytes())?;
         atomic_write(&folder.join("metrics.json"), &serde_json::to_vec_pretty(&evaluation)?)?;
     }
-    Ok(evaluation)
+    Ok(Some(evaluation))
 }
 
 /// Of a view's picture in the report.

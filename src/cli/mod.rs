@@ -30,7 +30,7 @@ use clap::{Parser, Subcommand};
 #[derive(Parser)]
 #[command(name = "centaur", bin_name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
 #[command(
-    after_help = "Exit codes: 0 done (a training that is stopped has saved a checkpoint), 1 failure (one line on stderr), 2 wrong usage."
+    after_help = "Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (one line on stderr), 2 wrong usage."
 )]
 struct Cli {
     #[command(subcommand)]

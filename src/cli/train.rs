@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -9,13 +9,12 @@ use centaur::capture::{self, Capture, LoadOptions, Split, View};
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
-use centaur::metrics::{Evaluation, Lpips};
 use centaur::optimize::{
     self, Background, Density, MeshSource, Outcome, RefinedPose, Selection, Session, SurfaceOrigin, TrainError,
     TrainOptions, Trained,
 };
 use centaur::render::gpu::Gpu;
-use centaur::scene::{HybridScene, OrderMode};
+use centaur::scene::OrderMode;
 use clap::ValueEnum;
 
 use super::edits::positive;
@@ -39,7 +38,7 @@ Examples:
 ///
 /// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
 /// photograph is held out and scored at the end, or those of the capture's own split. Ctrl-C stops after the current iteration and leaves a checkpoint
-/// for --resume; a second Ctrl-C stops at once.
+/// for --resume, or after the current view and leaves the scene without scores; a second Ctrl-C stops at once.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
@@ -433,7 +432,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let trained = trained.map_err(|error| with_advice(error, args))?;
     if matches!(trained.outcome, Outcome::Interrupted) {
-        return report_interruption(args, &notes);
+        let checkpoint = args.checkpoint();
+        let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
+        return report_interruption(args, ("checkpoint", &checkpoint), &line, &notes);
     }
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
     let mut settings = record.settings();
@@ -446,7 +447,22 @@ pub(super) fn run(args: &Args) -> Result<()> {
         ply::write(path, &trained.scene.splats)?;
     }
     let evaluation = if scores {
-        Some(evaluate(args, &gpu, &capture, &trained.scene, lpips.as_ref(), &settings, &record)?)
+        let details = Details {
+            scene_file: &args.output,
+            lpips: lpips.as_ref(),
+            folder: args.report.as_deref(),
+            settings: &settings,
+            training: Some(&record),
+            messages: &args.messages,
+            stop: &stop,
+        };
+        let evaluation = eval::evaluate(&gpu, &trained.scene, &capture, &details)
+            .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))?;
+        if evaluation.is_none() {
+            let line = format!("wrote {}, without scores; centaur eval gives them", args.output.display());
+            return report_interruption(args, ("scene", &args.output), &line, &notes);
+        }
+        evaluation
     } else {
         None
     };
@@ -606,27 +622,6 @@ fn note(args: &Args, trained: &Trained) -> Option<String> {
     Some(format!("{}: {note}", args.capture.display()))
 }
 
-fn evaluate(
-    args: &Args,
-    gpu: &Gpu,
-    capture: &Capture,
-    scene: &HybridScene,
-    lpips: Option<&Lpips>,
-    settings: &[(String, String)],
-    record: &Record,
-) -> Result<Evaluation> {
-    let details = Details {
-        scene_file: &args.output,
-        lpips,
-        folder: args.report.as_deref(),
-        settings,
-        training: Some(record),
-        messages: &args.messages,
-    };
-    eval::evaluate(gpu, scene, capture, &details)
-        .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
-}
-
 /// The failure, and what of this command changes it.
 fn with_advice(error: TrainError, args: &Args) -> anyhow::Error {
     match (&error, &args.mesh) {
@@ -642,13 +637,10 @@ fn with_advice(error: TrainError, args: &Args) -> anyhow::Error {
     }
 }
 
-/// Ctrl-C is no failure: the work so far is in the checkpoint.
-fn report_interruption(args: &Args, notes: &[String]) -> Result<()> {
-    let checkpoint = args.checkpoint();
+/// Ctrl-C is no failure: the work so far is in a file, which is named and described.
+fn report_interruption(args: &Args, (kind, file): (&str, &Path), line: &str, notes: &[String]) -> Result<()> {
     if args.messages.json {
-        return output::print_json(
-            &serde_json::json!({ "outcome": "interrupted", "checkpoint": checkpoint, "notes": notes }),
-        );
+        return output::print_json(&serde_json::json!({ "outcome": "interrupted", kind: file, "notes": notes }));
     }
-    output::print(&format!("stopped; saved {}; the same command with --resume continues", checkpoint.display()))
+    output::print(&format!("stopped; {line}"))
 }
