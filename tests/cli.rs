@@ -115,6 +115,19 @@ fn a_report_in_the_place_of_another_output_is_wrong_usage() {
     }
 }
 
+/// Whatever `--checkpoint-every` says: Ctrl-C saves one.
+#[test]
+fn a_checkpoint_that_cannot_be_written_is_an_error_before_training() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("a.glb.checkpoint")).unwrap();
+    let long = format!("{}.glb", "a".repeat(245));
+    for (name, expected) in [("a.glb", "expected the name of a file, found a folder"), (&long, "cannot write: ")] {
+        let mut train = common::centaur(folder.path());
+        let line = common::failure(folder.path(), train.args(["train", ".", "--checkpoint-every", "0", "-o", name]));
+        assert!(line.starts_with(&format!("error: {name}.checkpoint: {expected}")), "{line}");
+    }
+}
+
 #[test]
 fn help_and_version_are_answers_not_errors() {
     let of_command = |name| vec![name, "--help"];

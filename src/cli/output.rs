@@ -59,7 +59,7 @@ pub(super) fn bar(messages: &MessageArgs, length: u64) -> ProgressBar {
 }
 
 /// Refuses, before hours of work, a file that could not be written at their end: its folder must exist and take
-/// files, and it must not be a folder itself.
+/// files, its name must be one, and it must not be a folder itself.
 pub(super) fn check_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         bail!("{}: expected the name of a file, found a folder", path.display());
@@ -68,7 +68,13 @@ pub(super) fn check_file(path: &Path) -> Result<()> {
         Some(p) if !p.as_os_str().is_empty() => p,
         _ => Path::new("."),
     };
-    probe(folder).with_context(|| format!("{}: cannot write", path.display()))
+    let cannot = || format!("{}: cannot write", path.display());
+    probe(folder).with_context(cannot)?;
+    match path.symlink_metadata() {
+        // A name that is too long, such as.
+        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e).with_context(cannot),
+        _ => Ok(()),
+    }
 }
 
 /// Refuses a folder that neither takes files nor can be made. Its parent must exist: a mistyped path is not built.
@@ -145,6 +151,7 @@ mod tests {
         assert!(check_folder(&at("new")).is_ok() && check_folder(folder.path()).is_ok());
         assert!(check_file(folder.path()).is_err() && check_folder(&at("file")).is_err());
         assert!(check_file(&at("none/new.glb")).is_err() && check_folder(&at("none/new")).is_err());
+        assert!(check_file(&at(&"a".repeat(300))).is_err());
         let error = check_file(&at("file/new.glb")).unwrap_err();
         assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");

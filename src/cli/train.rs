@@ -315,6 +315,8 @@ impl Args {
             }
         }
         output::check_file(&self.output)?;
+        // Also where none is to be saved on the way: Ctrl-C does.
+        output::check_file(&self.checkpoint())?;
         output::spare(&self.output, self.mesh.as_deref())?;
         if let Some(ply) = &self.ply {
             output::check_file(ply)?;
