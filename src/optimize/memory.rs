@@ -73,7 +73,7 @@ fn size(
     let triangles = match source {
         MeshSource::None => 0,
         MeshSource::Splats | MeshSource::Points => {
-            options.triangles + if options.shell { Shell::MOST_TRIANGLES } else { 0 }
+            options.triangles.saturating_add(if options.shell { Shell::MOST_TRIANGLES } else { 0 })
         }
         MeshSource::Given { surface, .. } => surface.triangles.len(),
     };
@@ -168,6 +168,13 @@ mod tests {
         assert_eq!(what, expected);
         let (what, alone) = of(&MeshSource::None);
         assert!(alone < hybrid && !what.contains("mesh"), "{what}");
+    }
+
+    #[test]
+    fn any_number_of_triangles_has_a_size() {
+        let options = TrainOptions { triangles: usize::MAX, ..TrainOptions::default() };
+        let hybrid = size(&options, &[camera(64, 64)], &MeshSource::Splats, 1, 64);
+        assert_eq!((hybrid.triangles, needed(&hybrid, true, 64).1), (usize::MAX, u64::MAX));
     }
 
     #[test]
