@@ -1,11 +1,12 @@
 //! A film of pictures, by ffmpeg.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Read as _, Seek as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail, ensure};
+use centaur::atomic::Staging;
 use centaur::scene::Camera;
 
 /// Refuses what cannot become a film before it is rendered.
@@ -44,16 +45,12 @@ pub(super) fn check(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
 pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let named = || format!("{}: cannot write", path.display());
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".centaur-");
-    // As readable as the umask allows, like any other file.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let temporary = builder.tempfile_in(folder).with_context(named)?.into_temp_path();
+    let staging = Staging::within(folder).with_context(named)?;
+    let film = staging.path().join("film.mp4");
     let mut messages = tempfile::tempfile().with_context(named)?;
     let spawned = Command::new("ffmpeg")
         .args(arguments(fps))
-        .arg(&temporary)
+        .arg(&film)
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(messages.try_clone().with_context(named)?)
@@ -75,8 +72,9 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
         bail!("{}: not made: ffmpeg: {reason}", path.display());
     }
     fed.with_context(|| format!("{}: not made: ffmpeg stopped reading", path.display()))?;
-    ensure!(temporary.metadata().with_context(named)?.len() > 0, "{}: not made: ffmpeg wrote nothing", path.display());
-    temporary.persist(path).map_err(|e| e.error).with_context(named)
+    let length = film.metadata().map_or(0, |made| made.len());
+    ensure!(length > 0, "{}: not made: ffmpeg wrote nothing", path.display());
+    fs::rename(&film, path).with_context(named)
 }
 
 /// Everything but the output. 4:2:0 needs even sides, which a row or column of black makes; colours are those of HD video.
