@@ -343,6 +343,9 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     let whole = std::fs::read(&checkpoint).unwrap();
     let line = resumed(&["--seed", "7"]);
     assert!(line.ends_with("expected a checkpoint of a run with the same options, but seed was 0 and is 7"), "{line}");
+    let mut with_mesh = train(folder.path(), ["--surface", "points", "--resume"]);
+    let line = failure(folder.path(), &mut with_mesh);
+    assert!(line.ends_with("a run with the same mesh, but that was none and is points"), "{line}");
     let line = resumed(&["--max-side", "40"]);
     assert!(line.contains("expected a checkpoint of the same photographs and masks at the same size"), "{line}");
     std::fs::write(&checkpoint, &whole[..whole.len() - 7]).unwrap();
@@ -356,6 +359,16 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     beyond.meta["iteration"] = 13.into();
     beyond.write(&checkpoint).unwrap();
     assert!(resumed(&[]).ends_with("iteration: expected at most the 12 of its phase, found 13"));
+}
+
+/// There is no checkpoint of this run that could be spoken of.
+#[test]
+fn what_is_not_finite_is_named() {
+    let folder = folder_with_capture(8);
+    std::fs::write(folder.path().join("scene.glb.checkpoint"), "of another run").unwrap();
+    let mut command = train(folder.path(), ["--no-mesh", "--refine-poses", "--pose-reach", "1e300"]);
+    let said = stderr(&command.output().unwrap());
+    assert!(said.trim_end().ends_with(" not finite"), "{said}");
 }
 
 fn stop_after_one_iteration(folder: &Path, options: &TrainOptions, checkpoint: &Path) {

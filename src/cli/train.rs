@@ -427,12 +427,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     };
     let trained = optimize::train(&capture, mesh, &options, session);
     reporter.finish();
+    // Those of other runs are aside as yet.
+    let has_saved = args.checkpoint().exists();
     if let (Err(_), Some(aside)) = (&trained, aside)
         && aside.back().is_ok_and(|is_back| is_back)
     {
         output::note(&format!("{}: is back, since this run left none", args.checkpoint().display()));
     }
-    let trained = trained.map_err(|error| with_advice(error, args))?;
+    let trained = trained.map_err(|error| with_advice(error, args, has_saved))?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         let checkpoint = args.checkpoint();
         let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
@@ -624,8 +626,8 @@ fn note(args: &Args, trained: &Trained) -> Option<String> {
     Some(format!("{}: {note}", args.capture.display()))
 }
 
-/// The failure, and what of this command changes it.
-fn with_advice(error: TrainError, args: &Args) -> anyhow::Error {
+/// The failure, and what of this command changes it, or of a run that `has_saved` a checkpoint is left.
+fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> anyhow::Error {
     match (&error, &args.mesh) {
         (TrainError::Gpu(e), _) if e.is_lack_of_memory() => {
             anyhow!("{error}; see --max-splats, --texture-size and --downscale")
@@ -635,6 +637,7 @@ fn with_advice(error: TrainError, args: &Args) -> anyhow::Error {
             let capture = args.capture.display();
             anyhow!("{capture}: {error}; --no-mesh trains splats alone, --mesh FILE takes yours")
         }
+        (TrainError::NotFinite { .. }, _) if has_saved => anyhow!("{error}; the last checkpoint is from before"),
         _ => error.into(),
     }
 }

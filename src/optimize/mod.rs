@@ -70,7 +70,7 @@ pub enum TrainError {
         found: usize,
     },
     /// A parameter went to NaN or infinity.
-    #[error("iteration {iteration} ({phase:?}): {group} not finite; the last checkpoint is from before")]
+    #[error("iteration {iteration} ({phase:?}): {group} not finite")]
     NotFinite {
         /// Phase of the run.
         phase: Phase,

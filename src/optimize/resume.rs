@@ -150,12 +150,21 @@ impl Saved {
         let refused = |why: String| TrainError::Resume(format!("{}: {why}", path.display()));
         let damaged = |what: &str| refused(format!("{what} is missing or damaged"));
         let field = |name: &str| meta.get(name).cloned().ok_or_else(|| damaged(name));
+        // The mesh first, since it decides whether there is a warm-up, and how long.
+        let (input, mesh) = (field("input")?, |input: &Value| input["mesh"].as_str().unwrap_or("?").to_owned());
+        let [had, has] = [&input, &run.input].map(mesh);
+        if had != has {
+            return Err(refused(format!(
+                "expected a checkpoint of a run with the same mesh, but that was {had} and is {has}"
+            )));
+        }
         let before: TrainOptions = serde_json::from_value(field("options")?).map_err(|_| damaged("options"))?;
         if let Some(change) = changed_option(&before, run.options) {
             return Err(refused(format!("expected a checkpoint of a run with the same options, but {change}")));
         }
-        if field("input")? != run.input {
-            let expected = "expected a checkpoint of the same photographs and masks at the same size, cameras, points and kind of mesh";
+        if input != run.input {
+            let expected =
+                "expected a checkpoint of the same photographs and masks at the same size, cameras and points";
             return Err(refused(format!("{expected}, found others")));
         }
         let mut take = |name: String| tensors.remove(&name).ok_or_else(|| damaged(&name));
