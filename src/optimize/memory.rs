@@ -140,7 +140,8 @@ mod tests {
     use crate::{geometry::Surface, optimize::surface, scene::Intrinsics};
 
     fn camera(width: u32, height: u32) -> Camera {
-        let intrinsics = Intrinsics { width, height, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+        let focal = f64::from(width);
+        let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx: 0.5, cy: 0.5 };
         Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap()
     }
 
