@@ -71,7 +71,7 @@ pub(super) fn check_file(path: &Path) -> Result<()> {
     let cannot = || format!("{}: cannot write", path.display());
     probe(folder).with_context(cannot)?;
     match path.symlink_metadata() {
-        // A name that is too long, such as.
+        // Such as of a name that is too long.
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e).with_context(cannot),
         _ => Ok(()),
     }

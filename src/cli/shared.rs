@@ -41,8 +41,8 @@ pub(super) struct CaptureArgs {
     /// Folder with the images, relative to the capture, such as `images_4` [default: images]
     #[arg(long, value_name = "FOLDER")]
     images: Option<String>,
-    /// Use only what masks leave white: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or masks/IMG.jpg, or the `mask_path` of a
-    /// transforms.json; with a masks/ folder every photograph needs one. Scores multiply photograph and render by the mask
+    /// Use only what masks leave white, or 1 where that is the most they have: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or
+    /// masks/IMG.jpg, or the `mask_path` of a transforms.json; with a masks/ folder every photograph needs one. Scores multiply photograph and render by the mask
     #[arg(long)]
     pub(super) masks: bool,
 }
@@ -139,9 +139,14 @@ pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &Loa
     if path.is_dir() || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))?;
     }
-    // What cannot be read is none.
-    let around = folder.ancestors().take(2).filter_map(|place| capture::cameras(place, &LoadOptions::default()).ok());
-    around.into_iter().try_for_each(|own| spare_images(pictures, own.images.iter().map(PathBuf::as_path)))
+    let known = path.canonicalize().ok();
+    for place in folder.ancestors().take(2).filter(|place| Some(*place) != known.as_deref()) {
+        // What cannot be read is none.
+        if let Ok(own) = capture::cameras(place, &LoadOptions::default()) {
+            spare_images(pictures, own.images.iter().map(PathBuf::as_path))?;
+        }
+    }
+    Ok(())
 }
 
 /// Refuses to write `pictures` over any of the photographs `images`, or beside one, where they would be taken for more of them.
