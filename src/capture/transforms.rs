@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 use std::f64::consts::PI;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
@@ -121,8 +121,10 @@ pub(super) fn load(
 
 /// `./train//r_0` is `train/r_0`.
 fn plain(name: &str) -> String {
-    let parts = Path::new(name).components().filter(|part| *part != Component::CurDir);
-    parts.collect::<PathBuf>().to_string_lossy().into_owned()
+    let parts: Vec<&str> = name.split('/').filter(|part| !matches!(*part, "" | ".")).collect();
+    // What begins at the root still does, and is refused for it.
+    let root = if name.starts_with('/') { "/" } else { "" };
+    format!("{root}{}", parts.join("/"))
 }
 
 /// Without `photographs`, names need not be those of files in the capture.
@@ -135,15 +137,16 @@ pub(super) fn parse(
 ) -> Result<Parsed, CaptureError> {
     let file: Transforms =
         serde_json::from_str(text).map_err(|e| CaptureError::json(path, "a transforms.json with frames", &e))?;
-    let held_out_names = || file.test_filenames.iter().chain(&file.val_filenames).flatten();
-    let own_split = file.train_filenames.is_some() || held_out_names().next().is_some();
-    let tests = |name: &str| held_out_names().any(|t| plain(t) == name);
-    let trains = |name: &str| file.train_filenames.iter().flatten().any(|t| plain(t) == name);
+    let plain_all =
+        |names: &Option<Vec<String>>| -> HashSet<String> { names.iter().flatten().map(|n| plain(n)).collect() };
+    let trained = plain_all(&file.train_filenames);
+    let tested = &plain_all(&file.test_filenames) | &plain_all(&file.val_filenames);
+    let own_split = file.train_filenames.is_some() || !tested.is_empty();
     // Of neither list where there is one of what to train on: left out, as by nerfstudio, which also refuses names of no frame.
-    let is_listed = |name: &str| !photographs || file.train_filenames.is_none() || trains(name) || tests(name);
+    let is_listed =
+        |name: &str| !photographs || file.train_filenames.is_none() || trained.contains(name) || tested.contains(name);
     let names: HashSet<String> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
-    let lists = file.train_filenames.iter().flatten().chain(held_out_names());
-    if let Some(name) = lists.map(|name| plain(name)).find(|name| photographs && !names.contains(name)) {
+    if let Some(name) = trained.union(&tested).filter(|name| photographs && !names.contains(*name)).min() {
         return Err(CaptureError::invalid(path, "train_, test_ or val_filenames", "the file_path of a frame", name));
     }
     let list: Arc<Path> = path.into();
@@ -173,7 +176,7 @@ pub(super) fn parse(
             Ok(Frame {
                 lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
-                held_out: held_out.or_else(|| own_split.then(|| tests(&name))),
+                held_out: held_out.or_else(|| own_split.then(|| tested.contains(&name))),
                 name,
                 list: list.clone(),
                 at,
