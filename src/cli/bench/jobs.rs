@@ -76,7 +76,9 @@ pub(super) struct Job {
     pub(super) seed: u64,
     capture: PathBuf,
     pub(super) protocol: Option<Protocol>,
-    /// The user's.
+    /// Of its scene, from `scenes.json`.
+    pub(super) scene_flags: Vec<String>,
+    /// Of the command and the variant, which replace those.
     pub(super) flags: Vec<String>,
     /// Written when the job is done.
     pub(super) result: PathBuf,
@@ -142,8 +144,8 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
         .flat_map(|(scene, Scene { capture, flags: of_scene })| {
             let capture = args.dataset.join(capture);
             variants.iter().flat_map(move |variant| {
-                let flags = [of_scene.clone(), args.flags.clone(), variant.flags.clone()].concat();
-                let (scene, capture) = (scene.clone(), capture.clone());
+                let flags = [args.flags.clone(), variant.flags.clone()].concat();
+                let (scene, capture, of_scene) = (scene.clone(), capture.clone(), of_scene.clone());
                 args.seeds.iter().map(move |&seed| Job {
                     result: args.output.join(&variant.name).join(format!("{scene}-{seed}.json")),
                     variant: variant.name.clone(),
@@ -151,6 +153,7 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
                     scene: scene.clone(),
                     capture: capture.clone(),
                     protocol: args.protocol,
+                    scene_flags: of_scene.clone(),
                     flags: flags.clone(),
                 })
             })
@@ -174,6 +177,11 @@ impl Job {
         format!("{}/{}-{}", self.variant, self.scene, self.seed)
     }
 
+    /// Flags that somebody chose; the later ones win.
+    fn given(&self) -> impl Iterator<Item = &String> {
+        self.scene_flags.iter().chain(&self.flags)
+    }
+
     /// Arguments with which this program trains. Those that every job has come last, where nothing replaces them.
     pub(super) fn command(&self) -> Vec<OsString> {
         let scene = self.result.with_extension("glb");
@@ -182,7 +190,7 @@ impl Job {
         let resume = Path::new(&checkpoint).is_file().then(|| "--resume".to_owned());
         let size = self.protocol.map_or(vec![], |protocol| size_of(&self.scene, protocol));
         let mut command = vec!["train".into(), self.capture.clone().into_os_string()];
-        command.extend(size.into_iter().chain(self.flags.iter().cloned()).map(OsString::from));
+        command.extend(size.iter().chain(self.given()).map(OsString::from));
         command.extend(["-o".into(), scene.into_os_string()]);
         command.extend(["--report".into(), self.result.with_extension("").into_os_string()]);
         command.extend(["--seed".into(), self.seed.to_string().into()]);
@@ -215,6 +223,7 @@ impl Job {
             variant: self.variant.clone(),
             scene: self.scene.clone(),
             seed: self.seed,
+            scene_flags: self.scene_flags.clone(),
             flags: self.flags.clone(),
             protocol: self.protocol,
             at_a_time,
@@ -228,7 +237,7 @@ impl Job {
 
     /// Whether `centaur train` takes the flags, and none is one that jobs have of their own.
     pub(super) fn check(&self) -> Result<()> {
-        let own = self.flags.iter().find(|flag| flag.split('=').next().is_some_and(|name| OF_JOBS.contains(&name)));
+        let own = self.given().find(|flag| flag.split('=').next().is_some_and(|name| OF_JOBS.contains(&name)));
         if let Some(flag) = own {
             return Err(usage::wrong(format!(
                 "flags of {}: expected none that every job has of its own (-o, --seeds of this command), found `{flag}`",
@@ -327,7 +336,10 @@ fn size_of(scene: &str, protocol: Protocol) -> Vec<String> {
 mod tests {
     use std::ffi::OsStr;
 
+    use serde_json::Value;
+
     use super::*;
+    use crate::cli::bench::record::{self, Record};
     use crate::cli::{Cli, Command};
 
     fn args(dataset: &Path, more: &[&str]) -> Box<Args> {
@@ -417,9 +429,20 @@ mod tests {
         );
         let all = all(&args(folder.path(), &["--", "--antialias"])).unwrap();
         assert_eq!(all.iter().map(Job::name).collect::<Vec<_>>(), ["default/Barn-0", "default/truck-0"]);
-        assert_eq!(all[0].flags, ["--downscale", "2", "--antialias"], "the command's replace those of the scene");
-        assert_eq!((&all[1].capture, all[1].flags.len()), (&folder.path().join("tandt/truck"), 1));
+        assert_eq!(all[0].scene_flags, ["--downscale", "2"]);
+        let words = all[0].command();
+        let at = words.iter().position(|word| word == "--downscale").unwrap();
+        assert_eq!(words[at..at + 3], ["--downscale", "2", "--antialias"], "the command's replace those of the scene");
+        assert_eq!((&all[1].capture, all[1].given().count()), (&folder.path().join("tandt/truck"), 1));
         all.iter().for_each(|job| job.check().unwrap());
+        // Results of them all are of one variant; once the list has other flags for a scene, its are not.
+        let mut records: Vec<Record> = (all.iter())
+            .map(|job| Record { file: job.result.clone(), made: job.made(1), result: Value::Null })
+            .collect();
+        record::check(&records, &all).unwrap();
+        records[0].made.scene_flags.clear();
+        let found = record::check(&records, &all).unwrap_err().to_string();
+        assert!(found.starts_with("out/default/Barn-0.json: expected a result of the flags of Barn in"), "{found}");
         let error = |text: &str| {
             write(text);
             format!("{:#}", super::all(&args(folder.path(), &["--protocol", "b"])).unwrap_err())
@@ -435,7 +458,7 @@ mod tests {
         let expected = "--protocol b: expected scenes.json without flags for the pictures of room, which it decides";
         assert_eq!(both, format!("{expected}, found `--downscale=2`"));
         write(r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
-        assert_eq!(super::all(&args(folder.path(), &["--protocol", "b"])).unwrap()[0].flags, ["--downscale=2"]);
+        assert_eq!(super::all(&args(folder.path(), &["--protocol", "b"])).unwrap()[0].scene_flags, ["--downscale=2"]);
     }
 
     #[test]

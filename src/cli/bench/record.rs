@@ -14,7 +14,10 @@ pub(super) struct Made {
     pub(super) variant: String,
     pub(super) scene: String,
     pub(super) seed: u64,
-    /// Of `centaur train`, without those that every job has and those of the protocol.
+    /// Of `centaur train`, for the scene.
+    #[serde(default)]
+    pub(super) scene_flags: Vec<String>,
+    /// Of `centaur train`, for all scenes of the variant, without those that every job has and those of the protocol.
     pub(super) flags: Vec<String>,
     pub(super) protocol: Option<Protocol>,
     /// Jobs that shared the machine; 0 if that is unknown. Only the times of 1 are times of a job.
@@ -59,7 +62,8 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// Refuses results that the jobs' own would not compare with: of another protocol, or in a variant of theirs of other flags.
+/// Refuses results that the jobs' own would not compare with: of another protocol, in a variant of theirs of other flags, or of a scene of
+/// theirs with other flags in `scenes.json`.
 pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
     for record in records {
         let (file, made) = (record.file.display(), &record.made);
@@ -71,6 +75,12 @@ pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
             let (expected, found) = (job.flags.join(" "), made.flags.join(" "));
             bail!(
                 "{file}: expected a result of the flags `{expected}`, found `{found}`: give the variant another name"
+            );
+        }
+        if let Some(job) = jobs.iter().find(|job| job.scene == made.scene && job.scene_flags != made.scene_flags) {
+            let (scene, expected, found) = (&made.scene, job.scene_flags.join(" "), made.scene_flags.join(" "));
+            bail!(
+                "{file}: expected a result of the flags of {scene} in scenes.json, `{expected}`, found `{found}`: give -o another folder"
             );
         }
     }

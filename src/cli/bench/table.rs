@@ -1,6 +1,6 @@
 //! What came of it, beside what others have published.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::jobs::{self, Protocol};
 use super::published::{self, Known};
-use super::record::Record;
+use super::record::{Made, Record};
 
 /// One scene, or the mean of a variant's scenes.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -84,12 +84,22 @@ impl Table {
     /// Of the results in `folder`.
     ///
     /// # Errors
-    /// If they are of several protocols, or those of a variant of several flags.
+    /// If they are of several protocols, those of a variant of several flags, or those of a scene of several flags in `scenes.json`.
     pub(super) fn new(done: &[Record], folder: &Path) -> Result<Self> {
         let folder = folder.display();
         let protocol = done.first().and_then(|record| record.made.protocol);
         if let Some(other) = done.iter().find(|record| record.made.protocol != protocol) {
             bail!("{folder}: expected results of one protocol, found another in {}", other.file.display());
+        }
+        let mut of_scenes = BTreeMap::new();
+        for record in done {
+            let Made { scene, scene_flags, .. } = &record.made;
+            if of_scenes.entry(scene).or_insert(scene_flags) != &scene_flags {
+                let file = record.file.display();
+                bail!(
+                    "{folder}: expected results of {scene} with the same flags in scenes.json, found others in {file}"
+                );
+            }
         }
         let names: BTreeSet<&str> = done.iter().map(|record| record.made.variant.as_str()).collect();
         let of = |name: &str| done.iter().filter(|r| r.made.variant == name).collect::<Vec<&Record>>();
@@ -107,7 +117,8 @@ impl Table {
             }
             variants.push(Section::new(name, &own, &common));
         }
-        let resized = done.iter().any(|record| record.made.flags.iter().any(|flag| jobs::chooses_pictures(flag)));
+        let resizes = |made: &Made| made.scene_flags.iter().chain(&made.flags).any(|flag| jobs::chooses_pictures(flag));
+        let resized = done.iter().any(|record| resizes(&record.made));
         let sides: BTreeSet<u64> = done.iter().flat_map(longer_sides).collect();
         let known = published::of(&common, protocol, resized, &sides);
         let has_vgg =
@@ -292,7 +303,6 @@ fn longer_sides(record: &Record) -> Vec<u64> {
 mod tests {
     use serde_json::json;
 
-    use super::super::record::Made;
     use super::*;
 
     fn record(variant: &str, scene: &str, seed: u64, psnr: f64) -> Record {
@@ -305,6 +315,7 @@ mod tests {
             variant: variant.to_owned(),
             scene: scene.to_owned(),
             seed,
+            scene_flags: vec![],
             flags: vec!["--flag".to_owned()],
             protocol: Some(Protocol::B),
             at_a_time: 1,
@@ -434,6 +445,27 @@ mod tests {
         assert_eq!(table(&records).published.len(), 16);
     }
 
+    /// As `fetch_captures.py tandt` lists them.
+    #[test]
+    fn scenes_have_flags_of_their_own() {
+        let scenes = ["Barn", "Caterpillar", "Ignatius", "train", "truck"];
+        let mut records: Vec<Record> = scenes.iter().map(|scene| record("a", scene, 0, 24.0)).collect();
+        for r in &mut records {
+            r.made.protocol = None;
+            if r.made.scene.starts_with(char::is_uppercase) {
+                r.made.scene_flags = ["--downscale", "2"].map(str::to_owned).to_vec();
+            }
+        }
+        let five = table(&records);
+        assert!(five.published.iter().any(|row| row.method == "HERA, filtered" && row.psnr == 24.39), "{five}");
+        assert_eq!(five.variants[0].flags, ["--flag"]);
+        // Theirs are smaller than what is distributed, so that no table of that stands beside them.
+        records.retain(|r| r.made.scene.starts_with('t'));
+        assert_eq!(table(&records).published.len(), 16);
+        records[0].made.scene_flags = vec!["--downscale=2".to_owned()];
+        assert!(table(&records).published.is_empty());
+    }
+
     #[test]
     fn what_does_not_compare_is_refused() {
         let error = |change: fn(&mut Record)| {
@@ -445,5 +477,9 @@ mod tests {
         assert_eq!(protocol, "out: expected results of one protocol, found another in out/a/room-1.json");
         let flags = error(|r| r.made.flags.clear());
         assert_eq!(flags, "out: expected results of `a` of the same flags, found others in out/a/room-1.json");
+        let scene = error(|r| r.made.scene_flags = vec!["--masks".to_owned()]);
+        let expected =
+            "out: expected results of room with the same flags in scenes.json, found others in out/a/room-1.json";
+        assert_eq!(scene, expected);
     }
 }

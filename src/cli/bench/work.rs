@@ -68,13 +68,16 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, St
         }
     });
     bar.finish_and_clear();
+    let failed = failed.into_inner().unwrap_or_default();
     if stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed) {
-        bail!("stopped; the same command goes on");
+        let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
+        let again = if names.is_empty() { "" } else { ", and does again what failed: " };
+        bail!("stopped; the same command goes on{again}{}", names.join(", "));
     }
     if elsewhere.load(Ordering::Relaxed) {
         let _ = writeln!(io::stderr(), "note: some jobs are left to another runner, which is at them");
     }
-    Ok(failed.into_inner().unwrap_or_default())
+    Ok(failed)
 }
 
 /// One training, unless somebody else is at it. `at_a_time` as in [`super::record::Made`].
