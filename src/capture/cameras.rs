@@ -160,7 +160,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
     if let Some(model) = file.camera_type.filter(|kind| kind != "perspective") {
         return Err(CaptureError::UnsupportedModel { path: path.into(), place: "/camera_type".to_owned(), model });
     }
-    let [width, height] = [file.render_width, file.render_height];
+    let [width, height] = [file.render_width, file.render_height].map(f64::round);
     let camera = |(i, key): (usize, &Key)| {
         let name = format!("frame_{i:05}");
         let rows: Vec<[f64; 4]> = key.camera_to_world.as_chunks::<4>().0.to_vec();

@@ -213,6 +213,7 @@ fn frames(
             rotation: DMat3::from_quat(rotation),
             translation: DVec3::from(image.translation),
             held_out: None,
+            moment: None,
             sees: vec![],
         });
     }

@@ -10,7 +10,7 @@ use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Rgba
 use super::distortion::{Distortion, Lens};
 use super::views::same_aspect;
 use super::{CaptureError, View, error};
-use crate::scene::Intrinsics;
+use crate::{format::MAX_PIXEL_RATIO, scene::Intrinsics};
 
 /// Where a picture comes from and what makes it fit its camera.
 #[derive(Clone, Debug)]
@@ -23,6 +23,7 @@ pub struct ImageSource {
     /// Size after downscaling.
     pub(super) size: (u32, u32),
     pub(super) held_out: Option<bool>,
+    pub(super) moment: Option<f64>,
 }
 
 impl ImageSource {
@@ -54,6 +55,12 @@ impl ImageSource {
     pub fn held_out(&self) -> Option<bool> {
         self.held_out
     }
+
+    /// When the photograph was taken, in a unit of the capture's own, if that says so: `time` (D-NeRF, nerfstudio) or `timestep_index` (VHAP).
+    #[must_use]
+    pub fn moment(&self) -> Option<f64> {
+        self.moment
+    }
 }
 
 /// A decoded picture at the size of its view's camera.
@@ -71,11 +78,6 @@ pub struct Photo {
     /// A mask was applied, or the undistorted frame reaches outside the photograph: A is how far a pixel counts.
     pub masked: bool,
 }
-
-/// Bytes of pixels a byte of a file can stand for at most. Deflate reaches 1032, of which each is 8 pixels of 1 bit, or 24 bytes of a
-/// palette's colours: 24,768. A progressive JPEG of one colour has about 1000 (one bit per 8×8 block). Memory is not reserved on the word of a
-/// header that claims more.
-const MAX_RATIO: u64 = 1 << 15;
 
 /// What the first bytes of an image say.
 pub(super) struct Header {
@@ -123,8 +125,8 @@ fn decoder<'a>(bytes: &'a [u8], path: &Path) -> Result<impl ImageDecoder + 'a, C
         let expected = format!("1 to {} pixels, at most {} a side", Intrinsics::MAX_PIXELS, Intrinsics::MAX_SIDE);
         return Err(CaptureError::invalid(path, "image size", expected, format!("{w}×{h}")));
     }
-    if decoder.total_bytes() / MAX_RATIO > bytes.len() as u64 {
-        let expected = format!("{w}×{h} pixels in {} bytes", decoder.total_bytes() / MAX_RATIO);
+    if decoder.total_bytes() / MAX_PIXEL_RATIO > bytes.len() as u64 {
+        let expected = format!("{w}×{h} pixels in {} bytes", decoder.total_bytes() / MAX_PIXEL_RATIO);
         return Err(CaptureError::Truncated { path: path.into(), offset: bytes.len(), expected });
     }
     Ok(decoder)
@@ -263,6 +265,7 @@ mod tests {
     use super::super::tests::write_capture;
     use super::super::{Downscale, LoadOptions, open};
     use super::*;
+    use crate::format::test_scenes::black_png;
     use image::RgbImage;
 
     /// A 16×8 JPEG with a bright top left quarter.
@@ -398,32 +401,11 @@ mod tests {
         assert!(differences.len() == 60 && differences.iter().all(|d| *d <= 1) && off <= 15, "{off}: {differences:?}");
     }
 
-    /// A PNG of 1 bit per pixel, as programs write masks: a thousandth of a byte each.
-    fn black_mask(width: u32, height: u32) -> Vec<u8> {
-        let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
-        let mut chunk = |kind: &[u8; 4], data: &[u8]| {
-            out.extend((data.len() as u32).to_be_bytes());
-            let named = [kind, data].concat();
-            let mut crc = flate2::Crc::new();
-            crc.update(&named);
-            out.extend(named);
-            out.extend(crc.sum().to_be_bytes());
-        };
-        let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
-        chunk(b"IHDR", &[&size[..], &[1, 0, 0, 0, 0]].concat());
-        let rows = vec![0; height as usize * (1 + width.div_ceil(8) as usize)];
-        let mut encoder = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::best());
-        std::io::Write::write_all(&mut encoder, &rows).unwrap();
-        chunk(b"IDAT", &encoder.finish().unwrap());
-        chunk(b"IEND", &[]);
-        out
-    }
-
     #[test]
     fn headers_are_not_believed() {
         let mut bytes = png(&DynamicImage::new_rgb8(16, 8));
         assert!(photo_of(&png(&DynamicImage::new_rgb8(4000, 3000)), 4000, 3000, Downscale::Factor(99)).is_ok());
-        assert!(photo_of(&black_mask(4000, 3000), 4000, 3000, Downscale::Factor(99)).is_ok());
+        assert!(photo_of(&black_png(4000, 3000), 4000, 3000, Downscale::Factor(99)).is_ok());
         // IHDR with 16384×16384 pixels and its checksum.
         let mut crc = !0u32;
         bytes[16..24].copy_from_slice(&[0, 0, 0x40, 0, 0, 0, 0x40, 0]);

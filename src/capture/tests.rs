@@ -467,6 +467,9 @@ fn frames_have_lenses_of_their_own() {
     assert!(refusal.contains("focal length: expected 0.001 to 1000000 times the sides"), "{refusal}");
     let refusal = focal(r#""fl_x":8,"latlong":true"#, "").unwrap_err().to_string();
     assert!(refusal.contains("latlong"), "{refusal}");
+    let refusal = focal(r#""fl_x":8,"camera_model":"OPENCV""#, r#""is_fisheye":true,"#).unwrap_err().to_string();
+    assert!(refusal.contains("expected no is_fisheye beside camera_model OPENCV, found true"), "{refusal}");
+    focal(r#""fl_x":8,"camera_model":"OPENCV_FISHEYE","is_fisheye":true"#, "").unwrap();
 }
 
 #[test]

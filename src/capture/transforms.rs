@@ -44,6 +44,8 @@ struct FrameFields {
     #[serde(default)]
     file_path: String,
     mask_path: Option<String>,
+    time: Option<f64>,
+    timestep_index: Option<f64>,
     transform_matrix: Vec<[f64; 4]>,
 }
 
@@ -177,6 +179,7 @@ pub(super) fn parse(
                 lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
                 held_out: held_out.or_else(|| own_split.then(|| tested.contains(&name))),
+                moment: fields.time.or(fields.timestep_index),
                 name,
                 list: list.clone(),
                 at,
@@ -287,6 +290,10 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Pa
         return unsupported("latlong");
     }
     let fisheye = frame.is_fisheye.or(file.is_fisheye).unwrap_or(false);
+    if let Some(model) = model.filter(|model| fisheye && *model != "OPENCV_FISHEYE") {
+        let expected = format!("no is_fisheye beside camera_model {model}");
+        return Err(CaptureError::invalid(path, at, expected, "true"));
+    }
     let distortion = match model {
         None if fisheye => Distortion::Fisheye { k: [k1, k2, k3, k4], p: [0.0; 2], s: [0.0; 2] },
         Some("OPENCV_FISHEYE") => Distortion::Fisheye { k: [k1, k2, k3, k4], p: [0.0; 2], s: [0.0; 2] },

@@ -281,6 +281,13 @@ mod tests {
     }
 
     #[test]
+    fn comments_end_with_their_line() {
+        let begun = "v 0 0 0\nv 1 0 0\n# from C:\\scans\\\nv 1 \\\n 1 0\nf 1 2 3\n";
+        let mesh = obj::parse(begun.as_bytes()).and_then(Soup::finish).unwrap();
+        assert_eq!((mesh.positions.len(), mesh.triangles.len()), (3, 1));
+    }
+
+    #[test]
     fn joined_vertices_and_degenerate_faces() {
         let obj = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 -0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 4 5 6\nf 1 2 4\n";
         let mesh = obj::parse(obj.as_bytes()).and_then(Soup::finish).unwrap();

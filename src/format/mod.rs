@@ -24,7 +24,7 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 #[cfg(test)]
-mod test_scenes;
+pub(crate) mod test_scenes;
 pub mod usd;
 mod validate;
 
@@ -47,9 +47,10 @@ pub use validate::{Finding, Severity, Validation, validate};
 use crate::atomic;
 use crate::scene::{HybridScene, PixelFilter, Splats};
 
-/// Bytes of pixels that a byte of an image can stand for at most, with room to spare: deflate reaches 1032, a progressive
-/// JPEG of one colour about 512. Memory is not reserved on the word of a header that claims more.
-const MAX_PIXEL_RATIO: u64 = 4096;
+/// Bytes of pixels a byte of an image can stand for at most. Deflate reaches 1032, of which each is 8 pixels of 1 bit, or 24 bytes of a
+/// palette's colours: 24,768. A progressive JPEG of one colour has about 1000 (one bit per 8×8 block). Memory is not reserved on the word of a
+/// header that claims more.
+pub(crate) const MAX_PIXEL_RATIO: u64 = 1 << 15;
 
 /// Image height given to cameras that do not state one.
 const DEFAULT_HEIGHT: u32 = 1080;

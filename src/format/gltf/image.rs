@@ -96,6 +96,21 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::format::test_scenes::black_png;
+
+    /// One bit a pixel, and deflate a thousandth of those.
+    #[test]
+    fn images_of_one_colour_are_short() {
+        let folder = tempfile::tempdir().unwrap();
+        let short = black_png(2048, 2048);
+        assert!(short.len() < 1024, "{} bytes", short.len());
+        std::fs::write(folder.path().join("a.png"), short).unwrap();
+        let json =
+            br#"{ "asset": { "version": "2.0" }, "images": [{ "uri": "a.png" }], "textures": [{ "source": 0 }] }"#;
+        let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
+        let texels = asset.texels(0).map_err(|e| e.in_file(Path::new("f")).to_string()).unwrap();
+        assert_eq!((texels.width, texels.rgba[0]), (2048, [0.0, 0.0, 0.0, 1.0]));
+    }
 
     #[test]
     fn an_image_header_that_claims_more_than_its_file_can_hold_is_refused() {
@@ -110,6 +125,6 @@ mod tests {
             br#"{ "asset": { "version": "2.0" }, "images": [{ "uri": "a.jpg" }], "textures": [{ "source": 0 }] }"#;
         let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
         let message = asset.texels(0).err().unwrap().in_file(Path::new("f")).to_string();
-        assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 196608 bytes"), "{message}");
+        assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 24576 bytes"), "{message}");
     }
 }

@@ -32,7 +32,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
         }
         offset += raw.len();
         let text = String::from_utf8_lossy(raw);
-        if let Some(begun) = text.trim_end().strip_suffix('\\') {
+        // A comment ends with its line, whatever it ends in: exporters write folders of Windows there.
+        let is_comment = line.is_empty() && text.trim_start().starts_with('#');
+        if let Some(begun) = text.trim_end().strip_suffix('\\').filter(|_| !is_comment) {
             line.push_str(begun);
             line.push(' ');
             continue;

@@ -31,7 +31,7 @@ const COORDINATE_SYSTEM: u32 = 0xADBE_0003;
 const GREATEST_EXPANSION: u64 = 1032;
 /// What a file may expand to however short it is.
 const ALWAYS_PLAUSIBLE: u64 = 64 << 20;
-/// What follows the attributes of versions 2 and 3 is not read beyond this.
+/// What follows the attributes of versions 2 and 3 is not kept beyond this.
 const GREATEST_TRAILER: u64 = 1 << 16;
 /// zstd's own limit of memory for a decoder, 2²⁷ bytes.
 const WINDOW_LOG_MAX: u32 = 27;
@@ -131,9 +131,10 @@ fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> 
     for ((stream, bytes), name) in streams.iter_mut().zip(header.stream_bytes()).zip(NAMES) {
         *stream = read_exactly(content, bytes, name)?;
     }
-    // Reading on to the end also verifies the checksum of gzip.
+    // Only reading to the very end verifies the checksum of gzip.
     let mut trailer = vec![];
     content.take(GREATEST_TRAILER).read_to_end(&mut trailer).map_err(|e| damaged("trailer", &e))?;
+    io::copy(content, &mut io::sink()).map_err(|e| damaged("trailer", &e))?;
     finish(header, streams, &trailer)
 }
 

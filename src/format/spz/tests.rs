@@ -1,4 +1,4 @@
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
 
 use proptest::prelude::*;
 
@@ -153,6 +153,16 @@ fn damage_inside_gzip_is_found_by_its_checksum() {
     let at = bytes.len() - 6;
     bytes[at] ^= 1;
     assert!(message(&bytes).contains("expected trailer that can be decompressed"), "{}", message(&bytes));
+    // However much follows what is read.
+    let (bytes, _) = written(&random_splats(9, 1, 1), &Options { version: Version::V3, ..Options::default() });
+    let mut content = vec![];
+    flate2::read::GzDecoder::new(&bytes[..]).read_to_end(&mut content).unwrap();
+    content.resize(content.len() + (1 << 18), 0);
+    let mut long = gzipped(&content);
+    parse(&long).unwrap();
+    let at = long.len() - 6;
+    long[at] ^= 1;
+    assert!(message(&long).contains("expected trailer that can be decompressed"), "{}", message(&long));
 }
 
 proptest! {
