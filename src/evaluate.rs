@@ -89,6 +89,17 @@ pub fn held_out(capture: &Capture) -> Result<Vec<&View>, EvaluateError> {
     Ok(held_out.into_iter().map(|i| &capture.views[i]).collect())
 }
 
+/// Reads the photographs of those views, one at a time, and forgets them.
+///
+/// # Errors
+/// If there are none, or one cannot be read.
+pub fn check_photographs(capture: &Capture) -> Result<(), EvaluateError> {
+    for view in held_out(capture)? {
+        capture::decode(view)?;
+    }
+    Ok(())
+}
+
 /// A scene on the GPU, to be compared with photographs one at a time.
 pub struct Evaluator<'a> {
     gpu: &'a Gpu,

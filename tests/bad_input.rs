@@ -84,6 +84,21 @@ fn captures_with_missing_or_wrong_parts() {
     }
 }
 
+/// Its header is whole. Only some of those that are held out are looked at while training goes on; all are scored after it.
+#[test]
+fn a_held_out_photograph_that_ends_early_is_found_before_training() {
+    let folder = folder_with_capture(64);
+    let image = folder.path().join("capture/images/008.png");
+    let whole = std::fs::read(&image).unwrap();
+    std::fs::write(&image, &whole[..whole.len() - 20]).unwrap();
+    let mut scored = centaur(folder.path());
+    scored.args(SHORT.iter().filter(|word| **word != "--no-eval")).arg("--no-mesh");
+    let line = failure(folder.path(), &mut scored);
+    assert!(line.starts_with("error: capture/images/008.png: "), "{line}");
+    let trained = train(folder.path(), ["--no-mesh"]).output().unwrap();
+    assert!(trained.status.success(), "it is needed for scores alone: {}", stderr(&trained));
+}
+
 #[test]
 fn truncated_binary_models() {
     let camera = |count: u64| {

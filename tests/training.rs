@@ -176,6 +176,43 @@ fn resumed_while_looking_for_a_surface() {
     }
 }
 
+/// What follows a phase takes its time, and the last one writes the scene: what has been trained is in a checkpoint before.
+#[test]
+fn resumed_from_the_end_of_each_phase() {
+    let options = TrainOptions {
+        iterations: 50,
+        refine_poses: true,
+        exposure: true,
+        checkpoint_every: 1000,
+        ..options(Density::Mcmc)
+    };
+    let bench = Bench::new(MeshSource::Splats, options);
+    let file = |name: &str| bench.folder.path().join(name);
+    let (stop, phase) = (AtomicBool::new(false), Cell::new(Phase::Surface));
+    let session = Session {
+        gpu: &bench.gpu,
+        checkpoint: Some(file("checkpoint")),
+        resume: false,
+        stop: &stop,
+        progress: &mut |p| {
+            if p.phase != phase.replace(p.phase) {
+                std::fs::copy(file("checkpoint"), file(&format!("before-{:?}", p.phase))).unwrap();
+            }
+        },
+    };
+    let straight = train(&bench.capture, bench.mesh.clone(), &bench.options, session).unwrap();
+    std::fs::copy(file("checkpoint"), file("at-the-end")).unwrap();
+    // Another phase's reports are those that are left.
+    for (name, reports) in [("before-Warmup", 4), ("before-Joint", 2), ("at-the-end", 0)] {
+        std::fs::copy(file(name), file("checkpoint")).unwrap();
+        let resumed = bench.run(true, None);
+        assert_eq!((resumed.outcome, bench.told.get()), (Outcome::Finished, reports), "{name}");
+        assert!(straight.scene == resumed.scene && straight.cameras == resumed.cameras, "{name}: another scene");
+        assert_eq!(straight.exposures, resumed.exposures, "{name}");
+        assert_eq!((straight.surface, straight.selection), (resumed.surface, resumed.selection), "{name}");
+    }
+}
+
 /// A surface is found and its maps are judged, but a budget has no room for them: what is left is what splats alone come to.
 #[test]
 fn a_run_that_keeps_no_mesh_is_one_without() {

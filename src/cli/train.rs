@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use centaur::atomic::Aside;
 use centaur::capture::{self, Capture, LoadOptions, Split, View};
+use centaur::evaluate;
 use centaur::format::mesh_import;
 use centaur::format::{gltf, ply};
 use centaur::geometry::Surface;
@@ -88,7 +89,7 @@ pub(super) struct Args {
     /// threads there are and wherever it was resumed
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION)]
     seed: u64,
-    /// Save a checkpoint after every N iterations; 0 for none but that of Ctrl-C
+    /// Save a checkpoint after every N iterations and at the end of each phase; 0 for none but that of Ctrl-C
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
           help_heading = OPTIMISATION)]
     checkpoint_every: u32,
@@ -408,6 +409,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(folder) = &args.report {
         eval::report_pictures(folder, &capture)?;
     }
+    if scores {
+        // One that cannot be read is better known now than after hours.
+        evaluate::check_photographs(&capture)?;
+    }
     let mut notes = before_training(args, &capture, &gpu, scores);
     notes.extend(of_mesh);
     let aside = set_aside(args)?;
@@ -446,10 +451,15 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let moved = moved(&trained);
     settings.extend(moved.iter().map(|moved| ("poses".to_owned(), moved.clone())));
     let cameras: Vec<_> = capture.views.iter().zip(&trained.cameras).map(|(v, c)| (v.name.clone(), *c)).collect();
-    gltf::write_glb(&args.output, &trained.scene, &cameras, Some(serde_json::to_value(&record)?))?;
-    if let Some(path) = &args.ply {
-        ply::write(path, &trained.scene.splats)?;
+    let written = gltf::write_glb(&args.output, &trained.scene, &cameras, Some(serde_json::to_value(&record)?))
+        .and_then(|_| args.ply.as_ref().map_or(Ok(()), |path| ply::write(path, &trained.scene.splats).map(drop)));
+    if written.is_err() && has_saved {
+        output::note(&format!(
+            "{}: holds what was trained; the same command with --resume writes it",
+            args.checkpoint().display()
+        ));
     }
+    written?;
     let evaluation = if scores {
         let details = Details {
             scene_file: &args.output,
@@ -533,6 +543,10 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
         ),
         (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
         (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
+        (
+            shows_motion(capture),
+            "shows several moments, which are trained as if all were one: what moves will be blurred",
+        ),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
     let longest = |view: &View| view.camera.intrinsics().width.max(view.camera.intrinsics().height);
@@ -567,6 +581,13 @@ fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> V
         .chain(none_left)
         .chain(idle)
         .collect()
+}
+
+/// Whether its views say that they are of different times.
+fn shows_motion(capture: &Capture) -> bool {
+    let mut moments = capture.views.iter().map(|view| view.source.moment());
+    let first = moments.next().flatten();
+    moments.any(|moment| moment != first)
 }
 
 /// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.

@@ -90,7 +90,8 @@ fn invalid(path: &Path) -> impl Fn(SceneError) -> CheckpointError {
 }
 
 impl Checkpoint {
-    /// Writes to a temporary file in the same folder and renames it to `path`, so that a crash leaves the old one.
+    /// Writes to a temporary file in the same folder and renames it to `path`, so that a crash, of the machine too,
+    /// leaves the old one.
     ///
     /// # Errors
     /// If the file cannot be written, or would not be accepted by [`Self::read`].
@@ -116,7 +117,11 @@ impl Checkpoint {
             out.write_all(&header)?;
             arrays[..arrays.len() - 1].iter().try_for_each(|(_, array)| array.write(&mut out))?;
             let sum = out.crc().sum();
-            Array::Indices(&[sum]).write(&mut out)
+            Array::Indices(&[sum]).write(&mut out)?;
+            // Before it takes the old one's place.
+            let out = out.into_inner();
+            out.flush()?;
+            out.get_ref().sync_all()
         })
         .map(drop)
         .map_err(|source| CheckpointError::Io { path: path.into(), source })

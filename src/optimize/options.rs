@@ -99,7 +99,7 @@ pub struct TrainOptions {
     /// far background. Its triangles are judged as all others, by two views at least, and it has no vertex that `triangles` counts. Not
     /// where photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/experiments.md.
     pub shell: bool,
-    /// Iterations between checkpoints, 0 for none but that of a run that is stopped: 2,000.
+    /// Iterations between checkpoints, of which there is one at the end of each phase besides; 0 for none but that of a run that is stopped: 2,000.
     pub checkpoint_every: u32,
     /// Iterations between looks at held-out views, 0 for none but at the end of each phase: 500.
     pub eval_every: u32,

@@ -29,7 +29,13 @@ pub(super) fn input(capture: &Capture, source: &MeshSource) -> Value {
         MeshSource::None => "none".to_owned(),
         MeshSource::Splats => "splats".to_owned(),
         MeshSource::Points => "points".to_owned(),
-        MeshSource::Given { surface, .. } => format!("given, {} triangles", surface.triangles.len()),
+        MeshSource::Given { surface, corner_uvs } => {
+            let positions = surface.positions.iter().flat_map(|p| p.to_array()).map(f64::from);
+            let corners = surface.triangles.iter().flatten().map(|&corner| f64::from(corner));
+            let uvs = corner_uvs.iter().flatten().flatten().flat_map(|uv| uv.to_array()).map(f64::from);
+            let shape = digest(positions.chain(corners).chain(uvs));
+            format!("given, {} triangles, {shape:016x}", surface.triangles.len())
+        }
     };
     serde_json::json!({ "views": views, "points": (capture.points.len(), points), "mesh": mesh })
 }

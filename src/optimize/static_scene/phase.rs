@@ -110,7 +110,9 @@ impl Run<'_> {
             done += 1;
             let stop = self.session.stop.load(Ordering::Relaxed);
             let reports = is_due(done, REPORT_EVERY) || done == plan.iterations || stop;
-            let saves = stop || is_due(done, self.options.checkpoint_every);
+            // Also at the end of a phase: what follows takes minutes, and writes files that may not fit on the disk.
+            let ends = done == plan.iterations && self.options.checkpoint_every > 0;
+            let saves = stop || ends || is_due(done, self.options.checkpoint_every);
             if reports || saves || self.looks_after(plan, done) {
                 let again = training.grow_if_short()?;
                 if again > 0 {
