@@ -122,7 +122,7 @@ impl Aside {
 const PREFIX: &str = ".centaur-";
 
 /// Writes to `path` what `produce` makes, by way of a temporary file in the same folder, so that `path` holds either its former content or
-/// all of the new one. Returns the number of bytes written.
+/// all of the new one. Returns the number of bytes written. Where `path` is a symbolic link to a file, that file is replaced.
 ///
 /// # Errors
 /// If the folder does not exist or cannot be written to, or `produce` fails.
@@ -130,10 +130,12 @@ pub(crate) fn write_with(
     path: &Path,
     produce: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
 ) -> io::Result<u64> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if path.is_dir() {
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder of this name exists"));
     }
+    let linked = path.is_symlink().then(|| path.canonicalize().ok()).flatten();
+    let path = linked.as_deref().unwrap_or(path);
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX);
     // Temporary files are private by default; a result is as readable as the umask allows, like any other file.
@@ -155,6 +157,24 @@ mod tests {
 
     fn write(path: &Path, bytes: &[u8]) -> io::Result<u64> {
         write_with(path, |out| out.write_all(bytes))
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_a_link_leads_to_is_written() {
+        let [folder, other] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let [link, file] = [folder.path().join("a.bin"), other.path().join("b.bin")];
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        // A link to nothing is replaced.
+        write(&link, b"old").unwrap();
+        assert!(!link.is_symlink() && !file.exists());
+        fs::remove_file(&link).unwrap();
+        fs::write(&file, b"old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        write(&link, b"new").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert_eq!([&folder, &other].map(|f| fs::read_dir(f.path()).unwrap().count()), [1, 1]);
     }
 
     #[test]
