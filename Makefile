@@ -61,11 +61,16 @@ clippy:
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps
 
+# Parts of names of tests.
+WIDTH_TESTS := gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
 test-rust: ## unit, integration and documentation tests
 	cargo test --release --no-fail-fast
 	@# Kernels for GPUs have other ways for subgroups of 4 and of 16 lanes; Mesa's software adapter makes them of 8 by itself.
-	LP_NATIVE_VECTOR_WIDTH=128 cargo test --release --lib -- gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
-	LP_NATIVE_VECTOR_WIDTH=512 cargo test --release --lib -- gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
+	@for name in $(WIDTH_TESTS); do \
+		cargo test --release --lib --quiet -- --list $$name | grep -q ': test$$' || { echo "no test has $$name in its name" >&2; exit 1; }; \
+	done
+	LP_NATIVE_VECTOR_WIDTH=128 cargo test --release --lib -- $(WIDTH_TESTS)
+	LP_NATIVE_VECTOR_WIDTH=512 cargo test --release --lib -- $(WIDTH_TESTS)
 
 # Test files with a test that needs the shared data; all ignored tests of such a file run.
 DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs))

@@ -29,13 +29,19 @@ const ONLY_IN: [(&str, &[&str], &str); 5] = [
     ("clap::", &["cli/", "main.rs"], "clap in the library"),
 ];
 
-/// Source without comments and test modules, which by convention come last in a file.
+/// Source without comments and without items for tests, whose last line is indented as their first.
 fn production(text: &str) -> String {
+    let indentation = |line: &str| line.len() - line.trim_start().len();
     let mut kept = String::new();
-    let mut lines = text.lines().peekable();
+    let mut lines = text.lines();
     while let Some(line) = lines.next() {
-        if line.trim() == "#[cfg(test)]" && lines.peek().is_some_and(|next| next.trim_end().ends_with('{')) {
-            break;
+        if line.trim() == "#[cfg(test)]" {
+            let is_last = |next: &&str| {
+                let is_attribute = next.trim_start().starts_with("#[");
+                indentation(next) == indentation(line) && next.trim_end().ends_with(['}', ';', ',']) && !is_attribute
+            };
+            lines.find(is_last);
+            continue;
         }
         kept.push_str(line.split("//").next().unwrap());
         kept.push('\n');
@@ -166,6 +172,9 @@ fn violations_are_found_and_tests_exempt() {
     assert!(check("geometry/bvh.rs", fine).is_empty());
     assert!(check("geometry/bvh.rs", "#[cfg(test)]\nmod tests {\n use crate::capture;\n}").is_empty());
     assert_eq!(check("geometry/bvh.rs", "#[cfg(test)]\nmod tests;\nuse crate::capture;").len(), 1);
+    // What follows an item for tests is looked at, however long that is.
+    let test_only = "impl A {\n    #[cfg(test)]\n    #[must_use]\n    fn f(\n        x: crate::capture::View,\n    ) -> u32 {\n        1\n    }\n    fn g(x: crate::optimize::Run) {}\n}";
+    assert_eq!(check("geometry/bvh.rs", test_only), ["geometry/bvh.rs: geometry imports optimize"]);
     assert!(check("render/gpu/device/mod.rs", "wgpu::Device").is_empty());
     assert!(check("cli/eval.rs", "println!()").is_empty());
 }
