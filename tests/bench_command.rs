@@ -101,6 +101,29 @@ fn a_data_set_is_trained_once_and_tabled() {
     let other = bench(folder.path(), &["--protocol", "a"], "--iterations 20");
     assert_eq!(said(&other).1, "error: out/hybrid/one-0.json: expected a result of --protocol a, found none\n");
 
+    // Nor what is in another's place, is no result, or is one of another capture.
+    let place = at("out/hybrid/one-0.json");
+    let whole = std::fs::read(&place).unwrap();
+    let refused = || said(&bench(folder.path(), &["--list"], COARSE)).1;
+    std::fs::create_dir(at("out/copy")).unwrap();
+    std::fs::write(at("out/copy/one-0.json"), &whole).unwrap();
+    let expected = "error: out/copy/one-0.json: expected a result of this place, found that of out/hybrid/one-0.json\n";
+    assert_eq!(refused(), expected);
+    std::fs::remove_dir_all(at("out/copy")).unwrap();
+    let elsewhere = String::from_utf8(whole.clone()).unwrap().replace("\"capture\": ", "\"capture\": 1");
+    for (text, expected) in [
+        ("{}", "no result of a training; delete it to do that job anew\n"),
+        (
+            "{",
+            "no result of a training; delete it to do that job anew: EOF while parsing an object at line 1 column 1\n",
+        ),
+        (&elsewhere, "expected a result of scenes/one, found that of other cameras: give -o another folder\n"),
+    ] {
+        std::fs::write(&place, text).unwrap();
+        assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));
+    }
+    std::fs::write(&place, &whole).unwrap();
+
     // A part of the jobs may be none of them, before anything is done and after.
     for out in ["out", "nowhere"] {
         let empty = centaur(folder.path())

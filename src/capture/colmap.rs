@@ -120,6 +120,12 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
 
+/// Files of the model in `folder` that say where its frames are.
+pub(super) fn pose_files(folder: &Path) -> Vec<PathBuf> {
+    let names = ["images.bin", "images.txt", "frames.bin", "frames.txt"];
+    names.iter().map(|name| folder.join(name)).filter(|file| file.is_file()).collect()
+}
+
 /// Frames and points of the model in `folder`, with the images in `root/<images folder>`. Unless they are wanted, points are not
 /// read, nor which of them a frame sees.
 pub(super) fn load(

@@ -156,6 +156,22 @@ pub fn is_capture(folder: &Path) -> bool {
     colmap::find_model(folder).is_some() || !transforms::find(folder).is_empty()
 }
 
+/// A checksum of the files in which the capture at `folder` has its cameras, by which it is told from others; `None` if there are none.
+///
+/// # Errors
+/// If one of them cannot be read.
+pub fn fingerprint(folder: &Path) -> std::io::Result<Option<u32>> {
+    let files = match colmap::find_model(folder) {
+        Some(model) => colmap::pose_files(&model),
+        None => transforms::find(folder).into_iter().map(|(file, _)| file).collect(),
+    };
+    let mut sum = flate2::Crc::new();
+    for file in &files {
+        sum.update(&std::fs::read(file)?);
+    }
+    Ok((!files.is_empty()).then(|| sum.sum()))
+}
+
 /// Distance of neighbouring coordinates as a part of [`extent`], at most: a quarter of a pixel of pictures of a thousand.
 const COARSEST: f64 = 2.5e-4;
 

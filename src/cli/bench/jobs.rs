@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Args;
 use super::record::Made;
-use crate::cli::usage;
+use crate::cli::{output, usage};
 
 /// Scenes of Mip-NeRF 360 and by what their pictures are divided.
 pub(super) const MIPNERF360: [(&str, u32); 9] = [
@@ -46,13 +46,52 @@ impl fmt::Display for Protocol {
 /// Flags of `centaur train` that a protocol decides, and that would win over its own.
 const OF_PROTOCOL: [&str; 4] = ["--images", "--downscale", "--max-side", "--masks"];
 
+/// Those of them that say the size, each in its way.
+const OF_SIZE: [&str; 2] = ["--downscale", "--max-side"];
+
 /// Whether a word among flags of `centaur train` is one that decides which pictures are taken, of which size, or which part of them.
 pub(super) fn chooses_pictures(word: &str) -> bool {
-    word.split('=').next().is_some_and(|name| OF_PROTOCOL.contains(&name))
+    is_one_of(word, &OF_PROTOCOL)
 }
 
+/// Whether a word is one of these flags, with its value or before it.
+fn is_one_of(word: &str, flags: &[&str]) -> bool {
+    word.split('=').next().is_some_and(|name| flags.contains(&name))
+}
+
+/// The flags of a scene that those of the command and the variant leave: none of its size if they say one, which goes with no other.
+fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
+    let is_sized = others.iter().any(|word| is_one_of(word, &OF_SIZE));
+    let (mut left, mut words) = (vec![], of_scene.iter());
+    while let Some(word) = words.next() {
+        if !(is_sized && is_one_of(word, &OF_SIZE)) {
+            left.push(word.clone());
+        } else if !word.contains('=') {
+            words.next();
+        }
+    }
+    left
+}
+
+/// Flags as results keep them: of weights the name alone, since folders differ from machine to machine.
+fn as_kept(flags: &[String]) -> Vec<String> {
+    let name = |path: &str| Path::new(path).file_name().map_or(path.to_owned(), |name| name.to_string_lossy().into());
+    let mut kept: Vec<String> = vec![];
+    for word in flags {
+        let is_value = kept.last().is_some_and(|before| before == WEIGHTS);
+        kept.push(match word.split_once('=') {
+            _ if is_value => name(word),
+            Some((flag, path)) if flag == WEIGHTS => format!("{flag}={}", name(path)),
+            _ => word.clone(),
+        });
+    }
+    kept
+}
+
+const WEIGHTS: &str = "--lpips-weights";
+
 /// Flags of `centaur train` that every job has of its own.
-const OF_JOBS: [&str; 8] = ["-o", "--output", "--report", "--seed", "--json", "--quiet", "-q", "--resume"];
+const OF_JOBS: [&str; 9] = ["-o", "--output", "--ply", "--report", "--seed", "--json", "--quiet", "-q", "--resume"];
 
 /// A way to train.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,12 +113,14 @@ pub(super) struct Job {
     pub(super) scene: String,
     pub(super) variant: String,
     pub(super) seed: u64,
-    capture: PathBuf,
+    pub(super) capture: PathBuf,
     pub(super) protocol: Option<Protocol>,
+    /// See [`capture::fingerprint`].
+    fingerprint: Option<u32>,
     /// Of its scene, from `scenes.json`.
-    pub(super) scene_flags: Vec<String>,
+    scene_flags: Vec<String>,
     /// Of the command and the variant, which replace those.
-    pub(super) flags: Vec<String>,
+    flags: Vec<String>,
     /// Written when the job is done.
     pub(super) result: PathBuf,
 }
@@ -143,9 +184,11 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     Ok(wanted
         .flat_map(|(scene, Scene { capture, flags: of_scene })| {
             let capture = args.dataset.join(capture);
+            // What cannot be read is told by the job.
+            let fingerprint = capture::fingerprint(&capture).ok().flatten();
             variants.iter().flat_map(move |variant| {
                 let flags = [args.flags.clone(), variant.flags.clone()].concat();
-                let (scene, capture, of_scene) = (scene.clone(), capture.clone(), of_scene.clone());
+                let (scene, capture, of_scene) = (scene.clone(), capture.clone(), left_of(&of_scene, &flags));
                 args.seeds.iter().map(move |&seed| Job {
                     result: args.output.join(&variant.name).join(format!("{scene}-{seed}.json")),
                     variant: variant.name.clone(),
@@ -153,6 +196,7 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
                     scene: scene.clone(),
                     capture: capture.clone(),
                     protocol: args.protocol,
+                    fingerprint,
                     scene_flags: of_scene.clone(),
                     flags: flags.clone(),
                 })
@@ -223,8 +267,9 @@ impl Job {
             variant: self.variant.clone(),
             scene: self.scene.clone(),
             seed: self.seed,
-            scene_flags: self.scene_flags.clone(),
-            flags: self.flags.clone(),
+            capture: self.fingerprint,
+            scene_flags: as_kept(&self.scene_flags),
+            flags: as_kept(&self.flags),
             protocol: self.protocol,
             at_a_time,
         }
@@ -232,12 +277,12 @@ impl Job {
 
     /// Whether its flags name weights of LPIPS.
     pub(super) fn scores_lpips(&self) -> bool {
-        self.command().iter().any(|flag| flag.to_string_lossy().starts_with("--lpips-weights"))
+        self.given().any(|flag| flag.starts_with(WEIGHTS))
     }
 
     /// Whether `centaur train` takes the flags, and none is one that jobs have of their own.
     pub(super) fn check(&self) -> Result<()> {
-        let own = self.given().find(|flag| flag.split('=').next().is_some_and(|name| OF_JOBS.contains(&name)));
+        let own = self.given().find(|flag| is_one_of(flag, &OF_JOBS));
         if let Some(flag) = own {
             return Err(usage::wrong(format!(
                 "flags of {}: expected none that every job has of its own (-o, --seeds of this command), found `{flag}`",
@@ -262,7 +307,7 @@ fn first_line(error: &clap::Error) -> String {
 struct Scene {
     /// Its folder, from that of the data set on.
     capture: PathBuf,
-    /// Flags of `centaur train` for it, which those of the command replace.
+    /// Flags of `centaur train` for it, which those of the command replace, its size also by another way to say that.
     #[serde(default)]
     flags: Vec<String>,
 }
@@ -286,8 +331,14 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
         let path = entry.with_context(unread)?.path();
         // One that has lost its cameras is to fail by its name, not to be missing from the table.
         let is_one = capture::is_capture(&path) || path.join("sparse").is_dir();
-        if let Some(name) = path.file_name().and_then(|name| name.to_str()).filter(|_| is_one) {
-            found.insert(name.to_owned(), Scene { capture: name.into(), flags: vec![] });
+        let Some(name) = path.file_name().filter(|_| is_one) else { continue };
+        match name.to_str() {
+            // Of programs that keep something there.
+            Some(name) if name.starts_with('.') => {}
+            Some(name) => {
+                found.insert(name.to_owned(), Scene { capture: name.into(), flags: vec![] });
+            }
+            None => output::note(&format!("{}: left out: its name is not UTF-8", path.display())),
         }
     }
     ensure!(
@@ -430,6 +481,11 @@ mod tests {
         let all = all(&args(folder.path(), &["--", "--antialias"])).unwrap();
         assert_eq!(all.iter().map(Job::name).collect::<Vec<_>>(), ["default/Barn-0", "default/truck-0"]);
         assert_eq!(all[0].scene_flags, ["--downscale", "2"]);
+        for size in ["--max-side=64", "--downscale=4"] {
+            let sized = super::all(&args(folder.path(), &["--", size])).unwrap();
+            assert!(sized.iter().all(|job| job.scene_flags.is_empty() && job.flags == [size]));
+            sized.iter().for_each(|job| job.check().unwrap());
+        }
         let words = all[0].command();
         let at = words.iter().position(|word| word == "--downscale").unwrap();
         assert_eq!(words[at..at + 3], ["--downscale", "2", "--antialias"], "the command's replace those of the scene");

@@ -14,6 +14,7 @@ use centaur::format::atomic_write;
 
 use self::jobs::{Job, Protocol, Shard, Variant};
 use self::record::Record;
+use self::work::Outcome;
 use super::output;
 use super::shared::{self, MessageArgs};
 
@@ -100,17 +101,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let all = jobs::all(args)?;
     let mine = jobs::chosen(&all, args)?;
     record::check(&before, &all)?;
-    let open: Vec<&Job> = mine.into_iter().filter(|job| !job.result.is_file()).collect();
-    if args.list {
-        return open.iter().try_for_each(|job| list(job, args));
+    let is_done = |job: &Job| before.iter().any(|record| record.file == job.result);
+    let open: Vec<&Job> = mine.into_iter().filter(|job| !is_done(job)).collect();
+    if let Some(job) = open.iter().find(|job| job.result.exists()) {
+        bail!("{}: no result of a training; delete it to do that job anew", job.result.display());
     }
     // A misspelt flag is found now and not after hours.
     open.iter().try_for_each(|job| job.check())?;
+    if args.list {
+        return open.iter().try_for_each(|job| list(job, args));
+    }
     shared::make_folder(&args.output)?;
     if !args.messages.quiet && !args.messages.json && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {
         output::note("LPIPS will not be scored: that needs -- --lpips-weights FILE");
     }
-    let failed = work::work(&open, args)?;
+    let Outcome { failed, is_stopped } = work::work(&open, args)?;
     let mut done = record::all(&args.output)?;
     // A shard may be empty, and be the first.
     let printed = if done.is_empty() {
@@ -127,6 +132,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         print_table(args, &table)
     };
     // Also where nobody reads the table.
+    if is_stopped {
+        let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
+        let again = if names.is_empty() { "" } else { ", and does again what failed: " };
+        bail!("stopped; the same command goes on{again}{}", names.join(", "));
+    }
     if let Some((job, reason)) = failed.first() {
         bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());
     }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, anyhow, bail};
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -14,6 +14,9 @@ pub(super) struct Made {
     pub(super) variant: String,
     pub(super) scene: String,
     pub(super) seed: u64,
+    /// See [`centaur::capture::fingerprint`].
+    #[serde(default)]
+    pub(super) capture: Option<u32>,
     /// Of `centaur train`, for the scene.
     #[serde(default)]
     pub(super) scene_flags: Vec<String>,
@@ -22,6 +25,13 @@ pub(super) struct Made {
     pub(super) protocol: Option<Protocol>,
     /// Jobs that shared the machine; 0 if that is unknown. Only the times of 1 are times of a job.
     pub(super) at_a_time: usize,
+}
+
+impl Made {
+    /// Where the result is, in the folder of all.
+    pub(super) fn place(&self) -> PathBuf {
+        Path::new(&self.variant).join(format!("{}-{}.json", self.scene, self.seed))
+    }
 }
 
 /// A job that is done.
@@ -39,12 +49,16 @@ pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
     for variant in entries(folder)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&variant)?.into_iter().filter(|path| path.extension().is_some_and(|e| e == "json")) {
             let name = || file.display().to_string();
-            let result: Value = serde_json::from_slice(&std::fs::read(&file).with_context(name)?).with_context(name)?;
+            let advised = || format!("{}: no result of a training; delete it to do that job anew", name());
+            let result: Value =
+                serde_json::from_slice(&std::fs::read(&file).with_context(name)?).with_context(advised)?;
             if result.get("outcome").is_none() {
                 continue; // Not of a training: `centaur eval` may write here, too.
             }
             let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
             let made = Made::deserialize(made).with_context(name)?;
+            let place = folder.join(made.place());
+            ensure!(file == place, "{}: expected a result of this place, found that of {}", name(), place.display());
             records.push(Record { file, made, result });
         }
     }
@@ -63,21 +77,28 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Refuses results that the jobs' own would not compare with: of another protocol, in a variant of theirs of other flags, or of a scene of
-/// theirs with other flags in `scenes.json`.
+/// theirs that is another capture or has other flags in `scenes.json`.
 pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
+    let jobs: Vec<(Made, &Job)> = jobs.iter().map(|job| (job.made(0), job)).collect();
     for record in records {
         let (file, made) = (record.file.display(), &record.made);
-        if let Some(job) = jobs.first().filter(|job| job.protocol != made.protocol) {
+        if let Some((job, _)) = jobs.first().filter(|(job, _)| job.protocol != made.protocol) {
             let name = |p: Option<Protocol>| p.map_or("none".to_owned(), |p| p.to_string());
             bail!("{file}: expected a result of --protocol {}, found {}", name(job.protocol), name(made.protocol));
         }
-        if let Some(job) = jobs.iter().find(|job| job.variant == made.variant && job.flags != made.flags) {
+        if let Some((job, _)) = jobs.iter().find(|(job, _)| job.variant == made.variant && job.flags != made.flags) {
             let (expected, found) = (job.flags.join(" "), made.flags.join(" "));
             bail!(
                 "{file}: expected a result of the flags `{expected}`, found `{found}`: give the variant another name"
             );
         }
-        if let Some(job) = jobs.iter().find(|job| job.scene == made.scene && job.scene_flags != made.scene_flags) {
+        let differs = |job: &Made| job.capture.zip(made.capture).is_some_and(|(expected, found)| expected != found);
+        if let Some((_, job)) = jobs.iter().find(|(job, _)| job.scene == made.scene && differs(job)) {
+            let capture = job.capture.display();
+            bail!("{file}: expected a result of {capture}, found that of other cameras: give -o another folder");
+        }
+        let is_other = |job: &Made| job.scene == made.scene && job.scene_flags != made.scene_flags;
+        if let Some((job, _)) = jobs.iter().find(|(job, _)| is_other(job)) {
             let (scene, expected, found) = (&made.scene, job.scene_flags.join(" "), made.scene_flags.join(" "));
             bail!(
                 "{file}: expected a result of the flags of {scene} in scenes.json, `{expected}`, found `{found}`: give -o another folder"

@@ -266,7 +266,8 @@ impl fmt::Display for Table {
         writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for section in &self.variants {
             for row in &section.rows {
-                writeln!(f, "| {} | {} | {} |", section.variant, row.scene, row.cells())?;
+                // A scene's name may be any that a folder has.
+                writeln!(f, "| {} | {} | {} |", section.variant, row.scene.replace('|', "\\|"), row.cells())?;
             }
             if let Some(mean) = &section.mean {
                 writeln!(f, "| **{}** | **{}** | {} |", section.variant, mean.scene, mean.cells())?;
@@ -315,6 +316,7 @@ mod tests {
             variant: variant.to_owned(),
             scene: scene.to_owned(),
             seed,
+            capture: None,
             scene_flags: vec![],
             flags: vec!["--flag".to_owned()],
             protocol: Some(Protocol::B),

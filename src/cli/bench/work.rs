@@ -2,6 +2,7 @@
 
 use std::fs::{OpenOptions, TryLockError};
 use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, Once};
@@ -26,8 +27,16 @@ enum Ended {
     Elsewhere,
 }
 
-/// Does the jobs and returns those that failed, with reasons.
-pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, String)>> {
+/// How all of them ended.
+pub(super) struct Outcome<'j> {
+    /// With reasons.
+    pub(super) failed: Vec<(&'j Job, String)>,
+    /// By Ctrl-C, before all were done.
+    pub(super) is_stopped: bool,
+}
+
+/// Does the jobs.
+pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
     let stop = interrupt::stop_flag();
     let bar = output::bar(&args.messages, open.len() as u64);
     bar.set_style(ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
@@ -69,15 +78,13 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Vec<(&'j Job, St
     });
     bar.finish_and_clear();
     let failed = failed.into_inner().unwrap_or_default();
-    if stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed) {
-        let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
-        let again = if names.is_empty() { "" } else { ", and does again what failed: " };
-        bail!("stopped; the same command goes on{again}{}", names.join(", "));
+    let is_stopped = stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed);
+    let has_failed = |job: &Job| failed.iter().any(|(failed, _)| std::ptr::eq(*failed, job));
+    let left = open.iter().filter(|job| !job.result.is_file() && !has_failed(job)).count();
+    if !is_stopped && elsewhere.load(Ordering::Relaxed) && left > 0 {
+        output::note(&format!("{} left to another runner, which is at them", output::counted(left, "job")));
     }
-    if elsewhere.load(Ordering::Relaxed) {
-        let _ = writeln!(io::stderr(), "note: some jobs are left to another runner, which is at them");
-    }
-    Ok(failed)
+    Ok(Outcome { failed, is_stopped })
 }
 
 /// One training, unless somebody else is at it. `at_a_time` as in [`super::record::Made`].
@@ -100,9 +107,11 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         Err(TryLockError::Error(e)) => return Err(e).with_context(|| path.display().to_string()),
     }
     if job.result.is_file() {
+        // It was removed when that was written.
+        let _ = std::fs::remove_file(path);
         return Ok(Ended::Elsewhere);
     }
-    let mut command = Command::new(std::env::current_exe().context("cannot find this program")?);
+    let mut command = Command::new(this_program()?);
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     if cfg!(unix) {
         // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
@@ -138,4 +147,13 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     // Whoever still has it open looks for the result first.
     let _ = std::fs::remove_file(path);
     Ok(Ended::Done)
+}
+
+/// Also where another has taken its place, as one that is installed meanwhile: all jobs are done by one program.
+fn this_program() -> Result<PathBuf> {
+    let running = Path::new("/proc/self/exe");
+    if cfg!(target_os = "linux") && running.exists() {
+        return Ok(running.to_owned());
+    }
+    std::env::current_exe().context("cannot find this program")
 }
