@@ -118,6 +118,27 @@ impl Aside {
     }
 }
 
+/// The folder that a file is in.
+#[must_use]
+pub fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Where a file of this name comes to be: where it leads, if it is a symbolic link to one.
+///
+/// # Errors
+/// If it is a folder, a device or a pipe.
+pub fn place_of(output: &Path) -> io::Result<PathBuf> {
+    if output.is_dir() {
+        return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder of this name exists"));
+    }
+    if output.exists() && !output.is_file() {
+        return Err(io::Error::other("it is a device or a pipe, not a file"));
+    }
+    let linked = output.is_symlink().then(|| output.canonicalize().ok()).flatten();
+    Ok(linked.unwrap_or_else(|| output.to_owned()))
+}
+
 /// Of the names of temporary files and folders.
 const PREFIX: &str = ".centaur-";
 
@@ -130,18 +151,13 @@ pub(crate) fn write_with(
     path: &Path,
     produce: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
 ) -> io::Result<u64> {
-    if path.is_dir() {
-        return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder of this name exists"));
-    }
-    let linked = path.is_symlink().then(|| path.canonicalize().ok()).flatten();
-    let path = linked.as_deref().unwrap_or(path);
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let path = place_of(path)?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX);
     // Temporary files are private by default; a result is as readable as the umask allows, like any other file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let (_listed, mut temporary) = listed(|| builder.tempfile_in(folder))?;
+    let (_listed, mut temporary) = listed(|| builder.tempfile_in(folder_of(&path)))?;
     let mut out = BufWriter::with_capacity(1 << 20, temporary.as_file_mut());
     produce(&mut out)?;
     out.flush()?;

@@ -11,9 +11,11 @@ use centaur::scene::{Composition, HybridScene, Splats};
 use common::{centaur, stderr, write_capture};
 use glam::{Quat, Vec3};
 
-fn run(folder: &Path, args: &str) {
+/// Runs a command that must succeed; what it says on stderr.
+fn run(folder: &Path, args: &str) -> String {
     let output = centaur(folder).args(args.split(' ')).output().unwrap();
     assert!(output.status.success(), "{args}: {}", stderr(&output));
+    stderr(&output)
 }
 
 /// The line of a command that must fail and change no file.
@@ -139,4 +141,20 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     run(folder.path(), "convert g.ply other.xml");
     let line = refused(folder.path(), "convert g.ply g.blend.py --scale 3");
     assert!(line.starts_with("error: g.blend.py: would replace ") && line.ends_with(expected), "{line}");
+}
+
+/// Blanks become `_` in names of files beside an export.
+#[test]
+fn exports_that_share_files_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    write_splats(&folder.path().join("g.ply"), 5);
+    run(folder.path(), "convert g.ply s_1.xml");
+    let said = run(folder.path(), "convert g.ply s_1.blend.py");
+    assert!(!said.contains("replaced"), "the same files: {said}");
+    let said = run(folder.path(), "convert g.ply s_1.xml --scale 2");
+    assert!(said.contains("note: s_1.blend.py: shows files that this has replaced: write it anew, too"), "{said}");
+    std::fs::rename(folder.path().join("s_1.blend.py"), folder.path().join("s 1.blend.py")).unwrap();
+    let line = refused(folder.path(), "convert g.ply s_1.xml");
+    let expected = "s_1_splats.ply, which s 1.blend.py shows; another name or a folder of its own keeps both";
+    assert!(line.ends_with(expected), "{line}");
 }

@@ -2,7 +2,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use centaur::atomic::Staging;
+use centaur::atomic::{self, Staging, folder_of};
 use centaur::edit::{self, Axes, Similarity};
 use centaur::format::ply::Attribute;
 use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, spz};
@@ -258,10 +258,11 @@ fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> 
 
 /// Writes beside the output first: what is lost is known only then, and may be refused.
 fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> Result<WriteReport> {
-    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let named = || format!("{}: cannot write", output.display());
+    let place = atomic::place_of(output).with_context(named)?;
+    let folder = folder_of(&place);
     let staging = Staging::within(folder).with_context(named)?;
-    let staged = staging.path().join(output.file_name().unwrap_or_default());
+    let staged = staging.path().join(place.file_name().unwrap_or_default());
     let version = match args.spz_version {
         Some(2) => spz::Version::V2,
         Some(3) => spz::Version::V3,
@@ -299,11 +300,34 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
     for (file, place) in &companions {
         spare_foreign(output, file, place, inputs)?;
     }
+    let mut changed = None;
+    for (file, place) in &companions {
+        if place.exists() && !is_equal(file, place).with_context(named)? {
+            changed = Some(place);
+        }
+    }
+    let shown = if changed.is_some() { format::sharing(&place).with_context(named)? } else { vec![] };
+    if let (Some(file), Some(other)) = (changed, shown.iter().find(|other| !other.is_of_one_name)) {
+        bail!(
+            "{}: would replace {}, which {} shows; another name or a folder of its own keeps both",
+            output.display(),
+            file.display(),
+            other.path.display()
+        );
+    }
     for (file, place) in &companions {
         std::fs::rename(file, place).with_context(|| format!("{}: cannot write", place.display()))?;
     }
-    std::fs::rename(&staged, output).with_context(named)?;
+    std::fs::rename(&staged, &place).with_context(named)?;
+    for other in shown {
+        output::note(&format!("{}: shows files that this has replaced: write it anew, too", other.path.display()));
+    }
     Ok(report)
+}
+
+/// Whether two files have one content.
+fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
+    Ok(a.metadata()?.len() == b.metadata()?.len() && std::fs::read(a)? == std::fs::read(b)?)
 }
 
 /// Refuses to write `place` beside `output` over what nobody has named: an input, or, where there is no output yet that it may be of,
@@ -314,7 +338,7 @@ fn spare_foreign(output: &Path, new: &Path, place: &Path, inputs: &[PathBuf]) ->
         if output.exists() || !place.exists() {
             return Ok(false);
         }
-        Ok(place.metadata()?.len() != new.metadata()?.len() || std::fs::read(place)? != std::fs::read(new)?)
+        Ok(!is_equal(new, place)?)
     };
     ensure!(
         !is_foreign().with_context(|| place.display().to_string())?,

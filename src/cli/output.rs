@@ -5,6 +5,7 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use centaur::atomic::{self, folder_of};
 use indicatif::ProgressBar;
 
 use super::shared::MessageArgs;
@@ -64,12 +65,8 @@ pub(super) fn check_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         bail!("{}: expected the name of a file, found a folder", path.display());
     }
-    let folder = match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p,
-        _ => Path::new("."),
-    };
     let cannot = || format!("{}: cannot write", path.display());
-    probe(folder).with_context(cannot)?;
+    probe(folder_of(&atomic::place_of(path).with_context(cannot)?)).with_context(cannot)?;
     match path.symlink_metadata() {
         // Such as of a name that is too long.
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e).with_context(cannot),
@@ -98,8 +95,7 @@ pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path
 /// Whether two paths, of what need not be there yet, lead to the same place.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     let place = |path: &Path| {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        path.canonicalize().ok().or_else(|| Some(folder.canonicalize().ok()?.join(path.file_name()?)))
+        path.canonicalize().ok().or_else(|| Some(folder_of(path).canonicalize().ok()?.join(path.file_name()?)))
     };
     place(a).is_some_and(|a| place(b) == Some(a))
 }

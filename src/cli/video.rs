@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use centaur::atomic::Staging;
+use centaur::atomic::{self, Staging, folder_of};
 use centaur::scene::Camera;
 
 /// Refuses what cannot become a film before it is rendered.
@@ -43,9 +43,9 @@ pub(super) fn check(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
 
 /// Makes an H.264 film of PNG files in their order, `fps` a second. It is there whole or not at all.
 pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let named = || format!("{}: cannot write", path.display());
-    let staging = Staging::within(folder).with_context(named)?;
+    let place = atomic::place_of(path).with_context(named)?;
+    let staging = Staging::within(folder_of(&place)).with_context(named)?;
     let film = staging.path().join("film.mp4");
     let mut messages = tempfile::tempfile().with_context(named)?;
     let spawned = Command::new("ffmpeg")
@@ -74,7 +74,7 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
     fed.with_context(|| format!("{}: not made: ffmpeg stopped reading", path.display()))?;
     let length = film.metadata().map_or(0, |made| made.len());
     ensure!(length > 0, "{}: not made: ffmpeg wrote nothing", path.display());
-    fs::rename(&film, path).with_context(named)
+    fs::rename(&film, place).with_context(named)
 }
 
 /// Everything but the output. 4:2:0 needs even sides, which a row or column of black makes; colours are those of HD video.

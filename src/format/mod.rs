@@ -2,6 +2,7 @@
 //! and finding; writers go through a temporary file, so that nothing half-written is ever seen.
 
 mod activation;
+mod archive;
 mod blender;
 mod blocks;
 mod cameras;
@@ -37,6 +38,7 @@ pub use cameras::{
     write_cameras, write_cameras_with_scene,
 };
 pub use error::{FormatError, Location};
+pub use exchange::{Sharing, sharing};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
 pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use length::stored_bytes;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::atomic::folder_of;
 use crate::format::FormatError;
 use crate::format::error::Fault;
 
@@ -38,8 +39,7 @@ pub(super) fn spare(path: &Path) -> Result<(), FormatError> {
     if !is_transforms(&name) || is_our_transforms(path) {
         return Ok(());
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    refuse(path, if path.exists() { Some(name) } else { part_of_capture(folder, &[]) })
+    refuse(path, if path.exists() { Some(name) } else { part_of_capture(folder_of(path), &[]) })
 }
 
 fn refuse(target: &Path, found: Option<String>) -> Result<(), FormatError> {

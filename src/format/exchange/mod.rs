@@ -16,9 +16,11 @@ pub(super) mod surface;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use super::{FormatError, atomic_write, exr, ply};
+use crate::atomic::folder_of;
 use crate::scene::{Atlas, HybridScene, sh};
 
 /// Names and sizes of what [`write`] wrote. Names are relative to the output's folder.
@@ -41,6 +43,46 @@ pub(super) struct MeshFiles {
     pub(super) surface: String,
     /// One EXR per SH coefficient, in the order of [`sh::basis`].
     pub(super) maps: Vec<String>,
+}
+
+/// What the names of exports end in whose files beside them are of one kind; the longer first.
+const KINDS: [&[&str]; 2] = [&[".stock.xml", ".xml", ".blend.py"], &[".usda"]];
+
+/// Another export, whose files beside it have the names of those of an output.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sharing {
+    /// The export.
+    pub path: PathBuf,
+    /// Its own name differs from that of the output by no more than what it is for (`a.xml`, `a.blend.py`): not only where characters that are
+    /// not letters became `_`.
+    pub is_of_one_name: bool,
+}
+
+/// What lies in the folder of `output` and shares its files with it, by name.
+///
+/// # Errors
+/// If the folder cannot be listed.
+pub fn sharing(output: &Path) -> io::Result<Vec<Sharing>> {
+    let named = |path: &Path| -> Option<(usize, String, String)> {
+        let name = path.file_name()?.to_string_lossy().into_owned();
+        let ends = |suffix: &&&str| name.to_lowercase().ends_with(**suffix);
+        let of = |kind: usize| KINDS[kind].iter().find(ends).map(|suffix| (kind, suffix.len()));
+        let (kind, length) = of(0).or_else(|| of(1))?;
+        let own = name.get(..name.len() - length)?.to_owned();
+        Some((kind, stem(path, &name[own.len()..]), own))
+    };
+    let Some((kind, prefix, own)) = named(output) else { return Ok(vec![]) };
+    let mut found = vec![];
+    for entry in folder_of(output).read_dir()? {
+        let path = output.with_file_name(entry?.file_name());
+        if let Some(other) = named(&path).filter(|other| (other.0, &other.1) == (kind, &prefix))
+            && path.file_name() != output.file_name()
+        {
+            found.push(Sharing { path, is_of_one_name: other.2 == own });
+        }
+    }
+    found.sort_by(|a, b| a.path.cmp(&b.path));
+    Ok(found)
 }
 
 /// What the names of the files beside `output` begin with: the part of its name before `suffix` (`.xml`), which may be in
@@ -92,7 +134,7 @@ impl Beside {
 }
 
 fn write_map(path: &Path, atlas: &Atlas, coefficient: usize) -> Result<u64, FormatError> {
-    let failed = |reason: String| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };
+    let failed = |reason: String| FormatError::Write { file: path.to_owned(), source: io::Error::other(reason) };
     let file = match (coefficient, atlas.bands()) {
         (1.., Some(bands)) => exr::encode(bands, 3 * (coefficient - 1), &["R", "G", "B"]),
         _ => exr::encode(atlas.base(), 0, &["R", "G", "B", "A"]),

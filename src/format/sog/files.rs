@@ -6,10 +6,12 @@ use std::io::{Cursor, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, ZipArchive, ZipWriter};
+use zip::{CompressionMethod, ZipArchive};
 
 use super::decode::Meta;
 use super::encode::Encoded;
+use crate::atomic::folder_of;
+use crate::format::archive::write_zip;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::{atomic_write, atomic_write_with};
 
@@ -118,10 +120,6 @@ pub(super) fn is_folder(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name == META)
 }
 
-pub(super) fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
 /// Length of the files next to `meta.json`; unreadable ones do not count.
 fn folder_bytes(folder: &Path) -> u64 {
     let entries = folder.read_dir().into_iter().flatten().filter_map(Result::ok);
@@ -151,15 +149,15 @@ pub(super) fn write(path: &Path, encoded: &Encoded) -> Result<u64, FormatError> 
     let files = names.into_iter().zip(&images).chain([(META, &meta)]);
     if !is_folder(path) {
         return atomic_write_with(path, |out| {
-            let mut zip = ZipWriter::new(out);
-            // Without a date the zip depends on its content alone. Compressed images do not deflate.
-            let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
-            for (name, content) in files {
-                zip.start_file(name, options.large_file(content.len() > i32::MAX as usize))?;
-                zip.write_all(content)?;
-            }
-            zip.finish()?;
-            Ok(())
+            write_zip(out, |zip| {
+                // Without a date the zip depends on its content alone. Compressed images do not deflate.
+                let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+                for (name, content) in files {
+                    zip.start_file(name, options.large_file(content.len() > i32::MAX as usize))?;
+                    zip.write_all(content)?;
+                }
+                Ok(())
+            })
         });
     }
     let mut bytes = 0;

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::files::{FileSet, folder_of, inside};
+use super::files::{FileSet, inside};
+use crate::atomic::folder_of;
 use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::length::file_bytes;

@@ -9,6 +9,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::maps::Mismatch;
 use crate::format::FormatError;
+use crate::format::archive::{UntilError, write_zip};
 use crate::format::error::{Fault, open_file, read_file};
 use crate::format::gltf::{self, resolve};
 
@@ -142,20 +143,21 @@ pub(super) fn is_package(start: &[u8]) -> bool {
 /// Writes a package: the layer first, then the files, all aligned and none compressed.
 pub(super) fn write<W: Write + Seek>(
     out: W,
-    layer: impl FnOnce(&mut Limited<'_, ZipWriter<W>>) -> std::io::Result<()>,
+    layer: impl FnOnce(&mut Limited<'_, ZipWriter<UntilError<W>>>) -> std::io::Result<()>,
     files: &[(String, Vec<u8>)],
 ) -> std::io::Result<()> {
-    let mut zip = ZipWriter::new(out);
-    // Without a date the package depends on its content alone.
-    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(ALIGNMENT);
-    zip.start_file("scene.usda", options)?;
-    layer(&mut Limited { out: &mut zip, left: MAX_MEMBER })?;
-    for (name, content) in files {
-        zip.start_file(name.as_str(), options)?;
-        zip.write_all(content)?;
-    }
-    zip.finish()?;
-    Ok(())
+    write_zip(out, |zip| {
+        // Without a date the package depends on its content alone.
+        let options =
+            SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(ALIGNMENT);
+        zip.start_file("scene.usda", options)?;
+        layer(&mut Limited { out: zip, left: MAX_MEMBER })?;
+        for (name, content) in files {
+            zip.start_file(name.as_str(), options)?;
+            zip.write_all(content)?;
+        }
+        Ok(())
+    })
 }
 
 /// Takes so many bytes and no more.
