@@ -149,7 +149,8 @@ impl Checkpoint {
         let header: Value = serde_json::from_str(header).map_err(|e| SceneError::new(HEADER, "JSON", e.to_string()))?;
         let version = header.get("version").unwrap_or(&Value::Null);
         if version.as_u64() != Some(u64::from(VERSION)) {
-            return Err(SceneError::new("version", VERSION.to_string(), version.to_string()));
+            let found = format!("{version}: only the Centaur that wrote it can go on from it");
+            return Err(SceneError::new("version", VERSION.to_string(), found));
         }
         check_sum(bytes)?;
         let header: Header = serde_json::from_value(header)

@@ -275,8 +275,11 @@ fn rows<T, const N: usize>(values: &[T]) -> Option<&[[T; N]]> {
 
 /// The first option that matters to the result and differs.
 fn changed_option(before: &TrainOptions, now: &TrainOptions) -> Option<String> {
-    let value =
-        |o: &TrainOptions| serde_json::to_value(TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() });
+    // By way of text, where 0.01 is no longer than that in f32 either.
+    let value = |o: &TrainOptions| {
+        let text = serde_json::to_string(&TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() })?;
+        serde_json::from_str(&text)
+    };
     let (Ok(Value::Object(before)), Ok(Value::Object(now))) = (value(before), value(now)) else { return None };
     let (name, value) = before.iter().find(|(name, value)| now.get(*name) != Some(value))?;
     Some(format!("{} was {value} and is {}", name.replace('_', " "), now.get(name).unwrap_or(&Value::Null)))

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use glam::{Vec2, Vec3};
 use serde_json::Value;
 
 use crate::{
@@ -30,9 +31,9 @@ pub(super) fn input(capture: &Capture, source: &MeshSource) -> Value {
         MeshSource::Splats => "splats".to_owned(),
         MeshSource::Points => "points".to_owned(),
         MeshSource::Given { surface, corner_uvs } => {
-            let positions = surface.positions.iter().flat_map(|p| p.to_array()).map(f64::from);
+            let positions = surface.positions.iter().flat_map(Vec3::to_array).map(f64::from);
             let corners = surface.triangles.iter().flatten().map(|&corner| f64::from(corner));
-            let uvs = corner_uvs.iter().flatten().flatten().flat_map(|uv| uv.to_array()).map(f64::from);
+            let uvs = corner_uvs.iter().flatten().flatten().flat_map(Vec2::to_array).map(f64::from);
             let shape = digest(positions.chain(corners).chain(uvs));
             format!("given, {} triangles, {shape:016x}", surface.triangles.len())
         }
