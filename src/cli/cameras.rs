@@ -110,7 +110,7 @@ struct FileArgs {
     #[arg(value_name = "SOURCE")]
     source: PathBuf,
     /// File (.json, .glb, .gltf, .usda) or folder (COLMAP) to write
-    #[arg(short, long, value_name = "OUT", value_parser = writable)]
+    #[arg(short, long, value_name = "OUT", value_parser = output::path(writable))]
     output: PathBuf,
     /// Write SOURCE, a .glb or .gltf, again with the path in it: OUT is a .glb or .gltf that renders as the path. A path that
     /// was written into SOURCE so before gives way
@@ -288,12 +288,11 @@ fn is_folder(path: &Path) -> bool {
     path.is_dir() || path.extension().is_none()
 }
 
-fn writable(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
+fn writable(path: PathBuf) -> Result<PathBuf, String> {
     if is_folder(&path) {
         return Ok(path);
     }
-    output::with_extension(text, WRITABLE_CAMERAS).map_err(|e| format!("{e}, or of a folder (no extension)"))
+    output::with_extension(path, WRITABLE_CAMERAS).map_err(|e| format!("{e}, or of a folder (no extension)"))
 }
 
 fn size(text: &str) -> Result<[u32; 2], String> {

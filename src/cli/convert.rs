@@ -51,7 +51,7 @@ pub(super) struct Args {
     #[arg(required = true, num_args = 1.., value_name = "FILE")]
     files: Vec<PathBuf>,
     /// File to write; all others are read then
-    #[arg(short, long, value_name = "OUTPUT", value_parser = writable)]
+    #[arg(short, long, value_name = "OUTPUT", value_parser = output::path(writable))]
     output: Option<PathBuf>,
     /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene; what is known of its training
     /// is no part of it
@@ -121,8 +121,7 @@ impl Args {
         }
         match self.files.split_last() {
             Some((output, inputs)) if !inputs.is_empty() => {
-                let text = output.to_string_lossy();
-                let checked = writable(&text).map_err(|e| usage::wrong(format!("{}: {e}", output.display())));
+                let checked = writable(output.clone()).map_err(|e| usage::wrong(format!("{}: {e}", output.display())));
                 checked.map(|_| Files { inputs, output })
             }
             _ => Err(usage::wrong("expected files to read and one to write, found one; --help says more")),
@@ -130,8 +129,8 @@ impl Args {
     }
 }
 
-fn writable(text: &str) -> Result<PathBuf, String> {
-    output::with_extension(text, &[format::WRITABLE, format::EXPORTABLE].concat())
+fn writable(path: PathBuf) -> Result<PathBuf, String> {
+    output::with_extension(path, &[format::WRITABLE, format::EXPORTABLE].concat())
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {

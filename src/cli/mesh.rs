@@ -48,7 +48,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "MESH", conflicts_with_all = ["splats", "planar"])]
     mesh: Option<PathBuf>,
     /// Surface to write
-    #[arg(short, long, value_name = "SURFACE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
+    #[arg(short, long, value_name = "SURFACE.glb", value_parser = output::path(|path| output::with_extension(path, &["glb"])))]
     output: PathBuf,
     /// Triangles to simplify to. More are left of a surface of many pieces or holes, which all stay
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, value_parser = output::at_least_one)]

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::atomic::{self, folder_of};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use indicatif::ProgressBar;
 
 use super::shared::MessageArgs;
@@ -120,9 +121,13 @@ pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "expected a whole number from 1".into())
 }
 
-/// A path whose name ends in one of `extensions` (lower case, without dot); for clap's `value_parser`.
-pub(super) fn with_extension(text: &str, extensions: &[&str]) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
+/// Paths, UTF-8 or not, that `check` takes; for clap's `value_parser`.
+pub(super) fn path(check: fn(PathBuf) -> Result<PathBuf, String>) -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(check)
+}
+
+/// The path if its name ends in one of `extensions` (lower case, without dot).
+pub(super) fn with_extension(path: PathBuf, extensions: &[&str]) -> Result<PathBuf, String> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let ends = |extension: &&str| {
         name.strip_suffix(extension).and_then(|s| s.strip_suffix('.')).is_some_and(|s| !s.is_empty())
@@ -190,9 +195,10 @@ mod tests {
 
     #[test]
     fn extensions_ignore_case() {
-        assert!(with_extension("a.GLB", &["glb"]).is_ok());
-        assert!(with_extension("a.Blend.py", &["blend.py"]).is_ok() && with_extension("a.py", &["blend.py"]).is_err());
-        assert!(with_extension(".glb", &["glb"]).is_err());
-        assert_eq!(with_extension("a", &["glb", "ply"]).unwrap_err(), "expected a name that ends in .glb or .ply");
+        let given = |name: &str, extensions: &[&str]| with_extension(name.into(), extensions);
+        assert!(given("a.GLB", &["glb"]).is_ok());
+        assert!(given("a.Blend.py", &["blend.py"]).is_ok() && given("a.py", &["blend.py"]).is_err());
+        assert!(given(".glb", &["glb"]).is_err());
+        assert_eq!(given("a", &["glb", "ply"]).unwrap_err(), "expected a name that ends in .glb or .ply");
     }
 }

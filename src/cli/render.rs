@@ -71,7 +71,7 @@ pub(super) struct Args {
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Make a film of the PNG pictures, in order, by the `ffmpeg` on PATH: H.264, 4:2:0
-    #[arg(long, value_name = "FILE.mp4", value_parser = |text: &str| output::with_extension(text, &["mp4"]))]
+    #[arg(long, value_name = "FILE.mp4", value_parser = output::path(|path| output::with_extension(path, &["mp4"])))]
     video: Option<PathBuf>,
     #[command(flatten)]
     look: LookArgs,

@@ -47,10 +47,10 @@ pub(super) struct Args {
     /// Folder with photographs and poses, or a transforms*.json
     capture: PathBuf,
     /// Scene to write
-    #[arg(short, long, value_name = "SCENE.glb", value_parser = |s: &str| output::with_extension(s, &["glb"]))]
+    #[arg(short, long, value_name = "SCENE.glb", value_parser = output::path(|path| output::with_extension(path, &["glb"])))]
     output: PathBuf,
     /// Also write the splats alone, without the mesh, in INRIA's layout
-    #[arg(long, value_name = "SPLATS.ply", value_parser = |s: &str| output::with_extension(s, &["ply"]))]
+    #[arg(long, value_name = "SPLATS.ply", value_parser = output::path(|path| output::with_extension(path, &["ply"])))]
     ply: Option<PathBuf>,
     /// Folder for report.html, metrics.json and pictures of the held-out views
     #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]

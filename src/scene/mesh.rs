@@ -186,7 +186,7 @@ impl Mesh {
         &self.triangles
     }
 
-    /// Number of floats that training optimises: positions and textures.
+    /// Number of floats of positions and textures, by which a budget counts a mesh, whether training moves it or not.
     #[must_use]
     pub fn floats(&self) -> usize {
         self.atlas.floats() + 3 * self.positions.len()

@@ -38,8 +38,8 @@ impl Run<'_> {
         self.shell.is_some_and(|shell| shell.holds(mesh.positions()[triangle[0] as usize]))
     }
 
-    /// Paints the triangles of the shell with the mean of what those views show there that the maps are warmed up on. Only views
-    /// count that see all corners of a triangle past the rest.
+    /// Paints the triangles of the shell with the mean of what those views show there that the maps are warmed up on, without their exposures.
+    /// Only views count that see all corners of a triangle past the rest.
     pub(super) fn painted(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
         let is_far = |t: &[u32; 3]| self.is_of_shell(&mesh, t);
         let near: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
@@ -49,11 +49,13 @@ impl Run<'_> {
             .filter(|(t, _)| is_far(t))
             .map(|(t, uvs)| Face::new(t.map(|v| mesh.positions()[v as usize].as_dvec3()), *uvs, base.width()))
             .collect();
+        let exposures = self.exposures.as_ref();
         for i in self.views(false) {
             let view = &self.capture.views[i];
             let photo = self.photos.whole(view)?;
             let camera = &self.cameras[i];
-            faces.par_iter_mut().for_each(|face| face.add(camera, &photo, &bvh));
+            let color = |rgb| exposures.map_or(rgb, |exposures| exposures.undo(i, rgb));
+            faces.par_iter_mut().for_each(|face| face.add(camera, &photo, &bvh, color));
         }
         let mut texels = base.texels().to_vec();
         for inside in [false, true] {
@@ -95,12 +97,13 @@ impl Face {
         Self { corners, spots }
     }
 
-    fn add(&mut self, camera: &Camera, photo: &Photo, near: &MeshBvh) {
+    fn add(&mut self, camera: &Camera, photo: &Photo, near: &MeshBvh, color: impl Fn([f32; 3]) -> [f32; 3]) {
         if self.corners.iter().any(|p| !Shell::is_seen(camera, *p, near)) {
             return;
         }
         for spot in &mut self.spots {
             let Some(rgb) = sample(photo, camera.project(camera.to_camera(spot.position))) else { continue };
+            let rgb = color(rgb);
             spot.sum = [0, 1, 2].map(|k| spot.sum[k] + rgb[k]);
             spot.views += 1.0;
         }

@@ -1,5 +1,7 @@
 //! Exposures of photographs while a scene is trained (`shaders/exposure.wgsl`).
 
+use glam::{Mat3, Vec3};
+
 use super::{
     backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
@@ -47,6 +49,15 @@ impl ExposureState {
     pub(crate) fn apply(&self, view: usize, [r, g, b]: [f32; 3]) -> [f32; 3] {
         let e = self.of(view);
         [0, 4, 8].map(|row| e[row] * r + e[row + 1] * g + e[row + 2] * b + e[row + 3])
+    }
+
+    /// What was rendered where a view makes this of it; the colour itself where there is no telling.
+    pub(crate) fn undo(&self, view: usize, rgb: [f32; 3]) -> [f32; 3] {
+        let e = self.of(view);
+        let columns = [0, 1, 2].map(|c| Vec3::new(e[c], e[4 + c], e[8 + c]));
+        let matrix = Mat3::from_cols(columns[0], columns[1], columns[2]);
+        let undone = matrix.inverse() * (Vec3::from(rgb) - Vec3::new(e[3], e[7], e[11]));
+        if undone.is_finite() { undone.into() } else { rgb }
     }
 
     /// Makes the mean over `views` the identity: what all photographs have in common is the scene's.

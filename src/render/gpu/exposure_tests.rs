@@ -172,6 +172,19 @@ fn the_identity_changes_nothing() {
 }
 
 #[test]
+fn an_exposure_is_undone() {
+    let mut state = ExposureState::new(2);
+    state.values[..FLOATS].copy_from_slice(&[1.2, 0.1, 0.0, 0.05, -0.1, 0.8, 0.2, -0.02, 0.0, 0.1, 1.1, 0.1]);
+    let rgb = [0.3, 0.6, 0.9];
+    let undone = state.undo(0, state.apply(0, rgb));
+    assert!(rgb.iter().zip(undone).all(|(a, b)| (a - b).abs() < 1e-5), "{undone:?}");
+    assert_eq!(state.undo(1, rgb), rgb);
+    // A photograph that is one grey says nothing.
+    state.values[..FLOATS].fill(0.0);
+    assert_eq!(state.undo(0, rgb), rgb);
+}
+
+#[test]
 fn the_mean_of_the_training_views_is_taken_out() {
     let mut state = ExposureState::new(3);
     state.values[0] = 1.5;
