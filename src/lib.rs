@@ -39,7 +39,9 @@
 //!     progress: &mut |report| println!("{report:?}"),
 //! };
 //! let trained = optimize::train(&capture, MeshSource::suited_to(&capture), &options, session)?;
-//! write_scene("garden.glb".as_ref(), &trained.scene, &WriteOptions::default())?;
+//! let names = capture.views.iter().map(|view| view.name.clone());
+//! let cameras: Vec<_> = names.zip(trained.cameras).collect();
+//! write_scene("garden.glb".as_ref(), &trained.scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() })?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
