@@ -1,7 +1,7 @@
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use crate::scene::{Mesh, Splats};
+use crate::scene::{Mesh, Splats, sigmoid};
 
 /// A part of space, its border included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +83,7 @@ pub fn crop_mesh(mesh: &Mesh, crops: &[Crop]) -> Option<Mesh> {
 /// Indices of the splats with at least this opacity, 0 to 1.
 #[must_use]
 pub fn not_below_opacity(splats: &Splats, opacity: f64) -> Vec<usize> {
-    indices(splats, |i| sigmoid(splats.opacity_logits()[i]) >= opacity)
+    indices(splats, |i| sigmoid(f64::from(splats.opacity_logits()[i])) >= opacity)
 }
 
 /// Indices, ascending, of the `count` splats that weigh most in pictures: opacity times the area of the ellipsoid's
@@ -111,8 +111,4 @@ fn importance(splats: &Splats, i: usize) -> f64 {
 
 fn indices(splats: &Splats, keeps: impl Fn(usize) -> bool + Sync) -> Vec<usize> {
     (0..splats.len()).into_par_iter().filter(|&i| keeps(i)).collect()
-}
-
-fn sigmoid(logit: f32) -> f64 {
-    1.0 / (1.0 + f64::from(-logit).exp())
 }

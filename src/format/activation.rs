@@ -1,5 +1,7 @@
 //! Between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats store.
 
+use crate::scene::sigmoid;
+
 /// Largest opacity below 1 in f32: its logit is 16.6. Smallest: that of the smallest normal f32, −87.
 const OPACITY_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, 1.0 - f32::EPSILON as f64 / 2.0];
 const SCALE_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, f32::MAX as f64];
@@ -7,7 +9,7 @@ const SCALE_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, f32::MAX as f64];
 /// `1/(1+e^-l)`, kept off 0 and 1.
 pub(super) fn opacity(logit: f32) -> f32 {
     let [low, high] = OPACITY_RANGE;
-    (1.0 / (1.0 + f64::from(-logit).exp())).clamp(low, high) as f32
+    sigmoid(f64::from(logit)).clamp(low, high) as f32
 }
 
 /// Inverse of [`opacity`]; also, whether the opacity had to be clamped. NaN stays NaN.

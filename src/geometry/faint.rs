@@ -7,7 +7,7 @@ use super::{
     MeshBvh,
     raster::{texel_positions, texels_in},
 };
-use crate::scene::{Camera, Mesh};
+use crate::scene::{Camera, Mesh, sigmoid};
 
 /// From this part of a ray's length to a point on, what it meets is behind that point and not beside it.
 const BEHIND: f64 = 1.0 + 1e-6;
@@ -20,7 +20,7 @@ const BEHIND: f64 = 1.0 + 1e-6;
 pub fn faint_triangles(mesh: &Mesh, least: f64, cameras: &[Camera], near: f64) -> Vec<bool> {
     let base = mesh.atlas().base();
     let size = [base.width(), base.height()].map(|side| side as usize);
-    let opacity = |x: usize, y: usize| 1.0 / (1.0 + (-f64::from(base.texels()[4 * (y * size[0] + x) + 3])).exp());
+    let opacity = |x: usize, y: usize| sigmoid(f64::from(base.texels()[4 * (y * size[0] + x) + 3]));
     let looks_faint = |face: usize| {
         let (mut sum, mut texels) = (0.0, 0.0);
         for_each_texel(mesh, face, size, |x, y, _| {

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::{Hit, MeshBvh, bvh::ONE_PLACE, raster::texel_positions, visibility::Viewers};
-use crate::scene::{Mesh, Splats};
+use crate::scene::{Mesh, Splats, sigmoid};
 
 /// Standard deviations of the points at which a splat is looked for, along its axes to either side.
 const DEVIATIONS: f64 = 2.0;
@@ -91,7 +91,7 @@ fn opacity(mesh: &Mesh, hit: &Hit) -> f64 {
     let logit = |x: usize, y: usize| f64::from(base.texels()[4 * (y * size[0] + x) + 3]);
     let rows = taps(at.y, size[1]).into_iter();
     let least = rows.flat_map(|y| taps(at.x, size[0]).map(|x| logit(x, y))).fold(f64::INFINITY, f64::min);
-    1.0 / (1.0 + (-least).exp())
+    sigmoid(least)
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@
 
 use glam::{DMat2, DVec2, DVec3};
 
-use crate::scene::{Intrinsics, OrderMode, PixelFilter};
+use crate::scene::{Intrinsics, OrderMode, PixelFilter, sigmoid};
 
 /// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, `cuda_rasterizer/forward.cu`. Where it is
 /// reached the derivative of alpha is zero.
@@ -85,12 +85,6 @@ pub fn ray_peak(origin: DVec3, direction: DVec3) -> RayPeak {
     let depth = -origin.dot(direction) / direction.length_squared();
     // The distance by the cross product: o + t·d cancels where a splat is thin.
     RayPeak { depth, power: -0.5 * origin.cross(direction).length_squared() / direction.length_squared() }
-}
-
-/// 1/(1+e⁻ˣ): logit to opacity.
-#[must_use]
-pub fn sigmoid(x: f64) -> f64 {
-    1.0 / (1.0 + (-x).exp())
 }
 
 /// Factor on the opacity of a splat whose projection has this covariance, px², before `filter` widens it

@@ -23,7 +23,7 @@ pub use order_flips::{OrderFlips, order_flips};
 pub use parameters::{Parameter, Parameters, finite_difference};
 
 use super::contract::{self, MAX_LAYERS, SurfaceDepth};
-use crate::scene::{Camera, HybridScene, sh};
+use crate::scene::{Camera, HybridScene, sh, sigmoid};
 
 /// A rendered image, row-major from the top; or, as the input of [`backward`], the derivative of a loss with respect
 /// to each of its numbers.
@@ -129,8 +129,7 @@ pub fn project(scene: &HybridScene, camera: &Camera, parameters: &Parameters, i:
     if !conic.is_finite() {
         return None;
     }
-    let opacity =
-        contract::sigmoid(parameters.opacity_logits[i]) * smooth_opacity * contract::filter_opacity(filter, projected);
+    let opacity = sigmoid(parameters.opacity_logits[i]) * smooth_opacity * contract::filter_opacity(filter, projected);
     let extent = contract::splat_extent(opacity, DVec2::new(covariance.x_axis.x, covariance.y_axis.y))?;
     let color = splat_radiance(scene, camera, parameters, i).max(DVec3::ZERO);
     Some(Projected { index: i, center: camera.project(mean), covariance, conic, extent, depth: mean.z, opacity, color })

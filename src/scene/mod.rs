@@ -29,6 +29,12 @@ pub use splats::{SplatArrays, Splats};
 /// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e18;
 
+/// 1/(1+e⁻ˣ): from a logit, as opacities are kept, to an opacity.
+#[must_use]
+pub fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
 /// Splats, meshes and the rule by which they are blended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridScene {

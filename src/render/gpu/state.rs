@@ -153,7 +153,7 @@ fn smoothed(row: &[f32]) -> (Vec3, f32) {
     (scale.ln().as_vec3(), if logit < LEAST_LOGIT { LEAST_LOGIT } else { logit } as f32)
 }
 
-/// 1/(1+e⁻ˣ).
+/// As the GPU has it, in f32; elsewhere that of [`crate::scene`].
 #[must_use]
 pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())

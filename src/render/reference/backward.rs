@@ -4,7 +4,7 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 
 use super::{Image, Parameters, Projected, Source, View, jacobian, mesh, power, rotation, splat_radiance};
 use crate::render::contract;
-use crate::scene::{Camera, HybridScene, sh};
+use crate::scene::{Camera, HybridScene, sh, sigmoid};
 
 /// Derivatives with respect to what a splat looks like in the image.
 #[derive(Clone, Copy)]
@@ -163,7 +163,7 @@ fn splat_backward(
     let i = splat.index;
     // All factors of the opacity have a logarithm, of which the opacity itself is the derivative.
     let d_log_opacity = gradient.opacity * splat.opacity;
-    result.opacity_logits[i] = d_log_opacity * (1.0 - contract::sigmoid(parameters.opacity_logits[i]));
+    result.opacity_logits[i] = d_log_opacity * (1.0 - sigmoid(parameters.opacity_logits[i]));
 
     // Covariance: Σ' = Σ2 + kI with Σ2 = M Σ3 Mᵀ, M = J W, Σ3 = N Nᵀ, N = R diag(s).
     let mut d_covariance = -1.0 * splat.conic * gradient.conic * splat.conic;

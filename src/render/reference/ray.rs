@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 
 use super::{Contribution, Fragment, Parameters, Source, mesh, pixel_center, radiance_along, rotation};
 use crate::render::contract::{self, ShDirection};
-use crate::scene::{Camera, HybridScene};
+use crate::scene::{Camera, HybridScene, sigmoid};
 
 /// Everything about a scene that a camera's rays meet.
 pub(super) struct RayView<'a> {
@@ -48,7 +48,7 @@ impl<'a> RayView<'a> {
                 ShDirection::Mean => Color::Same(super::splat_radiance(scene, camera, parameters, i).max(DVec3::ZERO)),
             };
             let origin = whitening * (camera.center() - parameters.means[i]);
-            let opacity = contract::sigmoid(parameters.opacity_logits[i]);
+            let opacity = sigmoid(parameters.opacity_logits[i]);
             (camera.to_camera(parameters.means[i]).z > near).then_some(RaySplat {
                 index: i,
                 whitening,
