@@ -33,7 +33,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm oracle-composition-setup oracle-usd-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -99,7 +99,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 	test -s $(END_TO_END)/report/report.html && ls $(END_TO_END)/frames | head -3
 
 left-out:
-	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data")
+	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data") $(if $(WITH_USD),"needs usd-core: make test-oracles")
 
 test-oracles: oracle-composition oracle-gltf oracle-gsplat oracle-lpips oracle-flip oracle-colmap oracle-splat-transform oracle-usd oracle-tint bench-ray ## compare with programs of others from PyPI and npm (Python 3.11 with venv, Node 20; 11 GB)
 
@@ -242,6 +242,8 @@ MOVING = target/crosscheck/head.glb $(wildcard $(SAMPLES)/Fox/glTF-Binary/Fox.gl
 
 # What bench-ray and crosscheck-quick install, so that a machine without PyPI can be told from a failure.
 bench-ray-setup: $(BENCH_RAY)/installed
+oracle-composition-setup: $(ORACLES_COMPOSITION)/installed
+oracle-usd-setup: $(ORACLES_USD)/installed
 
 crosscheck-quick-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))/installed
 	@scripts/ensure-llvm.sh
