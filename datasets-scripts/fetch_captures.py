@@ -8,9 +8,10 @@
 
 Shows where the licences stand, asks for the sizes of all archives and stops where the disk is too small. An interrupted
 download goes on where it stopped. Checksums that publishers give are compared; of the others the first complete download
-is recorded in ARCHIVES/SHA256SUMS (readable by `sha256sum -c`), which later ones must match. Everything of Mip-NeRF 360 is
-there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8 (a). scenes.json says where scenes are
-and with which flags they are trained, for `centaur bench` of the whole folder or of its --scenes.
+is recorded in ARCHIVES/SHA256SUMS (readable by `sha256sum -c`) when all files in it are whole, and later ones must match.
+Everything of Mip-NeRF 360 is there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8
+(a). scenes.json says where scenes are and with which flags they are trained, for `centaur bench` of the whole folder or of its
+--scenes.
 """
 
 import argparse
@@ -23,6 +24,7 @@ import stat
 import sys
 import tempfile
 import urllib.error
+import urllib.parse
 import urllib.request
 import zipfile
 import zlib
@@ -121,16 +123,20 @@ def download(url, target):
             tag.write_text(etag) if etag and not etag.startswith("W/") else tag.unlink(missing_ok=True)
             done = have if resumed else 0
             with part.open("ab" if resumed else "wb") as out:
-                while block := reply.read(BLOCK):
-                    out.write(block)
-                    done += len(block)
-                    of = f" of {expected / 1e6:.0f}" if expected else ""
-                    print(f"\r{target.name}: {done / 1e6:.0f}{of} MB", end="", file=sys.stderr)
-            print(file=sys.stderr)
+                try:
+                    while block := reply.read(BLOCK):
+                        out.write(block)
+                        done += len(block)
+                        of = f" of {expected / 1e6:.0f}" if expected else ""
+                        print(f"\r{target.name}: {done / 1e6:.0f}{of} MB", end="", file=sys.stderr)
+                finally:  # what went wrong is said in a line of its own
+                    print(file=sys.stderr)
     except urllib.error.HTTPError as error:
-        if error.code == 416:  # the part is longer than the file: not ours to complete
+        if error.code == 416 and have:  # the part is longer than the file: not ours to complete
             part.unlink()
             return download(url, target)
+        raise FetchError(f"{url}: {error}") from error
+    except (ValueError, http.client.InvalidURL) as error:  # a redirection to what is no address, a length that is no number
         raise FetchError(f"{url}: {error}") from error
     except (OSError, http.client.HTTPException) as error:
         raise FetchError(f"{url}: {error or type(error).__name__}; run again to resume") from error
@@ -180,16 +186,29 @@ def verify(archive, published=None):
     lines = (line.split(maxsplit=1) for line in sums.read_text().splitlines()) if sums.exists() else ()
     known = {line[1]: line[0] for line in lines if len(line) == 2}
     if known.get(archive.name, found) != found:
-        raise FetchError(f"{archive}: SHA-256 is {found}, {sums} says {known[archive.name]}")
+        advice = "delete it and run again, and its line there if it has been published anew"
+        raise FetchError(f"{archive}: SHA-256 is {found}, {sums} says {known[archive.name]}; {advice}")
     return None if archive.name in known else f"{found}  {archive.name}\n"
+
+
+def crc32(file):
+    crc = 0
+    with file.open("rb") as source:
+        while block := source.read(BLOCK):
+            crc = zlib.crc32(block, crc)
+    return crc
 
 
 def lies(path, size):
     return path.is_file() and path.stat().st_size == size
 
 
-def unpack(archive, folder, wanted=lambda path: True):
-    """Extracts the wanted regular files below folder; refuses the whole archive if an entry would land elsewhere."""
+def unpack(archive, folder, wanted=lambda path: True, is_whole=True):
+    """Extracts the wanted regular files below folder; refuses the whole archive if an entry would land elsewhere.
+
+    Where nothing yet says that the archive `is_whole`, all of it is read, also what is not wanted or lies there in the same size: only then
+    are all checksums in it compared.
+    """
     with zipfile.ZipFile(archive) as source:
         entries = [e for e in source.infolist() if not e.is_dir()]
         for e in entries:
@@ -202,14 +221,15 @@ def unpack(archive, folder, wanted=lambda path: True):
         size, free = sum(e.file_size for e in entries if not lies(folder / e.filename, e.file_size)), shutil.disk_usage(folder).free
         if size > free:
             raise FetchError(f"{archive}: needs {size / 1e9:.1f} GB, {folder} has {free / 1e9:.1f} GB free")
-        root = folder.resolve()
+        root, unread = folder.resolve(), set() if is_whole else {e for e in source.infolist() if not e.is_dir()}
         for e in entries:
             target = folder / e.filename
             if not target.parent.resolve().is_relative_to(root):  # a link that lay there before
                 raise FetchError(f"{target}: leads out of {folder}")
             target.parent.mkdir(parents=True, exist_ok=True)
-            if lies(target, e.file_size):
+            if lies(target, e.file_size) and (is_whole or crc32(target) == e.CRC):
                 continue
+            unread.discard(e)
             with tempfile.NamedTemporaryFile(dir=target.parent, delete=False) as out:
                 try:
                     with source.open(e) as packed:
@@ -219,6 +239,11 @@ def unpack(archive, folder, wanted=lambda path: True):
                     raise
             Path(out.name).chmod(0o644)
             Path(out.name).replace(target)
+        for e in source.infolist():
+            if e in unread:
+                with source.open(e) as packed:
+                    while packed.read(BLOCK):
+                        pass
 
 
 def chosen(collection, names):
@@ -226,7 +251,7 @@ def chosen(collection, names):
     known = {Path(scene).name: scene for scene in collection.scenes}
     for name in names or ():
         if name not in known:
-            raise FetchError(f"--scenes: expected {', '.join(known)}, found {name}")
+            raise FetchError(f"--scenes: expected {', '.join(known)}, found {name or 'nothing'}")
     return [scene for name, scene in known.items() if not names or name in names or scene in collection.always]
 
 
@@ -262,6 +287,8 @@ def fetch(name, folder, mirror=None, names=None):
     """Downloads, verifies and unpacks one collection, or the named scenes of it, into folder/name."""
     collection = CAPTURES[name]
     scenes = chosen(collection, names)
+    if mirror is not None:
+        ensure_address(mirror)
     print(f"Licence. {collection.licence}")
     archives, scenes_folder = folder / "archives", folder / name
     archives.mkdir(parents=True, exist_ok=True)
@@ -270,7 +297,7 @@ def fetch(name, folder, mirror=None, names=None):
     for url in collection.archives:
         file = url.rsplit("/", 1)[1]
         if collection.scenes_in.get(file, set(scenes)) & set(scenes):
-            urls[archives / file] = f"{mirror.rstrip('/')}/{file}" if mirror else url
+            urls[archives / file] = url if mirror is None else f"{mirror.rstrip('/')}/{file}"
     ensure_space(folder, urls, len(scenes) == len(collection.scenes))
     for archive, url in urls.items():
         if not archive.exists():
@@ -281,7 +308,8 @@ def fetch(name, folder, mirror=None, names=None):
         # What the archive holds for other collections is left in it, too.
         others = [PurePosixPath(s) for c in CAPTURES.values() if holds(c, archive.name) for s in c.scenes if s not in scenes]
         try:
-            unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others))
+            is_whole = record is None or archive.name in collection.sums
+            unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others), is_whole)
         except OSError as error:
             raise FetchError(f"{archive}: {error}") from error
         # A damaged one, an encrypted one, one of unknown compression.
@@ -309,7 +337,19 @@ def fetch(name, folder, mirror=None, names=None):
         raise FetchError(f"{scenes_folder}: expected a capture in each of {len(scenes)} folders, found none in {missing}: archives are laid out otherwise")
 
 
-def main():
+def ensure_address(mirror):
+    try:
+        urllib.parse.urlsplit(urllib.request.Request(mirror).full_url)
+    except ValueError as error:
+        raise FetchError(f"--mirror: expected an address such as https://host/folder, found {mirror or 'nothing'}") from error
+
+
+def interrupted():
+    print("error: stopped; the same command goes on", file=sys.stderr)
+    sys.exit(130)
+
+
+def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=CAPTURES)
     parser.add_argument("folder", type=Path, help="where archives/ and the scenes go")
@@ -319,11 +359,15 @@ def main():
         help="unpack only these, comma separated, and download no other archives; of tandt truck and train come in any case [default: all]",
     )
     parser.add_argument("--mirror", help="address of a folder that holds the same archives")
-    arguments = parser.parse_args()
+    args = parser.parse_args(arguments)
+    # Of an empty variable of the shell nobody means all scenes.
+    names = None if args.scenes is None else [name.strip() for name in args.scenes.split(",")]
     try:
-        fetch(arguments.name, arguments.folder, arguments.mirror, arguments.scenes and arguments.scenes.split(","))
+        fetch(args.name, args.folder, args.mirror, names)
     except (FetchError, OSError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        interrupted()
 
 
 if __name__ == "__main__":

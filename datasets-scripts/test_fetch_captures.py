@@ -49,7 +49,7 @@ TANKS = {
 class Server(http.server.BaseHTTPRequestHandler):
     """Serves Server.content, or that of Server.contents by path, with ranges; stops after Server.cut bytes where that is set."""
 
-    content, contents, etag, cut, requests, paths = b"", {}, '"one"', None, [], []
+    content, contents, etag, cut, requests, paths, refuses = b"", {}, '"one"', None, [], [], False
 
     def body(self):
         return type(self).contents.get(self.path, type(self).content)
@@ -66,7 +66,7 @@ class Server(http.server.BaseHTTPRequestHandler):
         cls.paths.append(self.path)
         if asked and self.headers.get("If-Range") == cls.etag:
             start = int(re.match(r"bytes=(\d+)-", asked)[1])
-        if start > len(content):
+        if start > len(content) or cls.refuses:
             return self.send_error(416)
         self.send_response(206 if start else 200)
         if start:
@@ -90,7 +90,7 @@ class Fetch(unittest.TestCase):
         self.addCleanup(self.server.server_close)
         self.addCleanup(self.server.shutdown)
         Server.content, Server.etag, Server.cut, Server.requests, Server.paths = archive(SCENE), '"one"', None, [], []
-        Server.contents = {}
+        Server.contents, Server.refuses = {}, False
 
     def fetch(self, name="tandt_db", scenes=None):
         printed = io.StringIO()
@@ -128,11 +128,16 @@ class Fetch(unittest.TestCase):
         (self.folder / "archives/tandt_db.zip.etag").write_text('"one"')
         self.fetch()
 
+    def test_a_server_that_has_no_range_of_anything(self):
+        Server.refuses = True
+        self.refused("416")
+        self.assertEqual(Server.requests, [None], "it is not asked again")
+
     def test_compares_with_the_first_download(self):
         self.fetch()
         (self.folder / "archives/tandt_db.zip").unlink()
         Server.content = archive(SCENE[:1])
-        self.refused("SHA-256")
+        self.refused("SHA-256.*SHA256SUMS says .*; delete it and run again")
 
     def test_no_entry_leaves_the_folder(self):
         for name in ("../out.txt", "/tmp/out.txt", "a/../../out.txt", "..\\out.txt", "c:out.txt"):
@@ -156,13 +161,39 @@ class Fetch(unittest.TestCase):
         self.assertEqual(list(outside.iterdir()), [])
 
     def test_a_damaged_archive_is_not_what_later_ones_must_match(self):
-        whole = Server.content
-        place = whole.index(SCENE[1][1]) + 1000
-        Server.content = whole[:place] + b"!" + whole[place + 1 :]
+        whole, Server.content = Server.content, self.damaged()
         self.refused("Bad CRC-32.*; delete it and run again")
         (self.folder / "archives/tandt_db.zip").unlink()
         Server.content = whole
         self.fetch()
+
+    def damaged(self):
+        whole = archive(SCENE)
+        place = whole.index(SCENE[1][1]) + 1000
+        return whole[:place] + b"!" + whole[place + 1 :]
+
+    def test_a_damaged_archive_is_not_recorded_beside_files_of_its_size(self):
+        self.fetch()
+        for name in ("tandt_db.zip", "SHA256SUMS"):
+            (self.folder / "archives" / name).unlink()
+        Server.content = self.damaged()
+        self.refused("Bad CRC-32.*; delete it and run again")
+        self.assertFalse((self.folder / "archives/SHA256SUMS").exists())
+
+    def test_a_damaged_archive_is_not_recorded_for_its_other_scenes(self):
+        Server.content = self.damaged()
+        self.refused("Bad CRC-32.*; delete it and run again", "tandt_db", ["train"])
+        self.assertFalse((self.folder / "archives/SHA256SUMS").exists())
+
+    def test_files_of_equal_size_are_compared_before_an_archive_is_recorded(self):
+        file = self.folder / "tandt_db/tandt/truck/images/000001.jpg"
+        file.parent.mkdir(parents=True)
+        file.write_bytes(bytes(len(SCENE[1][1])))
+        self.fetch()
+        self.assertEqual(file.read_bytes(), SCENE[1][1])
+        # What is known to be whole is not read again.
+        with mock.patch.object(fetch_captures, "crc32", side_effect=AssertionError):
+            self.fetch()
 
     def test_lines_of_checksums_that_say_nothing_are_passed_over(self):
         (self.folder / "archives").mkdir()
@@ -209,6 +240,38 @@ class Fetch(unittest.TestCase):
         self.assertIn("tandt/train", printed)
         self.assertNotIn("tandt/truck", printed)
         self.refused("expected truck, train, drjohnson, playroom, found barn", "tandt_db", ["barn"])
+
+    def main(self, *arguments, name="tandt_db"):
+        """Exit status, and what is said of what is wrong."""
+        said = io.StringIO()
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+            try:
+                fetch_captures.main([name, str(self.folder), *arguments])
+            except SystemExit as end:
+                return (1, end.code) if isinstance(end.code, str) else (end.code, said.getvalue())
+        return 0, said.getvalue()
+
+    def test_names_of_scenes_are_stripped_and_an_empty_one_is_none(self):
+        with mock.patch.object(fetch_captures, "download", side_effect=AssertionError):
+            for names in ("", " ", "train,", ","):
+                self.assertEqual(
+                    self.main("--scenes", names), (1, "error: --scenes: expected truck, train, drjohnson, playroom, found nothing")
+                )
+        mirror = f"http://127.0.0.1:{self.server.server_port}/x"
+        self.assertEqual(self.main("--mirror", mirror, "--scenes", " train , playroom")[0], 0)
+        self.assertTrue((self.folder / "tandt_db/db/playroom").exists())
+        self.assertFalse((self.folder / "tandt_db/tandt/truck").exists())
+
+    def test_addresses(self):
+        for mirror in ("", "foo", "http://[::1"):
+            expected = f"error: --mirror: expected an address such as https://host/folder, found {mirror or 'nothing'}"
+            self.assertEqual(self.main("--mirror", mirror), (1, expected))
+        self.assertEqual(list(self.folder.iterdir()), [])
+        self.assertRegex(self.main("--mirror", "http://127.0.0.1:port")[1], "^error: .*tandt_db.zip: nonnumeric port: 'port'$")
+
+    def test_an_interruption_is_one_line(self):
+        with mock.patch.object(fetch_captures, "download", side_effect=KeyboardInterrupt):
+            self.assertEqual(self.main("--mirror", "http://127.0.0.1:9"), (130, "error: stopped; the same command goes on\n"))
 
     def test_published_checksum(self):
         collection = fetch_captures.CAPTURES["tandt_db"]
