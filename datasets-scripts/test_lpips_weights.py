@@ -156,6 +156,24 @@ class Weights(unittest.TestCase):
         with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=10)):
             self.refused("needs .* GB", packed(weights()))
 
+    def test_outputs_are_looked_at_before_any_download(self):
+        self.output.mkdir(parents=True)
+        (self.folder / "file").touch()
+        with mock.patch.object(lpips_weights, "download", side_effect=AssertionError):
+            with self.assertRaisesRegex(SystemExit, "^error: .*small.safetensors: cannot write: it is a folder$"):
+                self.run_with(packed(weights()), "--archive", self.archive)
+            self.output.rmdir()
+            not_in_a_file = "^error: .*: cannot write in .*file: Not a directory$"
+            self.refused(not_in_a_file, packed(weights()), "--archive", self.folder / "file/a.tar.gz")
+            self.output = self.folder / "file/small.safetensors"
+            self.refused(not_in_a_file, packed(weights()), "--archive", self.archive)
+        self.assertFalse(self.archive.exists())
+
+    def test_an_interruption_is_one_line(self):
+        with mock.patch.object(lpips_weights, "download", side_effect=KeyboardInterrupt), self.assertRaises(SystemExit) as end:
+            self.run_with(packed(weights()))
+        self.assertEqual(end.exception.code, 130)
+
     def test_a_pickle_calls_nothing(self):
         class Calls:
             def __reduce__(self):

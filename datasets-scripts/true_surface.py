@@ -1,43 +1,65 @@
 """The smooth surfaces of a scene of this folder, as one PLY in the frame of its capture: what a surface made of it is compared with.
 
-    python3 datasets-scripts/true_surface.py demo truth.ply
+    python3 datasets-scripts/true_surface.py demo truth.ply          # needs numpy and pillow
     centaur mesh demo -o surface.glb --truth truth.ply
-    python3 datasets-scripts/true_surface.py garden truth.ply        # or room, street; needs numpy and pillow
+    python3 datasets-scripts/true_surface.py garden truth.ply        # or room, street
     centaur mesh target/unbounded/garden -o surface.glb --truth truth.ply
 """
 
+import argparse
+import importlib
 import sys
 from pathlib import Path
 
-import numpy as np
+from outputs import ensure_file, write_whole
 
-import demo_scene
-from procedural import merged
-from unbounded_garden import garden
-from unbounded_room import room
-from unbounded_street import street
-
-SCENES = {
-    "demo": demo_scene.build,
-    "garden": lambda: garden()["shapes"],
-    "room": lambda: room()["shapes"] + room()["indoors"],
-    "street": lambda: street()["shapes"],
-}
+SCENES = ("demo", "garden", "room", "street")
 
 
-def main(scene, path):
-    smooth = [s for s in SCENES[scene]() if not s["grows"]]
+def shapes(scene):
+    if scene == "demo":
+        return importlib.import_module("demo_scene").build()
+    world = getattr(importlib.import_module(f"unbounded_{scene}"), scene)()
+    return world["shapes"] + world.get("indoors", [])
+
+
+def surface(scene):
+    """Bytes of the PLY, in parts, and how many triangles it has."""
+    import numpy as np
+
+    from procedural import merged
+
+    smooth = [s for s in shapes(scene) if not s["grows"]]
     positions, _, triangles = merged([(s["positions"], s["uvs"], s["triangles"]) for s in smooth])
     faces = np.empty(len(triangles), [("n", "u1"), ("i", "<i4", 3)])
     faces["n"], faces["i"] = 3, triangles
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
     header += [f"property float {n}" for n in "xyz"]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header\n"]
-    Path(path).write_bytes("\n".join(header).encode() + positions.astype("<f4").tobytes() + faces.tobytes())
-    print(f"{path}: {len(triangles)} triangles")
+    return ["\n".join(header).encode(), positions.astype("<f4").tobytes(), faces.tobytes()], len(triangles)
+
+
+def ply(name):
+    if not name.lower().endswith(".ply"):
+        raise argparse.ArgumentTypeError(f"expected a name that ends in .ply, found {name}")
+    return Path(name)
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", choices=SCENES)
+    parser.add_argument("output", type=ply, help="file to write, .ply")
+    args = parser.parse_args(arguments)
+    try:
+        ensure_file(args.output)
+        parts, triangles = surface(args.scene)
+        write_whole(args.output, parts)
+    except ImportError as error:
+        sys.exit(f"error: {error}; install it with: pip install numpy pillow")
+    except OSError as error:
+        sys.exit(f"error: {error}")
+    print(f"{args.output}: {triangles} triangles")
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3 or sys.argv[1] not in SCENES:
-        sys.exit(__doc__)
-    main(*sys.argv[1:])
+    main()

@@ -4,7 +4,7 @@
 # `order-modes.sh [options of centaur bench]`, such as `--seeds 0,1,2`; about 1 minute a run on 2 cores without a GPU. What is done is not
 # done again. Results go to out/order-modes/SCENE, one table of all differences to out/order-modes/table.md.
 # ORDER_MODES_FLAGS="--iterations 300" (in place of those below), ORDER_MODES_OUT=FOLDER, ORDER_MODES_CENTAUR=PROGRAM,
-# ORDER_MODES_PYTHON=PROGRAM (with numpy and pillow, for the surfaces of all but the demo).
+# ORDER_MODES_PYTHON=PROGRAM (with numpy and pillow, for the surfaces).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 scenes=target/order-modes
@@ -21,10 +21,7 @@ failed=0
 for scene in demo garden street room; do
     [ -d "$scenes/$scene/" ] || continue
     truth="$out/$scene.ply"
-    if [ ! -f "$truth" ]; then
-        "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth.part"
-        mv "$truth.part" "$truth"
-    fi
+    [ -f "$truth" ] || "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth"
     "${centaur[@]}" bench $scenes --scenes $scene -o "$out/$scene" "$@" \
         --variant stable="--mode stable" \
         --variant surface-consistent="--mode surface-consistent" \
