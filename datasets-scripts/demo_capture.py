@@ -5,16 +5,20 @@
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
-import mitsuba as mi
-import numpy as np
-from PIL import Image
+try:
+    import mitsuba as mi
+    import numpy as np
+    from PIL import Image
+except ImportError as error:
+    sys.exit(f"error: {error}; install it with: pip install -r {Path(__file__).with_name('requirements.txt')}")
 
 import demo_scene
 from colmap_model import Camera, centre_of, facing, read_model, write_model
-from mitsuba_capture import cast, load_scene, misalignment, pictures_of, render, sample, save, seen
+from mitsuba_capture import cast, ensure_outputs, ensure_views, load_scene, misalignment, pictures_of, render, sample, samples, save, seen
 
 # Off-centre on purpose: a reader that assumes the middle of the picture is wrong by 6 and 4 pixels.
 CAMERA = Camera(224, 168, 288.0, (224 / 2 + 6.0, 168 / 2 - 4.0))
@@ -101,13 +105,15 @@ def check(scene, folder):
         raise SystemExit("pictures and poses do not agree")
 
 
-def main():
+def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folder", type=Path, help="where images/ and sparse/0/ go")
-    parser.add_argument("--spp", type=int, default=256, help="samples per pixel (a square number)")
+    parser.add_argument("--spp", type=samples, default=256, help="samples per pixel (a square number)")
     parser.add_argument("--only", type=int, nargs="*", help="render these views as PNG into FOLDER and stop (for a look)")
     parser.add_argument("--check", action="store_true", help="do not render, only check")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(arguments)
+    ensure_outputs(arguments)
+    ensure_views(arguments.only, VIEWS)
     scene = load()
     folder = arguments.folder
     if arguments.only is not None:

@@ -3,6 +3,8 @@
 The variant scalar_rgb needs no LLVM. Everything is seeded; the same versions (requirements.txt) give the same pictures.
 """
 
+import argparse
+import sys
 import tempfile
 from pathlib import Path
 
@@ -11,8 +13,40 @@ import numpy as np
 from PIL import Image
 
 from colmap_model import centre_of, name_of
+from outputs import ensure_folder
 
 mi.set_variant("scalar_rgb")
+
+LARGEST_SPP = 65_536
+
+
+def samples(text):
+    """Of --spp. Mitsuba divides by it, which ends the process if it is 0, and near 2^32 makes it 0."""
+    if not (text.isascii() and text.isdigit() and len(text) < 10 and 0 < int(text) <= LARGEST_SPP):
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {LARGEST_SPP}, found {text or 'nothing'}")
+    return int(text)
+
+
+def ensure_outputs(arguments):
+    """Stops unless what --only, --check or neither is about can be written, or is there: to make a scene takes a while."""
+    folder = arguments.folder
+    try:
+        if arguments.only is not None:
+            ensure_folder(folder)
+        elif not arguments.check:
+            ensure_folder(folder / "images")
+            ensure_folder(folder / "sparse/0")
+        elif not (folder / "sparse/0/images.bin").is_file():
+            raise OSError(f"{folder}: expected a capture to check, found none")
+    except OSError as error:
+        sys.exit(f"error: {error}")
+
+
+def ensure_views(only, views):
+    """Stops where --only asks for a view that there is not."""
+    for i in only or ():
+        if not 0 <= i < views:
+            sys.exit(f"error: --only: expected views from 0 to {views - 1}, found {i}")
 
 
 def write_ply(path, s):

@@ -9,15 +9,33 @@ Points are triangulated from noisy pixels of three views or more, as far as they
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
-import mitsuba as mi
-import numpy as np
-from PIL import Image
+try:
+    import mitsuba as mi
+    import numpy as np
+    from PIL import Image
+except ImportError as error:
+    sys.exit(f"error: {error}; install it with: pip install -r {Path(__file__).with_name('requirements.txt')}")
 
 from colmap_model import centre_of, read_model, write_model
-from mitsuba_capture import cast, encoded, load_scene, misalignment, pictures_of, radiance, render, sample, save, seen
+from mitsuba_capture import (
+    cast,
+    encoded,
+    ensure_outputs,
+    ensure_views,
+    load_scene,
+    misalignment,
+    pictures_of,
+    radiance,
+    render,
+    sample,
+    samples,
+    save,
+    seen,
+)
 from triangulation import triangulate, widest_angle
 from unbounded_garden import garden
 from unbounded_room import room
@@ -153,22 +171,24 @@ def check(scene, world, folder):
         raise SystemExit("pictures, poses and points do not agree")
 
 
-def main():
+def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", choices=SCENES)
     parser.add_argument("folder", type=Path, help="where images/ and sparse/0/ go")
     parser.add_argument(
         "--spp",
-        type=int,
+        type=samples,
         default=256,
         help="samples per pixel (a square number); 64 leave noise of 3.5/255 (rms), four times as many half of it",
     )
     parser.add_argument("--only", type=int, nargs="*", help="render these views as PNG into FOLDER and stop (for a look)")
     parser.add_argument("--check", action="store_true", help="do not render, only check")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(arguments)
+    ensure_outputs(arguments)
     start, folder = time.time(), arguments.folder
     world = SCENES[arguments.scene]()
     poses, camera = world["poses"], world["camera"]
+    ensure_views(arguments.only, len(poses))
     scene = load(world)
     print(f"{sum(len(s['triangles']) for s in world['shapes'] + world.get('indoors', []))} triangles, {time.time() - start:.0f} s", flush=True)
     picture = photographer(scene, world, arguments.spp)
