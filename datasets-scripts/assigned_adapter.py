@@ -6,11 +6,11 @@ Ray and Slurm say it in CUDA_VISIBLE_DEVICES (AMD's in ROCR_ or HIP_VISIBLE_DEVI
 otherwise than `centaur devices`. Prints nothing where there is no choice: without a GPU assigned, or with one in the machine.
 """
 
+import argparse
 import json
 import os
 import re
 import subprocess
-import sys
 
 VARIABLES = ["CUDA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES"]
 # What stands there where none is assigned; the last is Slurm's.
@@ -77,7 +77,10 @@ def adapter_of(gpu, program):
     return choose(gpu, json.loads(listed.stdout), nvidia_buses())
 
 
-def main(program):
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program", nargs=argparse.REMAINDER, help="how to call centaur, in words (default: centaur)")
+    program = parser.parse_args().program or ["centaur"]
     try:
         adapter = adapter_of(assigned_gpu(os.environ), program)
     except (LookupError, OSError, ValueError) as e:
@@ -87,4 +90,4 @@ def main(program):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["centaur"])
+    main()

@@ -18,9 +18,17 @@ import assigned_adapter
 from assigned_adapter import adapter_of
 
 
+def ask(program, options, **pipes):
+    """Runs `centaur bench` on this machine."""
+    try:
+        return subprocess.run([*program, "bench", *options], **pipes)
+    except OSError as e:
+        raise SystemExit(f"error: {program[0]}: {e.strerror}; put it into the PATH, or say with --program how to call it")
+
+
 def open_jobs(program, options):
     """A command for each job that is not done."""
-    listed = subprocess.run([*program, "bench", *with_option(options, "--list")], stdout=subprocess.PIPE, text=True)
+    listed = ask(program, with_option(options, "--list"), stdout=subprocess.PIPE, text=True)
     if listed.returncode:
         raise SystemExit(listed.returncode)
     # A line begins with the program's own path, which other nodes may have elsewhere, and `bench`.
@@ -64,18 +72,26 @@ def main(arguments):
     parser.add_argument("--gpus", type=float, default=1, help="of a job; parts share a GPU, 0 for none (default: 1)")
     parser.add_argument("--cpus", type=float, default=2, help="of a job (default: 2)")
     args, options = parser.parse_known_args(arguments)
-    program = shlex.split(args.program)
-    jobs = open_jobs(program, options)
+    try:
+        program = shlex.split(args.program)
+    except ValueError as e:
+        parser.error(f"--program: {e}: {args.program}")
+    if not program or not program[0]:
+        parser.error("--program: expected how to call centaur, found nothing")
     try:
         import ray
     except ImportError:
-        raise SystemExit("ray is missing: pip install ray")
-    ray.init(address=args.address, log_to_driver=False)
-    # Nodes need not have these files.
-    for module in [sys.modules[__name__], assigned_adapter]:
-        ray.cloudpickle.register_pickle_by_value(module)
-    task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
-    names = {task.remote(program, job, os.getcwd()): job[job.index("--only") + 1] for job in jobs}
+        raise SystemExit("error: ray is missing: pip install ray")
+    jobs = open_jobs(program, options)
+    try:
+        ray.init(address=args.address, log_to_driver=False)
+        # Nodes need not have these files.
+        for module in [sys.modules[__name__], assigned_adapter]:
+            ray.cloudpickle.register_pickle_by_value(module)
+        task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
+        names = {task.remote(program, job, os.getcwd()): job[job.index("--only") + 1] for job in jobs}
+    except (OSError, RuntimeError, ValueError) as e:  # an address of no cluster, parts of GPUs that are not to be had
+        raise SystemExit(f"error: {(str(e).strip().splitlines() or [type(e).__name__])[0]}")
     failed, pending = 0, list(names)
     while pending:
         (ready,), pending = ray.wait(pending, num_returns=1)
@@ -91,7 +107,7 @@ def main(arguments):
     left = [job[job.index("--only") + 1] for job in open_jobs(program, options)]
     if left:
         raise SystemExit(f"{len(left)} of {len(jobs)} jobs are left to another runner, first {left[0]}: run again for the table of all")
-    raise SystemExit(subprocess.run([*program, "bench", *with_option(options, "--table")]).returncode)
+    raise SystemExit(ask(program, with_option(options, "--table")).returncode)
 
 
 if __name__ == "__main__":

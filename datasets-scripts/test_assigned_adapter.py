@@ -1,5 +1,7 @@
 """assigned_adapter on made-up machines: python3 -m unittest discover datasets-scripts"""
 
+import os
+import subprocess
 import sys
 import unittest
 from pathlib import Path
@@ -65,6 +67,17 @@ class Assigned(unittest.TestCase):
         failing = [sys.executable, "-c", "import sys; sys.exit('error: no driver')"]
         with self.assertRaisesRegex(LookupError, "^no driver$"):
             adapter_of("0", failing)
+
+    def test_help_is_of_this_script(self):
+        script = [sys.executable, str(Path(__file__).with_name("assigned_adapter.py"))]
+        for words, code in (["--help"], 0), (["-h"], 0), (["--none"], 2):
+            done = subprocess.run([*script, *words], capture_output=True, text=True)
+            self.assertEqual(done.returncode, code)
+            self.assertIn("usage: assigned_adapter.py", done.stderr if code else done.stdout)
+        # Options behind the program are its own.
+        echo = [sys.executable, "-c", "import sys; sys.exit(f'error: {sys.argv[1:]}')", "--help"]
+        done = subprocess.run([*script, *echo], capture_output=True, text=True, env={**os.environ, "CUDA_VISIBLE_DEVICES": "0"})
+        self.assertEqual(done.stderr, "error: ['--help', 'devices', '--json']\n")
 
 
 if __name__ == "__main__":

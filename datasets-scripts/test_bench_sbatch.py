@@ -65,6 +65,14 @@ class Array(unittest.TestCase):
     def test_each_task_has_its_gpu(self):
         self.assertEqual([self.said(range(2), i, str(i))["adapter"] for i in range(2)], ["0000:41:00.0", "0000:c1:00.0"])
 
+    def test_help_is_for_all_outside_slurm(self):
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("SLURM_")}
+        for word in ("--help", "-h"):
+            done = subprocess.run(["bash", HERE / "bench.sbatch", word], env=environment, capture_output=True, text=True)
+            self.assertEqual((done.returncode, done.stderr), (0, ""))
+            self.assertIn("\n  sbatch --array=0-8 datasets-scripts/bench.sbatch DATASET -o OUT", done.stdout)
+            self.assertNotIn("#", done.stdout)
+
     def test_what_would_leave_jobs_undone_is_refused(self):
         for arguments, expected in [
             (([0, 2, 4], 2), "error: expected an array without gaps, found 3 tasks from 0 to 4\n"),
