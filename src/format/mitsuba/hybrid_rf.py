@@ -461,6 +461,19 @@ def register():
     mi.register_integrator('hybrid_rf', HybridRF)
 
 
+def camera_index(labels, text):
+    """Index of the camera of this name, or else of this number."""
+    if not labels:
+        # As `centaur convert` has noted.
+        raise LookupError('there are no cameras; a picture needs a <sensor>')
+    if text in labels:
+        return labels.index(text)
+    if text.isdecimal() and len(text) < 10 and int(text) < len(labels):
+        return int(text)
+    there = ', '.join(f'{i} ({label})' for i, label in enumerate(labels))
+    raise LookupError(f'no camera `{text}`; there are {there}')
+
+
 def main():
     parser = argparse.ArgumentParser(description='Render a scene of `centaur convert` in Mitsuba.')
     parser.add_argument('scene', type=Path, help='the .xml')
@@ -482,12 +495,10 @@ def main():
     except RuntimeError as error:
         sys.exit(f'hybrid_rf.py: {arguments.scene}: {str(error).strip().splitlines()[-1].strip()}')
     sensors = scene.sensors()
-    labels = [getattr(sensor, 'label', '') for sensor in sensors]
-    camera = arguments.camera
-    index = labels.index(camera) if camera in labels else int(camera) if camera.isdecimal() else len(sensors)
-    if index >= len(sensors):
-        names = ', '.join(f'{i} ({label})' for i, label in enumerate(labels))
-        sys.exit(f'hybrid_rf.py: {arguments.scene}: no camera `{camera}`; there are {names}')
+    try:
+        index = camera_index([getattr(sensor, 'label', '') for sensor in sensors], arguments.camera)
+    except LookupError as error:
+        sys.exit(f'hybrid_rf.py: {arguments.scene}: {error}')
     integrator = scene.integrator()
     if arguments.output:
         integrator.linear = arguments.output == 'linear'
