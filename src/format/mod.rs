@@ -138,7 +138,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     let failed = |source| FormatError::Read { file: path.to_owned(), source };
     let mut start = vec![];
     // Enough to see past the white space with which JSON may begin.
-    File::open(path).and_then(|f| f.take(256).read_to_end(&mut start)).map_err(failed)?;
+    error::open_file(path)?.take(256).read_to_end(&mut start).map_err(failed)?;
     let first = start.iter().find(|b| !b.is_ascii_whitespace());
     let named = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
     if start.starts_with(b"glTF") {

@@ -249,9 +249,11 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sizes = match self.protocol {
             Some(Protocol::A) => {
-                "Mip-NeRF 360's sizes by protocol A (pictures of the data set); SSIM in the table is of windows inside the picture only, whatever follows"
+                "Scenes of Mip-NeRF 360 in the sizes of protocol A (pictures of the data set), others as they are; SSIM in the table is of windows inside the picture only, whatever follows"
             }
-            Some(Protocol::B) => "Mip-NeRF 360's sizes by protocol B (pictures scaled down here)",
+            Some(Protocol::B) => {
+                "Scenes of Mip-NeRF 360 in the sizes of protocol B (pictures scaled down here), others as they are"
+            }
             None => "Pictures of the size that the flags say",
         };
         writeln!(f, "{sizes}; {}.", self.scores)?;
