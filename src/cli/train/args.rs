@@ -1,0 +1,369 @@
+//! What `centaur train` is asked for.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail, ensure};
+use centaur::capture::{self, Capture, LoadOptions};
+use centaur::format::mesh_import;
+use centaur::geometry::Surface;
+use centaur::optimize::{Background, Density, MeshSource, TrainOptions};
+use centaur::scene::OrderMode;
+use clap::ValueEnum;
+
+use crate::cli::edits::positive;
+use crate::cli::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
+use crate::cli::{eval, output, usage};
+
+const EXAMPLES: &str = "\
+Examples:
+  centaur train captures/garden -o garden.glb --downscale 4 --report garden-report
+  centaur train captures/tankard -o tankard.glb --masks --max-splats 200000
+  centaur train captures/garden -o splats.glb --no-mesh
+  centaur train captures/garden -o garden.glb --mesh scan.obj --layers 2
+  centaur train captures/garden -o garden.glb --downscale 4 --resume";
+
+/// Train a hybrid scene from a folder of posed photographs
+///
+/// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
+/// photograph is held out and scored at the end, or those of the capture's own split. Ctrl-C stops after the current iteration and leaves a checkpoint
+/// for --resume, or after the current view and leaves the scene without scores; a second Ctrl-C stops at once.
+// A flag given again replaces the former: variants of `centaur bench` change what all have.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES, args_override_self = true)]
+pub(in crate::cli) struct Args {
+    /// Folder with photographs and poses, or a transforms*.json
+    pub(super) capture: PathBuf,
+    /// Scene to write
+    #[arg(short, long, value_name = "SCENE.glb", value_parser = output::path(|path| output::with_extension(path, &["glb"])))]
+    pub(super) output: PathBuf,
+    /// Also write the splats alone, without the mesh, in INRIA's layout
+    #[arg(long, value_name = "SPLATS.ply", value_parser = output::path(|path| output::with_extension(path, &["ply"])))]
+    pub(super) ply: Option<PathBuf>,
+    /// Folder for report.html, metrics.json and pictures of the held-out views
+    #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]
+    pub(super) report: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) lpips: eval::LpipsArgs,
+    /// Do not score the held-out views at the end
+    #[arg(long, conflicts_with = "lpips_weights")]
+    pub(super) no_eval: bool,
+    #[command(flatten)]
+    pub(super) adapter: AdapterArgs,
+
+    /// Iterations of the splats, those for the surface included (INRIA 3DGS: 30000)
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION)]
+    pub(super) iterations: u32,
+    /// Iterations on the mesh's maps alone before it is joined with the splats; none without a mesh [default: 9000, as in HERA, and in
+    /// runs of fewer than 30000 three tenths of --iterations]
+    #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
+    pub(super) warmup: Option<u32>,
+    /// How splats are added and removed
+    #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
+    pub(super) density: DensityKind,
+    /// Most splats there may be, which MCMC comes to if this is given; also limited by the largest buffer that the adapter binds. Without
+    /// it, and without a number of floats, MCMC adds 5 % a step, up to 1000000
+    #[arg(long, value_name = "N", value_parser = output::at_least_one, help_heading = OPTIMISATION)]
+    pub(super) max_splats: Option<usize>,
+    /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
+    #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
+          value_parser = clap::value_parser!(u32).range(0..=3))]
+    pub(super) sh_degree: u32,
+    /// Share of D-SSIM in the loss, the rest is L1 (INRIA 3DGS: 0.2)
+    #[arg(long, value_name = "0..1", default_value_t = TrainOptions::default().ssim_weight, value_parser = share,
+          help_heading = OPTIMISATION)]
+    pub(super) ssim_weight: f32,
+    /// Start of every random sequence. The same seed gives the same scene, to the last bit, on the same adapter and driver, however many
+    /// threads there are and wherever it was resumed
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION)]
+    pub(super) seed: u64,
+    /// Save a checkpoint after every N iterations and at the end of each phase; 0 for none but that of Ctrl-C
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
+          help_heading = OPTIMISATION)]
+    pub(super) checkpoint_every: u32,
+    /// Measure PSNR on up to four held-out views, for the progress bar, after every N iterations; 0 for only at the end of each phase
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
+    pub(super) eval_every: u32,
+    /// Continue from SCENE.glb.checkpoint; give the other options as before. Without this flag such a file is set aside
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) resume: bool,
+    /// Stop, as by Ctrl-C, when standard input ends: `centaur bench` holds its other end, whichever way it goes
+    #[arg(long, hide = true)]
+    pub(super) stop_at_eof: bool,
+    /// Filter splats as Mip-Splatting does (Yu et al. 2024), so that the scene can be seen from nearer and farther than the
+    /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) antialias: bool,
+    /// Begin with pictures of a quarter of the size and grow them, and the number of splats, over the first half of the run, or
+    /// three quarters of --surface-iterations (the idea of DashGaussian)
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) coarse_to_fine: bool,
+    /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; where they
+    /// do not it costs quality. Held-out views are rendered without (a row of its own in comparisons)
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) exposure: bool,
+    /// Correct the training photographs' poses along, until a surface is made (without a mesh, to the end), for captures whose poses are
+    /// not exact; where they are it may cost quality. The scene's cameras are the corrected ones, --json lists what was corrected
+    #[arg(long, conflicts_with = "mesh", help_heading = OPTIMISATION)]
+    pub(super) refine_poses: bool,
+    /// How far poses may be off, with --refine-poses: about as much as it can correct. The less, the less it costs where they are right
+    #[arg(long, value_name = "DEGREES", default_value_t = TrainOptions::default().pose_reach, value_parser = positive,
+          requires = "refine_poses", help_heading = OPTIMISATION)]
+    pub(super) pose_reach: f64,
+    /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) visible_only: bool,
+    /// Update every texel of the maps in every iteration instead of those that its view sees (HERA)
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) dense_texels: bool,
+    /// Most floats in splats, maps and vertices together; limits the splats, which MCMC brings up to it, and maps that are not laid out
+    /// anew; for comparisons at equal size
+    #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
+    pub(super) max_floats: Option<usize>,
+    /// As --max-floats, by what they take as f32, in megabytes of 10⁶ bytes
+    #[arg(long, value_name = "MB", conflicts_with = "max_floats", value_parser = positive, help_heading = OPTIMISATION)]
+    pub(super) budget_mb: Option<f64>,
+
+    /// Train as if the capture had no points: splats begin at random places that its cameras look at
+    #[arg(long, help_heading = OPTIMISATION)]
+    pub(super) no_points: bool,
+
+    /// Surface to use, in the coordinates of the poses: .glb, .gltf, .obj or .ply. Its vertices and triangles are kept as they
+    /// are, and so are UVs of one material, scaled where they leave 0..1; no shell is added [default: one made from the capture, see --surface]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
+    pub(super) mesh: Option<PathBuf>,
+    /// Splats alone
+    #[arg(long, help_heading = MESH)]
+    pub(super) no_mesh: bool,
+    /// What the surface is made of [default: points if half of the views list 100 or more that they see, else splats]
+    #[arg(long, value_enum, value_name = "splats|points", conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
+    pub(super) surface: Option<SurfaceOf>,
+    /// Of --iterations, those on splats alone before there is a surface, with which it is compared; the rest trains splats and
+    /// mesh together [default: half]
+    #[arg(long, value_name = "N", help_heading = MESH)]
+    pub(super) surface_iterations: Option<u32>,
+    /// Triangles that a surface made from the capture is simplified to (ours); more are left of one of many pieces or holes, which all stay
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, value_parser = output::at_least_one, help_heading = MESH)]
+    pub(super) triangles: usize,
+    /// Whether flat regions of a surface made from the capture are found, made flat and meshed anew with few triangles (not in the paper)
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
+    pub(super) planar: Choice,
+    /// Whether what views see past a surface made from the capture, sky and far background, is tried on a sphere far around it, unless
+    /// photographs have alpha or masks or there is no warm-up; its triangles are kept where they are worth it, as all are (not in the paper)
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
+    pub(super) shell: Choice,
+    /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
+    /// get about two texels per pixel; that of view dependence has a quarter [default: the power of
+    /// two from one and a half times the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
+    /// (--mesh, --warmup 0): they take half of the budget at most, as far as charts have room
+    #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
+    pub(super) texture_size: Option<u32>,
+    /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)
+    #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().band_degree, help_heading = MESH,
+          value_parser = clap::value_parser!(u32).range(0..=3))]
+    pub(super) band_degree: u32,
+
+    /// Rule for the order of splats and mesh (HERA: stable)
+    #[arg(long, value_enum, default_value_t = Mode::SurfaceConsistent, help_heading = COMPOSITION)]
+    pub(super) mode: Mode,
+    /// How far a mesh pixel must lie in front of a splat to override its order, relative to the extent of the
+    /// cameras; `inf` turns the override off (HERA: 5 cm on heads; 0.01 is ours for static scenes)
+    #[arg(long, value_name = "LAMBDA", default_value_t = TrainOptions::default().lambda, value_parser = not_negative,
+          allow_hyphen_values = true, help_heading = COMPOSITION)]
+    pub(super) lambda: f32,
+    /// Mesh layers kept per pixel: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few)
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
+          help_heading = COMPOSITION)]
+    pub(super) layers: u32,
+    /// What is behind the scene (INRIA 3DGS: black); a random colour per iteration discourages holes
+    #[arg(long, value_enum, default_value_t = Backdrop::Black, help_heading = COMPOSITION)]
+    pub(super) background: Backdrop,
+
+    #[command(flatten)]
+    pub(super) loading: CaptureArgs,
+    #[command(flatten)]
+    pub(super) messages: MessageArgs,
+}
+
+const OPTIMISATION: &str = "Optimisation";
+const MESH: &str = "Mesh";
+const COMPOSITION: &str = "Composition";
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(super) enum DensityKind {
+    /// Clone, split, prune and reset by gradient (Kerbl et al. 2023)
+    Inria,
+    /// The same, but splats are split where absolute gradients are large (AbsGS, Ye et al. 2024)
+    Absgs,
+    /// Move dead splats, grow to --max-splats (Kheradmand et al. 2024)
+    Mcmc,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(super) enum Mode {
+    /// One decision per splat and layer; a splat whose mean is outside the picture is behind (HERA)
+    Stable,
+    /// As stable where the pixel shows the surface that was decided on, as direct elsewhere
+    SurfaceConsistent,
+    /// Per pixel; the order flickers
+    Direct,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(super) enum Backdrop {
+    Black,
+    White,
+    Random,
+}
+
+fn layers(text: &str) -> Result<u32, String> {
+    match text {
+        "1" => Ok(1),
+        "2" => Ok(2),
+        "4" => Ok(4),
+        _ => Err("expected 1, 2 or 4".into()),
+    }
+}
+
+fn share(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a number from 0 to 1".into())
+}
+
+fn not_negative(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|v| *v >= 0.0).ok_or_else(|| "expected a number ≥ 0 or inf".into())
+}
+
+impl Args {
+    pub(super) fn options(&self) -> TrainOptions {
+        TrainOptions {
+            iterations: self.iterations,
+            warmup: if self.no_mesh { 0 } else { self.warmup.unwrap_or(TrainOptions::warmup_of(self.iterations)) },
+            surface_iterations: self.surface_iterations,
+            density: match self.density {
+                DensityKind::Inria => Density::Inria,
+                DensityKind::Absgs => Density::Absgs,
+                DensityKind::Mcmc => Density::Mcmc,
+            },
+            max_splats: self.max_splats,
+            max_floats: self.max_floats.or(self.budget_mb.map(|mb| (mb * 1e6 / 4.0) as usize)),
+            visible_only: self.visible_only,
+            dense_texels: self.dense_texels,
+            antialias: self.antialias,
+            coarse_to_fine: self.coarse_to_fine,
+            exposure: self.exposure,
+            refine_poses: self.refine_poses,
+            pose_reach: self.pose_reach,
+            sh_degree: self.sh_degree,
+            ssim_weight: self.ssim_weight,
+            seed: self.seed,
+            checkpoint_every: self.checkpoint_every,
+            eval_every: self.eval_every,
+            triangles: self.triangles,
+            planar: self.planar.is_auto(),
+            shell: self.shell.is_auto(),
+            texture_size: self.texture_size,
+            band_degree: self.band_degree,
+            mode: match self.mode {
+                Mode::Stable => OrderMode::Stable,
+                Mode::SurfaceConsistent => OrderMode::SurfaceConsistent,
+                Mode::Direct => OrderMode::Direct,
+            },
+            lambda: self.lambda,
+            layers: self.layers,
+            background: match self.background {
+                Backdrop::Black => Background::Black,
+                Backdrop::White => Background::White,
+                Backdrop::Random => Background::Random,
+            },
+        }
+    }
+
+    /// Flags of a mesh that are given beside --no-mesh. Variants of `centaur bench` share them with others: they are no mistake.
+    pub(super) fn idle_without_mesh(&self) -> Vec<&'static str> {
+        let usual = TrainOptions::default();
+        let flags = [
+            (self.warmup.is_some_and(|iterations| iterations > 0), "--warmup"),
+            (self.dense_texels, "--dense-texels"),
+            (self.surface_iterations.is_some(), "--surface-iterations"),
+            (self.triangles != usual.triangles, "--triangles"),
+            (!self.planar.is_auto(), "--planar"),
+            (!self.shell.is_auto(), "--shell"),
+            (self.texture_size.is_some(), "--texture-size"),
+            (self.band_degree != usual.band_degree, "--band-degree"),
+        ];
+        flags.into_iter().filter(|(is_given, _)| *is_given && self.no_mesh).map(|(_, flag)| flag).collect()
+    }
+
+    /// What can be known to fail before the first iteration.
+    pub(super) fn check(&self) -> Result<()> {
+        if let Some(report) = &self.report {
+            let files = [Some(&self.output), self.ply.as_ref(), Some(&self.checkpoint())];
+            if let Some(file) = files.into_iter().flatten().find(|file| output::is_same(file, report)) {
+                let file = file.display();
+                return Err(usage::wrong(format!("--report: expected another name than {file}, which is a file")));
+            }
+        }
+        output::check_file(&self.output)?;
+        // Also where none is to be saved on the way: Ctrl-C does.
+        output::check_file(&self.checkpoint())?;
+        output::spare(&self.output, self.mesh.as_deref())?;
+        if let Some(ply) = &self.ply {
+            output::check_file(ply)?;
+            output::spare(ply, self.mesh.as_deref())?;
+        }
+        self.report.as_deref().map_or(Ok(()), output::check_folder)?;
+        if let Some(mesh) = &self.mesh {
+            ensure!(mesh.is_file(), "{}: expected a mesh file, found none", mesh.display());
+        }
+        let of_points = matches!(self.surface, Some(SurfaceOf::Points));
+        usage::demand(!(of_points && self.no_points), "--surface points: expected points, found --no-points")?;
+        let checkpoint = self.checkpoint();
+        ensure!(!self.resume || checkpoint.is_file(), "{}: expected a checkpoint, found none", checkpoint.display());
+        Ok(())
+    }
+
+    pub(super) fn open(&self) -> Result<Capture> {
+        let options = LoadOptions { without_points: self.no_points, ..self.loading.options() };
+        let capture = capture::open(&self.capture, &options)?;
+        self.ply.as_deref().map_or(Ok(()), |ply| output::spare(ply, capture.points_file.as_deref()))?;
+        match &capture.points_file {
+            Some(file) if capture.points.is_empty() => bail!(
+                "{}: expected points, found none; --no-points begins with splats at random places that the cameras look at",
+                file.display()
+            ),
+            _ => Ok(capture),
+        }
+    }
+
+    /// Beside the output: `scene.glb.checkpoint`.
+    pub(super) fn checkpoint(&self) -> PathBuf {
+        let mut name = self.output.clone().into_os_string();
+        name.push(".checkpoint");
+        name.into()
+    }
+
+    /// Where the mesh comes from, and what its reader says of it.
+    pub(super) fn mesh(&self, capture: &Capture) -> Result<(MeshSource, Vec<String>)> {
+        let Some(file) = &self.mesh else {
+            let source = match (self.no_mesh, self.surface) {
+                (true, _) => MeshSource::None,
+                (false, Some(SurfaceOf::Splats)) => MeshSource::Splats,
+                (false, Some(SurfaceOf::Points)) => MeshSource::Points,
+                (false, None) => MeshSource::suited_to(capture),
+            };
+            return Ok((source, vec![]));
+        };
+        let mesh = mesh_import::read(file)?;
+        let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
+        let notes = mesh.notes.iter().map(|note| format!("{}: {note}", file.display())).collect();
+        Ok((MeshSource::Given { surface, corner_uvs: mesh.corner_uvs }, notes))
+    }
+}
+
+/// What a surface is made of.
+#[derive(Clone, Copy, ValueEnum)]
+pub(super) enum SurfaceOf {
+    /// The depth of the splats after --surface-iterations, fused
+    Splats,
+    /// The capture's points, triangulated in every view
+    Points,
+}

@@ -1,0 +1,149 @@
+//! What a training says beside its numbers: before it begins, where it fails, and at its end.
+
+use anyhow::anyhow;
+use centaur::capture::{Capture, View};
+use centaur::optimize::{self, RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
+use centaur::render::gpu::Gpu;
+
+use super::args::{Args, DensityKind, SurfaceOf};
+
+pub(super) fn in_words(surface: SurfaceOrigin) -> &'static str {
+    match surface {
+        SurfaceOrigin::Given => "given",
+        SurfaceOrigin::Points => "points of the capture",
+        SurfaceOrigin::GuessedPoints => "points of the capture, taken for seen where none is nearer",
+        SurfaceOrigin::Splats => "fused depth of splats",
+    }
+}
+
+/// How far poses were refined, if they were.
+pub(super) fn moved(trained: &Trained) -> Option<String> {
+    let median = |of: fn(&RefinedPose) -> f64| {
+        let mut values: Vec<f64> = trained.poses.iter().map(|(_, pose)| of(pose)).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let (distance, degrees) = (median(|pose| pose.distance)?, median(|pose| pose.degrees)?);
+    Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
+}
+
+/// To this INRIA 3DGS scales larger photographs down unless told otherwise (`utils/camera_utils.py`).
+const USUAL_SIDE: u32 = 1600;
+
+/// Said before the training: a capture that lacks something is better mended than trained for hours.
+pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> Vec<String> {
+    let has_masks = capture.views.iter().any(|view| view.source.mask().is_some());
+    let lacks = [
+        (
+            capture.points.is_empty() && !args.no_points,
+            "has no points: splats begin at random places that its cameras look at",
+        ),
+        (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
+        (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
+        (
+            shows_motion(capture),
+            "shows several moments, which are trained as if all were one: what moves will be blurred",
+        ),
+    ];
+    let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
+    let longest = |view: &View| view.camera.intrinsics().width.max(view.camera.intrinsics().height);
+    let side = capture.views.iter().map(longest).max().unwrap_or(0);
+    let large = (side > USUAL_SIDE).then(|| {
+        format!(
+            "has pictures of {side} pixels a side, as they are trained on: results are usually given for {USUAL_SIDE} \
+             (--max-side {USUAL_SIDE}) or --downscale"
+        )
+    });
+    let finds_surface = args.mesh.is_none() && !args.no_mesh;
+    let none_left = finds_surface && args.iterations > 0 && args.surface_iterations >= Some(args.iterations);
+    let none_left = none_left.then(|| {
+        format!(
+            "--surface-iterations: leaves none of the {} iterations to train splats and mesh together",
+            args.iterations
+        )
+    });
+    let idle = args.idle_without_mesh();
+    let idle = (!idle.is_empty())
+        .then(|| format!("--no-mesh: {} {} no effect", idle.join(", "), if idle.len() == 1 { "has" } else { "have" }));
+    let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
+    let most = optimize::most_splats(gpu, args.sh_degree);
+    // Few runs come to what nobody has asked for: those are told at the end.
+    let asks = args.max_splats.is_some_and(|asked| asked > most);
+    let too_many = asks.then(|| {
+        format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
+    });
+    of_capture
+        .map(|what| format!("{}: {what}", args.capture.display()))
+        .chain(too_many)
+        .chain(none_left)
+        .chain(idle)
+        .collect()
+}
+
+/// Whether its views say that they are of different times.
+fn shows_motion(capture: &Capture) -> bool {
+    let mut moments = capture.views.iter().map(|view| view.source.moment());
+    let first = moments.next().flatten();
+    moments.any(|moment| moment != first)
+}
+
+/// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.
+pub(super) fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
+    let grown = trained.scene.splats.len() + trained.occluded_splats;
+    if grown >= optimize::most_splats(gpu, args.sh_degree) {
+        return Some(format!("{grown} splats are all that {} binds: on another there might be more", gpu.adapter()));
+    }
+    let most = args.max_splats.unwrap_or(TrainOptions::MOST_SPLATS);
+    let is_held_back = !matches!(args.density, DensityKind::Mcmc) && grown >= most;
+    is_held_back.then(|| format!("there were {most} splats: with a larger --max-splats there would be more"))
+}
+
+fn why_no_mesh(trained: &Trained) -> String {
+    match &trained.selection {
+        _ if trained.faint_triangles > 0 => "its triangles became invisible in training".to_owned(),
+        None => match &trained.no_surface {
+            Some(why) => why.clone(),
+            None => "no surface was found, or had room in the budget".to_owned(),
+        },
+        Some(s) if s.kept() > 0 => format!("the {} triangles that were kept had no room in the budget", s.kept()),
+        Some(Selection { triangles, unseen, worse, small }) => format!(
+            "of {triangles} triangles {unseen} were seen by too few training views, {worse} showed those worse than splats and {small} \
+             were in pieces too small"
+        ),
+    }
+}
+
+/// Where a surface was wanted, or one of points, and there is less than that.
+pub(super) fn at_the_end(args: &Args, trained: &Trained) -> Option<String> {
+    let no_mesh;
+    let note = match (args.surface, trained.surface) {
+        (_, None) if !args.no_mesh => {
+            no_mesh = format!("the scene has no mesh: {}", why_no_mesh(trained));
+            &no_mesh
+        }
+        (Some(SurfaceOf::Points), Some(SurfaceOrigin::GuessedPoints)) => {
+            "does not say of half of its views or more which points they see: for the surface, each was taken for seen where none is nearer"
+        }
+        (Some(SurfaceOf::Points), Some(SurfaceOrigin::Splats)) => {
+            "its points make no surface: it was fused from the depth of splats"
+        }
+        _ => return None,
+    };
+    Some(format!("{}: {note}", args.capture.display()))
+}
+
+/// The failure, and what of this command changes it, or of a run that `has_saved` a checkpoint is left.
+pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> anyhow::Error {
+    match (&error, &args.mesh) {
+        (TrainError::Gpu(e), _) if e.is_lack_of_memory() => {
+            anyhow!("{error}; see --max-splats, --texture-size and --downscale")
+        }
+        (TrainError::Geometry(_), Some(mesh)) => anyhow!("{}: {error}; see --texture-size", mesh.display()),
+        (TrainError::Geometry(_), None) => {
+            let capture = args.capture.display();
+            anyhow!("{capture}: {error}; --no-mesh trains splats alone, --mesh FILE takes yours")
+        }
+        (TrainError::NotFinite { .. }, _) if has_saved => anyhow!("{error}; the last checkpoint is from before"),
+        _ => error.into(),
+    }
+}
