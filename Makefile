@@ -48,7 +48,7 @@ demo: build ## train the small capture in demo/ into out/demo: scene.glb, pictur
 	@mkdir -p out/demo
 	$(CENTAUR) train demo -o out/demo/scene.glb --report out/demo/report $(DEMO_FLAGS)
 
-test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also compares pictures (crosscheck-quick) and runs Ray (bench-ray)
+test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also runs crosscheck-quick, oracle-composition, oracle-usd, bench-ray and bench-slurm
 
 lint: fmt clippy doc ## formatting, clippy and rustdoc, warnings are errors
 
@@ -84,16 +84,17 @@ test-python: ## unit tests of datasets-scripts and scripts; syntax of the script
 	@mkdir -p target/python
 	PYTHONPYCACHEPREFIX=target/python $(PYTHON) -m py_compile src/format/*/*.py
 
-# A coarse run of everything a user does: is a scene trained, written, read, scored, rendered?
+# A coarse run of everything a user does: is a scene trained, written, read, scored, rendered? Without a warm-up its mesh stays, which of one
+# so short might show photographs worse than splats everywhere.
 END_TO_END := target/end-to-end
-COARSE := --max-side 112 --iterations 120 --surface-iterations 80 --warmup 30 --triangles 2000 --texture-size 128 --quiet
+COARSE := --max-side 112 --iterations 120 --surface-iterations 80 --warmup 0 --triangles 2000 --texture-size 128 --quiet
 test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect, mesh of a small demo
 	$(CENTAUR) devices
 	@rm -rf $(END_TO_END) && mkdir -p $(END_TO_END)
 	$(CENTAUR) train demo -o $(END_TO_END)/scene.glb --ply $(END_TO_END)/splats.ply --report $(END_TO_END)/report $(COARSE)
 	$(CENTAUR) inspect $(END_TO_END)/scene.glb && $(CENTAUR) inspect $(END_TO_END)/splats.ply
 	$(CENTAUR) eval $(END_TO_END)/scene.glb demo --max-side 112 --quiet --json > $(END_TO_END)/scores.json
-	$(PYTHON) -c "import json; p = json.load(open('$(END_TO_END)/scores.json'))['psnr']; print('held-out PSNR', p); assert p > 17"
+	$(PYTHON) -c "import json; s = json.load(open('$(END_TO_END)/scores.json')); print('held-out PSNR', s['psnr']); assert s['psnr'] > 17 and s['triangles'] > 0"
 	$(CENTAUR) render $(END_TO_END)/scene.glb -o $(END_TO_END)/frames --quiet
 	$(CENTAUR) mesh $(END_TO_END)/splats.ply demo -o $(END_TO_END)/surface.glb --max-side 112 --triangles 2000 --texture-size 128 --quiet
 	test -s $(END_TO_END)/report/report.html && ls $(END_TO_END)/frames | head -3
@@ -240,7 +241,7 @@ SAMPLES := $(CENTAUR_DATA)/meshes_gltf_samples
 MOVING = target/crosscheck/head.glb $(wildcard $(SAMPLES)/Fox/glTF-Binary/Fox.glb $(SAMPLES)/RiggedFigure/glTF-Binary/RiggedFigure.glb \
 	$(SAMPLES)/MorphStressTest/glTF-Binary/MorphStressTest.glb $(SAMPLES)/SimpleSkin/glTF/SimpleSkin.gltf $(SAMPLES)/SimpleMorph/glTF/SimpleMorph.gltf)
 
-# What bench-ray and crosscheck-quick install, so that a machine without PyPI can be told from a failure.
+# What the targets that CI runs besides install, so that a machine without PyPI can be told from a failure.
 bench-ray-setup: $(BENCH_RAY)/installed
 oracle-composition-setup: $(ORACLES_COMPOSITION)/installed
 oracle-usd-setup: $(ORACLES_USD)/installed
