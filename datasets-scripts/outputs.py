@@ -18,7 +18,7 @@ def ensure_folder(path):
 
 def probe(folder, path, prefix):
     try:
-        while not is_there(folder):
+        while not is_there(folder) and folder != folder.parent:
             folder = folder.parent
         # Modes do not say it all: nobody makes files in /proc, and root may write where disks are read-only.
         tempfile.NamedTemporaryFile(dir=folder, prefix=prefix).close()

@@ -3,6 +3,7 @@
 //! [`evaluate`] is all of it; [`Evaluator`] and [`Comparison`] are its steps, for who also wants the pictures.
 
 use image::{Rgb, Rgb32FImage};
+use rayon::prelude::*;
 
 use crate::{
     capture::{self, Capture, CaptureError, Photo, Split, View},
@@ -89,15 +90,13 @@ pub fn held_out(capture: &Capture) -> Result<Vec<&View>, EvaluateError> {
     Ok(held_out.into_iter().map(|i| &capture.views[i]).collect())
 }
 
-/// Reads the photographs of those views, one at a time, and forgets them.
+/// Reads the photographs of those views, as many at a time as there are cores, and forgets them.
 ///
 /// # Errors
 /// If there are none, or one cannot be read.
 pub fn check_photographs(capture: &Capture) -> Result<(), EvaluateError> {
-    for view in held_out(capture)? {
-        capture::decode(view)?;
-    }
-    Ok(())
+    let unread = held_out(capture)?.into_par_iter().find_map_first(|view| capture::decode(view).err());
+    unread.map_or(Ok(()), |error| Err(error.into()))
 }
 
 /// A scene on the GPU, to be compared with photographs one at a time.

@@ -110,7 +110,9 @@ fn a_data_set_is_trained_once_and_tabled() {
     let expected = "error: out/copy/one-0.json: expected a result of this place, found that of out/hybrid/one-0.json\n";
     assert_eq!(refused(), expected);
     std::fs::remove_dir_all(at("out/copy")).unwrap();
-    let elsewhere = String::from_utf8(whole.clone()).unwrap().replace("\"capture\": ", "\"capture\": 1");
+    let mut elsewhere: serde_json::Value = serde_json::from_slice(&whole).unwrap();
+    elsewhere["job"]["capture"] = (elsewhere["job"]["capture"].as_u64().unwrap() ^ 1).into();
+    let elsewhere = elsewhere.to_string();
     for (text, expected) in [
         ("{}", "no result of a training; delete it to do that job anew\n"),
         (

@@ -11,11 +11,11 @@ use centaur::scene::{Composition, HybridScene, Splats};
 use common::{centaur, stderr, write_capture};
 use glam::{Quat, Vec3};
 
-/// Runs a command that must succeed; what it says on stderr.
+/// Runs a command that must succeed; what it prints.
 fn run(folder: &Path, args: &str) -> String {
     let output = centaur(folder).args(args.split(' ')).output().unwrap();
     assert!(output.status.success(), "{args}: {}", stderr(&output));
-    stderr(&output)
+    String::from_utf8(output.stdout).unwrap()
 }
 
 /// The line of a command that must fail and change no file.
@@ -152,7 +152,10 @@ fn exports_that_share_files_are_told_of() {
     let said = run(folder.path(), "convert g.ply s_1.blend.py");
     assert!(!said.contains("replaced"), "the same files: {said}");
     let said = run(folder.path(), "convert g.ply s_1.xml --scale 2");
-    assert!(said.contains("note: s_1.blend.py: shows files that this has replaced: write it anew, too"), "{said}");
+    assert!(
+        said.contains("note: s_1.xml: s_1.blend.py shows files that this has replaced: write it anew, too"),
+        "{said}"
+    );
     std::fs::rename(folder.path().join("s_1.blend.py"), folder.path().join("s 1.blend.py")).unwrap();
     let line = refused(folder.path(), "convert g.ply s_1.xml");
     let expected = "s_1_splats.ply, which s 1.blend.py shows; another name or a folder of its own keeps both";

@@ -120,10 +120,11 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
 
-/// Files of the model in `folder` that say where its frames are.
-pub(super) fn pose_files(folder: &Path) -> Vec<PathBuf> {
-    let names = ["images.bin", "images.txt", "frames.bin", "frames.txt"];
-    names.iter().map(|name| folder.join(name)).filter(|file| file.is_file()).collect()
+/// A file of the model in `folder`, in the encoding of its cameras, else in the other.
+pub(super) fn file_of(folder: &Path, stem: &str) -> PathBuf {
+    let extensions = if folder.join("cameras.bin").is_file() { ["bin", "txt"] } else { ["txt", "bin"] };
+    let [usual, other] = extensions.map(|extension| folder.join(format!("{stem}.{extension}")));
+    if other.is_file() && !usual.is_file() { other } else { usual }
 }
 
 /// Frames and points of the model in `folder`, with the images in `root/<images folder>`. Unless they are wanted, points are not
@@ -133,13 +134,7 @@ pub(super) fn load(
     folder: &Path,
     (options, wants_points): (&LoadOptions, bool),
 ) -> Result<Listed, CaptureError> {
-    // In the encoding of the cameras, else in the other.
-    let extensions = if folder.join("cameras.bin").is_file() { ["bin", "txt"] } else { ["txt", "bin"] };
-    let file = |stem: &str| {
-        let [usual, other] = extensions.map(|extension| folder.join(format!("{stem}.{extension}")));
-        if other.is_file() && !usual.is_file() { other } else { usual }
-    };
-    let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
+    let [cameras_file, images_file, points_file] = ["cameras", "images", "points3D"].map(|stem| file_of(folder, stem));
     if !images_file.is_file() && (folder.join("frames.bin").is_file() || folder.join("frames.txt").is_file()) {
         let expected = "an images file beside rigs and frames; export the model again with COLMAP's model_converter";
         return Err(CaptureError::invalid(folder, "COLMAP model", expected, "frames only"));

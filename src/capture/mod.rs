@@ -162,7 +162,7 @@ pub fn is_capture(folder: &Path) -> bool {
 /// If one of them cannot be read.
 pub fn fingerprint(folder: &Path) -> std::io::Result<Option<u32>> {
     let files = match colmap::find_model(folder) {
-        Some(model) => colmap::pose_files(&model),
+        Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(&model, stem)).to_vec(),
         None => transforms::find(folder).into_iter().map(|(file, _)| file).collect(),
     };
     let mut sum = flate2::Crc::new();

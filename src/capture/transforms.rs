@@ -9,6 +9,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
+use serde_json::Value;
 
 use super::distortion::{Distortion, Lens};
 use super::views::{Frame, inside};
@@ -44,8 +45,8 @@ struct FrameFields {
     #[serde(default)]
     file_path: String,
     mask_path: Option<String>,
-    time: Option<f64>,
-    timestep_index: Option<f64>,
+    time: Option<Value>,
+    timestep_index: Option<Value>,
     transform_matrix: Vec<[f64; 4]>,
 }
 
@@ -73,6 +74,12 @@ struct LensFields {
     k4: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
+}
+
+/// As it is, or in words.
+fn number(value: &Option<Value>) -> Option<f64> {
+    let value = value.as_ref()?;
+    value.as_f64().or_else(|| value.as_str()?.trim().parse().ok())
 }
 
 /// The files of a folder, each with its part in the split.
@@ -179,7 +186,7 @@ pub(super) fn parse(
                 lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
                 held_out: held_out.or_else(|| own_split.then(|| tested.contains(&name))),
-                moment: fields.time.or(fields.timestep_index),
+                moment: number(&fields.time).or(number(&fields.timestep_index)),
                 name,
                 list: list.clone(),
                 at,
@@ -289,16 +296,18 @@ fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Pa
     if frame.latlong.or(file.latlong).unwrap_or(false) {
         return unsupported("latlong");
     }
-    let fisheye = frame.is_fisheye.or(file.is_fisheye).unwrap_or(false);
-    if let Some(model) = model.filter(|model| fisheye && *model != "OPENCV_FISHEYE") {
-        let expected = format!("no is_fisheye beside camera_model {model}");
-        return Err(CaptureError::invalid(path, at, expected, "true"));
-    }
+    // A frame's own model says more than what the file says of all.
+    let of_file = file.is_fisheye.filter(|_| frame.camera_model.is_none());
+    let fisheye = frame.is_fisheye.or(of_file).unwrap_or(false);
     let distortion = match model {
         None if fisheye => Distortion::Fisheye { k: [k1, k2, k3, k4], p: [0.0; 2], s: [0.0; 2] },
         Some("OPENCV_FISHEYE") => Distortion::Fisheye { k: [k1, k2, k3, k4], p: [0.0; 2], s: [0.0; 2] },
         None
         | Some("SIMPLE_PINHOLE" | "PINHOLE" | "PERSPECTIVE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV") => {
+            if let Some(model) = model.filter(|_| fisheye) {
+                let expected = format!("no is_fisheye beside camera_model {model}");
+                return Err(CaptureError::invalid(path, at, expected, "true"));
+            }
             // OpenCV divides by its k4; others multiply r⁸ by it.
             if k4 != 0.0 {
                 return Err(CaptureError::invalid(path, at, "k4 = 0 without a fisheye lens", k4.to_string()));

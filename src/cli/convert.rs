@@ -1,4 +1,5 @@
-use std::io;
+use std::fs::File;
+use std::io::{self, BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -261,7 +262,7 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
     let place = atomic::place_of(output).with_context(named)?;
     let folder = folder_of(&place);
     let staging = Staging::within(folder).with_context(named)?;
-    let staged = staging.path().join(place.file_name().unwrap_or_default());
+    let staged = staging.path().join(output.file_name().unwrap_or_default());
     let version = match args.spz_version {
         Some(2) => spz::Version::V2,
         Some(3) => spz::Version::V3,
@@ -274,7 +275,7 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         record: edited.record.as_ref(),
         spz: spz::Options { version, ..spz::Options::default() },
     };
-    let report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {
+    let mut report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {
         FormatError::Write { source, .. } => FormatError::Write { file: output.to_owned(), source },
         FormatError::Content { location, expected, found, .. } => {
             FormatError::Content { file: output.to_owned(), location, expected, found }
@@ -299,13 +300,19 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
     for (file, place) in &companions {
         spare_foreign(output, file, place, inputs)?;
     }
+    let mut shown =
+        format::sharing(&place.with_file_name(output.file_name().unwrap_or_default())).with_context(named)?;
     let mut changed = None;
-    for (file, place) in &companions {
+    // Plug-ins are of the program, and no part of a scene.
+    let of_scene = |file: &Path| !shown.is_empty() && file.extension().is_none_or(|e| e != "py");
+    for (file, place) in companions.iter().filter(|(file, _)| of_scene(file)) {
         if place.exists() && !is_equal(file, place).with_context(named)? {
             changed = Some(place);
         }
     }
-    let shown = if changed.is_some() { format::sharing(&place).with_context(named)? } else { vec![] };
+    if changed.is_none() {
+        shown.clear();
+    }
     if let (Some(file), Some(other)) = (changed, shown.iter().find(|other| !other.is_of_one_name)) {
         bail!(
             "{}: would replace {}, which {} shows; another name or a folder of its own keeps both",
@@ -319,14 +326,26 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
     }
     std::fs::rename(&staged, &place).with_context(named)?;
     for other in shown {
-        output::note(&format!("{}: shows files that this has replaced: write it anew, too", other.path.display()));
+        report.notes.push(format!("{} shows files that this has replaced: write it anew, too", other.path.display()));
     }
     Ok(report)
 }
 
 /// Whether two files have one content.
 fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
-    Ok(a.metadata()?.len() == b.metadata()?.len() && std::fs::read(a)? == std::fs::read(b)?)
+    if a.metadata()?.len() != b.metadata()?.len() {
+        return Ok(false);
+    }
+    let [mut a, mut b] = [BufReader::new(File::open(a)?), BufReader::new(File::open(b)?)];
+    loop {
+        let (left, right) = (a.fill_buf()?, b.fill_buf()?);
+        let length = left.len().min(right.len());
+        if length == 0 || left[..length] != right[..length] {
+            return Ok(left.is_empty() && right.is_empty());
+        }
+        a.consume(length);
+        b.consume(length);
+    }
 }
 
 /// Refuses to write `place` beside `output` over what nobody has named: an input, or, where there is no output yet that it may be of,

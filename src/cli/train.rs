@@ -65,7 +65,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
     let written = write(args, &capture, &trained, &record);
-    if written.is_err() && has_saved {
+    if written.is_err() && has_saved && options.checkpoint_every > 0 {
         let checkpoint = args.checkpoint();
         output::note(&format!("{}: holds what was trained; --resume writes it", checkpoint.display()));
     }

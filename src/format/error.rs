@@ -258,11 +258,12 @@ pub(crate) fn shown(text: &[u8]) -> String {
 /// The file, to be read piece by piece.
 pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatError> {
     let failed = |source| FormatError::Read { file: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(failed)?;
-    let kind = file.metadata().map_err(failed)?.file_type();
+    // Before it is opened, which of a pipe waits for somebody to write.
+    let kind = path.metadata().map_err(failed)?.file_type();
     if !kind.is_file() && !kind.is_dir() {
         return Err(failed(std::io::Error::other("it is a device or a pipe, in which nothing can be read twice")));
     }
+    let file = std::fs::File::open(path).map_err(failed)?;
     Ok(BufReader::with_capacity(1 << 18, file))
 }
 

@@ -11,6 +11,7 @@ use super::{
     FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, gltf, kind, ksplat, mitsuba,
     ply, sog, splat, spz, usd,
 };
+use crate::atomic;
 use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats};
 
 /// What a file says about a scene.
@@ -128,6 +129,10 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+    // Files beside it lie where a link leads, unless that has a name of another kind.
+    let place = atomic::place_of(path).map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
+    let is_alike = place.extension().is_some_and(|other| other.eq_ignore_ascii_case(extension));
+    let path = if is_alike { &place } else { path };
     let (splats, antialiased) = (&scene.splats, scene.composition.pixel_filter.normalized);
     let report = match extension {
         "glb" | "gltf" => {

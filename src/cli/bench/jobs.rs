@@ -74,7 +74,7 @@ fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
 }
 
 /// Flags as results keep them: of weights the name alone, since folders differ from machine to machine.
-fn as_kept(flags: &[String]) -> Vec<String> {
+pub(super) fn as_kept(flags: &[String]) -> Vec<String> {
     let name = |path: &str| Path::new(path).file_name().map_or(path.to_owned(), |name| name.to_string_lossy().into());
     let mut kept: Vec<String> = vec![];
     for word in flags {
@@ -115,8 +115,6 @@ pub(super) struct Job {
     pub(super) seed: u64,
     pub(super) capture: PathBuf,
     pub(super) protocol: Option<Protocol>,
-    /// See [`capture::fingerprint`].
-    fingerprint: Option<u32>,
     /// Of its scene, from `scenes.json`.
     scene_flags: Vec<String>,
     /// Of the command and the variant, which replace those.
@@ -184,8 +182,6 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     Ok(wanted
         .flat_map(|(scene, Scene { capture, flags: of_scene })| {
             let capture = args.dataset.join(capture);
-            // What cannot be read is told by the job.
-            let fingerprint = capture::fingerprint(&capture).ok().flatten();
             variants.iter().flat_map(move |variant| {
                 let flags = [args.flags.clone(), variant.flags.clone()].concat();
                 let (scene, capture, of_scene) = (scene.clone(), capture.clone(), left_of(&of_scene, &flags));
@@ -196,7 +192,6 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
                     scene: scene.clone(),
                     capture: capture.clone(),
                     protocol: args.protocol,
-                    fingerprint,
                     scene_flags: of_scene.clone(),
                     flags: flags.clone(),
                 })
@@ -261,13 +256,18 @@ impl Job {
         words
     }
 
-    /// For the result.
+    /// See [`capture::fingerprint`]. What cannot be read is told by the training.
+    pub(super) fn fingerprint(&self) -> Option<u32> {
+        capture::fingerprint(&self.capture).ok().flatten()
+    }
+
+    /// For the result, without the capture's fingerprint.
     pub(super) fn made(&self, at_a_time: usize) -> Made {
         Made {
             variant: self.variant.clone(),
             scene: self.scene.clone(),
             seed: self.seed,
-            capture: self.fingerprint,
+            capture: None,
             scene_flags: as_kept(&self.scene_flags),
             flags: as_kept(&self.flags),
             protocol: self.protocol,

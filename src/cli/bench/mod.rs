@@ -102,9 +102,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mine = jobs::chosen(&all, args)?;
     record::check(&before, &all)?;
     let is_done = |job: &Job| before.iter().any(|record| record.file == job.result);
-    let open: Vec<&Job> = mine.into_iter().filter(|job| !is_done(job)).collect();
-    if let Some(job) = open.iter().find(|job| job.result.exists()) {
-        bail!("{}: no result of a training; delete it to do that job anew", job.result.display());
+    let mut open = vec![];
+    for job in mine.into_iter().filter(|job| !is_done(job)) {
+        if !job.result.exists() {
+            open.push(job);
+        } else if record::read(job.result.clone())?.is_none() {
+            // Another runner may have written a result since.
+            bail!("{}: no result of a training; delete it to do that job anew", job.result.display());
+        }
     }
     // A misspelt flag is found now and not after hours.
     open.iter().try_for_each(|job| job.check())?;

@@ -1,12 +1,13 @@
 //! What is done: a file per job, which says what made it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::jobs::{Job, Protocol};
+use super::jobs::{self, Job, Protocol};
 
 /// How a result was made.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,21 +49,30 @@ pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
     let mut records = vec![];
     for variant in entries(folder)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&variant)?.into_iter().filter(|path| path.extension().is_some_and(|e| e == "json")) {
-            let name = || file.display().to_string();
-            let advised = || format!("{}: no result of a training; delete it to do that job anew", name());
-            let result: Value =
-                serde_json::from_slice(&std::fs::read(&file).with_context(name)?).with_context(advised)?;
-            if result.get("outcome").is_none() {
-                continue; // Not of a training: `centaur eval` may write here, too.
-            }
-            let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
-            let made = Made::deserialize(made).with_context(name)?;
-            let place = folder.join(made.place());
-            ensure!(file == place, "{}: expected a result of this place, found that of {}", name(), place.display());
-            records.push(Record { file, made, result });
+            // `centaur eval` may write here, too.
+            let Some(record) = read(file)? else { continue };
+            let (file, place) = (&record.file, folder.join(record.made.place()));
+            let name = file.display();
+            ensure!(*file == place, "{name}: expected a result of this place, found that of {}", place.display());
+            records.push(record);
         }
     }
     Ok(records)
+}
+
+/// The result in a file, if it is one of a training.
+pub(super) fn read(file: PathBuf) -> Result<Option<Record>> {
+    let name = || file.display().to_string();
+    let advised = || format!("{}: no result of a training; delete it to do that job anew", name());
+    let result: Value = serde_json::from_slice(&std::fs::read(&file).with_context(name)?).with_context(advised)?;
+    if result.get("outcome").is_none() {
+        return Ok(None);
+    }
+    let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
+    let made = Made::deserialize(made).with_context(name)?;
+    // Older ones have whole paths.
+    let made = Made { flags: jobs::as_kept(&made.flags), scene_flags: jobs::as_kept(&made.scene_flags), ..made };
+    Ok(Some(Record { file, made, result }))
 }
 
 /// What is in a folder, if there is one, by name.
@@ -80,6 +90,7 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
 /// theirs that is another capture or has other flags in `scenes.json`.
 pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
     let jobs: Vec<(Made, &Job)> = jobs.iter().map(|job| (job.made(0), job)).collect();
+    let mut captures = BTreeMap::new();
     for record in records {
         let (file, made) = (record.file.display(), &record.made);
         if let Some((job, _)) = jobs.first().filter(|(job, _)| job.protocol != made.protocol) {
@@ -92,12 +103,17 @@ pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
                 "{file}: expected a result of the flags `{expected}`, found `{found}`: give the variant another name"
             );
         }
-        let differs = |job: &Made| job.capture.zip(made.capture).is_some_and(|(expected, found)| expected != found);
-        if let Some((_, job)) = jobs.iter().find(|(job, _)| job.scene == made.scene && differs(job)) {
+        if let Some((_, job)) = jobs.iter().find(|(job, _)| job.scene == made.scene) {
+            let found = captures.entry(&made.scene).or_insert_with(|| job.fingerprint());
             let capture = job.capture.display();
-            bail!("{file}: expected a result of {capture}, found that of other cameras: give -o another folder");
+            ensure!(
+                found.zip(made.capture).is_none_or(|(expected, found)| expected == found),
+                "{file}: expected a result of {capture}, found that of other cameras: give -o another folder"
+            );
         }
-        let is_other = |job: &Made| job.scene == made.scene && job.scene_flags != made.scene_flags;
+        // A variant's own size takes the place of its scenes'.
+        let is_other =
+            |job: &Made| job.variant == made.variant && job.scene == made.scene && job.scene_flags != made.scene_flags;
         if let Some((job, _)) = jobs.iter().find(|(job, _)| is_other(job)) {
             let (scene, expected, found) = (&made.scene, job.scene_flags.join(" "), made.scene_flags.join(" "));
             bail!(

@@ -45,6 +45,8 @@ struct Lpips {
 struct Section {
     variant: String,
     flags: Vec<String>,
+    /// Of those scenes that have flags of their own, from `scenes.json`.
+    scene_flags: BTreeMap<String, Vec<String>>,
     rows: Vec<Row>,
     /// Of the scenes that all variants have, if there are any.
     mean: Option<Row>,
@@ -93,8 +95,8 @@ impl Table {
         }
         let mut of_scenes = BTreeMap::new();
         for record in done {
-            let Made { scene, scene_flags, .. } = &record.made;
-            if of_scenes.entry(scene).or_insert(scene_flags) != &scene_flags {
+            let Made { variant, scene, scene_flags, .. } = &record.made;
+            if of_scenes.entry((variant, scene)).or_insert(scene_flags) != &scene_flags {
                 let file = record.file.display();
                 bail!(
                     "{folder}: expected results of {scene} with the same flags in scenes.json, found others in {file}"
@@ -166,7 +168,10 @@ impl Section {
         let name =
             if shared.len() == rows.len() { "mean".to_owned() } else { format!("mean of {} common", shared.len()) };
         let mean = (!shared.is_empty()).then(|| Row::mean(&name, &shared));
-        Self { variant: variant.to_owned(), flags: own.first().map_or(vec![], |r| r.made.flags.clone()), rows, mean }
+        let flags = own.first().map_or(vec![], |r| r.made.flags.clone());
+        let of_scenes = own.iter().map(|r| (r.made.scene.clone(), r.made.scene_flags.clone()));
+        let scene_flags = of_scenes.filter(|(_, flags)| !flags.is_empty()).collect();
+        Self { variant: variant.to_owned(), flags, scene_flags, rows, mean }
     }
 }
 
@@ -260,6 +265,13 @@ impl fmt::Display for Table {
         writeln!(f, "Adapter: {}.", self.adapters.iter().map(String::as_str).collect::<Vec<_>>().join("; "))?;
         for Section { variant, flags, .. } in self.variants.iter().filter(|section| !section.flags.is_empty()) {
             writeln!(f, "Flags of {variant}: `{}`.", flags.join(" "))?;
+        }
+        for Section { variant, scene_flags, .. } in &self.variants {
+            for flags in scene_flags.values().collect::<BTreeSet<_>>() {
+                let alike = scene_flags.iter().filter(|(_, own)| *own == flags);
+                let scenes: Vec<&str> = alike.map(|(scene, _)| scene.as_str()).collect();
+                writeln!(f, "Flags of {variant} for {}: `{}`.", scenes.join(", "), flags.join(" "))?;
+            }
         }
         writeln!(
             f,
@@ -463,6 +475,15 @@ mod tests {
         let five = table(&records);
         assert!(five.published.iter().any(|row| row.method == "HERA, filtered" && row.psnr == 24.39), "{five}");
         assert_eq!(five.variants[0].flags, ["--flag"]);
+        assert!(
+            five.to_string().contains("\nFlags of a for Barn, Caterpillar, Ignatius: `--downscale 2`.\n"),
+            "{five}"
+        );
+        // A variant with a size of its own leaves them out.
+        let mut both = records.clone();
+        both.extend(scenes.map(|scene| record("b", scene, 0, 24.0)));
+        both.iter_mut().for_each(|r| r.made.protocol = None);
+        assert_eq!(table(&both).variants.len(), 2);
         // Theirs are smaller than what is distributed, so that no table of that stands beside them.
         records.retain(|r| r.made.scene.starts_with('t'));
         assert_eq!(table(&records).published.len(), 16);

@@ -2,6 +2,8 @@
 
 use std::fs::{OpenOptions, TryLockError};
 use std::io::{self, Write as _};
+#[cfg(unix)]
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,6 +17,7 @@ use serde_json::Value;
 
 use super::Args;
 use super::jobs::Job;
+use super::record::Made;
 use crate::cli::{interrupt, output};
 
 /// How a job ended that did not fail.
@@ -112,6 +115,9 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         return Ok(Ended::Elsewhere);
     }
     let mut command = Command::new(this_program()?);
+    // As lists of processes show it.
+    #[cfg(unix)]
+    command.arg0(std::env::args_os().next().unwrap_or_else(|| "centaur".into()));
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     if cfg!(unix) {
         // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
@@ -142,7 +148,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if result["outcome"] != "finished" {
         return Ok(Ended::Interrupted);
     }
-    result["job"] = serde_json::to_value(job.made(at_a_time))?;
+    result["job"] = serde_json::to_value(Made { capture: job.fingerprint(), ..job.made(at_a_time) })?;
     atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
     // Whoever still has it open looks for the result first.
     let _ = std::fs::remove_file(path);

@@ -136,8 +136,12 @@ impl Run<'_> {
             if saves && let Some(path) = &self.session.checkpoint {
                 let found = (self.found.surface, self.found.selection);
                 let past = self.log.past.clone();
-                Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?
-                    .write(path, &self.identity)?;
+                let saved = Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?;
+                let written = saved.write(path, &self.identity);
+                // That of an end nobody has asked for: where there is no room for it, there may be for the scene.
+                if stop || is_due(done, self.options.checkpoint_every) {
+                    written?;
+                }
             }
             if stop && done < plan.iterations {
                 return Ok(Outcome::Interrupted);
