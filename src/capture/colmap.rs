@@ -214,7 +214,7 @@ fn frames(
             rotation: DMat3::from_quat(rotation),
             translation: DVec3::from(image.translation),
             held_out: None,
-            moment: None,
+            time: None,
             sees: vec![],
         });
     }

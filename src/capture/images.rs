@@ -23,7 +23,7 @@ pub struct ImageSource {
     /// Size after downscaling.
     pub(super) size: (u32, u32),
     pub(super) held_out: Option<bool>,
-    pub(super) moment: Option<f64>,
+    pub(super) time: Option<f64>,
 }
 
 impl ImageSource {
@@ -58,8 +58,8 @@ impl ImageSource {
 
     /// When the photograph was taken, in a unit of the capture's own, if that says so: `time` (D-NeRF, nerfstudio) or `timestep_index` (VHAP).
     #[must_use]
-    pub fn moment(&self) -> Option<f64> {
-        self.moment
+    pub fn time(&self) -> Option<f64> {
+        self.time
     }
 }
 

@@ -160,14 +160,14 @@ pub fn is_capture(folder: &Path) -> bool {
 ///
 /// # Errors
 /// If one of them cannot be read.
-pub fn fingerprint(folder: &Path) -> std::io::Result<Option<u32>> {
+pub fn fingerprint(folder: &Path) -> Result<Option<u32>, CaptureError> {
     let files = match colmap::find_model(folder) {
         Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(&model, stem)).to_vec(),
         None => transforms::find(folder).into_iter().map(|(file, _)| file).collect(),
     };
     let mut sum = flate2::Crc::new();
     for file in &files {
-        sum.update(&std::fs::read(file)?);
+        sum.update(&error::read(file)?);
     }
     Ok((!files.is_empty()).then(|| sum.sum()))
 }

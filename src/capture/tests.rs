@@ -473,6 +473,27 @@ fn frames_have_lenses_of_their_own() {
 }
 
 #[test]
+fn frames_say_when_they_were_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    write_transforms(folder.path(), 0.0);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file).unwrap();
+    for (own, expected) in [
+        ("", None),
+        (r#""time":0.25,"#, Some(0.25)),
+        (r#""timestep_index":7,"#, Some(7.0)),
+        (r#""time":"0003","#, Some(3.0)),
+        (r#""time":"noon","#, None),
+        (r#""time":[1],"#, None),
+    ] {
+        std::fs::write(&file, text.replace(r#""file_path":"1.png","#, &format!(r#"{own}"file_path":"1.png","#)))
+            .unwrap();
+        let views = open(&file, &full()).unwrap().views;
+        assert_eq!((views[0].source.time(), views[1].source.time()), (None, expected), "{own}");
+    }
+}
+
+#[test]
 fn a_photograph_is_one_view_however_its_path_is_written() {
     let folder = tempfile::tempdir().unwrap();
     write_transforms(folder.path(), 0.0);

@@ -186,7 +186,7 @@ pub(super) fn parse(
                 lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
                 has_size: has(|l| l.w) && has(|l| l.h),
                 held_out: held_out.or_else(|| own_split.then(|| tested.contains(&name))),
-                moment: number(&fields.time).or(number(&fields.timestep_index)),
+                time: number(&fields.time).or(number(&fields.timestep_index)),
                 name,
                 list: list.clone(),
                 at,

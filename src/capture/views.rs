@@ -32,8 +32,8 @@ pub(super) struct Frame {
     pub(super) translation: DVec3,
     /// The capture's own split, if it has one.
     pub(super) held_out: Option<bool>,
-    /// See [`ImageSource::moment`].
-    pub(super) moment: Option<f64>,
+    /// See [`ImageSource::time`].
+    pub(super) time: Option<f64>,
     /// See [`View::sees`].
     pub(super) sees: Vec<u32>,
 }
@@ -138,7 +138,7 @@ fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
 /// Looks at the image's header and settles size, orientation and camera.
 pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureError> {
     let place = frame.place();
-    let Frame { name, list, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, moment, sees } =
+    let Frame { name, list, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, time, sees } =
         frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
@@ -157,6 +157,6 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
         Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(&list, &place, e))?;
     let size = options.downscale.size(width, height);
     let mask = mask.filter(|_| options.masks);
-    let source = ImageSource { image, mask, orientation, lens, size, held_out, moment };
+    let source = ImageSource { image, mask, orientation, lens, size, held_out, time };
     Ok(View { name, camera: camera.resized(size.0, size.1), source, sees })
 }

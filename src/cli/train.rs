@@ -65,9 +65,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
     let written = write(args, &capture, &trained, &record);
-    if written.is_err() && has_saved && options.checkpoint_every > 0 {
-        let checkpoint = args.checkpoint();
-        output::note(&format!("{}: holds what was trained; --resume writes it", checkpoint.display()));
+    if written.is_err() && has_saved {
+        output::note(&format!(
+            "{}: is kept; the same command with --resume goes on from it",
+            args.checkpoint().display()
+        ));
     }
     written?;
     let mut evaluation = None;

@@ -40,10 +40,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         ),
         (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
         (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
-        (
-            shows_motion(capture),
-            "shows several moments, which are trained as if all were one: what moves will be blurred",
-        ),
+        (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
     let longest = |view: &View| view.camera.intrinsics().width.max(view.camera.intrinsics().height);
@@ -82,9 +79,9 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
 
 /// Whether its views say that they are of different times.
 fn shows_motion(capture: &Capture) -> bool {
-    let mut moments = capture.views.iter().map(|view| view.source.moment());
-    let first = moments.next().flatten();
-    moments.any(|moment| moment != first)
+    let mut times = capture.views.iter().map(|view| view.source.time());
+    let first = times.next().flatten();
+    times.any(|time| time != first)
 }
 
 /// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.
