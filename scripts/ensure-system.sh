@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs what a fresh Debian or Ubuntu lacks to build, run and test Centaur: a C++ compiler (for meshoptimizer), Python and, where
+# Installs what a fresh Debian or Ubuntu lacks to build, run and test Centaur: a C++ compiler (for meshoptimizer and FLIP), Python and, where
 # the machine has no Vulkan adapter, Mesa's software adapter. Does nothing if all are there.
 set -euo pipefail
 cd "$(dirname "$0")"

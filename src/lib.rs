@@ -25,7 +25,7 @@
 //! use centaur::{
 //!     capture::{self, LoadOptions},
 //!     format::{WriteOptions, write_scene},
-//!     optimize::{self, MeshSource, Session, TrainOptions},
+//!     optimize::{self, Checkpoints, MeshSource, Session, TrainOptions},
 //!     render::gpu::Gpu,
 //! };
 //!
@@ -33,8 +33,7 @@
 //! let options = TrainOptions { iterations: 7_000, warmup: TrainOptions::warmup_of(7_000), ..TrainOptions::default() };
 //! let session = Session {
 //!     gpu: &Gpu::open(None)?,
-//!     checkpoint: Some("garden.checkpoint".into()),
-//!     resume: false,
+//!     checkpoints: Checkpoints::Save("garden.checkpoint".into()),
 //!     stop: &AtomicBool::new(false),
 //!     progress: &mut |report| println!("{report:?}"),
 //! };

@@ -390,8 +390,7 @@ fn stop_after_one_iteration(folder: &Path, options: &TrainOptions, checkpoint: &
     let capture = capture::open(&folder.join("capture"), &LoadOptions::default()).unwrap();
     let session = Session {
         gpu: &Gpu::open(None).unwrap(),
-        checkpoint: Some(checkpoint.into()),
-        resume: false,
+        checkpoints: optimize::Checkpoints::Save(checkpoint.into()),
         stop: &AtomicBool::new(true),
         progress: &mut |_| {},
     };

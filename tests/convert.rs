@@ -265,6 +265,17 @@ fn several_inputs_become_one_scene() {
     assert_eq!(all.splats.sh_of(20)[..4], *splats(7, 1).sh_of(3));
     assert_eq!(all.splats.sh_of(20)[4..], [[0.0; 3]; 12]);
 
+    // What an input was shown by is told where the others overrule it.
+    let mip =
+        Composition { pixel_filter: centaur::scene::PixelFilter::MIP, background: [1.0; 3], ..Composition::default() };
+    let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: mip };
+    format::write_scene(&folder.path().join("m.glb"), &scene, &WriteOptions::default()).unwrap();
+    let said = convert(folder.path(), "a.ply m.glb b.glb");
+    assert!(said.starts_with("note: m.glb: left out on joining: its own pixel filter and background\n"), "{said}");
+    let line = failure(folder.path(), "a.ply m.glb b.glb --strict");
+    assert!(line.contains("pixel filter"), "{line}");
+    assert!(!convert(folder.path(), "m.glb m.glb b.glb").contains("left out"));
+
     let linear = Composition { color_space: centaur::scene::ColorSpace::LinearDisplay, ..Composition::default() };
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: linear };
     format::write_scene(&folder.path().join("l.glb"), &scene, &WriteOptions::default()).unwrap();

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
 use centaur::format::mesh_import;
 use centaur::geometry::Surface;
-use centaur::optimize::{Density, MeshSource, Outcome, Phase, Session, TrainOptions, Trained, train};
+use centaur::optimize::{Checkpoints, Density, MeshSource, Outcome, Phase, Session, TrainOptions, Trained, train};
 use centaur::render::gpu::Gpu;
 use centaur::scene::Camera;
 use glam::{DVec3, Vec3};
@@ -72,10 +72,10 @@ impl Bench {
     fn run(&self, resume: bool, stop_at: Option<(Phase, u32)>) -> Trained {
         let stop = AtomicBool::new(false);
         self.told.set(0);
+        let checkpoint = self.folder.path().join("checkpoint");
         let session = Session {
             gpu: &self.gpu,
-            checkpoint: Some(self.folder.path().join("checkpoint")),
-            resume,
+            checkpoints: if resume { Checkpoints::Resume(checkpoint) } else { Checkpoints::Save(checkpoint) },
             stop: &stop,
             progress: &mut |p| {
                 self.told.set(self.told.get() + 1);
@@ -191,8 +191,7 @@ fn resumed_from_the_end_of_each_phase() {
     let (stop, phase) = (AtomicBool::new(false), Cell::new(Phase::Surface));
     let session = Session {
         gpu: &bench.gpu,
-        checkpoint: Some(file("checkpoint")),
-        resume: false,
+        checkpoints: Checkpoints::Save(file("checkpoint")),
         stop: &stop,
         progress: &mut |p| {
             if p.phase != phase.replace(p.phase) {

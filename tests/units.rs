@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
-use centaur::optimize::{MeshSource, Session, TrainOptions, train};
+use centaur::optimize::{Checkpoints, MeshSource, Session, TrainOptions, train};
 use centaur::render::gpu::Gpu;
 use centaur::scene::Camera;
 
@@ -37,8 +37,7 @@ fn psnr(gpu: &Gpu, unit: f64, mesh: &MeshSource) -> f64 {
         eval_every: 0,
         ..TrainOptions::default()
     };
-    let session =
-        Session { gpu, checkpoint: None, resume: false, stop: &AtomicBool::new(false), progress: &mut |_| {} };
+    let session = Session { gpu, checkpoints: Checkpoints::Off, stop: &AtomicBool::new(false), progress: &mut |_| {} };
     let trained = train(&demo_in(unit), mesh.clone(), &options, session).unwrap();
     assert_eq!(trained.scene.meshes.is_empty(), *mesh == MeshSource::None);
     trained.history.iter().rev().find_map(|progress| progress.psnr).unwrap()

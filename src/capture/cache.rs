@@ -110,6 +110,20 @@ impl PhotoCache {
         Self { shared: Arc::new(Shared { budget, state: Mutex::default(), decoded: Condvar::new() }) }
     }
 
+    /// The least budget that keeps all pictures of some views, however they are asked for.
+    #[must_use]
+    pub fn budget_for(views: &[View]) -> usize {
+        let all = views.iter().map(photo_bytes).fold(0, usize::saturating_add);
+        // An eighth is for what passes through.
+        all.saturating_add(all.div_ceil(7))
+    }
+
+    /// Most bytes of pictures that are held.
+    #[must_use]
+    pub fn budget(&self) -> usize {
+        self.shared.budget
+    }
+
     /// Bytes held or promised now.
     #[must_use]
     pub fn bytes(&self) -> usize {

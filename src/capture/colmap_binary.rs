@@ -160,8 +160,9 @@ pub(super) fn points(bytes: &[u8], path: &Path) -> Result<PointRecords, CaptureE
         }
         let rgb = file.take("colour")?;
         file.f64s::<1>("reprojection error")?;
-        let mut track = Vec::with_capacity(file.count(8, "track elements")?);
-        for _ in 0..track.capacity() {
+        let elements = file.count(8, "track elements")?;
+        let mut track = Vec::with_capacity(elements);
+        for _ in 0..elements {
             track.push(file.u32("image id of a track")?);
             file.u32("2-D point of a track")?;
         }

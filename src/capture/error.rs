@@ -1,3 +1,4 @@
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use crate::{format::FormatError, scene::SceneError};
@@ -110,6 +111,18 @@ impl CaptureError {
 /// The bytes of `path`.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, CaptureError> {
     std::fs::read(path).map_err(|source| CaptureError::Io { path: path.into(), source })
+}
+
+/// The first bytes of a file, at most so many, and the length of all of it.
+pub(super) fn read_start(path: &Path, most: usize) -> Result<(Vec<u8>, usize), CaptureError> {
+    let read = || -> std::io::Result<_> {
+        let file = std::fs::File::open(path)?;
+        let length = file.metadata()?.len();
+        let mut start = vec![];
+        file.take(most as u64).read_to_end(&mut start)?;
+        Ok((start, usize::try_from(length).unwrap_or(usize::MAX)))
+    };
+    read().map_err(|source| CaptureError::Io { path: path.into(), source })
 }
 
 /// The text of `path`, without the byte order mark that editors of Windows put before it.

@@ -12,6 +12,9 @@ use super::views::same_aspect;
 use super::{CaptureError, View, error};
 use crate::{format::MAX_PIXEL_RATIO, scene::Intrinsics};
 
+/// Of an image file, in which its size and EXIF usually are.
+const HEADER_BYTES: usize = 1 << 17;
+
 /// Where a picture comes from and what makes it fit its camera.
 #[derive(Clone, Debug)]
 pub struct ImageSource {
@@ -112,8 +115,8 @@ fn image_error(path: &Path, length: usize, error: &ImageError) -> CaptureError {
     }
 }
 
-/// A decoder for `bytes`, whose size has been checked.
-fn decoder<'a>(bytes: &'a [u8], path: &Path) -> Result<impl ImageDecoder + 'a, CaptureError> {
+/// A decoder for `bytes`, with which the file of `length` bytes begins; the size of the picture has been checked.
+fn decoder<'a>(bytes: &'a [u8], length: usize, path: &Path) -> Result<impl ImageDecoder + 'a, CaptureError> {
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|e| image_error(path, bytes.len(), &e.into()))?;
@@ -125,20 +128,30 @@ fn decoder<'a>(bytes: &'a [u8], path: &Path) -> Result<impl ImageDecoder + 'a, C
         let expected = format!("1 to {} pixels, at most {} a side", Intrinsics::MAX_PIXELS, Intrinsics::MAX_SIDE);
         return Err(CaptureError::invalid(path, "image size", expected, format!("{w}×{h}")));
     }
-    if decoder.total_bytes() / MAX_PIXEL_RATIO > bytes.len() as u64 {
+    if decoder.total_bytes() / MAX_PIXEL_RATIO > length as u64 {
         let expected = format!("{w}×{h} pixels in {} bytes", decoder.total_bytes() / MAX_PIXEL_RATIO);
-        return Err(CaptureError::Truncated { path: path.into(), offset: bytes.len(), expected });
+        return Err(CaptureError::Truncated { path: path.into(), offset: length, expected });
     }
     Ok(decoder)
 }
 
 /// Size and orientation of the image at `path`.
 pub(super) fn header(path: &Path) -> Result<Header, CaptureError> {
+    let read = |bytes: &[u8], length: usize| {
+        let mut decoder = decoder(bytes, length, path)?;
+        let size = decoder.dimensions();
+        let orientation = decoder.orientation().map_err(|e| image_error(path, length, &e))?;
+        Ok(Header { size, orientation })
+    };
+    let (start, length) = error::read_start(path, HEADER_BYTES)?;
+    if start.len() < length
+        && let Ok(header) = read(&start, length)
+    {
+        return Ok(header);
+    }
+    // Long profiles or previews come first, or something is wrong with it.
     let bytes = error::read(path)?;
-    let mut decoder = decoder(&bytes, path)?;
-    let size = decoder.dimensions();
-    let orientation = decoder.orientation().map_err(|e| image_error(path, bytes.len(), &e))?;
-    Ok(Header { size, orientation })
+    read(&bytes, bytes.len())
 }
 
 /// All pixels of the image at `path` as stored, and the orientation its EXIF data gives.
@@ -149,7 +162,7 @@ fn pixels(path: &Path) -> Result<(DynamicImage, Orientation), CaptureError> {
         let expected = "the end-of-image marker of a JPEG".into();
         return Err(CaptureError::Truncated { path: path.into(), offset: bytes.len(), expected });
     }
-    let mut decoder = decoder(&bytes, path)?;
+    let mut decoder = decoder(&bytes, bytes.len(), path)?;
     let orientation = decoder.orientation().map_err(|e| image_error(path, bytes.len(), &e))?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| image_error(path, bytes.len(), &e))?;
     Ok((image, orientation))
@@ -436,6 +449,25 @@ mod tests {
             assert!(pixel[..3].iter().zip([200, 100, 50]).all(|(a, b)| a.abs_diff(b) <= 2), "{pixel:?}");
         }
         assert!((100..156).contains(&photo.rgba[4 + 3]), "half covered: {}", photo.rgba[4 + 3]);
+    }
+
+    #[test]
+    fn headers_are_read_without_the_rest() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("picture");
+        let found = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            header(&path).map(|header| (header.orientation, header.size)).ok()
+        };
+        let expected = Some((Orientation::Rotate90, (16, 8)));
+        let (short, rest) = (oriented(6), [0; 2 * HEADER_BYTES]);
+        assert_eq!(found(&[&short[..], &rest].concat()), expected);
+        // No scan follows its header.
+        let cut = short.windows(2).position(|marker| marker == [0xff, 0xda]).unwrap();
+        assert_eq!(found(&[&short[..cut + 10], &rest].concat()), expected);
+        // Profiles that fill the beginning.
+        let profile = [&[0xff, 0xe2, 0xff, 0xff][..], &[0; 0xfffd]].concat();
+        assert_eq!(found(&[&short[..2], &profile.repeat(3), &short[2..]].concat()), expected);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use centaur::atomic::{self, Staging, folder_of};
 use centaur::edit::{self, Axes, Similarity};
 use centaur::format::ply::Attribute;
 use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, spz};
+use centaur::scene::Composition;
 use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -40,7 +41,7 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 /// of rounding to 32 bits are none either.
 ///
 /// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
-/// unknown extensions, as long as its scene is whole: moving it and --no-cameras leave it so, other edits and joining do not.
+/// unknown extensions, as long as its scene is whole: moving it without mirroring and --no-cameras leave it so, other edits and joining do not.
 ///
 /// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
 /// taken; glTF and USD are y-up and are turned on reading and writing. Spherical harmonics turn with whatever is turned.
@@ -64,7 +65,7 @@ pub(super) struct Args {
     time: Option<f64>,
     #[command(flatten)]
     played: AnimationArgs,
-    /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file
+    /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file (.ply and .splat)
     #[arg(long)]
     drop_invalid: bool,
     /// Version of .spz: 2 and 3 are for older readers [default: 4]
@@ -230,8 +231,25 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
         bar.inc(1);
     }
     let attributes = joined(&attributes, &mut inputs);
-    let scene = if scenes.len() == 1 { scenes.remove(0) } else { edit::join(scenes).context("joining the inputs")? };
+    let own: Vec<Composition> = scenes.iter().map(|s| s.composition).collect();
+    let scene = if one { scenes.remove(0) } else { edit::join(scenes).context("joining the inputs")? };
+    for (input, own) in inputs.iter_mut().zip(&own) {
+        let overruled = overruled(input, own, &scene.composition);
+        input.notes.extend(overruled.map(|what| format!("left out on joining: its own {what}")));
+    }
     Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
+}
+
+/// What an input was shown by and is not in the company of others.
+fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<String> {
+    let order = |c: &Composition| (c.mode, c.lambda, c.layers);
+    let parts = [
+        ("pixel filter", input.splats > 0 && own.pixel_filter != of_all.pixel_filter),
+        ("order of splats and meshes", input.meshes > 0 && order(own) != order(of_all)),
+        ("background", own.background != of_all.background),
+    ];
+    let named: Vec<&str> = parts.iter().filter(|(_, differs)| *differs).map(|(name, _)| *name).collect();
+    (!named.is_empty()).then(|| named.join(" and "))
 }
 
 /// The attributes that all inputs have, one after the other; of the others a note is made.

@@ -36,7 +36,7 @@ pub(super) struct Args {
     /// Scene to score: .glb, .gltf, .usda, .usdc or .usdz, or splats alone in any other format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// Folder with photographs and poses
+    /// Folder with photographs and poses, or a transforms*.json
     capture: PathBuf,
     /// Folder for report.html, metrics.json and a picture per view: photograph | render | error × 4
     #[arg(short, long, value_name = "DIR")]

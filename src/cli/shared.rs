@@ -42,7 +42,7 @@ pub(super) struct CaptureArgs {
     #[arg(long, value_name = "FOLDER")]
     images: Option<String>,
     /// Use only what masks leave white, or 1 where that is the most they have: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or
-    /// masks/IMG.jpg, or the `mask_path` of a transforms.json; with a masks/ folder every photograph needs one. Scores multiply photograph and render by the mask
+    /// masks/IMG.jpg, or the `mask_path` of a transforms.json; with a masks/ folder, or where one photograph has a mask, all need one. Scores multiply photograph and render by the mask
     #[arg(long)]
     pub(super) masks: bool,
 }
@@ -180,10 +180,10 @@ fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions)
 #[derive(clap::Args)]
 #[command(next_help_heading = "Messages")]
 pub(super) struct MessageArgs {
-    /// No progress bar
+    /// No progress: no bar, and no lines of JSON on stderr
     #[arg(short, long)]
     pub(super) quiet: bool,
-    /// Print one JSON object on stdout at the end; progress becomes JSON lines on stderr
+    /// Print one JSON object on stdout at the end; the progress of train, eval, render and mesh becomes JSON lines on stderr
     #[arg(long)]
     pub(super) json: bool,
 }

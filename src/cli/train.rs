@@ -14,7 +14,7 @@ use centaur::capture::{Capture, Split};
 use centaur::evaluate;
 use centaur::format::{gltf, ply};
 use centaur::metrics::Evaluation;
-use centaur::optimize::{self, Outcome, RefinedPose, Session, Trained};
+use centaur::optimize::{self, Checkpoints, Outcome, RefinedPose, Session, Trained};
 
 pub(super) use self::args::Args;
 use super::eval::{self, Details};
@@ -43,8 +43,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mut reporter = Reporter::new(&args.messages);
     let session = Session {
         gpu: &gpu,
-        checkpoint: Some(args.checkpoint()),
-        resume: args.resume,
+        checkpoints: if args.resume {
+            Checkpoints::Resume(args.checkpoint())
+        } else {
+            Checkpoints::Save(args.checkpoint())
+        },
         stop: &stop,
         progress: &mut |progress| reporter.update(progress),
     };

@@ -7,7 +7,7 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 use crate::render::reference::{Image, Margin, render, render_with_margins};
 use crate::render::testing::{random_scene, smooth_scene};
-use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, OrderMode, Splats, Texture, sh};
+use crate::scene::{Atlas, Camera, ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats, Texture, sh};
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
 
@@ -264,11 +264,15 @@ fn scenes_join_at_the_highest_degree_and_by_the_rule_of_the_first_mesh() {
     let plain = HybridScene {
         splats: splats_at(&[Vec3::ONE; 2], &[0.0; 2], 3),
         meshes: vec![],
-        composition: crate::scene::Composition::default(),
+        composition: Composition::default(),
     };
     let joined = join(vec![plain.clone(), hybrid.clone(), other.clone()]).unwrap();
     assert_eq!((joined.splats.len(), joined.splats.sh_degree(), joined.meshes.len()), (10, 3, 3));
     assert_eq!(joined.composition, hybrid.composition);
+    let mut close = plain.clone();
+    close.composition.near = 0.01;
+    let from_there = Composition { near: 0.01, ..hybrid.composition };
+    assert_eq!(join(vec![plain.clone(), hybrid.clone(), close]).unwrap().composition, from_there);
     assert_eq!(joined.splats.means()[2..7], *hybrid.splats.means());
     assert_eq!(joined.splats.sh_of(9)[..9], *other.splats.sh_of(2));
     assert_eq!(join(vec![plain.clone()]).unwrap(), plain);

@@ -1,6 +1,6 @@
 use std::borrow::Cow;
 use std::fmt;
-use std::io::BufReader;
+use std::io::{BufReader, Read as _};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -269,5 +269,8 @@ pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatE
 
 /// The whole file in memory. Its length bounds every count that the file declares.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, FormatError> {
-    std::fs::read(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })
+    let mut bytes = vec![];
+    let read = open_file(path)?.into_inner().read_to_end(&mut bytes);
+    read.map_err(|source| FormatError::Read { file: path.to_owned(), source })?;
+    Ok(bytes)
 }

@@ -62,7 +62,8 @@ impl SceneFile {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
     /// Leave out splats with numbers that are not finite or rotations of zero, as failed trainings write them, instead
-    /// of refusing the file. Of `.ply` and `.splat`; quantised formats cannot hold such splats, and glTF forbids them.
+    /// of refusing the file. Of `.ply` and `.splat`; files of other formats that hold such splats are
+    /// refused.
     pub drop_invalid: bool,
     /// Keep the document of a glTF in [`SceneFile::source`], so that [`write_scene`] can write it again. Its buffers stay in the
     /// file, which is kept open: it may be replaced meanwhile, but writing into it is an error when it is used.
@@ -97,7 +98,7 @@ pub const EXPORTABLE: &[&str] = &["xml", "blend.py"];
 /// As [`super::read_scene`], with what the file says besides.
 ///
 /// # Errors
-/// As [`super::read_scene`].
+/// As [`super::read_scene`], and if a time or animations are given for a file that is no glTF.
 pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     let kind = kind(path)?;
     if (options.time.is_some() || !options.animations.is_empty()) && kind != Kind::Gltf {

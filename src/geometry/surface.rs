@@ -8,7 +8,8 @@ use super::smooth::{smooth, without_rough};
 use super::{Contraction, GeometryError};
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
-/// outside. Unchecked: the functions of this module skip triangles with an index out of range.
+/// outside. Unchecked: [`clean`] and [`simplify`] skip triangles with an index out of range; other functions ask for indices in range, and panic
+/// without.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// World positions.

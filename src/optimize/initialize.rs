@@ -29,8 +29,8 @@ impl Initial {
 
     /// For MCMC at points, in a run of so many iterations: larger in one of less than 30,000.
     ///
-    /// Splats grow by half a percent in an iteration at most, so that in a run of 500 the first ones would be too small to cover what
-    /// they stand for until its end. The factor is in inverse proportion to the cube root of the iterations, but at most 1
+    /// Splats grow by half a percent in an iteration at most, in short runs by some percent, so that in a run of 500 the first ones would be
+    /// too small to cover what they stand for until its end. The factor is in inverse proportion to the cube root of the iterations, but at most 1
     /// (`docs/experiments.md`).
     #[must_use]
     pub fn mcmc_in(iterations: u32) -> Self {

@@ -20,7 +20,7 @@ mod surface;
 
 pub use memory::most_splats;
 pub use options::{Background, Density, TrainOptions};
-pub use static_scene::{Outcome, Phase, Progress, RefinedPose, Selection, Session, Trained, train};
+pub use static_scene::{Checkpoints, Outcome, Phase, Progress, RefinedPose, Selection, Session, Trained, train};
 pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};

@@ -31,12 +31,13 @@ pub enum Background {
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct TrainOptions {
-    /// Iterations of the splats: 30,000 (3DGS), the surface's included. Schedules stretch with it.
+    /// Iterations of the splats: 30,000 (3DGS), the surface's included. The times of schedules shrink with it below
+    /// 30,000; above, the decay of the means' rate alone stretches.
     pub iterations: u32,
     /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
     pub warmup: u32,
     /// Of `iterations`, those on splats alone before a surface is made of them: 15,000, when INRIA's density control
-    /// ends; it goes on for half of the rest. Unused with a given mesh or without one. If not fewer than `iterations`, splats
+    /// ends; it and AbsGS' go on for half of the rest, MCMC's to 5/6 of the run as without a mesh. Unused with a given mesh or without one. If not fewer than `iterations`, splats
     /// and maps are never trained together.
     pub surface_iterations: Option<u32>,
     /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
@@ -90,7 +91,8 @@ pub struct TrainOptions {
     pub texture_size: Option<u32>,
     /// SH degree of the mesh: 2 (HERA does not say).
     pub band_degree: u32,
-    /// Triangles of a mesh made from the capture, at most: 20,000.
+    /// Triangles that a mesh made from the capture is simplified to: 20,000; more are left where its topology needs them, and those of the
+    /// shell come on top.
     pub triangles: usize,
     /// Flat regions of such a mesh are made flat and meshed anew with few triangles ([`geometry::flatten`](crate::geometry::flatten)).
     /// On, see docs/experiments.md.
@@ -125,6 +127,11 @@ impl TrainOptions {
         }
         if !(self.pose_reach >= 0.0 && self.pose_reach.is_finite()) {
             return Err(SceneError::new("pose_reach", "a number ≥ 0", self.pose_reach.to_string()));
+        }
+        for (field, n) in [("max_splats", self.max_splats), ("triangles", Some(self.triangles))] {
+            if n == Some(0) {
+                return Err(SceneError::new(field, "a number from 1", "0"));
+            }
         }
         let splat = Splats::floats_each(self.sh_degree);
         if let Some(floats) = self.max_floats.filter(|floats| *floats < splat) {
@@ -223,6 +230,8 @@ mod tests {
             (TrainOptions { pose_reach: f64::INFINITY, ..d() }, "pose_reach"),
             (TrainOptions { texture_size: Some(u32::MAX), ..d() }, "texture_size"),
             (TrainOptions { max_floats: Some(58), ..d() }, "max_floats"),
+            (TrainOptions { max_splats: Some(0), ..d() }, "max_splats"),
+            (TrainOptions { triangles: 0, ..d() }, "triangles"),
         ] {
             assert_eq!(options.validate().unwrap_err().field, field);
         }

@@ -24,7 +24,13 @@ pub use log::Progress;
 pub use poses::RefinedPose;
 pub use selection::Selection;
 
-use std::{cell::OnceCell, ops::ControlFlow, path::PathBuf, rc::Rc, sync::atomic::AtomicBool};
+use std::{
+    cell::OnceCell,
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    rc::Rc,
+    sync::atomic::AtomicBool,
+};
 
 use glam::{Vec2, Vec3};
 
@@ -68,7 +74,7 @@ pub enum Phase {
 pub enum Outcome {
     /// All iterations are done.
     Finished,
-    /// `stop` was set; the checkpoint holds what is needed to go on.
+    /// `stop` was set; the checkpoint, if the session has one, holds what is needed to go on.
     Interrupted,
 }
 
@@ -106,14 +112,33 @@ pub struct Trained {
     pub repeated_iterations: u32,
 }
 
+/// The file, if any, that a run is kept in.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Checkpoints {
+    /// None: what an interrupted run has learnt is in its result alone.
+    #[default]
+    Off,
+    /// Written now and then, see [`TrainOptions::checkpoint_every`].
+    Save(PathBuf),
+    /// The same, after the run has gone on from what it holds.
+    Resume(PathBuf),
+}
+
+impl Checkpoints {
+    fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Off => None,
+            Self::Save(file) | Self::Resume(file) => Some(file),
+        }
+    }
+}
+
 /// What a run needs besides the capture and the options.
 pub struct Session<'a> {
     /// The adapter to train on.
     pub gpu: &'a Gpu,
-    /// Where checkpoints go, if wanted; also read if `resume` is set.
-    pub checkpoint: Option<PathBuf>,
-    /// Go on from the checkpoint.
-    pub resume: bool,
+    /// Where the run is kept.
+    pub checkpoints: Checkpoints,
     /// Set from outside to end the run after the current iteration.
     pub stop: &'a AtomicBool,
     /// Receives every report.
@@ -123,8 +148,9 @@ pub struct Session<'a> {
 /// Trains a static scene on the training views of a capture (all but every eighth).
 ///
 /// # Errors
-/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, the adapter
-/// fails or a parameter is no longer finite.
+/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, which leaves
+/// no room in its atlas or none for a splat in the budget, a checkpoint cannot be read or written or is of another run, the adapter fails or
+/// has too little memory, or a parameter is no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
     mesh: MeshSource,
@@ -228,9 +254,9 @@ impl<'a> Run<'a> {
     }
 
     fn all(&mut self, source: MeshSource) -> Result<Trained, TrainError> {
-        let mut saved = match (&self.session.checkpoint, self.session.resume) {
-            (Some(path), true) => Some(Saved::read(path, &self.identity)?),
-            _ => None,
+        let mut saved = match &self.session.checkpoints {
+            Checkpoints::Resume(file) => Some(Saved::read(file, &self.identity)?),
+            Checkpoints::Off | Checkpoints::Save(_) => None,
         };
         let resumes = saved.is_some();
         self.log.past = saved.as_mut().map(|saved| std::mem::take(&mut saved.past)).unwrap_or_default();

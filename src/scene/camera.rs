@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::SceneError;
 
-/// Focal lengths in sides of the image: angles of view from 179.9° down to a microradian. What is beyond is a mistake.
+/// Focal lengths in sides of the image: angles of view from 179.8° down to a microradian. What is beyond is a mistake.
 const FOCAL_LENGTHS: RangeInclusive<f64> = 1e-3..=1e6;
 /// Principal points lie at most so many sides of the image away from its first corner: it may be cut out of a larger one.
 const FARTHEST_CENTER: f64 = 1e3;

@@ -101,7 +101,7 @@ impl Default for Composition {
 impl Composition {
     /// # Errors
     /// If λ is negative or NaN, `layers` is not 1, 2 or 4, `near` is not positive, the variance of the
-    /// pixel filter negative, or a number not finite.
+    /// pixel filter negative, or a number other than λ not finite.
     pub fn validate(&self) -> Result<(), SceneError> {
         if self.lambda.is_nan() || self.lambda < 0.0 {
             return Err(SceneError::new("lambda", "a number ≥ 0", self.lambda.to_string()));

@@ -456,6 +456,9 @@ impl Form {
     }
 
     /// The same with only these vertices, in this order.
+    ///
+    /// # Panics
+    /// If there is no such vertex.
     #[must_use]
     pub fn gather(&self, vertices: &[usize]) -> Self {
         fn pick<T: Copy>(values: &[T], width: usize, vertices: &[usize]) -> Vec<T> {

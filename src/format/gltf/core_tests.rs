@@ -99,6 +99,49 @@ pub(super) fn near(found: &[f32], expected: &[f32], tolerance: f32) {
 }
 
 #[test]
+fn copies_at_seams_have_numbers_without_gaps_and_one_place() {
+    let mut b = Builder::default();
+    let position = b.floats(&[
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0],
+    ]);
+    for (of_corners, fault) in [
+        ([0, 1, 2, 0, 1, 3], ""),
+        ([0, 1, 2, 0, 1, 4], "expected surface vertices without gaps, found none that is 3"),
+        ([0, 1, 2, 0, 1, 6], "expected surface vertices below 6, found 6"),
+        ([0, 1, 2, 1, 0, 3], "expected copies of a surface vertex in one place, found vertex 1 in two"),
+    ] {
+        let source = b.accessor(5121, "SCALAR", 6, &of_corners);
+        let extension = json!({ "EXT_gaussian_splatting_hybrid": { "surfaceVertices": source } });
+        let read = b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": { "POSITION": position }, "extensions": extension }] }],
+        }));
+        match read {
+            Ok(file) => assert_eq!((fault, file.scene.meshes[0].positions().len()), ("", 4)),
+            Err(message) => assert!(!fault.is_empty() && message.ends_with(fault), "{message}"),
+        }
+    }
+}
+
+#[test]
+fn an_opacity_without_harmonics_is_noted() {
+    let (mut b, attributes) = triangle();
+    let opacity = b.floats(&[[0.5]]);
+    let radiance =
+        json!({ "colorSpace": "srgb_rec709_display", "opacity": { "accessor": opacity, "width": 1, "height": 1 } });
+    let file = b.read(json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+        "materials": [{ "extensions": { "EXT_gaussian_splatting_hybrid": radiance } }],
+    }));
+    let notes = file.unwrap().notes;
+    assert!(notes.iter().any(|note| note.contains("hybrid/opacity: not read without sphericalHarmonics")), "{notes:?}");
+}
+
+#[test]
 fn texel_sources_are_transformed_and_repeat() {
     let (mut b, attributes) = triangle();
     let mut png = std::io::Cursor::new(vec![]);

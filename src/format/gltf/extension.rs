@@ -45,6 +45,8 @@ pub(crate) struct Khr {
     /// Required, as is the colour space; early drafts had neither.
     pub(crate) kernel: Option<String>,
     pub(crate) color_space: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) projection: Option<String>,
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
     pub(crate) extensions: serde_json::Map<String, serde_json::Value>,
 }

@@ -64,6 +64,9 @@ pub(super) fn maps(
         if let Some(harmonics) = &radiance.spherical_harmonics {
             return exact(asset, &radiance, harmonics, &at, notes);
         }
+        if radiance.opacity.is_some() {
+            notes.push(format!("{at}/opacity: not read without sphericalHarmonics; the core material's is taken"));
+        }
     }
     base_colour(asset, material, space, &at, notes)
 }

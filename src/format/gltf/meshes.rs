@@ -256,7 +256,8 @@ fn colored(
     Ok(Some(Atlas::new(texture, None)?))
 }
 
-/// The accessor of seam copies, if there is one and its claims hold: one entry per vertex, indices without gaps.
+/// The accessor of seam copies, if there is one and its claims hold: one entry per vertex, below their number, without gaps, and copies in one
+/// place.
 fn surface_vertices(
     asset: &Asset,
     node: &gltf::Node<'_>,
@@ -281,6 +282,10 @@ fn surface_vertices(
         if *slot.get_or_insert(position) != position {
             return Err(Fault::pointer(at, "copies of a surface vertex in one place", format!("vertex {v} in two")));
         }
+    }
+    let count = first.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
+    if let Some(gap) = first[..count].iter().position(Option::is_none) {
+        return Err(Fault::pointer(at, "surface vertices without gaps", format!("none that is {gap}")));
     }
     Ok(Some(source))
 }

@@ -60,6 +60,20 @@ fn quantised_splats() {
     }
 }
 
+/// Not rendered as what they are not.
+#[test]
+fn unknown_kernels_and_projections_are_refused() {
+    let (b, attributes) = splats(false);
+    for (key, known) in [("kernel", "ellipse"), ("projection", "perspective")] {
+        let mut of = khr();
+        of[key] = json!(known);
+        b.read(splat_document(&attributes, of.clone())).unwrap();
+        of[key] = json!("other");
+        let message = b.read(splat_document(&attributes, of)).unwrap_err();
+        assert!(message.contains(&format!("/{key}: expected {known}, found `other`")), "{message}");
+    }
+}
+
 #[test]
 fn splats_of_early_drafts() {
     // As Cesium's sample: `_SCALE`, `_ROTATION`, a colour in place of coefficient 0 and opacity, no kernel.

@@ -28,8 +28,10 @@ pub(super) fn read(
     let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
     let at_khr = format!("{at}/extensions/{KHR_SPLATS}");
     let khr = from_value::<Khr>(khr, &at_khr, KHR_SPLATS)?;
-    if let Some(kernel) = khr.kernel.as_ref().filter(|k| *k != "ellipse") {
-        return Err(Fault::pointer(format!("{at_khr}/kernel"), "ellipse", format!("`{kernel}`")));
+    for (key, token, known) in [("kernel", &khr.kernel, "ellipse"), ("projection", &khr.projection, "perspective")] {
+        if let Some(token) = token.as_ref().filter(|token| *token != known) {
+            return Err(Fault::pointer(format!("{at_khr}/{key}"), known, format!("`{token}`")));
+        }
     }
     if let Some(token) = &khr.color_space
         && parse_color_space(token, &at_khr)? != space

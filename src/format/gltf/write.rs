@@ -164,6 +164,7 @@ impl<'a> Layout<'a> {
         let khr = Khr {
             kernel: Some("ellipse".to_owned()),
             color_space: Some(color_space_token(space).to_owned()),
+            projection: None,
             extensions: serde_json::Map::new(),
         };
         self.meshes.push(json!({

@@ -478,7 +478,7 @@ def main():
     parser = argparse.ArgumentParser(description='Render a scene of `centaur convert` in Mitsuba.')
     parser.add_argument('scene', type=Path, help='the .xml')
     parser.add_argument('-o', '--out', type=Path, required=True, help='the .exr to write: RGBA, layers, depth')
-    parser.add_argument('--camera', default='0', help='number or name of a camera (default: the first)')
+    parser.add_argument('--camera', default='0', help='name of a camera, or its number (default: 0)')
     parser.add_argument('--output', choices=['linear', 'blending'], help='what RGB is (default: as in the .xml)')
     parser.add_argument('--sh-direction', choices=['mean', 'ray'], help='where splats are seen from (default: as in the .xml)')
     arguments = parser.parse_args()

@@ -1,7 +1,8 @@
 //! Whether a file is what its format says it must be: every fault in it, not only the first.
 //!
 //! Readers stop at what they cannot use; this looks at everything, and says where it is, what was expected and what was
-//! found. It owes nothing to the readers but the containers.
+//! found. For glTF, PLY and SPZ it owes nothing to the readers but the containers and the digest of bindings; other formats are checked by
+//! theirs.
 
 mod gltf;
 mod ply;

@@ -137,7 +137,7 @@ mod tests {
     use super::*;
     use crate::{
         capture::{self, Capture, LoadOptions, Point},
-        optimize::{MeshSource, Session, TrainOptions, train},
+        optimize::{Checkpoints, MeshSource, Session, TrainOptions, train},
         render::{gpu::Gpu, reference},
         scene::{HybridScene, Intrinsics, Splats},
     };
@@ -234,7 +234,7 @@ mod tests {
                 eval_every: 0,
                 ..TrainOptions::default()
             };
-            let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+            let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
             train(&capture, MeshSource::Points, &options, session).unwrap()
         };
         let (with, without) = (trained(true), trained(false));

@@ -133,7 +133,7 @@ impl Run<'_> {
             if let Some(loss) = loss {
                 self.report(training, plan, done, loss)?;
             }
-            if saves && let Some(path) = &self.session.checkpoint {
+            if saves && let Some(path) = self.session.checkpoints.file() {
                 let found = (self.found.surface, self.found.selection);
                 let past = self.log.past.clone();
                 let saved = Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?;

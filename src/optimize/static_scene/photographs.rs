@@ -18,6 +18,8 @@ const DECODED_AT_ONCE: usize = 4;
 /// Decoded as they are asked for, and kept.
 pub(super) struct Photographs<'a> {
     views: &'a [View],
+    /// Bytes of all that is kept.
+    budget: usize,
     cache: PhotoCache,
     small: Option<Small>,
     /// They have masks or alpha: nothing is behind what they show.
@@ -38,9 +40,18 @@ impl<'a> Photographs<'a> {
     pub(super) fn open(
         capture: &'a Capture,
         train: &[usize],
+        test: impl Iterator<Item = usize>,
+    ) -> Result<Self, CaptureError> {
+        Self::within(BUDGET, capture, train, test)
+    }
+
+    fn within(
+        budget: usize,
+        capture: &'a Capture,
+        train: &[usize],
         mut test: impl Iterator<Item = usize>,
     ) -> Result<Self, CaptureError> {
-        let (views, cache) = (capture.views.as_slice(), PhotoCache::new(BUDGET));
+        let (views, cache) = (capture.views.as_slice(), PhotoCache::new(budget));
         let has_alpha = |&i: &usize| cache.get(&views[i]).map(|photo| photo.has_alpha);
         let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
         let mut are_cut_out = views.iter().any(|view| view.source.mask().is_some());
@@ -49,7 +60,7 @@ impl<'a> Photographs<'a> {
             are_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
         }
         test.try_for_each(|i| has_alpha(&i).map(drop))?;
-        Ok(Self { views, cache, small: None, are_cut_out })
+        Ok(Self { views, budget, cache, small: None, are_cut_out })
     }
 
     /// Of a view of the capture, at its full size.
@@ -59,13 +70,23 @@ impl<'a> Photographs<'a> {
 
     /// From now on [`Self::of_step`] gives pictures with their sides scaled so.
     pub(super) fn resize(&mut self, scale: f64) {
-        if self.small.as_ref().map_or(1.0, |small| small.scale) != scale {
-            self.small = (scale < 1.0).then(|| Small {
-                scale,
-                views: self.views.iter().map(|view| view.scaled(scale)).collect(),
-                cache: PhotoCache::new(BUDGET.saturating_sub(self.cache.bytes())),
-            });
+        if self.small.as_ref().map_or(1.0, |small| small.scale) == scale {
+            return;
         }
+        self.small = None;
+        if scale >= 1.0 {
+            if self.cache.budget() < self.budget {
+                self.cache = PhotoCache::new(self.budget);
+            }
+            return;
+        }
+        let views: Vec<View> = self.views.iter().map(|view| view.scaled(scale)).collect();
+        // The steps want these; whole photographs, which the phases' ends want, are kept beside them as far as there is room.
+        let wanted = PhotoCache::budget_for(&views).min(self.budget - self.budget / 8);
+        if self.cache.bytes() + wanted > self.budget {
+            self.cache = PhotoCache::new(self.budget - wanted);
+        }
+        self.small = Some(Small { scale, views, cache: PhotoCache::new(wanted) });
     }
 
     /// What a step sees of a view, by its index; that of the `next` is decoded while this one is on the GPU.
@@ -93,4 +114,39 @@ pub(super) fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], backgrou
     let (truth, mask) = evaluate::expected(photo, p, background);
     let error: f32 = truth.iter().zip(render).map(|(truth, render)| (truth - render).powi(2)).sum();
     error * mask * mask
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{self, Downscale, LoadOptions};
+
+    /// Smaller pictures, which are what steps want then, all have their place, and whole ones again when they are wanted.
+    #[test]
+    fn what_steps_want_is_kept() {
+        let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        let options = LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() };
+        let capture = capture::open(&demo, &options).unwrap();
+        let all: Vec<usize> = (0..capture.views.len()).collect();
+        let whole = PhotoCache::budget_for(&capture.views);
+        let bytes = |cache: &PhotoCache| {
+            let photos = capture.views.iter().map(|view| cache.get(view).unwrap());
+            photos.map(|photo| photo.rgba.len()).sum::<usize>()
+        };
+        // Room for all of both, for all of one, and for a part.
+        for budget in [2 * whole, whole, whole / 2] {
+            let mut photos = Photographs::within(budget, &capture, &all, std::iter::empty()).unwrap();
+            let is_full = photos.cache.bytes();
+            for scale in [0.25, 0.5] {
+                photos.resize(scale);
+                let small = photos.small.as_ref().unwrap();
+                let total: usize = all.iter().map(|&i| photos.of_step(i, i).unwrap().rgba.len()).sum();
+                assert_eq!(small.cache.bytes(), total, "{budget} {scale}");
+                assert!(total + photos.cache.bytes() <= budget, "{budget} {scale}: {}", photos.cache.bytes());
+            }
+            photos.resize(1.0);
+            assert_eq!(PhotoCache::budget_for(&capture.views), bytes(&photos.cache).div_ceil(7) + bytes(&photos.cache));
+            assert!(photos.small.is_none() && photos.cache.bytes() >= is_full, "{budget}");
+        }
+    }
 }

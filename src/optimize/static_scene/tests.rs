@@ -1,4 +1,4 @@
-use std::{path::Path, sync::atomic::Ordering};
+use std::sync::atomic::Ordering;
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -20,6 +20,10 @@ mod photographs;
 fn demo() -> Capture {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
     capture::open(&folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()
+}
+
+fn checkpoints(file: &Path, resume: bool) -> Checkpoints {
+    if resume { Checkpoints::Resume(file.to_owned()) } else { Checkpoints::Save(file.to_owned()) }
 }
 
 fn options() -> TrainOptions {
@@ -81,7 +85,7 @@ fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     // On the larger map rays go to every other texel.
     for size in [64, 2048] {
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
         // However few of the 42 views it has looked at.
         let options = TrainOptions { texture_size: Some(size), ..options() };
@@ -203,7 +207,8 @@ fn checkpoints_have_the_history() {
     let path = folder.path().join("checkpoint");
     let history = |resume: bool, stop: bool| -> Result<Vec<u32>, TrainError> {
         let stop = AtomicBool::new(stop);
-        let session = Session { gpu: &gpu, checkpoint: Some(path.clone()), resume, stop: &stop, progress: &mut |_| {} };
+        let checkpoints = checkpoints(&path, resume);
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress: &mut |_| {} };
         train(&capture, MeshSource::None, &options(), session).map(|t| t.history.iter().map(|p| p.iteration).collect())
     };
     assert_eq!(history(false, true).unwrap(), Vec::<u32>::new(), "only what is reported without a stop");
@@ -228,7 +233,7 @@ fn with_mesh<T>(
     test: impl FnOnce(&mut Run, &mut Training, &HybridScene) -> T,
 ) -> T {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
     let mut run = Run::new(&capture, options, &source, session).unwrap();
     let mesh = run.given(surface, None).unwrap();
@@ -244,7 +249,7 @@ fn without_points_splats_say_whether_there_are_bounds() {
     let (gpu, mut capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     capture.points.clear();
     let options = TrainOptions { shell: false, ..options() };
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
     let near = run.initial_splats(&[], true).unwrap();
     for (distance, is_unbounded) in [(1.0, false), (100.0, true)] {
@@ -298,7 +303,7 @@ fn without_a_surface_splats_are_trained_alone() {
     // Hardly any splats, all transparent by the end of the surface phase.
     let options = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: Some(5), ..options() };
     for source in [MeshSource::Splats, MeshSource::Points] {
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, source, &options, session).unwrap();
         assert_eq!((trained.outcome, trained.surface), (Outcome::Finished, None));
         assert_eq!((trained.scene.meshes.len(), trained.scene.splats.len()), (0, 5));
@@ -311,7 +316,7 @@ fn without_a_surface_splats_are_trained_alone() {
 fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     let options = TrainOptions { texture_size: Some(16), ..options() };
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let trained = train(&capture, MeshSource::Points, &options, session).unwrap();
     assert_eq!((trained.outcome, trained.scene.meshes.len()), (Outcome::Finished, 0));
     assert!(trained.no_surface.is_some_and(|why| why.contains("atlas")));
@@ -325,8 +330,8 @@ fn checkpoints_are_of_their_cameras_and_points() {
     let run = |capture: &Capture, resume: bool| {
         let stop = AtomicBool::new(false);
         let progress = &mut |_: &Progress| stop.store(true, Ordering::Relaxed);
-        let checkpoint = Some(folder.path().join("checkpoint"));
-        let session = Session { gpu: &gpu, checkpoint, resume, stop: &stop, progress };
+        let checkpoints = checkpoints(&folder.path().join("checkpoint"), resume);
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress };
         train(capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
     };
     assert_eq!(run(&capture, false).unwrap(), Outcome::Interrupted);
@@ -407,7 +412,7 @@ fn floats_stay_within_their_budget() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     let options = TrainOptions { max_floats: Some(60_000), ..options() };
     for source in [square(), MeshSource::Points, MeshSource::Splats, MeshSource::None] {
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let scene = train(&capture, source.clone(), &options, session).unwrap().scene;
         assert!(scene.total_floats() <= 60_000, "{source:?}: {}", scene.total_floats());
         assert!(scene.total_floats() > 40_000, "{source:?}: {}", scene.total_floats());
@@ -415,7 +420,7 @@ fn floats_stay_within_their_budget() {
     // Maps that nothing lays out anew begin as large as they may stay.
     for (source, warmup) in [(square(), 20), (MeshSource::Points, 0)] {
         let options = TrainOptions { texture_size: Some(256), warmup, ..options.clone() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let scene = train(&capture, source, &options, session).unwrap().scene;
         let maps = scene.meshes[0].atlas().floats();
         assert!(scene.total_floats() <= 60_000 && maps > 15_000 && maps <= 30_000, "{}, {maps}", scene.total_floats());
@@ -423,11 +428,11 @@ fn floats_stay_within_their_budget() {
     let options = TrainOptions { max_floats: Some(1000), ..options };
     for warmup in [0, 20] {
         let options = TrainOptions { warmup, ..options.clone() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let scene = train(&capture, MeshSource::Points, &options, session).unwrap().scene;
         assert!(scene.meshes.is_empty() && scene.total_floats() <= 1000, "{}", scene.total_floats());
     }
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let error = train(&capture, square(), &options, session).unwrap_err().to_string();
     assert!(error.starts_with("expected a budget of at least the ") && error.ends_with("take, found 1000"), "{error}");
 }
@@ -450,7 +455,7 @@ fn a_few_wild_points_do_little_harm() {
         TrainOptions { iterations: 100, warmup: 40, surface_iterations: Some(50), max_splats: Some(2000), ..options() };
     for source in [MeshSource::Points, MeshSource::Splats] {
         let [clean, wild] = [&clean, &wild].map(|capture| {
-            let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+            let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
             let trained = train(capture, source.clone(), &options, session).unwrap();
             // Whether any of it is worth its texels after so few iterations is another matter.
             let found = trained.selection.unwrap();
@@ -506,7 +511,7 @@ fn damaged_checkpoints_are_refused() {
         let run = |resume: bool| {
             let stop = AtomicBool::new(false);
             let progress = &mut |p: &Progress| stop.store(p.phase == phase, Ordering::Relaxed);
-            let session = Session { gpu: &gpu, checkpoint: Some(path.clone()), resume, stop: &stop, progress };
+            let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, resume), stop: &stop, progress };
             train(&capture, source.clone(), &options, session)
         };
         assert_eq!(run(false).unwrap().outcome, Outcome::Interrupted);

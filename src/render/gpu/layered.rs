@@ -77,7 +77,7 @@ impl<'g> LayeredRenderer<'g> {
     /// Uploads the scene and makes room for pictures up to the sizes of `cameras`.
     ///
     /// # Errors
-    /// If the adapter cannot hold it.
+    /// If the composition is not valid, or the adapter cannot hold the scene.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], model: ImageModel) -> Result<Self, GpuError> {
         scene.composition.validate()?;
         let composition = scene.composition;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
+use super::tree::nodes;
 use super::values::Rep;
 use super::{Crate, END, PathNode, most_values, parse};
 use crate::format::error::Fault;
@@ -74,6 +75,24 @@ fn what_is_no_layer_is_refused() {
     astray[16..24].fill(0xff);
     let message = format!("f: byte 16: expected offsets within {} bytes, found 18446744073709551615", BINARY.len());
     assert_eq!(refusal(&astray), message);
+}
+
+/// Of entries that name one place twice the later would be its own ancestor's parent, and a way up go on for ever.
+#[test]
+fn paths_that_are_no_tree_are_refused() {
+    let of = |places: &[i32], jumps: &[i32]| nodes(4, &[places.to_vec(), vec![1; places.len()], jumps.to_vec()]);
+    let parents = |nodes: Vec<PathNode>| nodes.iter().map(|n| (n.parent, n.depth)).collect::<Vec<_>>();
+    assert_eq!(parents(of(&[0, 1, 2, 3], &[-1, 2, -2, -2]).unwrap()), [(0, 0), (0, 1), (1, 2), (0, 1)]);
+    assert_eq!(parents(of(&[], &[]).unwrap()), [(0, 0); 4]);
+    // One place twice; one entry twice; beyond the entries; beyond the paths.
+    for (places, jumps) in [
+        ([0, 1, 2, 1], [-1, -1, -1, -2]),
+        ([0, 1, 2, 3], [-1, 1, -2, -2]),
+        ([0, 1, 2, 3], [-1; 4]),
+        ([0, 1, 2, 4], [-1, -1, -1, -2]),
+    ] {
+        assert!(of(&places, &jumps).is_none(), "{places:?} {jumps:?}");
+    }
 }
 
 #[test]

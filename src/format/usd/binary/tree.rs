@@ -29,43 +29,50 @@ enum Content {
     Samples(Vec<(f64, Value)>),
 }
 
+/// At most `total` nodes of as many places, elements and jumps as there are entries, or `None` if they are no tree: then, and only then, would a
+/// way up from a node not end at the root.
+pub(super) fn nodes(total: usize, [places, elements, jumps]: &[Vec<i32>; 3]) -> Option<Vec<PathNode>> {
+    let mut nodes: Vec<Option<PathNode>> = vec![None; total];
+    let mut seen = vec![false; places.len()];
+    // Entries that are still to be read, with the places of their parents.
+    let mut stack: Vec<(usize, Option<usize>)> = if places.is_empty() { vec![] } else { vec![(0, None)] };
+    while let Some((entry, parent)) = stack.pop() {
+        let (seen, jump) = (seen.get_mut(entry)?, *jumps.get(entry)?);
+        let place = places[entry] as u32 as usize;
+        let depth = match parent {
+            None => 0,
+            Some(parent) => nodes[parent]?.depth + 1,
+        };
+        let node = nodes.get_mut(place)?;
+        if std::mem::replace(seen, true) || node.is_some() || depth > MAX_DEPTH {
+            return None;
+        }
+        let element = elements[entry];
+        *node = Some(PathNode {
+            parent: parent.unwrap_or(place),
+            token: element.unsigned_abs(),
+            is_property: element < 0,
+            depth,
+        });
+        if jump >= 0 {
+            let sibling = entry + if jump > 0 { jump as usize } else { 1 };
+            stack.push((sibling, parent));
+        }
+        if jump > 0 || jump == -1 {
+            stack.push((entry + 1, Some(place)));
+        }
+    }
+    Some(nodes.into_iter().map(Option::unwrap_or_default).collect())
+}
+
 impl Crate<'_> {
     /// The tree of paths: for each in depth-first order its place in the list, its last element, and whether what follows
     /// is a child, a sibling, or a child with a sibling further on.
     pub(super) fn read_paths(&self, mut section: Cursor<'_>) -> Result<Vec<PathNode>, Fault> {
         let (total, count) = (counted(&mut section, self.file)?, counted(&mut section, self.file)?);
-        let [places, elements, jumps] = [section.integers(count)?, section.integers(count)?, section.integers(count)?];
-        let malformed = || Fault::whole("a tree of paths", "entries that are none");
-        let mut nodes: Vec<PathNode> = vec![PathNode::default(); total.min(count.saturating_add(1))];
-        let mut seen = vec![false; count];
-        // Entries that are still to be read, with the places of their parents.
-        let mut stack: Vec<(usize, Option<usize>)> = if count > 0 { vec![(0, None)] } else { vec![] };
-        while let Some((entry, parent)) = stack.pop() {
-            let (Some(seen), Some(&jump)) = (seen.get_mut(entry), jumps.get(entry)) else { return Err(malformed()) };
-            let place = places[entry] as u32 as usize;
-            let depth = match parent {
-                None => 0,
-                Some(parent) => nodes.get(parent).ok_or_else(malformed)?.depth + 1,
-            };
-            if std::mem::replace(seen, true) || depth > MAX_DEPTH {
-                return Err(malformed());
-            }
-            let element = elements[entry];
-            *nodes.get_mut(place).ok_or_else(malformed)? = PathNode {
-                parent: parent.unwrap_or(place),
-                token: element.unsigned_abs(),
-                is_property: element < 0,
-                depth,
-            };
-            if jump >= 0 {
-                let sibling = entry + if jump > 0 { jump as usize } else { 1 };
-                stack.push((sibling, parent));
-            }
-            if jump > 0 || jump == -1 {
-                stack.push((entry + 1, Some(place)));
-            }
-        }
-        Ok(nodes)
+        let entries = [section.integers(count)?, section.integers(count)?, section.integers(count)?];
+        nodes(total.min(count.saturating_add(1)), &entries)
+            .ok_or_else(|| Fault::whole("a tree of paths", "entries that are none"))
     }
 
     /// The document of specs: of each its path, its set of fields and its kind.

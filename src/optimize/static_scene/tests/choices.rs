@@ -12,7 +12,7 @@ fn a_background_tells_opaque_from_transparent() {
         let (folder, stop) = (tempfile::tempdir().unwrap(), AtomicBool::new(false));
         let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, alpha]));
         let options = TrainOptions { background, iterations: 400, ..options() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let scene = train(&capture, MeshSource::None, &options, session).unwrap().scene;
         let own = if background == Background::White { [1.0; 3] } else { [0.0; 3] };
         assert_eq!(scene.composition.background, own);
@@ -31,7 +31,7 @@ fn which_parameters_a_step_moves_is_a_choice() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     let psnr = |visible_only: bool, dense_texels: bool| {
         let options = TrainOptions { visible_only, dense_texels, iterations: 100, warmup: 50, ..options() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let psnr = train(&capture, square(), &options, session).unwrap().history.last().unwrap().psnr.unwrap();
         eprintln!("visible only {visible_only}, all texels {dense_texels}: {psnr:.2} dB held out");
         psnr
@@ -66,7 +66,7 @@ fn a_loss_is_read_before_buffers_grow() {
     capture.views.iter_mut().for_each(|view| view.sees.clear());
     // Density steps are at every twentieth iteration, looks at the loss at every tenth.
     let options = TrainOptions { iterations: 300, ..options() };
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let trained = train(&capture, MeshSource::None, &options, session).unwrap();
     let splats = |i: usize| trained.history[i].splats;
     assert!(

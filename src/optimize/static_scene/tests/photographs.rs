@@ -46,7 +46,7 @@ fn each_photograph_has_its_own_alpha() {
             }
         });
         let stop = AtomicBool::new(false);
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let options = TrainOptions { iterations: 100, ..options() };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         trained.history.iter().map(|p| p.loss).collect::<Vec<_>>()
@@ -68,7 +68,7 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
         let capture = in_a_row(folder.path(), k1, |x| image::Rgba([200, 100, 50, alpha(x)]));
         assert_eq!(capture::decode(&capture.views[1]).unwrap().masked, k1 > 0.0, "{k1}");
         let (options, stop) = (options(), AtomicBool::new(false));
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
         assert_eq!((run.photos.are_cut_out, run.shell.is_none()), (is_cut_out, is_cut_out), "{k1} {opacity}");
     }
@@ -82,7 +82,7 @@ fn exposures_take_out_what_the_camera_changed() {
         let stop = AtomicBool::new(false);
         // With 400, ten looks at each photograph, what they gain differs by as much from seed to seed.
         let options = TrainOptions { exposure, iterations: 1000, sh_degree: 0, ..options() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         assert_eq!(trained.exposures.len(), if exposure { 42 } else { 0 });
         (trained.history.last().unwrap().psnr.unwrap(), trained.exposures)
@@ -131,7 +131,7 @@ fn poses_are_found_again() {
         let stop = AtomicBool::new(false);
         // They are off by 1.5°.
         let options = TrainOptions { refine_poses, pose_reach: 1.7, iterations: 600, sh_degree: 0, ..options() };
-        let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
         assert_eq!(trained.poses.len(), if refine_poses { 42 } else { 0 });
         (trained.history.last().unwrap().psnr.unwrap(), trained)
@@ -160,7 +160,7 @@ fn poses_are_found_again() {
 fn poses_are_not_refined_beside_a_given_mesh() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     let options = TrainOptions { refine_poses: true, ..options() };
-    let session = Session { gpu: &gpu, checkpoint: None, resume: false, stop: &stop, progress: &mut |_| {} };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let error = train(&capture, square(), &options, session).unwrap_err();
     assert!(matches!(error, TrainError::PosesBesideMesh), "{error}");
 }

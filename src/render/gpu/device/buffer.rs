@@ -61,6 +61,11 @@ impl Gpu {
         if free >= bytes && !self.profile.is_cpu {
             free = self.allocatable(bytes);
         }
+        self.ensure_within(free, what, bytes)
+    }
+
+    /// Error if there are not `bytes` among those that are free.
+    pub(super) fn ensure_within(&self, free: u64, what: &str, bytes: u64) -> Result<(), GpuError> {
         if free >= bytes {
             return Ok(());
         }
