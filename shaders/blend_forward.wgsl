@@ -23,7 +23,6 @@
 //#import shared/tile_bucket.wgsl
 //#end
 
-const STOP: f32 = 1e-4;                 // transmittance at which a bucket closes (3DGS)
 const BATCH: u32 = 128u;
 
 var<workgroup> batch_center: array<vec4f, BATCH>;       // centre, depth, opacity
@@ -130,7 +129,7 @@ fn main(
                 var before = 1.0;
 //#for b in 0..BUCKETS
                 front[$j][$b] = before;
-                open[$j][$b] = open[$j][$b] && before * t[$j][$b] >= STOP;
+                open[$j][$b] = open[$j][$b] && before * t[$j][$b] >= TRANSMITTANCE_STOP;
 //#if LAYERS
                 open[$j][$b] = open[$j][$b] && more$b;
 //#end
@@ -198,8 +197,8 @@ fn main(
 //#for b in 0..BUCKETS
                     if bucket == $bu && open[$j][$b] {
                         let after = t[$j][$b] * (1.0 - alpha);
-                        // 3DGS stops without adding the splat that takes the transmittance below STOP.
-                        if front[$j][$b] * after < STOP {
+                        // 3DGS stops without adding the splat that takes the transmittance below TRANSMITTANCE_STOP.
+                        if front[$j][$b] * after < TRANSMITTANCE_STOP {
                             open[$j][$b] = false;
                         } else {
                             color[$j][$b] += t[$j][$b] * alpha * rgb$m;

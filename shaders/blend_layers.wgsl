@@ -8,8 +8,6 @@
 @group(0) @binding(9) var<storage, read> thresholds: array<f32>;
 //#end
 
-const STOP: f32 = 1e-4;                 // as in blend_forward
-
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
@@ -45,7 +43,7 @@ fn main(
             if depth$l < thresholds[i * LAYERS + $lu] { behind = $lu + 1u; }
 //#end
             if behind != bucket { continue; }
-            if parts.transmittance * (1.0 - alpha) < STOP { break; }
+            if parts.transmittance * (1.0 - alpha) < TRANSMITTANCE_STOP { break; }
             add_splat(&parts, alpha, projected[3u * i + 2u].xyz, a.z);
         }
 //#for l in 0..LAYERS

@@ -10,7 +10,6 @@
 
 const ALWAYS: f32 = 3.4028234e38;
 const NEVER: f32 = -3.4028234e38;
-const TIE: f32 = 1e-5;                  // relative; a splat on the surface counts as in front
 
 const OUTSIDE: f32 = -1.0;
 const EMPTY: f32 = 0.0;
@@ -70,7 +69,7 @@ fn main(
 //#for l in 0..LAYERS
         let d$l = surface_depth(a.xy, $lu);
         var t$l = z - view.lambda;
-        if d$l == OUTSIDE || (d$l > 0.0 && z > d$l * (1.0 + TIE)) { t$l = ALWAYS; }
+        if d$l == OUTSIDE || (d$l > 0.0 && z > d$l * (1.0 + TIE_EPSILON)) { t$l = ALWAYS; }
         else if d$l == EMPTY { t$l = z; }
         thresholds[i * LAYERS + $lu] = max(t$l, NEVER);
 //#end
@@ -83,7 +82,7 @@ fn main(
     let d$l = surface_depth(a.xy, $lu);
     if d$l > 0.0 {
         // Interpolation across edges can leave the samples unsorted.
-        if z > d$l * (1.0 + TIE) { front = max(front, d$l); } else { behind = select(min(behind, d$l), d$l, behind == 0.0); }
+        if z > d$l * (1.0 + TIE_EPSILON) { front = max(front, d$l); } else { behind = select(min(behind, d$l), d$l, behind == 0.0); }
     }
 //#end
     var t = z;

@@ -113,5 +113,5 @@ fn shade(
         rgb += sample_bands(map, f, degree);
     }
     //#end
-    layer_color[i] = vec4f(max(rgb, vec3f(0.0)), min(1.0 / (1.0 + exp(-base.a)), MAX_ALPHA));
+    layer_color[i] = vec4f(max(rgb, vec3f(0.0)), min(1.0 / (1.0 + exp(-base.a)), MESH_ALPHA_CAP));
 }

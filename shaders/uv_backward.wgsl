@@ -153,7 +153,7 @@ fn backward(
     let alpha = 1.0 / (1.0 + exp(-value.a));
     let g = vec4f(
         select(vec3f(0.0), gradient.rgb, value.rgb > vec3f(0.0)),
-        select(0.0, gradient.a * alpha * (1.0 - alpha), alpha < MAX_ALPHA),
+        select(0.0, gradient.a * alpha * (1.0 - alpha), alpha < MESH_ALPHA_CAP),
     );
     layer_gradient[i] = vec4f(by_vertices(vec2f(dot(g, du), dot(g, dv)), pixel, triangle - 1u), 0.0);
 }

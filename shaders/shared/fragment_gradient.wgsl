@@ -15,6 +15,6 @@ fn fragment_gradient(i: u32, scale: f32) -> vec4f {
     let gradient = scale * layer_gradient[i];
     return vec4f(
         select(vec3f(0.0), gradient.rgb, color.rgb > vec3f(0.0)),
-        select(0.0, gradient.a * color.a * (1.0 - color.a), color.a < MAX_ALPHA),
+        select(0.0, gradient.a * color.a * (1.0 - color.a), color.a < MESH_ALPHA_CAP),
     );
 }

@@ -10,8 +10,6 @@
 @group(0) @binding(3) var<storage, read> corner_uvs: array<vec4u>;
 @group(0) @binding(4) var<storage, read> maps: array<Maps>;             // [meshes]
 
-const MAX_ALPHA: f32 = 0.9999;          // of a fragment: the blend divides by 1 − alpha
-
 // Change of uv per pixel that is taken for edge-on: more than every texel of the largest map; squares stay finite.
 const MAX_SLOPE: f32 = 1e6;
 

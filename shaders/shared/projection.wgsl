@@ -1,8 +1,6 @@
 // EWA projection of one splat (Kerbl et al. 2023, eq. 5; filters of Mip-Splatting), shared by the forward and backward stages.
 //#import shared/rotation.wgsl
 
-const CLAMP_MARGIN: f32 = 0.3;          // of half the image, for the Jacobian's clamp
-
 struct Gaussian {
     mean: vec3f,
     opacity: f32,                       // smoothed
@@ -47,7 +45,7 @@ struct Projection {
 fn project(v: View, g: Gaussian) -> Projection {
     let t = to_camera(v, g.mean);
     let size = vec2f(v.size);
-    let margin = CLAMP_MARGIN * 0.5 * size / v.focal;
+    let margin = JACOBIAN_MARGIN * 0.5 * size / v.focal;
     let low = -v.principal / v.focal - margin;
     let high = (size - v.principal) / v.focal + margin;
     let slope = t.xy / t.z;

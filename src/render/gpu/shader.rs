@@ -6,9 +6,11 @@
 //! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced by A, …, B−1; if A > B, by A−1, …, B.
 //!   A and B are numbers or defines.
 //!
-//! Every define is also emitted as `const NAME: u32`.
+//! Every define is also emitted as `const NAME: u32`, every number of [`contract`] as `const NAME: f32`.
 
 use std::collections::BTreeMap;
+
+use crate::render::contract;
 
 macro_rules! embed {
     ($($name:literal),* $(,)?) => {
@@ -83,6 +85,16 @@ embed![
     "vertex_backward.wgsl",
 ];
 
+/// Numbers that kernels and the reference have in common, by the names that both have for them.
+const CONTRACT: [(&str, f64); 6] = [
+    ("ALPHA_CAP", contract::ALPHA_CAP),
+    ("ALPHA_CUT", contract::ALPHA_CUT),
+    ("JACOBIAN_MARGIN", contract::JACOBIAN_MARGIN),
+    ("MESH_ALPHA_CAP", contract::MESH_ALPHA_CAP),
+    ("TIE_EPSILON", contract::TIE_EPSILON),
+    ("TRANSMITTANCE_STOP", contract::TRANSMITTANCE_STOP),
+];
+
 /// Names and values that specialise a shader.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Defines(BTreeMap<&'static str, u32>);
@@ -114,6 +126,9 @@ impl Defines {
 /// The complete WGSL of `file` for these defines. Panics on a malformed shader file: they are part of the program.
 pub(crate) fn preprocess(file: &str, defines: &Defines) -> String {
     let mut out = String::new();
+    for (name, value) in CONTRACT {
+        out.push_str(&format!("const {name}: f32 = {:?};\n", value as f32));
+    }
     for (name, value) in &defines.0 {
         out.push_str(&format!("const {name}: u32 = {value}u;\n"));
     }
