@@ -5,6 +5,7 @@
 //! the views and decisions of an uninterrupted one.
 
 mod backdrop;
+mod budget;
 mod finite;
 mod handover;
 mod identity;
@@ -16,6 +17,7 @@ mod plan;
 mod poses;
 mod selection;
 mod size;
+mod start;
 mod unseen;
 
 pub(super) use finite::finite;
@@ -32,28 +34,23 @@ use std::{
     sync::atomic::AtomicBool,
 };
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
-use self::{log::Log, photographs::Photographs};
+use self::{budget::Budget, log::Log, photographs::Photographs};
 use super::{
     Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions,
     arrangement::Arrangement,
-    background,
-    coverage::{self, Known},
-    initialize::{self, Initial},
-    memory,
+    initialize, memory,
     resume::{Identity, Saved},
     surface,
 };
 use crate::{
-    capture::{self, Capture, Split, View},
-    geometry::{self, ChartSpace, Contraction, MeshBvh, Shell, Surface},
+    capture::{self, Capture, Split},
+    geometry::{ChartSpace, Contraction, MeshBvh, Shell},
     render::gpu::{Gpu, exposure::ExposureState, pose::PoseState, state::SplatState, training::Training},
-    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats},
+    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter},
 };
 
-/// Splats of a capture without points.
-const RANDOM_SPLATS: usize = 20_000;
 /// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
 
@@ -173,14 +170,13 @@ struct Run<'a> {
     test: Vec<usize>,
     photos: Photographs<'a>,
     longest_side: u32,
+    budget: Budget<'a>,
     extent: f32,
     /// The capture's unit of length, see [`size::unit_of_length`].
     unit: f32,
     /// Near plane, by the poses as they were given.
     near: f32,
     log: Log,
-    /// The joint phase begins with splats of the surface phase.
-    hands_over: bool,
     found: Found,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
@@ -225,6 +221,8 @@ impl<'a> Run<'a> {
         let depth = size::median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
         let unit = size::unit_of_length(f64::from(extent), depth) as f32;
         let near = surface::near_plane(&train_cameras, NEAR);
+        let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
+        let budget = Budget::of(options, source, longest_side, memory::most_splats(session.gpu, options.sh_degree));
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
@@ -234,7 +232,8 @@ impl<'a> Run<'a> {
             capture,
             options,
             session,
-            longest_side: cameras.iter().map(longest_side).max().unwrap_or(1),
+            longest_side,
+            budget,
             cameras,
             train_cameras,
             train,
@@ -244,7 +243,6 @@ impl<'a> Run<'a> {
             unit,
             near,
             log: Log::new(),
-            hands_over: false,
             found: Found::default(),
             shell,
             given_hierarchy: OnceCell::new(),
@@ -260,14 +258,13 @@ impl<'a> Run<'a> {
         };
         let resumes = saved.is_some();
         self.log.past = saved.as_mut().map(|saved| std::mem::take(&mut saved.past)).unwrap_or_default();
-        self.hands_over = source.is_found();
         memory::check(
             self.session.gpu,
             self.options,
             &self.cameras,
             &source,
-            self.max_splats(&[]),
-            self.texture_size(),
+            self.budget.splats_beside(&[]),
+            self.budget.texture_size(),
         )?;
         (self.found.surface, self.found.selection) = saved.as_ref().map_or((None, None), |s| (s.surface, s.selection));
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
@@ -286,10 +283,10 @@ impl<'a> Run<'a> {
             (None, _) => vec![],
         };
         // A mesh that is there from the beginning takes its part of the budget from the beginning.
-        let splats = self.initial_splats(if self.hands_over { &[] } else { &meshes }, !resumes)?;
+        let splats = self.initial_splats(if self.finds_surface() { &[] } else { &meshes }, !resumes)?;
         let mut scene = HybridScene { splats, meshes, composition: self.composition() };
         let mut trained = None;
-        if self.hands_over && after_surface.is_none() {
+        if self.finds_surface() && after_surface.is_none() {
             match self.surface_phase(&mut scene, of_points, saved)? {
                 ControlFlow::Continue(splats) => trained = Some(splats),
                 ControlFlow::Break(interrupted) => return Ok(*interrupted),
@@ -308,7 +305,7 @@ impl<'a> Run<'a> {
         {
             return self.finish(&mut training, &scene, Outcome::Interrupted);
         }
-        if self.hands_over && !joint {
+        if self.finds_surface() && !joint {
             training = self.share_out(training, &mut scene)?;
         }
         let outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
@@ -336,7 +333,7 @@ impl<'a> Run<'a> {
             found => vec![found?],
         };
         // As in `share_out`, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
-        if self.options.warmup == 0 && self.within_budget(&scene.meshes).is_err() {
+        if self.options.warmup == 0 && self.budget.check(&scene.meshes).is_err() {
             scene.meshes.clear();
         }
         let splats = training.read_splats()?;
@@ -357,7 +354,7 @@ impl<'a> Run<'a> {
             meshes = kept.into_iter().collect();
         }
         // Plain splats make more of a budget that is too small for a mesh.
-        if self.within_budget(&meshes).is_err() {
+        if self.budget.check(&meshes).is_err() {
             meshes.clear();
         }
         if meshes != scene.meshes {
@@ -370,7 +367,7 @@ impl<'a> Run<'a> {
         }
         // Nothing takes the splats' place without a mesh.
         if !scene.meshes.is_empty() {
-            self.hand_over(&mut training, self.max_splats(&scene.meshes))?;
+            self.hand_over(&mut training, self.budget.splats_beside(&scene.meshes))?;
         }
         Ok(training)
     }
@@ -389,43 +386,9 @@ impl<'a> Run<'a> {
         Ok(training)
     }
 
-    /// Splats that a run which may have `most` begins with, but for those where no points are.
-    fn initial_count(&self, most: usize) -> usize {
-        let points = self.capture.points.len();
-        if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
-    }
-
-    /// `begins` unless what is resumed replaces them.
-    fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
-        let (o, points) = (self.options, &self.capture.points);
-        let most = self.max_splats(beside);
-        let is_mcmc = o.density == Density::Mcmc;
-        if points.is_empty() {
-            let initial = if is_mcmc { Initial::MCMC } else { Initial::INRIA };
-            let count = self.initial_count(most);
-            return Ok(initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?);
-        }
-        let initial = if is_mcmc { Initial::mcmc_in(o.iterations) } else { Initial::INRIA };
-        let of_points = |most| initialize::from_points(points, o.sh_degree, initial, most, o.seed);
-        // Density control by gradients begins with splats large enough to cover what has no points, and soon prunes larger ones.
-        if !is_mcmc || !begins {
-            return Ok(of_points(most)?);
-        }
-        let (room, photos) = (most / 4, &self.photos);
-        let photo = |view: &View| photos.whole(view);
-        let far_room = if self.photos.are_cut_out { 0 } else { room };
-        let empty = (o.background != Background::Random).then(|| self.composition().background);
-        let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, empty, photo)?;
-        let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
-        let far = behind.means().iter().map(|m| m.as_dvec3());
-        let known: Vec<_> = points.iter().map(|p| p.position).chain(far).collect();
-        let near = f64::from(self.composition().near);
-        let known = Known { points: &known, meshes: &self.hierarchy(beside), near, background: empty };
-        let between = coverage::between_points(&views, &known, o.sh_degree, room - behind.len(), photo)?;
-        let mut all = of_points(most - behind.len() - between.len())?.into_arrays();
-        all.append(behind.into_arrays());
-        all.append(between.into_arrays());
-        Ok(all.check()?)
+    /// The joint phase begins with splats of the surface phase then.
+    fn finds_surface(&self) -> bool {
+        self.identity.finds_surface
     }
 
     fn composition(&self) -> Composition {
@@ -456,62 +419,15 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Side of the maps that a mesh has at most.
-    fn largest_texture(&self) -> u32 {
-        self.options
-            .texture_size
-            .unwrap_or_else(|| (3 * self.longest_side).div_ceil(2).next_power_of_two().clamp(128, 2048))
-    }
-
-    /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest, as far
-    /// as charts have room.
-    fn texture_size(&self) -> u32 {
-        let wanted = self.largest_texture();
-        let stays = !self.hands_over || self.options.warmup == 0;
-        let budget = self.options.max_floats.filter(|_| stays);
-        budget.map_or(wanted, |floats| memory::texture_size_within(self.options, wanted, floats / 2))
-    }
-
-    /// The user's mesh with empty maps, transparent where no training view looks.
-    fn given(&self, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
-        let size = self.texture_size();
-        let mesh = match corner_uvs {
-            Some(uvs) => surface::textured(surface, uvs, self.options, size)?,
-            None => surface::with_room_for_charts(size, self.largest_texture(), |size| {
-                let unwrapped = geometry::unwrap(&surface, None, size)?;
-                surface::textured_as(unwrapped, self.options, size)
-            })?,
-        };
-        self.within_budget(std::slice::from_ref(&mesh))?;
-        self.without_unseen(mesh)
-    }
-
     /// For rays among the meshes of this run. That of a mesh that was given, which does not move, is built once.
     fn hierarchy(&self, meshes: &[Mesh]) -> Rc<MeshBvh> {
         let build = || Rc::new(MeshBvh::of(meshes));
         // Without a mesh there is none to keep; of those that are found every one is another.
-        if self.hands_over || meshes.is_empty() { build() } else { Rc::clone(self.given_hierarchy.get_or_init(build)) }
-    }
-
-    /// Whether meshes leave floats for a splat at least.
-    ///
-    /// # Errors
-    /// With both numbers, if not.
-    fn within_budget(&self, meshes: &[Mesh]) -> Result<(), TrainError> {
-        let needed = meshes.iter().map(Mesh::floats).sum::<usize>() + Splats::floats_each(self.options.sh_degree);
-        match self.options.max_floats {
-            Some(found) if found < needed => Err(TrainError::Budget { needed, found }),
-            _ => Ok(()),
+        if self.finds_surface() || meshes.is_empty() {
+            build()
+        } else {
+            Rc::clone(self.given_hierarchy.get_or_init(build))
         }
-    }
-
-    /// Most splats that the budgets and the adapter's bindings allow beside these meshes.
-    fn max_splats(&self, meshes: &[Mesh]) -> usize {
-        let mesh: usize = meshes.iter().map(Mesh::floats).sum();
-        let left = |floats: usize| floats.saturating_sub(mesh) / Splats::floats_each(self.options.sh_degree);
-        let by_floats = self.options.max_floats.map_or(usize::MAX, |floats| left(floats).max(1));
-        let asked = self.options.max_splats.unwrap_or(TrainOptions::MOST_SPLATS);
-        asked.min(by_floats).min(memory::most_splats(self.session.gpu, self.options.sh_degree))
     }
 
     fn finish(
@@ -532,7 +448,7 @@ impl<'a> Run<'a> {
         let triangles = |meshes: &[Mesh]| meshes.iter().map(|mesh| mesh.triangles().len()).sum::<usize>();
         let trained = triangles(&meshes);
         // As above; of the user's mesh nothing goes.
-        if self.hands_over && outcome == Outcome::Finished {
+        if self.finds_surface() && outcome == Outcome::Finished {
             let left: Result<Vec<Option<Mesh>>, _> = meshes.into_iter().map(|mesh| self.without_faint(mesh)).collect();
             meshes = left?.into_iter().flatten().collect();
         }

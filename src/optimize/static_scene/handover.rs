@@ -48,7 +48,7 @@ impl<'a> Run<'a> {
             None => surface,
         };
         let charts_in = self.charts_in(training)?;
-        let mesh = surface::with_room_for_charts(self.texture_size(), self.largest_texture(), |size| {
+        let mesh = surface::with_room_for_charts(self.budget.texture_size(), self.budget.largest_texture(), |size| {
             let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), size)?;
             surface::textured_as(unwrapped, self.options, size)
         })?;

@@ -101,7 +101,7 @@ impl Run<'_> {
         plan: &Plan,
         epoch: &mut EpochWeight,
     ) -> Result<Outcome, TrainError> {
-        let most = self.max_splats(&scene.meshes);
+        let most = self.budget.splats_beside(&scene.meshes);
         let mut done = plan.from;
         while done < plan.iterations {
             let begin = Instant::now();
@@ -227,7 +227,7 @@ impl Run<'_> {
             let base_rate = if is_joint { schedule::joint_texel_rate(warm, t, plan.iterations) } else { warm };
             TexelStep {
                 // Maps that were laid out anew have no moments from the warm-up.
-                number: if is_joint && !self.hands_over { o.warmup + t + 1 } else { t + 1 },
+                number: if is_joint && !self.finds_surface() { o.warmup + t + 1 } else { t + 1 },
                 base_rate,
                 band_rate: base_rate / BAND_RATE_DIVISOR,
                 visited_only: !o.dense_texels,
@@ -267,7 +267,7 @@ impl Run<'_> {
     /// so that maps are not taken for good where they merely repeat the views that they were made from. Splats have learnt from all:
     /// of few views they cannot spare any.
     pub(super) fn views(&self, judges: bool) -> Vec<usize> {
-        if !self.hands_over || self.train.len() < 8 {
+        if !self.finds_surface() || self.train.len() < 8 {
             return self.train.clone();
         }
         let (judging, warming): (Vec<_>, Vec<_>) = self.train.iter().enumerate().partition(|(i, _)| i % 4 == 2);

@@ -23,8 +23,8 @@ impl Run<'_> {
         let o = self.options;
         // Surface and joint phase are two parts of one run of the splats: their clock goes on.
         let before = o.before_surface();
-        let is_second_part = phase == Phase::Joint && self.hands_over;
-        let iterations = o.iterations_of(phase, self.hands_over);
+        let is_second_part = phase == Phase::Joint && self.finds_surface();
+        let iterations = o.iterations_of(phase, self.finds_surface());
         let clock = if is_second_part { before } else { 0 };
         let mut schedule = Schedule::new(if phase == Phase::Warmup { o.warmup } else { o.iterations });
         if o.density == Density::Mcmc {
@@ -45,12 +45,12 @@ impl Run<'_> {
         let full_from = match phase {
             _ if !o.coarse_to_fine => 0,
             Phase::Warmup => 0,
-            _ if self.hands_over => half.min(before - before / 4),
+            _ if self.finds_surface() => half.min(before - before / 4),
             _ => half,
         };
         let resolution = ResolutionSchedule { full_from };
         // The user's mesh stays where it is.
-        let moves_vertices = has_mesh && self.hands_over;
+        let moves_vertices = has_mesh && self.finds_surface();
         Plan { phase, from, iterations, clock, schedule, resolution, has_mesh, moves_vertices }
     }
 }

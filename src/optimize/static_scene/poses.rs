@@ -36,7 +36,7 @@ impl RefinedPose {
 impl Run<'_> {
     /// Whether poses are refined in this phase: there is no mesh in it, whose gradients by the pose are not summed.
     pub(super) fn refines_poses(&self, phase: Phase) -> bool {
-        self.options.refine_poses && (phase == Phase::Surface || !self.hands_over)
+        self.options.refine_poses && (phase == Phase::Surface || !self.finds_surface())
     }
 
     /// Where poses begin.

@@ -1,6 +1,6 @@
 use std::sync::atomic::Ordering;
 
-use glam::{DMat3, DVec2, DVec3, Vec3};
+use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -8,7 +8,7 @@ use super::{plan::Plan, *};
 use crate::{
     capture::{Downscale, LoadOptions},
     format::gltf,
-    geometry::{MeshBvh, Surface, TexelSight, Viewers},
+    geometry::{self, Surface, TexelSight, Viewers},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
     render::gpu::{Renderer, state::SplatState},
     scene::{Atlas, Texture},
@@ -281,7 +281,7 @@ fn what_ended_faint_is_dropped_after_training() {
         for (hands_over, outcome, left) in
             [(true, Outcome::Finished, 2), (true, Outcome::Interrupted, 4), (false, Outcome::Finished, 4)]
         {
-            run.hands_over = hands_over;
+            run.identity.finds_surface = hands_over;
             let trained = run.finish(&mut training, &scene, outcome).unwrap();
             assert_eq!(trained.faint_triangles, 4 - left);
             let [found] = trained.scene.meshes.try_into().unwrap();
@@ -578,7 +578,7 @@ fn only_vertices_of_a_found_surface_move_beside_splats() {
         };
         let given = scene.meshes[0].positions().to_vec();
         assert!([Phase::Warmup, Phase::Joint].iter().all(|phase| positions_after(run, *phase) == given));
-        run.hands_over = true;
+        run.identity.finds_surface = true;
         let warmed = positions_after(run, Phase::Warmup);
         let joint = positions_after(run, Phase::Joint);
         assert!(warmed != given && joint != warmed);

@@ -47,7 +47,7 @@ fn which_parameters_a_step_moves_is_a_choice() {
 fn a_nan_at_a_density_step_is_named_by_its_phase() {
     let options = TrainOptions { iterations: 60, surface_iterations: Some(40), ..options() };
     with_run(&options, |run, training, scene| {
-        run.hands_over = true;
+        run.identity.finds_surface = true;
         assert_eq!(run.plan(Phase::Joint, 0, true).clock, 40);
         let mut arrays = training.read_splats().unwrap();
         arrays.geometry[12 * 7] = f32::NAN;

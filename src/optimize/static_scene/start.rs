@@ -1,0 +1,74 @@
+//! What a run begins with: splats, and the mesh that it was given.
+
+use glam::Vec2;
+
+use super::Run;
+use crate::{
+    capture::View,
+    geometry::{self, Surface},
+    optimize::{
+        Background, Density, TrainError, background,
+        coverage::{self, Known},
+        initialize::{self, Initial},
+        surface,
+    },
+    scene::{Mesh, Splats},
+};
+
+/// Splats of a capture without points.
+const RANDOM_SPLATS: usize = 20_000;
+
+impl Run<'_> {
+    /// Splats that a run which may have `most` begins with, but for those where no points are.
+    pub(super) fn initial_count(&self, most: usize) -> usize {
+        let points = self.capture.points.len();
+        if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
+    }
+
+    /// `begins` unless what is resumed replaces them.
+    pub(super) fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
+        let (o, points) = (self.options, &self.capture.points);
+        let most = self.budget.splats_beside(beside);
+        let is_mcmc = o.density == Density::Mcmc;
+        if points.is_empty() {
+            let initial = if is_mcmc { Initial::MCMC } else { Initial::INRIA };
+            let count = self.initial_count(most);
+            return Ok(initialize::from_cameras(&self.train_cameras, count, o.sh_degree, initial, o.seed)?);
+        }
+        let initial = if is_mcmc { Initial::mcmc_in(o.iterations) } else { Initial::INRIA };
+        let of_points = |most| initialize::from_points(points, o.sh_degree, initial, most, o.seed);
+        // Density control by gradients begins with splats large enough to cover what has no points, and soon prunes larger ones.
+        if !is_mcmc || !begins {
+            return Ok(of_points(most)?);
+        }
+        let (room, photos) = (most / 4, &self.photos);
+        let photo = |view: &View| photos.whole(view);
+        let far_room = if self.photos.are_cut_out { 0 } else { room };
+        let empty = (o.background != Background::Random).then(|| self.composition().background);
+        let behind = background::behind_points(self.capture, &self.train, o.sh_degree, far_room, empty, photo)?;
+        let views: Vec<_> = self.train.iter().map(|&i| &self.capture.views[i]).collect();
+        let far = behind.means().iter().map(|m| m.as_dvec3());
+        let known: Vec<_> = points.iter().map(|p| p.position).chain(far).collect();
+        let near = f64::from(self.composition().near);
+        let known = Known { points: &known, meshes: &self.hierarchy(beside), near, background: empty };
+        let between = coverage::between_points(&views, &known, o.sh_degree, room - behind.len(), photo)?;
+        let mut all = of_points(most - behind.len() - between.len())?.into_arrays();
+        all.append(behind.into_arrays());
+        all.append(between.into_arrays());
+        Ok(all.check()?)
+    }
+
+    /// The user's mesh with empty maps, transparent where no training view looks.
+    pub(super) fn given(&self, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
+        let size = self.budget.texture_size();
+        let mesh = match corner_uvs {
+            Some(uvs) => surface::textured(surface, uvs, self.options, size)?,
+            None => surface::with_room_for_charts(size, self.budget.largest_texture(), |size| {
+                let unwrapped = geometry::unwrap(&surface, None, size)?;
+                surface::textured_as(unwrapped, self.options, size)
+            })?,
+        };
+        self.budget.check(std::slice::from_ref(&mesh))?;
+        self.without_unseen(mesh)
+    }
+}
