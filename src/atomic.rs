@@ -121,6 +121,7 @@ impl Aside {
 /// The folder that a file is in.
 #[must_use]
 pub fn folder_of(file: &Path) -> &Path {
+    // That of a bare name is empty, which names no folder.
     file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 

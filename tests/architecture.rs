@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 const MAY_IMPORT: [(&str, &[&str]); 11] = [
     ("atomic", &[]),
     ("scene", &[]),
-    ("capture", &["scene", "format"]),
+    ("capture", &["atomic", "scene", "format"]),
     ("edit", &["scene"]),
     ("format", &["atomic", "scene"]),
     ("geometry", &["scene"]),

@@ -23,7 +23,7 @@ pub use error::CaptureError;
 pub use images::{ImageSource, Photo, decode};
 
 use self::views::Frame;
-use crate::scene::Camera;
+use crate::{atomic::folder_of, scene::Camera};
 
 /// A set of posed photographs and what structure from motion knows of the surface.
 #[derive(Clone, Debug)]
@@ -228,12 +228,6 @@ fn near_origin(views: &[View], list: &Path) -> Result<(), CaptureError> {
     let expected = "a scene near the origin, where 32-bit floats are fine enough; move the model, as COLMAP's model_transformer does";
     let found = format!("coordinates of {distance:.0}, where they are {step:.1e} apart, in a scene of {extent:.3}");
     Err(CaptureError::invalid(list, "camera positions", expected, found))
-}
-
-/// The folder that a file is in.
-fn folder_of(file: &Path) -> &Path {
-    // That of a bare name is empty, which names no folder.
-    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Size of the scene as INRIA 3DGS means it (`scene/dataset_readers.py`): 1.1 × the largest distance of a camera from the mean

@@ -6,17 +6,9 @@ use crate::{
     render::gpu::{
         Gpu,
         memory::{TrainingSize, training_bytes},
-        state::GEOMETRY_FLOATS,
     },
     scene::{Camera, sh},
 };
-
-/// Most splats of a degree whose longest array fits one binding of the adapter.
-#[must_use]
-pub fn most_splats(gpu: &Gpu, sh_degree: u32) -> usize {
-    let bytes_each = 4 * (3 * sh::coefficients(sh_degree)).max(GEOMETRY_FLOATS);
-    gpu.max_binding_bytes() as usize / bytes_each
-}
 
 /// Error if the run would end for lack of memory once it has `max_splats`.
 ///

@@ -18,7 +18,7 @@ mod schedule;
 mod static_scene;
 mod surface;
 
-pub use memory::most_splats;
+pub use crate::render::gpu::memory::most_splats;
 pub use options::{Background, Density, TrainOptions};
 pub use static_scene::{Checkpoints, Outcome, Phase, Progress, RefinedPose, Selection, Session, Trained, train};
 pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};

@@ -78,7 +78,7 @@ impl Saved {
             statistics: training.read_statistics()?,
             texel_moments,
             epoch: epoch.clone(),
-            lists: training.pipeline.list_lengths(),
+            lists: training.list_lengths(),
             past,
         })
     }

@@ -47,7 +47,9 @@ use super::{
 use crate::{
     capture::{self, Capture, Split},
     geometry::{ChartSpace, Contraction, MeshBvh, Shell},
-    render::gpu::{Gpu, exposure::ExposureState, pose::PoseState, state::SplatState, training::Training},
+    render::gpu::{
+        Gpu, exposure::ExposureState, memory::most_splats, pose::PoseState, state::SplatState, training::Training,
+    },
     scene::{Camera, Composition, HybridScene, Mesh, PixelFilter},
 };
 
@@ -222,7 +224,7 @@ impl<'a> Run<'a> {
         let unit = size::unit_of_length(f64::from(extent), depth) as f32;
         let near = surface::near_plane(&train_cameras, NEAR);
         let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
-        let budget = Budget::of(options, source, longest_side, memory::most_splats(session.gpu, options.sh_degree));
+        let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
         let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();

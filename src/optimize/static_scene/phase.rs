@@ -210,7 +210,7 @@ impl Run<'_> {
         let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: age + 1,
-            n_splats: training.pipeline.n_splats as u32,
+            n_splats: training.n_splats() as u32,
             sh_degree,
             rates: plan.schedule.rates(age, self.extent),
             opacity_weight: if mcmc { 0.01 } else { 0.0 },
@@ -355,7 +355,7 @@ impl Run<'_> {
             iteration: done,
             of: plan.iterations,
             loss,
-            splats: if plan.phase == Phase::Warmup { 0 } else { training.pipeline.n_splats },
+            splats: if plan.phase == Phase::Warmup { 0 } else { training.n_splats() },
             psnr,
             seconds: self.log.seconds(),
         };

@@ -52,6 +52,11 @@ pub(crate) struct AdamStep {
     pub(crate) visible_only: bool,
 }
 
+/// 1 − β₁ᵗ and 1 − β₂ᵗ, by which step t of Adam (`shared/adam.wgsl`) divides its moments.
+pub(super) fn bias_corrections(step: u32) -> [f32; 2] {
+    [0.9_f64, 0.999].map(|beta| (1.0 - beta.powf(f64::from(step.max(1)))) as f32)
+}
+
 /// Adam for one set of splat buffers.
 pub(crate) struct SplatAdam {
     geometry: (Kernel, Bindings),
@@ -99,7 +104,7 @@ impl SplatAdam {
     pub(crate) fn set(&mut self, gpu: &Gpu, step: &AdamStep) {
         self.n_splats = step.n_splats as usize;
         self.active_floats = 3 * sh::coefficients(step.sh_degree);
-        let correction = |beta: f64| (1.0 - beta.powf(f64::from(step.number))) as f32;
+        let [first, second] = bias_corrections(step.number);
         let n = step.n_splats.max(1) as f32;
         let r = &step.rates;
         let floats = [
@@ -114,7 +119,7 @@ impl SplatAdam {
         ];
         let mut words = [0; 16];
         words[..4].copy_from_slice(&[step.n_splats, step.number, step.seed, u32::from(step.visible_only)]);
-        words[4..7].copy_from_slice(&[correction(0.9), correction(0.999), step.noise * r.mean].map(f32::to_bits));
+        words[4..7].copy_from_slice(&[first, second, step.noise * r.mean].map(f32::to_bits));
         words[7] = self.active_floats as u32;
         words[8..].copy_from_slice(&floats.map(f32::to_bits));
         gpu.write(&self.uniform, 0, &words);

@@ -3,6 +3,7 @@
 use glam::{Mat3, Vec3};
 
 use super::{
+    adam::bias_corrections,
     backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
     pipeline::Pipeline,
@@ -141,9 +142,8 @@ impl Exposures {
             self.steps[step.view] = self.steps[step.view].saturating_add(1);
         }
         let n = groups(view.pixels(), PIXELS);
-        let number = f64::from(self.steps[step.view].max(1));
-        let correction = |beta: f64| ((1.0 - beta.powf(number)) as f32).to_bits();
-        let words = [step.view as u32, n as u32, step.rate.to_bits(), correction(0.9), correction(0.999), 0, 0, 0];
+        let [first, second] = bias_corrections(self.steps[step.view]).map(f32::to_bits);
+        let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, 0, 0, 0];
         gpu.write(&self.uniform, 0, &words);
         frame.dispatch(&self.pull, bindings, n);
         frame.dispatch(&self.update, bindings, 1);

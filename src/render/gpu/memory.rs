@@ -1,7 +1,17 @@
 //! How much memory training takes, and how much there is.
 
-use super::{blend::moments, mesh::BIN, pipeline::PAIRS_PER_SPLAT, training::HEADROOM, view::TILE};
+use super::{
+    blend::moments, device::Gpu, mesh::BIN, pipeline::PAIRS_PER_SPLAT, state::GEOMETRY_FLOATS, training::HEADROOM,
+    view::TILE,
+};
 use crate::scene::sh;
+
+/// Most splats of a degree whose longest array fits one binding of the adapter.
+#[must_use]
+pub fn most_splats(gpu: &Gpu, sh_degree: u32) -> usize {
+    let bytes_each = 4 * (3 * sh::coefficients(sh_degree)).max(GEOMETRY_FLOATS);
+    gpu.max_binding_bytes() as usize / bytes_each
+}
 
 /// What the memory of a training run depends on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

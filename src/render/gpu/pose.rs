@@ -3,6 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
+    adam::bias_corrections,
     backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
     pipeline::Pipeline,
@@ -155,10 +156,9 @@ impl Poses {
         if step.turn_rate != 0.0 {
             self.steps[step.view] = self.steps[step.view].saturating_add(1);
         }
-        let number = f64::from(self.steps[step.view].max(1));
-        let correction = |beta: f64| ((1.0 - beta.powf(number)) as f32).to_bits();
+        let [first, second] = bias_corrections(self.steps[step.view]).map(f32::to_bits);
         let [turn, shift] = [step.turn_rate, step.shift_rate].map(f32::to_bits);
-        let words = [step.view as u32, turn, shift, correction(0.9), correction(0.999), 0, 0, 0];
+        let words = [step.view as u32, turn, shift, first, second, 0, 0, 0];
         gpu.write(&self.step, 0, &words);
         frame.dispatch(&self.correct, bindings, 1);
     }

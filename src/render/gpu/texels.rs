@@ -5,6 +5,7 @@
 //! mip pyramid (level 0, then level 1, …); moments exist for level 0 only. Bytes per level-0 float: 5⅓ to render,
 //! and 13⅓ more to train.
 
+use super::adam::bias_corrections;
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
 use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
@@ -47,12 +48,12 @@ pub(crate) struct TexelStep {
 
 impl TexelStep {
     fn words(&self) -> [u32; 6] {
-        let correction = |beta: f64| (1.0 - beta.powf(f64::from(self.number.max(1)))) as f32;
+        let [first, second] = bias_corrections(self.number).map(f32::to_bits);
         [
             self.base_rate.to_bits(),
             self.band_rate.to_bits(),
-            correction(0.9).to_bits(),
-            correction(0.999).to_bits(),
+            first,
+            second,
             u32::from(self.visited_only),
             u32::from(self.holds_opacity),
         ]

@@ -6,6 +6,7 @@ use super::{
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
+    memory::most_splats,
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
     renderer::Picture,
@@ -66,7 +67,7 @@ pub(crate) struct Step<'a> {
 /// Buffers and kernels of a training run.
 pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
-    pub(crate) pipeline: Pipeline,
+    pub(super) pipeline: Pipeline,
     backward: Backward,
     truth: Buffer,
     /// Of the largest pictures, (width, height), each once.
@@ -86,6 +87,16 @@ pub(crate) struct Training<'g> {
 }
 
 impl<'g> Training<'g> {
+    /// Splats there are.
+    pub(crate) fn n_splats(&self) -> usize {
+        self.pipeline.n_splats
+    }
+
+    /// As [`Pipeline::list_lengths`].
+    pub(crate) fn list_lengths(&self) -> [usize; 2] {
+        self.pipeline.list_lengths()
+    }
+
     /// For a scene seen by `cameras`.
     pub(crate) fn new(
         gpu: &'g Gpu,
@@ -539,8 +550,7 @@ fn sh_floats(pipeline: &Pipeline) -> usize {
 
 /// No more than the adapter binds at once, which `n` itself may still exceed.
 fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
-    let largest = gpu.max_binding_bytes() as usize / (12 * sh::coefficients(sh_degree)).max(4 * GEOMETRY);
-    (n + (n as f64 * HEADROOM) as usize).min(largest).max(n)
+    (n + (n as f64 * HEADROOM) as usize).min(most_splats(gpu, sh_degree)).max(n)
 }
 
 fn new_loss(

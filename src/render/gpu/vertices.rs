@@ -6,6 +6,7 @@
 
 use glam::Vec3;
 
+use super::adam::bias_corrections;
 use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
 #[cfg(test)]
@@ -140,13 +141,8 @@ impl Vertices {
 
     /// Parameters of the next step; takes effect before the next submission.
     pub(crate) fn set_step(&self, gpu: &Gpu, step: &VertexStep) {
-        let correction = |beta: f64| (1.0 - beta.powf(f64::from(step.number.max(1)))) as f32;
-        let words = [
-            (step.rate * self.pixel).to_bits(),
-            correction(0.9).to_bits(),
-            correction(0.999).to_bits(),
-            self.count as u32,
-        ];
+        let [first, second] = bias_corrections(step.number).map(f32::to_bits);
+        let words = [(step.rate * self.pixel).to_bits(), first, second, self.count as u32];
         gpu.write(&self.step, 0, &words);
     }
 
