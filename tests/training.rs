@@ -238,6 +238,45 @@ fn assert_keeps_nothing(surface_iterations: u32) {
     assert!(with.scene == without.scene && with.exposures == without.exposures, "its splats are others");
 }
 
+/// With `--all-views` the scene learns what held-out views show, and says of scores what they are.
+#[test]
+fn all_views_are_trained_on_if_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    std::fs::create_dir(&capture).unwrap();
+    // Grey, but for the first by name, which is held out: red.
+    let frames: Vec<_> = (0..8)
+        .map(|i| {
+            let (sin, cos) = (0.1 * f64::from(i)).sin_cos();
+            let color = if i == 0 { [200, 30, 30] } else { [90; 3] };
+            image::RgbImage::from_pixel(24, 24, image::Rgb(color)).save(capture.join(format!("{i}.png"))).unwrap();
+            let pose =
+                [[cos, 0.0, sin, 3.0 * sin], [0.0, 1.0, 0.0, 0.0], [-sin, 0.0, cos, 3.0 * cos], [0.0, 0.0, 0.0, 1.0]];
+            serde_json::json!({ "file_path": format!("{i}.png"), "transform_matrix": pose })
+        })
+        .collect();
+    let file = serde_json::json!({ "w": 24, "h": 24, "fl_x": 24.0, "frames": frames });
+    std::fs::write(capture.join("transforms.json"), file.to_string()).unwrap();
+    let run = |line: &str| {
+        let output = common::centaur(folder.path()).args(line.split(' ')).output().unwrap();
+        assert!(output.status.success(), "{line}: {}", common::stderr(&output));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    let scored = |more: &str| {
+        let flags = "--no-mesh --iterations 500 --max-splats 300 --quiet --json";
+        let trained = run(&format!("train capture -o scene.glb {flags}{more}"));
+        let scores = run("eval scene.glb capture --quiet --json");
+        let says = scores["notes"].to_string().contains("trained on all views");
+        let psnr = scores["views"][0]["psnr"].as_f64().unwrap();
+        (trained["evaluation"].is_null(), trained["settings"]["split"].clone(), says, psnr)
+    };
+    let (is_null, split, says, without) = scored("");
+    assert!(!is_null && split == "every8th" && !says);
+    let (is_null, split, says, with) = scored(" --all-views");
+    assert!(is_null && split == "all" && says);
+    assert!(with > without + 1.0, "{with} dB, {without} dB where it is held out");
+}
+
 /// Splats, a surface of theirs, maps and vertices, by the command line: the same file but for what it says of time, in a second run and
 /// with other numbers of threads, on the host and of a software adapter.
 #[test]

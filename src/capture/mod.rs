@@ -123,9 +123,10 @@ impl Downscale {
 }
 
 /// Which views are held out for testing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Split {
-    /// None.
+    /// None: all are trained on.
     All,
     /// Every eighth by name, beginning with the first, as INRIA 3DGS does (`scene/dataset_readers.py`). A capture that brings its own split
     /// (`transforms_test.json`, `test_filenames`, `val_filenames`) keeps that instead.

@@ -76,6 +76,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let scene = file.scene;
     let capture = args.loading.open(&args.capture)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
+    notes.extend(training.as_ref().and_then(Record::saw_all));
     // Cameras of other programs may have no size of their own.
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
     if args.loading.masks && capture.views.iter().all(|view| view.source.mask().is_none()) {

@@ -77,6 +77,12 @@ impl Record {
         })
     }
 
+    /// Says so where no view was held out: scores are of what training has seen.
+    pub(super) fn saw_all(&self) -> Option<String> {
+        let saw_all = self.settings.get("split").is_some_and(|split| split == "all");
+        saw_all.then(|| "the scene was trained on all views, those that are scored among them".to_owned())
+    }
+
     /// Options as rows of a table.
     pub(super) fn settings(&self) -> Vec<(String, String)> {
         let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);

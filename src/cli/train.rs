@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, ensure};
 use centaur::atomic::Aside;
-use centaur::capture::{Capture, Split};
+use centaur::capture::Capture;
 use centaur::evaluate;
 use centaur::format::{gltf, ply};
 use centaur::metrics::Evaluation;
@@ -131,7 +131,7 @@ fn stop_flag(args: &Args) -> Result<Arc<AtomicBool>> {
 
 /// Whether there is something to score, with all that it takes.
 fn will_be_scored(args: &Args, capture: &Capture) -> Result<bool> {
-    let scores = !args.no_eval && !Split::Every8th.split(&capture.views).1.is_empty();
+    let scores = !args.no_eval && !args.split().split(&capture.views).1.is_empty();
     ensure!(
         scores || args.report.is_none(),
         "{}: expected held-out views for --report, found none",

@@ -1,6 +1,7 @@
 //! What can be chosen of a training run, with defaults and their sources.
 
 use super::Phase;
+use crate::capture::Split;
 use crate::scene::{Composition, OrderMode, SceneError, Splats, sh};
 
 /// How the number of splats changes.
@@ -31,6 +32,8 @@ pub enum Background {
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct TrainOptions {
+    /// Which views are trained on, and which are held out for scores: every eighth is (3DGS).
+    pub split: Split,
     /// Iterations of the splats: 30,000 (3DGS), the surface's included. The times of schedules shrink with it below
     /// 30,000; above, the decay of the means' rate alone stretches.
     pub iterations: u32,
@@ -182,6 +185,7 @@ fn infinite_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result
 impl Default for TrainOptions {
     fn default() -> Self {
         Self {
+            split: Split::default(),
             iterations: 30_000,
             warmup: 9_000,
             surface_iterations: None,

@@ -45,7 +45,7 @@ use super::{
     surface,
 };
 use crate::{
-    capture::{self, Capture, Split},
+    capture::{self, Capture},
     geometry::{ChartSpace, Contraction, MeshBvh, Shell},
     render::gpu::{
         Gpu, exposure::ExposureState, memory::most_splats, pose::PoseState, state::SplatState, training::Training,
@@ -144,7 +144,7 @@ pub struct Session<'a> {
     pub progress: &'a mut dyn FnMut(&Progress),
 }
 
-/// Trains a static scene on the training views of a capture (all but every eighth).
+/// Trains a static scene on the views of a capture that [`TrainOptions::split`] leaves for it.
 ///
 /// # Errors
 /// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, which leaves
@@ -207,7 +207,7 @@ impl<'a> Run<'a> {
         source: &MeshSource,
         session: Session<'a>,
     ) -> Result<Self, TrainError> {
-        let (train, test) = Split::Every8th.split(&capture.views);
+        let (train, test) = options.split.split(&capture.views);
         if train.len() < 2 {
             return Err(TrainError::TooFewViews { capture: capture.name.clone(), found: capture.views.len() });
         }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
-use centaur::capture::{self, Capture, LoadOptions};
+use centaur::capture::{self, Capture, LoadOptions, Split};
 use centaur::format::mesh_import;
 use centaur::geometry::Surface;
 use centaur::optimize::{Background, Density, MeshSource, TrainOptions};
@@ -25,7 +25,7 @@ Examples:
 /// Train a hybrid scene from a folder of posed photographs
 ///
 /// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
-/// photograph is held out and scored at the end, or those of the capture's own split. Ctrl-C stops after the current iteration and leaves a checkpoint
+/// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C stops after the current iteration and leaves a checkpoint
 /// for --resume, or after the current view and leaves the scene without scores; a second Ctrl-C stops at once.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
@@ -47,6 +47,9 @@ pub(in crate::cli) struct Args {
     /// Do not score the held-out views at the end
     #[arg(long, conflicts_with = "lpips_weights")]
     pub(super) no_eval: bool,
+    /// Train on all photographs: no view is held out, and none is scored
+    #[arg(long, conflicts_with_all = ["report", "lpips_weights"])]
+    pub(super) all_views: bool,
     #[command(flatten)]
     pub(super) adapter: AdapterArgs,
 
@@ -233,8 +236,13 @@ fn not_negative(text: &str) -> Result<f32, String> {
 }
 
 impl Args {
+    pub(super) fn split(&self) -> Split {
+        if self.all_views { Split::All } else { Split::Every8th }
+    }
+
     pub(super) fn options(&self) -> TrainOptions {
         TrainOptions {
+            split: self.split(),
             iterations: self.iterations,
             warmup: if self.no_mesh { 0 } else { self.warmup.unwrap_or(TrainOptions::warmup_of(self.iterations)) },
             surface_iterations: self.surface_iterations,

@@ -39,7 +39,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
             "has no points: splats begin at random places that its cameras look at",
         ),
         (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
-        (!scores && !args.no_eval, "holds no view out: nothing will be scored"),
+        (!scores && !args.no_eval && !args.all_views, "holds no view out: nothing will be scored"),
         (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
