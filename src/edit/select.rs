@@ -1,4 +1,4 @@
-use glam::{DVec3, Vec2, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::scene::{Mesh, Splats, sigmoid};
@@ -64,20 +64,7 @@ pub fn crop_mesh(mesh: &Mesh, crops: &[Crop]) -> Option<Mesh> {
         let centroid = t.iter().map(|&v| mesh.positions()[v as usize].as_dvec3()).sum::<DVec3>() / 3.0;
         crops.iter().all(|c| c.keeps(centroid))
     };
-    let kept = mesh.triangles().iter().zip(mesh.corner_uvs()).filter(|(t, _)| keeps(t));
-    let (mut triangles, corner_uvs): (Vec<[u32; 3]>, Vec<[Vec2; 3]>) = kept.map(|(t, uvs)| (*t, *uvs)).unzip();
-    if triangles.is_empty() {
-        return None;
-    }
-    let mut used = vec![false; mesh.positions().len()];
-    triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
-    let (mut positions, mut renamed): (Vec<Vec3>, Vec<u32>) = (vec![], vec![]);
-    for (&position, used) in mesh.positions().iter().zip(used) {
-        renamed.push(positions.len() as u32);
-        positions.extend(used.then_some(position));
-    }
-    triangles.as_flattened_mut().iter_mut().for_each(|v| *v = renamed[*v as usize]);
-    Some(Mesh::new(positions, triangles, corner_uvs, mesh.atlas().clone()).expect("a part of a valid mesh is valid"))
+    mesh.with_triangles(&mesh.triangles().iter().map(keeps).collect::<Vec<_>>())
 }
 
 /// Indices of the splats with at least this opacity, 0 to 1.

@@ -451,8 +451,7 @@ impl<'a> Run<'a> {
         let trained = triangles(&meshes);
         // As above; of the user's mesh nothing goes.
         if self.finds_surface() && outcome == Outcome::Finished {
-            let left: Result<Vec<Option<Mesh>>, _> = meshes.into_iter().map(|mesh| self.without_faint(mesh)).collect();
-            meshes = left?.into_iter().flatten().collect();
+            meshes = meshes.into_iter().filter_map(|mesh| self.without_faint(mesh)).collect();
         }
         let scene = HybridScene { splats, meshes, composition: scene.composition };
         let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {

@@ -209,4 +209,23 @@ impl Mesh {
     pub fn with_atlas(self, atlas: Atlas) -> Self {
         Self { atlas, ..self }
     }
+
+    /// The triangles that are kept, by their place, and the vertices that they use, each in the order that they had; `None` if there are none.
+    #[must_use]
+    pub fn with_triangles(&self, keep: &[bool]) -> Option<Self> {
+        let kept = self.triangles.iter().zip(&self.corner_uvs).zip(keep).filter(|(_, keep)| **keep);
+        let (mut triangles, corner_uvs): (Vec<[u32; 3]>, Vec<[Vec2; 3]>) = kept.map(|((t, uvs), _)| (*t, *uvs)).unzip();
+        if triangles.is_empty() {
+            return None;
+        }
+        let mut used = vec![false; self.positions.len()];
+        triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+        let (mut positions, mut renamed): (Vec<Vec3>, Vec<u32>) = (vec![], vec![]);
+        for (&position, used) in self.positions.iter().zip(used) {
+            renamed.push(positions.len() as u32);
+            positions.extend(used.then_some(position));
+        }
+        triangles.as_flattened_mut().iter_mut().for_each(|v| *v = renamed[*v as usize]);
+        Some(Self { positions, triangles, corner_uvs, atlas: self.atlas.clone() })
+    }
 }

@@ -115,18 +115,11 @@ impl<'a> Run<'a> {
 
     /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
     /// [`geometry::faint_triangles`]. The maps stay as they are. `None` if nothing is left.
-    pub(super) fn without_faint(&self, mesh: Mesh) -> Result<Option<Mesh>, TrainError> {
+    pub(super) fn without_faint(&self, mesh: Mesh) -> Option<Mesh> {
         let near = f64::from(self.composition().near);
         let faint = geometry::faint_triangles(&mesh, FAINT, &self.train_cameras, near);
         let keep: Vec<bool> = faint.iter().map(|faint| !faint).collect();
-        if !keep.contains(&false) {
-            return Ok(Some(mesh));
-        }
-        if !keep.contains(&true) {
-            return Ok(None);
-        }
-        let Surface { positions, triangles } = geometry::compact(part(&mesh, &keep));
-        Ok(Some(Mesh::new(positions, triangles, kept(mesh.corner_uvs(), &keep), mesh.atlas().clone())?))
+        if keep.contains(&false) { mesh.with_triangles(&keep) } else { Some(mesh) }
     }
 
     /// Scores of all triangles by these views, and the number of pixels judged.
