@@ -29,7 +29,6 @@ use crate::{
     render::gpu::{
         adam::AdamStep,
         exposure::ExposureStep,
-        loss::LossValues,
         texels::TexelStep,
         training::{Step, Training},
         vertices::{VertexState, VertexStep},
@@ -122,16 +121,14 @@ impl Run<'_> {
                 }
             }
             self.log.reached = (plan.phase, done);
-            // Where buffers grow, density control makes those of the loss anew.
-            let loss = if reports { Some(training.loss()?) } else { None };
             self.after_step(training, plan, epoch, most, done)?;
             if plan.phase == Phase::Joint && (reports || saves) {
                 // Steps are only on their way until then, and what waits for them is no part of them.
                 self.session.gpu.wait()?;
             }
             self.log.count(plan.phase, begin);
-            if let Some(loss) = loss {
-                self.report(training, plan, done, loss)?;
+            if reports {
+                self.report(training, plan, done)?;
             }
             if saves && let Some(path) = self.session.checkpoints.file() {
                 let found = (self.found.surface, self.found.selection);
@@ -333,14 +330,8 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn report(
-        &mut self,
-        training: &mut Training,
-        plan: &Plan,
-        done: u32,
-        values: LossValues,
-    ) -> Result<(), TrainError> {
-        let status = training.status()?;
+    fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {
+        let (values, status) = (training.loss()?, training.status()?);
         let weight = f64::from(self.options.ssim_weight);
         let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
         if !loss.is_finite() || status.not_finite.is_some() {

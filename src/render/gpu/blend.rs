@@ -96,31 +96,48 @@ impl Blend {
         view: &Buffer,
         layers: Option<LayerBuffers>,
     ) -> Result<Self, GpuError> {
-        let n_layers = lists.layers();
-        let saves = lists.purpose() == Purpose::Train;
-        let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true)
-            .with("SAVE", u32::from(saves))
-            .with("AT_ONCE", splats_at_once(gpu));
-        let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
-        let saved = if saves { image.pixels * (n_layers as usize + 1) } else { 0 };
-        let pixels = gpu.storage("image", image.pixels * 4)?;
+        let buckets_a_pixel = lists.layers() as usize + 1;
+        let saved = if lists.purpose() == Purpose::Train { image.pixels * buckets_a_pixel } else { 0 };
+        let image = gpu.storage("image", image.pixels * 4)?;
         let buckets = gpu.storage("blend buckets", saved * 4)?;
         let ends = gpu.storage("blend ends", saved)?;
-        let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, &pixels];
-        if saves {
-            buffers.extend([&buckets, &ends]);
-        }
-        if let Some(l) = layers {
-            buffers.extend([&lists.thresholds, l.depth, l.color]);
-        }
-        let bindings = kernel.bind(gpu, &buffers);
-        Ok(Self { image: pixels, buckets, ends, forward: (kernel, bindings) })
+        let forward = forward(gpu, lists, [&image, &buckets, &ends], view, layers);
+        Ok(Self { image, buckets, ends, forward })
+    }
+
+    /// Blends other lists of the same purpose into the same image.
+    pub(crate) fn rebind(&mut self, gpu: &Gpu, lists: &SplatLists, view: &Buffer, layers: Option<LayerBuffers>) {
+        self.forward = forward(gpu, lists, [&self.image, &self.buckets, &self.ends], view, layers);
     }
 
     /// Appends the blend of `tiles` tiles.
     pub(crate) fn record(&self, frame: &mut Frame, tiles: usize) {
         frame.dispatch(&self.forward.0, &self.forward.1, tiles);
     }
+}
+
+fn forward(
+    gpu: &Gpu,
+    lists: &SplatLists,
+    [image, buckets, ends]: [&Buffer; 3],
+    view: &Buffer,
+    layers: Option<LayerBuffers>,
+) -> (Kernel, Bindings) {
+    let saves = lists.purpose() == Purpose::Train;
+    let n_layers = lists.layers();
+    let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true)
+        .with("SAVE", u32::from(saves))
+        .with("AT_ONCE", splats_at_once(gpu));
+    let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
+    let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, image];
+    if saves {
+        buffers.extend([buckets, ends]);
+    }
+    if let Some(l) = layers {
+        buffers.extend([&lists.thresholds, l.depth, l.color]);
+    }
+    let bindings = kernel.bind(gpu, &buffers);
+    (kernel, bindings)
 }
 
 impl BlendBackward {

@@ -155,7 +155,7 @@ impl Pipeline {
         let depth = self.mesh.as_ref().map(|m| (m.layer_depth(), self.composition.layers));
         let purpose = self.lists.purpose();
         self.lists = SplatLists::new(gpu, purpose, &self.splats, self.image, pairs, &self.view, depth)?;
-        self.blend = Blend::new(gpu, &self.lists, self.image, &self.view, self.layers())?;
+        self.blend.rebind(gpu, &self.lists, &self.view, layer_buffers(self.mesh.as_ref()));
         Ok(())
     }
 

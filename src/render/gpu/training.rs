@@ -522,7 +522,6 @@ impl<'g> Training<'g> {
     fn rebind(&mut self) -> Result<(), GpuError> {
         self.backward.renew(self.gpu, &self.pipeline)?;
         self.list_check = new_list_check(self.gpu, &self.pipeline, &self.backward.status);
-        self.bind_loss()?;
         if let Some(poses) = &mut self.poses {
             poses.bind(self.gpu, &self.pipeline, &self.backward);
         }

@@ -144,6 +144,22 @@ fn a_step_after_depths_that_were_long_learns() {
     assert_eq!((losses[0].l1, losses[0].ssim), (losses[1].l1, losses[1].ssim));
 }
 
+/// Pictures do not depend on the lists: what the last step left of them stays, and is not made anew.
+#[test]
+fn longer_lists_leave_pictures_alone() {
+    let (gpu, scene, near) = (Gpu::open(None).unwrap(), scene(4, 1), camera(3.0));
+    let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
+    while training.loss().unwrap().l1 == 0.0 || training.grow_if_short().unwrap() > 0 {
+        step(&mut training, &near);
+    }
+    let image = |training: &Training| training.pipeline.read_picture(&gpu, &near).unwrap().rgb;
+    let (loss, seen) = (training.loss().unwrap(), image(&training));
+    let lengths = training.pipeline.list_lengths();
+    training.lengthen_lists(lengths.map(|n| 4 * n)).unwrap();
+    assert!(training.pipeline.list_lengths()[0] > lengths[0]);
+    assert_eq!((training.loss().unwrap(), image(&training)), (loss, seen));
+}
+
 /// First moments of all that is learnt: a tenth of the gradients of a first step.
 fn first_moments(training: &Training) -> Vec<f32> {
     let (splats, _, _, (texels, _), (_, [poses, _])) = learnt(training);
