@@ -35,9 +35,9 @@ pub struct Pose {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rig {
     /// One per mesh of the scene; `None`: it keeps still.
-    surfaces: Vec<Option<Form>>,
+    surfaces: Vec<Option<RestSurface>>,
     /// Splats that move; the others keep still.
-    followers: Vec<Followers>,
+    attached: Vec<AttachedSplats>,
     rest: Pose,
     /// One per bone.
     names: Vec<String>,
@@ -45,18 +45,18 @@ pub struct Rig {
 
 /// A surface before it is posed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Form {
+pub struct RestSurface {
     /// Position of every vertex, in the space of its bones.
     pub base: Vec<Vec3>,
     /// What may be added to them.
-    pub targets: Vec<Target>,
+    pub targets: Vec<MorphTarget>,
     /// What takes them to the scene.
-    pub carrier: Carrier,
+    pub skinning: Skinning,
 }
 
 /// A morph target.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Target {
+pub struct MorphTarget {
     /// Index in [`Pose::weights`].
     pub weight: usize,
     /// What a weight of 1 adds to each vertex.
@@ -65,7 +65,7 @@ pub struct Target {
 
 /// What takes vertices to the scene.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Carrier {
+pub enum Skinning {
     /// All of them one bone.
     Bone(usize),
     /// Linear blend skinning. Weights of a vertex add up to more than 0; what they add up to is divided by.
@@ -81,16 +81,16 @@ pub enum Carrier {
 
 /// Consecutive splats that move.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Followers {
+pub struct AttachedSplats {
     /// Which splats of the scene.
     pub splats: Range<usize>,
     /// What they follow.
-    pub leader: Leader,
+    pub anchor: Anchor,
 }
 
 /// What splats follow.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Leader {
+pub enum Anchor {
     /// A bone, as they are in the rest pose.
     Bone(usize),
     /// Triangles, one a splat.
@@ -111,12 +111,12 @@ pub struct Binding {
     /// Linear scales relative to its size.
     pub scales: Vec<Vec3>,
     /// What their view dependence turns with.
-    pub harmonics: Harmonics,
+    pub harmonics: ShFrame,
 }
 
 /// What the view dependence of bound splats turns with.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Harmonics {
+pub enum ShFrame {
     /// A bone.
     Bone(usize),
     /// The triangle: per splat, what turns the frame of the scene in the rest pose to that of the undeformed triangle.
@@ -159,35 +159,35 @@ impl Rig {
     /// # Errors
     /// If lengths differ, an index is out of range, or nothing weighs a vertex of a skin.
     pub fn new(
-        surfaces: Vec<Option<Form>>,
-        followers: Vec<Followers>,
+        surfaces: Vec<Option<RestSurface>>,
+        attached: Vec<AttachedSplats>,
         rest: Pose,
         names: Vec<String>,
     ) -> Result<Self, SceneError> {
         check_len("names of bones", names.len(), rest.bones.len())?;
-        surfaces.iter().flatten().try_for_each(|form| form.check(&rest))?;
-        for Followers { splats, leader } in &followers {
+        surfaces.iter().flatten().try_for_each(|rest_surface| rest_surface.check(&rest))?;
+        for AttachedSplats { splats, anchor } in &attached {
             if splats.start > splats.end {
                 return Err(SceneError::new("splats", "a range", format!("{} to {}", splats.start, splats.end)));
             }
-            match leader {
-                Leader::Bone(bone) => below("bone", *bone, rest.bones.len())?,
-                Leader::Triangles(binding) => binding.check(splats.len(), &surfaces, &rest)?,
+            match anchor {
+                Anchor::Bone(bone) => below("bone", *bone, rest.bones.len())?,
+                Anchor::Triangles(binding) => binding.check(splats.len(), &surfaces, &rest)?,
             }
         }
-        Ok(Self { surfaces, followers, rest, names })
+        Ok(Self { surfaces, attached, rest, names })
     }
 
     /// One per mesh; `None` keeps still.
     #[must_use]
-    pub fn surfaces(&self) -> &[Option<Form>] {
+    pub fn surfaces(&self) -> &[Option<RestSurface>] {
         &self.surfaces
     }
 
     /// Splats that move.
     #[must_use]
-    pub fn followers(&self) -> &[Followers] {
-        &self.followers
+    pub fn attached(&self) -> &[AttachedSplats] {
+        &self.attached
     }
 
     /// The pose in which the scene is as it is stored.
@@ -215,20 +215,20 @@ impl Rig {
         check_len("bones", pose.bones.len(), self.rest.bones.len())?;
         check_len("weights", pose.weights.len(), self.rest.weights.len())?;
         check_len("meshes", scene.meshes.len(), self.surfaces.len())?;
-        let meshes = self.surfaces.iter().zip(&scene.meshes).map(|(form, mesh)| match form {
-            Some(form) if form.moves(pose, &self.rest) => self.posed(form, mesh, pose, moved),
+        let meshes = self.surfaces.iter().zip(&scene.meshes).map(|(rest_surface, mesh)| match rest_surface {
+            Some(rest_surface) if rest_surface.moves(pose, &self.rest) => self.posed(rest_surface, mesh, pose, moved),
             _ => Ok(mesh.clone()),
         });
         let meshes = meshes.collect::<Result<Vec<_>, _>>()?;
         let mut splats = scene.splats.clone().into_arrays();
-        for Followers { splats: these, leader } in &self.followers {
+        for AttachedSplats { splats: these, anchor } in &self.attached {
             if these.end > splats.means.len() {
                 let found = splats.means.len().to_string();
                 return Err(SceneError::new("splats", format!("at least {}", these.end), found));
             }
-            match leader {
-                Leader::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved)?,
-                Leader::Triangles(binding) => {
+            match anchor {
+                Anchor::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved)?,
+                Anchor::Triangles(binding) => {
                     let surfaces = (&scene.meshes[binding.surface], &meshes[binding.surface]);
                     let unmoved = by.rotation.inverse();
                     self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, (moved, unmoved))?;
@@ -238,16 +238,16 @@ impl Rig {
         Ok(HybridScene { splats: splats.check()?, meshes, composition: scene.composition })
     }
 
-    fn posed(&self, form: &Form, mesh: &Mesh, pose: &Pose, moved: DMat4) -> Result<Mesh, SceneError> {
-        check_len("positions", mesh.positions().len(), form.base.len())?;
+    fn posed(&self, rest_surface: &RestSurface, mesh: &Mesh, pose: &Pose, moved: DMat4) -> Result<Mesh, SceneError> {
+        check_len("positions", mesh.positions().len(), rest_surface.base.len())?;
         let mut atlas = mesh.atlas().clone();
-        if let Carrier::Bone(bone) = form.carrier
+        if let Skinning::Bone(bone) = rest_surface.skinning
             && atlas.sh_degree() > 0
             && let Since::Moved(_, Similarity { rotation, .. }) = self.since_rest(bone, pose, moved)?
         {
             atlas = turned(&atlas, DMat3::from_quat(rotation))?;
         }
-        let mut positions = form.positions(pose);
+        let mut positions = rest_surface.positions(pose);
         if moved != DMat4::IDENTITY {
             positions.par_iter_mut().for_each(|p| *p = moved.transform_point3(p.as_dvec3()).as_vec3());
         }
@@ -300,11 +300,11 @@ impl Rig {
         (moved, unmoved): (DMat4, DQuat),
     ) -> Result<(), SceneError> {
         let bone_turn = match binding.harmonics {
-            Harmonics::Bone(bone) => match self.since_rest(bone, pose, moved)? {
+            ShFrame::Bone(bone) => match self.since_rest(bone, pose, moved)? {
                 Since::Moved(_, Similarity { rotation, .. }) => rotation,
                 Since::Rested | Since::Gone => DQuat::IDENTITY,
             },
-            Harmonics::Triangles(_) => DQuat::IDENTITY,
+            ShFrame::Triangles(_) => DQuat::IDENTITY,
         };
         for (j, &corners) in binding.corners.iter().enumerate() {
             let i = first + j;
@@ -325,8 +325,8 @@ impl Rig {
                 let log_scale = (frame.size * binding.scales[j].as_dvec3()).to_array().map(f64::ln);
                 splats.log_scales[i] = DVec3::from(log_scale).max(DVec3::splat(LEAST_LOG_SCALE)).as_vec3();
                 match &binding.harmonics {
-                    Harmonics::Bone(_) => bone_turn,
-                    Harmonics::Triangles(turns) => rotation * turns[j] * unmoved,
+                    ShFrame::Bone(_) => bone_turn,
+                    ShFrame::Triangles(turns) => rotation * turns[j] * unmoved,
                 }
             };
             turn(splats, i..i + 1, DMat3::from_quat(turned_by));
@@ -355,23 +355,23 @@ fn below(what: &str, index: usize, count: usize) -> Result<(), SceneError> {
 
 impl Binding {
     /// Error unless it binds this many splats to one of these surfaces.
-    fn check(&self, splats: usize, surfaces: &[Option<Form>], rest: &Pose) -> Result<(), SceneError> {
+    fn check(&self, splats: usize, surfaces: &[Option<RestSurface>], rest: &Pose) -> Result<(), SceneError> {
         below("surface", self.surface, surfaces.len())?;
         check_len("corners", self.corners.len(), splats)?;
-        if let Some(form) = &surfaces[self.surface] {
-            self.corners.iter().flatten().try_for_each(|&v| below("corner", v as usize, form.base.len()))?;
+        if let Some(rest_surface) = &surfaces[self.surface] {
+            self.corners.iter().flatten().try_for_each(|&v| below("corner", v as usize, rest_surface.base.len()))?;
         }
         check_len("translations", self.translations.len(), splats)?;
         check_len("rotations", self.rotations.len(), splats)?;
         check_len("scales", self.scales.len(), splats)?;
         match &self.harmonics {
-            Harmonics::Bone(bone) => below("bone", *bone, rest.bones.len()),
-            Harmonics::Triangles(turns) => check_len("harmonics", turns.len(), splats),
+            ShFrame::Bone(bone) => below("bone", *bone, rest.bones.len()),
+            ShFrame::Triangles(turns) => check_len("harmonics", turns.len(), splats),
         }
     }
 }
 
-impl Form {
+impl RestSurface {
     /// Error unless it is one of a rig with this pose.
     fn check(&self, rest: &Pose) -> Result<(), SceneError> {
         let vertices = self.base.len();
@@ -379,9 +379,9 @@ impl Form {
             check_len("deltas", target.deltas.len(), vertices)?;
             below("weight", target.weight, rest.weights.len())?;
         }
-        let (width, bones, weights) = match &self.carrier {
-            Carrier::Bone(bone) => return below("bone", *bone, rest.bones.len()),
-            Carrier::Skin { width, bones, weights } => (*width, bones, weights),
+        let (width, bones, weights) = match &self.skinning {
+            Skinning::Bone(bone) => return below("bone", *bone, rest.bones.len()),
+            Skinning::Skin { width, bones, weights } => (*width, bones, weights),
         };
         // Also where there are no vertices: nobody wants to divide by it.
         let count = vertices.checked_mul(width.max(1)).filter(|_| width > 0);
@@ -401,14 +401,14 @@ impl Form {
     /// Whether anything that it hangs on is elsewhere than in the other pose.
     fn moves(&self, pose: &Pose, other: &Pose) -> bool {
         let differs = |bone: usize| pose.bones[bone] != other.bones[bone];
-        let is_carried = match &self.carrier {
-            Carrier::Bone(bone) => differs(*bone),
-            Carrier::Skin { bones, .. } => {
+        let is_skinned = match &self.skinning {
+            Skinning::Bone(bone) => differs(*bone),
+            Skinning::Skin { bones, .. } => {
                 let any: Vec<bool> = (0..pose.bones.len()).map(differs).collect();
                 any.contains(&true) && bones.iter().any(|&b| any[b as usize])
             }
         };
-        is_carried || self.targets.iter().any(|t| pose.weights[t.weight].to_bits() != other.weights[t.weight].to_bits())
+        is_skinned || self.targets.iter().any(|t| pose.weights[t.weight].to_bits() != other.weights[t.weight].to_bits())
     }
 
     /// Positions in the scene, `[V]`.
@@ -424,14 +424,14 @@ impl Form {
                 positions.par_iter_mut().zip(&target.deltas).for_each(|(p, d)| *p += weight * *d);
             }
         }
-        match &self.carrier {
-            Carrier::Bone(bone) => {
+        match &self.skinning {
+            Skinning::Bone(bone) => {
                 let bone = pose.bones[*bone];
                 if bone != DMat4::IDENTITY {
                     positions.par_iter_mut().for_each(|p| *p = bone.transform_point3(p.as_dvec3()).as_vec3());
                 }
             }
-            Carrier::Skin { width, bones, weights } => {
+            Skinning::Skin { width, bones, weights } => {
                 let influences = bones.par_chunks_exact(*width).zip(weights.par_chunks_exact(*width));
                 positions.par_iter_mut().zip(influences).for_each(|(p, (bones, weights))| {
                     let (mut sum, mut total) = (DVec3::ZERO, 0.0);
@@ -451,7 +451,7 @@ impl Form {
     /// What it takes in memory.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        let width = if let Carrier::Skin { width, .. } = self.carrier { width } else { 0 };
+        let width = if let Skinning::Skin { width, .. } = self.skinning { width } else { 0 };
         (self.base.len() * (12 * (1 + self.targets.len()) + 8 * width)) as u64
     }
 
@@ -465,9 +465,9 @@ impl Form {
             vertices.iter().flat_map(|&v| values[v * width..(v + 1) * width].iter().copied()).collect()
         }
         let targets = self.targets.iter();
-        let carrier = match &self.carrier {
-            Carrier::Bone(bone) => Carrier::Bone(*bone),
-            Carrier::Skin { width, bones, weights } => Carrier::Skin {
+        let skinning = match &self.skinning {
+            Skinning::Bone(bone) => Skinning::Bone(*bone),
+            Skinning::Skin { width, bones, weights } => Skinning::Skin {
                 width: *width,
                 bones: pick(bones, *width, vertices),
                 weights: pick(weights, *width, vertices),
@@ -475,8 +475,8 @@ impl Form {
         };
         Self {
             base: pick(&self.base, 1, vertices),
-            targets: targets.map(|t| Target { weight: t.weight, deltas: pick(&t.deltas, 1, vertices) }).collect(),
-            carrier,
+            targets: targets.map(|t| MorphTarget { weight: t.weight, deltas: pick(&t.deltas, 1, vertices) }).collect(),
+            skinning,
         }
     }
 }

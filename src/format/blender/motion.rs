@@ -29,7 +29,7 @@ use crate::format::exchange::surface::copied;
 use crate::format::gltf::moving::Moving;
 use crate::format::placed::similarity;
 use crate::format::{FormatError, atomic_write};
-use crate::scene::rig::{Carrier, Harmonics, Leader, Pose, Rig};
+use crate::scene::rig::{Anchor, Pose, Rig, ShFrame, Skinning};
 use crate::scene::{Camera, HybridScene, SceneError};
 
 /// Numbers that change with the frame at most, 512 MB of them; Blender makes of each a key, of five times the size.
@@ -78,7 +78,7 @@ pub(super) fn write(
     let told = json!({
         "fps": fps, "frames": frames, "start": start, "meshes": meshes, "names": moving.rig().map_or(&[][..], Rig::bone_names),
         "parents": moving.bone_parents(), "cameras": rows.is_some(),
-        "splats": moving.rig().is_some_and(|rig| !rig.followers().is_empty()),
+        "splats": moving.rig().is_some_and(|rig| !rig.attached().is_empty()),
     });
     Ok(Written { told, bytes: bytes.len() as u64, notes })
 }
@@ -198,25 +198,26 @@ impl Arrays {
         self.add("bones_rest", &[count, 4, 4], &of_pose(rig.rest()));
         let binds: Vec<f64> = (0..count).flat_map(|b| rows(moving.bind(b).unwrap_or(DMat4::IDENTITY))).collect();
         self.add("binds", &[count, 4, 4], &binds);
-        for (i, form) in rig.surfaces().iter().enumerate() {
-            let Some(form) = form else { continue };
-            let form = form.gather(&copied(&scene.meshes[i]));
-            let (n, name) = (form.base.len(), |what: &str| format!("mesh{i}_{what}"));
-            self.add(&name("base"), &[n, 3], bytemuck::cast_slice::<_, f32>(&form.base));
-            let deltas: Vec<f32> = form.targets.iter().flat_map(|t| bytemuck::cast_slice(&t.deltas).to_vec()).collect();
-            self.add(&name("deltas"), &[form.targets.len(), n, 3], &deltas);
-            let weights: Vec<i32> = form.targets.iter().map(|t| t.weight as i32).collect();
+        for (i, rest_surface) in rig.surfaces().iter().enumerate() {
+            let Some(rest_surface) = rest_surface else { continue };
+            let rest_surface = rest_surface.gather(&copied(&scene.meshes[i]));
+            let (n, name) = (rest_surface.base.len(), |what: &str| format!("mesh{i}_{what}"));
+            self.add(&name("base"), &[n, 3], bytemuck::cast_slice::<_, f32>(&rest_surface.base));
+            let deltas: Vec<f32> =
+                rest_surface.targets.iter().flat_map(|t| bytemuck::cast_slice(&t.deltas).to_vec()).collect();
+            self.add(&name("deltas"), &[rest_surface.targets.len(), n, 3], &deltas);
+            let weights: Vec<i32> = rest_surface.targets.iter().map(|t| t.weight as i32).collect();
             self.add(&name("weights"), &[weights.len()], &weights);
-            match &form.carrier {
-                Carrier::Bone(bone) => self.add(&name("bone"), &[1], &[*bone as i32]),
-                Carrier::Skin { width, bones, weights } => {
+            match &rest_surface.skinning {
+                Skinning::Bone(bone) => self.add(&name("bone"), &[1], &[*bone as i32]),
+                Skinning::Skin { width, bones, weights } => {
                     let bones: Vec<i32> = bones.iter().map(|b| *b as i32).collect();
                     self.add(&name("joints"), &[n, *width], &bones);
                     self.add(&name("influences"), &[n, *width], weights);
                 }
             }
         }
-        if !rig.followers().is_empty() {
+        if !rig.attached().is_empty() {
             self.splats(rig, scene, moved);
         }
         Ok(())
@@ -228,13 +229,13 @@ impl Arrays {
         let (mut bones, mut surfaces, mut harmonics) = (vec![-1; n], vec![-1; n], vec![-1; n]);
         let (mut corners, mut translations, mut scales) = (vec![[0; 3]; n], vec![[0.0f32; 3]; n], vec![[0.0f32; 3]; n]);
         let (mut rotations, mut undeformed) = (vec![[1.0f32, 0.0, 0.0, 0.0]; n], vec![[1.0f64, 0.0, 0.0, 0.0]; n]);
-        for part in rig.followers() {
-            match &part.leader {
-                Leader::Bone(bone) => {
+        for part in rig.attached() {
+            match &part.anchor {
+                Anchor::Bone(bone) => {
                     bones[part.splats.clone()].fill(*bone as i32);
                     harmonics[part.splats.clone()].fill(*bone as i32);
                 }
-                Leader::Triangles(binding) => {
+                Anchor::Triangles(binding) => {
                     let copies: HashMap<usize, usize> =
                         copied(&scene.meshes[binding.surface]).into_iter().enumerate().map(|(i, v)| (v, i)).collect();
                     for (j, i) in part.splats.clone().enumerate() {
@@ -245,8 +246,8 @@ impl Arrays {
                         rotations[i] = [q.w, q.x, q.y, q.z];
                         scales[i] = binding.scales[j].to_array();
                         match &binding.harmonics {
-                            Harmonics::Bone(bone) => harmonics[i] = *bone as i32,
-                            Harmonics::Triangles(turns) => {
+                            ShFrame::Bone(bone) => harmonics[i] = *bone as i32,
+                            ShFrame::Triangles(turns) => {
                                 let q = turns[j] * unmoved;
                                 undeformed[i] = [q.w, q.x, q.y, q.z];
                             }

@@ -7,7 +7,7 @@ use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SplatExtension};
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::similarity;
-use crate::scene::rig::{Binding, Frame, Harmonics};
+use crate::scene::rig::{Binding, Frame, ShFrame};
 
 /// A triangle primitive at a node, as splats are bound to it.
 pub(super) struct Bindable {
@@ -86,14 +86,14 @@ pub(super) fn read(
         );
     }
     let harmonics = match &object.spherical_harmonics_frame[..] {
-        "node" => Harmonics::Bone(harmonics_bone),
+        "node" => ShFrame::Bone(harmonics_bone),
         "triangle" => {
             let unturned = similarity(turn).map_or(DQuat::IDENTITY, |s| s.rotation.inverse());
             let undeformed = |&t: &u32| {
                 let frame = Frame::of(to.stored[t as usize].map(Vec3::as_dvec3));
                 frame.map_or(DQuat::IDENTITY, |f| DQuat::from_mat3(&f.axes.transpose())) * unturned
             };
-            Harmonics::Triangles(which.iter().map(undeformed).collect())
+            ShFrame::Triangles(which.iter().map(undeformed).collect())
         }
         other => return Err(format!("expected sphericalHarmonicsFrame node or triangle, found `{other}`")),
     };

@@ -15,7 +15,7 @@ use super::triangles::{self, Triangles};
 use super::vertex_color;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::{Similarity, similarity, turned};
-use crate::scene::rig::Form;
+use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, Texture};
 
 /// Bytes of maps that a byte of images and buffers may become, above what any file may: four floats for each of the
@@ -50,14 +50,14 @@ struct Group {
     /// In place of the material's.
     atlas: Option<Atlas>,
     /// Before it is posed, if an animation moves it.
-    form: Option<Form>,
+    rest_surface: Option<RestSurface>,
 }
 
 /// All meshes, and what may move them.
 pub(super) struct Finished {
     pub(super) meshes: Vec<Mesh>,
     /// One per mesh; `None`: it keeps still.
-    pub(super) forms: Vec<Option<Form>>,
+    pub(super) rest_surfaces: Vec<Option<RestSurface>>,
     pub(super) poses: Poses,
     /// By node and primitive, those that splats are bound to.
     pub(super) bindable: HashMap<(usize, usize), Bindable>,
@@ -102,7 +102,7 @@ impl<'a> Meshes<'a> {
         let maps = &self.maps[&material.index()];
         let read =
             triangles::read((self.asset, self.motion), &mut self.poses, (node, transform), primitive, maps.uv.set)?;
-        let Some(Triangles { mut positions, mut triangles, uvs, mut form, is_mirrored }) = read else {
+        let Some(Triangles { mut positions, mut triangles, uvs, mut rest_surface, is_mirrored }) = read else {
             return Ok(false);
         };
         if triangles.is_empty() {
@@ -137,9 +137,9 @@ impl<'a> Meshes<'a> {
             };
             group.atlas = Some(turned(&maps.atlas, DMat3::from_quat(rotation)).map_err(|e| Fault::from(e).under(&at))?);
         }
-        let moves = self.poses.animates(&form, self.motion);
+        let moves = self.poses.animates(&rest_surface, self.motion);
         let id = (node.index(), primitive.index());
-        let undeformed = self.wanted.contains(&id).then(|| undeformed(&form, &triangles, is_mirrored));
+        let undeformed = self.wanted.contains(&id).then(|| undeformed(&rest_surface, &triangles, is_mirrored));
         if let Some(source) = surface_vertices(self.asset, node, primitive, &positions)? {
             // The surface's own vertices come back in their own order.
             let count = source.iter().max().map_or(0, |&v| v as usize + 1);
@@ -150,15 +150,15 @@ impl<'a> Meshes<'a> {
             triangles.iter_mut().for_each(|t| *t = t.map(|v| source[v as usize]));
             positions = own;
             if moves {
-                form = form.gather(&copies);
+                rest_surface = rest_surface.gather(&copies);
             }
         }
         let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
         let bytes = bytes + group.atlas.as_ref().map_or(0, |a| a.floats() as u64 * 4);
-        self.asset.spend(bytes + if moves { form.bytes() } else { 0 }, &at)?;
+        self.asset.spend(bytes + if moves { rest_surface.bytes() } else { 0 }, &at)?;
         let corners = undeformed.is_some().then(|| triangles.clone());
         (group.positions, group.triangles) = (positions, triangles);
-        group.form = moves.then_some(form);
+        group.rest_surface = moves.then_some(rest_surface);
         let (surface, first) = self.join(group).map_err(|fault| fault.under(&at))?;
         if let (Some(stored), Some(corners)) = (undeformed, corners) {
             let unmirrored = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
@@ -185,7 +185,7 @@ impl<'a> Meshes<'a> {
     /// Returns the group, and the first vertex in it.
     fn join(&mut self, group: Group) -> Result<(usize, u32), Fault> {
         let next = self.groups.len();
-        if group.atlas.is_some() || group.form.is_some() {
+        if group.atlas.is_some() || group.rest_surface.is_some() {
             self.groups.push(group);
             return Ok((next, 0));
         }
@@ -204,7 +204,7 @@ impl<'a> Meshes<'a> {
     }
 
     pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Finished, Fault> {
-        let (mut meshes, mut forms) = (vec![], vec![]);
+        let (mut meshes, mut rest_surfaces) = (vec![], vec![]);
         for mut group in self.groups {
             let maps = &self.maps[&group.material];
             let atlas = match group.atlas {
@@ -222,16 +222,16 @@ impl<'a> Meshes<'a> {
             let material = || group.material.map_or("/meshes".to_owned(), |i| format!("/materials/{i}"));
             let mesh = Mesh::new(group.positions, group.triangles, group.corner_uvs, atlas);
             meshes.push(mesh.map_err(|e| Fault::from(e).under(material()))?);
-            forms.push(group.form);
+            rest_surfaces.push(group.rest_surface);
         }
-        Ok(Finished { meshes, forms, poses: self.poses, bindable: self.bindable })
+        Ok(Finished { meshes, rest_surfaces, poses: self.poses, bindable: self.bindable })
     }
 }
 
 /// Undeformed corners of triangles, in the order in which the file has them.
-fn undeformed(form: &Form, triangles: &[[u32; 3]], is_mirrored: bool) -> Vec<[Vec3; 3]> {
+fn undeformed(rest_surface: &RestSurface, triangles: &[[u32; 3]], is_mirrored: bool) -> Vec<[Vec3; 3]> {
     let order = if is_mirrored { [0, 2, 1] } else { [0, 1, 2] };
-    triangles.iter().map(|t| order.map(|c| form.base[t[c] as usize])).collect()
+    triangles.iter().map(|t| order.map(|c| rest_surface.base[t[c] as usize])).collect()
 }
 
 /// Maps with the colours of vertices; `None` beside a texture, unless they all are the same.

@@ -316,7 +316,7 @@ fn bones_are_of_what_moves_and_have_the_names_of_nodes() {
     let rig = moving.rig().unwrap();
     // That of the triangle, and that of the splats, with whose frame their harmonics would turn.
     assert_eq!(rig.bone_names(), ["arm", "node 1"]);
-    assert_eq!((rig.followers().len(), rig.rest().weights.len()), (1, 0));
+    assert_eq!((rig.attached().len(), rig.rest().weights.len()), (1, 0));
     file.at(1.0);
 }
 

@@ -13,7 +13,7 @@ use super::motion::{Motion, in_between};
 use super::transform::{placements, placements_by};
 use crate::format::cameras::short;
 use crate::format::error::{Fault, from_value};
-use crate::scene::rig::{Binding, Carrier, Followers, Form, Harmonics, Leader, Pose, Target};
+use crate::scene::rig::{Anchor, AttachedSplats, Binding, MorphTarget, Pose, RestSurface, ShFrame, Skinning};
 
 /// All bones and weights that have been asked for.
 #[derive(Clone, Debug)]
@@ -165,21 +165,21 @@ impl Poses {
     }
 
     /// Leaves only what these hang on, by new numbers; of skins all joints, so that they stay whole.
-    pub(super) fn compact(&mut self, forms: &mut [Option<Form>], followers: &mut [Followers]) {
+    pub(super) fn compact(&mut self, rest_surfaces: &mut [Option<RestSurface>], attached: &mut [AttachedSplats]) {
         let (mut bones, mut weights) = (Kept::none_of(self.bones.len()), Kept::none_of(self.weights.len()));
-        for form in forms.iter().flatten() {
-            form.targets.iter().for_each(|target| weights.keep(target.weight));
-            match &form.carrier {
-                Carrier::Bone(bone) => bones.keep(*bone),
-                Carrier::Skin { bones: joints, .. } => joints.iter().for_each(|&bone| bones.keep(bone as usize)),
+        for rest_surface in rest_surfaces.iter().flatten() {
+            rest_surface.targets.iter().for_each(|target| weights.keep(target.weight));
+            match &rest_surface.skinning {
+                Skinning::Bone(bone) => bones.keep(*bone),
+                Skinning::Skin { bones: joints, .. } => joints.iter().for_each(|&bone| bones.keep(bone as usize)),
             }
         }
-        for part in &*followers {
-            match &part.leader {
-                Leader::Bone(bone) | Leader::Triangles(Binding { harmonics: Harmonics::Bone(bone), .. }) => {
+        for part in &*attached {
+            match &part.anchor {
+                Anchor::Bone(bone) | Anchor::Triangles(Binding { harmonics: ShFrame::Bone(bone), .. }) => {
                     bones.keep(*bone);
                 }
-                Leader::Triangles(_) => {}
+                Anchor::Triangles(_) => {}
             }
         }
         self.of_skin.retain(|_, joints| joints.iter().any(|&bone| bones.0[bone]));
@@ -191,17 +191,17 @@ impl Poses {
         weights.retain(&mut self.weights);
         weights.retain(&mut self.rest.weights);
         self.of_skin.values_mut().flatten().for_each(|joint| *joint = bone[*joint]);
-        for form in forms.iter_mut().flatten() {
-            form.targets.iter_mut().for_each(|target| target.weight = weight[target.weight]);
-            match &mut form.carrier {
-                Carrier::Bone(b) => *b = bone[*b],
-                Carrier::Skin { bones: joints, .. } => joints.iter_mut().for_each(|b| *b = bone[*b as usize] as u32),
+        for rest_surface in rest_surfaces.iter_mut().flatten() {
+            rest_surface.targets.iter_mut().for_each(|target| target.weight = weight[target.weight]);
+            match &mut rest_surface.skinning {
+                Skinning::Bone(b) => *b = bone[*b],
+                Skinning::Skin { bones: joints, .. } => joints.iter_mut().for_each(|b| *b = bone[*b as usize] as u32),
             }
         }
-        for part in followers {
-            match &mut part.leader {
-                Leader::Bone(b) | Leader::Triangles(Binding { harmonics: Harmonics::Bone(b), .. }) => *b = bone[*b],
-                Leader::Triangles(_) => {}
+        for part in attached {
+            match &mut part.anchor {
+                Anchor::Bone(b) | Anchor::Triangles(Binding { harmonics: ShFrame::Bone(b), .. }) => *b = bone[*b],
+                Anchor::Triangles(_) => {}
             }
         }
     }
@@ -211,18 +211,18 @@ impl Poses {
         self.moving.contains(&node)
     }
 
-    /// Whether an animation moves what is made of a form.
-    pub(super) fn animates(&self, form: &Form, motion: &Motion) -> bool {
+    /// Whether an animation moves a surface.
+    pub(super) fn animates(&self, rest_surface: &RestSurface, motion: &Motion) -> bool {
         let moves = |bone: usize| self.moves(self.bones[bone].node());
-        let is_carried = match &form.carrier {
-            Carrier::Bone(bone) => moves(*bone),
-            Carrier::Skin { bones, .. } => {
+        let is_skinned = match &rest_surface.skinning {
+            Skinning::Bone(bone) => moves(*bone),
+            Skinning::Skin { bones, .. } => {
                 let used: HashSet<u32> = bones.iter().copied().collect();
                 used.into_iter().any(|bone| moves(bone as usize))
             }
         };
-        is_carried
-            || form.targets.iter().any(|target| match &self.weights[target.weight] {
+        is_skinned
+            || rest_surface.targets.iter().any(|target| match &self.weights[target.weight] {
                 Weight::Target { node, .. } => motion.has_weights(*node),
                 Weight::Key { times, .. } => times.len() > 1,
             })
@@ -251,23 +251,23 @@ impl Poses {
     }
 
     /// `primitive`, of the mesh of `node`, whose vertices are `stored`, before it is posed.
-    pub(super) fn form(
+    pub(super) fn rest_surface(
         &mut self,
         (asset, motion): (&Asset, &Motion),
         node: &gltf::Node<'_>,
         primitive: &gltf::Primitive<'_>,
         stored: Vec<Vec3>,
-    ) -> Result<Form, Fault> {
+    ) -> Result<RestSurface, Fault> {
         let mesh = node.mesh().map_or(0, |m| m.index());
         let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
         let vertices = stored.len();
-        let carrier = match node.skin() {
+        let skinning = match node.skin() {
             Some(skin) => {
                 let joints = self.joints(asset, &skin)?;
                 skin_of(asset, &joints, (mesh, primitive.index()), vertices)?
             }
             // The transform of a skinned mesh's own node has no effect (glTF 2.0, 3.7.3.3).
-            None => Carrier::Bone(self.bone(node.index())),
+            None => Skinning::Bone(self.bone(node.index())),
         };
         let mut targets = vec![];
         let weights = node.weights().or(node.mesh().and_then(|m| m.weights())).unwrap_or_default();
@@ -284,10 +284,10 @@ impl Poses {
                 return Err(Fault::pointer(format!("{at}/targets/{i}/POSITION"), expected, deltas.len().to_string()));
             }
             let weight = self.add_weight(Weight::Target { node: node.index(), target: i, rest }, rest);
-            targets.push(Target { weight, deltas: deltas.into_iter().map(Vec3::from).collect() });
+            targets.push(MorphTarget { weight, deltas: deltas.into_iter().map(Vec3::from).collect() });
         }
         targets.extend(self.translations(asset, primitive, vertices, &at)?);
-        Ok(Form { base: stored, targets, carrier })
+        Ok(RestSurface { base: stored, targets, skinning })
     }
 
     /// The extension's vertex positions over time, as a morph target per key.
@@ -297,7 +297,7 @@ impl Poses {
         primitive: &gltf::Primitive<'_>,
         vertices: usize,
         at: &str,
-    ) -> Result<Vec<Target>, Fault> {
+    ) -> Result<Vec<MorphTarget>, Fault> {
         let Some(value) = primitive.extension_value(HYBRID) else { return Ok(vec![]) };
         let at = format!("{at}/extensions/{HYBRID}");
         let surface: Surface = from_value(value, &at, &format!("a mesh primitive of {HYBRID}"))?;
@@ -313,7 +313,7 @@ impl Poses {
         let keys = deltas.chunks_exact(vertices.max(1)).enumerate().map(|(key, deltas)| {
             let rest = weight_of_key(&times, key, is_step, 0.0);
             let weight = self.add_weight(Weight::Key { times: Arc::clone(&times), key, is_step }, rest);
-            Target { weight, deltas: deltas.iter().copied().map(Vec3::from).collect() }
+            MorphTarget { weight, deltas: deltas.iter().copied().map(Vec3::from).collect() }
         });
         Ok(keys.collect())
     }
@@ -362,7 +362,7 @@ fn weight_of_key(times: &[f32], key: usize, is_step: bool, time: f64) -> f32 {
 const MAX_SETS: usize = 8;
 
 /// All sets `JOINTS_n`, `WEIGHTS_n` of a primitive.
-fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) -> Result<Carrier, Fault> {
+fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) -> Result<Skinning, Fault> {
     let at = format!("/meshes/{}/primitives/{}/attributes", id.0, id.1);
     let attributes = asset.attributes.get(&id);
     let find = |name: String| attributes.and_then(|a| a.get(&name)).copied();
@@ -410,5 +410,5 @@ fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) 
             return Err(Fault::pointer(format!("{at}/WEIGHTS_0"), format!("{sets} that add up to 1"), found));
         }
     }
-    Ok(Carrier::Skin { width, bones: all_bones, weights: all_weights })
+    Ok(Skinning::Skin { width, bones: all_bones, weights: all_weights })
 }

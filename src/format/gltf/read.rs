@@ -15,7 +15,7 @@ use super::{binding, camera, splats};
 use crate::format::SceneFile;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::join;
-use crate::scene::rig::{Followers, Leader, Rig};
+use crate::scene::rig::{Anchor, AttachedSplats, Rig};
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
 /// A scene as it rests.
@@ -57,14 +57,14 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     }
     let mut read = meshes.finish(&mut notes)?;
     let follows = |hung: Hung| hung.follows(asset, &mut read, &mut notes);
-    let mut followers: Vec<Followers> = hung.into_iter().filter_map(follows).collect();
-    let Finished { meshes, mut forms, mut poses, .. } = read;
-    poses.compact(&mut forms, &mut followers);
+    let mut attached: Vec<AttachedSplats> = hung.into_iter().filter_map(follows).collect();
+    let Finished { meshes, mut rest_surfaces, mut poses, .. } = read;
+    poses.compact(&mut rest_surfaces, &mut attached);
     let cameras = cameras(&asset.document, &placed, &mut notes);
     let scene = HybridScene { splats: join(parts)?, meshes, composition };
-    let moves = !followers.is_empty() || forms.iter().any(Option::is_some);
+    let moves = !attached.is_empty() || rest_surfaces.iter().any(Option::is_some);
     let rig = if moves {
-        Some(Rig::new(forms, followers, poses.rest().clone(), poses.names(&asset.document))?)
+        Some(Rig::new(rest_surfaces, attached, poses.rest().clone(), poses.names(&asset.document))?)
     } else {
         None
     };
@@ -83,7 +83,7 @@ struct Hung {
 
 impl Hung {
     /// What they follow; `None` if they keep still.
-    fn follows(self, asset: &Asset, read: &mut Finished, notes: &mut Vec<String>) -> Option<Followers> {
+    fn follows(self, asset: &Asset, read: &mut Finished, notes: &mut Vec<String>) -> Option<AttachedSplats> {
         let Self { splats, node, transform, object } = self;
         let moves = read.poses.moves(node);
         if let Some((at, SplatExtension { binding: Some(object), .. })) = &object {
@@ -97,11 +97,11 @@ impl Hung {
                 let binding = binding::read(asset, object, splats.len(), to, read.poses.bone(node), transform)?;
                 Ok((to.moves || moves).then_some(binding))
             }) {
-                Ok(binding) => return Some(Followers { splats, leader: Leader::Triangles(binding?) }),
+                Ok(binding) => return Some(AttachedSplats { splats, anchor: Anchor::Triangles(binding?) }),
                 Err(reason) => notes.push(format!("{at}/binding: ignored: {reason}")),
             }
         }
-        moves.then(|| Followers { splats, leader: Leader::Bone(read.poses.bone(node)) })
+        moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)) })
     }
 }
 

@@ -7,7 +7,7 @@ use super::lift::Asset;
 use super::motion::Motion;
 use super::pose::Poses;
 use crate::format::error::Fault;
-use crate::scene::rig::Form;
+use crate::scene::rig::RestSurface;
 
 /// Geometry of one primitive at one node.
 pub(in crate::format) struct Triangles {
@@ -16,7 +16,7 @@ pub(in crate::format) struct Triangles {
     /// A set of texture coordinates, one a vertex.
     pub(in crate::format) uvs: Option<Vec<Vec2>>,
     /// What the positions are where it rests.
-    pub(super) form: Form,
+    pub(super) rest_surface: RestSurface,
     /// Whether the second and the third corner of every triangle have changed places, as the node mirrors.
     pub(super) is_mirrored: bool,
 }
@@ -35,8 +35,8 @@ pub(in crate::format) fn read(
     let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
     let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
     let stored = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
-    let form = poses.form((asset, motion), node, primitive, stored)?;
-    let positions = form.positions(poses.rest());
+    let rest_surface = poses.rest_surface((asset, motion), node, primitive, stored)?;
+    let positions = rest_surface.positions(poses.rest());
     let count = u32::try_from(positions.len())
         .map_err(|_| Fault::pointer(&at, "fewer than 2³² vertices", positions.len().to_string()))?;
     let indices = match primitive.indices() {
@@ -71,5 +71,5 @@ pub(in crate::format) fn read(
             found.to_string(),
         ));
     }
-    Ok(Some(Triangles { positions, triangles, uvs, form, is_mirrored }))
+    Ok(Some(Triangles { positions, triangles, uvs, rest_surface, is_mirrored }))
 }

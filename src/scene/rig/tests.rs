@@ -36,7 +36,7 @@ fn names(pose: &Pose) -> Vec<String> {
 const CORNERS: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::new(0.25, 0.5, 0.0)];
 
 /// A triangle and a splat on it, both of one bone and one morph target.
-fn bound(harmonics: Harmonics) -> (HybridScene, Rig) {
+fn bound(harmonics: ShFrame) -> (HybridScene, Rig) {
     let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
     let (translation, rotation, scale) =
         (Vec3::new(0.1, 0.3, -0.2), Quat::from_euler(glam::EulerRot::XYZ, 0.3, -0.5, 1.1), 0.2);
@@ -51,14 +51,17 @@ fn bound(harmonics: Harmonics) -> (HybridScene, Rig) {
         scales: vec![Vec3::new(1.0, 2.0, 0.5) * scale],
         harmonics,
     };
-    let form = Form {
+    let rest_surface = RestSurface {
         base: CORNERS.to_vec(),
-        targets: vec![Target { weight: 0, deltas: vec![Vec3::ZERO, Vec3::ZERO, Vec3::Y] }],
-        carrier: Carrier::Bone(0),
+        targets: vec![MorphTarget { weight: 0, deltas: vec![Vec3::ZERO, Vec3::ZERO, Vec3::Y] }],
+        skinning: Skinning::Bone(0),
     };
     let rest = Pose { bones: vec![DMat4::IDENTITY; 2], weights: vec![0.0] };
-    let followers = vec![Followers { splats: 0..1, leader: Leader::Triangles(binding) }];
-    (scene(splats, vec![mesh(&CORNERS, 0)]), Rig::new(vec![Some(form)], followers, rest.clone(), names(&rest)).unwrap())
+    let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Triangles(binding) }];
+    (
+        scene(splats, vec![mesh(&CORNERS, 0)]),
+        Rig::new(vec![Some(rest_surface)], attached, rest.clone(), names(&rest)).unwrap(),
+    )
 }
 
 #[track_caller]
@@ -93,29 +96,29 @@ fn a_triangles_frame_is_that_of_the_extension() {
 
 #[test]
 fn skins_blend_linearly_after_morph_targets() {
-    let form = Form {
+    let rest_surface = RestSurface {
         base: vec![Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 2.0, 0.0)],
         targets: vec![
-            Target { weight: 1, deltas: vec![Vec3::Z, Vec3::Z] },
-            Target { weight: 0, deltas: vec![Vec3::X, Vec3::ZERO] },
+            MorphTarget { weight: 1, deltas: vec![Vec3::Z, Vec3::Z] },
+            MorphTarget { weight: 0, deltas: vec![Vec3::X, Vec3::ZERO] },
         ],
         // Weights need not add up to 1; one of 0 names no bone.
-        carrier: Carrier::Skin { width: 2, bones: vec![0, 1, 1, 0], weights: vec![0.5, 1.5, 0.25, 0.0] },
+        skinning: Skinning::Skin { width: 2, bones: vec![0, 1, 1, 0], weights: vec![0.5, 1.5, 0.25, 0.0] },
     };
     let turn = similarity_of(2.0, DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2), DVec3::new(0.0, 0.0, 1.0));
     let pose = Pose { bones: vec![DMat4::from_translation(DVec3::new(0.0, 4.0, 0.0)), turn], weights: vec![3.0, 0.5] };
     // Vertex 0 is (1 + 3, 0, 0.5); bone 0 takes it to (4, 4, 0.5), bone 1 to (0, 8, 2): a quarter and three quarters.
     // Vertex 1 is (0, 2, 0.5), taken to (−4, 0, 2).
-    let found = form.positions(&pose);
+    let found = rest_surface.positions(&pose);
     near(found[0].as_dvec3(), DVec3::new(1.0, 7.0, 1.625), 1e-6);
     near(found[1].as_dvec3(), DVec3::new(-4.0, 0.0, 2.0), 1e-6);
-    let gathered = form.gather(&[1, 1, 0]).positions(&pose);
+    let gathered = rest_surface.gather(&[1, 1, 0]).positions(&pose);
     assert_eq!(gathered, [found[1], found[1], found[0]]);
 }
 
 #[test]
 fn what_rests_keeps_its_bits() {
-    let (rest, rig) = bound(Harmonics::Triangles(vec![DQuat::IDENTITY]));
+    let (rest, rig) = bound(ShFrame::Triangles(vec![DQuat::IDENTITY]));
     assert_eq!(rig.pose(&rest, rig.rest(), DMat4::IDENTITY).unwrap(), rest);
     // And where the scene as a whole has been moved.
     let moved = similarity_of(1.7, DQuat::from_rotation_x(0.3), DVec3::ONE);
@@ -126,7 +129,7 @@ fn what_rests_keeps_its_bits() {
 fn bound_splats_move_as_their_triangle_does() {
     let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
     let undeformed = vec![DQuat::from_mat3(&frame.axes.transpose())];
-    let (rest, rig) = bound(Harmonics::Triangles(undeformed));
+    let (rest, rig) = bound(ShFrame::Triangles(undeformed));
     let transform = similarity_of(1.9, DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.4, -0.8), DVec3::new(3., -1., 2.));
     let pose = Pose { bones: vec![transform, DMat4::IDENTITY], weights: vec![0.0] };
     let posed = rig.pose(&rest, &pose, DMat4::IDENTITY).unwrap();
@@ -153,7 +156,7 @@ fn bound_splats_move_as_their_triangle_does() {
 #[test]
 fn harmonics_turn_with_what_they_are_said_to() {
     // With a bone that keeps still colours do, whatever the triangle does.
-    let (rest, rig) = bound(Harmonics::Bone(1));
+    let (rest, rig) = bound(ShFrame::Bone(1));
     let turn = DMat4::from_quat(DQuat::from_rotation_y(1.0));
     let posed = rig.pose(&rest, &Pose { bones: vec![turn, DMat4::IDENTITY], weights: vec![0.0] }, DMat4::IDENTITY);
     assert_eq!(posed.unwrap().splats.sh(), rest.splats.sh());
@@ -181,7 +184,7 @@ fn a_scene_that_was_moved_is_posed_where_it_is() {
             rest.meshes[0].positions().iter().map(|p| moved.transform_point3(p.as_dvec3()).as_vec3()).collect();
         scene(splats.check().unwrap(), vec![mesh(&positions, 0)])
     };
-    for harmonics in [Harmonics::Bone(1), Harmonics::Triangles(vec![DQuat::from_mat3(&frame.axes.transpose())])] {
+    for harmonics in [ShFrame::Bone(1), ShFrame::Triangles(vec![DQuat::from_mat3(&frame.axes.transpose())])] {
         let (rest, rig) = bound(harmonics);
         let then_moved = by(&rig.pose(&rest, &pose, DMat4::IDENTITY).unwrap());
         let then_posed = rig.pose(&by(&rest), &pose, moved).unwrap();
@@ -196,11 +199,11 @@ fn a_scene_that_was_moved_is_posed_where_it_is() {
 fn splats_on_a_bone_and_maps_turn_with_it() {
     let splats = one_splat(Vec3::new(1.0, 2.0, 3.0), Quat::from_rotation_x(0.2), 0.3);
     let rest_bone = similarity_of(2.0, DQuat::from_rotation_z(0.3), DVec3::X);
-    let form = Form { base: CORNERS.to_vec(), targets: vec![], carrier: Carrier::Bone(0) };
+    let rest_surface = RestSurface { base: CORNERS.to_vec(), targets: vec![], skinning: Skinning::Bone(0) };
     let rest = Pose { bones: vec![rest_bone], weights: vec![] };
-    let scene = scene(splats, vec![mesh(&form.positions(&rest), 2)]);
-    let followers = vec![Followers { splats: 0..1, leader: Leader::Bone(0) }];
-    let rig = Rig::new(vec![Some(form)], followers, rest.clone(), names(&rest)).unwrap();
+    let scene = scene(splats, vec![mesh(&rest_surface.positions(&rest), 2)]);
+    let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0) }];
+    let rig = Rig::new(vec![Some(rest_surface)], attached, rest.clone(), names(&rest)).unwrap();
     let by = similarity_of(0.5, DQuat::from_rotation_y(0.9), DVec3::Z);
     let posed = rig.pose(&scene, &Pose { bones: vec![by * rest_bone], weights: vec![] }, DMat4::IDENTITY).unwrap();
     let mut expected = scene.splats.clone().into_arrays();
@@ -214,7 +217,7 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     // Scaled to nothing they are not there; sheared, they cannot be shown.
     let nothing = Pose { bones: vec![DMat4::from_scale(DVec3::splat(0.0))], weights: vec![] };
     let shear = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0))], weights: vec![] };
-    let hidden = Rig::new(vec![None], rig.followers().to_vec(), rig.rest().clone(), names(rig.rest())).unwrap();
+    let hidden = Rig::new(vec![None], rig.attached().to_vec(), rig.rest().clone(), names(rig.rest())).unwrap();
     assert_eq!(hidden.pose(&scene, &nothing, DMat4::IDENTITY).unwrap().splats.opacity_logits(), [HIDDEN]);
     let error = hidden.pose(&scene, &shear, DMat4::IDENTITY).unwrap_err().to_string();
     assert_eq!(
@@ -233,7 +236,7 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
 
 #[test]
 fn a_splat_on_a_triangle_without_area_is_not_drawn() {
-    let (rest, rig) = bound(Harmonics::Bone(1));
+    let (rest, rig) = bound(ShFrame::Bone(1));
     let flat = Pose { weights: vec![-0.5], ..rig.rest().clone() };
     let posed = rig.pose(&rest, &flat, DMat4::IDENTITY).unwrap();
     assert_eq!(posed.splats.opacity_logits(), [HIDDEN]);
@@ -241,32 +244,35 @@ fn a_splat_on_a_triangle_without_area_is_not_drawn() {
 
 #[test]
 fn what_does_not_fit_together_is_refused() {
-    let (rest, rig) = bound(Harmonics::Bone(1));
-    let with = |change: &dyn Fn(&mut Form, &mut Followers)| {
-        let (mut form, mut followers) = (rig.surfaces()[0].clone().unwrap(), rig.followers()[0].clone());
-        change(&mut form, &mut followers);
-        let built = Rig::new(vec![Some(form)], vec![followers], rig.rest().clone(), names(rig.rest()));
+    let (rest, rig) = bound(ShFrame::Bone(1));
+    let with = |change: &dyn Fn(&mut RestSurface, &mut AttachedSplats)| {
+        let (mut rest_surface, mut attached) = (rig.surfaces()[0].clone().unwrap(), rig.attached()[0].clone());
+        change(&mut rest_surface, &mut attached);
+        let built = Rig::new(vec![Some(rest_surface)], vec![attached], rig.rest().clone(), names(rig.rest()));
         built.map(|_| ()).map_err(|e| e.to_string())
     };
     assert_eq!(with(&|_, _| ()), Ok(()));
-    assert_eq!(with(&|f, _| f.carrier = Carrier::Bone(2)), Err("bone: expected an index below 2, found 2".to_owned()));
+    assert_eq!(
+        with(&|f, _| f.skinning = Skinning::Bone(2)),
+        Err("bone: expected an index below 2, found 2".to_owned())
+    );
     assert!(with(&|f, _| f.targets[0].weight = 1).unwrap_err().starts_with("weight:"));
     assert!(with(&|f, _| f.targets[0].deltas.push(Vec3::X)).unwrap_err().starts_with("deltas:"));
     assert!(with(&|_, f| f.splats = 0..2).unwrap_err().starts_with("corners:"));
-    assert!(with(&|_, f| f.leader = Leader::Bone(7)).unwrap_err().starts_with("bone:"));
+    assert!(with(&|_, f| f.anchor = Anchor::Bone(7)).unwrap_err().starts_with("bone:"));
     let skin =
-        |width: usize, weights: &[f32]| Carrier::Skin { width, bones: vec![0; 3 * width], weights: weights.to_vec() };
-    assert_eq!(with(&|f, _| f.carrier = skin(1, &[0.5; 3])), Ok(()));
-    assert!(with(&|f, _| f.carrier = skin(0, &[])).unwrap_err().starts_with("bones per vertex: expected at least 1"));
-    assert!(with(&|f, _| f.carrier = skin(2, &[0.5; 3])).unwrap_err().starts_with("weights of a skin:"));
-    let error = with(&|f, _| f.carrier = skin(1, &[1.0, 0.0, 1.0])).unwrap_err();
+        |width: usize, weights: &[f32]| Skinning::Skin { width, bones: vec![0; 3 * width], weights: weights.to_vec() };
+    assert_eq!(with(&|f, _| f.skinning = skin(1, &[0.5; 3])), Ok(()));
+    assert!(with(&|f, _| f.skinning = skin(0, &[])).unwrap_err().starts_with("bones per vertex: expected at least 1"));
+    assert!(with(&|f, _| f.skinning = skin(2, &[0.5; 3])).unwrap_err().starts_with("weights of a skin:"));
+    let error = with(&|f, _| f.skinning = skin(1, &[1.0, 0.0, 1.0])).unwrap_err();
     assert_eq!(error, "weights of vertex 1: expected a sum above 0, found 0");
     #[expect(clippy::reversed_empty_ranges, reason = "what is to be refused")]
-    let backwards = with(&|_, f| (f.splats, f.leader) = (1..0, Leader::Bone(0)));
+    let backwards = with(&|_, f| (f.splats, f.anchor) = (1..0, Anchor::Bone(0)));
     assert_eq!(backwards, Err("splats: expected a range, found 1 to 0".to_owned()));
     let corners = |corners: [u32; 3]| {
         with(&|_, f| {
-            let Leader::Triangles(binding) = &mut f.leader else { unreachable!() };
+            let Anchor::Triangles(binding) = &mut f.anchor else { unreachable!() };
             binding.corners[0] = corners;
         })
     };
