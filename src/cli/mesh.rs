@@ -4,8 +4,8 @@ use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{gltf, mesh_import, read_scene};
 use centaur::geometry::{
-    self, Ball, ChartSpace, Contraction, MeshBvh, PointView, SparseStats, Surface, SurfaceDistance, SurfaceStats,
-    Viewers,
+    self, Ball, ChartSpace, Contraction, MeshBvh, PlanarOptions, PointView, SparseStats, Surface, SurfaceDistance,
+    SurfaceStats, Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture};
@@ -98,7 +98,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             ensure!(!scene.splats.is_empty(), "{}: expected trained splats, found none", splats.display());
             let gpu = args.adapter.open()?;
             let mut views = Views::new(&args.messages, "fusing", capture.views.len());
-            let (triangles, planar) = (args.triangles, args.planar.is_auto());
+            let (triangles, planar) = (args.triangles, args.planar());
             let (surface, steps) =
                 surface_from_splats(&gpu, &scene, &capture, triangles, planar, |view| views.reach(view + 1))
                     .with_context(|| splats.display().to_string())?;
@@ -228,6 +228,12 @@ fn compare(surface: &Surface, truth: &Surface, args: &Args, capture: &Capture) -
     Ok(geometry::surface_distance(surface, truth, within, ball, is_seen))
 }
 
+impl Args {
+    fn planar(&self) -> Option<PlanarOptions> {
+        self.planar.is_auto().then(PlanarOptions::default)
+    }
+}
+
 fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     ensure!(
@@ -237,7 +243,7 @@ fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats,
     );
     let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
     let views: Vec<PointView> = capture.views.iter().map(view).collect();
-    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar.is_auto())
+    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar())
         .with_context(|| args.capture.display().to_string())?;
     if !args.messages.json && !args.messages.quiet {
         let SparseStats { views, guessed, lifted, clear, .. } = steps;

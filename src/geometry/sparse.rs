@@ -71,7 +71,7 @@ impl SparseStats {
     }
 }
 
-/// Fuses a surface of at most about `triangles` triangles, flat regions of it made flat if `planar`.
+/// Fuses a surface of at most about `triangles` triangles, what of it is `planar` made flat.
 ///
 /// # Errors
 /// Without cameras, if there are too few points, or if no surface is left.
@@ -79,7 +79,7 @@ pub fn surface_from_points(
     views: &[PointView],
     points: &[Vec3],
     triangles: usize,
-    planar: bool,
+    planar: Option<PlanarOptions>,
 ) -> Result<(Surface, SparseStats), GeometryError> {
     let seen: Vec<Vec<u32>> = views
         .par_iter()
@@ -115,7 +115,6 @@ pub fn surface_from_points(
     let options = |resolution: u32| FusionOptions::suggest(&cameras, points, resolution, contraction);
     let depth_of = |i: usize| Ok::<_, GeometryError>(depth_map(&cameras[i], points, &clear[i]));
     let fusion = Fusion::of_depths(&cameras, LEAST_RESOLUTION..=resolution, options, depth_of)?;
-    let planar = planar.then(PlanarOptions::default);
     let options = SurfaceOptions { target_triangles: triangles, planar, ..SurfaceOptions::new(*fusion.options()) };
     let (surface, counts) = surface_from_fusion(&fusion, &options)?;
     stats.surface = counts;
@@ -454,7 +453,8 @@ mod tests {
         let cameras = cameras();
         for wrong in [0, 100] {
             let (points, views) = cloud(&cameras, wrong);
-            let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
+            let (surface, stats) =
+                surface_from_points(&views, &points, 20_000, Some(PlanarOptions::default())).unwrap();
             let [accuracy, completeness] = errors(&surface, &points);
             eprintln!("{wrong} wrong points: {accuracy:.4} to the truth, {completeness:.4} from it, {stats:?}");
             assert!(accuracy < 0.01 && completeness < 0.01, "{accuracy} {completeness}");
@@ -464,11 +464,11 @@ mod tests {
         // One view of which nothing is known does not make the others guesses.
         let (points, mut views) = cloud(&cameras, 0);
         views[3].sees.clear();
-        let (_, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
+        let (_, stats) = surface_from_points(&views, &points, 20_000, Some(PlanarOptions::default())).unwrap();
         assert_eq!((stats.guessed, stats.is_guess()), (1, false));
         // Without tracks the points themselves say what is visible: as exact, but less is found.
         views.iter_mut().for_each(|view| view.sees.clear());
-        let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
+        let (surface, stats) = surface_from_points(&views, &points, 20_000, Some(PlanarOptions::default())).unwrap();
         let [accuracy, completeness] = errors(&surface, &points);
         eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
         assert!(accuracy < 0.01 && completeness < 0.15, "{accuracy} {completeness}");
@@ -495,9 +495,9 @@ mod tests {
         let cameras = cameras();
         let views: Vec<_> = cameras.iter().map(|c| PointView { camera: *c, sees: vec![0, 1, 2, 900] }).collect();
         for points in [vec![], vec![Vec3::ZERO], vec![Vec3::ZERO; 3], vec![Vec3::NAN; 5]] {
-            let error = surface_from_points(&views, &points, 1000, true).unwrap_err().to_string();
+            let error = surface_from_points(&views, &points, 1000, None).unwrap_err().to_string();
             assert!(error.contains("lifting triangles of points"), "{error}");
         }
-        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000, true).is_err());
+        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000, None).is_err());
     }
 }

@@ -85,7 +85,7 @@ pub(super) fn near_plane(cameras: &[Camera], wanted: f32) -> f32 {
     if extent > 0.0 { wanted.min(0.05 * extent) } else { wanted.min(0.05) }
 }
 
-/// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, and flat regions made flat if `planar`. Of
+/// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, and what is `planar` made flat. Of
 /// the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
 ///
 /// `on_view` hears of every view when it is fused, by its index; from 0 again where they did not fit and voxels had to grow.
@@ -97,7 +97,7 @@ pub fn from_splats(
     scene: &HybridScene,
     capture: &Capture,
     triangles: usize,
-    planar: bool,
+    planar: Option<PlanarOptions>,
     mut on_view: impl FnMut(usize),
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
@@ -143,7 +143,7 @@ pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
     triangles: usize,
-    planar: bool,
+    planar: Option<PlanarOptions>,
     depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     // The radius is twice the distance of the focus, which a pixel there divides by the focal length.
@@ -158,7 +158,7 @@ pub(super) fn from_depths(
     let bounds = SurfaceOptions {
         target_triangles: triangles,
         min_component_faces: LEAST_FACES,
-        planar: planar.then(PlanarOptions::default),
+        planar,
         ..SurfaceOptions::new(*fusion.options())
     };
     Ok(geometry::surface_from_fusion(&fusion, &bounds)?)

@@ -2,7 +2,7 @@
 
 use super::{Run, arrangement, photographs::squared_error};
 use crate::{
-    geometry::{self, GeometryError, PointView, Surface},
+    geometry::{self, GeometryError, PlanarOptions, PointView, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::training::Training,
     scene::{Camera, HybridScene, Mesh},
@@ -11,11 +11,12 @@ use crate::{
 impl<'a> Run<'a> {
     /// Fuses triangles of the points that the training views see, or the median depths of the splats as they are.
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
+        let planar = self.options.planar.then(PlanarOptions::default);
         if of_points {
             let view = |&i: &usize| PointView { camera: self.cameras[i], sees: self.capture.views[i].sees.clone() };
             let views: Vec<PointView> = self.train.iter().map(view).collect();
             let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-            match geometry::surface_from_points(&views, &points, self.options.triangles, self.options.planar) {
+            match geometry::surface_from_points(&views, &points, self.options.triangles, planar) {
                 Ok((surface, steps)) => {
                     let is_guess = steps.is_guess();
                     self.found.surface =
@@ -27,8 +28,7 @@ impl<'a> Run<'a> {
             }
         }
         let points = self.whereabouts(training)?;
-        let (triangles, planar) = (self.options.triangles, self.options.planar);
-        let (surface, _) = surface::from_depths(&self.train_cameras, &points, triangles, planar, |i| {
+        let (surface, _) = surface::from_depths(&self.train_cameras, &points, self.options.triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
             surface::clear_unseen(&mut depth, &*self.photos.whole(&self.capture.views[self.train[i]])?);
             Ok(depth)
