@@ -275,6 +275,9 @@ fn several_inputs_become_one_scene() {
     let line = failure(folder.path(), "a.ply m.glb b.glb --strict");
     assert!(line.contains("pixel filter"), "{line}");
     assert!(!convert(folder.path(), "m.glb m.glb b.glb").contains("left out"));
+    // A .ply says nothing of a background that could be left out.
+    let said = convert(folder.path(), "m.glb a.ply b.glb");
+    assert!(said.starts_with("note: a.ply: left out on joining: its own pixel filter\n"), "{said}");
 
     let linear = Composition { color_space: centaur::scene::ColorSpace::LinearDisplay, ..Composition::default() };
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: linear };

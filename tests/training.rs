@@ -255,13 +255,17 @@ fn all_views_are_trained_on_if_asked_for() {
             serde_json::json!({ "file_path": format!("{i}.png"), "transform_matrix": pose })
         })
         .collect();
-    let file = serde_json::json!({ "w": 24, "h": 24, "fl_x": 24.0, "frames": frames });
-    std::fs::write(capture.join("transforms.json"), file.to_string()).unwrap();
+    let write = |frames: &[serde_json::Value]| {
+        let file = serde_json::json!({ "w": 24, "h": 24, "fl_x": 24.0, "frames": frames });
+        std::fs::write(capture.join("transforms.json"), file.to_string()).unwrap();
+    };
+    let start = |line: &str| common::centaur(folder.path()).args(line.split(' ')).output().unwrap();
     let run = |line: &str| {
-        let output = common::centaur(folder.path()).args(line.split(' ')).output().unwrap();
+        let output = start(line);
         assert!(output.status.success(), "{line}: {}", common::stderr(&output));
         serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
     };
+    write(&frames);
     let scored = |more: &str| {
         let flags = "--no-mesh --iterations 500 --max-splats 300 --quiet --json";
         let trained = run(&format!("train capture -o scene.glb {flags}{more}"));
@@ -275,6 +279,13 @@ fn all_views_are_trained_on_if_asked_for() {
     let (is_null, split, says, with) = scored(" --all-views");
     assert!(is_null && split == "all" && says);
     assert!(with > without + 1.0, "{with} dB, {without} dB where it is held out");
+
+    // Of two photographs one is held out, and none would do.
+    write(&frames[..2]);
+    let few = "train capture -o few.glb --no-mesh --iterations 5 --max-splats 50 --quiet";
+    let said = common::stderr(&start(few));
+    assert!(said.trim_end().ends_with("found 2 in all; --all-views holds none out"), "{said}");
+    run(&format!("{few} --json --all-views"));
 }
 
 /// Splats, a surface of theirs, maps and vertices, by the command line: the same file but for what it says of time, in a second run and

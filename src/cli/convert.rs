@@ -41,7 +41,8 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 /// of rounding to 32 bits are none either.
 ///
 /// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
-/// unknown extensions, as long as its scene is whole: moving it without mirroring and --no-cameras leave it so, other edits and joining do not.
+/// unknown extensions, as long as its scene is whole: moving it without mirroring and --no-cameras leave it so, other edits and
+/// joining do not.
 ///
 /// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
 /// taken; glTF and USD are y-up and are turned on reading and writing. Spherical harmonics turn with whatever is turned.
@@ -240,13 +241,14 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
 }
 
-/// What an input was shown by and is not in the company of others.
+/// What an input says of how it is shown that does not hold where it is joined with others.
 fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<String> {
     let order = |c: &Composition| (c.mode, c.lambda, c.layers);
     let parts = [
         ("pixel filter", input.splats > 0 && own.pixel_filter != of_all.pixel_filter),
         ("order of splats and meshes", input.meshes > 0 && order(own) != order(of_all)),
-        ("background", own.background != of_all.background),
+        // Most formats say nothing of what is behind a scene, and are read as the default.
+        ("background", ![of_all.background, Composition::default().background].contains(&own.background)),
     ];
     let named: Vec<&str> = parts.iter().filter(|(_, differs)| *differs).map(|(name, _)| *name).collect();
     (!named.is_empty()).then(|| named.join(" and "))

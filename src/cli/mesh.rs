@@ -78,6 +78,12 @@ pub(super) struct Args {
     messages: MessageArgs,
 }
 
+impl Args {
+    fn planar(&self) -> Option<PlanarOptions> {
+        self.planar.is_auto().then(PlanarOptions::default)
+    }
+}
+
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
@@ -226,12 +232,6 @@ fn compare(surface: &Surface, truth: &Surface, args: &Args, capture: &Capture) -
     };
     let within = args.within.unwrap_or(0.01 * diagonal);
     Ok(geometry::surface_distance(surface, truth, within, ball, is_seen))
-}
-
-impl Args {
-    fn planar(&self) -> Option<PlanarOptions> {
-        self.planar.is_auto().then(PlanarOptions::default)
-    }
 }
 
 fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {

@@ -71,7 +71,7 @@ impl SparseStats {
     }
 }
 
-/// Fuses a surface of at most about `triangles` triangles, what of it is `planar` made flat.
+/// Fuses a surface of at most about `triangles` triangles. Flat regions, as `planar` says what is one, are made flat; `None`: none are.
 ///
 /// # Errors
 /// Without cameras, if there are too few points, or if no surface is left.

@@ -40,8 +40,8 @@ pub struct TrainOptions {
     /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
     pub warmup: u32,
     /// Of `iterations`, those on splats alone before a surface is made of them: 15,000, when INRIA's density control
-    /// ends; it and AbsGS' go on for half of the rest, MCMC's to 5/6 of the run as without a mesh. Unused with a given mesh or without one. If not fewer than `iterations`, splats
-    /// and maps are never trained together.
+    /// ends; it and AbsGS' go on for half of the rest, MCMC's to 5/6 of the run as without a mesh. Unused with a given mesh or
+    /// without one. If not fewer than `iterations`, splats and maps are never trained together.
     pub surface_iterations: Option<u32>,
     /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
     /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).

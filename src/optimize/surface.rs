@@ -85,8 +85,8 @@ pub(super) fn near_plane(cameras: &[Camera], wanted: f32) -> f32 {
     if extent > 0.0 { wanted.min(0.05 * extent) } else { wanted.min(0.05) }
 }
 
-/// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, and what is `planar` made flat. Of
-/// the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
+/// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, `triangles` and `planar` as in
+/// [`geometry::surface_from_points`]. Of the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
 ///
 /// `on_view` hears of every view when it is fused, by its index; from 0 again where they did not fit and voxels had to grow.
 ///

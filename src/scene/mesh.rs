@@ -210,9 +210,13 @@ impl Mesh {
         Self { atlas, ..self }
     }
 
-    /// The triangles that are kept, by their place, and the vertices that they use, each in the order that they had; `None` if there are none.
+    /// The triangles to `keep`, and the vertices that they use, each in the order that they had; `None` if there are none.
+    ///
+    /// # Panics
+    /// If there is not one `keep` per triangle.
     #[must_use]
     pub fn with_triangles(&self, keep: &[bool]) -> Option<Self> {
+        assert_eq!(keep.len(), self.triangles.len(), "one per triangle");
         let kept = self.triangles.iter().zip(&self.corner_uvs).zip(keep).filter(|(_, keep)| **keep);
         let (mut triangles, corner_uvs): (Vec<[u32; 3]>, Vec<[Vec2; 3]>) = kept.map(|((t, uvs), _)| (*t, *uvs)).unzip();
         if triangles.is_empty() {

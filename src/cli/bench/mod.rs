@@ -34,7 +34,8 @@ Elsewhere, with the same DATASET, OUT, variants and flags as the first runner's:
 ///
 /// Every folder in DATASET that holds a capture is a scene; where DATASET has a scenes.json, those that it lists are, with flags of their own.
 /// Every scene, variant and seed is a job of its own: OUT/VARIANT/SCENE-SEED.json is there once it is done, and what is there is not done
-/// again, nor what another runner is at. Results of other flags, or of another capture of that name, are refused. Ctrl-C leaves checkpoints, from which the same command goes on.
+/// again, nor what another runner is at. Results of other flags, or of another capture of that name, are refused. Ctrl-C leaves
+/// checkpoints, from which the same command goes on.
 /// OUT/table.md has all results in OUT and their means over the scenes that every variant has, beside published rows where these are
 /// those of a known set: Mip-NeRF 360 by either protocol; train and truck of Tanks and Temples, or drjohnson and playroom of Deep Blending,
 /// with pictures as they come; Barn, Caterpillar, Ignatius, train and truck at that size, which may be the five of HERA's paper. The latter

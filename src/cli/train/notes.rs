@@ -140,6 +140,9 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
             let capture = args.capture.display();
             anyhow!("{capture}: {error}; --no-mesh trains splats alone, --mesh FILE takes yours")
         }
+        (TrainError::TooFewViews { .. }, _) if !args.all_views => {
+            anyhow!("{error}; --all-views holds none out")
+        }
         (TrainError::NotFinite { .. }, _) if has_saved => anyhow!("{error}; the last checkpoint is from before"),
         _ => error.into(),
     }

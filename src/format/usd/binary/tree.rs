@@ -29,8 +29,8 @@ enum Content {
     Samples(Vec<(f64, Value)>),
 }
 
-/// At most `total` nodes of as many places, elements and jumps as there are entries, or `None` if they are no tree: then, and only then, would a
-/// way up from a node not end at the root.
+/// `total` nodes, from the place, the element and the jump of every entry; `None` if these are no tree, in which a way up from a node need not
+/// come to an end.
 pub(super) fn nodes(total: usize, [places, elements, jumps]: &[Vec<i32>; 3]) -> Option<Vec<PathNode>> {
     let mut nodes: Vec<Option<PathNode>> = vec![None; total];
     let mut seen = vec![false; places.len()];

@@ -58,9 +58,9 @@ fn a_nan_at_a_density_step_is_named_by_its_phase() {
     });
 }
 
-/// The loss of an iteration after which there is no room for the splats that density control adds is known all the same.
+/// That of an iteration after which there is no room for the splats that density control adds is known all the same.
 #[test]
-fn a_loss_is_read_before_buffers_grow() {
+fn a_loss_outlives_buffers_that_grow() {
     let (gpu, mut capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     capture.points.truncate(400);
     capture.views.iter_mut().for_each(|view| view.sees.clear());
