@@ -15,12 +15,14 @@ static FLAG: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
 /// From here on a signal ends the program as it would any other, but for what [`atomic::abandon_all`] does before. A hangup is left as it
 /// is: `nohup` has it ignored.
 pub(super) fn handle() -> Result<()> {
+    #[cfg(not(unix))]
     ctrlc::set_handler(|| obey(SIGINT)).context("cannot handle Ctrl-C")?;
+    // By one thread: of two signals the first is the one that asks.
     #[cfg(unix)]
     {
         use signal_hook::{consts::SIGTERM, iterator::Signals};
-        let mut terminations = Signals::new([SIGTERM]).context("cannot handle SIGTERM")?;
-        std::thread::spawn(move || terminations.forever().for_each(obey));
+        let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle Ctrl-C")?;
+        std::thread::spawn(move || signals.forever().for_each(obey));
     }
     Ok(())
 }
