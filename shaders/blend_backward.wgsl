@@ -329,9 +329,7 @@ fn main(
             let conic = batch_conic[s];
             let rgb = batch_color[s].xyz;
             let dx = px - center.x;
-            // Near the axis of a needle, terms that cancel may round to more than 0.
-            let power_x = -0.5 * conic.x * dx * dx;
-            let power_xy = -conic.y * dx;
+            let along = gaussian_column(conic.xyz, dx);
 //#for l in 0..LAYERS
             let threshold$l = batch_threshold[s * LAYERS + $lu];
 //#end
@@ -343,8 +341,7 @@ fn main(
 //#for j in 0..PER_THREAD
             {
                 let dy = py$j - center.y;
-                let power = min(power_x + dy * (power_xy - 0.5 * conic.z * dy), 0.0);
-                let raw = center.w * exp(power);
+                let raw = alpha_at(along, center.w, dy);
                 let alpha = min(ALPHA_CAP, raw);
                 if alpha >= ALPHA_CUT {
                     var bucket = $pu % BUCKETS;

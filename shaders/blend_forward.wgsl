@@ -185,9 +185,7 @@ fn main(
 //#if 1<AT_ONCE
                 let alpha = min(ALPHA_CAP, raw$m_$j);
 //#else
-                let dy = py$j - center$m.y;
-                let power = min(power_x$m + dy * (power_xy$m - 0.5 * conic$m.z * dy), 0.0);
-                let alpha = min(ALPHA_CAP, center$m.w * exp(power));
+                let alpha = min(ALPHA_CAP, alpha_at(column$m, center$m.w, py$j - center$m.y));
 //#end
                 if alpha >= ALPHA_CUT {
                     var bucket = $pu % BUCKETS;

@@ -33,10 +33,8 @@ fn main(
         for (var k = range.x; k < range.y; k++) {
             let i = pair_splats[k];
             let a = projected[3u * i];
-            let conic = projected[3u * i + 1u].xyz;
             let d = at - a.xy;
-            let power = min(-0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) - conic.y * d.x * d.y, 0.0);
-            let alpha = min(ALPHA_CAP, a.w * exp(power));
+            let alpha = min(ALPHA_CAP, alpha_at(gaussian_column(projected[3u * i + 1u].xyz, d.x), a.w, d.y));
             if alpha < ALPHA_CUT { continue; }
             var behind = 0u;
 //#for l in 0..LAYERS

@@ -22,8 +22,7 @@ fn evaluate(@builtin(global_invocation_id) id: vec3u) {
     var t = 1.0;
     for (var i = 0u; i < LOOPS; i++) {
         let d = pixel - center;
-        let power = min(-0.5 * conic.x * d.x * d.x + d.y * (-conic.y * d.x - 0.5 * conic.z * d.y), 0.0);
-        let alpha = min(ALPHA_CAP, opacity * exp(power));
+        let alpha = min(ALPHA_CAP, alpha_at(gaussian_column(conic, d.x), opacity, d.y));
         if alpha >= ALPHA_CUT {
             color += t * alpha * rgb;
             t *= 1.0 - alpha;

@@ -1,4 +1,4 @@
-// $COUNT splats of a batch, from `s` to before $END, at the PER_THREAD pixels of a thread: of splat m from `s` on `center$m`, `conic$m`, `dx$m`,
+// $COUNT splats of a batch, from `s` to before $END, at the PER_THREAD pixels of a thread: of splat m from `s` on `center$m`, `conic$m`, `dx$m`, `column$m`,
 // `threshold$m_$l`, and, of more than one, at pixel j `dy$m_$j` and `raw$m_$j`, its alpha before it is capped, 0 where there is none. Of all at once and
 // without branches: what a thread waits for in one it does of the others.
 //#for m in 0..$COUNT
@@ -10,17 +10,14 @@ let at$m = min(s + $mu, $END - 1u);
 let center$m = batch_center[at$m];
 let conic$m = batch_conic[at$m];
 let dx$m = px - center$m.x;
-// Near the axis of a needle, terms that cancel may round to more than 0.
-let power_x$m = -0.5 * conic$m.x * dx$m * dx$m;
-let power_xy$m = -conic$m.y * dx$m;
+let column$m = gaussian_column(conic$m.xyz, dx$m);
 //#for l in 0..LAYERS
 let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
 //#end
 //#if 1<$COUNT
 //#for j in 0..PER_THREAD
 let dy$m_$j = py$j - center$m.y;
-let power$m_$j = min(power_x$m + dy$m_$j * (power_xy$m - 0.5 * conic$m.z * dy$m_$j), 0.0);
-let raw$m_$j = select(0.0, center$m.w * exp(power$m_$j), s + $mu < $END);
+let raw$m_$j = select(0.0, alpha_at(column$m, center$m.w, dy$m_$j), s + $mu < $END);
 //#end
 //#end
 //#end
