@@ -13,7 +13,8 @@ use super::{
 };
 use crate::{
     render::gpu::{
-        exposure::ExposureState, pose::PoseState, state::SplatState, training::Training, vertices::VertexState,
+        exposure::ExposureState, per_view::PerView, pose::PoseState, state::SplatState, training::Training,
+        vertices::VertexState,
     },
     scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
 };
@@ -116,13 +117,11 @@ impl Saved {
         tensors.insert("vertices/pixel".to_owned(), vec![self.vertices.pixel]);
         tensors.insert("vertices/normals".to_owned(), self.vertices.normals);
         tensors.insert("vertices/moments".to_owned(), self.vertices.moments);
-        let of_exposures = self.exposures.map(|e| ("exposures", e.values, e.moments, e.steps));
-        let of_poses = self.poses.map(|p| ("poses", p.values, p.moments, p.steps));
-        for (what, values, [first, second], steps) in [of_exposures, of_poses].into_iter().flatten() {
-            for (name, floats) in [("values", values), ("m", first), ("v", second)] {
-                tensors.insert(format!("{what}/{name}"), floats);
-            }
-            indices.insert(format!("{what}/steps"), steps);
+        if let Some(exposures) = self.exposures {
+            put_views("exposures", exposures, &mut tensors, &mut indices);
+        }
+        if let Some(poses) = self.poses {
+            put_views("poses", poses, &mut tensors, &mut indices);
         }
         indices.insert("log".to_owned(), self.past.to_words());
         tensors.insert("texels/m".to_owned(), self.texel_moments.0);
@@ -204,23 +203,17 @@ impl Saved {
             normals: take("vertices/normals".to_owned())?,
             moments: take("vertices/moments".to_owned())?,
         };
-        let mut of_views = |what: &str| {
-            let name = format!("{what}/steps");
-            let steps = indices.remove(&name).ok_or_else(|| damaged(&name))?;
-            let [values, first, second] = ["values", "m", "v"].map(|name| take(format!("{what}/{name}")));
-            Ok::<_, TrainError>((values?, [first?, second?], steps))
-        };
-        let exposures = if run.options.exposure { Some(of_views("exposures")?) } else { None };
-        let poses = if run.options.refine_poses { Some(of_views("poses")?) } else { None };
-        let exposures = exposures.map(|(values, moments, steps)| ExposureState { values, moments, steps });
-        let poses = poses.map(|(values, moments, steps)| PoseState { values, moments, steps });
         let views = run.input["views"].as_array().map_or(0, Vec::len);
-        if exposures.as_ref().is_some_and(|exposures| !exposures.is_of(views)) {
-            return Err(damaged("exposures"));
-        }
-        if poses.as_ref().is_some_and(|poses| !poses.is_of(views)) {
-            return Err(damaged("poses"));
-        }
+        let exposures = match run.options.exposure {
+            true => {
+                Some(take_views("exposures", views, &mut tensors, &mut indices).ok_or_else(|| damaged("exposures"))?)
+            }
+            false => None,
+        };
+        let poses = match run.options.refine_poses {
+            true => Some(take_views("poses", views, &mut tensors, &mut indices).ok_or_else(|| damaged("poses"))?),
+            false => None,
+        };
         let past = indices.remove("log").and_then(|words| Past::from_words(&words)).ok_or_else(|| damaged("log"))?;
         let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
         let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
@@ -265,6 +258,31 @@ impl Saved {
             },
         })
     }
+}
+
+/// Lists of a checkpoint by their names.
+type Named<T> = BTreeMap<String, Vec<T>>;
+
+/// Puts in what views have of their own, as `what`.
+fn put_views<const N: usize>(what: &str, of: PerView<N>, tensors: &mut Named<f32>, indices: &mut Named<u32>) {
+    let [first, second] = of.moments;
+    for (name, floats) in [("values", of.values), ("m", first), ("v", second)] {
+        tensors.insert(format!("{what}/{name}"), floats);
+    }
+    indices.insert(format!("{what}/steps"), of.steps);
+}
+
+/// Takes out what [`put_views`] put in, if it is all there for so many views.
+fn take_views<const N: usize>(
+    what: &str,
+    views: usize,
+    tensors: &mut Named<f32>,
+    indices: &mut Named<u32>,
+) -> Option<PerView<N>> {
+    let mut take = |name: &str| tensors.remove(&format!("{what}/{name}"));
+    let (values, moments) = (take("values")?, [take("m")?, take("v")?]);
+    let of = PerView { values, moments, steps: indices.remove(&format!("{what}/steps"))? };
+    of.is_of(views).then_some(of)
 }
 
 /// Values by rows of `N`; `None` if some are left.

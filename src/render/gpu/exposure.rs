@@ -3,9 +3,9 @@
 use glam::{Mat3, Vec3};
 
 use super::{
-    adam::bias_corrections,
     backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    per_view::{PerView, PerViewBuffers},
     pipeline::Pipeline,
     view::View,
 };
@@ -17,28 +17,13 @@ pub(crate) const FLOATS: usize = 12;
 /// Rows of the identity.
 const IDENTITY: [f32; FLOATS] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-/// A 3×4 matrix per view, which takes what is rendered, (r, g, b, 1), to what was photographed; with what Adam holds of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct ExposureState {
-    /// By rows, `[V·12]`.
-    pub(crate) values: Vec<f32>,
-    /// First and second moments, as the values.
-    pub(crate) moments: [Vec<f32>; 2],
-    /// Steps so far, `[V]`.
-    pub(crate) steps: Vec<u32>,
-}
+/// A 3×4 matrix per view, by rows, which takes what is rendered, (r, g, b, 1), to what was photographed.
+pub(crate) type ExposureState = PerView<FLOATS>;
 
 impl ExposureState {
     /// Photographs as they are rendered.
     pub(crate) fn new(views: usize) -> Self {
-        let zeros = || vec![0.0; FLOATS * views];
-        Self { values: IDENTITY.repeat(views), moments: [zeros(), zeros()], steps: vec![0; views] }
-    }
-
-    /// Whether it is one of so many views.
-    pub(crate) fn is_of(&self, views: usize) -> bool {
-        let floats = FLOATS * views;
-        self.values.len() == floats && self.moments.iter().all(|m| m.len() == floats) && self.steps.len() == views
+        Self::beginning_at(IDENTITY, views)
     }
 
     /// The matrix of a view, by rows.
@@ -85,10 +70,8 @@ pub(crate) struct Exposures {
     pull: Kernel,
     update: Kernel,
     uniform: Buffer,
-    pub(super) values: Buffer,
-    moments: [Buffer; 2],
+    pub(super) views: PerViewBuffers<FLOATS>,
     partial: Buffer,
-    steps: Vec<u32>,
     bindings: Option<Bindings>,
 }
 
@@ -99,25 +82,19 @@ impl Exposures {
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &ExposureState, pixels: usize) -> Result<Self, GpuError> {
         let kernel = |entry| Kernel::new(gpu, "exposure.wgsl", entry, &gpu.defines());
-        let moments = &state.moments;
         Ok(Self {
             pull: kernel("pull"),
             update: kernel("update"),
             uniform: gpu.uniform("exposure step", 8)?,
-            values: gpu.storage_with("exposures", &state.values)?,
-            moments: [
-                gpu.storage_with("exposure moment 1", &moments[0])?,
-                gpu.storage_with("exposure moment 2", &moments[1])?,
-            ],
+            views: PerViewBuffers::new(gpu, "exposures", state)?,
             partial: gpu.storage("exposure gradients", FLOATS * groups(pixels, PIXELS))?,
-            steps: state.steps.clone(),
             bindings: None,
         })
     }
 
     /// Binds the buffers of a pipeline and its way back.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
-        let [first, second] = &self.moments;
+        let [first, second] = &self.views.moments;
         self.bindings = Some(self.pull.bind(
             gpu,
             &[
@@ -125,7 +102,7 @@ impl Exposures {
                 &self.uniform,
                 &pipeline.blend.image,
                 &backward.image_gradient,
-                &self.values,
+                &self.views.values,
                 first,
                 second,
                 &self.partial,
@@ -137,16 +114,17 @@ impl Exposures {
     /// Appends to a frame what takes the gradient of the loss to that of the picture, and a step of the view's exposure.
     pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep) {
         let Some(bindings) = &self.bindings else { return };
-        // Also where the step turns out to change nothing, which the host does not wait to know: only the correction of the bias counts.
-        if step.rate != 0.0 {
-            self.steps[step.view] = self.steps[step.view].saturating_add(1);
-        }
+        let [first, second] = self.views.count(step.view, step.rate != 0.0);
         let n = groups(view.pixels(), PIXELS);
-        let [first, second] = bias_corrections(self.steps[step.view]).map(f32::to_bits);
         let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, 0, 0, 0];
         gpu.write(&self.uniform, 0, &words);
         frame.dispatch(&self.pull, bindings, n);
         frame.dispatch(&self.update, bindings, 1);
+    }
+
+    /// The last `skipped` steps changed nothing, see [`PerViewBuffers::settle`].
+    pub(crate) fn settle(&mut self, skipped: u32) {
+        self.views.settle(skipped);
     }
 
     /// Everything of it. Waits.
@@ -154,19 +132,11 @@ impl Exposures {
     /// # Errors
     /// If the driver failed.
     pub(crate) fn read(&self, gpu: &Gpu) -> Result<ExposureState, GpuError> {
-        let read = |buffer: &Buffer| gpu.read(buffer, FLOATS * self.steps.len());
-        let [first, second] = &self.moments;
-        Ok(ExposureState {
-            values: read(&self.values)?,
-            moments: [read(first)?, read(second)?],
-            steps: self.steps.clone(),
-        })
+        self.views.read(gpu)
     }
 
     /// Replaces everything by a state of as many views.
     pub(crate) fn write(&mut self, gpu: &Gpu, state: &ExposureState) {
-        gpu.write(&self.values, 0, &state.values);
-        self.moments.iter().zip(&state.moments).for_each(|(buffer, values)| gpu.write(buffer, 0, values));
-        self.steps.clone_from(&state.steps);
+        self.views.write(gpu, state);
     }
 }

@@ -19,6 +19,7 @@ mod memory_tests;
 mod mesh;
 #[cfg(test)]
 mod mesh_tests;
+pub(crate) mod per_view;
 mod pipeline;
 pub(crate) mod pose;
 #[cfg(test)]

@@ -3,9 +3,9 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
-    adam::bias_corrections,
     backward::Backward,
     device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    per_view::{PerView, PerViewBuffers},
     pipeline::Pipeline,
 };
 use crate::scene::Camera;
@@ -16,28 +16,13 @@ const PARTS: usize = 256;
 pub(crate) const FLOATS: usize = 8;
 
 /// How the camera of each view differs from the one that is known: rotated after its rotation W, W' = exp(ω)·W, about a centre that is
-/// shifted, C' = C + c; with what Adam holds of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct PoseState {
-    /// ω in camera axes (radians), 0, c in the world's unit, 0; `[V·8]`.
-    pub(crate) values: Vec<f32>,
-    /// First and second moments, as the values.
-    pub(crate) moments: [Vec<f32>; 2],
-    /// Steps so far, `[V]`.
-    pub(crate) steps: Vec<u32>,
-}
+/// shifted, C' = C + c: ω in camera axes (radians), 0, c in the world's unit, 0.
+pub(crate) type PoseState = PerView<FLOATS>;
 
 impl PoseState {
     /// Cameras as they are known.
     pub(crate) fn new(views: usize) -> Self {
-        let zeros = || vec![0.0; FLOATS * views];
-        Self { values: zeros(), moments: [zeros(), zeros()], steps: vec![0; views] }
-    }
-
-    /// Whether it is one of so many views.
-    pub(crate) fn is_of(&self, views: usize) -> bool {
-        let floats = FLOATS * views;
-        self.values.len() == floats && self.moments.iter().all(|m| m.len() == floats) && self.steps.len() == views
+        Self::beginning_at([0.0; FLOATS], views)
     }
 
     /// ω and c of a view.
@@ -104,10 +89,8 @@ pub(crate) struct Poses {
     pull: Kernel,
     update: Kernel,
     step: Buffer,
-    values: Buffer,
-    moments: [Buffer; 2],
+    views: PerViewBuffers<FLOATS>,
     partial: Buffer,
-    steps: Vec<u32>,
     bindings: Option<Bindings>,
 }
 
@@ -116,16 +99,13 @@ impl Poses {
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &PoseState) -> Result<Self, GpuError> {
         let kernel = |entry| Kernel::new(gpu, "pose.wgsl", entry, &gpu.defines());
-        let [first, second] = &state.moments;
         Ok(Self {
             correct: kernel("correct"),
             pull: kernel("pull"),
             update: kernel("update"),
             step: gpu.uniform("pose step", 8)?,
-            values: gpu.storage_with("poses", &state.values)?,
-            moments: [gpu.storage_with("pose moment 1", first)?, gpu.storage_with("pose moment 2", second)?],
+            views: PerViewBuffers::new(gpu, "poses", state)?,
             partial: gpu.storage("pose gradients", 8 * PARTS)?,
-            steps: state.steps.clone(),
             bindings: None,
         })
     }
@@ -133,11 +113,11 @@ impl Poses {
     /// Binds the buffers of a pipeline and its way back, if that differentiates by poses.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
         let Some(by_turn) = &backward.splats.turn else { return };
-        let [first, second] = &self.moments;
+        let [first, second] = &self.views.moments;
         let buffers = [
             &pipeline.view,
             &self.step,
-            &self.values,
+            &self.views.values,
             first,
             second,
             by_turn,
@@ -152,11 +132,7 @@ impl Poses {
     /// is to do.
     pub(crate) fn record_correction(&mut self, gpu: &Gpu, frame: &mut Frame, step: &PoseStep) {
         let Some(bindings) = &self.bindings else { return };
-        // Also where the step turns out to change nothing, as for exposures.
-        if step.turn_rate != 0.0 {
-            self.steps[step.view] = self.steps[step.view].saturating_add(1);
-        }
-        let [first, second] = bias_corrections(self.steps[step.view]).map(f32::to_bits);
+        let [first, second] = self.views.count(step.view, step.turn_rate != 0.0);
         let [turn, shift] = [step.turn_rate, step.shift_rate].map(f32::to_bits);
         let words = [step.view as u32, turn, shift, first, second, 0, 0, 0];
         gpu.write(&self.step, 0, &words);
@@ -171,20 +147,21 @@ impl Poses {
         }
     }
 
+    /// The last `skipped` steps changed nothing, see [`PerViewBuffers::settle`].
+    pub(crate) fn settle(&mut self, skipped: u32) {
+        self.views.settle(skipped);
+    }
+
     /// Everything of it. Waits.
     ///
     /// # Errors
     /// If the driver failed.
     pub(crate) fn read(&self, gpu: &Gpu) -> Result<PoseState, GpuError> {
-        let read = |buffer: &Buffer| gpu.read(buffer, FLOATS * self.steps.len());
-        let [first, second] = &self.moments;
-        Ok(PoseState { values: read(&self.values)?, moments: [read(first)?, read(second)?], steps: self.steps.clone() })
+        self.views.read(gpu)
     }
 
     /// Replaces everything by a state of as many views.
     pub(crate) fn write(&mut self, gpu: &Gpu, state: &PoseState) {
-        gpu.write(&self.values, 0, &state.values);
-        self.moments.iter().zip(&state.moments).for_each(|(buffer, values)| gpu.write(buffer, 0, values));
-        self.steps.clone_from(&state.steps);
+        self.views.write(gpu, state);
     }
 }

@@ -335,6 +335,8 @@ impl<'g> Training<'g> {
     /// for that and are to be taken again, in the same order.
     pub(crate) fn grow_if_short(&mut self) -> Result<u32, GpuError> {
         let Status { skipped, pairs: needed, .. } = self.status()?;
+        self.exposures.iter_mut().for_each(|exposures| exposures.settle(skipped));
+        self.poses.iter_mut().for_each(|poses| poses.settle(skipped));
         if skipped == 0 {
             return Ok(0);
         }
@@ -534,7 +536,7 @@ impl<'g> Training<'g> {
 
     fn bind_loss(&mut self) -> Result<(), GpuError> {
         let Self { gpu, pipeline, backward, truth, sizes, ssim_weight, .. } = &*self;
-        let exposures = self.exposures.as_ref().map(|exposures| &exposures.values);
+        let exposures = self.exposures.as_ref().map(|exposures| &exposures.views.values);
         self.loss = new_loss(gpu, (pipeline, backward), truth, sizes, *ssim_weight, exposures)?;
         if let Some(exposures) = &mut self.exposures {
             exposures.bind(self.gpu, &self.pipeline, &self.backward);

@@ -117,6 +117,7 @@ fn a_step_with_lists_too_short_changes_nothing() {
         let after = learnt(&training);
         assert!(after.0.geometry != before.0.geometry && after.1 != before.1 && after.2 != before.2);
         assert!(after.4 != before.4);
+        assert_eq!(training.read_poses().unwrap().unwrap().steps, [1], "what was not learnt from does not count");
         assert_eq!(training.status().unwrap().skipped, 0);
     }
 }

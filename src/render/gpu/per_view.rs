@@ -1,0 +1,89 @@
+//! What every training view has of its own, exposures and poses, while Adam moves it: a few numbers, two moments of each, a count of steps.
+
+use super::{
+    adam::bias_corrections,
+    device::{Buffer, Gpu, GpuError},
+};
+
+/// `N` numbers of each of V views, with what Adam holds of them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct PerView<const N: usize> {
+    /// `[V·N]`.
+    pub(crate) values: Vec<f32>,
+    /// First and second moments, as the values.
+    pub(crate) moments: [Vec<f32>; 2],
+    /// Steps so far, `[V]`.
+    pub(crate) steps: Vec<u32>,
+}
+
+impl<const N: usize> PerView<N> {
+    /// The same numbers for each of so many views.
+    pub(crate) fn beginning_at(values: [f32; N], views: usize) -> Self {
+        let zeros = || vec![0.0; N * views];
+        Self { values: values.repeat(views), moments: [zeros(), zeros()], steps: vec![0; views] }
+    }
+
+    /// Whether it is one of so many views.
+    pub(crate) fn is_of(&self, views: usize) -> bool {
+        let is_full = |floats: &Vec<f32>| floats.len() == N * views;
+        is_full(&self.values) && self.moments.iter().all(is_full) && self.steps.len() == views
+    }
+}
+
+/// The same on the GPU, steps aside, which the host counts.
+pub(super) struct PerViewBuffers<const N: usize> {
+    pub(super) values: Buffer,
+    pub(super) moments: [Buffer; 2],
+    steps: Vec<u32>,
+    /// Views of the steps that are not known to have been taken, in order; `None` of one that counts for no view.
+    unsettled: Vec<Option<usize>>,
+}
+
+impl<const N: usize> PerViewBuffers<N> {
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(super) fn new(gpu: &Gpu, name: &str, state: &PerView<N>) -> Result<Self, GpuError> {
+        let moment = |i: usize| gpu.storage_with(&format!("{name}, moment {}", i + 1), &state.moments[i]);
+        Ok(Self {
+            values: gpu.storage_with(name, &state.values)?,
+            moments: [moment(0)?, moment(1)?],
+            steps: state.steps.clone(),
+            unsettled: vec![],
+        })
+    }
+
+    /// Counts a step of a view, which turns out later to have been taken ([`Self::settle`]). Without `moves` it counts for none. The words of
+    /// the correction of Adam's bias.
+    pub(super) fn count(&mut self, view: usize, moves: bool) -> [u32; 2] {
+        self.steps[view] = self.steps[view].saturating_add(u32::from(moves));
+        self.unsettled.push(moves.then_some(view));
+        bias_corrections(self.steps[view]).map(f32::to_bits)
+    }
+
+    /// The last `skipped` of the steps that were counted since the last call changed nothing: they are to be taken again, and counted then.
+    pub(super) fn settle(&mut self, skipped: u32) {
+        let taken = self.unsettled.len().saturating_sub(skipped as usize);
+        for view in self.unsettled.drain(..).skip(taken).flatten() {
+            self.steps[view] = self.steps[view].saturating_sub(1);
+        }
+    }
+
+    /// Everything of it. Waits.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(super) fn read(&self, gpu: &Gpu) -> Result<PerView<N>, GpuError> {
+        let read = |buffer: &Buffer| gpu.read(buffer, N * self.steps.len());
+        let [first, second] = &self.moments;
+        let (values, moments) = (read(&self.values)?, [read(first)?, read(second)?]);
+        Ok(PerView { values, moments, steps: self.steps.clone() })
+    }
+
+    /// Replaces everything by a state of as many views.
+    pub(super) fn write(&mut self, gpu: &Gpu, state: &PerView<N>) {
+        gpu.write(&self.values, 0, &state.values);
+        self.moments.iter().zip(&state.moments).for_each(|(buffer, values)| gpu.write(buffer, 0, values));
+        self.steps.clone_from(&state.steps);
+        self.unsettled.clear();
+    }
+}
