@@ -152,7 +152,7 @@ fn texel_sources_are_transformed_and_repeat() {
     let moved = json!({ "offset": [0.5, 0.25], "scale": [2, 0.5], "rotation": std::f32::consts::FRAC_PI_2 });
     let source =
         |transform: &Value| json!({ "texture": { "index": 0, "extensions": { "KHR_texture_transform": transform } } });
-    let file = |opacity: Value, bands: Value, sampler: Value| {
+    let placed = |node: Value, opacity: Value, bands: Value, sampler: Value| {
         let radiance = json!({
             "colorSpace": "srgb_rec709_display", "opacity": opacity,
             "sphericalHarmonics": { "degree": 1, "coefficients": [source(&moved), bands, source(&moved), source(&moved)] },
@@ -162,8 +162,10 @@ fn texel_sources_are_transformed_and_repeat() {
             "materials": [{ "alphaMode": "BLEND", "doubleSided": true, "extensions": { "EXT_gaussian_splatting_hybrid": radiance } }],
             "textures": [{ "source": 0, "sampler": 0 }], "samplers": [sampler],
             "images": [{ "bufferView": view, "mimeType": "image/png" }],
+            "nodes": [node],
         }))
     };
+    let file = |opacity: Value, bands: Value, sampler: Value| placed(json!({ "mesh": 0 }), opacity, bands, sampler);
     let clamped = json!({ "wrapS": 33071, "wrapT": 33071 });
     let read = file(source(&moved), source(&moved), clamped.clone()).unwrap();
     let mesh = &read.scene.meshes[0];
@@ -181,6 +183,22 @@ fn texel_sources_are_transformed_and_repeat() {
     for (uv, corner) in UVS.iter().zip(&mesh.corner_uvs()[0]) {
         let [u, v] = at(*uv);
         near(&corner.to_array(), &[u, (v + 2.0) / 3.0], 1e-6);
+    }
+    // So they are where a node puts them, and turned with it: what was seen along x is seen along y.
+    let shifted = placed(json!({ "mesh": 0, "translation": [1, 2, 3] }), source(&moved), source(&moved), json!({}));
+    let shifted = shifted.unwrap().scene.meshes.remove(0);
+    assert_eq!((shifted.corner_uvs(), shifted.atlas()), (mesh.corner_uvs(), mesh.atlas()));
+    let quarter = json!({ "mesh": 0, "rotation": [0, 0, 0.5_f64.sqrt(), 0.5_f64.sqrt()] });
+    let turned = placed(quarter, source(&moved), source(&moved), json!({})).unwrap().scene.meshes.remove(0);
+    assert_eq!((turned.corner_uvs(), turned.atlas().base()), (mesh.corner_uvs(), mesh.atlas().base()));
+    let [x, y] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(sh::basis);
+    let along = |mesh: &Mesh, basis: &[f64], texel: usize| -> f64 {
+        let coefficients = &mesh.atlas().bands().unwrap().texels()[9 * texel..];
+        (0..3).map(|k| basis[1 + k] * f64::from(coefficients[3 * k])).sum()
+    };
+    for texel in 0..12 {
+        let [before, after] = [along(mesh, &x, texel), along(&turned, &y, texel)];
+        assert!((before - after).abs() < 1e-6, "{texel}: {before} {after}");
     }
     // Every map of a material lies where coefficient 0 does.
     let other = file(source(&json!({ "offset": [0.5, 0.25] })), source(&moved), clamped.clone()).unwrap_err();

@@ -16,7 +16,7 @@ use super::vertex_color;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::{Similarity, similarity, turned};
 use crate::scene::rig::RestSurface;
-use crate::scene::{Atlas, ColorSpace, Mesh, Texture};
+use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
 
 /// Bytes of maps that a byte of images and buffers may become, above what any file may: four floats for each of the
 /// pixels, of which a PNG holds up to a thousand in a byte.
@@ -49,6 +49,8 @@ struct Group {
     material: Option<usize>,
     /// In place of the material's.
     atlas: Option<Atlas>,
+    /// How the material's are turned with the surface, where they depend on the direction.
+    turn: Option<DMat3>,
     /// Before it is posed, if an animation moves it.
     rest_surface: Option<RestSurface>,
 }
@@ -135,7 +137,7 @@ impl<'a> Meshes<'a> {
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
                 return Err(Fault::pointer(at, expected, "another transform"));
             };
-            group.atlas = Some(turned(&maps.atlas, DMat3::from_quat(rotation)).map_err(|e| Fault::from(e).under(&at))?);
+            group.turn = Some(DMat3::from_quat(rotation)).filter(|turn| *turn != DMat3::IDENTITY);
         }
         let moves = self.poses.animates(&rest_surface, self.motion);
         let id = (node.index(), primitive.index());
@@ -154,7 +156,8 @@ impl<'a> Meshes<'a> {
             }
         }
         let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
-        let bytes = bytes + group.atlas.as_ref().map_or(0, |a| a.floats() as u64 * 4);
+        let own_atlas = group.atlas.as_ref().or(group.turn.map(|_| &maps.atlas));
+        let bytes = bytes + own_atlas.map_or(0, |a| a.floats() as u64 * 4);
         self.asset.spend(bytes + if moves { rest_surface.bytes() } else { 0 }, &at)?;
         let corners = undeformed.is_some().then(|| triangles.clone());
         (group.positions, group.triangles) = (positions, triangles);
@@ -185,7 +188,7 @@ impl<'a> Meshes<'a> {
     /// Returns the group, and the first vertex in it.
     fn join(&mut self, group: Group) -> Result<(usize, u32), Fault> {
         let next = self.groups.len();
-        if group.atlas.is_some() || group.rest_surface.is_some() {
+        if group.atlas.is_some() || group.turn.is_some() || group.rest_surface.is_some() {
             self.groups.push(group);
             return Ok((next, 0));
         }
@@ -219,9 +222,15 @@ impl<'a> Meshes<'a> {
                     })
                 }
             };
-            let material = || group.material.map_or("/meshes".to_owned(), |i| format!("/materials/{i}"));
+            let in_material = |e: SceneError| {
+                Fault::from(e).under(group.material.map_or("/meshes".to_owned(), |i| format!("/materials/{i}")))
+            };
+            let atlas = match group.turn {
+                Some(turn) => turned(&atlas, turn).map_err(in_material)?,
+                None => atlas,
+            };
             let mesh = Mesh::new(group.positions, group.triangles, group.corner_uvs, atlas);
-            meshes.push(mesh.map_err(|e| Fault::from(e).under(material()))?);
+            meshes.push(mesh.map_err(in_material)?);
             rest_surfaces.push(group.rest_surface);
         }
         Ok(Finished { meshes, rest_surfaces, poses: self.poses, bindable: self.bindable })
