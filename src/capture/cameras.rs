@@ -18,8 +18,9 @@ pub struct Cameras {
     pub cameras: Vec<(String, Camera)>,
     /// How many there are a second, if they are a path that says so.
     pub fps: Option<f64>,
-    /// Whether their world is y up, as those of glTF and USD, or the frame of a capture; `None` where nothing says.
-    pub y_up: Option<bool>,
+    /// Whether their world is y up, as those of glTF and USD, as a `transforms*.json` can say that Centaur wrote; else it is the frame of
+    /// a capture.
+    pub y_up: bool,
     /// Their photographs, as far as the capture names any; they need not exist.
     pub images: Vec<PathBuf>,
 }
@@ -66,13 +67,13 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
     let (mut frames, fps, y_up, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
         let Listed { frames, list, .. } = colmap::load(path, &model, (options, false))?;
-        (frames, None, None, list)
+        (frames, None, false, list)
     } else {
         let Some((first, _)) = files.first() else {
             let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
-        let (mut frames, mut fps, mut y_up) = (vec![], None, None);
+        let (mut frames, mut fps, mut y_up) = (vec![], None, false);
         for (file, held_out) in &files {
             let text = error::read_text(file)?;
             if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
@@ -82,7 +83,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
             if let (Some(found), None) = (read.fps, fps) {
                 fps = Some(rate(found, file)?);
             }
-            y_up = y_up.or(read.y_up);
+            y_up |= read.y_up;
             frames.extend(read.frames);
         }
         (frames, fps, y_up, first.clone())
@@ -178,7 +179,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
     };
     let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
     let cameras = file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?;
-    at_least_one(Cameras { cameras, fps, y_up: None, images: vec![] }, path)
+    at_least_one(Cameras { cameras, fps, y_up: false, images: vec![] }, path)
 }
 
 /// Order of names in which `frame_2` is before `frame_10`.

@@ -101,7 +101,7 @@ pub(super) struct Parsed {
     /// How many frames there are a second, if they are a path.
     pub(super) fps: Option<f64>,
     /// See [`super::Cameras::y_up`].
-    pub(super) y_up: Option<bool>,
+    pub(super) y_up: bool,
     /// The PLY with its points.
     points: Option<PathBuf>,
 }
@@ -210,7 +210,7 @@ pub(super) fn parse(
         }
         _ => None,
     };
-    Ok(Parsed { frames, fps: file.fps, y_up: file.centaur.and_then(|ours| ours.y_up), points })
+    Ok(Parsed { frames, fps: file.fps, y_up: file.centaur.and_then(|ours| ours.y_up).unwrap_or_default(), points })
 }
 
 /// The file of an image: another folder for `images` if asked for, a suffix if the name has none.

@@ -248,9 +248,11 @@ impl FileArgs {
         if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
         }
-        if y_up == Some(true) && is_folder(&self.output) {
-            let output = self.output.display();
-            notes.push(format!("its world is y up, which {output} does not say: it fits scenes in the same frame"));
+        if y_up && is_folder(&self.output) {
+            notes.push(
+                "its world is y up: turned half about x into the frame of captures, which COLMAP models have"
+                    .to_owned(),
+            );
         }
         let begins = times.first().copied().unwrap_or_default();
         let has_times = is_gltf || self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("usda"));

@@ -4,11 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
-use centaur::edit::{self, Axes, Similarity};
+use centaur::edit::{self, Similarity};
 use centaur::format::ply::Attribute;
 use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, spz};
 use centaur::scene::Composition;
-use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
@@ -217,9 +216,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
         }
         let mut read = Edited { scene, cameras: own, attributes: extra, source, record: None, steps: vec![] };
         if y_up {
-            let axes = |name: &str| name.parse::<Axes>().expect("a name that it knows");
-            let turn = Similarity::new(1.0, axes("y-up").to(axes("y-down")), DVec3::ZERO)?;
-            read = read.moved(&turn).with_context(|| file.display().to_string())?;
+            read = read.moved(&Similarity::HALF_TURN).with_context(|| file.display().to_string())?;
         }
         let (splats, meshes) = (read.scene.splats.len(), read.scene.meshes.len());
         let has_record = own_record.is_some();

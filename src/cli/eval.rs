@@ -73,7 +73,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let training = file.record.as_ref().and_then(Record::read);
     drop(file.source);
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
-    let scene = file.scene;
+    let (scene, turned) =
+        shared::in_capture_frame(file.scene, file.y_up).with_context(|| args.scene.display().to_string())?;
+    notes.extend(turned.map(|note| format!("{}: {note}", args.scene.display())));
     let capture = args.loading.open(&args.capture)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     notes.extend(training.as_ref().and_then(Record::saw_all));

@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::{Capture, View};
-use centaur::format::{gltf, mesh_import, read_scene};
+use centaur::format::{ReadOptions, gltf, mesh_import, read_file};
 use centaur::geometry::{
     self, Ball, ChartSpace, Contraction, MeshBvh, PlanarOptions, PointView, SparseStats, Surface, SurfaceDistance,
     SurfaceStats, Viewers,
@@ -15,7 +15,7 @@ use glam::{DVec3, Vec3};
 use super::edits::positive;
 use super::output;
 use super::progress::Views;
-use super::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
+use super::shared::{self, AdapterArgs, CaptureArgs, Choice, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -87,12 +87,14 @@ impl Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
+    // What is not kept of meshes are their UVs, which are made anew.
     let read = |file: &Path| -> Result<Surface> {
         let read = mesh_import::read(file)?;
         Ok(Surface { positions: read.positions, triangles: read.triangles })
     };
     let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
     let capture = args.loading.open(&args.capture)?;
+    let mut notes: Vec<String> = vec![];
     let (surface, steps, origin) = match (&args.mesh, &args.splats) {
         (Some(file), _) => {
             let (surface, steps) = geometry::tidy(read(file)?, args.triangles)
@@ -100,7 +102,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
             (surface, steps, SurfaceOrigin::Given)
         }
         (None, Some(splats)) => {
-            let scene = read_scene(splats)?;
+            let file = read_file(splats, &ReadOptions::default())?;
+            let (scene, turned) =
+                shared::in_capture_frame(file.scene, file.y_up).with_context(|| splats.display().to_string())?;
+            notes.extend(file.notes.into_iter().chain(turned).map(|note| format!("{}: {note}", splats.display())));
             ensure!(!scene.splats.is_empty(), "{}: expected trained splats, found none", splats.display());
             let gpu = args.adapter.open()?;
             let mut views = Views::new(&args.messages, "fusing", capture.views.len());
@@ -111,8 +116,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
             views.finish();
             (surface, steps, SurfaceOrigin::Splats)
         }
-        (None, None) => from_points(&capture, args)?,
+        (None, None) => from_points(&capture, args, &mut notes)?,
     };
+    if !args.messages.json {
+        notes.iter().for_each(|note| output::note(note));
+    }
     let compare = |(file, truth): &(&Path, Surface)| {
         compare(&surface, truth, args, &capture)?.with_context(|| {
             format!(
@@ -121,7 +129,6 @@ pub(super) fn run(args: &Args) -> Result<()> {
             )
         })
     };
-    let compared = truth.as_ref().map(compare).transpose()?;
     let charts_in = steps.contraction.map(ChartSpace::unbounded);
     let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), args.texture_size).map_err(|e| {
         let source = args.mesh.as_ref().or(args.splats.as_ref()).unwrap_or(&args.capture);
@@ -132,10 +139,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
     let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition: Composition::default() };
     gltf::write_glb(&args.output, &scene, &[], None)?;
+    // The surface is there, also where it cannot be compared.
+    let compared = truth.as_ref().map(compare).transpose()?;
     let seen = seen_part(&scene.meshes[0], args.texture_size.min(SEEN_AT) as usize, &capture)?;
     if args.messages.json {
         return output::print_json(&serde_json::json!({
             "surface": args.output,
+            "notes": notes,
             "origin": origin,
             "views": steps.views, "unbounded": steps.contraction.is_some(), "holes_closed": steps.holes,
             "planes": { "found": steps.planar.planes, "triangles_before": steps.planar.before,
@@ -234,7 +244,11 @@ fn compare(surface: &Surface, truth: &Surface, args: &Args, capture: &Capture) -
     Ok(geometry::surface_distance(surface, truth, within, ball, is_seen))
 }
 
-fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
+fn from_points(
+    capture: &Capture,
+    args: &Args,
+    notes: &mut Vec<String>,
+) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
     let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     ensure!(
         !points.is_empty(),
@@ -245,15 +259,15 @@ fn from_points(capture: &Capture, args: &Args) -> Result<(Surface, SurfaceStats,
     let views: Vec<PointView> = capture.views.iter().map(view).collect();
     let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar())
         .with_context(|| args.capture.display().to_string())?;
+    let SparseStats { views, guessed, lifted, clear, .. } = steps;
     if !args.messages.json && !args.messages.quiet {
-        let SparseStats { views, guessed, lifted, clear, .. } = steps;
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;
-        if guessed > 0 {
-            let capture = args.capture.display();
-            output::print(&format!(
-                "note: {capture}: does not say of {guessed} of {views} views which points they see: each was taken for seen where none is nearer"
-            ))?;
-        }
+    }
+    if guessed > 0 {
+        let capture = args.capture.display();
+        notes.push(format!(
+            "{capture}: does not say of {guessed} of {views} views which points they see: each was taken for seen where none is nearer"
+        ));
     }
     let origin = if steps.is_guess() { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points };
     Ok((surface, steps.surface, origin))

@@ -214,7 +214,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
         Some(document) if is_embedded => args.loading.cameras_of(document, source, &sampling)?,
         _ => args.loading.cameras(source, &sampling)?,
     };
-    let mut shot = shot.in_frame(file.y_up);
+    let mut shot = shot;
+    if shot.y_up != file.y_up {
+        let (theirs, scenes) =
+            if file.y_up { ("the frame of captures", "y up") } else { ("y up", "in the frame of captures") };
+        shot.notes
+            .push(format!("taken to be in {theirs}: turned half about x, as {} is {scenes}", args.scene.display()));
+        shot = shot.in_frame(file.y_up);
+    }
     let moving = file.source.as_ref().filter(|document| document.moves());
     if let Some(When::Span(start, end)) = args.time {
         ensure!(
@@ -227,7 +234,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     // Where nothing says when a picture is taken, the scene rests.
     let times = moving.map_or_else(Vec::new, |_| shot.times.clone());
-    let (rest, cameras) = (file.scene, shot.cameras);
+    let (y_up, rest, cameras) = (file.y_up, file.scene, shot.cameras);
     // Of the scene; of cameras in the same file both say the same.
     let notes: Vec<String> =
         file.notes.iter().filter(|note| !(is_embedded && shot.notes.contains(note))).cloned().collect();
@@ -255,7 +262,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         };
         let rendered = renderer.render(camera).with_context(|| name.clone())?;
         kept = Some(renderer);
-        let file = write::File { path, camera, composition: &composition, args };
+        let file = write::File { path, camera, composition: &composition, y_up, args };
         match rendered {
             Rendered::Parts(parts) if args.look.layers => file.layers(parts)?,
             Rendered::Parts(parts) => file.picture(parts.flattened(composition.background))?,

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
+use centaur::edit::Similarity;
 use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
 use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::Gpu;
-use centaur::scene::Intrinsics;
+use centaur::scene::{HybridScene, Intrinsics};
 
 /// A step that finds out by itself where there is something for it to do.
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -112,6 +113,15 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
 pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
     rate.filter(|n| (0.001..=1000.0).contains(n)).ok_or_else(|| "expected a number from 0.001 to 1000".to_owned())
+}
+
+/// A scene as `read_file` found it in the frame of captures, as `centaur convert` puts it there, and what there is to say of it.
+pub(super) fn in_capture_frame(scene: HybridScene, y_up: bool) -> Result<(HybridScene, Option<String>)> {
+    if !y_up {
+        return Ok((scene, None));
+    }
+    let note = "is y up, as glTF and USD are: turned half about x into the frame of captures";
+    Ok((Similarity::HALF_TURN.scene(scene)?, Some(note.to_owned())))
 }
 
 /// Cameras of a capture (a folder or `.json`), or of a glTF or USD file.

@@ -17,6 +17,13 @@ impl Similarity {
     /// Leaves everything where it is, to the bit.
     pub const IDENTITY: Self = Self { scale: 1.0, orthogonal: DMat3::IDENTITY, translation: DVec3::ZERO };
 
+    /// Half a turn about x: from a world that is y up, as those of glTF and USD, to the frame of captures, and back.
+    pub const HALF_TURN: Self = Self {
+        scale: 1.0,
+        orthogonal: DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z),
+        translation: DVec3::ZERO,
+    };
+
     /// Scales and turns (or mirrors) about the origin, then translates.
     ///
     /// # Errors

@@ -94,7 +94,7 @@ fn keyed(centers: &[DVec3], change: impl Fn(&mut Value)) -> (Value, Vec<String>,
         .unwrap();
     let at_center = |c: &DVec3| (String::new(), Camera::new(*camera().intrinsics(), DMat3::IDENTITY, -*c).unwrap());
     let cameras = centers.iter().map(at_center).collect();
-    let path = CameraFile { cameras, fps: Some(5.0), y_up: Some(false), times: vec![], notes: vec![] };
+    let path = CameraFile { cameras, fps: Some(5.0), y_up: false, times: vec![], notes: vec![] };
     write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &path).unwrap();
     let mut document: Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
     change(&mut document);
@@ -157,7 +157,7 @@ fn what_is_refused_leaves_nothing_behind() {
     });
     // Frames of a long shot.
     let times = vec![0.0, 1e4];
-    let path = CameraFile { cameras: cameras.into(), fps: Some(5.0), y_up: Some(false), times, notes: vec![] };
+    let path = CameraFile { cameras: cameras.into(), fps: Some(5.0), y_up: false, times, notes: vec![] };
     write_cameras_with_scene(&at("b.glb"), &at("a.glb"), &path).unwrap();
     let file = read_file(&at("b.glb"), &ReadOptions::default()).unwrap();
     let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };

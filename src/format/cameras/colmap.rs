@@ -1,5 +1,6 @@
 //! A COLMAP model as text: cameras and poses, without points.
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::{fs, io};
@@ -14,13 +15,15 @@ use crate::scene::{Camera, Intrinsics};
 
 pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, FormatError> {
     spare_in(folder)?;
-    let mut lenses: Vec<Intrinsics> = vec![];
+    let (mut lenses, mut places): (Vec<Intrinsics>, HashMap<_, usize>) = (vec![], HashMap::new());
     let mut images = String::from("# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; world to camera\n");
     for (i, ((_, camera), name)) in cameras.iter().zip(image_names(cameras)).enumerate() {
-        let lens = lenses.iter().rposition(|k| k == camera.intrinsics()).unwrap_or_else(|| {
-            lenses.push(*camera.intrinsics());
-            lenses.len() - 1
-        });
+        let k = camera.intrinsics();
+        let lens =
+            *places.entry((k.width, k.height, [k.fx, k.fy, k.cx, k.cy].map(f64::to_bits))).or_insert_with(|| {
+                lenses.push(*k);
+                lenses.len() - 1
+            });
         let (q, t) = (DQuat::from_mat3(&camera.rotation()).normalize(), camera.translation());
         // Observations, of which there are none, have a line of their own.
         let line = format!("{} {} {} {} {} {} {} {} {} {name}\n\n", i + 1, q.w, q.x, q.y, q.z, t.x, t.y, t.z, lens + 1);

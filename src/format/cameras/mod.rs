@@ -30,8 +30,8 @@ pub struct CameraFile {
     /// How many there are a second, if they are the frames of a shot.
     pub fps: Option<f64>,
     /// True if they are in a world with y up, as those of glTF and USD; false if they are in the frame of the capture, half a turn
-    /// about x away; `None` if nobody says, and they are in the frame of what they are shown with.
-    pub y_up: Option<bool>,
+    /// about x away.
+    pub y_up: bool,
     /// When each of them is seen, in seconds on the clock of the file; empty if they are no frames of a shot.
     pub times: Vec<f64>,
     /// What could not be taken over exactly, one sentence each.
@@ -83,10 +83,10 @@ impl CameraFile {
     /// The same cameras in a world that is y up, or in the frame of the capture.
     #[must_use]
     pub fn in_frame(mut self, y_up: bool) -> Self {
-        if self.y_up.is_some_and(|own| own != y_up) {
+        if self.y_up != y_up {
             self.cameras.iter_mut().for_each(|(_, camera)| *camera = turned(camera));
         }
-        self.y_up = Some(y_up);
+        self.y_up = y_up;
         self
     }
 
@@ -135,7 +135,7 @@ pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError>
         "json" => transforms::write(path, file),
         "glb" | "gltf" => gltf::write_cameras(path, file),
         "usda" => usd::write_cameras(path, &file.clone().in_frame(false)),
-        _ => colmap::write(path, &file.cameras),
+        _ => colmap::write(path, &file.clone().in_frame(false).cameras),
     }
 }
 
@@ -202,7 +202,7 @@ pub(super) fn chosen(
         };
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
-    Ok(CameraFile { cameras, fps, y_up: Some(y_up), times, notes })
+    Ok(CameraFile { cameras, fps, y_up, times, notes })
 }
 
 /// How many frames there are from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or

@@ -36,14 +36,13 @@ fn read(path: &Path) -> CameraFile {
 fn what_is_written_is_read() {
     let folder = tempfile::tempdir().unwrap();
     for (frames, fps) in [(1, 24.0), (2, 30.0), (37, 29.97), (300, 60.0)] {
-        let file =
-            CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), y_up: Some(false), times: vec![], notes: vec![] };
+        let file = CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), y_up: false, times: vec![], notes: vec![] };
         for (name, tolerance) in [("a.glb", 1e-5), ("a.gltf", 1e-5), ("a.usda", 1e-12)] {
             let path = folder.path().join(name);
             let bytes = write_cameras(&path, &file).unwrap();
             assert_eq!(bytes, path.metadata().unwrap().len());
             let back = read(&path);
-            assert_eq!((back.y_up, &back.notes[..]), (Some(false), &[][..]), "{name}");
+            assert_eq!((back.y_up, &back.notes[..]), (false, &[][..]), "{name}");
             // One frame does not move.
             let expected = (frames > 1 || name != "a.usda").then_some(fps);
             assert_eq!(back.fps, expected, "{name}");
@@ -72,7 +71,7 @@ fn what_is_written_is_read() {
 #[test]
 fn lenses_may_differ() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: Some(false), times: vec![], notes: vec![] };
+    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: false, times: vec![], notes: vec![] };
     let at = |name: &str| {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -92,22 +91,24 @@ fn lenses_may_differ() {
 #[test]
 fn frames_of_reference_are_kept_where_files_have_one() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: Some(true), times: vec![], notes: vec![] };
+    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: true, times: vec![], notes: vec![] };
     for name in ["a.glb", "a.usda"] {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
         assert!(largest_difference(&file.cameras, &read(&path).in_frame(true).cameras) < 1e-5, "{name}");
     }
-    for y_up in [Some(true), Some(false), None] {
+    for y_up in [true, false] {
         let path = folder.path().join("a.json");
         write_cameras(&path, &CameraFile { y_up, ..file.clone() }).unwrap();
         let back = capture::cameras(&path, &LoadOptions::default()).unwrap();
         assert_eq!(back.y_up, y_up);
-        assert!(largest_difference(&file.cameras, &back.cameras) < 1e-12, "{y_up:?}");
+        assert!(largest_difference(&file.cameras, &back.cameras) < 1e-12, "{y_up}");
     }
-    let unstated = CameraFile { y_up: None, ..file.clone() };
-    assert_eq!(unstated.in_frame(true).cameras, file.cameras);
+    // A COLMAP model is in the frame of captures.
     let there = file.clone().in_frame(false);
+    write_cameras(&folder.path().join("model"), &file).unwrap();
+    let back = capture::cameras(&folder.path().join("model"), &LoadOptions::default()).unwrap();
+    assert!(!back.y_up && largest_difference(&there.cameras, &back.cameras) < 1e-12);
     // Half a turn about x.
     let (p, q) = (file.cameras[2].1.center(), there.cameras[2].1.center());
     assert!((p.x - q.x).abs() < 1e-12 && (p.y + q.y).abs() < 1e-12 && (p.z + q.z).abs() < 1e-12);
@@ -129,7 +130,7 @@ fn names_of_pictures_are_safe_and_unique() {
         (["a.jpg", "A.jpg"], ["a.png", "A_2.png"]),
     ] {
         let cameras = vec![(given[0].to_owned(), first), (given[1].to_owned(), second)];
-        let file = CameraFile { cameras, fps: None, y_up: None, times: vec![], notes: vec![] };
+        let file = CameraFile { cameras, fps: None, y_up: false, times: vec![], notes: vec![] };
         for name in ["a.json", "model"] {
             write_cameras(&folder.path().join(name), &file).unwrap();
             let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();
@@ -146,7 +147,7 @@ fn names_of_pictures_are_safe_and_unique() {
 fn captures_are_neither_replaced_nor_hidden() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let file = CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), y_up: None, times: vec![], notes: vec![] };
+    let file = CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), y_up: false, times: vec![], notes: vec![] };
     let write = |name: &str| write_cameras(&root.join(name), &file).map_err(|e| e.to_string());
     let refused = |name: &str, held: &str| {
         let path = root.join(name).display().to_string();
@@ -214,7 +215,7 @@ fn shots_keep_their_times() {
     for (start, fps, frames) in [(5.0, 30.0, 91), (0.25, 29.97, 40), (4000.1, 60.0, 7)] {
         let times: Vec<f64> = (0..frames).map(|i| start + f64::from(i) / fps).collect();
         let cameras = shot(times.len(), 0.0);
-        let file = CameraFile { cameras, fps: Some(fps), y_up: Some(false), times, notes: vec![] };
+        let file = CameraFile { cameras, fps: Some(fps), y_up: false, times, notes: vec![] };
         for name in ["a.glb", "a.usda"] {
             let path = folder.path().join(name);
             write_cameras(&path, &file).unwrap();
@@ -337,7 +338,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     let path = gltf_with(folder.path(), &floats, &cubic_samplers, &json!(channels));
     let sampling = Sampling { fps: Some(2.0), only: Some("moving"), ..Sampling::default() };
     let found = read_cameras(&path, &sampling).unwrap();
-    assert_eq!((found.fps, found.y_up, found.cameras.len()), (Some(2.0), Some(true), 5));
+    assert_eq!((found.fps, found.y_up, found.cameras.len()), (Some(2.0), true, 5));
     let cubic = [0.0, 0.625 + 0.5625, 2.5, 4.0 * 0.84375 + 4.0 * 0.046875, 4.0];
     for (i, (name, camera)) in found.cameras.iter().enumerate() {
         let (sin, cos) = (std::f64::consts::FRAC_PI_8 * i as f64).sin_cos();
@@ -469,7 +470,7 @@ def Camera "resting" { }
     std::fs::write(&path, layer).unwrap();
     for (fps, frames) in [(None, 21), (Some(5.0), 11), (Some(20.0), 41)] {
         let found = read_cameras(&path, &Sampling { fps, ..Sampling::default() }).unwrap();
-        assert_eq!((found.cameras.len(), found.fps, found.y_up), (frames, fps.or(Some(10.0)), Some(true)));
+        assert_eq!((found.cameras.len(), found.fps, found.y_up), (frames, fps.or(Some(10.0)), true));
         for (i, (_, camera)) in found.cameras.iter().enumerate() {
             let part = i as f64 / (frames - 1) as f64;
             let (sin, cos) = (std::f64::consts::FRAC_PI_2 * part).sin_cos();
@@ -553,8 +554,7 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     for (name, y_up) in [("ours.gltf", false), ("theirs.gltf", true), ("moved.gltf", false)] {
         let before = read_file(&at(name), &ReadOptions::default()).unwrap();
         assert_eq!((before.y_up, before.cameras.len()), (y_up, 1), "{name}");
-        let file =
-            CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up: Some(y_up), times: vec![], notes: vec![] };
+        let file = CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up, times: vec![], notes: vec![] };
         // A path takes the place of the one before: another path, one whose lenses differ, fewer of these.
         let paths = [shot(9, 0.0), shot(7, 0.0), shot(7, 1.5), shot(3, 1.5), shot(7, 0.0)];
         let mut from = at(name);
@@ -579,12 +579,14 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
             let faults = validate(&from).unwrap();
             assert_eq!(faults.errors, 0, "{name}: {:?}", faults.findings);
         }
-        let stated = CameraFile { y_up: None, ..file.clone() };
+        let stated = CameraFile { y_up: false, ..file.clone() };
         write_cameras_with_scene(&at("with.glb"), &at(name), &stated).unwrap();
-        assert!(largest_difference(&file.cameras, &read(&at("with.glb")).cameras) < 2e-5, "{name}");
+        let back = read(&at("with.glb"));
+        assert_eq!(back.y_up, y_up, "{name}");
+        assert!(largest_difference(&file.cameras, &back.in_frame(false).cameras) < 2e-5, "{name}");
     }
     let error = |out: &str, scene: &str| {
-        let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: None, times: vec![], notes: vec![] };
+        let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: false, times: vec![], notes: vec![] };
         write_cameras_with_scene(&at(out), &at(scene), &file).unwrap_err().to_string()
     };
     assert!(error("a.json", "ours.gltf").contains("expected a name that ends in .glb or .gltf"));
@@ -599,7 +601,7 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
     let cameras = [("front".to_owned(), camera())];
     let scene = random_scene(5, 0, 1, 4);
     write_scene(&at("a.glb"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
-    let file = CameraFile { cameras: shot(5, 0.0), fps: Some(9.0), y_up: None, times: vec![], notes: vec![] };
+    let file = CameraFile { cameras: shot(5, 0.0), fps: Some(9.0), y_up: false, times: vec![], notes: vec![] };
     write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &file).unwrap();
     let document =
         |name: &str| -> serde_json::Value { serde_json::from_slice(&std::fs::read(at(name)).unwrap()).unwrap() };

@@ -21,9 +21,7 @@ pub(super) fn write(path: &Path, CameraFile { cameras, fps, y_up, .. }: &CameraF
     if let Some(fps) = fps {
         document.insert("fps".to_owned(), json!(fps));
     }
-    if let Some(y_up) = y_up {
-        document.insert("centaur".to_owned(), json!({ "y_up": y_up }));
-    }
+    document.insert("centaur".to_owned(), json!({ "y_up": y_up }));
     if let Some(k) = shared {
         document.extend(lens(k));
     }
