@@ -21,7 +21,7 @@ struct Step {
     band_rate: f32,
     correction_1: f32,      // 1 − β₁ᵗ
     correction_2: f32,      // 1 − β₂ᵗ
-    visited_only: u32,      // see below
+    visited_only: u32,      // see above
     holds_opacity: u32,     // leave opacity logits and their moments alone
 }
 

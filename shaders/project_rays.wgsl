@@ -40,7 +40,8 @@ fn main(
     let x = view.row_x.xyz; let y = view.row_y.xyz; let z = view.row_z.xyz;
 
     // The outline.
-    let level = max(2.0 * log(255.0 * g.opacity), 1e-6) * (1.0 + ROUNDING);
+    let bare = max(2.0 * log(255.0 * g.opacity), 1e-6);
+    let level = bare * (1.0 + ROUNDING);
     let n0 = view.focal.x * g.scale * ((x - slope.x * z) * g.rotation);
     let n1 = view.focal.y * g.scale * ((y - slope.y * z) * g.rotation);
     let n2 = g.scale * (z * g.rotation);
@@ -64,8 +65,9 @@ fn main(
         det = outline.x * outline.z;
         center = 0.5 * vec2f(view.size);
     }
-    let conic = level * vec3f(outline.z, -outline.y, outline.x) / det;
-    let e = ellipse(center, conic, det / (level * level), g.opacity);
+    // Of the outline at the level that `ellipse` takes it at, which is not widened.
+    let conic = bare * vec3f(outline.z, -outline.y, outline.x) / det;
+    let e = ellipse(center, conic, det / (bare * bare), g.opacity);
     let rows = row_span(e, view.tiles);
     var count = 0u;
     for (var row = rows.x; row < rows.y; row++) {

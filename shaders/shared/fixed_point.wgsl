@@ -4,7 +4,12 @@
 // that pulls most before the sum wraps around. A texel of the bands, which are a quarter as wide, has 16 times the pixels:
 // its terms are in units that are 8 times as large.
 
+//
+// A vertex may have half of the picture on its triangles, of a wall that is far off and pulls one way. Its unit is that of a largest term of
+// FIXED_SHARE of a bound on all of the view's, so that no sum exceeds 2³⁰.
+
 const FIXED_ONE: f32 = 1048576.0;
+const FIXED_SHARE: f32 = 0.0009765625;
 const BAND_UNIT: f32 = 8.0;
 
 // Units per 1, by the bits of the largest term.

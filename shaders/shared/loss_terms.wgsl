@@ -22,20 +22,22 @@ const C1: f32 = 0.0001;                 // (0.01·range)²
 const C2: f32 = 0.0009;                 // (0.03·range)²
 
 // Rendered, then exposed colour, and the true one; and the slope of the first by that after the exposure. `background` is the
-// channel's of the view.
+// channel's of the view, which truth with alpha is over as it is exposed, too: what is not there says nothing of the exposure.
 fn colors(pixel: u32, channel: u32, background: f32) -> vec3f {
     let word = truth[pixel];
     var x = image[4u * pixel + channel];
+    var behind = background;
     //#if EXPOSURE
     let row = exposures[3u * u32(weights.y) + channel];
     x = dot(row.xyz, vec3f(image[4u * pixel], image[4u * pixel + 1u], image[4u * pixel + 2u])) + row.w;
+    behind = dot(row.xyz, view.background.xyz) + row.w;
     //#end
     var y = f32((word >> (8u * channel)) & 255u) * (1.0 / 255.0);
     let alpha = f32(word >> 24u) * (1.0 / 255.0);
     let slope = mix(1.0, alpha, weights.w);
     let part = mix(1.0, alpha, weights.z);
     // Not `mix`: y itself where the part is 1.
-    y = part * y + (1.0 - part) * background;
+    y = part * y + (1.0 - part) * behind;
     return vec3f(x * slope, y * slope, slope);
 }
 

@@ -113,8 +113,8 @@ pub struct TrainOptions {
 impl TrainOptions {
     /// Most splats of a run for which no number is asked.
     pub const MOST_SPLATS: usize = 1_000_000;
-    /// Texels that an atlas has along a side at most.
-    pub const LARGEST_TEXTURE: u32 = 8192;
+    /// Texels that an atlas has along a side at most: of more, Adam's moments are 2³¹ bytes, which no adapter binds.
+    pub const LARGEST_TEXTURE: u32 = 8191;
 
     /// # Errors
     /// If a number is outside of what its field says.

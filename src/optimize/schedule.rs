@@ -1,6 +1,9 @@
 //! Learning rates and the times at which something happens, after INRIA 3DGS, 3DGS-MCMC and HERA.
 
-use crate::{render::gpu::adam::SplatRates, scene::sh};
+use crate::{
+    render::gpu::{adam::SplatRates, vertices::VertexStep},
+    scene::sh,
+};
 
 /// The length of run that INRIA's constants are for.
 const FULL: u32 = 30_000;
@@ -229,17 +232,18 @@ pub(super) fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
     (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
 
-/// Pixels that vertices of a fused surface move at iteration `t` of a phase with a mesh, where pictures have sides up to `longest`:
-/// nothing in its first eighth, while maps are still grey or splats beside them are to grow, then 0.1 falling to 0.01, its logarithm
+/// The step of vertices of a fused surface at iteration `t` of a phase with a mesh, where pictures have sides up to `longest`: none in its
+/// first eighth, while maps are still grey or splats beside them are to grow, then 0.1 pixels falling to 0.01, its logarithm
 /// linear in t; in a longer phase less, so that all steps together come no farther than a thirteenth of that side.
 #[must_use]
-pub(super) fn vertex_rate(t: u32, iterations: u32, longest: u32) -> Option<f32> {
+pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<VertexStep> {
+    let before = t.checked_sub(iterations.div_ceil(8))?;
     let n = f64::from(iterations.max(1));
     let at = f64::from(t) / n;
     // The integral of 0.1^x over x from 1/8 to 1.
     let steps = n * (0.1_f64.powf(0.125) - 0.1) / 10f64.ln();
     let first = (f64::from(longest) / 13.0 / steps).min(0.1);
-    (at >= 0.125).then(|| (first * 0.1_f64.powf(at)) as f32)
+    Some(VertexStep { number: before + 1, rate: (first * 0.1_f64.powf(at)) as f32 })
 }
 
 /// Radians, and fractions of the extent, by which poses move at iteration `t` of `iterations`, of which each trains on one of `views`:
@@ -446,9 +450,12 @@ mod tests {
 
     #[test]
     fn vertices_come_no_farther_in_longer_phases() {
-        let reach = |n, side| (0..n).filter_map(|t| vertex_rate(t, n, side)).sum::<f32>();
-        assert_eq!([0, 59, 60].map(|t| vertex_rate(t, 480, 176).is_some()), [false, false, true]);
-        assert!((vertex_rate(60, 480, 176).unwrap() - 0.075).abs() < 1e-3);
+        let reach = |n, side| (0..n).filter_map(|t| vertex_step(t, n, side)).map(|step| step.rate).sum::<f32>();
+        // Adam has seen nothing before.
+        let number = |t, n| vertex_step(t, n, 176).map(|step| step.number);
+        assert_eq!([0, 59, 60, 479].map(|t| number(t, 480)), [None, None, Some(1), Some(420)]);
+        assert_eq!([1, 2, 12].map(|t| number(t, 13)), [None, Some(1), Some(11)], "not before an eighth is over");
+        assert!((vertex_step(60, 480, 176).unwrap().rate - 0.075).abs() < 1e-3);
         for (n, side) in [(480, 176), (9000, 1300), (100_000, 1300)] {
             let part = reach(n, side) / side as f32;
             assert!((0.07..0.0775).contains(&part), "{n}: {part}");

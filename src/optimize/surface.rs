@@ -9,7 +9,7 @@ use crate::{
         self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
         UnwrappedMesh,
     },
-    render::gpu::{Gpu, training::Training},
+    render::gpu::{Gpu, Renderer},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Texture, sh},
 };
 
@@ -104,10 +104,10 @@ pub fn from_splats(
     let splats = &scene.splats;
     let composition = Composition { near: near_plane(&cameras, scene.composition.near), ..scene.composition };
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition };
-    let mut training = Training::new(gpu, &scene, &cameras, 0.0)?;
+    let mut renderer = Renderer::new(gpu, &scene, &cameras)?;
     let points = whereabouts(capture, || Ok(splats.means().to_vec()))?;
     from_depths(&cameras, &points, triangles, planar, |i| {
-        let mut depth = training.median_depth(&cameras[i])?;
+        let mut depth = renderer.median_depth(&cameras[i])?;
         clear_unseen(&mut depth, &capture::decode(&capture.views[i])?);
         on_view(i);
         Ok(depth)

@@ -27,7 +27,8 @@ use crate::scene::{Intrinsics, OrderMode, PixelFilter, sigmoid};
 pub const ALPHA_CAP: f64 = 0.99;
 
 /// A splat contributes at a pixel iff its alpha is at least this: one step of an 8-bit image (INRIA 3DGS,
-/// `cuda_rasterizer/forward.cu`). It is the only limit of a splat's extent (no 3σ cut).
+/// `cuda_rasterizer/forward.cu`). It is the only limit of a splat's extent (no 3σ cut), but that kernels
+/// of projected splats, which count in single precision, leave out what reaches 10⁶ pixels from its centre or has that 10⁷ pixels away.
 pub const ALPHA_CUT: f64 = 1.0 / 255.0;
 
 /// Transmittance below which nothing more is added. INRIA 3DGS, `cuda_rasterizer/forward.cu`.

@@ -70,13 +70,14 @@ impl<'a> Run<'a> {
         for &i in views {
             let camera = &self.cameras[i];
             let photo = self.photos.whole(&self.capture.views[i])?;
+            let behind = self.exposed(i, background);
             let mesh = training.render(camera, background, false)?.rgb;
             let splats = splats_only.render(camera, background, true)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
                 .map(|(p, (mesh, splats))| {
                     let [mesh, splats] = [mesh, splats].map(|rgb| self.exposed(i, *rgb));
                     let (mesh, splats) = (&mesh, &splats);
-                    [squared_error(&photo, p, mesh, background), squared_error(&photo, p, splats, background), 0.0]
+                    [squared_error(&photo, p, mesh, behind), squared_error(&photo, p, splats, behind), 0.0]
                 })
                 .collect();
             use_view(training, &mut splats_only, camera, &errors)?;

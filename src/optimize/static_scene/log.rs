@@ -17,7 +17,7 @@ pub struct Progress {
     pub loss: f64,
     /// Splats there are.
     pub splats: usize,
-    /// PSNR of a held-out view, whenever one was just rendered, dB.
+    /// Mean PSNR of up to four held-out views, whenever they were just rendered, dB.
     pub psnr: Option<f64>,
     /// Seconds since the run that reported this began, not counting what had been done before it was resumed.
     pub seconds: f64,

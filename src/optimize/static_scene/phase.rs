@@ -31,7 +31,7 @@ use crate::{
         exposure::ExposureStep,
         texels::TexelStep,
         training::{Step, Training},
-        vertices::{VertexState, VertexStep},
+        vertices::VertexState,
     },
     scene::{Camera, HybridScene, Mesh, sh},
 };
@@ -231,9 +231,8 @@ impl Run<'_> {
                 holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age + 1),
             }
         });
-        let rate =
-            if plan.moves_vertices { schedule::vertex_rate(t, plan.iterations, self.longest_side) } else { None };
-        let vertices = rate.map(|rate| VertexStep { number: t + 1, rate });
+        let vertices =
+            plan.moves_vertices.then(|| schedule::vertex_step(t, plan.iterations, self.longest_side)).flatten();
         let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
         training.step(&Step {
             // Where it was found to be, at the size of the picture.
@@ -326,6 +325,10 @@ impl Run<'_> {
             density::reset_opacity(&mut splats);
         }
         training.rearrange(splats.geometry(), splats.sources())?;
+        if !densify {
+            // No splat was judged by what it has gathered.
+            training.write_statistics(bytemuck::cast_slice(statistics.0));
+        }
         training.smooth();
         Ok(())
     }

@@ -9,7 +9,7 @@ const THREADS: usize = 256;
 /// Parameters of splats, or their gradients or moments: the layout is the same.
 #[derive(Clone, Copy)]
 pub(crate) struct SplatFloats<'a> {
-    /// `array<vec4f>` `[N·3]`: mean and opacity logit; quaternion w, x, y, z; log-scale and 0.
+    /// `array<vec4f>` `[N·3]`: mean and opacity logit; quaternion w, x, y, z; log-scale and the deviation of smoothing.
     pub(crate) geometry: &'a Buffer,
     /// `array<f32>` `[N·(degree+1)²·3]`.
     pub(crate) sh: &'a Buffer,

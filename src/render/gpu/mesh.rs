@@ -202,7 +202,7 @@ impl MeshStage {
             return Ok(false);
         }
         let k = view.camera.intrinsics();
-        let (pixels, bins) = (view.pixels(), (k.width.div_ceil(BIN) * k.height.div_ceil(BIN)) as usize);
+        let (pixels, bins) = (view.pixels(), k.width.div_ceil(BIN) as usize * k.height.div_ceil(BIN) as usize);
         let grow = self.bound.is_none() || pixels > self.screen.pixels || bins > self.screen.bins;
         if grow {
             let (pixels, bins) = (pixels.max(self.screen.pixels), bins.max(self.screen.bins));
@@ -214,7 +214,7 @@ impl MeshStage {
         }
         if let Some(bound) = &mut self.bound {
             let (_, [w, h], threads) = texel_backward(gpu);
-            let of_layer = (threads * k.width.div_ceil(w) * k.height.div_ceil(h)) as usize;
+            let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
             let layers = self.layers as usize;
             (bound.bins, bound.fragments, bound.texel_threads) = (bins, layers * pixels, layers * of_layer);
         }

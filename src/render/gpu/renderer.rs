@@ -62,6 +62,16 @@ impl<'g> Renderer<'g> {
         self.pipeline.read_picture(self.gpu, camera)
     }
 
+    /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
+    pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
+        self.pipeline.image.check(camera)?;
+        loop {
+            if let Some(depths) = self.pipeline.median_depth(self.gpu, camera)? {
+                return Ok(depths);
+            }
+        }
+    }
+
     /// Seconds per frame over `frames` renderings of `camera` without read-back, after one to warm up.
     ///
     /// # Errors

@@ -205,7 +205,6 @@ fn two_rays_disagree_in_direct_order_only() {
     }
 }
 
-/// As images with more than 65,535 workgroups in a dispatch.
 /// What a renderer cannot do is an error, after which it still does what it can.
 #[test]
 fn a_picture_larger_than_announced_is_refused() {
@@ -231,6 +230,7 @@ fn a_picture_larger_than_announced_is_refused() {
     assert!(matches!(Renderer::new(&gpu, &scene, &[camera]), Err(GpuError::Scene(_))));
 }
 
+/// As images with more than 65,535 workgroups in a dispatch.
 #[test]
 fn folded_dispatches_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap().narrowed(7);

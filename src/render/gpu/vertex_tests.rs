@@ -102,3 +102,48 @@ fn a_bent_sheet_flattens_to_its_photographs() {
     let state = training.read_vertex_state().unwrap();
     assert_eq!(state.moments.len(), 2 * scene.meshes[0].positions().len());
 }
+
+/// A square of two triangles, brighter to one side, over all of a picture, is pulled one way by each of its pixels: sums of half a million of
+/// them are those of a few thousand, by a mean over the pixels.
+#[test]
+fn a_wall_of_two_triangles_is_pulled_as_far_in_large_pictures() {
+    let gpu = Gpu::open(None).unwrap();
+    let corners = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.0));
+    let uv = |v: u32| 0.5 + corners[v as usize].truncate() / 18.0;
+    let triangles = vec![[0, 1, 2], [0, 2, 3]];
+    let ramp = (0..64 * 64).flat_map(|i| [(i % 64) as f32 / 64.0, 0.0, 0.0, 6.0]).collect();
+    let atlas = Atlas::new(Texture::new(64, 64, 4, ramp).unwrap(), None).unwrap();
+    let uvs = triangles.iter().map(|t: &[u32; 3]| t.map(uv)).collect();
+    let mesh = Mesh::new(corners.to_vec(), triangles, uvs, atlas).unwrap();
+    let composition = Composition { layers: 1, ..Composition::default() };
+    let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition };
+    let pulled = |side: u32| {
+        let camera = camera(0.0).resized(side, side);
+        let mut training = Training::new(&gpu, &scene, &[camera], 0.0).unwrap();
+        training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 0.01)).unwrap();
+        let step = Step {
+            camera: &camera,
+            truth: &vec![0; 4 * (side * side) as usize],
+            truth_alpha: TruthAlpha::Ignore,
+            background: [0.0; 3],
+            sh_degree: 0,
+            band_degree: 0,
+            splats: None,
+            texels: None,
+            vertices: Some(VertexStep { number: 1, rate: 0.0 }),
+            exposure: None,
+            pose: None,
+        };
+        training.step(&step).unwrap();
+        while training.grow_if_short().unwrap() > 0 {
+            training.step(&step).unwrap();
+        }
+        training.pipeline.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap()
+    };
+    let (few, many) = (pulled(64), pulled(1024));
+    let largest = few.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
+    assert!(largest > 0.0);
+    for (few, many) in few.iter().zip(&many) {
+        assert!((few - many).abs() < 0.05 * largest, "{few} {many}");
+    }
+}

@@ -11,7 +11,7 @@ use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
 #[cfg(test)]
 use super::texels::{FIXED_ONE, PEAKS};
-use super::texels::{PEAK_FRAGMENTS, peak_kernel};
+use super::texels::{PEAK_FRAGMENTS, VERTEX_PEAK, peak_kernel};
 use crate::geometry::{self, Rings};
 use crate::scene::Mesh;
 
@@ -105,7 +105,7 @@ impl Vertices {
         });
         let backward = [
             Kernel::new(gpu, "uv_backward.wgsl", "backward", defines),
-            peak_kernel(gpu, defines, 1),
+            peak_kernel(gpu, defines, VERTEX_PEAK),
             Kernel::new(gpu, "vertex_backward.wgsl", "backward", defines),
         ];
         let corner_normals = gpu.storage_with("corner normals", &corner_normals)?;
@@ -161,7 +161,7 @@ impl Vertices {
     /// If the driver failed.
     #[cfg(test)]
     pub(crate) fn read_gradient(&self, gpu: &Gpu, peaks: &Buffer) -> Result<Vec<f32>, GpuError> {
-        let unit = gpu.read::<f32>(peaks, PEAKS)?[1] / FIXED_ONE;
+        let unit = gpu.read::<f32>(peaks, PEAKS)?[VERTEX_PEAK as usize] / FIXED_ONE;
         Ok(gpu.read::<i32>(&self.gradient, self.count)?.into_iter().map(|sum| unit * sum as f32).collect())
     }
 
