@@ -254,6 +254,12 @@ impl FileArgs {
                     .to_owned(),
             );
         }
+        if times.windows(2).any(|pair| pair[0] >= pair[1]) {
+            notes.push(
+                "several cameras move: their frames come one camera after the other, in one path; --camera NAME takes those of one"
+                    .to_owned(),
+            );
+        }
         let begins = times.first().copied().unwrap_or_default();
         let has_times = is_gltf || self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("usda"));
         if begins != 0.0 && !(has_times && begins > 0.0) {

@@ -251,11 +251,13 @@ fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<S
     (!named.is_empty()).then(|| named.join(" and "))
 }
 
-/// The attributes that all inputs have, one after the other; of the others a note is made.
+/// The attributes that all inputs with splats have, one after the other; of the others a note is made.
 fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> {
+    let of_all = of_inputs.iter().zip(inputs.iter());
+    let with_splats: Vec<&Vec<Attribute>> = of_all.filter(|(_, input)| input.splats > 0).map(|(own, _)| own).collect();
     let named = |name: &str| -> Option<Attribute> {
         let parts: Option<Vec<&Attribute>> =
-            of_inputs.iter().map(|attributes| attributes.iter().find(|a| a.name() == name)).collect();
+            with_splats.iter().map(|attributes| attributes.iter().find(|a| a.name() == name)).collect();
         Attribute::join(&parts?)
     };
     let mut all: Vec<Attribute> = vec![];

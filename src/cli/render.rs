@@ -238,7 +238,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // Of the scene; of cameras in the same file both say the same.
     let notes: Vec<String> =
         file.notes.iter().filter(|note| !(is_embedded && shot.notes.contains(note))).cloned().collect();
-    args.video.as_deref().map_or(Ok(()), |path| video::check(path, &cameras))?;
+    args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &cameras))?;
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
     shared::make_folder(&args.output)?;

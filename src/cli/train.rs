@@ -151,7 +151,7 @@ fn write(args: &Args, capture: &Capture, trained: &Trained, record: &Record) -> 
     let cameras: Vec<_> = capture.views.iter().zip(&trained.cameras).map(|(v, c)| (v.name.clone(), *c)).collect();
     gltf::write_glb(&args.output, &trained.scene, &cameras, Some(serde_json::to_value(record)?))?;
     if let Some(path) = &args.ply {
-        ply::write(path, &trained.scene.splats)?;
+        ply::write_with(path, &trained.scene.splats, &[], trained.scene.composition.pixel_filter)?;
     }
     Ok(())
 }

@@ -9,9 +9,11 @@ use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
 use centaur::scene::Camera;
 
-/// Refuses what cannot become a film before it is rendered.
-pub(super) fn check(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
-    super::output::check_file(path)?;
+/// Refuses what cannot become a film before it is rendered. It may lie among the `pictures`, in a folder that is yet to be made.
+pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) -> Result<()> {
+    if pictures.exists() || path.parent() != Some(pictures) {
+        super::output::check_file(path)?;
+    }
     let size = |camera: &Camera| (camera.intrinsics().width, camera.intrinsics().height);
     let mut sizes = cameras.iter().map(|(name, camera)| (name, size(camera)));
     if let Some((_, first)) = sizes.next()

@@ -109,8 +109,8 @@ pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, Fo
         Kind::Gltf => gltf::read_with(path, options)?,
         Kind::Ksplat => SceneFile::of_splats(ksplat::read(path)?),
         Kind::Ply => {
-            let ply::PlySplats { splats, attributes, dropped } = ply::read_with(path, options)?;
-            SceneFile { attributes, dropped, ..SceneFile::of_splats(splats) }
+            let ply::PlySplats { splats, attributes, pixel_filter, notes, dropped } = ply::read_with(path, options)?;
+            SceneFile { attributes, dropped, ..SceneFile::noted(NotedSplats { splats, pixel_filter, notes }) }
         }
         Kind::Sog => SceneFile::noted(sog::read_noted(path)?),
         Kind::Splat => {
@@ -177,10 +177,13 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
             let motion = source.filter(|_| !keeps_motion).map_or_else(Vec::new, gltf::Source::motion);
             return Ok(WriteReport { loss: Loss { document: motion, ..report.loss }, ..report });
         }
-        "ply" if name.ends_with(".compressed.ply") => ply::compressed::write(path, splats)?,
+        "ply" if name.ends_with(".compressed.ply") => {
+            ply::compressed::write_with(path, splats, scene.composition.pixel_filter)?
+        }
         "ply" => {
-            let bytes = ply::write_with(path, splats, options.attributes)?;
-            let loss = beside_splats(scene, options, PixelFilter::DILATION, Loss::default());
+            let bytes = ply::write_with(path, splats, options.attributes, scene.composition.pixel_filter)?;
+            let stated = if antialiased { PixelFilter::MIP } else { PixelFilter::DILATION };
+            let loss = beside_splats(scene, options, stated, Loss::default());
             return Ok(WriteReport { bytes, loss, ..WriteReport::default() });
         }
         "sog" => sog::write_with(path, splats, antialiased)?,
@@ -195,6 +198,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     };
     let stated = match extension {
         "sog" | "spz" if antialiased => PixelFilter::NORMALIZED_DILATION,
+        "ply" if antialiased => PixelFilter::MIP,
         _ => PixelFilter::DILATION,
     };
     let loss = Loss { attributes: names(options.attributes), ..beside_splats(scene, options, stated, report.loss) };

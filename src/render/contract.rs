@@ -20,6 +20,7 @@
 
 use glam::{DMat2, DVec2, DVec3};
 
+pub use crate::scene::smoothed;
 use crate::scene::{Intrinsics, OrderMode, PixelFilter, sigmoid};
 
 /// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, `cuda_rasterizer/forward.cu`. Where it is
@@ -94,18 +95,6 @@ pub fn ray_peak(origin: DVec3, direction: DVec3) -> RayPeak {
 pub fn filter_opacity(filter: PixelFilter, covariance: DMat2) -> f64 {
     let widened = covariance + f64::from(filter.variance) * DMat2::IDENTITY;
     if filter.normalized { (covariance.determinant().max(0.0) / widened.determinant()).sqrt() } else { 1.0 }
-}
-
-/// A splat with these log-scales after convolution with an isotropic Gaussian of standard deviation `deviation`: standard
-/// deviations, and the factor on its opacity that keeps its integral in space. Mip-Splatting's 3-D filter.
-#[must_use]
-pub fn smoothed(log_scale: DVec3, deviation: f64) -> (DVec3, f64) {
-    let scale = log_scale.exp();
-    if deviation == 0.0 {
-        return (scale, 1.0);
-    }
-    let smooth = (scale * scale + deviation * deviation).map(f64::sqrt);
-    (smooth, (scale / smooth).element_product())
 }
 
 /// Range of (x/z, y/z) to which a mean is clamped before the projection is linearised there, as (min, max).

@@ -14,6 +14,7 @@ mod optical_axes;
 pub(crate) mod placement;
 pub mod rig;
 pub mod sh;
+mod smoothing;
 mod splats;
 
 use rayon::prelude::*;
@@ -24,6 +25,8 @@ pub use gather::gather;
 pub use mesh::{Atlas, Mesh, Texture};
 pub use morton::in_morton_order;
 pub(crate) use optical_axes::OpticalAxes;
+pub use smoothing::smoothed;
+pub(crate) use smoothing::smoothed_parameters;
 pub use splats::{SplatArrays, Splats};
 
 /// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.

@@ -286,20 +286,32 @@ impl Args {
         }
     }
 
-    /// Flags of a mesh that are given beside --no-mesh. Variants of `centaur bench` share them with others: they are no mistake.
-    pub(super) fn idle_without_mesh(&self) -> Vec<&'static str> {
+    /// Flags that have no effect beside --no-mesh or --mesh, and which of both it is. Variants of `centaur bench` share them with others: they
+    /// are no mistake.
+    pub(super) fn idle(&self) -> Option<(&'static str, Vec<&'static str>)> {
         let usual = TrainOptions::default();
-        let flags = [
-            (self.warmup.is_some_and(|iterations| iterations > 0), "--warmup"),
-            (self.dense_texels, "--dense-texels"),
+        // Of a surface that is found.
+        let mut flags = vec![
             (self.surface_iterations.is_some(), "--surface-iterations"),
             (self.triangles != usual.triangles, "--triangles"),
             (!self.planar.is_auto(), "--planar"),
             (!self.shell.is_auto(), "--shell"),
-            (self.texture_size.is_some(), "--texture-size"),
-            (self.band_degree != usual.band_degree, "--band-degree"),
         ];
-        flags.into_iter().filter(|(is_given, _)| *is_given && self.no_mesh).map(|(_, flag)| flag).collect()
+        if self.no_mesh {
+            // Of any.
+            flags.extend([
+                (self.warmup.is_some_and(|iterations| iterations > 0), "--warmup"),
+                (self.dense_texels, "--dense-texels"),
+                (self.texture_size.is_some(), "--texture-size"),
+                (self.band_degree != usual.band_degree, "--band-degree"),
+                (self.layers != usual.layers, "--layers"),
+                (self.lambda != usual.lambda, "--lambda"),
+                (!matches!(self.mode, Mode::SurfaceConsistent), "--mode"),
+            ]);
+        }
+        let beside = if self.no_mesh { "--no-mesh" } else { self.mesh.as_ref().map(|_| "--mesh")? };
+        let given: Vec<&str> = flags.into_iter().filter(|(is_given, _)| *is_given).map(|(_, flag)| flag).collect();
+        (!given.is_empty()).then_some((beside, given))
     }
 
     /// What can be known to fail before the first iteration.

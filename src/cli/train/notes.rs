@@ -59,9 +59,9 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
             args.iterations
         )
     });
-    let idle = args.idle_without_mesh();
-    let idle = (!idle.is_empty())
-        .then(|| format!("--no-mesh: {} {} no effect", idle.join(", "), if idle.len() == 1 { "has" } else { "have" }));
+    let idle = args.idle().map(|(beside, flags)| {
+        format!("{beside}: {} {} no effect", flags.join(", "), if flags.len() == 1 { "has" } else { "have" })
+    });
     let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.

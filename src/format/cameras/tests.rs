@@ -632,6 +632,23 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
     assert_eq!(validate(&at("d.gltf")).unwrap().errors, 0);
     let only = Sampling { only: Some(NAME), ..Sampling::default() };
     assert!(largest_difference(&file.cameras, &read_cameras(&at("d.gltf"), &only).unwrap().cameras) < 2e-5);
+    // What hangs on our node stays where that rests.
+    let mut hung = document("b.gltf");
+    let nodes = hung["nodes"].as_array_mut().unwrap();
+    let (path, light) = (node.as_u64().unwrap() as usize, nodes.len());
+    nodes.push(json!({ "name": "light" }));
+    nodes[path]["children"] = json!([light]);
+    std::fs::write(at("e.gltf"), hung.to_string()).unwrap();
+    write_cameras_with_scene(&at("f.gltf"), &at("e.gltf"), &file).unwrap();
+    let after = document("f.gltf");
+    let (still, rested) = (&after["nodes"][path], &hung["nodes"][path]);
+    assert_eq!((&still["children"], &still["translation"]), (&json!([light]), &rested["translation"]));
+    assert!(still.get("camera").is_none() && after["scenes"][0]["nodes"].as_array().unwrap().contains(&json!(path)));
+    assert_eq!(
+        (after["nodes"][light].clone(), after["animations"].as_array().unwrap().len()),
+        (json!({ "name": "light" }), 1)
+    );
+    assert_eq!(validate(&at("f.gltf")).unwrap().errors, 0);
     // Without it there are those of the scene.
     let without = read_cameras(&at("b.gltf"), &Sampling { without_paths: true, ..Sampling::default() }).unwrap();
     let names: Vec<&str> = without.cameras.iter().map(|(name, _)| &name[..]).collect();

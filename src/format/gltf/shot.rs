@@ -69,16 +69,23 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
     }
 }
 
-/// Takes a path of ours out of a document. Returns its nodes, which are empty and in no list, as others are known by their index.
+/// Takes a path of ours out of a document. Returns its nodes, which are empty and in no list, as others are known by their index. Those on
+/// which somebody has hung something stay where they rest, with that.
 fn take_out(document: &mut Value) -> Vec<usize> {
     let of_ours = |object: &Value, key: &str| object.pointer(&format!("/extras/{EXTRAS}/{key}")).is_some();
     let camera_of = |node: &Value| node.get("camera").and_then(Value::as_u64);
-    let (mut nodes, mut cameras) = (vec![], vec![]);
+    let (mut nodes, mut cameras, mut still) = (vec![], vec![], HashSet::new());
     for (i, node) in items(document, "nodes").iter_mut().enumerate() {
         if of_ours(node, MARK) {
-            nodes.push(i);
             cameras.extend(camera_of(node));
-            *node = json!({});
+            still.insert(i as u64);
+            match node.as_object_mut().filter(|node| node.contains_key("children")) {
+                Some(node) => ["camera", "extras"].iter().for_each(|key| drop(node.remove(*key))),
+                None => {
+                    nodes.push(i);
+                    *node = json!({});
+                }
+            }
         }
     }
     let gone: HashSet<u64> = nodes.iter().map(|i| *i as u64).collect();
@@ -99,7 +106,8 @@ fn take_out(document: &mut Value) -> Vec<usize> {
     }
     // What another program made of the path moves nothing any more, and must not move the next one.
     for animation in items(document, "animations") {
-        retain(animation, "channels", |_, channel| !channel.pointer("/target/node").is_some_and(is_gone));
+        let is_still = |index: &Value| index.as_u64().is_some_and(|i| still.contains(&i));
+        retain(animation, "channels", |_, channel| !channel.pointer("/target/node").is_some_and(is_still));
     }
     retain(document, "animations", |_, animation| !of_ours(animation, FPS) && animation.get("channels").is_some());
     nodes

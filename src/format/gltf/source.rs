@@ -221,16 +221,34 @@ impl Source {
         // Files are y-up. What is ours was turned on reading, what is not will be turned by writing.
         let above = if self.is_ours { FLIP * self.moved * FLIP } else { FLIP * self.moved };
         let Some(s) = similarity(above).filter(|_| !above.abs_diff_eq(DMat4::IDENTITY, 1e-12)) else { return };
-        let Some(roots) = root.get("scenes").and_then(|s| s.get(self.scene())?.get("nodes")).cloned() else { return };
-        let node = json!({
-            "name": MOVED_NODE,
-            "rotation": s.rotation.to_array(),
-            "scale": [s.scale, s.scale, s.scale],
-            "translation": s.translation.to_array(),
-            "children": roots,
-        });
-        let top = push(root, "nodes", node);
-        root["scenes"][self.scene()]["nodes"] = json!([top]);
+        let current = self.scene();
+        let lists: Vec<Vec<Value>> =
+            root["scenes"].as_array().map_or(&[][..], Vec::as_slice).iter().map(roots_of).collect();
+        let Some(roots) = lists.get(current).filter(|roots| !roots.is_empty()) else { return };
+        let is_shared =
+            lists.iter().enumerate().any(|(i, list)| i != current && list.iter().any(|node| roots.contains(node)));
+        // What is at the top of other scenes as well stays in those, and each has a node above it: nothing may be at the top and below another.
+        let groups: Vec<Vec<Value>> =
+            if is_shared { roots.iter().map(|node| vec![node.clone()]).collect() } else { vec![roots.clone()] };
+        let mut tops = vec![];
+        for children in groups {
+            let node = json!({
+                "name": MOVED_NODE,
+                "rotation": s.rotation.to_array(),
+                "scale": [s.scale, s.scale, s.scale],
+                "translation": s.translation.to_array(),
+                "children": children,
+            });
+            tops.push((children, push(root, "nodes", node)));
+        }
+        for (i, list) in lists.iter().enumerate() {
+            let top_of = |node: &Value| tops.iter().find(|(below, _)| below.contains(node)).map(|(_, top)| json!(top));
+            let mut placed: Vec<Value> = list.iter().map(|node| top_of(node).unwrap_or_else(|| node.clone())).collect();
+            placed.dedup();
+            if i == current || is_shared && placed != *list {
+                root["scenes"][i]["nodes"] = json!(placed);
+            }
+        }
     }
 
     fn set_contract(&self, root: &mut Value, composition: &Composition) {
@@ -345,6 +363,11 @@ fn require(root: &mut Value, name: &str) {
 }
 
 /// Appends to an array of the document, made if there is none; returns the index.
+/// The nodes at the top of a scene.
+fn roots_of(scene: &Value) -> Vec<Value> {
+    scene.get("nodes").and_then(Value::as_array).cloned().unwrap_or_default()
+}
+
 fn push(root: &mut Value, key: &str, value: Value) -> usize {
     if !root.get(key).is_some_and(Value::is_array) {
         root[key] = json!([]);

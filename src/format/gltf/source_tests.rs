@@ -147,6 +147,32 @@ fn what_moves_hangs_below_a_node() {
     }
 }
 
+/// What is at the top of two scenes may not be below a node in one of them.
+#[test]
+fn what_scenes_share_moves_in_all_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, mut document) = rich();
+    let roots = document["scenes"][0]["nodes"].as_array().unwrap().clone();
+    let nodes = document["nodes"].as_array_mut().unwrap();
+    let alone = nodes.len();
+    nodes.push(json!({ "name": "alone" }));
+    document["scenes"].as_array_mut().unwrap().push(json!({ "nodes": [roots[0], alone] }));
+    std::fs::write(at("two.gltf"), b.file(&document)).unwrap();
+    let file = read_file(&at("two.gltf"), &KEEP).unwrap();
+    let mut source = file.source.unwrap();
+    source.follow(DMat4::from_translation(DVec3::X), &file.scene, &file.cameras);
+    let options = WriteOptions { cameras: &file.cameras, source: Some(&source), ..WriteOptions::default() };
+    write_scene(&at("moved.gltf"), &file.scene, &options).unwrap();
+    let faults = crate::format::validate(&at("moved.gltf")).unwrap();
+    assert!(!faults.findings.iter().any(|f| ["SCENE_ROOT", "NODE_PARENT"].contains(&f.code)), "{:?}", faults.findings);
+    let (json, _) = opened(&at("moved.gltf"));
+    let [current, other] = [0, 1].map(|i| json["scenes"][i]["nodes"].as_array().unwrap().clone());
+    assert_eq!((current.len(), &other[..]), (roots.len(), &[current[0].clone(), json!(alone)][..]));
+    let top = &json["nodes"][current[0].as_u64().unwrap() as usize];
+    assert_eq!((&top["children"], &top["name"]), (&json!([roots[0]]), &json!("moved")));
+}
+
 #[test]
 fn a_changed_scene_is_written_anew_and_what_is_dropped_is_named() {
     let folder = tempfile::tempdir().unwrap();

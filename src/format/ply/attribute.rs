@@ -47,11 +47,9 @@ impl Attribute {
     }
 }
 
-/// The properties of `vertex` that are no parameters, without values, and their columns.
-pub(super) fn of_header(vertex: &Element) -> (Vec<Attribute>, Vec<Column>) {
-    let known = ["x", "y", "z", "nx", "ny", "nz", "opacity"];
-    let numbered = ["f_dc_", "f_rest_", "scale_", "rot_"];
-    let is_extra = |name: &str| !known.contains(&name) && !numbered.iter().any(|prefix| name.starts_with(prefix));
+/// The scalar properties of `vertex` that are no `parameters` (nor normals, which say nothing), without values, and their columns.
+pub(super) fn of_header(vertex: &Element, parameters: &[&str]) -> (Vec<Attribute>, Vec<Column>) {
+    let is_extra = |name: &str| !["nx", "ny", "nz"].contains(&name) && !parameters.contains(&name);
     let extra = vertex.scalar_properties().filter(|(_, name, _)| is_extra(name));
     extra.map(|(i, name, kind)| (Attribute { name: name.to_owned(), kind, values: vec![] }, i)).unzip()
 }

@@ -12,12 +12,12 @@ use glam::{DVec3, Quat, Vec3};
 use serde::Serialize;
 
 pub use self::attribute::Attribute;
-use self::table::{Column, Element};
+use self::table::{Column, Element, Header};
 use super::blocks::in_waves;
-use super::error::{Fault, FormatError, open_file};
+use super::error::{Fault, FormatError, open_file, shown};
 use super::record::{Columns, Record};
 use super::{ReadOptions, activation, atomic_write_with};
-use crate::scene::{Splats, sh};
+use crate::scene::{PixelFilter, Splats, sh, smoothed_parameters};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
 /// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own: the
@@ -26,14 +26,20 @@ use crate::scene::{Splats, sh};
 /// # Errors
 /// If the file cannot be written.
 pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
-    write_with(path, splats, &[])
+    write_with(path, splats, &[], PixelFilter::DILATION)
 }
 
-/// As [`write()`], followed by what else is known of every splat.
+/// As [`write()`], followed by what else is known of every splat. That they keep their integral over a picture is said in a comment, as Brush and
+/// splat-transform have it: `SplatRenderMode: mip`.
 ///
 /// # Errors
 /// If the file cannot be written, or an attribute has not as many values as there are splats.
-pub fn write_with(path: &Path, splats: &Splats, attributes: &[Attribute]) -> Result<u64, FormatError> {
+pub fn write_with(
+    path: &Path,
+    splats: &Splats,
+    attributes: &[Attribute],
+    pixel_filter: PixelFilter,
+) -> Result<u64, FormatError> {
     if let Some(a) = attributes.iter().find(|a| a.values.len() != splats.len()) {
         let expected = format!("{} values of the attribute `{}`", splats.len(), a.name);
         return Err(Fault::whole(expected, a.values.len().to_string()).in_file(path));
@@ -46,7 +52,9 @@ pub fn write_with(path: &Path, splats: &Splats, attributes: &[Attribute]) -> Res
     let names = names.map(|name| ("float", name)).chain(attributes.iter().map(|a| (a.kind.name(), a.name.clone())));
     let properties: String = names.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     atomic_write_with(path, |out| {
-        write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{properties}end_header\n", splats.len())?;
+        let comment = if pixel_filter.normalized { MIP_COMMENT } else { "" };
+        let count = splats.len();
+        write!(out, "ply\nformat binary_little_endian 1.0\n{comment}element vertex {count}\n{properties}end_header\n")?;
         let block = |i: usize| i * ROWS..splats.len().min((i + 1) * ROWS);
         in_waves(
             splats.len().div_ceil(ROWS),
@@ -55,6 +63,9 @@ pub fn write_with(path: &Path, splats: &Splats, attributes: &[Attribute]) -> Res
         )
     })
 }
+
+/// Line of a header of splats that keep their integral over a picture.
+const MIP_COMMENT: &str = "comment SplatRenderMode: mip\n";
 
 /// Rows that are encoded as one task: about 1 MB.
 const ROWS: usize = 1 << 12;
@@ -79,8 +90,8 @@ fn encode_rows(splats: &Splats, attributes: &[Attribute], rows: Range<usize>) ->
 }
 
 /// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 3 by
-/// the number of `f_rest` properties; other properties and elements are ignored. The layout of [`compressed`] is told
-/// by its properties.
+/// the number of `f_rest` properties; other properties and elements are ignored, but for `filter_3D` of Mip-Splatting, the standard deviation that each
+/// splat is smoothed with, which becomes part of scale and opacity. The layout of [`compressed`] is told by its properties.
 ///
 /// Infinite logits (opacities of exactly 0 or 1, as writers make them from 8-bit alpha) and log-scales of −∞ (scales of
 /// 0) become the nearest finite ones.
@@ -98,6 +109,10 @@ pub struct PlySplats {
     pub splats: Splats,
     /// Properties that are no parameters, as many values each as there are splats.
     pub attributes: Vec<Attribute>,
+    /// What they were trained to be seen with: [`PixelFilter::MIP`] where a comment or Mip-Splatting's `filter_3D` says so.
+    pub pixel_filter: PixelFilter,
+    /// What the file has besides, and what was made part of the splats, one sentence each.
+    pub notes: Vec<String>,
     /// How many rows were left out, see [`ReadOptions::drop_invalid`].
     pub dropped: usize,
 }
@@ -168,8 +183,10 @@ pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, F
 fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySplats, Fault> {
     let (header, mut body) = table::open(file)?;
     header.repeated_property().map_or(Ok(()), Err)?;
+    let (pixel_filter, mut notes) = (pixel_filter_of(&header), left_out(&header));
     if compressed::is_compressed(&header) {
-        return Ok(PlySplats { splats: compressed::parse(&header, &mut body)?, attributes: vec![], dropped: 0 });
+        let splats = compressed::parse(&header, &mut body)?;
+        return Ok(PlySplats { splats, attributes: vec![], pixel_filter, notes, dropped: 0 });
     }
     let vertex = header.required("vertex")?;
     let means = vertex.columns(["x", "y", "z"])?;
@@ -179,7 +196,13 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     let wxyz = vertex.columns(["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let rest = rest_columns(vertex);
     let (sh_degree, bands) = (degree_of_rest(rest.len()).map_err(|fault| fault.at_byte(vertex.at))?, rest.len() / 3);
-    let (mut attributes, extra) = attribute::of_header(vertex);
+    let filter = vertex.column(FILTER_3D);
+    if filter.is_some() {
+        notes.push(format!("{FILTER_3D} of Mip-Splatting: made part of scales and opacities"));
+    }
+    let rest_names: Vec<String> = (0..rest.len()).map(|i| format!("f_rest_{i}")).collect();
+    let parameters: Vec<&str> = PARAMETERS.into_iter().chain(rest_names.iter().map(String::as_str)).collect();
+    let (mut attributes, extra) = attribute::of_header(vertex, &parameters);
 
     let decode = |row: &[u8]| {
         let v = |column: Column| column.f32(row);
@@ -187,11 +210,14 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
         sh[0] = dc.map(v);
         sh[1..].iter_mut().zip(0..bands).for_each(|(s, c)| *s = [0, 1, 2].map(|channel| v(rest[channel * bands + c])));
         let [w, x, y, z] = wxyz.map(v);
+        let log_scale = Vec3::from(scales.map(v).map(finite_log_scale));
+        let (log_scale, opacity_logit) =
+            smoothed_parameters(log_scale, finite_logit(v(opacity)), filter.map_or(0.0, |column| v(column).abs()));
         Record {
             mean: Vec3::from(means.map(v)),
             rotation: Quat::from_xyzw(x, y, z, w),
-            log_scale: Vec3::from(scales.map(v).map(finite_log_scale)),
-            opacity_logit: finite_logit(v(opacity)),
+            log_scale,
+            opacity_logit,
             sh_degree,
             sh,
         }
@@ -219,7 +245,44 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             Ok(())
         })?;
     let splats = columns.finish().map_err(|fault| body.locate(&header, "vertex", |i| i, fault))?;
-    Ok(PlySplats { splats, attributes, dropped })
+    Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped })
+}
+
+/// Mip-Splatting's standard deviation of the Gaussian that a splat is smoothed with, beside scale and opacity before that.
+const FILTER_3D: &str = "filter_3D";
+
+/// Properties of a splat, but for its higher bands.
+const PARAMETERS: [&str; 15] = [
+    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
+    "rot_3", FILTER_3D,
+];
+
+/// What the header says of how splats are to be seen: Brush's comment, which splat-transform has from there, or what Mip-Splatting adds.
+fn pixel_filter_of(header: &Header) -> PixelFilter {
+    let says_mip = |comment: &String| comment.to_lowercase().contains("splatrendermode: mip");
+    let is_filtered = header.element("vertex").is_some_and(|vertex| vertex.scalar(FILTER_3D).is_some());
+    if is_filtered || header.comments().iter().any(says_mip) { PixelFilter::MIP } else { PixelFilter::DILATION }
+}
+
+/// What the file has besides splats: other tables, and lists. Scalars of splats are attributes, of compressed ones left out.
+fn left_out(header: &Header) -> Vec<String> {
+    let is_compressed = compressed::is_compressed(header);
+    let mut notes = vec![];
+    for element in header.elements().iter().filter(|element| element.count > 0) {
+        let name = shown(element.name().as_bytes());
+        match element.name() {
+            "chunk" | "sh" if is_compressed => {}
+            "vertex" => {
+                let extra = compressed::extra_properties(element).filter(|_| is_compressed);
+                let lists = element.list_names();
+                notes.extend(
+                    extra.chain(lists).map(|property| format!("{} of {name}: left out", shown(property.as_bytes()))),
+                );
+            }
+            _ => notes.push(format!("{name}, {} of it: left out", element.count)),
+        }
+    }
+    notes
 }
 
 /// Columns of `f_rest_0`, `f_rest_1`, …
@@ -278,6 +341,49 @@ mod tests {
         let content = std::fs::read(&path).unwrap();
         assert_eq!(bytes, content.len() as u64);
         content
+    }
+
+    /// As its renderer has it: scales and opacities after the filter of 3-D, pictures by that of 2-D.
+    #[test]
+    fn mip_splatting_is_read_as_it_is_seen() {
+        let splats = random_splats(9, 1, 5);
+        let values = (0..9).map(|i| 0.01 * f64::from(i)).collect();
+        let filter = Attribute { name: FILTER_3D.to_owned(), kind: table::Scalar::F32, values };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        write_with(&path, &splats, &[filter], PixelFilter::DILATION).unwrap();
+        let read = read_with(&path, &ReadOptions::default()).unwrap();
+        assert!(
+            read.pixel_filter == PixelFilter::MIP && read.attributes.is_empty() && read.notes.len() == 1,
+            "{read:?}"
+        );
+        for i in 0..9 {
+            let variance = (0.01 * i as f32).powi(2);
+            let [before, after] = [&splats, &read.splats].map(|s| s.log_scales()[i].map(|l| (2.0 * l).exp()));
+            assert!((after - before - variance).abs().max_element() < 1e-5 * after.max_element(), "{before} {after}");
+            let factor = (before / after).element_product().sqrt();
+            let opacity = |s: &Splats| activation::opacity(s.opacity_logits()[i]);
+            assert!((opacity(&read.splats) - factor * opacity(&splats)).abs() < 1e-6, "{i}");
+        }
+    }
+
+    #[test]
+    fn what_a_file_has_besides_is_named_and_how_it_is_seen_kept() {
+        let splats = random_splats(3, 0, 5);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.ply");
+        let time = Attribute { name: "scale_t".to_owned(), kind: table::Scalar::F32, values: vec![1.0, 2.0, 3.0] };
+        write_with(&path, &splats, std::slice::from_ref(&time), PixelFilter::MIP).unwrap();
+        let content = std::fs::read(&path).unwrap();
+        let text = String::from_utf8_lossy(&content);
+        assert!(text.contains("\ncomment SplatRenderMode: mip\n"));
+        let end = content.windows(10).position(|w| w == b"end_header").unwrap();
+        let more = b"element extrinsic 1\nproperty float a\nelement empty 0\nproperty list uchar int b\n";
+        let mut content = [&content[..end], more, &content[end..]].concat();
+        content.extend(1.0_f32.to_le_bytes());
+        let read = parse(Cursor::new(&content), false).unwrap();
+        assert_eq!((read.pixel_filter, &read.attributes[..]), (PixelFilter::MIP, std::slice::from_ref(&time)));
+        assert_eq!(read.notes, ["`extrinsic`, 1 of it: left out"]);
     }
 
     #[test]
@@ -425,7 +531,7 @@ mod tests {
         ];
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
-        write_with(&path, &splats, &attributes).unwrap();
+        write_with(&path, &splats, &attributes, PixelFilter::DILATION).unwrap();
         let back = read_with(&path, &ReadOptions::default()).unwrap();
         assert_eq!((&back.attributes, back.dropped), (&attributes, 0));
         assert_eq!(back.splats, splats);
@@ -435,7 +541,7 @@ mod tests {
         let joined = Attribute::join(&[&attributes[2], &attributes[2]]).unwrap();
         assert_eq!((joined.name(), joined.values().len()), ("shift", 6));
         assert!(Attribute::join(&[&attributes[1], &attributes[2]]).is_none());
-        assert!(write_with(&path, &random_splats(4, 0, 1), &attributes).is_err());
+        assert!(write_with(&path, &random_splats(4, 0, 1), &attributes, PixelFilter::DILATION).is_err());
     }
 
     #[test]
@@ -445,7 +551,7 @@ mod tests {
             Attribute { name: "order".to_owned(), kind: table::Scalar::I32, values: (0..6).map(f64::from).collect() };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
-        write_with(&path, &splats, &[order]).unwrap();
+        write_with(&path, &splats, &[order], PixelFilter::DILATION).unwrap();
         let mut file = std::fs::read(&path).unwrap();
         let first_row = file.len() - 6 * 18 * 4;
         // A mean, a colour, an opacity; and a quaternion of zeros.

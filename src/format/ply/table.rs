@@ -14,6 +14,8 @@ const MAX_HEADER: u64 = 1 << 20;
 /// What a file says about its tables.
 pub(crate) struct Header {
     elements: Vec<Element>,
+    /// Without the word that makes them comments.
+    comments: Vec<String>,
     /// Offset of `end_header`.
     end: usize,
 }
@@ -131,6 +133,15 @@ impl Element {
         self.properties.iter().position(|p| p.name == name && p.list_length.is_none())
     }
 
+    /// Names of its list properties.
+    pub(super) fn list_names(&self) -> impl Iterator<Item = &str> {
+        self.properties.iter().filter(|p| p.list_length.is_some()).map(|p| p.name.as_str())
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Column, name and type of every scalar property.
     pub(super) fn scalar_properties(&self) -> impl Iterator<Item = (Column, &str, Scalar)> {
         let scalars = self.properties.iter().filter(|p| p.list_length.is_none());
@@ -207,7 +218,7 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
     let length = reader.seek(SeekFrom::End(0)).map_err(unreadable)?;
     reader.rewind().map_err(unreadable)?;
     let mut encoding = None;
-    let mut elements: Vec<Element> = vec![];
+    let (mut elements, mut comments): (Vec<Element>, Vec<String>) = (vec![], vec![]);
     let (mut offset, mut line) = (0, vec![]);
     let end = loop {
         let start = offset as usize;
@@ -225,7 +236,8 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
         let bad = |expected: &str| Fault::byte(start, expected, shown(line.trim_ascii_end()));
         match words.as_slice() {
             ["end_header"] => break start,
-            [] | ["ply" | "comment" | "obj_info", ..] => {}
+            ["comment", words @ ..] => comments.push(words.join(" ")),
+            [] | ["ply" | "obj_info", ..] => {}
             ["format", name, version @ ..] => {
                 if !matches!(version, [] | ["1.0", ..]) {
                     return Err(bad("version 1.0 of the format"));
@@ -265,12 +277,16 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
             element.stride += kind.bytes();
         }
     }
-    Ok((Header { elements, end }, Body::new(reader, offset, length, encoding)))
+    Ok((Header { elements, comments, end }, Body::new(reader, offset, length, encoding)))
 }
 
 impl Header {
     pub(crate) fn elements(&self) -> &[Element] {
         &self.elements
+    }
+
+    pub(super) fn comments(&self) -> &[String] {
+        &self.comments
     }
 
     /// The first table of this name.

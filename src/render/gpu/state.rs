@@ -5,10 +5,7 @@ use std::ops::Range;
 use glam::{Quat, Vec3};
 
 use super::splats::{self, GEOMETRY, pack_geometry};
-use crate::{
-    render::contract,
-    scene::{SceneError, Splats, sh},
-};
+use crate::scene::{SceneError, Splats, sh, smoothed_parameters};
 
 /// Floats of a splat in [`SplatState::geometry`].
 pub const GEOMETRY_FLOATS: usize = GEOMETRY;
@@ -22,9 +19,6 @@ pub const ROTATION: Range<usize> = 4..8;
 pub const LOG_SCALE: Range<usize> = 8..11;
 /// Column of the standard deviation of the Gaussian that the splat is smoothed with; 0 for none.
 pub const SMOOTHING: usize = 11;
-
-/// Logit of what is left of a splat that is smoothed to nothing: far below what any picture shows.
-const LEAST_LOGIT: f64 = -100.0;
 
 /// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
 ///
@@ -142,15 +136,7 @@ pub(crate) fn geometry_not_finite(geometry: &[f32]) -> Option<(&'static str, usi
 
 /// Log-scales and opacity logit of a row after smoothing.
 fn smoothed(row: &[f32]) -> (Vec3, f32) {
-    let log_scale = Vec3::from_slice(&row[LOG_SCALE]);
-    if row[SMOOTHING] == 0.0 {
-        return (log_scale, row[OPACITY]);
-    }
-    let (scale, factor) = contract::smoothed(log_scale.as_dvec3(), row[SMOOTHING].into());
-    // Of factor·σ(x), in a form that neither end of σ rounds away.
-    let logit = factor.ln() - ((-f64::from(row[OPACITY])).exp() + (1.0 - factor)).ln();
-    // Not `max`, which would make a number of NaN.
-    (scale.ln().as_vec3(), if logit < LEAST_LOGIT { LEAST_LOGIT } else { logit } as f32)
+    smoothed_parameters(Vec3::from_slice(&row[LOG_SCALE]), row[OPACITY], row[SMOOTHING])
 }
 
 /// As the GPU has it, in f32; elsewhere that of [`crate::scene`].

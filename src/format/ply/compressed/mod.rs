@@ -16,14 +16,14 @@ use std::path::Path;
 
 use glam::{Quat, Vec3};
 
-use super::table::{Body, Header};
+use super::table::{Body, Element, Header};
 use super::{degree_of_rest, rest_columns};
 use crate::format::blocks::in_waves;
 use crate::format::error::Fault;
 use crate::format::loss::{Loss, SplatError, WriteReport};
 use crate::format::record::{Columns, Record, logit_of_byte, opacity_byte, quantize};
 use crate::format::{FormatError, atomic_write_with};
-use crate::scene::{Splats, in_morton_order, sh};
+use crate::scene::{PixelFilter, Splats, in_morton_order, sh};
 
 /// Splats in a chunk.
 const CHUNK: usize = 256;
@@ -73,12 +73,21 @@ struct Bounds {
 /// # Errors
 /// If the file cannot be written.
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
+    write_with(path, splats, PixelFilter::DILATION)
+}
+
+/// As [`write()`], with the comment of [`super::write_with`].
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Result<WriteReport, FormatError> {
     let bands = sh::coefficients(splats.sh_degree()) - 1;
     let order = in_morton_order(splats);
     let chunks = splats.len().div_ceil(CHUNK);
     let properties =
         |kind: &str, names: &[&str]| names.iter().map(|name| format!("property {kind} {name}\n")).collect::<String>();
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement chunk {chunks}\n");
+    let comment = if pixel_filter.normalized { super::MIP_COMMENT } else { "" };
+    let mut header = format!("ply\nformat binary_little_endian 1.0\n{comment}element chunk {chunks}\n");
     header += &properties("float", &BOUNDS);
     header += &format!("element vertex {}\n", splats.len());
     header += &properties("uint", &PACKED);
@@ -115,6 +124,11 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
 /// True if the header is that of a compressed PLY.
 pub(super) fn is_compressed(header: &Header) -> bool {
     header.element("vertex").is_some_and(|vertex| vertex.scalar(PACKED[0]).is_some())
+}
+
+/// Scalar properties of compressed splats beside what they are packed in.
+pub(super) fn extra_properties(vertex: &Element) -> impl Iterator<Item = &str> {
+    vertex.scalar_properties().map(|(_, name, _)| name).filter(|name| !PACKED.contains(name))
 }
 
 pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>) -> Result<Splats, Fault> {

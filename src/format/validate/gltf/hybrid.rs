@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::super::{Findings, Offenders};
 use super::binding::is_unsigned;
 use super::document::{Component, Document, Elements};
-use super::scenes::check_times;
+use super::moving::check_times;
 use super::schema::{self, Unknown};
 use super::splats::check_token;
 use super::{binding, extension, fields, index, objects, primitives};

@@ -7,6 +7,7 @@ mod document;
 mod extensions;
 mod fields;
 mod hybrid;
+mod moving;
 mod references;
 mod scenes;
 mod schema;
@@ -32,6 +33,7 @@ pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     let document = Document::load(&root, bin, folder, findings);
     accessors::check(&document, findings);
     scenes::check(&document, findings);
+    moving::check(&document, findings);
     splats::check(&document, findings);
     hybrid::check(&document, findings);
     // Where the structure is sound, a reader may still lack something.

@@ -1,4 +1,4 @@
-//! Nodes, primitives, images, skins and animations of core glTF.
+//! Nodes, primitives and images of core glTF.
 
 use serde_json::Value;
 
@@ -17,8 +17,6 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (at, image) in objects(document.root, "images", "") {
         check_image(document, image, &at, findings);
     }
-    check_skins(document, findings);
-    check_animations(document, findings);
 }
 
 fn check_nodes(root: &Value, findings: &mut Findings) {
@@ -75,16 +73,17 @@ fn numbers(value: Option<&Value>) -> Vec<f64> {
     value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64).collect()
 }
 
-/// Type and component types of an attribute of the core; `KHR_mesh_quantization` allows others.
-fn attribute_rule(name: &str) -> Option<(&'static str, &'static [Component])> {
+/// Types and component types of an attribute of the core; `KHR_mesh_quantization` allows others.
+fn attribute_rule(name: &str) -> Option<(&'static [&'static str], &'static [Component])> {
     use Component::{Float, UnsignedByte, UnsignedShort};
     let set = name.rsplit_once('_').filter(|(_, digits)| digits.bytes().all(|b| b.is_ascii_digit()));
     Some(match (name, set.map(|(name, _)| name)) {
-        ("POSITION" | "NORMAL", _) => ("VEC3", &[Float]),
-        ("TANGENT", _) => ("VEC4", &[Float]),
-        (_, Some("TEXCOORD")) => ("VEC2", &[Float, UnsignedByte, UnsignedShort]),
-        (_, Some("JOINTS")) => ("VEC4", &[UnsignedByte, UnsignedShort]),
-        (_, Some("WEIGHTS")) => ("VEC4", &[Float, UnsignedByte, UnsignedShort]),
+        ("POSITION" | "NORMAL", _) => (&["VEC3"], &[Float]),
+        ("TANGENT", _) => (&["VEC4"], &[Float]),
+        (_, Some("TEXCOORD")) => (&["VEC2"], &[Float, UnsignedByte, UnsignedShort]),
+        (_, Some("JOINTS")) => (&["VEC4"], &[UnsignedByte, UnsignedShort]),
+        (_, Some("WEIGHTS")) => (&["VEC4"], &[Float, UnsignedByte, UnsignedShort]),
+        (_, Some("COLOR")) => (&["VEC3", "VEC4"], &[Float, UnsignedByte, UnsignedShort]),
         _ => return None,
     })
 }
@@ -113,12 +112,12 @@ fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, finding
             let expected = format!("{} elements, as in POSITION", vertices.unwrap_or_default());
             findings.error("PRIMITIVE_COUNT", place(), expected, count.unwrap_or_default());
         }
-        if let Some((shape, kinds)) = attribute_rule(name) {
+        if let Some((shapes, kinds)) = attribute_rule(name) {
             let found_shape = accessor.get("type").and_then(Value::as_str).unwrap_or_default();
             let found_kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
             let allowed = found_kind.is_none_or(|k| kinds.contains(&k) || quantized);
-            if found_shape != shape || !allowed {
-                let expected = format!("{shape} of {kinds:?}");
+            if !shapes.contains(&found_shape) || !allowed {
+                let expected = format!("{} of {kinds:?}", shapes.join(" or "));
                 findings.error("PRIMITIVE_ATTRIBUTE", place(), expected, format!("{found_shape} of {found_kind:?}"));
             }
         }
@@ -220,63 +219,5 @@ fn check_image(document: &Document<'_>, image: &Value, at: &str, findings: &mut 
     let declared = image.get("mimeType").and_then(Value::as_str);
     if let Some(declared) = declared.filter(|&declared| declared != found) {
         findings.error("IMAGE_TYPE", format!("{at}/mimeType"), found, declared);
-    }
-}
-
-fn check_skins(document: &Document<'_>, findings: &mut Findings) {
-    for (at, skin) in objects(document.root, "skins", "") {
-        let joints = skin.get("joints").and_then(Value::as_array).map_or(0, Vec::len);
-        let matrices = index(skin, "inverseBindMatrices").and_then(|i| document.elements(i));
-        if let Some(m) = matrices.filter(|m| m.count < joints || m.components != 16 || m.kind != Component::Float) {
-            let expected = format!("MAT4 of Float, one for each of {joints} joints");
-            let found = format!("{} elements of {} components of {:?}", m.count, m.components, m.kind);
-            findings.error("SKIN_MATRICES", format!("{at}/inverseBindMatrices"), expected, found);
-        }
-    }
-}
-
-fn check_animations(document: &Document<'_>, findings: &mut Findings) {
-    for (at, animation) in objects(document.root, "animations", "") {
-        for (at, sampler) in objects(animation, "samplers", &at) {
-            if let Some(times) = index(sampler, "input").and_then(|i| document.elements(i)) {
-                check_times(&times, &format!("{at}/input"), findings);
-            }
-        }
-        for (at, channel) in objects(animation, "channels", &at) {
-            let path = channel.pointer("/target/path").and_then(Value::as_str).unwrap_or_default();
-            let per_key = match path {
-                "translation" | "scale" => 3,
-                "rotation" => 4,
-                _ => continue,
-            };
-            let sampler = index(channel, "sampler").and_then(|s| animation.get("samplers")?.get(s));
-            let Some(sampler) = sampler else { continue };
-            let elements = |key| index(sampler, key).and_then(|i| document.elements(i));
-            let (Some(input), Some(output)) = (elements("input"), elements("output")) else { continue };
-            let tangents = sampler.get("interpolation").and_then(Value::as_str) == Some("CUBICSPLINE");
-            let expected = input.count.saturating_mul(if tangents { 3 } else { 1 });
-            if output.count != expected || output.components != per_key {
-                let expected = format!("{expected} elements of {per_key} components for {path}");
-                let found = format!("{} of {}", output.count, output.components);
-                findings.error("ANIMATION_OUTPUT", at, expected, found);
-            }
-        }
-    }
-}
-
-/// Reports times that are not strictly increasing from 0 or later.
-pub(super) fn check_times(times: &Elements<'_>, at: &str, findings: &mut Findings) {
-    if times.components != 1 || times.kind != Component::Float {
-        return findings.error("TIMES_TYPE", at, "SCALAR of Float", format!("{:?}", times.kind));
-    }
-    let mut offenders = Offenders::default();
-    for i in 0..times.count {
-        let (t, before) = (times.raw(i, 0), if i == 0 { -f64::MIN_POSITIVE } else { times.raw(i - 1, 0) });
-        if t <= before || t < 0.0 {
-            offenders.note(|| format!("{t} at position {i}"));
-        }
-    }
-    if let Some(found) = offenders.summary(times.count) {
-        findings.error("TIMES_ORDER", at, "strictly increasing times from 0 s", found);
     }
 }

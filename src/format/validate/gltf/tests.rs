@@ -212,6 +212,23 @@ fn primitive(file: &mut File, mesh: usize) -> &mut Value {
     &mut file.json["meshes"][mesh]["primitives"][0]
 }
 
+/// The node of the surface.
+fn surface_node(file: &mut File) -> &mut Value {
+    let nodes = file.json["nodes"].as_array_mut().unwrap();
+    nodes.iter_mut().find(|node| node["mesh"] == json!(SURFACE)).unwrap()
+}
+
+/// Binds the surface to the skin, all of its vertices to one joint.
+fn skinned(file: &mut File, joint: f64, weight: f64) {
+    let position = primitive(file, SURFACE)["attributes"]["POSITION"].as_u64().unwrap() as usize;
+    let count = file.json["accessors"][position]["count"].as_u64().unwrap() as usize;
+    let joints = file.accessor("VEC4", U16, &[joint, 0.0, 0.0, 0.0].repeat(count));
+    let weights = file.floats("VEC4", &[weight, 0.0, 0.0, 0.0].repeat(count));
+    primitive(file, SURFACE)["attributes"]["JOINTS_0"] = json!(joints);
+    primitive(file, SURFACE)["attributes"]["WEIGHTS_0"] = json!(weights);
+    surface_node(file)["skin"] = json!(0);
+}
+
 fn binding(file: &mut File) -> &mut Value {
     &mut primitive(file, SPLATS)["extensions"][KHR]["extensions"][HYBRID]["binding"]
 }

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::{Planted, SPLATS, SURFACE, U16, declare, primitive};
+use super::{Planted, SPLATS, SURFACE, U16, declare, primitive, skinned, surface_node};
 
 pub(super) const PLANTED: &[Planted] = &[
     // The schema.
@@ -98,6 +98,20 @@ pub(super) const PLANTED: &[Planted] = &[
     ("IMAGE_CONTENT", "/images/0", |f| f.json["images"][0]["bufferView"] = json!(0)),
     ("IMAGE_URI", "/images/0/uri", |f| f.json["images"][0] = json!({ "uri": "none.png" })),
     ("SKIN_MATRICES", "/inverseBindMatrices", |f| f.json["skins"][0]["joints"] = json!([0, 1])),
+    ("SKIN_JOINTS", "/primitives/0/attributes/JOINTS_0", |f| skinned(f, 7.0, 1.0)),
+    ("SKIN_WEIGHTS", "/primitives/0/attributes/WEIGHTS_0", |f| skinned(f, 0.0, 0.0)),
+    ("SKIN_WEIGHTS", "/primitives/0", |f| surface_node(f)["skin"] = json!(0)),
+    ("TARGET_COUNT", "/targets/0/POSITION", |f| {
+        let short = f.floats("VEC3", &[0.0; 6]);
+        primitive(f, SURFACE)["targets"] = json!([{ "POSITION": short }]);
+    }),
+    ("TARGET_TYPE", "/targets/0/POSITION", |f| {
+        let uv = primitive(f, SURFACE)["attributes"]["TEXCOORD_0"].clone();
+        primitive(f, SURFACE)["targets"] = json!([{ "POSITION": uv }]);
+    }),
+    ("ANIMATION_PATH", "/channels/0/target/path", |f| {
+        f.json["animations"][0]["channels"][0]["target"]["path"] = json!("colour");
+    }),
     ("ANIMATION_OUTPUT", "/channels/0", |f| {
         f.json["animations"][0]["samplers"][0]["interpolation"] = json!("CUBICSPLINE");
     }),
