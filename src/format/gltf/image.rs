@@ -17,6 +17,8 @@ pub(in crate::format) struct Texels {
     pub(in crate::format) width: u32,
     pub(in crate::format) height: u32,
     pub(in crate::format) rgba: Vec<[f32; 4]>,
+    /// Whether it is a picture of colours in 8 bits, which come in sRGB where nothing is said.
+    pub(in crate::format) is_srgb_by_custom: bool,
     /// Hash and length of the file.
     pub(super) encoded: (u64, u64),
 }
@@ -67,9 +69,10 @@ pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, Str
         let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_PIXEL_RATIO);
         return Err((expected, format!("{encoded_bytes} bytes")));
     }
+    let is_srgb_by_custom = matches!(decoder.color_type(), image::ColorType::Rgb8 | image::ColorType::Rgba8);
     let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
     let rgba = pixels.pixels().map(|p| p.0).collect();
-    Ok(Texels { width: pixels.width(), height: pixels.height(), rgba, encoded: identity })
+    Ok(Texels { width: pixels.width(), height: pixels.height(), rgba, is_srgb_by_custom, encoded: identity })
 }
 
 fn webp_texels(encoded: &[u8], identity: (u64, u64)) -> Result<Texels, Box<dyn std::error::Error>> {
@@ -88,7 +91,7 @@ fn webp_texels(encoded: &[u8], identity: (u64, u64)) -> Result<Texels, Box<dyn s
         let unit = |c: usize| p.get(c).map_or(1.0, |b| f32::from(*b) / 255.0);
         [0, 1, 2, 3].map(unit)
     });
-    Ok(Texels { width, height, rgba: rgba.collect(), encoded: identity })
+    Ok(Texels { width, height, rgba: rgba.collect(), is_srgb_by_custom: true, encoded: identity })
 }
 
 #[cfg(test)]

@@ -233,7 +233,7 @@ fn base_colour(
     let is_textured = texture.is_some();
     let texels = match texture {
         Some(info) => asset.texels(info.texture().index())?,
-        None => Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], encoded: (0, 0) },
+        None => Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) },
     };
     let values = texels.rgba.iter().flat_map(|t| {
         let [r, g, b, a] = *t;

@@ -9,8 +9,8 @@ use crate::format::error::{Fault, from_value};
 use crate::scene::{Atlas, Texture};
 
 /// How a material reads a texture.
-#[derive(Clone, Copy, PartialEq)]
-pub(super) struct UvMap {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::format) struct UvMap {
     /// n of `TEXCOORD_n`.
     pub(super) set: u32,
     pub(super) transform: Option<(Mat2, Vec2)>,
@@ -25,8 +25,13 @@ const MAX_TEXELS: u64 = 1 << 24;
 
 impl UvMap {
     /// Coordinates of a set as they are.
-    pub(super) fn plain(set: u32) -> Self {
+    pub(in crate::format) fn plain(set: u32) -> Self {
         Self { set, transform: None, wrap: [WrappingMode::ClampToEdge; 2] }
+    }
+
+    /// Coordinates that a linear map and a translation take to those of a texture, and how that goes on beyond 0..1.
+    pub(in crate::format) fn new(transform: (Mat2, Vec2), wrap: [WrappingMode; 2]) -> Self {
+        Self { transform: Some(transform).filter(|t| *t != (Mat2::IDENTITY, Vec2::ZERO)), wrap, ..Self::plain(0) }
     }
 
     /// That of a `textureInfo`, at the JSON pointer `at`.
@@ -67,7 +72,7 @@ impl UvMap {
     }
 
     /// As [`Self::unrolled`], for all maps of a material.
-    pub(super) fn unrolled_atlas(&self, atlas: &Atlas, corners: &mut [[Vec2; 3]]) -> Option<Atlas> {
+    pub(in crate::format) fn unrolled_atlas(&self, atlas: &Atlas, corners: &mut [[Vec2; 3]]) -> Option<Atlas> {
         let mut again = atlas.bands().map(|bands| (bands, corners.to_vec()));
         let base = self.unrolled(atlas.base(), corners)?;
         let bands = match &mut again {
@@ -79,7 +84,7 @@ impl UvMap {
 
     /// Corners of a triangle on the map: transformed, and where the texture repeats, moved into the first tile as far as
     /// whole tiles do. What is left beyond 1 is repeated within the triangle.
-    pub(super) fn corners(&self, uvs: [Vec2; 3]) -> [Vec2; 3] {
+    pub(in crate::format) fn corners(&self, uvs: [Vec2; 3]) -> [Vec2; 3] {
         let mut uvs = self.transform.map_or(uvs, |(linear, offset)| uvs.map(|uv| linear * uv + offset));
         for axis in 0..2 {
             let period = match self.wrap[axis] {

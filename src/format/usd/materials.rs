@@ -1,5 +1,8 @@
 //! Materials to maps: exact ones from our own files, else what `UsdPreviewSurface` shows.
 
+use glam::{Mat2, Vec2};
+use gltf::texture::WrappingMode;
+
 use super::Breach;
 use super::document::Value;
 use super::maps::{self, Mismatch};
@@ -9,7 +12,7 @@ use super::stage::{Source, Stage};
 use super::surfaces::Placed;
 use crate::format::activation;
 use crate::format::error::Fault;
-use crate::format::gltf::{Texels, decode};
+use crate::format::gltf::{Texels, UvMap, decode};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// What maps are read with.
@@ -25,16 +28,71 @@ struct Picture {
     width: u32,
     height: u32,
     texels: Vec<[f32; 3]>,
-    /// Primvar of its coordinates; `None` if it is the same everywhere.
-    primvar: Option<String>,
+    /// `None` if it is the same everywhere.
+    coordinates: Option<Coordinates>,
 }
+
+/// Where on a picture a corner of a surface is.
+#[derive(Clone, PartialEq)]
+pub(super) struct Coordinates {
+    /// Primvar with the texture coordinates.
+    pub(super) primvar: String,
+    /// What becomes of them, v downwards as elsewhere here.
+    pub(super) map: UvMap,
+}
+
+impl Coordinates {
+    /// Those that textures use by default.
+    fn plain() -> Self {
+        Self { primvar: ST.to_owned(), map: UvMap::plain(0) }
+    }
+
+    /// Those of a `UsdUVTexture`: a primvar, by way of any number of `UsdTransform2d`.
+    fn of(stage: &Stage<'_>, texture: usize) -> Self {
+        let wrap = ["inputs:wrapS", "inputs:wrapT"].map(|name| match stage.text(texture, name) {
+            Some("repeat") => WrappingMode::Repeat,
+            Some("mirror") => WrappingMode::MirroredRepeat,
+            _ => WrappingMode::ClampToEdge,
+        });
+        let (mut linear, mut offset) = (Mat2::IDENTITY, Vec2::ZERO);
+        let mut source = stage.input(texture, "inputs:st");
+        for _ in 0..MOST_TRANSFORMS {
+            let Some(Source::Output { prim, .. }) = source else { break };
+            if stage.text(prim, "info:id") != Some("UsdTransform2d") {
+                break;
+            }
+            let [scale, translation] = [("inputs:scale", 1.0), ("inputs:translation", 0.0)].map(|(name, default)| {
+                Vec2::from(stage.numbers::<2>(prim, name).unwrap_or([default; 2]).map(|v| v as f32))
+            });
+            let angle = stage.number(prim, "inputs:rotation").unwrap_or(0.0).to_radians() as f32;
+            offset += linear * translation;
+            linear *= Mat2::from_angle(angle) * Mat2::from_diagonal(scale);
+            source = stage.input(prim, "inputs:in");
+        }
+        let varname = match source {
+            Some(Source::Output { prim, .. }) => stage.input(prim, "inputs:varname"),
+            _ => None,
+        };
+        let primvar = match varname {
+            Some(Source::Value(name)) => name.as_text().unwrap_or(ST),
+            _ => ST,
+        };
+        // There v is upwards: turned over, changed, turned over again.
+        let over = Mat2::from_diagonal(Vec2::new(1.0, -1.0));
+        let transform = (over * linear * over, over * (linear * Vec2::Y + offset) + Vec2::Y);
+        Self { primvar: primvar.to_owned(), map: UvMap::new(transform, wrap) }
+    }
+}
+
+/// Most transforms of texture coordinates, one after the other.
+const MOST_TRANSFORMS: usize = 16;
 
 /// Name of the primvar that textures use by default.
 const ST: &str = "st";
 
 impl Picture {
     fn constant(value: [f32; 3]) -> Self {
-        Self { width: 1, height: 1, texels: vec![value], primvar: None }
+        Self { width: 1, height: 1, texels: vec![value], coordinates: None }
     }
 
     /// The texel in the place of texel (x, y) of a picture of another size.
@@ -45,17 +103,17 @@ impl Picture {
 }
 
 impl Materials<'_> {
-    /// The maps of a mesh, and the name of the primvar with their coordinates.
+    /// The maps of a mesh, and how they lie on it.
     pub(super) fn atlas(
         &mut self,
         stage: &Stage<'_>,
         mesh: &Placed,
         notes: &mut Vec<String>,
-    ) -> Result<(Atlas, String), Fault> {
+    ) -> Result<(Atlas, Coordinates), Fault> {
         let at = stage.path(mesh.prim);
         match self.exact(stage, mesh.prim) {
             None => {}
-            Some(Ok(atlas)) => return Ok((atlas, ST.to_owned())),
+            Some(Ok(atlas)) => return Ok((atlas, Coordinates::plain())),
             Some(Err(fault)) => {
                 let (place, expected, found) = fault.into_parts();
                 notes.push(format!(
@@ -67,7 +125,9 @@ impl Materials<'_> {
             notes.push(format!("{at}: without a UsdPreviewSurface it gets one colour"));
             let rgb = stage.rows::<3>(mesh.prim, "primvars:displayColor")?.and_then(|c| c.first().copied());
             let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| shown(rgb, self.space)));
-            return Ok((joined(&color, &Picture::constant([1.0; 3]))?, ST.to_owned()));
+            let alpha = stage.rows::<1>(mesh.prim, "primvars:displayOpacity")?.and_then(|a| a.first().copied());
+            let opacity = Picture::constant(alpha.map_or([1.0; 3], |[a]| [a; 3]));
+            return Ok((joined(&color, &opacity)?, Coordinates::plain()));
         };
         let path = stage.path(shader);
         let is_lit = |name: &str| match stage.input(shader, name) {
@@ -87,8 +147,11 @@ impl Materials<'_> {
         if threshold > 0.0 {
             opacity.texels.iter_mut().for_each(|t| *t = t.map(|a| f32::from(a >= threshold)));
         }
-        let primvar = color.primvar.as_ref().or(opacity.primvar.as_ref()).map_or(ST, String::as_str).to_owned();
-        Ok((joined(&color, &opacity)?, primvar))
+        if color.coordinates.is_some() && opacity.coordinates.is_some() && color.coordinates != opacity.coordinates {
+            notes.push(format!("{path}: its opacity lies where its colour does, not by coordinates of its own"));
+        }
+        let atlas = joined(&color, &opacity)?;
+        Ok((atlas, color.coordinates.or(opacity.coordinates).unwrap_or_else(Coordinates::plain)))
     }
 
     /// The maps with all their bits, if the mesh names them.
@@ -142,7 +205,7 @@ impl Materials<'_> {
             _ => return Err(Fault::pointer(format!("{at}.inputs:file"), "the path of a picture", "none")),
         };
         let texels = self.place.read(file).and_then(decode);
-        let Texels { width, height, rgba, .. } =
+        let Texels { width, height, rgba, is_srgb_by_custom, .. } =
             texels.map_err(|(expected, found)| Fault::pointer(format!("{at}.inputs:file"), expected, found))?;
         let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
             "r" => [0; 3],
@@ -151,9 +214,9 @@ impl Materials<'_> {
             "a" => [3; 3],
             _ => [0, 1, 2],
         };
-        // `auto` is sRGB for pictures of 8 bits in colour, which is what colours come in; alpha is linear always.
+        // `auto` is sRGB for pictures of 8 bits in colour; alpha is linear always.
         let stated = stage.text(texture, "inputs:sourceColorSpace").unwrap_or("auto");
-        let is_srgb = stated == "sRGB" || stated == "auto" && is_color;
+        let is_srgb = stated == "sRGB" || stated == "auto" && is_color && is_srgb_by_custom;
         let [scale, bias] = [("inputs:scale", 1.0), ("inputs:bias", 0.0)]
             .map(|(name, default)| stage.numbers::<4>(texture, name).unwrap_or([default; 4]).map(|v| v as f32));
         let is_plain = (scale, bias) == ([1.0; 4], [0.0; 4]);
@@ -169,15 +232,12 @@ impl Materials<'_> {
             });
             shown(linear)
         };
-        let primvar = match stage.input(texture, "inputs:st") {
-            Some(Source::Output { prim, .. }) => stage.input(prim, "inputs:varname"),
-            _ => None,
-        };
-        let primvar = match primvar {
-            Some(Source::Value(name)) => name.as_text().unwrap_or(ST),
-            _ => ST,
-        };
-        Ok(Picture { width, height, texels: rgba.iter().map(value).collect(), primvar: Some(primvar.to_owned()) })
+        Ok(Picture {
+            width,
+            height,
+            texels: rgba.iter().map(value).collect(),
+            coordinates: Some(Coordinates::of(stage, texture)),
+        })
     }
 }
 

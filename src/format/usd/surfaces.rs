@@ -50,7 +50,7 @@ pub(super) fn read(
     let parts = parts(stage, placed, &polygons)?;
     let mut meshes = vec![];
     for Part { material, faces } in &parts {
-        let (mut atlas, primvar) = materials.atlas(stage, &Placed { material: *material, ..*placed }, notes)?;
+        let (mut atlas, coordinates) = materials.atlas(stage, &Placed { material: *material, ..*placed }, notes)?;
         if atlas.sh_degree() > 0 && placed.transform != DMat4::IDENTITY {
             let Some(Similarity { rotation, .. }) = similarity(placed.transform) else {
                 let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
@@ -58,7 +58,7 @@ pub(super) fn read(
             };
             atlas = turned(&atlas, DMat3::from_quat(rotation)).map_err(|e| Fault::from(e).under(&at))?;
         }
-        let uvs = CornerUvs::of(stage, prim, &primvar)?;
+        let uvs = CornerUvs::of(stage, prim, &coordinates.primvar)?;
         if uvs.is_none() {
             notes
                 .push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
@@ -76,13 +76,17 @@ pub(super) fn read(
                         *uv = uvs.at(c, polygons.corners[c], index)?;
                     }
                 }
-                corner_uvs.push(of_triangle);
+                corner_uvs.push(if uvs.is_some() { coordinates.map.corners(of_triangle) } else { of_triangle });
             }
         }
         // A mesh of one material keeps its vertices, also those of no face.
         let positions = if parts.len() == 1 { polygons.points.clone() } else { used(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
-            let mesh = Mesh::new(positions, triangles, corner_uvs, atlas);
+            let repeated = coordinates.map.unrolled_atlas(&atlas, &mut corner_uvs);
+            if repeated.is_none() {
+                notes.push(format!("{at}: a texture repeated too often is shown once"));
+            }
+            let mesh = Mesh::new(positions, triangles, corner_uvs, repeated.unwrap_or(atlas));
             meshes.push(mesh.map_err(|e| Fault::from(e).under(&at))?);
         }
     }

@@ -284,6 +284,77 @@ def "W" (
     );
 }
 
+/// A floor whose tile lies on it turned, three times along u: its picture is written out, corners lie as they say.
+#[test]
+fn textures_are_transformed_and_repeat() {
+    let scene = |wrap: &str| {
+        format!(
+            r#"( metersPerUnit = 1 )
+def Mesh "M" {{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1)] ( interpolation = "vertex" )
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </M/M>
+    def Material "M" {{
+        token outputs:surface.connect = <S.outputs:surface>
+        def Shader "S" {{
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = </M/M/T.outputs:rgb>
+        }}
+        def Shader "T" {{
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @./t.png@
+            token inputs:wrapS = "{wrap}"
+            token inputs:wrapT = "{wrap}"
+            float2 inputs:st.connect = <../X.outputs:result>
+        }}
+        def Shader "X" {{
+            uniform token info:id = "UsdTransform2d"
+            float2 inputs:in.connect = <../R.outputs:result>
+            float inputs:rotation = 90
+            float2 inputs:scale = (2, 3)
+            float2 inputs:translation = (3, 0)
+        }}
+        def Shader "R" {{
+            uniform token info:id = "UsdPrimvarReader_float2"
+            string inputs:varname = "st"
+        }}
+    }}
+}}
+"#
+        )
+    };
+    let read_with = |wrap: &str, png: image::DynamicImage| {
+        let (folder, path) = folder_with(&scene(wrap));
+        png.save(folder.path().join("t.png")).unwrap();
+        let mut file = read(&path).unwrap();
+        (file.scene.meshes.remove(0), file.notes)
+    };
+    let grey_of = |x: u32, y: u32| [[10, 20], [30, 40]][y as usize][x as usize];
+    let colors = image::RgbImage::from_fn(2, 2, |x, y| image::Rgb([grey_of(x, y); 3]));
+    let (clamped, _) = read_with("clamp", colors.clone().into());
+    // Scaled to (2s, 3t), turned to (−3t, 2s), moved by 3; v is downwards.
+    let expected = [[3.0, 1.0], [3.0, -1.0], [0.0, 1.0]].map(Vec2::from);
+    for (found, expected) in clamped.corner_uvs()[0].iter().zip(expected) {
+        assert!(found.abs_diff_eq(expected, 1e-6), "{found} {expected}");
+    }
+    assert_eq!((clamped.atlas().base().width(), clamped.atlas().base().height()), (2, 2));
+    let (tiled, notes) = read_with("repeat", colors.clone().into());
+    let base = tiled.atlas().base();
+    assert_eq!((base.width(), base.height(), notes.len()), (6, 4, 1), "{notes:?}");
+    for (found, expected) in tiled.corner_uvs()[0].iter().zip(expected) {
+        let expected = Vec2::new(expected.x / 3.0, (expected.y + 1.0) / 2.0);
+        assert!(found.abs_diff_eq(expected, 1e-6), "{found} {expected}");
+    }
+    // What is not in 8 bits of colour is linear.
+    let grey = |mesh: &crate::scene::Mesh| sh::rgb_from_dc(mesh.atlas().base().texels()[..3].try_into().unwrap())[0];
+    assert!((grey(&tiled) - 10.0 / 255.0).abs() < 1e-6);
+    let (linear, _) = read_with("clamp", image::GrayImage::from_pixel(1, 1, image::Luma([10])).into());
+    assert!((grey(&linear) - crate::scene::color::linear_to_srgb(10.0 / 255.0)).abs() < 1e-6);
+}
+
 #[test]
 fn parts_of_a_mesh_have_materials_of_their_own() {
     let file = read_text(
