@@ -5,6 +5,7 @@
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
 // bandwidth, 1.7 kB per splat of degree 3.
 
+//#import shared/random.wgsl
 //#import shared/adam.wgsl
 //#import shared/group_index.wgsl
 //#import shared/rotation.wgsl
@@ -48,23 +49,10 @@ fn adam(i: u32, value: vec4f, g: vec4f, rates: vec4f) -> vec4f {
     return value - rates * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
 }
 
-// Four random words of (splat, step): PCG4D of Jarzynski and Olano, "Hash Functions for GPU Rendering" (2020).
-fn random(splat: u32) -> vec4u {
-    var v = vec4u(splat, step.number, step.seed, 0u) * 1664525u + 1013904223u;
-    for (var round = 0u; round < 2u; round++) {
-        v.x += v.y * v.w;
-        v.y += v.z * v.x;
-        v.z += v.x * v.y;
-        v.w += v.y * v.z;
-        if round == 0u { v ^= v >> vec4u(16u); }
-    }
-    return v;
-}
-
 // Three independent normal numbers, by Box and Muller.
 fn normal(splat: u32) -> vec3f {
-    // 24 bits, so that conversion is exact; the radii's are in (0, 1].
-    let r = vec4f(random(splat) >> vec4u(8u)) * (1.0 / 16777216.0);
+    let r = unit_numbers(random_words(vec4u(splat, step.number, step.seed, 0u)));
+    // Of numbers in (0, 1].
     let radius = sqrt(-2.0 * log(vec2f(1.0) - r.xy));
     let angle = 6.2831853 * r.zw;
     return vec3f(radius.x * cos(angle.x), radius.x * sin(angle.x), radius.y * cos(angle.y));

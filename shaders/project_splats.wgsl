@@ -6,6 +6,7 @@
 //#import shared/projection.wgsl
 //#import shared/tile_rows.wgsl
 //#import shared/sh.wgsl
+//#import shared/random.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
@@ -25,7 +26,12 @@ fn main(
     tile_count[i] = 0u;
     visible[i] = 0u;
     let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
-    let p = project(view, g);
+    var p = project(view, g);
+    if view.dropout > 0.0 {
+        if unit_numbers(random_words(vec4u(i, view.dropout_seed, 0u, 1u))).x < view.dropout { return; }
+        // On the mean over steps a pixel sees as much of it.
+        p.opacity /= 1.0 - view.dropout;
+    }
     // A compiler may take it that comparisons never see NaN.
     if !are_finite(vec4f(p.center, p.det, p.t.z)) { return; }
     if !(p.t.z > view.near) || !(p.opacity >= ALPHA_CUT) { return; }

@@ -29,7 +29,8 @@ struct View {
     band_degree: u32,                   // active SH degree of mesh maps
     filter_variance: f32,               // px², added to the diagonal of projected covariances
     filter_normalized: u32,             // 1: opacities are scaled so that splats keep their integral
-    unused: vec2u,
+    dropout_seed: u32,
+    dropout: f32,                       // part of the splats that are left out, the others being that much more opaque
 }
 
 fn to_camera(v: View, p: vec3f) -> vec3f {

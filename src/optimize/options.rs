@@ -59,6 +59,9 @@ pub struct TrainOptions {
     /// How far the steps of such a pose lead, about: degrees of rotation about each axis, and as an angle at the distance of the extent, shift
     /// along each: 0.6.
     pub pose_reach: f64,
+    /// Part of the splats that a step leaves out at random by the end of the run, from none at its beginning, the others being that much
+    /// more opaque (`DropGaussian`, Park et al. 2025): by how many views there are, see [`Self::dropout_of`].
+    pub dropout: Option<f32>,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -113,6 +116,8 @@ pub struct TrainOptions {
 impl TrainOptions {
     /// Most splats of a run for which no number is asked.
     pub const MOST_SPLATS: usize = 1_000_000;
+    /// Largest [`Self::dropout`].
+    pub const MOST_DROPOUT: f32 = 0.9;
     /// Texels that an atlas has along a side at most: of more, Adam's moments are 2³¹ bytes, which no adapter binds.
     pub const LARGEST_TEXTURE: u32 = 8191;
 
@@ -131,6 +136,10 @@ impl TrainOptions {
         if !(self.pose_reach >= 0.0 && self.pose_reach.is_finite()) {
             return Err(SceneError::new("pose_reach", "a number ≥ 0", self.pose_reach.to_string()));
         }
+        if let Some(part) = self.dropout.filter(|part| !(0.0..=Self::MOST_DROPOUT).contains(part)) {
+            let expected = format!("a number from 0 to {}", Self::MOST_DROPOUT);
+            return Err(SceneError::new("dropout", expected, part.to_string()));
+        }
         for (field, n) in [("max_splats", self.max_splats), ("triangles", Some(self.triangles))] {
             if n == Some(0) {
                 return Err(SceneError::new(field, "a number from 1", "0"));
@@ -146,6 +155,14 @@ impl TrainOptions {
             return Err(SceneError::new("texture_size", expected, side.to_string()));
         }
         Ok(())
+    }
+
+    /// The part that `dropout` is where nobody says, for so many training views: a fifth (`DropGaussian`) for few, with which splats
+    /// learn by heart what each sees, and less for more, of which it would only take its share.
+    #[must_use]
+    pub fn dropout_of(views: usize) -> f32 {
+        let (few, many) = (12.0, 20.0);
+        0.2 * ((many - views as f32) / (many - few)).clamp(0.0, 1.0)
     }
 
     /// Whether somebody has said how large the scene is to become.
@@ -194,6 +211,7 @@ impl Default for TrainOptions {
             exposure: false,
             refine_poses: false,
             pose_reach: 0.6,
+            dropout: None,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,
@@ -232,6 +250,7 @@ mod tests {
             (TrainOptions { band_degree: u32::MAX, ..d() }, "band_degree"),
             (TrainOptions { ssim_weight: 1.5, ..d() }, "ssim_weight"),
             (TrainOptions { pose_reach: f64::INFINITY, ..d() }, "pose_reach"),
+            (TrainOptions { dropout: Some(1.0), ..d() }, "dropout"),
             (TrainOptions { texture_size: Some(u32::MAX), ..d() }, "texture_size"),
             (TrainOptions { max_floats: Some(58), ..d() }, "max_floats"),
             (TrainOptions { max_splats: Some(0), ..d() }, "max_splats"),

@@ -116,6 +116,13 @@ impl Schedule {
         (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
     }
 
+    /// Part of the splats that iteration `t` leaves out, of `most`, which the last one does: as much of it as of the run is over
+    /// (`DropGaussian`).
+    #[must_use]
+    pub(super) fn dropout(&self, t: u32, most: f32) -> f32 {
+        most * (t as f32 / self.iterations.max(1) as f32).min(1.0)
+    }
+
     /// True if density control follows iteration `t`.
     #[must_use]
     pub(super) fn densifies_after(&self, t: u32) -> bool {
@@ -265,6 +272,7 @@ pub(super) fn pose_rate(t: u32, iterations: u32, views: usize, reach: f64) -> f3
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optimize::TrainOptions;
 
     #[test]
     fn exposures_reach_as_far_in_short_runs() {
@@ -446,6 +454,14 @@ mod tests {
                 assert!((reach / expected - 1.0).abs() < 1e-5, "{n}: {reach}");
             }
         }
+    }
+
+    #[test]
+    fn few_views_have_dropout_and_more_of_it_to_the_end() {
+        let schedule = Schedule::new(1000);
+        assert_eq!([0, 500, 1000, 2000].map(|t| schedule.dropout(t, 0.2)), [0.0, 0.1, 0.2, 0.2]);
+        let found = [1, 12, 16, 20, 500].map(TrainOptions::dropout_of);
+        assert_eq!(found, [0.2, 0.2, 0.1, 0.0, 0.0]);
     }
 
     #[test]

@@ -17,7 +17,7 @@ use crate::{
     evaluate::Comparison,
     geometry::Shell,
     optimize::{
-        Background, Density, TrainError,
+        Background, Density, TrainError, TrainOptions,
         density::{
             self, Statistics,
             inria::{self, InriaOptions},
@@ -32,6 +32,7 @@ use crate::{
         texels::TexelStep,
         training::{Step, Training},
         vertices::VertexState,
+        view::Dropout,
     },
     scene::{Camera, HybridScene, Mesh, sh},
 };
@@ -204,6 +205,8 @@ impl Run<'_> {
         };
         let age = plan.clock + t;
         let mcmc = o.density == Density::Mcmc;
+        let seed: u32 = random.random();
+        let dropout = o.dropout.unwrap_or_else(|| TrainOptions::dropout_of(self.train.len()));
         let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: age + 1,
@@ -215,7 +218,7 @@ impl Run<'_> {
             // size in any unit, and in runs of any length.
             scale_weight: if mcmc { 0.01 / self.unit } else { 0.0 },
             noise: if mcmc { 5e5 / (self.unit.powi(2) * plan.schedule.haste(age)) } else { 0.0 },
-            seed: random.random(),
+            seed,
             visible_only: o.visible_only,
         });
         let texels = plan.has_mesh.then(|| {
@@ -242,6 +245,7 @@ impl Run<'_> {
             background,
             sh_degree,
             band_degree,
+            dropout: Dropout { seed, rate: plan.schedule.dropout(age, dropout) },
             splats,
             texels,
             vertices,

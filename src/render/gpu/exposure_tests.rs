@@ -8,6 +8,7 @@ use super::{
     exposure::{ExposureState, ExposureStep, FLOATS},
     loss::TruthAlpha,
     training::{Step, Training},
+    view::Dropout,
 };
 use crate::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 
@@ -78,6 +79,7 @@ fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
             background: [0.1, 0.2, 0.3],
             sh_degree: 0,
             band_degree: 0,
+            dropout: Dropout::default(),
             splats: Some(splats),
             texels: None,
             vertices: None,

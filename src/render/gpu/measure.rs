@@ -9,7 +9,7 @@ use super::{
     renderer::Renderer,
     texels::TexelStep,
     training::{Step, Training},
-    view::TILE,
+    view::{Dropout, TILE},
 };
 use crate::scene::{Camera, HybridScene, sh};
 
@@ -116,6 +116,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
         background: scene.composition.background,
         sh_degree: scene.splats.sh_degree(),
         band_degree: sh::MAX_DEGREE,
+        dropout: Dropout::default(),
         splats: Some(AdamStep {
             number: 1,
             n_splats: scene.splats.len() as u32,

@@ -87,15 +87,9 @@ pub(super) fn sphere(columns: u32, rows: u32, center: Vec3, radius: f32, atlas: 
 pub(super) fn view(width: u32, height: u32, rotation: DMat3, layers: u32, meshes: &[Mesh]) -> View {
     let f = 0.8 * f64::from(width);
     let k = Intrinsics { width, height, fx: f, fy: 1.1 * f, cx: 0.47 * f64::from(width), cy: 0.55 * f64::from(height) };
-    View {
-        camera: Camera::new(k, rotation, DVec3::new(0.1, -0.05, 0.2)).unwrap(),
-        composition: Composition { layers, ..Composition::default() },
-        n_splats: 0,
-        sh_degree: 0,
-        band_degree: 3,
-        n_triangles: meshes.iter().map(|m| m.triangles().len() as u32).sum(),
-        pair_capacity: 0,
-    }
+    let camera = Camera::new(k, rotation, DVec3::new(0.1, -0.05, 0.2)).unwrap();
+    let n_triangles = meshes.iter().map(|m| m.triangles().len() as u32).sum();
+    View { band_degree: 3, n_triangles, ..View::of(&camera, Composition { layers, ..Composition::default() }) }
 }
 
 /// What a pixel sees of one triangle.

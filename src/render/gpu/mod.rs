@@ -36,7 +36,7 @@ pub(crate) mod status;
 pub(crate) mod texels;
 pub(crate) mod training;
 pub(crate) mod vertices;
-mod view;
+pub(crate) mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
 pub use layered::{LayeredPicture, LayeredRenderer};

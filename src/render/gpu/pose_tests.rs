@@ -10,6 +10,7 @@ use super::{
     loss::TruthAlpha,
     pose::{FLOATS, PoseState, PoseStep},
     training::{Step, Training},
+    view::Dropout,
 };
 use crate::{
     render::{reference, testing},
@@ -64,6 +65,7 @@ fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<P
             background: [0.3, 0.2, 0.1],
             sh_degree,
             band_degree: 0,
+            dropout: Dropout::default(),
             splats: Some(splats),
             texels: None,
             vertices: None,

@@ -65,6 +65,7 @@ embed![
     "shared/mesh_fragment.wgsl",
     "shared/move_up.wgsl",
     "shared/projection.wgsl",
+    "shared/random.wgsl",
     "shared/rotation.wgsl",
     "shared/saturating_add.wgsl",
     "shared/sh.wgsl",

@@ -17,7 +17,7 @@ use super::{
     status::{ListCheck, Status, status_buffer},
     texels::TexelStep,
     vertices::{VertexState, VertexStep},
-    view::View,
+    view::{Dropout, View},
 };
 use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 
@@ -52,6 +52,7 @@ pub(crate) struct Step<'a> {
     pub(crate) background: [f32; 3],
     pub(crate) sh_degree: u32,
     pub(crate) band_degree: u32,
+    pub(crate) dropout: Dropout,
     /// Rates of the splats; without, they are neither rendered nor changed.
     pub(crate) splats: Option<AdamStep>,
     /// Rates of the maps; without, they are rendered but not changed.
@@ -146,6 +147,7 @@ impl<'g> Training<'g> {
         let mut view = self.prepare(step.camera)?;
         view.sh_degree = step.sh_degree.min(view.sh_degree);
         view.band_degree = step.band_degree;
+        view.dropout = step.dropout;
         if step.splats.is_none() {
             view.n_splats = 0;
         }

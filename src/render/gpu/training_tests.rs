@@ -9,14 +9,15 @@ use super::{
     pose::{PoseState, PoseStep},
     rows::Source,
     splats::GEOMETRY,
-    state::SplatState,
+    state::{OPACITY, SplatState, logit, sigmoid},
     texels::TexelStep,
     training::{Step, Training},
     vertices::{VertexState, VertexStep},
+    view::Dropout,
 };
 use crate::{
     render::testing,
-    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture},
+    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, gather},
 };
 
 const SIDE: u32 = 256;
@@ -51,6 +52,10 @@ fn scene(n: usize, triangles: usize) -> HybridScene {
 }
 
 fn step(training: &mut Training, camera: &Camera) {
+    step_without(training, camera, Dropout::default());
+}
+
+fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
     let (size, sh_degree) = (camera.intrinsics(), training.pipeline.splats.sh_degree);
     let truth = vec![200; 4 * (size.width * size.height) as usize];
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
@@ -74,6 +79,7 @@ fn step(training: &mut Training, camera: &Camera) {
             background: [0.0; 3],
             sh_degree,
             band_degree: 2,
+            dropout,
             splats: Some(splats),
             texels: Some(texels),
             vertices: Some(VertexStep { number: 1, rate: 0.1 }),
@@ -343,4 +349,65 @@ fn what_is_not_finite_is_found_in_the_step() {
     assert_eq!(broken(|s, _| s.geometry_v[12 + 8] = f32::INFINITY), Some("splat geometry"));
     assert_eq!(broken(|s, _| s.sh[4] = f32::NEG_INFINITY), Some("SH coefficients"));
     assert_eq!(broken(|_, texels| texels[17] = f32::NAN), Some("a map of colour and opacity"));
+}
+
+/// A step that leaves splats out is one of the others alone, each that much more opaque.
+#[test]
+fn splats_that_a_step_leaves_out_are_neither_seen_nor_moved() {
+    // As `shared/random.wgsl`.
+    let first_word = |of: [u32; 4]| {
+        let mut v = of.map(|x| x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
+        for round in 0..2 {
+            for (to, a, b) in [(0, 1, 3), (1, 2, 0), (2, 0, 1), (3, 1, 2)] {
+                v[to] = v[to].wrapping_add(v[a].wrapping_mul(v[b]));
+            }
+            if round == 0 {
+                v = v.map(|x| x ^ (x >> 16));
+            }
+        }
+        v[0]
+    };
+    let (rate, seed, n) = (0.25_f32, 7, 400);
+    let (scene, camera) = testing::random_scene(3, n, 1, 1, 1, OrderMode::Direct);
+    let mut arrays = scene.splats.clone().into_arrays();
+    arrays.opacity_logits.iter_mut().for_each(|logit| *logit = logit.min(0.4));
+    let stays = |i: &usize| (first_word([*i as u32, seed, 0, 1]) >> 8) as f32 / 16_777_216.0 >= rate;
+    let kept: Vec<usize> = (0..n).filter(stays).collect();
+    assert!((0.7..0.8).contains(&(kept.len() as f64 / n as f64)), "{}", kept.len());
+    let splats = arrays.check().unwrap();
+    let mut fewer = gather(splats.clone(), &kept).into_arrays();
+    fewer.opacity_logits.iter_mut().for_each(|x| *x = logit(sigmoid(*x) / (1.0 - rate)));
+    let [all, fewer] = [splats, fewer.check().unwrap()].map(|splats| HybridScene { splats, ..scene.clone() });
+
+    let gpu = Gpu::open(None).unwrap();
+    let stepped = |scene: &HybridScene, dropout: Dropout| {
+        let mut training = Training::new(&gpu, scene, &[camera], 0.2).unwrap();
+        training.refine_poses(&PoseState::new(1)).unwrap();
+        loop {
+            step_without(&mut training, &camera, dropout);
+            if training.grow_if_short().unwrap() == 0 {
+                break;
+            }
+        }
+        let picture = training.pipeline.read_picture(&gpu, &camera).unwrap().rgb;
+        (picture, training.read_splats().unwrap())
+    };
+    let (found, moved) = stepped(&all, Dropout { seed, rate });
+    let (expected, others) = stepped(&fewer, Dropout::default());
+    let difference = found.as_flattened().iter().zip(expected.as_flattened()).map(|(a, b)| (a - b).abs());
+    assert!(difference.fold(0.0, f32::max) < 1e-5);
+    let row = |state: &SplatState, i: usize| state.geometry_m[i * GEOMETRY..][..GEOMETRY].to_vec();
+    for i in (0..n).filter(|i| !stays(i)) {
+        assert!(row(&moved, i).iter().all(|m| *m == 0.0), "splat {i} was left out");
+    }
+    let largest = others.geometry_m.iter().fold(0.0_f32, |a, m| a.max(m.abs()));
+    for (k, &i) in kept.iter().enumerate() {
+        let (mut found, mut expected) = (row(&moved, i), row(&others, k));
+        // By the logarithm of the opacity, which the factor leaves alone.
+        found[OPACITY] /= 1.0 - sigmoid(all.splats.opacity_logits()[i]);
+        expected[OPACITY] /= 1.0 - sigmoid(fewer.splats.opacity_logits()[k]);
+        for (a, b) in found.iter().zip(&expected) {
+            assert!((a - b).abs() < 1e-4 * largest, "splat {i}: {found:?} {expected:?}");
+        }
+    }
 }

@@ -7,6 +7,7 @@ use super::{
     loss::TruthAlpha,
     training::{Step, Training},
     vertices::{VertexState, VertexStep},
+    view::Dropout,
 };
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
 
@@ -87,6 +88,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
                 background: [0.0; 3],
                 sh_degree: 0,
                 band_degree: 0,
+                dropout: Dropout::default(),
                 splats: None,
                 texels: None,
                 vertices: number.map(step),
@@ -128,6 +130,7 @@ fn a_wall_of_two_triangles_is_pulled_as_far_in_large_pictures() {
             background: [0.0; 3],
             sh_degree: 0,
             band_degree: 0,
+            dropout: Dropout::default(),
             splats: None,
             texels: None,
             vertices: Some(VertexStep { number: 1, rate: 0.0 }),

@@ -16,6 +16,17 @@ pub(crate) struct View {
     pub(crate) band_degree: u32,
     pub(crate) n_triangles: u32,
     pub(crate) pair_capacity: u32,
+    /// Splats that are left out.
+    pub(crate) dropout: Dropout,
+}
+
+/// Splats that a step leaves out at random, so that none relies on others that few views see (`DropGaussian`, Park et al. 2025).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Dropout {
+    /// Which ones, with their index.
+    pub(crate) seed: u32,
+    /// Part of all, below 1. The others are more opaque by 1/(1 − rate).
+    pub(crate) rate: f32,
 }
 
 /// Number of words of the uniform buffer.
@@ -40,7 +51,8 @@ impl View {
     /// A view of nothing yet.
     pub(crate) fn of(camera: &Camera, composition: Composition) -> Self {
         let (n_splats, sh_degree, band_degree, n_triangles, pair_capacity) = (0, 0, 0, 0, 0);
-        Self { camera: *camera, composition, n_splats, sh_degree, band_degree, n_triangles, pair_capacity }
+        let dropout = Dropout::default();
+        Self { camera: *camera, composition, n_splats, sh_degree, band_degree, n_triangles, pair_capacity, dropout }
     }
 
     /// Tiles across and down.
@@ -63,7 +75,7 @@ impl View {
 
     /// The uniform's words, in the order of the WGSL struct.
     pub(crate) fn words(&self) -> [u32; VIEW_WORDS] {
-        let (k, c) = (self.camera.intrinsics(), &self.composition);
+        let (k, c, d) = (self.camera.intrinsics(), &self.composition, self.dropout);
         let (r, t) = (self.camera.rotation().as_mat3(), self.camera.translation().as_vec3());
         let center: Vec3 = self.camera.center().as_vec3();
         let mut words = Vec::with_capacity(VIEW_WORDS);
@@ -83,7 +95,12 @@ impl View {
         };
         words.extend([self.n_splats, self.sh_degree, mode, self.n_triangles]);
         words.extend([c.near.to_bits(), c.lambda.min(f32::MAX).to_bits(), self.pair_capacity, self.band_degree]);
-        words.extend([c.pixel_filter.variance.to_bits(), u32::from(c.pixel_filter.normalized), 0, 0]);
+        words.extend([
+            c.pixel_filter.variance.to_bits(),
+            u32::from(c.pixel_filter.normalized),
+            d.seed,
+            d.rate.to_bits(),
+        ]);
         words.try_into().expect("the struct has VIEW_WORDS words")
     }
 }
