@@ -284,6 +284,16 @@ def "W" (
     );
 }
 
+/// As usdcat makes of what we wrote.
+#[test]
+fn the_record_of_the_training_is_read_from_binary_too() {
+    let at = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/usd").join(name);
+    for name in ["record.usda", "record.usdc"] {
+        let file = read(&at(name)).unwrap();
+        assert_eq!(file.record, Some(serde_json::json!({ "iterations": 7 })), "{name}");
+    }
+}
+
 /// A floor whose tile lies on it turned, three times along u: its picture is written out, corners lie as they say.
 #[test]
 fn textures_are_transformed_and_repeat() {

@@ -6,7 +6,7 @@ use super::Crate;
 use super::compression::integers_64;
 use super::cursor::Cursor;
 use crate::format::error::Fault;
-use crate::format::usd::document::Value;
+use crate::format::usd::document::{Entry, Value};
 
 /// What a value in a list or of a time takes besides its numbers or its text, in numbers of 8 bytes: itself, its time, and the least
 /// that memory is given out by.
@@ -135,6 +135,7 @@ impl Crate<'_> {
                 let indices = cursor.indices(count)?;
                 self.list(&indices, |c, i| c.token(i).map(Value::Text))?
             }
+            (31, false) => Value::Dictionary(if rep.is_inlined() { vec![] } else { self.texts(rep)? }),
             // Specifier, variability: numbers of their own.
             (42 | 44, false) => Value::Number(f64::from(rep.inlined()[0])),
             // References, variants, payloads: that they are there is enough.
@@ -142,6 +143,27 @@ impl Crate<'_> {
             (51, _) => Value::Blocked,
             _ => return Ok(None),
         }))
+    }
+
+    /// The texts of a dictionary: all that is asked of any, and dictionaries could hold themselves.
+    fn texts(&mut self, rep: Rep) -> Result<Vec<Entry>, Fault> {
+        let mut cursor = self.at(rep.payload())?;
+        // An index, an offset, and a value where that leads.
+        let count = cursor.count(20)?;
+        let mut entries = vec![];
+        for _ in 0..count {
+            let key = u32::from_le_bytes(*cursor.chunk()?);
+            cursor.follow()?;
+            let value = Rep(cursor.u64()?);
+            if !(10..=11).contains(&value.kind()) || value.is_array() {
+                continue;
+            }
+            self.spend(2 * PER_VALUE)?;
+            let (key, value) = (self.string(key)?, self.value(value)?);
+            self.spend(key.len() / 8)?;
+            entries.extend(value.map(|value| Entry { type_name: "string".to_owned(), key, value }));
+        }
+        Ok(entries)
     }
 
     /// Times and values of an animated attribute; of arrays the first two.
