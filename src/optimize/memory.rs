@@ -10,7 +10,8 @@ use crate::{
     scene::{Camera, sh},
 };
 
-/// Error if the run would end for lack of memory once it has `max_splats`.
+/// Error if the run would end for lack of memory once it has `max_splats`, as far as that can be told: longer lists, which are there beside the
+/// old ones while they take their place, are not counted.
 ///
 /// # Errors
 /// [`GpuError::NotEnoughMemory`](crate::render::gpu::GpuError) with what takes how much.
