@@ -1,4 +1,4 @@
-// One thread per pixel and layer: adds what uv_backward found of the fragment to its triangle's vertices. Three atomic additions of
+// One thread per pixel and layer: adds what uv_backward found of the fragment to its triangle's vertices. Three to six atomic additions of
 // integers per fragment; 68 bytes read.
 
 //#import shared/view.wgsl
@@ -8,8 +8,8 @@
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [L, h, w], index + 1
 @group(0) @binding(2) var<storage, read> layer_gradient: array<vec4f>;  // [L, h, w]: of the triangle's vertices
 @group(0) @binding(3) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]; w: vertex
-@group(0) @binding(4) var<storage, read> peaks: array<u32>;             // of maps; of layer_gradient, see gradient_peak.wgsl
-//#import shared/fixed_add.wgsl with TARGET=vertex_gradient BINDING=5
+@group(0) @binding(4) var<storage, read> peaks: array<u32>;             // of maps; largest of layer_gradient
+@group(0) @binding(5) var<storage, read_write> vertex_gradient: array<atomic<i32>>;   // [V, 2], see fixed_point.wgsl
 
 @compute @workgroup_size(256)
 fn backward(
@@ -22,6 +22,10 @@ fn backward(
     let g = fixed_scale(peaks[1]) * layer_gradient[i].xyz;
     if all(g == vec3f(0.0)) { return; }
     for (var k = 0u; k < 3u; k += 1u) {
-        add_vertex_gradient(corner_normals[3u * triangle + k].w, g[k]);
+        let vertex = corner_normals[3u * triangle + k].w;
+        let units = i32(round(g[k]));
+        let carried = (units + VERTEX_CARRY / 2) >> 12u;
+        atomicAdd(&vertex_gradient[2u * vertex], units - carried * VERTEX_CARRY);
+        if carried != 0 { atomicAdd(&vertex_gradient[2u * vertex + 1u], carried); }
     }
 }

@@ -2,15 +2,12 @@
 // The view's largest gradient of a fragment is FIXED_ONE units: 2,047 terms of that size fit, and what is 2⁻²¹ of it or less is
 // lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels would have to pull alike and as hard as the one
 // that pulls most before the sum wraps around. A texel of the bands, which are a quarter as wide, has 16 times the pixels:
-// its terms are in units that are 8 times as large.
-
-//
-// A vertex may have half of the picture on its triangles, of a wall that is far off and pulls one way. Its unit is that of a largest term of
-// FIXED_SHARE of a bound on all of the view's, so that no sum exceeds 2³⁰.
+// its terms are in units that are 8 times as large. A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
+// one way: its sums are in two words, of which the second counts VERTEX_CARRY units and the first what is left, from −VERTEX_CARRY/2 on.
 
 const FIXED_ONE: f32 = 1048576.0;
-const FIXED_SHARE: f32 = 0.0009765625;
 const BAND_UNIT: f32 = 8.0;
+const VERTEX_CARRY: i32 = 4096;
 
 // Units per 1, by the bits of the largest term.
 fn fixed_scale(peak: u32) -> f32 {

@@ -22,7 +22,7 @@ const C1: f32 = 0.0001;                 // (0.01·range)²
 const C2: f32 = 0.0009;                 // (0.03·range)²
 
 // Rendered, then exposed colour, and the true one; and the slope of the first by that after the exposure. `background` is the
-// channel's of the view, which truth with alpha is over as it is exposed, too: what is not there says nothing of the exposure.
+// channel's of the view, which truth with alpha is over as it is exposed, too: where neither has anything, nothing pulls at the exposure.
 fn colors(pixel: u32, channel: u32, background: f32) -> vec3f {
     let word = truth[pixel];
     var x = image[4u * pixel + channel];

@@ -73,7 +73,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
             let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
-        let (mut frames, mut fps, mut y_up) = (vec![], None, false);
+        let (mut frames, mut fps, mut y_up) = (vec![], None, None);
         for (file, held_out) in &files {
             let text = error::read_text(file)?;
             if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
@@ -83,10 +83,11 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
             if let (Some(found), None) = (read.fps, fps) {
                 fps = Some(rate(found, file)?);
             }
-            y_up |= read.y_up;
-            frames.extend(read.frames);
+            // All are in the frame of the first file.
+            let turns = *y_up.get_or_insert(read.y_up) != read.y_up;
+            frames.extend(read.frames.into_iter().map(|frame| if turns { frame.turned() } else { frame }));
         }
-        (frames, fps, y_up, first.clone())
+        (frames, fps, y_up.unwrap_or_default(), first.clone())
     };
     for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
         frame.name = format!("frame_{i:05}");

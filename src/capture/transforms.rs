@@ -12,7 +12,7 @@ use serde::de::IgnoredAny;
 use serde_json::Value;
 
 use super::distortion::{Distortion, Lens};
-use super::views::{Frame, inside};
+use super::views::{Frame, HALF_TURN, inside};
 use super::{CaptureError, Listed, LoadOptions, Point, error, images};
 use crate::{format::ply, scene::Intrinsics};
 
@@ -115,17 +115,18 @@ pub(super) fn load(
     let (mut frames, mut clouds) = (vec![], vec![]);
     for (path, held_out) in files {
         let parsed = parse(&error::read_text(path)?, path, root, *held_out, (options, true))?;
-        frames.extend(parsed.frames);
-        clouds.extend(parsed.points);
+        frames.extend(parsed.frames.into_iter().map(|frame| if parsed.y_up { frame.turned() } else { frame }));
+        clouds.extend(parsed.points.map(|cloud| (cloud, parsed.y_up)));
     }
     // Files of one capture may name the same.
     clouds.dedup();
     let mut points = vec![];
-    for cloud in &clouds {
-        points.extend(ply::read_points(cloud)?.into_iter().map(|(position, rgb)| Point { position, rgb }));
+    for (cloud, y_up) in &clouds {
+        let turn = if *y_up { HALF_TURN } else { DVec3::ONE };
+        points.extend(ply::read_points(cloud)?.into_iter().map(|(p, rgb)| Point { position: turn * p, rgb }));
     }
     let list = files.first().map_or_else(PathBuf::new, |(path, _)| path.clone());
-    Ok(Listed { frames, list, points, points_file: clouds.into_iter().next() })
+    Ok(Listed { frames, list, points, points_file: clouds.into_iter().next().map(|(cloud, _)| cloud) })
 }
 
 /// `./train//r_0` is `train/r_0`.

@@ -38,7 +38,15 @@ pub(super) struct Frame {
     pub(super) sees: Vec<u32>,
 }
 
+/// Half a turn about x, by its factors: from a world that is y up to the frame of captures, and back.
+pub(super) const HALF_TURN: DVec3 = DVec3::new(1.0, -1.0, -1.0);
+
 impl Frame {
+    /// The same in the world after half a turn about x.
+    pub(super) fn turned(self) -> Self {
+        Self { rotation: self.rotation * DMat3::from_diagonal(HALF_TURN), ..self }
+    }
+
     /// Where it stands, with its name.
     pub(super) fn place(&self) -> String {
         format!("{}, image {}", self.at, self.name)

@@ -253,8 +253,10 @@ fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<S
 
 /// The attributes that all inputs with splats have, one after the other; of the others a note is made.
 fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> {
+    let has_none = inputs.iter().all(|input| input.splats == 0);
     let of_all = of_inputs.iter().zip(inputs.iter());
-    let with_splats: Vec<&Vec<Attribute>> = of_all.filter(|(_, input)| input.splats > 0).map(|(own, _)| own).collect();
+    let with_splats: Vec<&Vec<Attribute>> =
+        of_all.filter(|(_, input)| input.splats > 0 || has_none).map(|(own, _)| own).collect();
     let named = |name: &str| -> Option<Attribute> {
         let parts: Option<Vec<&Attribute>> =
             with_splats.iter().map(|attributes| attributes.iter().find(|a| a.name() == name)).collect();

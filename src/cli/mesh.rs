@@ -57,7 +57,7 @@ pub(super) struct Args {
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto)]
     planar: Choice,
     /// Side of the atlas in texels for which charts and gutters are laid out
-    #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=8192))]
+    #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     texture_size: u32,
     /// Compare the surface with this one, in the frame of the capture; what no view sees of it does not count
     #[arg(long, value_name = "MESH")]

@@ -207,14 +207,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let sampling = Sampling { time: at, ..args.sampling.sampling() };
     let is_embedded = args.is_embedded();
     let source = if is_embedded { &args.scene } else { &args.cameras };
-    let shot = match &file.source {
+    let mut shot = match &file.source {
         _ if is_embedded && file.cameras.is_empty() => {
             bail!("{}: holds no cameras: say --cameras PATH", args.scene.display())
         }
         Some(document) if is_embedded => args.loading.cameras_of(document, source, &sampling)?,
         _ => args.loading.cameras(source, &sampling)?,
     };
-    let mut shot = shot;
     if shot.y_up != file.y_up {
         let (theirs, scenes) =
             if file.y_up { ("the frame of captures", "y up") } else { ("y up", "in the frame of captures") };

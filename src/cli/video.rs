@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read as _, Seek as _, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -11,7 +11,9 @@ use centaur::scene::Camera;
 
 /// Refuses what cannot become a film before it is rendered. It may lie among the `pictures`, in a folder that is yet to be made.
 pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) -> Result<()> {
-    if pictures.exists() || path.parent() != Some(pictures) {
+    let plain = |path: &Path| path.components().filter(|part| *part != Component::CurDir).collect::<PathBuf>();
+    let is_among = path.parent().is_some_and(|folder| plain(folder) == plain(pictures));
+    if pictures.exists() || !is_among {
         super::output::check_file(path)?;
     }
     let size = |camera: &Camera| (camera.intrinsics().width, camera.intrinsics().height);

@@ -118,8 +118,9 @@ impl TrainOptions {
     pub const MOST_SPLATS: usize = 1_000_000;
     /// Largest [`Self::dropout`].
     pub const MOST_DROPOUT: f32 = 0.9;
-    /// Texels that an atlas has along a side at most: of more, Adam's moments are 2³¹ bytes, which no adapter binds.
-    pub const LARGEST_TEXTURE: u32 = 8191;
+    /// Texels that an atlas has along a side at most: of 8192, Adam's moments are 2³¹ bytes, which no adapter binds, and of this one there are
+    /// five levels, of bands of a quarter of the side, too.
+    pub const LARGEST_TEXTURE: u32 = 8128;
 
     /// # Errors
     /// If a number is outside of what its field says.

@@ -116,7 +116,7 @@ impl Schedule {
         (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
     }
 
-    /// Part of the splats that iteration `t` leaves out, of `most`, which the last one does: as much of it as of the run is over
+    /// Part of the splats that iteration `t` leaves out, of `most`, which is at its end: as much of it as of the run is over
     /// (`DropGaussian`).
     #[must_use]
     pub(super) fn dropout(&self, t: u32, most: f32) -> f32 {

@@ -12,6 +12,7 @@ use super::material::{self, BaseColour, Maps};
 use super::motion::Motion;
 use super::pose::Poses;
 use super::triangles::{self, Triangles};
+use super::uv::Unrolling;
 use super::vertex_color;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::{Similarity, similarity, turned};
@@ -207,18 +208,16 @@ impl<'a> Meshes<'a> {
     }
 
     pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Finished, Fault> {
-        let (mut meshes, mut rest_surfaces) = (vec![], vec![]);
+        let (mut meshes, mut rest_surfaces, mut unrolling) = (vec![], vec![], Unrolling::default());
         for mut group in self.groups {
             let maps = &self.maps[&group.material];
             let atlas = match group.atlas {
                 Some(atlas) => atlas,
                 None => {
-                    let before = group.corner_uvs.clone();
-                    maps.uv.unrolled_atlas(&maps.atlas, &mut group.corner_uvs).unwrap_or_else(|| {
+                    unrolling.unrolled(&maps.uv, maps.atlas.clone(), &mut group.corner_uvs).unwrap_or_else(|once| {
                         let material = group.material.unwrap_or_default();
                         notes.push(format!("/materials/{material}: a texture repeated too often is shown once"));
-                        group.corner_uvs = before;
-                        maps.atlas.clone()
+                        once
                     })
                 }
             };

@@ -60,7 +60,7 @@ pub(super) use transform::placements;
 pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
 pub(super) use uri::{Loaded, bytes_of_files, resolve};
-pub(super) use uv::UvMap;
+pub(super) use uv::{Unrolling, UvMap};
 
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;

@@ -17,6 +17,9 @@ pub(super) const FPS: &str = "framesPerSecond";
 /// Marks the nodes of these cameras, so that a later path takes their place.
 const MARK: &str = "path";
 
+/// What such a node has besides its camera and mark.
+const OWN: [&str; 5] = ["name", "rotation", "translation", "scale", "matrix"];
+
 /// Whether a node is one of these.
 pub(super) fn is_marked(node: &gltf::Node<'_>) -> bool {
     let extras = node.extras().as_ref().and_then(|extras| serde_json::from_str::<Value>(extras.get()).ok());
@@ -79,12 +82,17 @@ fn take_out(document: &mut Value) -> Vec<usize> {
         if of_ours(node, MARK) {
             cameras.extend(camera_of(node));
             still.insert(i as u64);
-            match node.as_object_mut().filter(|node| node.contains_key("children")) {
-                Some(node) => ["camera", "extras"].iter().for_each(|key| drop(node.remove(*key))),
-                None => {
-                    nodes.push(i);
-                    *node = json!({});
+            let Some(object) = node.as_object_mut() else { continue };
+            object.remove("camera");
+            if let Some(extras) = object.get_mut("extras").and_then(Value::as_object_mut) {
+                extras.remove(EXTRAS);
+                if extras.is_empty() {
+                    object.remove("extras");
                 }
+            }
+            if !object.keys().any(|key| !OWN.contains(&&key[..])) {
+                nodes.push(i);
+                *node = json!({});
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The document behind a scene, kept to be written again.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::Arc;
@@ -222,16 +222,13 @@ impl Source {
         let above = if self.is_ours { FLIP * self.moved * FLIP } else { FLIP * self.moved };
         let Some(s) = similarity(above).filter(|_| !above.abs_diff_eq(DMat4::IDENTITY, 1e-12)) else { return };
         let current = self.scene();
-        let lists: Vec<Vec<Value>> =
-            root["scenes"].as_array().map_or(&[][..], Vec::as_slice).iter().map(roots_of).collect();
+        let scenes = root.get("scenes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        let lists: Vec<Vec<u64>> = scenes.iter().map(roots_of).collect();
         let Some(roots) = lists.get(current).filter(|roots| !roots.is_empty()) else { return };
-        let is_shared =
-            lists.iter().enumerate().any(|(i, list)| i != current && list.iter().any(|node| roots.contains(node)));
-        // What is at the top of other scenes as well stays in those, and each has a node above it: nothing may be at the top and below another.
-        let groups: Vec<Vec<Value>> =
-            if is_shared { roots.iter().map(|node| vec![node.clone()]).collect() } else { vec![roots.clone()] };
-        let mut tops = vec![];
-        for children in groups {
+        let own: HashSet<u64> = roots.iter().copied().collect();
+        let others = || lists.iter().enumerate().filter(|(i, _)| *i != current);
+        let is_shared = others().any(|(_, list)| list.iter().any(|node| own.contains(node)));
+        let mut above = |children: &[u64]| {
             let node = json!({
                 "name": MOVED_NODE,
                 "rotation": s.rotation.to_array(),
@@ -239,15 +236,17 @@ impl Source {
                 "translation": s.translation.to_array(),
                 "children": children,
             });
-            tops.push((children, push(root, "nodes", node)));
+            push(root, "nodes", node) as u64
+        };
+        if !is_shared {
+            let top = above(roots);
+            root["scenes"][current]["nodes"] = json!([top]);
+            return;
         }
-        for (i, list) in lists.iter().enumerate() {
-            let top_of = |node: &Value| tops.iter().find(|(below, _)| below.contains(node)).map(|(_, top)| json!(top));
-            let mut placed: Vec<Value> = list.iter().map(|node| top_of(node).unwrap_or_else(|| node.clone())).collect();
-            placed.dedup();
-            if i == current || is_shared && placed != *list {
-                root["scenes"][i]["nodes"] = json!(placed);
-            }
+        // What is at the top of other scenes as well stays in those, and each has a node above it: nothing may be at the top and below another.
+        let tops: HashMap<u64, u64> = roots.iter().map(|&node| (node, above(&[node]))).collect();
+        for (i, list) in lists.iter().enumerate().filter(|(_, list)| list.iter().any(|node| own.contains(node))) {
+            root["scenes"][i]["nodes"] = list.iter().map(|node| json!(tops.get(node).unwrap_or(node))).collect();
         }
     }
 
@@ -362,12 +361,12 @@ fn require(root: &mut Value, name: &str) {
     }
 }
 
-/// Appends to an array of the document, made if there is none; returns the index.
 /// The nodes at the top of a scene.
-fn roots_of(scene: &Value) -> Vec<Value> {
-    scene.get("nodes").and_then(Value::as_array).cloned().unwrap_or_default()
+fn roots_of(scene: &Value) -> Vec<u64> {
+    scene.get("nodes").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_u64).collect()
 }
 
+/// Appends to an array of the document, made if there is none; returns the index.
 fn push(root: &mut Value, key: &str, value: Value) -> usize {
     if !root.get(key).is_some_and(Value::is_array) {
         root[key] = json!([]);

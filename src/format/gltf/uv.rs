@@ -20,8 +20,55 @@ pub(in crate::format) struct UvMap {
 /// What coordinates may pass the border of a tile by, in tiles, and belong to it.
 const ROUNDING: f32 = 1e-3;
 
-/// Texels that a repeated texture may take, 256 MB of them; above this it is not repeated.
-const MAX_TEXELS: u64 = 1 << 24;
+/// Floats that a repeated texture may take, 256 MB of them; above this it is not repeated.
+const MAX_FLOATS: u64 = 1 << 26;
+
+/// Floats that all repeated textures of a file may take, 1 GiB of them.
+const MAX_FLOATS_OF_FILE: u64 = 1 << 28;
+
+/// Writes repetitions out for the surfaces of a file, as far as there is room.
+#[derive(Default)]
+pub(in crate::format) struct Unrolling {
+    floats: u64,
+}
+
+impl Unrolling {
+    /// All maps of a material as these corners need them, scaled to that; what was given, if it would become too large.
+    pub(in crate::format) fn unrolled(
+        &mut self,
+        map: &UvMap,
+        atlas: Atlas,
+        corners: &mut [[Vec2; 3]],
+    ) -> Result<Atlas, Atlas> {
+        let [columns, rows] = map.tiles(corners).map(f64::from);
+        if columns * rows == 1.0 {
+            return Ok(atlas);
+        }
+        let floats = columns * rows * atlas.floats() as f64;
+        if floats > (MAX_FLOATS_OF_FILE - self.floats) as f64 {
+            return Err(atlas);
+        }
+        let (before, mut of_bands) = (corners.to_vec(), corners.to_vec());
+        let unrolled = || -> Option<Atlas> {
+            let base = map.unrolled(atlas.base(), corners)?;
+            let bands = match atlas.bands() {
+                Some(bands) => Some(map.unrolled(bands, &mut of_bands)?),
+                None => None,
+            };
+            Atlas::new(base, bands).ok()
+        }();
+        match unrolled {
+            Some(unrolled) => {
+                self.floats += floats as u64;
+                Ok(unrolled)
+            }
+            None => {
+                corners.copy_from_slice(&before);
+                Err(atlas)
+            }
+        }
+    }
+}
 
 impl UvMap {
     /// Coordinates of a set as they are.
@@ -71,17 +118,6 @@ impl UvMap {
         Ok(())
     }
 
-    /// As [`Self::unrolled`], for all maps of a material.
-    pub(in crate::format) fn unrolled_atlas(&self, atlas: &Atlas, corners: &mut [[Vec2; 3]]) -> Option<Atlas> {
-        let mut again = atlas.bands().map(|bands| (bands, corners.to_vec()));
-        let base = self.unrolled(atlas.base(), corners)?;
-        let bands = match &mut again {
-            Some((bands, corners)) => Some(self.unrolled(bands, corners)?),
-            None => None,
-        };
-        Atlas::new(base, bands).ok()
-    }
-
     /// Corners of a triangle on the map: transformed, and where the texture repeats, moved into the first tile as far as
     /// whole tiles do. What is left beyond 1 is repeated within the triangle.
     pub(in crate::format) fn corners(&self, uvs: [Vec2; 3]) -> [Vec2; 3] {
@@ -107,20 +143,26 @@ impl UvMap {
         uvs
     }
 
-    /// Writes the repetitions out that `corners` still need: a larger texture, and corners scaled to it. `None` if it
-    /// would become too large.
-    pub(super) fn unrolled(&self, texture: &Texture, corners: &mut [[Vec2; 3]]) -> Option<Texture> {
-        let tiles = |axis: usize| {
+    /// How often the texture lies side by side and one below the other for these corners.
+    fn tiles(&self, corners: &[[Vec2; 3]]) -> [f32; 2] {
+        [0, 1].map(|axis| {
             let high = corners.as_flattened().iter().map(|uv| uv[axis]).fold(1.0, f32::max);
             if self.wrap[axis] == WrappingMode::ClampToEdge { 1.0 } else { (high - ROUNDING).ceil().max(1.0) }
-        };
-        let (columns, rows) = (tiles(0), tiles(1));
+        })
+    }
+
+    /// Writes the repetitions out that `corners` still need: a larger texture, and corners scaled to it. `None` if it
+    /// would become too large.
+    fn unrolled(&self, texture: &Texture, corners: &mut [[Vec2; 3]]) -> Option<Texture> {
+        let [columns, rows] = self.tiles(corners);
         if columns * rows == 1.0 {
             return Some(texture.clone());
         }
         let (w, h) = (texture.width(), texture.height());
         let (width, height) = (f64::from(w) * f64::from(columns), f64::from(h) * f64::from(rows));
-        if width.max(height) > f64::from(Texture::MAX_SIDE) || width * height > MAX_TEXELS as f64 {
+        if width.max(height) > f64::from(Texture::MAX_SIDE)
+            || width * height * f64::from(texture.channels()) > MAX_FLOATS as f64
+        {
             return None;
         }
         let (width, height) = (width as u32, height as u32);

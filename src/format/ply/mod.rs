@@ -260,7 +260,8 @@ const PARAMETERS: [&str; 15] = [
 /// What the header says of how splats are to be seen: Brush's comment, which splat-transform has from there, or what Mip-Splatting adds.
 fn pixel_filter_of(header: &Header) -> PixelFilter {
     let says_mip = |comment: &String| comment.to_lowercase().contains("splatrendermode: mip");
-    let is_filtered = header.element("vertex").is_some_and(|vertex| vertex.scalar(FILTER_3D).is_some());
+    let has_filter = header.element("vertex").is_some_and(|vertex| vertex.scalar(FILTER_3D).is_some());
+    let is_filtered = has_filter && !compressed::is_compressed(header);
     if is_filtered || header.comments().iter().any(says_mip) { PixelFilter::MIP } else { PixelFilter::DILATION }
 }
 

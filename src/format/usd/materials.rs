@@ -12,7 +12,7 @@ use super::stage::{Source, Stage};
 use super::surfaces::Placed;
 use crate::format::activation;
 use crate::format::error::Fault;
-use crate::format::gltf::{Texels, UvMap, decode};
+use crate::format::gltf::{Texels, Unrolling, UvMap, decode};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// What maps are read with.
@@ -21,6 +21,8 @@ pub(super) struct Materials<'a> {
     pub(super) place: &'a mut Place,
     /// The space that maps are blended in.
     pub(super) space: ColorSpace,
+    /// For pictures that repeat.
+    pub(super) unrolling: Unrolling,
 }
 
 /// A value all over a surface: RGB, or one number three times.
@@ -243,7 +245,7 @@ impl Materials<'_> {
 
 /// What keeps the maps that a mesh names from being read, its material being shown in their place.
 pub(super) fn check(stage: &Stage<'_>, mesh: usize, place: &mut Place) -> Option<Breach> {
-    let mut materials = Materials { place, space: ColorSpace::default() };
+    let mut materials = Materials { place, space: ColorSpace::default(), unrolling: Unrolling::default() };
     let fault = materials.exact(stage, mesh)?.err()?;
     Some(Breach { code: "USD_MAP", is_error: true, fault })
 }

@@ -82,11 +82,11 @@ pub(super) fn read(
         // A mesh of one material keeps its vertices, also those of no face.
         let positions = if parts.len() == 1 { polygons.points.clone() } else { used(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
-            let repeated = coordinates.map.unrolled_atlas(&atlas, &mut corner_uvs);
-            if repeated.is_none() {
+            let atlas = materials.unrolling.unrolled(&coordinates.map, atlas, &mut corner_uvs).unwrap_or_else(|once| {
                 notes.push(format!("{at}: a texture repeated too often is shown once"));
-            }
-            let mesh = Mesh::new(positions, triangles, corner_uvs, repeated.unwrap_or(atlas));
+                once
+            });
+            let mesh = Mesh::new(positions, triangles, corner_uvs, atlas);
             meshes.push(mesh.map_err(|e| Fault::from(e).under(&at))?);
         }
     }

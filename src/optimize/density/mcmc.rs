@@ -36,13 +36,23 @@ pub(in crate::optimize) struct McmcOptions {
     /// Splats whose blend weight, summed over an epoch, stays below this are dead too, and get no copies while it does, if set: 1e-3 for
     /// scenes with a mesh. Behind one that is opaque a splat keeps its opacity, but shows nothing.
     pub(in crate::optimize) min_epoch_weight: Option<f32>,
+    /// Epochs that an epoch weight is summed over: 1, or as many as it takes for no splat to have been left out of all looks of a view.
+    pub(in crate::optimize) epochs: u32,
 }
 
 impl McmcOptions {
     /// The paper's constants; for scenes with a mesh also what splats show, which is not in the paper.
     #[must_use]
     pub(in crate::optimize) fn new(max_splats: usize, has_mesh: bool) -> Self {
-        Self { min_opacity: 0.005, growth: 1.05, max_splats, min_epoch_weight: has_mesh.then_some(1e-3) }
+        Self { min_opacity: 0.005, growth: 1.05, max_splats, min_epoch_weight: has_mesh.then_some(1e-3), epochs: 1 }
+    }
+
+    /// The same where steps leave out this part of the splats at random: no view may have missed one in all of its looks, but for one in a
+    /// thousand.
+    #[must_use]
+    pub(in crate::optimize) fn with_dropout(self, part: f32) -> Self {
+        let epochs = if part > 0.0 { (1e-3_f32.ln() / part.ln()).ceil().max(1.0) as u32 } else { 1 };
+        Self { epochs, ..self }
     }
 
     /// The same where `splats` are to be [`Self::max_splats`] after so many steps, this one among them: as much faster as that takes, at most
@@ -55,7 +65,7 @@ impl McmcOptions {
     }
 }
 
-/// Blend weight of every splat, summed until all training views have been seen for certain.
+/// Blend weight of every splat, summed until all training views have been seen for certain, [`McmcOptions::epochs`] times.
 ///
 /// A density interval is usually shorter than an epoch, and a splat that none of its views shows is not yet useless. Each run of as many
 /// iterations as there are views, n, has all of them in some order, so any 2n − 1 iterations hold a whole one.
@@ -97,7 +107,8 @@ pub(in crate::optimize) fn relocate_and_add(
 ) -> DensityReport {
     let n = splats.len();
     assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
-    let epoch_ends = epoch.iterations >= views.saturating_mul(2).saturating_sub(1);
+    // Of (k + 1)·n − 1 iterations any hold k whole epochs.
+    let epoch_ends = epoch.iterations >= views.saturating_mul(options.epochs.saturating_add(1)).saturating_sub(1);
     let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
     let opacities: Vec<f32> = (0..n).into_par_iter().map(|i| splats.seen_opacity(i)).collect();
     let dead: Vec<usize> =

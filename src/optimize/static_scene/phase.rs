@@ -206,7 +206,6 @@ impl Run<'_> {
         let age = plan.clock + t;
         let mcmc = o.density == Density::Mcmc;
         let seed: u32 = random.random();
-        let dropout = o.dropout.unwrap_or_else(|| TrainOptions::dropout_of(self.train.len()));
         let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: age + 1,
@@ -245,7 +244,7 @@ impl Run<'_> {
             background,
             sh_degree,
             band_degree,
-            dropout: Dropout { seed, rate: plan.schedule.dropout(age, dropout) },
+            dropout: Dropout { seed, rate: self.dropout(plan, age) },
             splats,
             texels,
             vertices,
@@ -261,6 +260,12 @@ impl Run<'_> {
             pose: self.pose_step(plan, index, t),
         })?;
         Ok(())
+    }
+
+    /// Part of the splats that an iteration leaves out.
+    fn dropout(&self, plan: &Plan, age: u32) -> f32 {
+        let most = self.options.dropout.unwrap_or_else(|| TrainOptions::dropout_of(self.train.len()));
+        plan.schedule.dropout(age, most)
     }
 
     /// Training views that judge a fused surface (`true`) or that its maps are warmed up on (`false`): every fourth judges,
@@ -314,7 +319,7 @@ impl Run<'_> {
                     inria::densify(&mut splats, statistics, &options, age, o.seed);
                 }
                 Density::Mcmc => {
-                    let mut options = McmcOptions::new(max_splats, plan.has_mesh);
+                    let mut options = McmcOptions::new(max_splats, plan.has_mesh).with_dropout(self.dropout(plan, age));
                     if o.asks_for_size() {
                         options = options.arriving_in(schedule.density_steps_from(age), splats.len());
                     }

@@ -23,16 +23,12 @@ pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
 const BAND_UNIT: f32 = 8.0;
 /// Words of [`Texels::peaks`]: of the maps, of the vertices.
 pub(crate) const PEAKS: usize = 2;
-/// Index of the latter.
-pub(crate) const VERTEX_PEAK: u32 = 1;
 /// Fragments of a workgroup of `gradient_peak.wgsl`.
 pub(crate) const PEAK_FRAGMENTS: usize = 256 * 16;
 
-/// Sets word `peak` of [`Texels::peaks`]: that of the maps by their largest gradient, that of the vertices by a bound on the sum of all;
-/// `defines` are those of the mesh stage.
+/// Sets word `peak` of [`Texels::peaks`]; `defines` are those of the mesh stage.
 pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
-    let defines = defines.clone().with("PEAK", peak).with("BOUND", u32::from(peak == VERTEX_PEAK));
-    Kernel::new(gpu, "gradient_peak.wgsl", "peak", &defines)
+    Kernel::new(gpu, "gradient_peak.wgsl", "peak", &defines.clone().with("PEAK", peak))
 }
 
 /// What a step of Adam needs besides the gradients.

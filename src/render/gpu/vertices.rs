@@ -1,7 +1,7 @@
 //! Vertices of the meshes that move along their normals while a scene is optimised.
 //!
 //! A fused surface is off by a pixel or so, and maps on it blur by as much. Backward: `uv_backward` (in place of the
-//! layers' gradient) → `gradient_peak` → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 44 bytes per
+//! layers' gradient) → `gradient_peak` → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 48 bytes per
 //! vertex and some 28 for its neighbours, 48 per triangle.
 
 use glam::Vec3;
@@ -11,7 +11,7 @@ use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
 use super::shader::Defines;
 #[cfg(test)]
 use super::texels::{FIXED_ONE, PEAKS};
-use super::texels::{PEAK_FRAGMENTS, VERTEX_PEAK, peak_kernel};
+use super::texels::{PEAK_FRAGMENTS, peak_kernel};
 use crate::geometry::{self, Rings};
 use crate::scene::Mesh;
 
@@ -90,7 +90,7 @@ impl Vertices {
         let corner_normals: Vec<[u32; 4]> = triangles.iter().flatten().map(|&v| normal(v)).collect();
         let padded: Vec<[u32; 4]> = (0..count as u32).map(normal).collect();
         let rings = Rings::new(count, &triangles);
-        let gradient = gpu.storage("vertex gradients", count)?;
+        let gradient = gpu.storage("vertex gradients", 2 * count)?;
         let moments = gpu.storage_with("vertex moments", &state.moments)?;
         let normals = gpu.storage_with("vertex normals", &padded)?;
         let steps = gpu.storage("vertex steps", 4 * count)?;
@@ -105,7 +105,7 @@ impl Vertices {
         });
         let backward = [
             Kernel::new(gpu, "uv_backward.wgsl", "backward", defines),
-            peak_kernel(gpu, defines, VERTEX_PEAK),
+            peak_kernel(gpu, defines, 1),
             Kernel::new(gpu, "vertex_backward.wgsl", "backward", defines),
         ];
         let corner_normals = gpu.storage_with("corner normals", &corner_normals)?;
@@ -161,8 +161,9 @@ impl Vertices {
     /// If the driver failed.
     #[cfg(test)]
     pub(crate) fn read_gradient(&self, gpu: &Gpu, peaks: &Buffer) -> Result<Vec<f32>, GpuError> {
-        let unit = gpu.read::<f32>(peaks, PEAKS)?[VERTEX_PEAK as usize] / FIXED_ONE;
-        Ok(gpu.read::<i32>(&self.gradient, self.count)?.into_iter().map(|sum| unit * sum as f32).collect())
+        let unit = gpu.read::<f32>(peaks, PEAKS)?[1] / FIXED_ONE;
+        let sums = gpu.read::<[i32; 2]>(&self.gradient, self.count)?;
+        Ok(sums.into_iter().map(|[rest, carried]| unit * (4096.0 * carried as f32 + rest as f32)).collect())
     }
 
     /// What a checkpoint needs. Waits.

@@ -155,6 +155,7 @@ impl Crate<'_> {
             let key = u32::from_le_bytes(*cursor.chunk()?);
             cursor.follow()?;
             let value = Rep(cursor.u64()?);
+            self.spend(1)?;
             if !(10..=11).contains(&value.kind()) || value.is_array() {
                 continue;
             }

@@ -1,5 +1,7 @@
 //! What moves in core glTF: skins, morph targets and animations.
 
+use std::collections::HashSet;
+
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
@@ -11,8 +13,12 @@ const LEAST_WEIGHT: f64 = 1e-6;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     check_skins(document, findings);
+    // Each mesh once for each skin that it has, however many nodes there are of it.
+    let mut checked = HashSet::new();
     for (at, node) in objects(document.root, "nodes", "") {
-        check_bound(document, node, &at, findings);
+        if let Some(pair) = index(node, "mesh").zip(index(node, "skin")).filter(|pair| checked.insert(*pair)) {
+            check_bound(document, pair, &at, findings);
+        }
     }
     for (at, primitive) in primitives(document.root) {
         check_targets(document, primitive, &at, findings);
@@ -33,11 +39,9 @@ fn check_skins(document: &Document<'_>, findings: &mut Findings) {
 }
 
 /// The joints and weights of what a node with a skin shows.
-fn check_bound(document: &Document<'_>, node: &Value, at: &str, findings: &mut Findings) {
-    let Some(skin) = index(node, "skin").and_then(|i| document.object("skins", i)) else { return };
+fn check_bound(document: &Document<'_>, (i, skin): (usize, usize), at: &str, findings: &mut Findings) {
+    let (Some(mesh), Some(skin)) = (document.object("meshes", i), document.object("skins", skin)) else { return };
     let joints = skin.get("joints").and_then(Value::as_array).map_or(0, Vec::len);
-    let Some(i) = index(node, "mesh") else { return };
-    let Some(mesh) = document.object("meshes", i) else { return };
     for (place, primitive) in objects(mesh, "primitives", &format!("/meshes/{i}")) {
         let set = |name: &str, n: usize| {
             let accessor = primitive.get("attributes")?.get(format!("{name}_{n}"))?.as_u64()?;
@@ -70,7 +74,12 @@ fn check_bound(document: &Document<'_>, node: &Value, at: &str, findings: &mut F
             findings.error("SKIN_JOINTS", format!("{place}/attributes/JOINTS_0"), expected, found);
         }
         if let Some(found) = weightless.summary(vertices) {
-            findings.error("SKIN_WEIGHTS", format!("{place}/attributes/WEIGHTS_0"), "weights that add up to 1", found);
+            findings.error(
+                "SKIN_WEIGHTS",
+                format!("{place}/attributes/WEIGHTS_0"),
+                "weights that add up to more than nothing",
+                found,
+            );
         }
     }
 }
