@@ -21,7 +21,7 @@ use glam::{Quat, Vec3};
 /// A run of a second or two.
 const SHORT: [&str; 8] = ["train", "capture", "-o", "scene.glb", "--iterations", "12", "--no-eval", "--quiet"];
 
-/// Those that mean nothing beside --no-mesh.
+/// Those that mean nothing beside --no-mesh, the last one also beside --mesh.
 const OF_A_MESH: [&str; 3] = ["--warmup", "4", "--surface-iterations=11"];
 
 fn folder_with_capture(views: usize) -> tempfile::TempDir {
@@ -33,7 +33,13 @@ fn folder_with_capture(views: usize) -> tempfile::TempDir {
 fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
     let more: Vec<&str> = more.into_iter().collect();
     let mut command = centaur(folder);
-    command.args(SHORT).args(if more.contains(&"--no-mesh") { &[][..] } else { &OF_A_MESH }).args(more);
+    let has = |flag| more.contains(&flag);
+    let of_a_mesh = match (has("--no-mesh"), has("--mesh")) {
+        (true, _) => &[][..],
+        (false, true) => &OF_A_MESH[..2],
+        (false, false) => &OF_A_MESH[..],
+    };
+    command.args(SHORT).args(of_a_mesh).args(more);
     command
 }
 
@@ -169,8 +175,14 @@ fn flags_of_a_mesh_beside_none_are_noted() {
     let folder = folder_with_capture(8);
     let more = ["--no-mesh", "--max-splats", "500", "--triangles", "9", "--shell", "off", "--band-degree", "2"];
     let output = train(folder.path(), more).args(OF_A_MESH).output().unwrap();
-    let note = "note: --no-mesh: --warmup, --surface-iterations, --triangles, --shell have no effect\n";
+    let note = "note: --no-mesh: --surface-iterations, --triangles, --shell, --warmup have no effect\n";
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
+    // Beside one that is given, those of a surface that is made.
+    std::fs::write(folder.path().join("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let more =
+        ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--planar", "off", "--lambda", "0"];
+    let output = train(folder.path(), more).output().unwrap();
+    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), "note: --mesh: --planar has no effect\n"));
 }
 
 #[test]

@@ -216,6 +216,12 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
     assert!(std::fs::read(at("film.mp4")).unwrap() == fed);
     assert!(std::fs::read_to_string(at("arguments")).unwrap().contains("-framerate 12.5 -i -"));
 
+    // Also among the pictures, in a folder that is not there yet.
+    let among = ["render", "ball.ply", "--cameras", "orbit.json", "-o", "new", "--video", "./new/film.mp4"];
+    let output = centaur(folder.path()).args(among).env("PATH", at("bin")).output().unwrap();
+    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), ""));
+    assert!(std::fs::read(at("new/film.mp4")).unwrap() == fed);
+
     std::fs::remove_file(at("film.mp4")).unwrap();
     let (code, said) = film(Some("echo 'Unknown encoder libx264' >&2; exit 1"));
     assert_eq!((code, &said[..]), (Some(1), "error: film.mp4: not made: ffmpeg: Unknown encoder libx264\n"));
@@ -284,4 +290,42 @@ fn what_makes_no_path_is_one_line() {
         let output = centaur(folder.path()).args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args:?}");
     }
+}
+
+/// Somebody else's glTF and USD are y up, cameras of a capture are not: however they meet, pictures and normals are those of the converted scene.
+#[test]
+fn scenes_that_are_y_up_are_seen_by_captures_as_their_conversion_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 3, (32, 24));
+    // Leans to one side, and is larger than what the cameras see.
+    let layer = "#usda 1.0\n( metersPerUnit = 1\n upAxis = \"Y\" )\ndef Mesh \"m\" {\n point3f[] points = [(-9, -9, 2), (9, -9, 0), (-1, 9, -3)]\n \
+                 int[] faceVertexCounts = [3]\n int[] faceVertexIndices = [0, 1, 2]\n uniform token subdivisionScheme = \"none\"\n \
+                 color3f[] primvars:displayColor = [(0.2, 0.4, 0.6)]\n}\n";
+    std::fs::write(at("theirs.usda"), layer).unwrap();
+    run(folder.path(), &["convert", "theirs.usda", "ours.glb"]);
+    let layers = |scene: &str, out: &str| {
+        let said = run(folder.path(), &["render", scene, "--cameras", "capture", "--layers", "-o", out]);
+        let mut files: Vec<_> = std::fs::read_dir(at(out)).unwrap().map(|e| e.unwrap().path()).collect();
+        files.sort();
+        let channels = |path: &std::path::PathBuf| {
+            let image = exr::prelude::read_first_flat_layer_from_file(path).unwrap();
+            let list = image.layer_data.channel_data.list;
+            list.into_iter()
+                .map(|c| (c.name.to_string(), c.sample_data.values_as_f32().collect::<Vec<f32>>()))
+                .collect()
+        };
+        let files: Vec<Vec<(String, Vec<f32>)>> = files.iter().map(channels).collect();
+        (said, files)
+    };
+    let ((said, theirs), (quiet, ours)) = (layers("theirs.usda", "a"), layers("ours.glb", "b"));
+    let note = "note: capture: taken to be in the frame of captures: turned half about x, as theirs.usda is y up\n";
+    assert!(said.contains(note) && !quiet.contains("half about x"), "{said} {quiet}");
+    let mut seen = false;
+    for (a, b) in theirs.iter().flatten().zip(ours.iter().flatten()) {
+        assert_eq!(a.0, b.0);
+        seen |= a.0 == "N.Z" && a.1.iter().any(|z| *z != 0.0);
+        assert!(a.1.iter().zip(&b.1).all(|(x, y)| (x - y).abs() < 1e-4 * (1.0 + x.abs())), "{}", a.0);
+    }
+    assert!(seen && theirs.len() == 3);
 }

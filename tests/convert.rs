@@ -506,6 +506,14 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
     convert(folder.path(), "a.ply a.ply b.ply");
     assert_eq!(labels("b.ply").map(|l| l.len()), Some(18));
 
+    // A mesh has no splats that could lack it.
+    write_hybrid(&folder.path().join("h.glb"));
+    let mut scene = format::read_scene(&folder.path().join("h.glb")).unwrap();
+    scene.splats = Splats::empty(0);
+    format::write_scene(&folder.path().join("mesh.glb"), &scene, &WriteOptions::default()).unwrap();
+    convert(folder.path(), "a.ply mesh.glb b.ply");
+    assert_eq!(labels("b.ply").map(|l| l.len()), Some(9));
+
     ply::write(&folder.path().join("plain.ply"), &splats(2, 0)).unwrap();
     let said = convert(folder.path(), "a.ply plain.ply b.ply");
     assert!(said.starts_with("note: a.ply: attribute label: left out, not in all inputs\n"), "{said}");

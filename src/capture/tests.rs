@@ -287,6 +287,16 @@ fn transforms_in_opengl_axes() {
     let points = open(&file, &full()).unwrap().points;
     let expected = [([1.0, 2.0, 3.0], [10, 20, 30]), ([4.0, 5.0, 6.0], [40, 50, 60])];
     assert_eq!(points, expected.map(|(p, rgb)| Point { position: DVec3::from(p), rgb }));
+    // A world that is y up is turned into the frame of captures, points and all.
+    let there = open(&file, &full()).unwrap();
+    std::fs::write(&file, frames(r#","ply_file_path":"./sparse_pc.ply","centaur":{"y_up":true}"#)).unwrap();
+    let turned = open(&file, &full()).unwrap();
+    let half_turn = DVec3::new(1.0, -1.0, -1.0);
+    for (before, after) in there.views.iter().zip(&turned.views) {
+        let p = DVec3::new(0.3, 0.7, -0.2);
+        assert!(after.camera.to_camera(half_turn * p).abs_diff_eq(before.camera.to_camera(p), 1e-12));
+    }
+    assert!(there.points.iter().zip(&turned.points).all(|(a, b)| half_turn * a.position == b.position));
     std::fs::write(&file, frames(r#","ply_file_path":"../sparse_pc.ply""#)).unwrap();
     let escape = open(&file, &full()).unwrap_err().to_string();
     assert!(escape.contains("/ply_file_path: expected a path inside the capture"), "{escape}");

@@ -473,6 +473,22 @@ mod tests {
         assert_eq!(pure, DensityReport::default());
     }
 
+    #[test]
+    fn what_steps_leave_out_is_given_more_looks() {
+        let of = |part| McmcOptions::new(8, true).with_dropout(part);
+        assert_eq!([0.0, 0.001, 0.1, 0.2, 0.9].map(|part| of(part).epochs), [1, 1, 3, 5, 66]);
+        let mut rows = vec![SEEN; 8];
+        rows[5] = [0.0; 4];
+        let mut epoch = EpochWeight::default();
+        let mut s = arrangement(8);
+        // Five epochs of 60 views are in any 359 iterations.
+        for (iterations, relocated) in [(300, 0), (59, 1)] {
+            epoch.add(Statistics(&rows), iterations);
+            let report = relocate_and_add(&mut s, &mut epoch, 60, &of(0.2), 600, 1);
+            assert_eq!(report, DensityReport { relocated, ..DensityReport::default() });
+        }
+    }
+
     /// By their opacity, however much of the pictures they fill.
     #[test]
     fn with_a_mesh_copies_go_to_what_is_shown() {

@@ -60,6 +60,10 @@ fn training<'g>(gpu: &'g Gpu, scene: &HybridScene, ssim_weight: f32) -> Training
 }
 
 fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
+    step_on(training, (truth, TruthAlpha::Ignore), exposure);
+}
+
+fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), exposure: Option<ExposureStep>) {
     let splats = AdamStep {
         number: 1,
         n_splats: SPLATS as u32,
@@ -75,7 +79,7 @@ fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
         .step(&Step {
             camera: &camera(),
             truth,
-            truth_alpha: TruthAlpha::Ignore,
+            truth_alpha,
             background: [0.1, 0.2, 0.3],
             sh_degree: 0,
             band_degree: 0,
@@ -199,4 +203,18 @@ fn the_mean_of_the_training_views_is_taken_out() {
     assert_eq!(state.of(2)[7], 9.0);
     assert_eq!(state.apply(1, [0.4, 0.6, 0.8]).map(|v| (10.0 * v).round()), [4.0, 6.0, 8.0]);
     assert!(state.is_of(3) && !state.is_of(2));
+}
+
+/// A photograph of nothing is over the background as its exposure has it: that agrees with a picture of nothing.
+#[test]
+fn what_is_transparent_on_both_sides_leaves_exposures_alone() {
+    let (gpu, state) = (Gpu::open(None).unwrap(), exposures());
+    let nothing = HybridScene { splats: Splats::empty(0), ..scene((0, 0), 0.0) };
+    let truth: Vec<u8> = truth().chunks(4).flat_map(|p| [p[0], p[1], p[2], 0]).collect();
+    let mut trained = training(&gpu, &nothing, 0.2);
+    trained.expose(&state).unwrap();
+    step_on(&mut trained, (&truth, TruthAlpha::Composite), Some(ExposureStep { view: 1, rate: 1e-2 }));
+    assert!(trained.loss().unwrap().l1 < 1e-6);
+    let after = trained.read_exposures().unwrap().unwrap();
+    assert!(after.moments[0].iter().all(|m| m.abs() < 1e-7), "{:?}", after.moments[0]);
 }

@@ -87,3 +87,26 @@ impl<const N: usize> PerViewBuffers<N> {
         self.unsettled.clear();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_that_were_skipped_do_not_count() {
+        let gpu = Gpu::open(None).unwrap();
+        let mut views = PerViewBuffers::new(&gpu, "views", &PerView::beginning_at([0.5], 3)).unwrap();
+        let first = views.count(0, true);
+        assert_ne!(first, views.count(0, true), "another correction");
+        for (view, moves) in [(1, true), (2, false), (0, true), (2, true)] {
+            views.count(view, moves);
+        }
+        // The last three changed nothing, one of which counted for no view.
+        views.settle(3);
+        assert_eq!(views.read(&gpu).unwrap(), PerView { steps: vec![2, 1, 0], ..PerView::beginning_at([0.5], 3) });
+        views.count(2, true);
+        views.settle(0);
+        views.settle(1);
+        assert_eq!(views.read(&gpu).unwrap().steps, [2, 1, 1], "what was taken is taken");
+    }
+}
