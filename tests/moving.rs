@@ -125,7 +125,8 @@ fn cameras_of_others_stay_where_they_are_in_every_format() {
         assert!(picture(to, &format!("by-{to}")) == expected, "{to}");
     }
     let said = run(folder.path(), "cameras convert a.gltf -o model");
-    assert!(said.contains("note: a.gltf: its world is y up, which model does not say"), "{said}");
+    assert!(said.contains("note: a.gltf: its world is y up: turned half about x into the frame of captures"), "{said}");
+    assert!(picture("model", "by-model") == expected);
 }
 
 #[test]

@@ -87,7 +87,7 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         // pairs; a closed mesh has half as many vertices as triangles. To move, normals of corners; of vertices gradient, moments,
         // normals, steps, and neighbours with where they begin.
         let (map_floats, triangles) = (wide(s.map_floats), wide(s.triangles));
-        let (by_triangle, by_vertex) = if s.vertices_move { (12, 1 + 2 + 4 + 4 + 6 + 1) } else { (0, 0) };
+        let (by_triangle, by_vertex) = if s.vertices_move { (12, 2 + 2 + 4 + 4 + 6 + 1) } else { (0, 0) };
         meshes = bytes(&[
             (map_floats, 2),
             (map_floats.saturating_mul(341) / 256, 2),
