@@ -24,7 +24,7 @@ fn backward(
     for (var k = 0u; k < 3u; k += 1u) {
         let vertex = corner_normals[3u * triangle + k].w;
         let units = i32(round(g[k]));
-        let carried = (units + VERTEX_CARRY / 2) >> 12u;
+        let carried = (units + VERTEX_CARRY / 2) >> VERTEX_CARRY_BITS;
         atomicAdd(&vertex_gradient[2u * vertex], units - carried * VERTEX_CARRY);
         if carried != 0 { atomicAdd(&vertex_gradient[2u * vertex + 1u], carried); }
     }

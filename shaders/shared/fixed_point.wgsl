@@ -7,7 +7,8 @@
 
 const FIXED_ONE: f32 = 1048576.0;
 const BAND_UNIT: f32 = 8.0;
-const VERTEX_CARRY: i32 = 4096;
+const VERTEX_CARRY_BITS: u32 = 12u;
+const VERTEX_CARRY: i32 = 1 << VERTEX_CARRY_BITS;
 
 // Units per 1, by the bits of the largest term.
 fn fixed_scale(peak: u32) -> f32 {

@@ -12,9 +12,12 @@ use serde::de::IgnoredAny;
 use serde_json::Value;
 
 use super::distortion::{Distortion, Lens};
-use super::views::{Frame, HALF_TURN, inside};
+use super::views::{Frame, inside};
 use super::{CaptureError, Listed, LoadOptions, Point, error, images};
-use crate::{format::ply, scene::Intrinsics};
+use crate::{
+    format::ply,
+    scene::{HALF_TURN, Intrinsics},
+};
 
 /// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
 #[derive(Deserialize)]

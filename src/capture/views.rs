@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::distortion::Lens;
 use super::{CaptureError, ImageSource, LoadOptions, View, images};
-use crate::scene::Camera;
+use crate::scene::{Camera, HALF_TURN};
 
 /// A posed picture as stated by a capture's files.
 #[derive(Clone, Debug)]
@@ -37,9 +37,6 @@ pub(super) struct Frame {
     /// See [`View::sees`].
     pub(super) sees: Vec<u32>,
 }
-
-/// Half a turn about x, by its factors: from a world that is y up to the frame of captures, and back.
-pub(super) const HALF_TURN: DVec3 = DVec3::new(1.0, -1.0, -1.0);
 
 impl Frame {
     /// The same in the world after half a turn about x.

@@ -17,6 +17,7 @@ pub mod sh;
 mod smoothing;
 mod splats;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 pub use camera::{Camera, Intrinsics};
@@ -31,6 +32,9 @@ pub use splats::{SplatArrays, Splats};
 
 /// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e18;
+
+/// Half a turn about x, by its factors: from the frame of captures to a world that is y up, as those of glTF and USD are, and back.
+pub const HALF_TURN: DVec3 = DVec3::new(1.0, -1.0, -1.0);
 
 /// 1/(1+e⁻ˣ): from a logit, as opacities are kept, to an opacity.
 #[must_use]

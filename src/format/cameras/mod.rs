@@ -16,11 +16,11 @@ mod transforms;
 use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path};
 
-use glam::{DMat3, DVec3};
+use glam::DMat3;
 
 use super::error::Fault;
 use super::{FormatError, Kind, gltf, kind, usd};
-use crate::scene::Camera;
+use crate::scene::{Camera, HALF_TURN};
 
 /// Cameras in the order in which they are shown.
 #[derive(Clone, Debug)]
@@ -104,7 +104,7 @@ impl CameraFile {
 
 /// In the world after half a turn about x.
 fn turned(camera: &Camera) -> Camera {
-    let rotation = camera.rotation() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let rotation = camera.rotation() * DMat3::from_diagonal(HALF_TURN);
     Camera::new(*camera.intrinsics(), rotation, camera.translation()).expect("a rotation, turned, is one")
 }
 

@@ -12,7 +12,7 @@ use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::{file_bytes, stored_bytes};
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
-use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, Splats};
+use crate::scene::{Camera, ColorSpace, Composition, HALF_TURN, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -211,7 +211,7 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene, y_up: bool) -> Summary 
 }
 
 fn bounds(points: &[Vec3], y_up: bool) -> [[f32; 3]; 2] {
-    let frame = if y_up { Vec3::new(1.0, -1.0, -1.0) } else { Vec3::ONE };
+    let frame = if y_up { HALF_TURN.as_vec3() } else { Vec3::ONE };
     // Zero added: no corner is at −0.
     let corner =
         |pick: fn(Vec3, Vec3) -> Vec3| points.iter().map(|&p| frame * p + Vec3::ZERO).reduce(pick).unwrap_or_default();

@@ -50,6 +50,24 @@ fn sheet(z: impl Fn(f32, f32) -> f32) -> HybridScene {
     HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition }
 }
 
+/// A step of nothing else.
+fn of_vertices<'a>(camera: &'a Camera, truth: &'a [u8], vertices: Option<VertexStep>) -> Step<'a> {
+    Step {
+        camera,
+        truth,
+        truth_alpha: TruthAlpha::Ignore,
+        background: [0.0; 3],
+        sh_degree: 0,
+        band_degree: 0,
+        dropout: Dropout::default(),
+        splats: None,
+        texels: None,
+        vertices,
+        exposure: None,
+        pose: None,
+    }
+}
+
 fn rms_height(meshes: &[Mesh]) -> f32 {
     let squares = meshes[0].positions().iter().map(|p| p.z * p.z);
     (squares.sum::<f32>() / meshes[0].positions().len() as f32).sqrt()
@@ -80,22 +98,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
             assert!(mesh.read_vertex_gradient(&gpu).unwrap().iter().all(|g| *g == 0.0));
         }
         let step = |number| VertexStep { number, rate: 0.1 * 0.1_f32.powf(number as f32 / 150.0) };
-        training
-            .step(&Step {
-                camera: &cameras[view],
-                truth: &photographs[view],
-                truth_alpha: TruthAlpha::Ignore,
-                background: [0.0; 3],
-                sh_degree: 0,
-                band_degree: 0,
-                dropout: Dropout::default(),
-                splats: None,
-                texels: None,
-                vertices: number.map(step),
-                exposure: None,
-                pose: None,
-            })
-            .unwrap();
+        training.step(&of_vertices(&cameras[view], &photographs[view], number.map(step))).unwrap();
     }
     let (before, after) = (rms_height(&scene.meshes), rms_height(&training.read_meshes(&scene.meshes).unwrap()));
     eprintln!("rms height {before} became {after}");
@@ -123,20 +126,8 @@ fn a_wall_of_two_triangles_is_pulled_as_far_in_large_pictures() {
         let camera = camera(0.0).resized(side, side);
         let mut training = Training::new(&gpu, &scene, &[camera], 0.0).unwrap();
         training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 0.01)).unwrap();
-        let step = Step {
-            camera: &camera,
-            truth: &vec![0; 4 * (side * side) as usize],
-            truth_alpha: TruthAlpha::Ignore,
-            background: [0.0; 3],
-            sh_degree: 0,
-            band_degree: 0,
-            dropout: Dropout::default(),
-            splats: None,
-            texels: None,
-            vertices: Some(VertexStep { number: 1, rate: 0.0 }),
-            exposure: None,
-            pose: None,
-        };
+        let truth = vec![0; 4 * (side * side) as usize];
+        let step = of_vertices(&camera, &truth, Some(VertexStep { number: 1, rate: 0.0 }));
         training.step(&step).unwrap();
         while training.grow_if_short().unwrap() > 0 {
             training.step(&step).unwrap();

@@ -16,6 +16,9 @@ use crate::geometry::{self, Rings};
 use crate::scene::Mesh;
 
 const GROUP: usize = 256;
+/// As in `shared/fixed_point.wgsl`.
+#[cfg(test)]
+const VERTEX_CARRY: f32 = 4096.0;
 /// Pairs of Jacobi iterations: with a smoothness of 8 the remaining error of the slowest local mode is (8/9)¹⁶ ≈ 0.15.
 const DIFFUSIONS: usize = 8;
 
@@ -163,7 +166,7 @@ impl Vertices {
     pub(crate) fn read_gradient(&self, gpu: &Gpu, peaks: &Buffer) -> Result<Vec<f32>, GpuError> {
         let unit = gpu.read::<f32>(peaks, PEAKS)?[1] / FIXED_ONE;
         let sums = gpu.read::<[i32; 2]>(&self.gradient, self.count)?;
-        Ok(sums.into_iter().map(|[rest, carried]| unit * (4096.0 * carried as f32 + rest as f32)).collect())
+        Ok(sums.into_iter().map(|[rest, carried]| unit * (VERTEX_CARRY * carried as f32 + rest as f32)).collect())
     }
 
     /// What a checkpoint needs. Waits.
