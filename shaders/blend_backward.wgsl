@@ -5,6 +5,8 @@
 // With w = P·t·α the pair's weight, p = ∂L/∂power and d = pixel − mean, every splat needs these sums over pixels:
 //     Σp, Σp·dx, Σp·dy, Σp·dx², Σp·dx·dy, Σp·dy², Σw·g (rgb), Σw
 // and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
+// c and g have a fourth channel: of a splat its disparity 1/z, and by how much the loss grows with that of a pixel, Σw/z, which keeps what
+// costs nothing where it is, dark before the dark, from hanging in the air. Depths count as given there, and layers of the mesh are not pulled.
 // A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
 // summed by the subgroup, subgroups through workgroup memory, which does all of it where there are none. The tile's sums
 // are written to a row of their own, beside those of the splat's other tiles: nothing is added by atomics, whose order would
@@ -21,7 +23,7 @@
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read> image_gradient: array<vec4f>;   // ∂L/∂rgb
 @group(0) @binding(5) var<storage, read> buckets: array<vec4f>;
-@group(0) @binding(6) var<storage, read> ends: array<u32>;
+@group(0) @binding(6) var<storage, read> ends: array<vec2u>;
 @group(0) @binding(7) var<storage, read_write> rows: array<f32>;         // [number within the window][MOMENTS]
 //#if LAYERS
 @group(0) @binding(8) var<storage, read> thresholds: array<f32>;
@@ -149,7 +151,7 @@ fn main(
     let y$j = y + $ju;
     let py$j = f32(y$j) + 0.5;
     let pixel$j = y$j * view.size.x + x;
-    var g$j = vec3f(0.0);
+    var g$j = vec4f(0.0);
 //#for b in 0..BUCKETS
     t[$j][$b] = 1.0;
     q[$j][$b] = 0.0;
@@ -160,7 +162,7 @@ fn main(
     var depth$j_$l = EMPTY_DEPTH;
 //#end
     if x < view.size.x && y$j < view.size.y {
-        g$j = image_gradient[pixel$j].xyz;
+        g$j = vec4f(image_gradient[pixel$j].xyz, view.disparity_slope);
 //#for l in 0..LAYERS
         let d$l = layer_depth[$lu * n_pixels + pixel$j];
         var layer$l = vec4f(0.0);
@@ -169,17 +171,18 @@ fn main(
             layer$l = layer_color[$lu * n_pixels + pixel$j];
         }
 //#end
-        // Colours behind: S_b from the front of bucket b, R_b from its back.
-        var seen = view.background.xyz;
+        // Colours and disparities behind: S_b from the front of bucket b, R_b from its back.
+        var seen = vec4f(view.background.xyz, 0.0);
 //#for b in BUCKETS..0
         let bucket$b = buckets[$bu * n_pixels + pixel$j];
 //#if $b<LAYERS
         let behind$b = seen;
-        seen = layer$b.w * layer$b.xyz + (1.0 - layer$b.w) * seen;
+        seen = layer$b.w * vec4f(layer$b.xyz, 1.0 / depth$j_$b) + (1.0 - layer$b.w) * seen;
 //#end
-        seen = bucket$b.xyz + bucket$b.w * seen;
+        let end$b = ends[$bu * n_pixels + pixel$j];
+        seen = vec4f(bucket$b.xyz, bitcast<f32>(end$b.y)) + bucket$b.w * seen;
         q[$j][$b] = dot(g$j, seen);
-        end[$j][$b] = ends[$bu * n_pixels + pixel$j];
+        end[$j][$b] = end$b.x;
         last = max(last, end[$j][$b]);
 //#end
         var p = 1.0;
@@ -188,8 +191,8 @@ fn main(
         p *= bucket$b.w;
 //#if $b<LAYERS
         layer_gradient[$bu * n_pixels + pixel$j] = vec4f(
-            p * layer$b.w * g$j,
-            p * dot(g$j, layer$b.xyz - behind$b),
+            p * layer$b.w * g$j.xyz,
+            p * dot(g$j.xyz, layer$b.xyz - behind$b.xyz),
         );
         p *= 1.0 - layer$b.w;
 //#end
@@ -227,7 +230,7 @@ fn main(
             batch_number[s] = pair.y;
             batch_center[s] = projected[3u * i];
             batch_conic[s] = projected[3u * i + 1u];
-            batch_color[s] = projected[3u * i + 2u];
+            batch_color[s] = vec4f(projected[3u * i + 2u].xyz, 1.0 / batch_center[s].z);
 //#for l in 0..LAYERS
             batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
 //#end
@@ -259,7 +262,7 @@ fn main(
 //#import shared/splats_at_pixels.wgsl with COUNT=2 END=end_of_$p
                 var is_seen = false;
 //#for m in 0..2
-                let rgb$m = batch_color[at$m].xyz;
+                let value$m = batch_color[at$m];
 //#for j in 0..PER_THREAD
                 var bucket$m_$j = $pu % BUCKETS;
 //#for l in 0..LAYERS
@@ -288,7 +291,7 @@ fn main(
                     {
                         let alpha = alpha$m_$j_$b;
                         let w = t[$j][$b] * alpha;
-                        let c = dot(g$j, rgb$m);
+                        let c = dot(g$j, value$m);
                         q[$j][$b] -= w * c;
                         // The cap passes no gradient.
                         let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw$m_$j > ALPHA_CAP);
@@ -301,7 +304,7 @@ fn main(
                             conic$m.y * dx$m + conic$m.z * dy$m_$j,
                         ));
 //#end
-                        sum_w$m += before[$j][$b] * w * vec4f(g$j, 1.0);
+                        sum_w$m += before[$j][$b] * w * vec4f(g$j.xyz, 1.0);
                     }
 //#end
 //#end
@@ -327,7 +330,7 @@ fn main(
         for (; s < end_of_$p; s++) {
             let center = batch_center[s];
             let conic = batch_conic[s];
-            let rgb = batch_color[s].xyz;
+            let value = batch_color[s];
             let dx = px - center.x;
             let along = gaussian_column(conic.xyz, dx);
 //#for l in 0..LAYERS
@@ -351,7 +354,7 @@ fn main(
 //#for b in 0..BUCKETS
                     if bucket == $bu && start + s < end[$j][$b] {
                         let w = t[$j][$b] * alpha;
-                        let c = dot(g$j, rgb);
+                        let c = dot(g$j, value);
                         q[$j][$b] -= w * c;
                         // The cap passes no gradient.
                         let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw > ALPHA_CAP);
@@ -361,7 +364,7 @@ fn main(
 //#if ABSOLUTE
                         sum_pull += abs(p * vec2f(conic.x * dx + conic.y * dy, conic.y * dx + conic.z * dy));
 //#end
-                        sum_w += before[$j][$b] * w * vec4f(g$j, 1.0);
+                        sum_w += before[$j][$b] * w * vec4f(g$j.xyz, 1.0);
                     }
 //#end
                 }

@@ -19,7 +19,7 @@ fn peak_depth(i: u32, pixel: vec2f, mean_depth: f32) -> f32 {
     let ray = view.row_x.xyz * slope.x + view.row_y.xyz * slope.y + view.row_z.xyz;
     let scale = max(g.scale, vec3f(1e-3 * max(g.scale.x, max(g.scale.y, g.scale.z))));
     let along = (ray * g.rotation) / scale;
-    let toward = ((g.mean - view.center.xyz) * g.rotation) / scale;
+    let toward = ((g.mean - view.center) * g.rotation) / scale;
     let reach = 3.0 * max(g.scale.x, max(g.scale.y, g.scale.z));
     return clamp(dot(along, toward) / dot(along, along), mean_depth - reach, mean_depth + reach);
 }

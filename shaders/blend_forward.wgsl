@@ -2,8 +2,9 @@
 // splat lands in bucket b, the number of layers in front of it at this pixel, and "over" is associative, so every
 // bucket is accumulated on its own and all are composited with the layers at the end.
 // A thread owns PER_THREAD pixels of one tile column, so that a splat's record is read once for all of them.
+// For training it blends disparities, 1/z, as a fourth colour.
 // Per (splat, pixel): 1 exp, ~25 flops. Per splat and tile: 52 + 4·LAYERS bytes. Per pixel: 20·LAYERS bytes
-// read, 16 written and 20·BUCKETS saved.
+// read, 16 written and 24·BUCKETS saved.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 
@@ -14,7 +15,10 @@
 @group(0) @binding(4) var<storage, read_write> image: array<vec4f>;      // rgb, final transmittance
 //#if SAVE
 @group(0) @binding(5) var<storage, read_write> buckets: array<vec4f>;    // [BUCKETS][pixel]: colour, transmittance
-@group(0) @binding(6) var<storage, read_write> ends: array<u32>;         // [BUCKETS][pixel]: pair after the last used
+@group(0) @binding(6) var<storage, read_write> ends: array<vec2u>;       // [BUCKETS][pixel]: pair after the last used, bits of the disparity
+alias Blended = vec4f;                  // rgb, disparity
+//#else
+alias Blended = vec3f;                  // rgb
 //#end
 //#if LAYERS
 @group(0) @binding(7) var<storage, read> thresholds: array<f32>;
@@ -27,7 +31,7 @@ const BATCH: u32 = 128u;
 
 var<workgroup> batch_center: array<vec4f, BATCH>;       // centre, depth, opacity
 var<workgroup> batch_conic: array<vec4f, BATCH>;
-var<workgroup> batch_color: array<vec4f, BATCH>;
+var<workgroup> batch_color: array<Blended, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 var<workgroup> batch_bucket: array<u32, BATCH>;
@@ -60,7 +64,7 @@ fn main(
     let px = f32(x) + 0.5;
     let n_pixels = view.size.x * view.size.y;
 
-    var color: array<array<vec3f, BUCKETS>, PER_THREAD>;
+    var color: array<array<Blended, BUCKETS>, PER_THREAD>;
     var t: array<array<f32, BUCKETS>, PER_THREAD>;
     var end: array<array<u32, BUCKETS>, PER_THREAD>;
     var front: array<array<f32, BUCKETS>, PER_THREAD>;  // bounds the transmittance of what lies before a bucket
@@ -71,7 +75,7 @@ fn main(
     let inside$j = x < view.size.x && y$j < view.size.y;
     let pixel$j = y$j * view.size.x + x;
 //#for b in 0..BUCKETS
-    color[$j][$b] = vec3f(0.0);
+    color[$j][$b] = Blended();
     t[$j][$b] = 1.0;
     end[$j][$b] = range.x;
     front[$j][$b] = 1.0;
@@ -149,7 +153,11 @@ fn main(
             let i = pair_splats[start + s];
             batch_center[s] = projected[3u * i];
             batch_conic[s] = projected[3u * i + 1u];
-            batch_color[s] = projected[3u * i + 2u];
+//#if SAVE
+            batch_color[s] = vec4f(projected[3u * i + 2u].xyz, 1.0 / batch_center[s].z);
+//#else
+            batch_color[s] = projected[3u * i + 2u].xyz;
+//#end
 //#for l in 0..LAYERS
             batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
 //#end
@@ -179,7 +187,7 @@ fn main(
         for (; s < end_of_$p; s += AT_ONCE) {
 //#import shared/splats_at_pixels.wgsl with COUNT=AT_ONCE END=end_of_$p
 //#for m in 0..AT_ONCE
-            let rgb$m = batch_color[at$m].xyz;
+            let value$m = batch_color[at$m];
 //#for j in 0..PER_THREAD
             {
 //#if 1<AT_ONCE
@@ -199,7 +207,7 @@ fn main(
                         if front[$j][$b] * after < TRANSMITTANCE_STOP {
                             open[$j][$b] = false;
                         } else {
-                            color[$j][$b] += t[$j][$b] * alpha * rgb$m;
+                            color[$j][$b] += t[$j][$b] * alpha * value$m;
                             t[$j][$b] = after;
                             end[$j][$b] = start + s + $mu + 1u;
                         }
@@ -226,11 +234,11 @@ fn main(
         behind = layer$j_$b.w * layer$j_$b.xyz + (1.0 - layer$j_$b.w) * behind;
         transmittance *= 1.0 - layer$j_$b.w;
 //#end
-        behind = color[$j][$b] + t[$j][$b] * behind;
+        behind = color[$j][$b].xyz + t[$j][$b] * behind;
         transmittance *= t[$j][$b];
 //#if SAVE
-        buckets[$bu * n_pixels + pixel$j] = vec4f(color[$j][$b], t[$j][$b]);
-        ends[$bu * n_pixels + pixel$j] = end[$j][$b];
+        buckets[$bu * n_pixels + pixel$j] = vec4f(color[$j][$b].xyz, t[$j][$b]);
+        ends[$bu * n_pixels + pixel$j] = vec2u(end[$j][$b], bitcast<u32>(color[$j][$b].w));
 //#end
 //#end
         image[pixel$j] = vec4f(behind, transmittance);

@@ -50,7 +50,7 @@ fn correct() {
     view.row_x = rows[0];
     view.row_y = rows[1];
     view.row_z = rows[2];
-    view.center += vec4f(shift, 0.0);
+    view.center += shift;
 }
 
 @compute @workgroup_size(256)

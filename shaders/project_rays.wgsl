@@ -89,7 +89,7 @@ fn main(
 
     var color = vec3f(0.5);
 //#if !SH_BY_RAY
-    let basis = sh_basis(normalize(g.mean - view.center.xyz));
+    let basis = sh_basis(normalize(g.mean - view.center));
     let first = i * 3u * SH_TERMS;
 //#for k in 0..SH_TERMS
     color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);

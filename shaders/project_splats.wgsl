@@ -47,7 +47,7 @@ fn main(
     }
     if count == 0u { return; }
 
-    let basis = sh_basis(normalize(g.mean - view.center.xyz));
+    let basis = sh_basis(normalize(g.mean - view.center));
     let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
     let first = i * 3u * SH_TERMS;
     var color = vec3f(0.5);

@@ -60,7 +60,7 @@ fn main(
     let q = p.conic;
 
     // Colour: clamped channels pass nothing.
-    let offset = g.mean - view.center.xyz;
+    let offset = g.mean - view.center;
     let distance = length(offset);
     let direction = offset / distance;
     let basis = sh_basis(direction);

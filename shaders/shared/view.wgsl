@@ -13,7 +13,8 @@ struct View {
     row_x: vec4f,                       // world→camera, rows of [R|t]
     row_y: vec4f,
     row_z: vec4f,
-    center: vec4f,                      // camera centre, world; w unused
+    center: vec3f,                      // camera centre, world
+    disparity_slope: f32,               // ∂L/∂(expected disparity of a pixel), in training; see blend_backward.wgsl
     focal: vec2f,                       // pixels
     principal: vec2f,                   // pixels, continuous coordinates
     size: vec2u,                        // image, pixels

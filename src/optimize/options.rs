@@ -62,6 +62,10 @@ pub struct TrainOptions {
     /// Part of the splats that a step leaves out at random by the end of the run, from none at its beginning, the others being that much
     /// more opaque (`DropGaussian`, Park et al. 2025): by how many views there are, see [`Self::dropout_of`].
     pub dropout: Option<f32>,
+    /// Weight in the loss of the mean over pixels of expected disparity, Σw/z of splats, with the median depth of what views see as unit: 0 (3DGS).
+    /// What photographs leave open stays away from cameras by it: dark splats before a dark room cost nothing where training views
+    /// see them, and are fog before what another view shows. Short runs lose by it (docs/experiments.md).
+    pub disparity_weight: f32,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
@@ -136,6 +140,9 @@ impl TrainOptions {
         }
         if !(self.pose_reach >= 0.0 && self.pose_reach.is_finite()) {
             return Err(SceneError::new("pose_reach", "a number ≥ 0", self.pose_reach.to_string()));
+        }
+        if !(self.disparity_weight >= 0.0 && self.disparity_weight.is_finite()) {
+            return Err(SceneError::new("disparity_weight", "a number ≥ 0", self.disparity_weight.to_string()));
         }
         if let Some(part) = self.dropout.filter(|part| !(0.0..=Self::MOST_DROPOUT).contains(part)) {
             let expected = format!("a number from 0 to {}", Self::MOST_DROPOUT);
@@ -213,6 +220,7 @@ impl Default for TrainOptions {
             refine_poses: false,
             pose_reach: 0.6,
             dropout: None,
+            disparity_weight: 0.0,
             sh_degree: 3,
             ssim_weight: 0.2,
             density: Density::Mcmc,
@@ -252,6 +260,7 @@ mod tests {
             (TrainOptions { ssim_weight: 1.5, ..d() }, "ssim_weight"),
             (TrainOptions { pose_reach: f64::INFINITY, ..d() }, "pose_reach"),
             (TrainOptions { dropout: Some(1.0), ..d() }, "dropout"),
+            (TrainOptions { disparity_weight: -1.0, ..d() }, "disparity_weight"),
             (TrainOptions { texture_size: Some(u32::MAX), ..d() }, "texture_size"),
             (TrainOptions { max_floats: Some(58), ..d() }, "max_floats"),
             (TrainOptions { max_splats: Some(0), ..d() }, "max_splats"),

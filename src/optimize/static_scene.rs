@@ -176,6 +176,8 @@ struct Run<'a> {
     extent: f32,
     /// The capture's unit of length, see [`size::unit_of_length`].
     unit: f32,
+    /// About how far away is what views see, world units.
+    distance: f32,
     /// Near plane, by the poses as they were given.
     near: f32,
     log: Log,
@@ -222,6 +224,7 @@ impl<'a> Run<'a> {
         let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
         let depth = size::median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
         let unit = size::unit_of_length(f64::from(extent), depth) as f32;
+        let distance = depth.map_or(extent, |depth| depth as f32);
         let near = surface::near_plane(&train_cameras, NEAR);
         let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
         let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
@@ -243,6 +246,7 @@ impl<'a> Run<'a> {
             photos,
             extent,
             unit,
+            distance,
             near,
             log: Log::new(),
             found: Found::default(),

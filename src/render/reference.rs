@@ -15,7 +15,7 @@ mod tests;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
-pub use backward::{ScreenStatistics, backward, backward_parameters};
+pub use backward::{ScreenStatistics, backward, backward_parameters, disparity};
 pub use layers::{Layers, render_layers};
 pub use margin::{Margin, margins, render_with_margins};
 pub use mean_rays::{MeanRays, render_by_mean_rays};

@@ -245,6 +245,7 @@ impl Run<'_> {
             sh_degree,
             band_degree,
             dropout: Dropout { seed, rate: self.dropout(plan, age) },
+            disparity_weight: o.disparity_weight * self.distance,
             splats,
             texels,
             vertices,

@@ -29,7 +29,8 @@ pub(crate) struct Blend {
     pub(crate) image: Buffer,
     /// `[BUCKETS][pixel]` vec4: colour and transmittance of what is in a bucket. Empty where lists are not for training.
     buckets: Buffer,
-    /// `[BUCKETS][pixel]`: pair after the last that a bucket used. Empty as well.
+    /// `[BUCKETS][pixel]` two words: pair after the last that a bucket used, and bits of the disparity, 1/z, of what is in it, blended as its
+    /// colour. Empty as well.
     pub(crate) ends: Buffer,
     forward: (Kernel, Bindings),
 }
@@ -100,7 +101,7 @@ impl Blend {
         let saved = if lists.purpose() == Purpose::Train { image.pixels * buckets_a_pixel } else { 0 };
         let image = gpu.storage("image", image.pixels * 4)?;
         let buckets = gpu.storage("blend buckets", saved * 4)?;
-        let ends = gpu.storage("blend ends", saved)?;
+        let ends = gpu.storage("blend ends", saved * 2)?;
         let forward = forward(gpu, lists, [&image, &buckets, &ends], view, layers);
         Ok(Self { image, buckets, ends, forward })
     }

@@ -117,6 +117,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
         sh_degree: scene.splats.sh_degree(),
         band_degree: sh::MAX_DEGREE,
         dropout: Dropout::default(),
+        disparity_weight: 0.0,
         splats: Some(AdamStep {
             number: 1,
             n_splats: scene.splats.len() as u32,
@@ -188,9 +189,10 @@ fn evaluations(gpu: &Gpu, training: &Training, camera: &Camera) -> Result<usize,
     let tile = TILE as usize;
     let across = width.div_ceil(tile);
     let ranges: Vec<[u32; 2]> = gpu.read(&lists.ranges, across * height.div_ceil(tile))?;
-    let ends: Vec<u32> = gpu.read(&training.pipeline.blend.ends, (lists.layers() as usize + 1) * width * height)?;
+    let ends: Vec<[u32; 2]> =
+        gpu.read(&training.pipeline.blend.ends, (lists.layers() as usize + 1) * width * height)?;
     let mut last: Vec<u32> = ranges.iter().map(|r| r[0]).collect();
-    for (i, &end) in ends.iter().enumerate() {
+    for (i, &[end, _]) in ends.iter().enumerate() {
         let (x, y) = (i % width, i / width % height);
         let of_tile = &mut last[y / tile * across + x / tile];
         *of_tile = end.max(*of_tile);

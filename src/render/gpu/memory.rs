@@ -77,8 +77,8 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
     let by_pose = if s.poses_move { 4 } else { 0 };
     let per_splat = 4 * (12 + sh_floats) + 12 + sums + 4 + 5 + 4 + layers.max(1) + by_pose;
     let pairs = wide(PAIRS_PER_SPLAT).saturating_mul(splats).saturating_add(tiles);
-    // Image, its gradient, photograph, slopes of SSIM; colour, transmittance and end of every bucket.
-    let mut per_pixel = 4 + 4 + 1 + 12 + 5 * (layers + 1);
+    // Image, its gradient, photograph, slopes of SSIM; colour, transmittance, disparity and end of every bucket.
+    let mut per_pixel = 4 + 4 + 1 + 12 + 6 * (layers + 1);
     let (mut per_bin, mut meshes) = (0, 0);
     if layers > 0 {
         per_pixel += (1 + 1 + 4 + 4) * layers;

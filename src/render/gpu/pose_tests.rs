@@ -66,6 +66,7 @@ fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<P
             sh_degree,
             band_degree: 0,
             dropout: Dropout::default(),
+            disparity_weight: 0.0,
             splats: Some(splats),
             texels: None,
             vertices: None,

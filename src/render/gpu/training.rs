@@ -53,6 +53,8 @@ pub(crate) struct Step<'a> {
     pub(crate) sh_degree: u32,
     pub(crate) band_degree: u32,
     pub(crate) dropout: Dropout,
+    /// As [`View::disparity_weight`].
+    pub(crate) disparity_weight: f32,
     /// Rates of the splats; without, they are neither rendered nor changed.
     pub(crate) splats: Option<AdamStep>,
     /// Rates of the maps; without, they are rendered but not changed.
@@ -148,6 +150,7 @@ impl<'g> Training<'g> {
         view.sh_degree = step.sh_degree.min(view.sh_degree);
         view.band_degree = step.band_degree;
         view.dropout = step.dropout;
+        view.disparity_weight = step.disparity_weight;
         if step.splats.is_none() {
             view.n_splats = 0;
         }

@@ -80,6 +80,7 @@ fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
             sh_degree,
             band_degree: 2,
             dropout,
+            disparity_weight: 0.0,
             splats: Some(splats),
             texels: Some(texels),
             vertices: Some(VertexStep { number: 1, rate: 0.1 }),

@@ -60,6 +60,7 @@ fn of_vertices<'a>(camera: &'a Camera, truth: &'a [u8], vertices: Option<VertexS
         sh_degree: 0,
         band_degree: 0,
         dropout: Dropout::default(),
+        disparity_weight: 0.0,
         splats: None,
         texels: None,
         vertices,

@@ -18,6 +18,9 @@ pub(crate) struct View {
     pub(crate) pair_capacity: u32,
     /// Splats that are left out.
     pub(crate) dropout: Dropout,
+    /// In training, what the loss grows by with the mean over pixels of their expected disparity Σw/z, 1/(1/world unit). The gradients follow
+    /// it; depths and meshes do not.
+    pub(crate) disparity_weight: f32,
 }
 
 /// Splats that a step leaves out at random, so that none relies on others that few views see (`DropGaussian`, Park et al. 2025).
@@ -52,7 +55,17 @@ impl View {
     pub(crate) fn of(camera: &Camera, composition: Composition) -> Self {
         let (n_splats, sh_degree, band_degree, n_triangles, pair_capacity) = (0, 0, 0, 0, 0);
         let dropout = Dropout::default();
-        Self { camera: *camera, composition, n_splats, sh_degree, band_degree, n_triangles, pair_capacity, dropout }
+        Self {
+            camera: *camera,
+            composition,
+            n_splats,
+            sh_degree,
+            band_degree,
+            n_triangles,
+            pair_capacity,
+            dropout,
+            disparity_weight: 0.0,
+        }
     }
 
     /// Tiles across and down.
@@ -82,7 +95,7 @@ impl View {
         for (row, t) in [(r.row(0), t.x), (r.row(1), t.y), (r.row(2), t.z)] {
             words.extend([row.x, row.y, row.z, t].map(f32::to_bits));
         }
-        words.extend([center.x, center.y, center.z, 0.0].map(f32::to_bits));
+        words.extend([center.x, center.y, center.z, self.disparity_weight / self.pixels() as f32].map(f32::to_bits));
         words.extend([k.fx, k.fy, k.cx, k.cy].map(|v| (v as f32).to_bits()));
         let tiles = self.tiles();
         words.extend([k.width, k.height, tiles.0, tiles.1]);

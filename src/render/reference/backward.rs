@@ -41,10 +41,11 @@ struct MapGradients {
 /// If `cotangent` is not of the camera's size.
 #[must_use]
 pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Parameters {
-    backward_parameters(scene, camera, &Parameters::of(scene), cotangent).0
+    backward_parameters(scene, camera, &Parameters::of(scene), cotangent, 0.0).0
 }
 
-/// [`backward`] of a scene with other parameters of the same shape, and what density control wants to know of every splat.
+/// [`backward`] of a scene with other parameters of the same shape, and what density control wants to know of every splat. The loss also grows by
+/// `disparity_slope` with [`disparity`] (world units), as far as splats cover each other: depths are held, and meshes are not pulled.
 ///
 /// # Panics
 /// If the shapes differ or `cotangent` is not of the camera's size.
@@ -54,6 +55,7 @@ pub fn backward_parameters(
     camera: &Camera,
     parameters: &Parameters,
     cotangent: &Image,
+    disparity_slope: f64,
 ) -> (Parameters, Vec<ScreenStatistics>) {
     let view = View::new(scene, camera, parameters);
     let mut splats = vec![ProjectedGradient::ZERO; view.splats.len()];
@@ -66,16 +68,18 @@ pub fn backward_parameters(
         let list = view.contributions(pixel);
         let d_rgb = DVec3::from(cotangent.rgb[pixel]);
         let last = list.last().map_or(1.0, |last| last.transmittance * (1.0 - last.alpha));
-        let mut behind = background;
+        let (mut behind, mut disparity_behind) = (background, 0.0);
         for c in list.iter().rev() {
             let d_color = c.transmittance * c.alpha * d_rgb;
             let d_alpha =
                 c.transmittance * d_rgb.dot(c.color - behind) - cotangent.transmittance[pixel] * last / (1.0 - c.alpha);
+            let d_alpha_of_disparity = disparity_slope * c.transmittance * (1.0 / c.depth - disparity_behind);
             behind = c.alpha * c.color + (1.0 - c.alpha) * behind;
+            disparity_behind = c.alpha / c.depth + (1.0 - c.alpha) * disparity_behind;
             match c.source {
                 Source::Splat(i, offset) => {
                     splats[i].weight += c.transmittance * c.alpha;
-                    splats[i].add(&view.splats[i].0, offset, d_color, d_alpha);
+                    splats[i].add(&view.splats[i].0, offset, d_color, d_alpha + d_alpha_of_disparity);
                 }
                 Source::Layer(i) => {
                     let hit = &view.hits[pixel][i];
@@ -106,6 +110,17 @@ pub fn backward_parameters(
         }
     }
     (result, statistics)
+}
+
+/// The expected disparity of all pixels, Σ of weight/z over what they show, 1/world unit.
+///
+/// # Panics
+/// If the shapes differ.
+#[must_use]
+pub fn disparity(scene: &HybridScene, camera: &Camera, parameters: &Parameters) -> f64 {
+    let view = View::new(scene, camera, parameters);
+    let of_pixel = |pixel| view.contributions(pixel).iter().map(|c| c.transmittance * c.alpha / c.depth).sum::<f64>();
+    (0..view.layers.len()).map(of_pixel).sum()
 }
 
 impl ProjectedGradient {

@@ -34,6 +34,11 @@ fn random_cotangent(camera: &Camera, seed: u64) -> Image {
 }
 
 /// The scene with its mesh opacities all replaced by one logit.
+fn no_cotangent(camera: &Camera) -> Image {
+    let none = random_cotangent(camera, 0);
+    Image { rgb: vec![[0.0; 3]; none.rgb.len()], transmittance: vec![0.0; none.rgb.len()], ..none }
+}
+
 fn with_mesh_logit(mut scene: HybridScene, logit: f32) -> HybridScene {
     let opaque = |mesh: Mesh| {
         let base = mesh.atlas().base();
@@ -303,7 +308,7 @@ fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters
     let away = Margin { alpha: 1e-3, order: 1e-4, edge: 0.0, stop: 1e-2 };
     assert!(!margins.iter().any(|m| m.is_within(&away)), "the scene is not away from all thresholds");
 
-    let mut gradient = backward_parameters(scene, camera, parameters, &cotangent).0;
+    let mut gradient = backward_parameters(scene, camera, parameters, &cotangent, 0.0).0;
     let n = scene.splats.len();
     let splats = 0..n;
     let mut classes: Vec<(&str, Vec<Parameter>)> = vec![
@@ -326,12 +331,16 @@ fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters
         assert!(!chosen.is_empty(), "no {class}");
         let difference = |p| finite_difference(scene, camera, parameters, &cotangent, p, 1e-4);
         let pairs: Vec<(f64, f64)> = chosen.iter().map(|&p| (*gradient.at(p), difference(p))).collect();
-        let scale = pairs.iter().map(|(_, b)| b.abs()).fold(0.0, f64::max);
-        let worst = pairs.iter().map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / scale;
-        eprintln!("{class}: {} parameters, relative error {worst:.1e}", pairs.len());
-        // Central differences of 1e-4 in f64 are good to about 1e-8 of the curvature.
-        assert!(worst < 1e-6 && scale > 1e-6, "{class}: {worst:e} of {scale:e}");
+        check_pairs(class, &pairs);
     }
+}
+
+/// A gradient and the central difference of 1e-4, which in f64 is good to about 1e-8 of the curvature, of every parameter of a class.
+fn check_pairs(class: &str, pairs: &[(f64, f64)]) {
+    let scale = pairs.iter().map(|(_, b)| b.abs()).fold(0.0, f64::max);
+    let worst = pairs.iter().map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / scale;
+    eprintln!("{class}: {} parameters, relative error {worst:.1e}", pairs.len());
+    assert!(worst < 1e-6 && scale > 1e-6, "{class}: {worst:e} of {scale:e}");
 }
 
 #[test]
@@ -342,6 +351,39 @@ fn gradients_are_finite_differences() {
         let levels = hits.into_iter().flatten().flat_map(|hit| hit.base).map(|tap| tap.level);
         assert!(layers == 1 || levels.max() >= Some(2), "coarse mips are not tested");
         check_gradients(&scene, &camera, &Parameters::of(&scene));
+    }
+}
+
+/// Of the disparity, by what does not move a splat in depth.
+#[test]
+fn gradients_of_disparity_are_finite_differences() {
+    let step = 1e-4;
+    for (mode, layers) in MODES.into_iter().zip([1, 2, 4]) {
+        let (scene, camera) = smooth_scene(11, layers, mode);
+        let (parameters, nothing) = (Parameters::of(&scene), no_cotangent(&camera));
+        let mut gradient = backward_parameters(&scene, &camera, &parameters, &nothing, 1.0).0;
+        let n = scene.splats.len();
+        let right = camera.rotation().transpose() * DVec3::X;
+        let moved = |by: &dyn Fn(&mut Parameters, f64)| {
+            let [ahead, back] = [step, -step].map(|step| {
+                let mut parameters = parameters.clone();
+                by(&mut parameters, step);
+                disparity(&scene, &camera, &parameters)
+            });
+            (ahead - back) / (2.0 * step)
+        };
+        let classes: [(&str, Vec<Parameter>); 3] = [
+            ("opacity", (0..n).map(Parameter::OpacityLogit).collect()),
+            ("log scale", (0..n).flat_map(|i| (0..3).map(move |k| Parameter::LogScale(i, k))).collect()),
+            ("rotation", (0..n).flat_map(|i| (0..4).map(move |k| Parameter::Rotation(i, k))).collect()),
+        ];
+        for (class, chosen) in classes {
+            let pairs = chosen.iter().map(|&p| (*gradient.at(p), moved(&|at, step| *at.at(p) += step)));
+            check_pairs(class, &pairs.collect::<Vec<_>>());
+        }
+        let means = (0..n).map(|i| (gradient.means[i].dot(right), moved(&|at, step| at.means[i] += step * right)));
+        check_pairs("mean, sideways", &means.collect::<Vec<_>>());
+        assert!(gradient.base.iter().flatten().all(|&g| g == 0.0), "meshes are not pulled");
     }
 }
 
@@ -422,7 +464,7 @@ fn screen_statistics_are_those_of_the_image() {
     let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
     scene.meshes.clear();
     let cotangent = random_cotangent(&camera, 5);
-    let statistics = backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent).1;
+    let statistics = backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent, 0.0).1;
     let shifted = |cx: f64, cy: f64| {
         let k = camera.intrinsics();
         let k = Intrinsics { cx: k.cx + cx, cy: k.cy + cy, ..*k };
