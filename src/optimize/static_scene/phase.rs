@@ -109,7 +109,7 @@ impl Run<'_> {
             self.step(training, plan, done)?;
             done += 1;
             let stop = self.session.stop.load(Ordering::Relaxed);
-            let reports = is_due(done, REPORT_EVERY) || done == plan.iterations || stop;
+            let reports = self.reports_after(plan, done) || stop;
             // Also at the end of a phase: what follows takes minutes, and writes files that may not fit on the disk.
             let ends = done == plan.iterations && self.options.checkpoint_every > 0;
             let saves = stop || ends || is_due(done, self.options.checkpoint_every);
@@ -146,6 +146,16 @@ impl Run<'_> {
             }
         }
         Ok(Outcome::Finished)
+    }
+
+    /// Whether a run that nobody stops reports after so many iterations.
+    fn reports_after(&self, plan: &Plan, done: u32) -> bool {
+        is_due(done, REPORT_EVERY) || self.evaluates_after(plan, done)
+    }
+
+    /// Whether such a report has the PSNR of held-out views.
+    fn evaluates_after(&self, plan: &Plan, done: u32) -> bool {
+        is_due(done, self.options.eval_every) || done == plan.iterations
     }
 
     /// Whether it is found out after so many iterations if lists were too short for the last ones, besides when the host waits for them
@@ -352,8 +362,7 @@ impl Run<'_> {
             let group = status.not_finite.unwrap_or("the loss").to_owned();
             return Err(TrainError::NotFinite { phase: plan.phase, iteration: done, group });
         }
-        let due = is_due(done, self.options.eval_every) || done == plan.iterations;
-        let psnr = if due { self.held_out_psnr(training, plan.phase)? } else { None };
+        let psnr = if self.evaluates_after(plan, done) { self.held_out_psnr(training, plan.phase)? } else { None };
         let progress = Progress {
             phase: plan.phase,
             iteration: done,
@@ -365,7 +374,7 @@ impl Run<'_> {
         };
         (self.session.progress)(&progress);
         // A run that is stopped and resumed has the history of any other.
-        if is_due(done, REPORT_EVERY) || done == plan.iterations {
+        if self.reports_after(plan, done) {
             self.log.past.history.push(progress);
         }
         Ok(())

@@ -42,6 +42,17 @@ fn which_parameters_a_step_moves_is_a_choice() {
     }
 }
 
+/// Also between the looks at the loss, which come every ten iterations.
+#[test]
+fn held_out_views_are_looked_at_as_often_as_asked() {
+    let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
+    let options = TrainOptions { eval_every: 7, ..options() };
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
+    let history = train(&capture, MeshSource::None, &options, session).unwrap().history;
+    let reports: Vec<_> = history.iter().map(|p| (p.iteration, p.psnr.is_some())).collect();
+    assert_eq!(reports, [(7, true), (10, false), (14, true), (20, true)]);
+}
+
 /// The iteration named is that of the phase, where the clock of the schedule has run on from the phase before, too.
 #[test]
 fn a_nan_at_a_density_step_is_named_by_its_phase() {
