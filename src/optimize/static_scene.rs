@@ -330,13 +330,12 @@ impl<'a> Run<'a> {
         if self.run_phase(&mut training, scene, Phase::Surface, saved)? == Outcome::Interrupted {
             return Ok(ControlFlow::Break(Box::new(self.finish(&mut training, scene, Outcome::Interrupted)?)));
         }
-        scene.meshes = match self.find_surface(&mut training, of_points) {
-            // What the splats have learnt is worth more than a mesh.
-            Err(TrainError::Geometry(why)) => {
+        scene.meshes = match surface::or_why_not(self.find_surface(&mut training, of_points))? {
+            Ok(mesh) => vec![mesh],
+            Err(why) => {
                 self.found.no_surface = Some(why.to_string());
                 vec![]
             }
-            found => vec![found?],
         };
         // As in `share_out`, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
         if self.options.warmup == 0 && self.budget.check(&scene.meshes).is_err() {
@@ -363,7 +362,8 @@ impl<'a> Run<'a> {
         if self.budget.check(&meshes).is_err() {
             meshes.clear();
         }
-        if meshes != scene.meshes {
+        // What was judged is another mesh, to Adam also where its maps are the same.
+        if self.found.selection.is_some() || meshes != scene.meshes {
             let splats = training.read_splats()?;
             scene.meshes = meshes;
             // Two hybrids at once are more than was asked for.

@@ -180,6 +180,15 @@ pub(super) fn with_room_for_charts<T>(
     }
 }
 
+/// What was made, or why it cannot be made of this geometry. What the splats have learnt is worth more than a mesh: that does not end a run.
+pub(super) fn or_why_not<T>(made: Result<T, TrainError>) -> Result<Result<T, GeometryError>, TrainError> {
+    match made {
+        Ok(made) => Ok(Ok(made)),
+        Err(TrainError::Geometry(why)) => Ok(Err(why)),
+        Err(error) => Err(error),
+    }
+}
+
 /// [`textured`] with the charts that it was unwrapped into.
 pub(super) fn textured_as(
     unwrapped: UnwrappedMesh,

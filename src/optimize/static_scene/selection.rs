@@ -5,7 +5,7 @@ use glam::Vec2;
 
 use super::Run;
 use crate::{
-    geometry::{self, Surface, UnwrappedMesh},
+    geometry::{self, ChartSpace, Surface, UnwrappedMesh},
     optimize::{TrainError, surface},
     render::gpu::training::Training,
     scene::{Atlas, Mesh},
@@ -64,7 +64,7 @@ struct Score {
 
 impl<'a> Run<'a> {
     /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
-    /// the rest anew at about two texels per pixel. `None` if nothing is left.
+    /// the rest anew at about two texels per pixel, if that has room. `None` if nothing is left.
     pub(super) fn select_faces(
         &self,
         training: &mut Training<'a>,
@@ -103,14 +103,8 @@ impl<'a> Run<'a> {
         // Multiples of 32 have mips as far as gutters separate charts.
         let largest = mesh.atlas().base().width();
         let size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
-        let (part, uvs) = (geometry::compact(part(mesh, &keep)), kept(mesh.corner_uvs(), &keep));
-        // Many small charts may need more room than their area says; at the old size they had it.
         let charts_in = self.charts_in(training)?;
-        let mesh = surface::with_room_for_charts(size, largest, |size| {
-            let unwrapped = geometry::unwrap(&part, charts_in.as_ref(), size)?;
-            lay_out(unwrapped, &uvs, &atlas, size)
-        })?;
-        Ok((Some(mesh), selection))
+        Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size)?, selection))
     }
 
     /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
@@ -211,6 +205,24 @@ fn part(mesh: &Mesh, keep: &[bool]) -> Surface {
     Surface { positions: mesh.positions().to_vec(), triangles: kept(mesh.triangles(), keep) }
 }
 
+/// The kept triangles in new charts, in maps of `size` texels a side or, where many small charts need more room than their area says, of up
+/// to as many as there are. Where they do not fit those either, all stay where they are.
+fn laid_out_anew(
+    mesh: &Mesh,
+    keep: &[bool],
+    charts_in: Option<&ChartSpace>,
+    size: u32,
+) -> Result<Option<Mesh>, TrainError> {
+    let (part, uvs) = (geometry::compact(part(mesh, keep)), kept(mesh.corner_uvs(), keep));
+    let anew = surface::with_room_for_charts(size, mesh.atlas().base().width(), |size| {
+        lay_out(geometry::unwrap(&part, charts_in, size)?, &uvs, mesh.atlas(), size)
+    });
+    Ok(match surface::or_why_not(anew)? {
+        Ok(mesh) => Some(mesh),
+        Err(_) => mesh.with_triangles(keep),
+    })
+}
+
 /// The new charts in an atlas of `size` texels a side, with the content that `atlas` has at `uvs`.
 fn lay_out(unwrapped: UnwrappedMesh, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
     let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
@@ -303,6 +315,25 @@ mod tests {
         let mut keep: Vec<bool> = (0..40).map(|f| f != 10 && f != 11).collect();
         drop_small(&mesh, &scores, &mut keep);
         assert!(!keep.contains(&true), "{keep:?}");
+    }
+
+    /// A run does not end where the charts of what is kept have no room: they had some before.
+    #[test]
+    fn what_cannot_be_laid_out_anew_stays_where_it_is() {
+        // One triangle to a texel, none beside another.
+        let corner = |i: u32| Vec3::new(2.0 * (i % 64) as f32, 2.0 * (i / 64) as f32, 0.0);
+        let positions = (0..64 * 64).flat_map(|i| [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| corner(i) + p)).collect();
+        let triangles = (0..64 * 64).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let uv = |p: Vec3| p.truncate() / 128.0;
+        let uvs = (0..64 * 64).map(|i| [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| uv(corner(i) + p))).collect();
+        let mesh = Mesh::new(positions, triangles, uvs, strips(1).atlas().clone()).unwrap();
+        let keep: Vec<bool> = (0..64 * 64).map(|f| f % 2 == 0).collect();
+        let left = laid_out_anew(&mesh, &keep, None, 32).unwrap();
+        assert_eq!(left, mesh.with_triangles(&keep));
+        // Few have room.
+        let keep: Vec<bool> = (0..64 * 64).map(|f| f < 4).collect();
+        let left = laid_out_anew(&mesh, &keep, None, 64).unwrap().unwrap();
+        assert!(left.triangles().len() == 4 && Some(left) != mesh.with_triangles(&keep));
     }
 
     #[test]
