@@ -64,7 +64,7 @@ struct Score {
 
 impl<'a> Run<'a> {
     /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
-    /// the rest anew at about two texels per pixel, if that has room. `None` if nothing is left.
+    /// the rest anew at about two texels per pixel, if that has room. `mesh` is as it is on the GPU. `None` if nothing is left.
     pub(super) fn select_faces(
         &self,
         training: &mut Training<'a>,
@@ -91,8 +91,7 @@ impl<'a> Run<'a> {
             return Ok((None, selection));
         }
         let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
-        let Some(atlas) = training.read_atlases()?.into_iter().next() else { return Ok((None, selection)) };
-        let per_texel = 4.0 + atlas.bands().map_or(0.0, |b| f64::from(b.channels()) / 16.0);
+        let per_texel = 4.0 + mesh.atlas().bands().map_or(0.0, |b| f64::from(b.channels()) / 16.0);
         // With a budget, maps get a part of it in proportion to what they cover of the pictures: where splats are spread
         // thinly, so are texels.
         let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();

@@ -497,11 +497,6 @@ impl<'g> Training<'g> {
         self.gpu.write(&self.backward.splats.statistics, 0, statistics);
     }
 
-    /// The maps as they are now. Waits.
-    pub(crate) fn read_atlases(&self) -> Result<Vec<Atlas>, GpuError> {
-        self.pipeline.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_atlases(self.gpu))
-    }
-
     /// First and second moments of the maps, in one documented order. Waits.
     pub(crate) fn read_texel_moments(&self) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
         self.pipeline.mesh.as_ref().map_or(Ok((vec![], vec![])), |m| m.read_moments(self.gpu))

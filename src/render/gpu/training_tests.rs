@@ -90,11 +90,11 @@ fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
         .unwrap();
 }
 
-type Learnt = (SplatState, Vec<f32>, Vec<Atlas>, (Vec<f32>, Vec<f32>), (Vec<f32>, [Vec<f32>; 2]));
+type Learnt = (SplatState, Vec<f32>, Vec<Mesh>, (Vec<f32>, Vec<f32>), (Vec<f32>, [Vec<f32>; 2]));
 
-/// Everything that a step changes.
-fn learnt(training: &Training) -> Learnt {
-    let read = (training.read_splats(), training.read_statistics(), training.read_atlases());
+/// Everything that a step changes, of a scene with these meshes.
+fn learnt(training: &Training, meshes: &[Mesh]) -> Learnt {
+    let read = (training.read_splats(), training.read_statistics(), training.read_meshes(meshes));
     let PoseState { values, moments, .. } = training.read_poses().unwrap().unwrap();
     (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), training.read_texel_moments().unwrap(), (values, moments))
 }
@@ -110,18 +110,18 @@ fn a_step_with_lists_too_short_changes_nothing() {
         let (near, far) = (camera(3.0), camera(1e5));
         let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
         training.refine_poses(&PoseState::new(1)).unwrap();
-        let before = learnt(&training);
+        let before = learnt(&training, &scene.meshes);
         step(&mut training, &near);
         step(&mut training, &near);
-        assert!(learnt(&training) == before, "{n} splats, {triangles} triangles");
+        assert!(learnt(&training, &scene.meshes) == before, "{n} splats, {triangles} triangles");
         assert_eq!(training.status().unwrap().skipped, 2);
         // The host may look after a step that would fit, but is not to be taken before those that did not.
         step(&mut training, &far);
-        assert!(learnt(&training) == before, "{n} splats, {triangles} triangles");
+        assert!(learnt(&training, &scene.meshes) == before, "{n} splats, {triangles} triangles");
         assert_eq!(training.grow_if_short().unwrap(), 3);
         assert_eq!(training.grow_if_short().unwrap(), 0);
         step(&mut training, &near);
-        let after = learnt(&training);
+        let after = learnt(&training, &scene.meshes);
         assert!(after.0.geometry != before.0.geometry && after.1 != before.1 && after.2 != before.2);
         assert!(after.4 != before.4);
         assert_eq!(training.read_poses().unwrap().unwrap().steps, [1], "what was not learnt from does not count");
@@ -173,7 +173,8 @@ fn longer_lists_leave_pictures_alone() {
 
 /// First moments of all that is learnt: a tenth of the gradients of a first step.
 fn first_moments(training: &Training) -> Vec<f32> {
-    let (splats, _, _, (texels, _), (_, [poses, _])) = learnt(training);
+    let (splats, (texels, _)) = (training.read_splats().unwrap(), training.read_texel_moments().unwrap());
+    let [poses, _] = training.read_poses().unwrap().unwrap().moments;
     [&splats.geometry_m, &splats.sh_m, &texels, &poses].into_iter().flatten().copied().collect()
 }
 
@@ -221,9 +222,9 @@ fn steps_are_the_same_in_every_run() {
                     step(&mut training, &wide);
                 }
             }
-            let meshes = training.read_meshes(&scene.meshes).unwrap();
-            assert!(meshes[0].positions() != scene.meshes[0].positions());
-            (learnt(&training), training.read_vertex_state().unwrap(), meshes)
+            let learnt = learnt(&training, &scene.meshes);
+            assert!(learnt.2[0].positions() != scene.meshes[0].positions());
+            (learnt, training.read_vertex_state().unwrap())
         };
         let (first, second) = (run(), run());
         assert!(first == second, "{:?}", gpu.profile());
@@ -250,7 +251,7 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
                 step(&mut training, &near);
             }
             assert!(training.pipeline.lists.read_counts(&gpu).unwrap().1 > 12_000);
-            learnt(&training)
+            learnt(&training, &scene.meshes)
         });
         assert!(all.0.geometry_m.iter().filter(|m| **m != 0.0).count() > 50);
         assert!(all == parts, "subgroups {subgroups}, absolute {absolute}, as a GPU {poses}");
@@ -298,7 +299,7 @@ fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
         }
         step(&mut training, &camera);
         assert_eq!(training.status().unwrap().skipped, 0);
-        learnt(&training)
+        learnt(&training, &scene.meshes)
     });
     let unseen = [54, 57, 60].map(|i| GEOMETRY * i..GEOMETRY * (i + 1));
     // Parameters and both moments, of geometry and SH in turn.
