@@ -18,7 +18,8 @@ pub fn transfer(
     gutter: u32,
 ) -> Result<Texture, SceneError> {
     let channels = texture.channels() as usize;
-    let side = Texture::zeros(size, size, 1).width() as usize;
+    // Another is refused below, but not by running out of memory.
+    let side = Texture::nearest_side(size) as usize;
     let mut redrawn = vec![0.0; side * side * channels];
     let mut drawn = vec![false; side * side];
     for (from, to) in from.iter().zip(to) {

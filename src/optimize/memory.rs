@@ -1,6 +1,6 @@
 //! Whether a run fits the adapter's memory, before it begins.
 
-use super::{Density, MeshSource, TrainError, TrainOptions};
+use super::{Density, MeshSource, TrainError, TrainOptions, surface};
 use crate::{
     geometry::Shell,
     render::gpu::{
@@ -122,7 +122,7 @@ pub(super) fn texture_size_within(options: &TrainOptions, wanted: u32, floats: u
 fn map_floats(options: &TrainOptions, texture_size: u32) -> [usize; 2] {
     let texels = |side: u32| side as usize * side as usize;
     let bands = 3 * (sh::coefficients(options.band_degree.min(sh::MAX_DEGREE)) - 1);
-    [4 * texels(texture_size), bands * texels((texture_size / 4).max(16))]
+    [4 * texels(texture_size), bands * texels(surface::band_side(texture_size))]
 }
 
 #[cfg(test)]
@@ -130,7 +130,7 @@ mod tests {
     use glam::{DMat3, DVec3, Vec3};
 
     use super::*;
-    use crate::{geometry::Surface, optimize::surface, scene::Intrinsics};
+    use crate::{geometry::Surface, scene::Intrinsics};
 
     fn camera(width: u32, height: u32) -> Camera {
         let focal = f64::from(width);

@@ -199,6 +199,14 @@ pub(super) fn textured_as(
     textured(Surface { positions, triangles }, corner_uvs, options, texture_size)
 }
 
+/// Side of a texel of the map of higher bands, in texels of the base map.
+pub(super) const BAND_TEXEL: u32 = 4;
+
+/// Side of the map of higher bands beside a base map of `texture_size` texels a side: 16 at least.
+pub(super) fn band_side(texture_size: u32) -> u32 {
+    (texture_size / BAND_TEXEL).max(16)
+}
+
 /// A mesh with empty maps (zeros, as in HERA): opacity one half, grey.
 pub(super) fn textured(
     surface: Surface,
@@ -208,8 +216,8 @@ pub(super) fn textured(
 ) -> Result<Mesh, TrainError> {
     let degree = options.band_degree.min(sh::MAX_DEGREE);
     let bands = (degree > 0).then(|| {
-        let size = (texture_size / 4).max(16);
-        Texture::zeros(size, size, 3 * (sh::coefficients(degree) as u32 - 1))
+        let side = band_side(texture_size);
+        Texture::zeros(side, side, 3 * (sh::coefficients(degree) as u32 - 1))
     });
     let atlas = Atlas::new(Texture::zeros(texture_size, texture_size, 4), bands)?;
     Ok(Mesh::new(surface.positions, surface.triangles, corner_uvs, atlas)?)

@@ -31,12 +31,18 @@ impl Texture {
         Ok(Self { width, height, channels, texels })
     }
 
-    /// A texture of zeros. Sides are clamped to 1..=[`Self::MAX_SIDE`].
+    /// A texture of zeros, its sides by [`Self::nearest_side`].
     #[must_use]
     pub fn zeros(width: u32, height: u32, channels: u32) -> Self {
-        let [width, height] = [width, height].map(|side| side.clamp(1, Self::MAX_SIDE));
+        let [width, height] = [width, height].map(Self::nearest_side);
         let texels = vec![0.0; width as usize * height as usize * channels as usize];
         Self { width, height, channels, texels }
+    }
+
+    /// `side`, or the nearest that a texture may have: 1 to [`Self::MAX_SIDE`].
+    #[must_use]
+    pub fn nearest_side(side: u32) -> u32 {
+        side.clamp(1, Self::MAX_SIDE)
     }
 
     /// Width in texels.

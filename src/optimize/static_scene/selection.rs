@@ -8,7 +8,7 @@ use crate::{
     geometry::{self, ChartSpace, Surface, UnwrappedMesh},
     optimize::{TrainError, surface},
     render::gpu::training::Training,
-    scene::{Atlas, Mesh},
+    scene::{Atlas, Mesh, Texture},
 };
 
 /// A triangle stays if around it the squared error of the maps alone is no larger than this times that of the splats
@@ -91,7 +91,9 @@ impl<'a> Run<'a> {
             return Ok((None, selection));
         }
         let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
-        let per_texel = 4.0 + mesh.atlas().bands().map_or(0.0, |b| f64::from(b.channels()) / 16.0);
+        // Of all maps but the smallest, see `surface::band_side`.
+        let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(surface::BAND_TEXEL.pow(2));
+        let per_texel = 4.0 + mesh.atlas().bands().map_or(0.0, of_bands);
         // With a budget, maps get a part of it in proportion to what they cover of the pictures: where splats are spread
         // thinly, so are texels.
         let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
@@ -226,7 +228,7 @@ fn laid_out_anew(
 fn lay_out(unwrapped: UnwrappedMesh, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
     let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
     let base = redrawn(atlas.base(), size, GUTTER)?;
-    let bands = atlas.bands().map(|bands| redrawn(bands, size / 4, GUTTER / 2)).transpose()?;
+    let bands = atlas.bands().map(|bands| redrawn(bands, surface::band_side(size), GUTTER / 2)).transpose()?;
     Ok(Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, Atlas::new(base, bands)?)?)
 }
 
@@ -235,7 +237,6 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::scene::Texture;
 
     /// Two separate strips of `n` squares each, the second half as wide, every triangle with its own texels.
     fn strips(n: u32) -> Mesh {
@@ -333,6 +334,19 @@ mod tests {
         let keep: Vec<bool> = (0..64 * 64).map(|f| f < 4).collect();
         let left = laid_out_anew(&mesh, &keep, None, 64).unwrap().unwrap();
         assert!(left.triangles().len() == 4 && Some(left) != mesh.with_triangles(&keep));
+    }
+
+    /// Also where a quarter of the side would be less.
+    #[test]
+    fn the_band_map_is_as_large_as_when_it_was_made() {
+        let mesh = strips(10);
+        let bands = Some(Texture::zeros(16, 16, 9));
+        let atlas = Atlas::new(mesh.atlas().base().clone(), bands).unwrap();
+        for (size, side) in [(32, 16), (128, 32)] {
+            let unwrapped = geometry::unwrap(&part(&mesh, &[true; 40]), None, size).unwrap();
+            let laid_out = lay_out(unwrapped, mesh.corner_uvs(), &atlas, size).unwrap();
+            assert_eq!(laid_out.atlas().bands().map(Texture::width), Some(side));
+        }
     }
 
     #[test]
