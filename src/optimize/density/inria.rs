@@ -52,6 +52,12 @@ impl InriaOptions {
     pub(in crate::optimize) fn absolute(extent: f32, max_splats: usize) -> Self {
         Self { split_gradient: Some(4e-4), dense_fraction: 0.001, ..Self::new(extent, max_splats) }
     }
+
+    /// The same with pruning by scale.
+    #[must_use]
+    pub(in crate::optimize) fn pruning_large(self) -> Self {
+        Self { max_scale: Some(0.1), ..self }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -241,7 +247,7 @@ mod tests {
         set_scale(&mut s, 3, [0.15, 0.01, 0.01]); // its children have 0.094
         set_scale(&mut s, 4, [0.17, 0.01, 0.01]); // its children would have 0.106
         let rows = [COLD, COLD, COLD, HOT, HOT];
-        let options = InriaOptions { max_scale: Some(0.1), ..InriaOptions::new(1.0, 100) };
+        let options = InriaOptions::new(1.0, 100).pruning_large();
         let mut early = s.clone();
         let report = densify(&mut s, Statistics(&rows), &options, 4000, 7);
         assert_eq!(report, DensityReport { split: 1, pruned: 3, ..DensityReport::default() });

@@ -24,6 +24,21 @@ const MOST_SPREAD: f32 = 0.75;
 /// Opacity that copies do not exceed if their source does not: the most that a pixel shows.
 const MOST_OPAQUE: f32 = 0.99;
 
+/// Weight of the mean opacity in the loss.
+pub(in crate::optimize) const OPACITY_WEIGHT: f32 = 0.01;
+
+/// Weight of the mean scale in the loss: 0.01 where `unit`, the capture's unit of length, is 1.
+pub(in crate::optimize) fn scale_weight(unit: f32) -> f32 {
+    0.01 / unit
+}
+
+/// Noise on the means in a step, in units of their rate: 5e5 where `unit` is 1 and rates are those of a full run, not larger by `haste`.
+/// It goes with a splat's covariance, the square of a length, and so over that of the unit: a splat moves by as much of its size in any
+/// unit, and in runs of any length.
+pub(in crate::optimize) fn noise(unit: f32, haste: f32) -> f32 {
+    5e5 / (unit.powi(2) * haste)
+}
+
 /// Thresholds of the strategy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::optimize) struct McmcOptions {

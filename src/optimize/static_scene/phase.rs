@@ -214,7 +214,7 @@ impl Run<'_> {
             Background::Random => [0; 3].map(|_| random.random()),
         };
         let age = plan.clock + t;
-        let mcmc = o.density == Density::Mcmc;
+        let is_mcmc = o.density == Density::Mcmc;
         let seed: u32 = random.random();
         let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
@@ -222,11 +222,9 @@ impl Run<'_> {
             n_splats: training.n_splats() as u32,
             sh_degree,
             rates: plan.schedule.rates(age, self.extent),
-            opacity_weight: if mcmc { 0.01 } else { 0.0 },
-            // By the length of the axes, and by their square beside a rate that has a length in it: noise moves a splat by as much of its
-            // size in any unit, and in runs of any length.
-            scale_weight: if mcmc { 0.01 / self.unit } else { 0.0 },
-            noise: if mcmc { 5e5 / (self.unit.powi(2) * plan.schedule.haste(age)) } else { 0.0 },
+            opacity_weight: if is_mcmc { mcmc::OPACITY_WEIGHT } else { 0.0 },
+            scale_weight: if is_mcmc { mcmc::scale_weight(self.unit) } else { 0.0 },
+            noise: if is_mcmc { mcmc::noise(self.unit, plan.schedule.haste(age)) } else { 0.0 },
             seed,
             visible_only: o.visible_only,
         });
@@ -321,12 +319,13 @@ impl Run<'_> {
         if densify {
             match o.density {
                 Density::Inria | Density::Absgs => {
-                    let max_scale = schedule.prunes_large(age).then_some(0.1);
-                    let options = match o.density {
+                    let mut options = match o.density {
                         Density::Absgs => InriaOptions::absolute(self.extent, max_splats),
                         _ => InriaOptions::new(self.extent, max_splats),
                     };
-                    let options = InriaOptions { max_scale, ..options };
+                    if schedule.prunes_large(age) {
+                        options = options.pruning_large();
+                    }
                     inria::densify(&mut splats, statistics, &options, age, o.seed);
                 }
                 Density::Mcmc => {
