@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read.
-pub const VERSION: u32 = 10;
+pub const VERSION: u32 = 11;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";

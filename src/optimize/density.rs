@@ -5,9 +5,6 @@
 pub(super) mod inria;
 pub(super) mod mcmc;
 
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
-
 use super::arrangement::Arrangement;
 use crate::render::gpu::state::{OPACITY, logit};
 
@@ -72,23 +69,6 @@ fn finite_or_zero(x: f32) -> f32 {
     if x.is_finite() { x } else { 0.0 }
 }
 
-/// Random numbers of one density step. The multiplier (2⁶⁴ over the golden ratio) keeps neighbouring seeds from
-/// sharing the steps of neighbouring iterations.
-fn step_rng(seed: u64, iteration: u32) -> Pcg64 {
-    Pcg64::seed_from_u64(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ u64::from(iteration))
-}
-
-/// Three independent standard normal numbers (Box–Muller).
-fn normal3(rng: &mut Pcg64) -> glam::Vec3 {
-    let mut pair = || {
-        let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-        let (sin, cos) = (std::f64::consts::TAU * rng.random::<f64>()).sin_cos();
-        (radius * cos, radius * sin)
-    };
-    let ((x, y), (z, _)) = (pair(), pair());
-    glam::DVec3::new(x, y, z).as_vec3()
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
@@ -137,20 +117,5 @@ pub(super) mod tests {
             [0, 1, 2].map(|i| (s.mean_gradient(i), s.absolute_gradient(i))),
             [(2.0, 1.0 / 3.0), (0.0, 0.0), (0.0, 0.0)]
         );
-    }
-
-    #[test]
-    fn normals_have_unit_variance() {
-        let mut rng = step_rng(1, 2);
-        let n = 20_000;
-        let (mut sum, mut squares) = (glam::Vec3::ZERO, glam::Vec3::ZERO);
-        for _ in 0..n {
-            let x = normal3(&mut rng);
-            sum += x;
-            squares += x * x;
-        }
-        // Five standard errors: 5/√20000 = 0.035 of the mean, √2 times that of the variance.
-        assert!((sum / n as f32).abs().max_element() < 0.035);
-        assert!((squares / n as f32 - 1.0).abs().max_element() < 0.05);
     }
 }

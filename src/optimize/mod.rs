@@ -12,6 +12,7 @@ mod density;
 pub mod initialize;
 mod memory;
 mod options;
+mod random;
 mod resolution;
 mod resume;
 mod schedule;

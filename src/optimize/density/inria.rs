@@ -4,8 +4,14 @@
 
 use glam::Vec3;
 
-use super::{DensityReport, Statistics, normal3, step_rng};
-use crate::{optimize::arrangement::Arrangement, render::gpu::state::LOG_SCALE};
+use super::{DensityReport, Statistics};
+use crate::{
+    optimize::{
+        arrangement::Arrangement,
+        random::{self, Purpose},
+    },
+    render::gpu::state::LOG_SCALE,
+};
 
 /// A child's scale is its parent's divided by 0.8 × the number of children.
 const SPLIT_SHRINKAGE: f32 = 1.6;
@@ -118,7 +124,7 @@ pub(in crate::optimize) fn densify(
         }
     }
 
-    let mut rng = step_rng(seed, iteration);
+    let mut rng = random::generator(seed, Purpose::Density, iteration);
     let count = |fate: Fate| fates.iter().filter(|&&f| f == fate).count();
     let report = DensityReport {
         cloned: count(Fate::Clone),
@@ -132,7 +138,7 @@ pub(in crate::optimize) fn densify(
     for i in (0..n).filter(|&i| fates[i] == Fate::Split) {
         for _ in 0..2 {
             splats.push_copy(i);
-            let offset = normal3(&mut rng).clamp_length_max(SPLIT_REACH);
+            let offset = random::normal3(&mut rng).clamp_length_max(SPLIT_REACH);
             move_child(splats, splats.len() - 1, offset);
         }
     }

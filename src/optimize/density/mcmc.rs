@@ -6,9 +6,12 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-use super::{DensityReport, Statistics, step_rng};
+use super::{DensityReport, Statistics};
 use crate::{
-    optimize::arrangement::Arrangement,
+    optimize::{
+        arrangement::Arrangement,
+        random::{self, Purpose},
+    },
     render::gpu::state::{LOG_SCALE, OPACITY, SMOOTHING, logit},
 };
 
@@ -142,7 +145,7 @@ pub(in crate::optimize) fn relocate_and_add(
         scores = scores_of(0.0);
     }
 
-    let mut rng = step_rng(seed, iteration);
+    let mut rng = random::generator(seed, Purpose::Density, iteration);
     let sources = sample(&scores, dead.len(), &mut rng);
     share(splats, &mut scores, &sources, options.min_opacity);
     for (&to, &from) in dead.iter().zip(&sources) {
@@ -299,7 +302,7 @@ mod tests {
     fn no_splat_becomes_more_than_51() {
         let mut scores = vec![1.0; 1000];
         scores[3] = 1e9;
-        let mut rng = step_rng(1, 600);
+        let mut rng = random::generator(1, Purpose::Density, 600);
         let drawn = sample(&scores, 400, &mut rng);
         assert_eq!((drawn.len(), drawn.iter().filter(|i| **i == 3).count()), (400, MAX_COPIES - 1));
         // Nor do all of them together.
@@ -455,7 +458,7 @@ mod tests {
 
     #[test]
     fn samples_in_proportion() {
-        let mut rng = step_rng(3, 4);
+        let mut rng = random::generator(3, Purpose::Density, 4);
         let picks = sample_with_repetition(&[1.0, 0.0, 3.0, f64::NAN, 4.0, 0.0], 40_000, &mut rng);
         let count = |i| picks.iter().filter(|&&p| p == i).count() as f64 / 40_000.0;
         assert_eq!([count(1), count(3), count(5)], [0.0; 3]);

@@ -3,8 +3,7 @@
 use std::{sync::atomic::Ordering, time::Instant};
 
 use glam::Vec3;
-use rand::{RngExt, SeedableRng, seq::SliceRandom};
-use rand_pcg::Pcg64;
+use rand::{RngExt, seq::SliceRandom};
 
 use super::{
     Outcome, Phase, Progress, Run, arrangement,
@@ -23,6 +22,7 @@ use crate::{
             inria::{self, InriaOptions},
             mcmc::{self, EpochWeight, McmcOptions},
         },
+        random::{self, Purpose},
         resume::Saved,
         schedule,
     },
@@ -207,15 +207,15 @@ impl Run<'_> {
         let o = self.options;
         let index = self.view_at(plan, t);
         let photo = self.photos.of_step(index, self.view_at(plan, t + 1))?;
-        let mut random = random(o.seed, plan.phase, plan.clock + t);
+        let mut rng = random::generator(o.seed, Purpose::Step(plan.phase), plan.clock + t);
         let background = match o.background {
             Background::Black => [0.0; 3],
             Background::White => [1.0; 3],
-            Background::Random => [0; 3].map(|_| random.random()),
+            Background::Random => [0; 3].map(|_| rng.random()),
         };
         let age = plan.clock + t;
         let is_mcmc = o.density == Density::Mcmc;
-        let seed: u32 = random.random();
+        let seed: u32 = rng.random();
         let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
         let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: age + 1,
@@ -293,7 +293,7 @@ impl Run<'_> {
     fn view_at(&self, plan: &Plan, t: u32) -> usize {
         let mut order = if plan.phase == Phase::Warmup { self.views(false) } else { self.train.clone() };
         let (n, age) = (order.len() as u32, plan.clock + t);
-        order.shuffle(&mut random(self.options.seed ^ 0x5eed, plan.phase, age / n));
+        order.shuffle(&mut random::generator(self.options.seed, Purpose::ViewOrder(plan.phase), age / n));
         order[(age % n) as usize]
     }
 
@@ -400,12 +400,6 @@ impl Run<'_> {
 /// Whether something that happens after every `every` iterations (0: never) happens now.
 fn is_due(done: u32, every: u32) -> bool {
     every > 0 && done.is_multiple_of(every)
-}
-
-/// A generator for one iteration of the splats, whichever phase that is in, or of the warm-up.
-fn random(seed: u64, phase: Phase, age: u32) -> Pcg64 {
-    let of = if phase == Phase::Surface { Phase::Joint } else { phase };
-    Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(age) << 2 | of as u64))
 }
 
 /// World size of a pixel on the meshes, but for the shell: the median over vertices and cameras that have them in front.
