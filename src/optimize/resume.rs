@@ -1,10 +1,15 @@
 //! What a checkpoint of a static scene holds, and how a run goes on from it.
 
-use std::{collections::BTreeMap, path::Path};
+mod parts;
 
-use glam::{Vec2, Vec3};
+use std::path::Path;
+
 use serde_json::{Value, json};
 
+use self::parts::{
+    Taken, damaged, field, put_epoch, put_floats, put_meshes, put_vertices, put_views, put_words, take_epoch,
+    take_floats, take_meshes, take_vertices, take_views, take_words,
+};
 use super::{
     Phase, Selection, SurfaceOrigin, TrainError, TrainOptions,
     checkpoint::Checkpoint,
@@ -13,10 +18,9 @@ use super::{
 };
 use crate::{
     render::gpu::{
-        exposure::ExposureState, per_view::PerView, pose::PoseState, state::SplatState, training::Training,
-        vertices::VertexState,
+        exposure::ExposureState, pose::PoseState, state::SplatState, training::Training, vertices::VertexState,
     },
-    scene::{Atlas, HybridScene, Mesh, SceneError, Texture},
+    scene::{HybridScene, Mesh},
 };
 
 /// The state of a run between two iterations.
@@ -101,194 +105,110 @@ impl Saved {
 
     /// Writes the checkpoint to a temporary file and renames it.
     pub(super) fn write(self, path: &Path, run: &Identity) -> Result<(), TrainError> {
-        let (mut tensors, mut indices) = (BTreeMap::new(), BTreeMap::new());
-        let mut meshes = vec![];
-        for (i, mesh) in self.meshes.iter().enumerate() {
-            let atlas = mesh.atlas();
-            let mut put = |name: &str, values: Vec<f32>| tensors.insert(format!("mesh{i}/{name}"), values);
-            put("positions", bytemuck::cast_slice(mesh.positions()).to_vec());
-            put("corner_uvs", bytemuck::cast_slice(mesh.corner_uvs()).to_vec());
-            put("base", atlas.base().texels().to_vec());
-            put("bands", atlas.bands().map_or(vec![], |b| b.texels().to_vec()));
-            indices.insert(format!("mesh{i}/triangles"), mesh.triangles().as_flattened().to_vec());
-            let size = |t: &Texture| json!([t.width(), t.height(), t.channels()]);
-            meshes.push(json!({ "base": size(atlas.base()), "bands": atlas.bands().map(size) }));
-        }
-        tensors.insert("vertices/pixel".to_owned(), vec![self.vertices.pixel]);
-        tensors.insert("vertices/normals".to_owned(), self.vertices.normals);
-        tensors.insert("vertices/moments".to_owned(), self.vertices.moments);
-        if let Some(exposures) = self.exposures {
-            put_views("exposures", exposures, &mut tensors, &mut indices);
-        }
-        if let Some(poses) = self.poses {
-            put_views("poses", poses, &mut tensors, &mut indices);
-        }
-        indices.insert("log".to_owned(), self.past.to_words());
-        tensors.insert("texels/m".to_owned(), self.texel_moments.0);
-        tensors.insert("texels/v".to_owned(), self.texel_moments.1);
-        tensors.insert("statistics".to_owned(), self.statistics);
-        tensors.insert("epoch_weight".to_owned(), self.epoch.weight);
-        let meta = json!({
-            "phase": self.phase,
-            "iteration": self.iteration,
-            "surface": self.surface,
-            "selection": self.selection,
-            "options": run.options,
-            "input": run.input,
-            "lists": self.lists,
-            "meshes": meshes,
-            "epoch_iterations": self.epoch.iterations,
-        });
-        Ok(Checkpoint { meta, splats: self.splats, tensors, indices }.write(path)?)
+        Ok(self.put(run).write(path)?)
     }
 
     /// Reads a checkpoint that was written on the same input with the same options, but for how often to report and
     /// save.
     pub(super) fn read(path: &Path, run: &Identity) -> Result<Self, TrainError> {
-        let Checkpoint { meta, splats, mut tensors, mut indices } = Checkpoint::read(path)?;
-        let refused = |why: String| TrainError::Resume(format!("{}: {why}", path.display()));
-        let damaged = |what: &str| refused(format!("{what} is missing or damaged"));
-        let field = |name: &str| meta.get(name).cloned().ok_or_else(|| damaged(name));
-        // The mesh first, since it decides whether there is a warm-up, and how long.
-        let (input, mesh) = (field("input")?, |input: &Value| input["mesh"].as_str().unwrap_or("?").to_owned());
-        let [had, has] = [&input, &run.input].map(mesh);
-        if had != has {
-            return Err(refused(format!(
-                "expected a checkpoint of a run with the same mesh, but that was {had} and is {has}"
-            )));
+        let file = Checkpoint::read(path)?;
+        let saved = run.check(&file).and_then(|()| Self::take(file, run));
+        let saved = saved.and_then(|saved| saved.fits(run).map(|()| saved));
+        saved.map_err(|why| TrainError::Resume(format!("{}: {why}", path.display())))
+    }
+
+    fn put(self, run: &Identity) -> Checkpoint {
+        let meta = json!({
+            "options": run.options,
+            "input": run.input,
+            "phase": self.phase,
+            "iteration": self.iteration,
+            "surface": self.surface,
+            "selection": self.selection,
+            "lists": self.lists,
+        });
+        let mut file = Checkpoint { meta, splats: self.splats, ..Checkpoint::default() };
+        put_meshes(&self.meshes, &mut file);
+        put_floats("statistics", self.statistics, &mut file);
+        put_epoch(self.epoch, &mut file);
+        put_floats("texels/m", self.texel_moments.0, &mut file);
+        put_floats("texels/v", self.texel_moments.1, &mut file);
+        put_vertices(self.vertices, &mut file);
+        if let Some(exposures) = self.exposures {
+            put_views("exposures", exposures, &mut file);
         }
-        let before: TrainOptions = serde_json::from_value(field("options")?).map_err(|_| damaged("options"))?;
-        if let Some(change) = changed_option(&before, run.options) {
-            return Err(refused(format!("expected a checkpoint of a run with the same options, but {change}")));
+        if let Some(poses) = self.poses {
+            put_views("poses", poses, &mut file);
         }
-        if input != run.input {
-            let expected =
-                "expected a checkpoint of the same photographs and masks at the same size, cameras and points";
-            return Err(refused(format!("{expected}, found others")));
-        }
-        let mut take = |name: String| tensors.remove(&name).ok_or_else(|| damaged(&name));
-        let invalid = |e: SceneError| refused(e.to_string());
-        let mut meshes = vec![];
-        let described: Vec<Value> = serde_json::from_value(field("meshes")?).map_err(|_| damaged("meshes"))?;
-        for (i, sizes) in described.iter().enumerate() {
-            let positions = take(format!("mesh{i}/positions"))?;
-            let uvs = take(format!("mesh{i}/corner_uvs"))?;
-            let name = format!("mesh{i}/triangles");
-            let triangles = indices.remove(&name).ok_or_else(|| damaged(&name))?;
-            let texture = |name: &str, texels: Vec<f32>| -> Result<Option<Texture>, TrainError> {
-                let Some(size) = sizes.get(name).filter(|s| !s.is_null()) else { return Ok(None) };
-                let [w, h, c]: [u32; 3] = serde_json::from_value(size.clone()).map_err(|_| damaged(name))?;
-                Ok(Some(Texture::new(w, h, c, texels).map_err(invalid)?))
-            };
-            let base = texture("base", take(format!("mesh{i}/base"))?)?.ok_or_else(|| damaged("base"))?;
-            let bands = texture("bands", take(format!("mesh{i}/bands"))?)?;
-            let mesh = Mesh::new(
-                rows(&positions).ok_or_else(|| damaged("positions"))?.iter().copied().map(Vec3::from_array).collect(),
-                rows(&triangles).ok_or_else(|| damaged("triangles"))?.to_vec(),
-                rows::<_, 6>(&uvs)
-                    .ok_or_else(|| damaged("corner_uvs"))?
-                    .iter()
-                    .map(|c| [0, 2, 4].map(|k| Vec2::new(c[k], c[k + 1])))
-                    .collect(),
-                Atlas::new(base, bands).map_err(invalid)?,
-            );
-            meshes.push(mesh.map_err(invalid)?);
-        }
-        let statistics = take("statistics".to_owned())?;
-        let weight = take("epoch_weight".to_owned())?;
-        let texel_moments = (take("texels/m".to_owned())?, take("texels/v".to_owned())?);
-        let pixel = take("vertices/pixel".to_owned())?;
-        let vertices = VertexState {
-            pixel: pixel.first().copied().ok_or_else(|| damaged("vertices/pixel"))?,
-            normals: take("vertices/normals".to_owned())?,
-            moments: take("vertices/moments".to_owned())?,
-        };
-        let views = run.input["views"].as_array().map_or(0, Vec::len);
-        let exposures = match run.options.exposure {
-            true => {
-                Some(take_views("exposures", views, &mut tensors, &mut indices).ok_or_else(|| damaged("exposures"))?)
-            }
-            false => None,
-        };
-        let poses = match run.options.refine_poses {
-            true => Some(take_views("poses", views, &mut tensors, &mut indices).ok_or_else(|| damaged("poses"))?),
-            false => None,
-        };
-        let past = indices.remove("log").and_then(|words| Past::from_words(&words)).ok_or_else(|| damaged("log"))?;
-        let count: usize = meshes.iter().map(|m| m.positions().len()).sum();
-        let phase: Phase = serde_json::from_value(field("phase")?).map_err(|_| damaged("phase"))?;
-        let iteration: u32 = serde_json::from_value(field("iteration")?).map_err(|_| damaged("iteration"))?;
-        let iterations = run.options.iterations_of(phase, run.finds_surface);
-        if iteration > iterations {
-            return Err(refused(format!(
-                "iteration: expected at most the {iterations} of its phase, found {iteration}"
-            )));
-        }
-        let moves = phase != Phase::Surface && run.finds_surface;
-        if moves && (vertices.normals.len(), vertices.moments.len()) != (3 * count, 2 * count) {
-            return Err(damaged("vertices"));
-        }
-        if splats.sh_degree != run.options.sh_degree {
-            return Err(damaged("sh_degree"));
-        }
-        if statistics.len() != 4 * splats.len() {
-            return Err(damaged("statistics"));
-        }
-        if !weight.is_empty() && weight.len() != splats.len() {
-            return Err(damaged("epoch_weight"));
-        }
+        put_words("log", self.past.to_words(), &mut file);
+        file
+    }
+
+    /// What [`Self::put`] put in, with what `run` has.
+    fn take(mut file: Checkpoint, run: &Identity) -> Taken<Self> {
+        let (file, views) = (&mut file, run.input["views"].as_array().map_or(0, Vec::len));
         Ok(Self {
-            phase,
-            iteration,
-            surface: serde_json::from_value(field("surface")?).map_err(|_| damaged("surface"))?,
-            selection: serde_json::from_value(field("selection")?).map_err(|_| damaged("selection"))?,
-            meshes,
-            splats,
-            statistics,
-            texel_moments,
-            vertices,
-            exposures,
-            poses,
-            past,
-            lists: serde_json::from_value(field("lists")?).map_err(|_| damaged("lists"))?,
-            epoch: EpochWeight {
-                weight,
-                iterations: serde_json::from_value(field("epoch_iterations")?)
-                    .map_err(|_| damaged("epoch_iterations"))?,
-            },
+            meshes: take_meshes(file)?,
+            statistics: take_floats("statistics", file)?,
+            epoch: take_epoch(file)?,
+            texel_moments: (take_floats("texels/m", file)?, take_floats("texels/v", file)?),
+            vertices: take_vertices(file)?,
+            exposures: run.options.exposure.then(|| take_views("exposures", views, file)).transpose()?,
+            poses: run.options.refine_poses.then(|| take_views("poses", views, file)).transpose()?,
+            past: Past::from_words(&take_words("log", file)?).ok_or_else(|| damaged("log"))?,
+            phase: field(file, "phase")?,
+            iteration: field(file, "iteration")?,
+            surface: field(file, "surface")?,
+            selection: field(file, "selection")?,
+            lists: field(file, "lists")?,
+            splats: std::mem::take(&mut file.splats),
         })
     }
-}
 
-/// Lists of a checkpoint by their names.
-type Named<T> = BTreeMap<String, Vec<T>>;
-
-/// Puts in what views have of their own, as `what`.
-fn put_views<const N: usize>(what: &str, of: PerView<N>, tensors: &mut Named<f32>, indices: &mut Named<u32>) {
-    let [first, second] = of.moments;
-    for (name, floats) in [("values", of.values), ("m", first), ("v", second)] {
-        tensors.insert(format!("{what}/{name}"), floats);
+    /// Whether all of it is of one state of this run.
+    fn fits(&self, run: &Identity) -> Taken<()> {
+        let iterations = run.options.iterations_of(self.phase, run.finds_surface);
+        if self.iteration > iterations {
+            let found = self.iteration;
+            return Err(format!("iteration: expected at most the {iterations} of its phase, found {found}"));
+        }
+        let (splats, vertices) = (self.splats.len(), self.meshes.iter().map(|m| m.positions().len()).sum::<usize>());
+        let moves = self.phase != Phase::Surface && run.finds_surface;
+        let epoch = self.epoch.weight.len();
+        let lengths = (self.vertices.normals.len(), self.vertices.moments.len());
+        for (fits, what) in [
+            (!moves || lengths == (3 * vertices, 2 * vertices), "vertices"),
+            (self.splats.sh_degree == run.options.sh_degree, "sh_degree"),
+            (self.statistics.len() == 4 * splats, "statistics"),
+            (epoch == 0 || epoch == splats, "epoch_weight"),
+        ] {
+            if !fits {
+                return Err(damaged(what));
+            }
+        }
+        Ok(())
     }
-    indices.insert(format!("{what}/steps"), of.steps);
 }
 
-/// Takes out what [`put_views`] put in, if it is all there for so many views.
-fn take_views<const N: usize>(
-    what: &str,
-    views: usize,
-    tensors: &mut Named<f32>,
-    indices: &mut Named<u32>,
-) -> Option<PerView<N>> {
-    let mut take = |name: &str| tensors.remove(&format!("{what}/{name}"));
-    let (values, moments) = (take("values")?, [take("m")?, take("v")?]);
-    let of = PerView { values, moments, steps: indices.remove(&format!("{what}/steps"))? };
-    of.is_of(views).then_some(of)
-}
-
-/// Values by rows of `N`; `None` if some are left.
-fn rows<T, const N: usize>(values: &[T]) -> Option<&[[T; N]]> {
-    let (rows, rest) = values.as_chunks();
-    rest.is_empty().then_some(rows)
+impl Identity<'_> {
+    /// Whether a checkpoint is of such a run.
+    fn check(&self, file: &Checkpoint) -> Taken<()> {
+        // The mesh first, since it decides whether there is a warm-up, and how long.
+        let (input, mesh) = (field(file, "input")?, |input: &Value| input["mesh"].as_str().unwrap_or("?").to_owned());
+        let [had, has] = [&input, &self.input].map(mesh);
+        if had != has {
+            return Err(format!("expected a checkpoint of a run with the same mesh, but that was {had} and is {has}"));
+        }
+        if let Some(change) = changed_option(&field(file, "options")?, self.options) {
+            return Err(format!("expected a checkpoint of a run with the same options, but {change}"));
+        }
+        if input != self.input {
+            let expected =
+                "expected a checkpoint of the same photographs and masks at the same size, cameras and points";
+            return Err(format!("{expected}, found others"));
+        }
+        Ok(())
+    }
 }
 
 /// The first option that matters to the result and differs.
