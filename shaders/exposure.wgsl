@@ -10,7 +10,7 @@
 //#import shared/sum_rows.wgsl with ROWS=3
 
 struct Step {
-    view: u32,                          // of the training views, whose E is meant
+    view: u32,                          // of all views of the capture, whose E is meant
     n_groups: u32,                      // of `pull`
     rate: f32,                          // 0: E stays
     correction_1: f32,                  // 1 − β₁ᵗ, t being the steps of this view

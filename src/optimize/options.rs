@@ -185,18 +185,18 @@ impl TrainOptions {
         (u64::from(iterations) * 9_000 / 30_000).min(9_000) as u32
     }
 
-    /// Iterations on splats alone, if a surface is made of them.
+    /// Iterations on splats alone before a surface is made, if the run makes one.
     #[must_use]
-    pub fn before_surface(&self) -> u32 {
+    pub fn surface_phase_iterations(&self) -> u32 {
         self.surface_iterations.unwrap_or(self.iterations / 2).min(self.iterations)
     }
 
     /// Iterations of a phase, of a run that makes its surface itself or does not.
     pub(super) fn iterations_of(&self, phase: Phase, finds_surface: bool) -> u32 {
         match phase {
-            Phase::Surface => self.before_surface(),
+            Phase::Surface => self.surface_phase_iterations(),
             Phase::Warmup => self.warmup,
-            Phase::Joint if finds_surface => self.iterations - self.before_surface(),
+            Phase::Joint if finds_surface => self.iterations - self.surface_phase_iterations(),
             Phase::Joint => self.iterations,
         }
     }

@@ -19,8 +19,8 @@ const MOST_SHORTENED: f64 = 40.0;
 const SETTLES_FROM: f64 = 0.75;
 const SETTLED: f64 = 0.1;
 
-/// When what happens to the splats. Iterations `t` count from 1 and begin when the splats do, after the warm-up of the
-/// mesh.
+/// When what happens to the splats, and how far they move. `t` is the number of their iterations that are done: those of the surface phase,
+/// from which the joint phase goes on. The warm-up of the mesh between them does not count, and has a schedule of its own.
 ///
 /// At 30 000 iterations and above, everything has INRIA's constants, except that the position rate falls over the whole
 /// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
@@ -110,26 +110,25 @@ impl Schedule {
         }
     }
 
-    /// SH degree in use at iteration `t`, at most `max_degree`.
+    /// SH degree in use after `t` iterations, at most `max_degree`.
     #[must_use]
     pub(super) fn sh_degree(&self, t: u32, max_degree: u32) -> u32 {
         (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
     }
 
-    /// Part of the splats that iteration `t` leaves out, of `most`, which is at its end: as much of it as of the run is over
-    /// (`DropGaussian`).
+    /// Part of the splats that an iteration after `t` others leaves out: as much of `most` as of the run is over (`DropGaussian`).
     #[must_use]
     pub(super) fn dropout(&self, t: u32, most: f32) -> f32 {
         most * (t as f32 / self.iterations.max(1) as f32).min(1.0)
     }
 
-    /// True if density control follows iteration `t`.
+    /// True if a density step follows `t` iterations.
     #[must_use]
     pub(super) fn densifies_after(&self, t: u32) -> bool {
         t > self.densify_from && t < self.densify_until && t.is_multiple_of(self.densify_interval)
     }
 
-    /// Density steps after iteration `t` and later.
+    /// Density steps after `t` iterations and later.
     #[must_use]
     pub(super) fn density_steps_from(&self, t: u32) -> u32 {
         // The last one is before `densify_until`, the first after `densify_from`.
@@ -138,13 +137,13 @@ impl Schedule {
         steps_before(self.densify_until).saturating_sub(steps_before(begin))
     }
 
-    /// True if splats are pruned for their size at iteration `t`.
+    /// True if the density step after `t` iterations prunes splats for their size.
     #[must_use]
     pub(super) fn prunes_large(&self, t: u32) -> bool {
         t > self.prune_large_from
     }
 
-    /// True if an opacity reset follows iteration `t`.
+    /// True if an opacity reset follows `t` iterations.
     #[must_use]
     pub(super) fn resets_opacity_after(&self, t: u32) -> bool {
         self.opacity_reset_interval.is_some_and(|interval| {
@@ -154,13 +153,13 @@ impl Schedule {
         })
     }
 
-    /// True if the mesh's opacity map is held at iteration `t`: for 200 iterations after each reset.
+    /// True if the mesh's opacity map is held in the `t`-th iteration, the first being 1: in the 200 after each reset.
     #[must_use]
     pub(super) fn freezes_mesh_opacity(&self, t: u32) -> bool {
         (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
     }
 
-    /// How much larger learning rates are at iteration `t` than in a run of 30 000: where that is r times as long, r^¾ falling to r^¼, its
+    /// How much larger learning rates are after `t` iterations than in a run of 30 000: where that is r times as long, r^¾ falling to r^¼, its
     /// logarithm linear in t.
     ///
     /// A step of Adam is about as long as its rate, whatever the gradient. INRIA's rates let a mean come by 1/36 of the extent in all
@@ -173,7 +172,7 @@ impl Schedule {
         (f64::from(FULL) / n).clamp(1.0, MOST_SHORTENED).powf(0.75 - 0.5 * at) as f32
     }
 
-    /// How much smaller learning rates are at iteration `t` of a short run: 1 in its first three quarters, then falling to a tenth, or
+    /// How much smaller learning rates are after `t` iterations of a short run: 1 in its first three quarters, then falling to a tenth, or
     /// to 1/r of one that is r times shorter than 30 000, its logarithm linear in t. Longer steps leave splats as the last few views would
     /// have them: on skull66, held-out views went up and down by a dB from epoch to epoch (`docs/experiments.md`).
     #[must_use]
@@ -184,7 +183,7 @@ impl Schedule {
         shorter.powf((SETTLES_FROM - at) / (1.0 - SETTLES_FROM)) as f32
     }
 
-    /// Learning rates of iteration `t` in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
+    /// Learning rates after `t` iterations in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
     /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps, and smaller at their end ([`Self::settling`]).
     #[must_use]
     pub(super) fn rates(&self, t: u32, extent: f32) -> SplatRates {
@@ -200,7 +199,7 @@ impl Schedule {
         }
     }
 
-    /// Learning rate of exposures in iteration `t`, of which each trains on one of `views`: from 1e-2 to 1e-3, its logarithm linear
+    /// Learning rate of exposures after `t` iterations, of which each trains on one of `views`: from 1e-2 to 1e-3, its logarithm linear
     /// in t/n (as in INRIA 3DGS). That reaches half of the brightness where a view is seen 150 times, as in 30,000 iterations on 200
     /// photographs; where it is seen less often the rate is higher, up to ten times.
     #[must_use]
@@ -211,7 +210,7 @@ impl Schedule {
     }
 }
 
-/// Learning rate of means in a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
+/// Learning rate of means after `t` iterations of a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
 #[must_use]
 pub(super) fn position_rate(t: u32, iterations: u32) -> f64 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
@@ -231,16 +230,16 @@ pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
     (PAPER_TEXEL_RATE * reach * shorter).min(0.07) as f32
 }
 
-/// Rate of texels at joint iteration `t`: from `warm`, where the warm-up left it, to three tenths of that, its logarithm linear in t,
-/// but not below the paper's 5e-4.
+/// Rate of texels after `t` iterations of the joint phase: from `warm`, where the warm-up left it, to three tenths of that, its logarithm
+/// linear in t, but not below the paper's 5e-4.
 #[must_use]
 pub(super) fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
     (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
 
-/// The step of vertices of a fused surface at iteration `t` of a phase with a mesh, where pictures have sides up to `longest`: none in its
-/// first eighth, while maps are still grey or splats beside them are to grow, then 0.1 pixels falling to 0.01, its logarithm
+/// The step of vertices of a fused surface after `t` iterations of a phase with a mesh, where pictures have sides up to `longest`: none in
+/// its first eighth, while maps are still grey or splats beside them are to grow, then 0.1 pixels falling to 0.01, its logarithm
 /// linear in t; in a longer phase less, so that all steps together come no farther than a thirteenth of that side.
 #[must_use]
 pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<VertexStep> {
@@ -253,7 +252,7 @@ pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<Verte
     Some(VertexStep { number: before + 1, rate: (first * 0.1_f64.powf(at)) as f32 })
 }
 
-/// Radians, and fractions of the extent, by which poses move at iteration `t` of `iterations`, of which each trains on one of `views`:
+/// Radians, and fractions of the extent, by which poses move after `t` of `iterations`, of which each trains on one of `views`:
 /// nothing in the first twentieth, while all is blurred, then from a rate that falls to a hundredth, its logarithm linear in t. All
 /// steps of a view together come as far as `reach`, a single one at most a third of that.
 #[must_use]

@@ -22,7 +22,7 @@ impl Run<'_> {
     pub(super) fn plan(&self, phase: Phase, from: u32, has_mesh: bool) -> Plan {
         let o = self.options;
         // Surface and joint phase are two parts of one run of the splats: their clock goes on.
-        let before = o.before_surface();
+        let before = o.surface_phase_iterations();
         let is_second_part = phase == Phase::Joint && self.finds_surface();
         let iterations = o.iterations_of(phase, self.finds_surface());
         let clock = if is_second_part { before } else { 0 };

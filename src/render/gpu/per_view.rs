@@ -1,4 +1,5 @@
-//! What every training view has of its own, exposures and poses, while Adam moves it: a few numbers, two moments of each, a count of steps.
+//! What every view of a capture has of its own, exposures and poses, while Adam moves those of training views: a few numbers, two moments
+//! of each, a count of steps.
 
 use super::{
     adam::bias_corrections,
