@@ -9,7 +9,9 @@ mod cells;
 pub mod checkpoint;
 mod coverage;
 mod density;
+mod finite;
 pub mod initialize;
+mod log;
 mod memory;
 mod options;
 mod random;
@@ -20,8 +22,9 @@ mod static_scene;
 mod surface;
 
 pub use crate::render::gpu::memory::most_splats;
-pub use options::{Background, Density, TrainOptions};
-pub use static_scene::{Checkpoints, Outcome, Phase, Progress, RefinedPose, Selection, Session, Trained, train};
+pub use log::{Progress, Selection};
+pub use options::{Background, Density, Phase, TrainOptions};
+pub use static_scene::{Checkpoints, Outcome, RefinedPose, Session, Trained, train};
 pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};

@@ -1,8 +1,19 @@
 //! What can be chosen of a training run, with defaults and their sources.
 
-use super::Phase;
 use crate::capture::Split;
 use crate::scene::{Composition, OrderMode, SceneError, Splats, sh};
+
+/// What a run is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Phase {
+    /// Splats alone, to find a surface.
+    Surface,
+    /// Maps of the mesh alone.
+    Warmup,
+    /// Splats and maps.
+    Joint,
+}
 
 /// How the number of splats changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

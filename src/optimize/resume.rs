@@ -11,10 +11,8 @@ use self::parts::{
     take_floats, take_meshes, take_vertices, take_views, take_words,
 };
 use super::{
-    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions,
-    checkpoint::Checkpoint,
-    density::mcmc::EpochWeight,
-    static_scene::{Past, finite},
+    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions, checkpoint::Checkpoint, density::mcmc::EpochWeight,
+    finite::finite, log::Past,
 };
 use crate::{
     render::gpu::{

@@ -6,10 +6,8 @@
 
 mod backdrop;
 mod budget;
-mod finite;
 mod handover;
 mod identity;
-mod log;
 mod occluded;
 mod phase;
 mod photographs;
@@ -20,11 +18,7 @@ mod size;
 mod start;
 mod unseen;
 
-pub(super) use finite::finite;
-pub(super) use log::Past;
-pub use log::Progress;
 pub use poses::RefinedPose;
-pub use selection::Selection;
 
 use std::{
     cell::OnceCell,
@@ -36,11 +30,13 @@ use std::{
 
 use glam::Vec3;
 
-use self::{budget::Budget, log::Log, photographs::Photographs};
+use self::{budget::Budget, photographs::Photographs};
 use super::{
-    Background, Density, MeshSource, SurfaceOrigin, TrainError, TrainOptions,
+    Background, Density, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions,
     arrangement::Arrangement,
-    initialize, memory,
+    finite, initialize,
+    log::Log,
+    memory,
     resume::{Identity, Saved},
     surface,
 };
@@ -55,18 +51,6 @@ use crate::{
 
 /// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
 const NEAR: f32 = 0.2;
-
-/// What a run is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Phase {
-    /// Splats alone, to find a surface.
-    Surface,
-    /// Maps of the mesh alone.
-    Warmup,
-    /// Splats and maps.
-    Joint,
-}
 
 /// Why a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

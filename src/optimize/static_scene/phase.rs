@@ -5,13 +5,7 @@ use std::{sync::atomic::Ordering, time::Instant};
 use glam::Vec3;
 use rand::{RngExt, seq::SliceRandom};
 
-use super::{
-    Outcome, Phase, Progress, Run, arrangement,
-    finite::{check_finite, finite_group},
-    photographs::truth_alpha,
-    plan::Plan,
-    sampled,
-};
+use super::{Outcome, Phase, Progress, Run, arrangement, photographs::truth_alpha, plan::Plan, sampled};
 use crate::{
     evaluate::Comparison,
     geometry::Shell,
@@ -22,6 +16,7 @@ use crate::{
             inria::{self, InriaOptions},
             mcmc::{self, EpochWeight, McmcOptions},
         },
+        finite::{check_finite, finite_group},
         random::{self, Purpose},
         resume::Saved,
         schedule,

@@ -6,7 +6,7 @@ use glam::Vec2;
 use super::Run;
 use crate::{
     geometry::{self, ChartSpace, Surface, UnwrappedMesh},
-    optimize::{TrainError, surface},
+    optimize::{Selection, TrainError, surface},
     render::gpu::training::Training,
     scene::{Atlas, Mesh, Texture},
 };
@@ -29,29 +29,6 @@ const GUTTER: u32 = 4;
 
 /// Mean opacity below which a triangle goes after training: 0.02, at most 5 of 255 steps.
 const FAINT: f64 = 0.02;
-
-/// What became of the triangles of a surface that was made from the capture when held-back training views judged them. The others were kept.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Selection {
-    /// All that were judged.
-    pub triangles: usize,
-    /// Seen by none of the views that judge, or by one alone where these see most triangles several times or are not held back, or it is
-    /// of the shell.
-    pub unseen: usize,
-    /// Of which maps explain what is around much worse than splats do.
-    pub worse: usize,
-    /// In connected pieces that are too small in the views.
-    pub small: usize,
-}
-
-impl Selection {
-    /// Those that were kept.
-    #[must_use]
-    pub fn kept(&self) -> usize {
-        // Whatever a checkpoint says.
-        self.triangles.saturating_sub(self.unseen).saturating_sub(self.worse).saturating_sub(self.small)
-    }
-}
 
 /// What the judging views say of a triangle.
 #[derive(Clone, Copy, Default)]
@@ -260,13 +237,6 @@ mod tests {
         let texels = (0..64 * 64).flat_map(|i| [(i % 64) as f32 / 64.0, (i / 64) as f32 / 64.0, 0.0, 1.0]).collect();
         let atlas = Atlas::new(Texture::new(64, 64, 4, texels).unwrap(), None).unwrap();
         Mesh::new(positions, triangles, uvs, atlas).unwrap()
-    }
-
-    #[test]
-    fn none_are_kept_of_counts_that_make_no_sense() {
-        let selection = Selection { triangles: 9, unseen: usize::MAX, worse: 1, small: usize::MAX };
-        assert_eq!(selection.kept(), 0);
-        assert_eq!(Selection { unseen: 2, small: 3, ..selection }.kept(), 3);
     }
 
     #[test]

@@ -1,10 +1,7 @@
 //! What is no longer finite, and which parameters it is.
 
-use super::Phase;
-use crate::{
-    optimize::TrainError,
-    render::gpu::{state::SplatState, training::Training},
-};
+use super::{Phase, TrainError};
+use crate::render::gpu::{state::SplatState, training::Training};
 
 /// Names the parameter group that holds a NaN or an infinity. Waits.
 pub(super) fn check_finite(training: &Training, phase: Phase, iteration: u32) -> Result<(), TrainError> {
@@ -13,7 +10,7 @@ pub(super) fn check_finite(training: &Training, phase: Phase, iteration: u32) ->
 }
 
 /// Names the parameter group that holds a NaN or an infinity: splats, or the maps of which these are the moments.
-pub(in crate::optimize) fn finite(
+pub(super) fn finite(
     splats: &SplatState,
     moments: [&[f32]; 2],
     phase: Phase,

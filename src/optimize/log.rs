@@ -1,4 +1,4 @@
-//! What a run tells of itself: reports, and how long its steps take.
+//! What a run tells of itself: reports, what it kept of a surface, and how long its steps take.
 
 use std::time::Instant;
 
@@ -23,6 +23,29 @@ pub struct Progress {
     pub seconds: f64,
 }
 
+/// What became of the triangles of a surface that was made from the capture when held-back training views judged them. The others were kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Selection {
+    /// All that were judged.
+    pub triangles: usize,
+    /// Seen by none of the views that judge, or by one alone where these see most triangles several times or are not held back, or it is
+    /// of the shell.
+    pub unseen: usize,
+    /// Of which maps explain what is around much worse than splats do.
+    pub worse: usize,
+    /// In connected pieces that are too small in the views.
+    pub small: usize,
+}
+
+impl Selection {
+    /// Those that were kept.
+    #[must_use]
+    pub fn kept(&self) -> usize {
+        // Whatever a checkpoint says.
+        self.triangles.saturating_sub(self.unseen).saturating_sub(self.worse).saturating_sub(self.small)
+    }
+}
+
 /// Kept from the first iteration to the last.
 pub(super) struct Log {
     start: Instant,
@@ -36,7 +59,7 @@ pub(super) struct Log {
 
 /// Of all that has been trained, before a stop too.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(in crate::optimize) struct Past {
+pub(super) struct Past {
     /// The reports that are made without a stop.
     pub(super) history: Vec<Progress>,
     joint_seconds: f64,
@@ -82,7 +105,7 @@ const PHASES: [Phase; 3] = [Phase::Surface, Phase::Warmup, Phase::Joint];
 
 impl Past {
     /// For a checkpoint, bit for bit: some 40 bytes for each report.
-    pub(in crate::optimize) fn to_words(&self) -> Vec<u32> {
+    pub(super) fn to_words(&self) -> Vec<u32> {
         let [low, high] = halves(self.joint_seconds);
         let mut words = vec![low, high, self.joint_iterations];
         for Progress { phase, iteration, of, loss, splats, psnr, seconds } in &self.history {
@@ -94,7 +117,7 @@ impl Past {
     }
 
     /// What [`Self::to_words`] made; `None` of anything else.
-    pub(in crate::optimize) fn from_words(words: &[u32]) -> Option<Self> {
+    pub(super) fn from_words(words: &[u32]) -> Option<Self> {
         let ([low, high, joint_iterations], rows) = words.split_first_chunk()?;
         let (rows, []) = rows.as_chunks() else { return None };
         let history = rows.iter().map(|&[phase, iteration, of, splats, l0, l1, p0, p1, s0, s1]| {
@@ -124,6 +147,13 @@ fn whole(low: u32, high: u32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn none_are_kept_of_counts_that_make_no_sense() {
+        let selection = Selection { triangles: 9, unseen: usize::MAX, worse: 1, small: usize::MAX };
+        assert_eq!(selection.kept(), 0);
+        assert_eq!(Selection { unseen: 2, small: 3, ..selection }.kept(), 3);
+    }
 
     #[test]
     fn what_was_before_a_stop_survives_bit_for_bit() {
