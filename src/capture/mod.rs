@@ -22,6 +22,8 @@ pub use distortion::{Distortion, Lens};
 pub use error::CaptureError;
 pub use images::{ImageSource, Photo, decode};
 
+use glam::Vec3;
+
 use self::views::Frame;
 use crate::{atomic::folder_of, scene::Camera};
 
@@ -36,6 +38,20 @@ pub struct Capture {
     pub points: Vec<Point>,
     /// The file that the points are of, the first where there are several; `None` if the capture names none or they are not wanted.
     pub points_file: Option<PathBuf>,
+}
+
+impl Capture {
+    /// Of all views, in their order.
+    #[must_use]
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.views.iter().map(|view| view.camera).collect()
+    }
+
+    /// World positions of all points, rounded to f32, in their order.
+    #[must_use]
+    pub fn positions(&self) -> Vec<Vec3> {
+        self.points.iter().map(|point| point.position.as_vec3()).collect()
+    }
 }
 
 /// What the lists of a capture say, before its photographs are looked at.

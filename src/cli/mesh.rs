@@ -4,11 +4,11 @@ use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{ReadOptions, gltf, mesh_import, read_file};
 use centaur::geometry::{
-    self, Ball, ChartSpace, Contraction, MeshBvh, PlanarOptions, PointView, SparseStats, Surface, SurfaceDistance,
-    SurfaceStats, Viewers,
+    self, Ball, ChartSpace, Contraction, MeshBvh, PlanarOptions, SparseStats, Surface, SurfaceDistance, SurfaceStats,
+    Viewers,
 };
-use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_splats};
-use centaur::scene::{Atlas, Camera, Composition, HybridScene, Mesh, Splats, Texture};
+use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_points, surface_from_splats};
+use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
 use glam::{DVec3, Vec3};
 
@@ -213,7 +213,7 @@ const SEEN_AT: u32 = 512;
 
 /// Part of the texels in charts of a square map whose centres a view of the capture sees.
 fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
-    let cameras: Vec<Camera> = capture.views.iter().map(|view| view.camera).collect();
+    let cameras = capture.cameras();
     let viewers = Viewers { cameras: &cameras, near: 0.0, layers: 1, shows: &|_, _| true };
     let bvh = MeshBvh::of(std::slice::from_ref(mesh));
     let (charted, seen) = geometry::texel_visibility(mesh, [side; 2], &bvh, &viewers)?.counts();
@@ -224,8 +224,7 @@ fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
 fn compare(surface: &Surface, truth: &Surface, args: &Args, capture: &Capture) -> Result<Option<SurfaceDistance>> {
     let (low, high) =
         truth.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
-    let cameras: Vec<_> = capture.views.iter().map(|view| view.camera).collect();
-    let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
+    let (cameras, points) = (capture.cameras(), capture.positions());
     let ball = match args.truth_radius {
         Some(radius) => Ball { center: Contraction::around(&cameras, &points)?.center, radius },
         None => Contraction::if_unbounded(&cameras, &points)?
@@ -249,16 +248,15 @@ fn from_points(
     args: &Args,
     notes: &mut Vec<String>,
 ) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
-    let points: Vec<Vec3> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
     ensure!(
-        !points.is_empty(),
+        !capture.points.is_empty(),
         "{}: expected a capture with points, found none: name trained splats before it",
         args.capture.display()
     );
-    let view = |v: &View| PointView { camera: v.camera, sees: v.sees.clone() };
-    let views: Vec<PointView> = capture.views.iter().map(view).collect();
-    let (surface, steps) = geometry::surface_from_points(&views, &points, args.triangles, args.planar())
-        .with_context(|| args.capture.display().to_string())?;
+    let all: Vec<usize> = (0..capture.views.len()).collect();
+    let (surface, steps, origin) =
+        surface_from_points(capture, &capture.cameras(), &all, args.triangles, args.planar())
+            .with_context(|| args.capture.display().to_string())?;
     let SparseStats { views, guessed, lifted, clear, .. } = steps;
     if !args.messages.json && !args.messages.quiet {
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;
@@ -269,6 +267,5 @@ fn from_points(
             "{capture}: does not say of {guessed} of {views} views which points they see: each was taken for seen where none is nearer"
         ));
     }
-    let origin = if steps.is_guess() { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points };
     Ok((surface, steps.surface, origin))
 }

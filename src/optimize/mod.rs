@@ -1,6 +1,6 @@
 //! From a capture to a scene.
 //!
-//! [`train`] is all of it, with [`TrainOptions`] and a [`MeshSource`]. [`surface_from_splats`] makes a mesh alone, [`initialize`] the splats that a
+//! [`train`] is all of it, with [`TrainOptions`] and a [`MeshSource`]. [`surface_from_splats`] and [`surface_from_points`] make a surface alone, [`initialize`] the splats that a
 //! run begins with; [`checkpoint`] reads what a run leaves when it stops.
 
 mod arrangement;
@@ -25,7 +25,7 @@ pub use crate::render::gpu::memory::most_splats;
 pub use log::{Progress, Selection};
 pub use options::{Background, Density, Phase, TrainOptions};
 pub use static_scene::{Checkpoints, Outcome, RefinedPose, Session, Trained, train};
-pub use surface::{MeshSource, SurfaceOrigin, from_splats as surface_from_splats};
+pub use surface::{MeshSource, SurfaceOrigin, from_points as surface_from_points, from_splats as surface_from_splats};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
 

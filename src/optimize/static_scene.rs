@@ -203,7 +203,7 @@ impl<'a> Run<'a> {
         let input = identity::input(capture, source);
         let identity = Identity { options, input, finds_surface: source.is_found() };
         let photos = Photographs::open(capture, &train, sampled(&test))?;
-        let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
+        let cameras = capture.cameras();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
         let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
         let depth = size::median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
@@ -214,8 +214,7 @@ impl<'a> Run<'a> {
         let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
         // Without a warm-up nothing would be judged.
         let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
-        let points: Vec<_> = capture.points.iter().map(|p| p.position.as_vec3()).collect();
-        let shell = wants_shell.then(|| Shell::around(&train_cameras, &points)).flatten();
+        let shell = wants_shell.then(|| Shell::around(&train_cameras, &capture.positions())).flatten();
         Ok(Self {
             identity,
             capture,

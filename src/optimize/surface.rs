@@ -6,8 +6,8 @@ use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture, Photo},
     geometry::{
-        self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, Surface, SurfaceOptions, SurfaceStats,
-        UnwrappedMesh,
+        self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, PointView, SparseStats, Surface,
+        SurfaceOptions, SurfaceStats, UnwrappedMesh,
     },
     render::gpu::{Gpu, Renderer},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Texture, sh},
@@ -100,7 +100,7 @@ pub fn from_splats(
     planar: Option<PlanarOptions>,
     mut on_view: impl FnMut(usize),
 ) -> Result<(Surface, SurfaceStats), TrainError> {
-    let cameras: Vec<Camera> = capture.views.iter().map(|v| v.camera).collect();
+    let cameras = capture.cameras();
     let splats = &scene.splats;
     let composition = Composition { near: near_plane(&cameras, scene.composition.near), ..scene.composition };
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition };
@@ -114,17 +114,34 @@ pub fn from_splats(
     })
 }
 
+/// A surface of the points that these views of a capture see, by the `cameras` of all its views; `triangles` and `planar` as in
+/// [`geometry::surface_from_points`].
+///
+/// # Errors
+/// As there.
+///
+/// # Panics
+/// If a view has no camera.
+pub fn from_points(
+    capture: &Capture,
+    cameras: &[Camera],
+    views: &[usize],
+    triangles: usize,
+    planar: Option<PlanarOptions>,
+) -> Result<(Surface, SparseStats, SurfaceOrigin), GeometryError> {
+    let view = |&i: &usize| PointView { camera: cameras[i], sees: capture.views[i].sees.clone() };
+    let views: Vec<PointView> = views.iter().map(view).collect();
+    let (surface, stats) = geometry::surface_from_points(&views, &capture.positions(), triangles, planar)?;
+    let origin = if stats.is_guess() { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points };
+    Ok((surface, stats, origin))
+}
+
 /// Points that say where a scene is and whether it has bounds: the capture's or, where these are too few, those of the splats.
 pub(super) fn whereabouts(
     capture: &Capture,
     means: impl FnOnce() -> Result<Vec<Vec3>, TrainError>,
 ) -> Result<Vec<Vec3>, TrainError> {
-    let points = &capture.points;
-    if points.len() < Contraction::LEAST_POINTS {
-        means()
-    } else {
-        Ok(points.iter().map(|p| p.position.as_vec3()).collect())
-    }
+    if capture.points.len() < Contraction::LEAST_POINTS { means() } else { Ok(capture.positions()) }
 }
 
 /// Takes out the depths `[h·w]` of what a photograph's mask or alpha leaves out.

@@ -2,7 +2,7 @@
 
 use super::{Run, arrangement, photographs::squared_error};
 use crate::{
-    geometry::{self, GeometryError, PlanarOptions, PointView, Surface},
+    geometry::{GeometryError, PlanarOptions, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::training::Training,
     scene::{Camera, HybridScene, Mesh},
@@ -13,14 +13,9 @@ impl<'a> Run<'a> {
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
         let planar = self.options.planar.then(PlanarOptions::default);
         if of_points {
-            let view = |&i: &usize| PointView { camera: self.cameras[i], sees: self.capture.views[i].sees.clone() };
-            let views: Vec<PointView> = self.train.iter().map(view).collect();
-            let points: Vec<_> = self.capture.points.iter().map(|p| p.position.as_vec3()).collect();
-            match geometry::surface_from_points(&views, &points, self.options.triangles, planar) {
-                Ok((surface, steps)) => {
-                    let is_guess = steps.is_guess();
-                    self.found.surface =
-                        Some(if is_guess { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points });
+            match surface::from_points(self.capture, &self.cameras, &self.train, self.options.triangles, planar) {
+                Ok((surface, _, origin)) => {
+                    self.found.surface = Some(origin);
                     return self.textured(training, surface);
                 }
                 Err(GeometryError::EmptySurface { .. }) => {}
@@ -48,10 +43,7 @@ impl<'a> Run<'a> {
             None => surface,
         };
         let charts_in = self.charts_in(training)?;
-        let mesh = surface::with_room_for_charts(self.budget.texture_size(), self.budget.largest_texture(), |size| {
-            let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), size)?;
-            surface::textured_as(unwrapped, self.options, size)
-        })?;
+        let mesh = self.in_charts(&surface, charts_in.as_ref())?;
         if self.shell.is_some() { self.painted(mesh) } else { Ok(mesh) }
     }
 

@@ -5,7 +5,7 @@ use glam::Vec2;
 use super::Run;
 use crate::{
     capture::View,
-    geometry::{self, Surface},
+    geometry::{self, ChartSpace, Surface},
     optimize::{
         Background, Density, TrainError, background,
         coverage::{self, Known},
@@ -60,15 +60,19 @@ impl Run<'_> {
 
     /// The user's mesh with empty maps, transparent where no training view looks.
     pub(super) fn given(&self, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
-        let size = self.budget.texture_size();
         let mesh = match corner_uvs {
-            Some(uvs) => surface::textured(surface, uvs, self.options, size)?,
-            None => surface::with_room_for_charts(size, self.budget.largest_texture(), |size| {
-                let unwrapped = geometry::unwrap(&surface, None, size)?;
-                surface::textured_as(unwrapped, self.options, size)
-            })?,
+            Some(uvs) => surface::textured(surface, uvs, self.options, self.budget.texture_size())?,
+            None => self.in_charts(&surface, None)?,
         };
         self.budget.check(std::slice::from_ref(&mesh))?;
         self.without_unseen(mesh)
+    }
+
+    /// Cut into charts, with empty maps that have room for them.
+    pub(super) fn in_charts(&self, surface: &Surface, charts_in: Option<&ChartSpace>) -> Result<Mesh, TrainError> {
+        let (size, largest) = (self.budget.texture_size(), self.budget.largest_texture());
+        surface::with_room_for_charts(size, largest, |size| {
+            surface::textured_as(geometry::unwrap(surface, charts_in, size)?, self.options, size)
+        })
     }
 }

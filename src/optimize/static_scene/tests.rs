@@ -348,7 +348,7 @@ fn checkpoints_are_of_their_cameras_and_points() {
 
 #[test]
 fn the_near_plane_is_near_in_small_scenes() {
-    let cameras: Vec<Camera> = demo().views.iter().map(|view| view.camera).collect();
+    let cameras = demo().cameras();
     let smaller = |c: &Camera| Camera::new(*c.intrinsics(), c.rotation(), 0.02 * c.translation()).unwrap();
     let small: Vec<Camera> = cameras.iter().map(smaller).collect();
     let extent = capture::extent(&small) as f32;
