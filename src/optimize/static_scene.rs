@@ -6,6 +6,9 @@
 
 mod backdrop;
 mod budget;
+mod comparison;
+mod density_step;
+mod finding;
 mod handover;
 mod identity;
 mod occluded;

@@ -5,18 +5,14 @@ use std::{sync::atomic::Ordering, time::Instant};
 use glam::Vec3;
 use rand::{RngExt, seq::SliceRandom};
 
-use super::{Outcome, Phase, Progress, Run, arrangement, photographs::truth_alpha, plan::Plan, sampled};
+use super::{Outcome, Phase, Progress, Run, photographs::truth_alpha, plan::Plan, sampled};
 use crate::{
     evaluate::Comparison,
     geometry::Shell,
     optimize::{
         Background, Density, TrainError, TrainOptions,
-        density::{
-            self, Statistics,
-            inria::{self, InriaOptions},
-            mcmc::{self, EpochWeight, McmcOptions},
-        },
-        finite::{check_finite, finite_group},
+        density::mcmc::{self, EpochWeight},
+        finite::check_finite,
         random::{self, Purpose},
         resume::Saved,
         schedule,
@@ -267,7 +263,7 @@ impl Run<'_> {
     }
 
     /// Part of the splats that an iteration leaves out.
-    fn dropout(&self, plan: &Plan, age: u32) -> f32 {
+    pub(super) fn dropout(&self, plan: &Plan, age: u32) -> f32 {
         let most = self.options.dropout.unwrap_or_else(|| TrainOptions::dropout_of(self.train.len()));
         plan.schedule.dropout(age, most)
     }
@@ -290,61 +286,6 @@ impl Run<'_> {
         let (n, age) = (order.len() as u32, plan.clock + t);
         order.shuffle(&mut random::generator(self.options.seed, Purpose::ViewOrder(plan.phase), age / n));
         order[(age % n) as usize]
-    }
-
-    fn control_density(
-        &self,
-        training: &mut Training,
-        plan: &Plan,
-        epoch: &mut EpochWeight,
-        max_splats: usize,
-        done: u32,
-    ) -> Result<(), TrainError> {
-        // The clock of the schedule runs on from phase to phase.
-        let (o, schedule, age) = (self.options, &plan.schedule, plan.clock + done);
-        let (densify, reset) = (schedule.densifies_after(age), schedule.resets_opacity_after(age));
-        if !densify && !reset {
-            return Ok(());
-        }
-        let statistics = training.read_statistics()?;
-        let statistics = Statistics(bytemuck::cast_slice(&statistics));
-        let mut splats = arrangement(training)?;
-        // What else is not finite is reported with the loss.
-        finite_group(splats.first_non_finite(), plan.phase, done)?;
-        if densify {
-            match o.density {
-                Density::Inria | Density::Absgs => {
-                    let mut options = match o.density {
-                        Density::Absgs => InriaOptions::absolute(self.extent, max_splats),
-                        _ => InriaOptions::new(self.extent, max_splats),
-                    };
-                    if schedule.prunes_large(age) {
-                        options = options.pruning_large();
-                    }
-                    inria::densify(&mut splats, statistics, &options, age, o.seed);
-                }
-                Density::Mcmc => {
-                    let mut options = McmcOptions::new(max_splats, plan.has_mesh).with_dropout(self.dropout(plan, age));
-                    if o.asks_for_size() {
-                        options = options.arriving_in(schedule.density_steps_from(age), splats.len());
-                    }
-                    // After a handover less than an interval may have passed.
-                    epoch.add(statistics, schedule.densify_interval.min(done));
-                    let views = self.train.len() as u32;
-                    mcmc::relocate_and_add(&mut splats, epoch, views, &options, age, o.seed);
-                }
-            }
-        }
-        if reset {
-            density::reset_opacity(&mut splats);
-        }
-        training.rearrange(splats.geometry(), splats.sources())?;
-        if !densify {
-            // No splat was judged by what it has gathered.
-            training.write_statistics(bytemuck::cast_slice(statistics.0));
-        }
-        training.smooth();
-        Ok(())
     }
 
     fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {

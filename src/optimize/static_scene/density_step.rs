@@ -1,0 +1,74 @@
+//! Density control between two iterations: splats come back from the GPU and go there rearranged.
+
+use super::{Run, arrangement, plan::Plan};
+use crate::{
+    optimize::{
+        Density, TrainError,
+        density::{
+            self, Statistics,
+            inria::{self, InriaOptions},
+            mcmc::{self, EpochWeight, McmcOptions},
+        },
+        finite::finite_group,
+    },
+    render::gpu::training::Training,
+};
+
+impl Run<'_> {
+    /// The density step or opacity reset that follows when so many iterations of this phase are `done`, if one does. Growth stops at
+    /// `max_splats`.
+    pub(super) fn control_density(
+        &self,
+        training: &mut Training,
+        plan: &Plan,
+        epoch: &mut EpochWeight,
+        max_splats: usize,
+        done: u32,
+    ) -> Result<(), TrainError> {
+        // The clock of the schedule runs on from phase to phase.
+        let (o, schedule, age) = (self.options, &plan.schedule, plan.clock + done);
+        let (densify, reset) = (schedule.densifies_after(age), schedule.resets_opacity_after(age));
+        if !densify && !reset {
+            return Ok(());
+        }
+        let statistics = training.read_statistics()?;
+        let statistics = Statistics(bytemuck::cast_slice(&statistics));
+        let mut splats = arrangement(training)?;
+        // What else is not finite is reported with the loss.
+        finite_group(splats.first_non_finite(), plan.phase, done)?;
+        if densify {
+            match o.density {
+                Density::Inria | Density::Absgs => {
+                    let mut options = match o.density {
+                        Density::Absgs => InriaOptions::absolute(self.extent, max_splats),
+                        _ => InriaOptions::new(self.extent, max_splats),
+                    };
+                    if schedule.prunes_large(age) {
+                        options = options.pruning_large();
+                    }
+                    inria::densify(&mut splats, statistics, &options, age, o.seed);
+                }
+                Density::Mcmc => {
+                    let mut options = McmcOptions::new(max_splats, plan.has_mesh).with_dropout(self.dropout(plan, age));
+                    if o.asks_for_size() {
+                        options = options.arriving_in(schedule.density_steps_from(age), splats.len());
+                    }
+                    // After a handover less than an interval may have passed.
+                    epoch.add(statistics, schedule.densify_interval.min(done));
+                    let views = self.train.len() as u32;
+                    mcmc::relocate_and_add(&mut splats, epoch, views, &options, age, o.seed);
+                }
+            }
+        }
+        if reset {
+            density::reset_opacity(&mut splats);
+        }
+        training.rearrange(splats.geometry(), splats.sources())?;
+        if !densify {
+            // No splat was judged by what it has gathered.
+            training.write_statistics(bytemuck::cast_slice(statistics.0));
+        }
+        training.smooth();
+        Ok(())
+    }
+}

@@ -1,0 +1,49 @@
+//! Finding a surface, of the capture's points or of splats, and making a mesh of it.
+
+use super::Run;
+use crate::{
+    geometry::{GeometryError, PlanarOptions, Surface},
+    optimize::{SurfaceOrigin, TrainError, surface},
+    render::gpu::training::Training,
+    scene::Mesh,
+};
+
+impl Run<'_> {
+    /// Fuses triangles of the points that the training views see, or the median depths of the splats as they are.
+    pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
+        let planar = self.options.planar.then(PlanarOptions::default);
+        if of_points {
+            match surface::from_points(self.capture, &self.cameras, &self.train, self.options.triangles, planar) {
+                Ok((surface, _, origin)) => {
+                    self.found.surface = Some(origin);
+                    return self.textured(training, surface);
+                }
+                Err(GeometryError::EmptySurface { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        let points = self.whereabouts(training)?;
+        let (surface, _) = surface::from_depths(&self.train_cameras, &points, self.options.triangles, planar, |i| {
+            let mut depth = training.median_depth(&self.train_cameras[i])?;
+            surface::clear_unseen(&mut depth, &*self.photos.whole(&self.capture.views[self.train[i]])?);
+            Ok(depth)
+        })?;
+        self.found.surface = Some(SurfaceOrigin::Splats);
+        self.textured(training, surface)
+    }
+
+    /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
+    fn textured(&self, training: &Training, surface: Surface) -> Result<Mesh, TrainError> {
+        let surface = match &self.shell {
+            Some(shell) => match shell.around_surface(surface.clone(), &self.train_cameras) {
+                // All of it is far away, and no two views see the same part of the shell.
+                both if both.triangles.is_empty() => surface,
+                both => both,
+            },
+            None => surface,
+        };
+        let charts_in = self.charts_in(training)?;
+        let mesh = self.in_charts(&surface, charts_in.as_ref())?;
+        if self.shell.is_some() { self.painted(mesh) } else { Ok(mesh) }
+    }
+}
