@@ -236,6 +236,10 @@ fn pictures_are_of_their_time() {
         read("moving") == read("still")
     };
     assert!(same("frame_00000.png") && !same("frame_00002.png"));
+    // One frame of a path is that of the whole path.
+    run(folder.path(), "render a.gltf --cameras path.json --camera frame_00002.png -o one --quiet");
+    let read = |run: &str| std::fs::read(folder.path().join(run).join("frame_00002.png")).unwrap();
+    assert!(read("one") == read("moving"));
     let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
     assert!(error.contains("expected one camera that keeps still, found 3 frames of one that moves"), "{error}");
     // One of a capture keeps still, also where frames a second give it a time.

@@ -131,13 +131,22 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
     let Cameras { mut cameras, fps, y_up, .. } = capture::cameras(path, options)?;
+    let fps = sampling.fps.or(fps);
+    // Of a frame by its place in the whole path, also where it is the only one wanted.
+    let mut times = fps.map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
     if let Some(only) = sampling.only {
-        cameras.retain(|(name, _)| name == only);
+        let wanted: Vec<bool> = cameras.iter().map(|(name, _)| name == only).collect();
+        retain_rows(&mut cameras, &wanted);
+        retain_rows(&mut times, &wanted);
         ensure!(!cameras.is_empty(), "{}: expected a camera called {only}, found none", path.display());
     }
-    let fps = sampling.fps.or(fps);
-    let times = fps.map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
     Ok(CameraFile { cameras, fps, y_up, times, notes: vec![] })
+}
+
+/// Keeps the rows that are wanted; of none, none.
+fn retain_rows<T>(rows: &mut Vec<T>, wanted: &[bool]) {
+    let mut wanted = wanted.iter();
+    rows.retain(|_| wanted.next().is_some_and(|&is| is));
 }
 
 /// Refuses to write `pictures`, all in one folder, among photographs of the capture, a folder or `.json`, that the cameras of `path` come from, or of
