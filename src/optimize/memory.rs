@@ -158,7 +158,7 @@ mod tests {
         };
         let (what, hybrid) = of(&MeshSource::Splats);
         let expected = "training (1000000 splats of SH degree 3: 4333 MiB, the mesh with maps of 2048² texels 415 MiB, \
-                        images of 1920×1080: 650 MiB)";
+                        images of 1920×1080: 682 MiB)";
         assert_eq!(what, expected);
         let (what, alone) = of(&MeshSource::None);
         assert!(alone < hybrid && !what.contains("mesh"), "{what}");
