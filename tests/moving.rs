@@ -174,6 +174,28 @@ fn animations_are_chosen_by_name() {
     assert!(error.contains("say --time, or another format"), "{error}");
 }
 
+/// Frames a second are of frames: photographs and other stills show a scene that moves as it rests.
+#[test]
+fn stills_have_no_time() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    common::write_capture(&folder.path().join("capture"), 9, (16, 12));
+    let pictures = |out: &str, flags: &str| {
+        let said = run(folder.path(), &format!("render a.gltf --cameras capture -o {out} --quiet{flags}"));
+        let files = common::tree(&folder.path().join(out));
+        (said, files.iter().map(|file| std::fs::read(file).unwrap()).collect::<Vec<_>>())
+    };
+    let ((_, rest), (said, film)) = (pictures("rest", ""), pictures("film", " --fps 4"));
+    assert!(rest == film && rest.len() == 9);
+    let note = "note: capture: its cameras are no frames of a path: --fps gives them no times, and the scene is shown as it rests";
+    assert!(said.contains(note), "{said}");
+    // It would be seen to move, also where the first does not see it.
+    assert!(rest[1..] != pictures("moved", " --time 1").1[1..]);
+    // A key at 0.75 s is none of a still.
+    let said = run(folder.path(), "cameras convert capture -o one.json --camera 003.png --fps 4");
+    assert!(!said.contains("begins at"), "{said}");
+}
+
 #[test]
 fn what_is_malformed_keeps_still_in_blender_and_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -242,11 +264,14 @@ fn pictures_are_of_their_time() {
     assert!(read("one") == read("moving"));
     let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
     assert!(error.contains("expected one camera that keeps still, found 3 frames of one that moves"), "{error}");
-    // One of a capture keeps still, also where frames a second give it a time.
+    // One of a capture keeps still, and so does a frame of a path.
     common::write_capture(&folder.path().join("capture"), 9, (16, 12));
-    let still = "render a.gltf --cameras capture --camera 003.png -o capture_span --time 0..0.5 --fps 4 --quiet";
-    run(folder.path(), still);
-    assert_eq!(common::tree(&folder.path().join("capture_span")).len(), 3);
+    for (still, out) in
+        [("capture --camera 003.png", "capture_span"), ("path.json --camera frame_00001.png", "path_span")]
+    {
+        run(folder.path(), &format!("render a.gltf --cameras {still} -o {out} --time 0..0.5 --fps 4 --quiet"));
+        assert_eq!(common::tree(&folder.path().join(out)).len(), 3);
+    }
     let error = failure(folder.path(), "render a.gltf -o no --time 0..2000");
     assert!(error.ends_with("expected at most 36000 frames, found 2000 s at 30 a second"), "{error}");
     run(folder.path(), "convert a.gltf still.glb --time 0");

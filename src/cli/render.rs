@@ -231,6 +231,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let known = sampling.fps.or(moving.and_then(Source::fps));
         shot = span(shot, [start, end], known.unwrap_or(DEFAULT_FPS))?;
     }
+    if moving.is_some() && args.time.is_none() && sampling.fps.is_some() && shot.times.is_empty() {
+        let note = "its cameras are no frames of a path: --fps gives them no times, and the scene is shown as it rests";
+        shot.notes.push(note.to_owned());
+    }
     // Where nothing says when a picture is taken, the scene rests.
     let times = moving.map_or_else(Vec::new, |_| shot.times.clone());
     let (y_up, rest, cameras) = (file.y_up, file.scene, shot.cameras);
@@ -316,7 +320,7 @@ impl When {
 
 /// One camera that keeps still, at all frames from the first time to the second.
 fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile> {
-    // A single one keeps still, also where frames a second give it a time.
+    // A single one keeps still, also where it is a frame of a path and has a time.
     let [(_, camera)] = &shot.cameras[..] else {
         let what = if shot.times.is_empty() { "cameras" } else { "frames of one that moves" };
         bail!(

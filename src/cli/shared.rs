@@ -85,7 +85,8 @@ pub(super) struct SamplingArgs {
     /// Only the camera of this name [default: those that move, else all]
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
-    /// Frames a second, at which cameras that move are read [default: what the file states, else 30]
+    /// Frames a second: at which cameras that move are read, and their pictures or those of stills make a film. Stills, such as a capture's
+    /// photographs, have no time by it [default: what the file states, else 30]
     #[arg(long, value_name = "N", value_parser = frame_rate)]
     fps: Option<f64>,
 }
@@ -130,10 +131,11 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     if !(is_json || path.is_dir()) {
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
-    let Cameras { mut cameras, fps, y_up, .. } = capture::cameras(path, options)?;
-    let fps = sampling.fps.or(fps);
-    // Of a frame by its place in the whole path, also where it is the only one wanted.
-    let mut times = fps.map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
+    let Cameras { mut cameras, fps: stated, y_up, .. } = capture::cameras(path, options)?;
+    let fps = sampling.fps.or(stated);
+    // Only a path states a rate, whichever it is read at. A frame of it has the time of its place in the whole, also where it is the only one
+    // wanted; photographs, and other stills, have none.
+    let mut times = stated.and(fps).map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
     if let Some(only) = sampling.only {
         let wanted: Vec<bool> = cameras.iter().map(|(name, _)| name == only).collect();
         retain_rows(&mut cameras, &wanted);
