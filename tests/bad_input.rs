@@ -169,6 +169,21 @@ fn scenes_of_another_capture_are_scored_and_it_is_said() {
     }
 }
 
+/// Its header is right: that its pixels are missing is found while it is scored.
+#[test]
+fn photographs_that_are_cut_off_leave_no_report() {
+    let folder = folder_with_capture(9);
+    let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], vec![Vec3::ZERO], vec![0.0], 0, vec![[0.5; 3]]);
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    write_scene(&folder.path().join("s.ply"), &scene, &WriteOptions::default()).unwrap();
+    let photograph = folder.path().join("capture/images/000.png");
+    let bytes = std::fs::read(&photograph).unwrap();
+    std::fs::write(&photograph, &bytes[..bytes.len() / 2]).unwrap();
+    let eval = ["eval", "s.ply", "capture", "-o", "scores", "--quiet"];
+    let line = failure(folder.path(), centaur(folder.path()).args(eval));
+    assert!(line.starts_with("error: capture/images/000.png: "), "{line}");
+}
+
 /// Variants of a benchmark share them with hybrids.
 #[test]
 fn flags_of_a_mesh_beside_none_are_noted() {

@@ -196,6 +196,23 @@ fn stills_have_no_time() {
     assert!(!said.contains("begins at"), "{said}");
 }
 
+/// A triangle that slides out of what numbers can say.
+#[test]
+fn what_fails_late_leaves_no_empty_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let at = |name: &str| folder.path().join(name);
+    let mut bytes = std::fs::read(at("a.bin")).unwrap();
+    bytes[44 + 12..][..4].copy_from_slice(&3e38_f32.to_le_bytes());
+    std::fs::write(at("a.bin"), bytes).unwrap();
+    let mut document: Value = serde_json::from_slice(&std::fs::read(at("a.gltf")).unwrap()).unwrap();
+    document["nodes"].as_array_mut().unwrap().push(json!({ "children": [0], "scale": [10, 10, 10] }));
+    document["scenes"][0]["nodes"] = json!([2, 1]);
+    std::fs::write(at("a.gltf"), document.to_string()).unwrap();
+    let error = failure(folder.path(), "render a.gltf --time 1..1 -o frames");
+    assert!(error.starts_with("error: a.gltf: ") && error.contains("finite"), "{error}");
+}
+
 #[test]
 fn what_is_malformed_keeps_still_in_blender_and_is_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -171,7 +171,7 @@ pub(super) fn evaluate(
 ) -> Result<Option<Evaluation>> {
     let views = held_out(capture)?;
     let files = details.folder.map(|folder| report_pictures(folder, capture)).transpose()?.unwrap_or_default();
-    details.folder.map_or(Ok(()), shared::make_folder)?;
+    let _folder = details.folder.map(output::Folder::make).transpose()?;
     let mut evaluator = Evaluator::new(gpu, scene, &views)?;
     let (mut scores, mut left_out, mut pictures) = (vec![], vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());

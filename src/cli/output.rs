@@ -83,6 +83,28 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
     check_file(path)
 }
 
+/// A folder for files. One that was made is removed with this if nothing has come to be in it: what fails before its first file leaves nothing.
+#[must_use = "what is made goes again with this, unless there is something in it"]
+pub(super) struct Folder {
+    made: Option<PathBuf>,
+}
+
+impl Folder {
+    /// Makes the folder if need be; [`check_folder`] has looked at its parent.
+    pub(super) fn make(path: &Path) -> Result<Self> {
+        let is_new = !path.exists();
+        std::fs::create_dir_all(path).with_context(|| format!("{}: cannot make the folder", path.display()))?;
+        Ok(Self { made: is_new.then(|| path.to_owned()) })
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // The system refuses this where something is in it.
+        let _ = self.made.as_deref().map(std::fs::remove_dir);
+    }
+}
+
 /// Refuses to write `output` over one of `inputs`, which would be gone.
 pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
     // What is not there has no canonical path, and is nothing that could be lost.
@@ -156,6 +178,21 @@ mod tests {
         let error = check_file(&at("file/new.glb")).unwrap_err();
         assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");
+    }
+
+    #[test]
+    fn folders_that_were_made_for_nothing_go_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("before")).unwrap();
+        for name in ["before", "empty", "full"] {
+            let _folder = Folder::make(&at(name)).unwrap();
+            assert!(at(name).is_dir());
+            if name == "full" {
+                std::fs::write(at("full/a.png"), "").unwrap();
+            }
+        }
+        assert!(at("before").is_dir() && !at("empty").exists() && at("full/a.png").exists());
     }
 
     #[test]

@@ -244,11 +244,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &cameras))?;
     let gpu = args.adapter.open()?;
     let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    shared::make_folder(&args.output)?;
     let extension = if args.format() == Format::Png { "png" } else { "exr" };
     let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
     let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
     shared::spare_photographs(&written, source, &args.loading.options())?;
+    let _folder = output::Folder::make(&args.output)?;
     let mut progress = Views::new(&args.messages, "rendering", cameras.len());
     let composition = rest.composition;
     let mut kept: Option<AnyRenderer<'_>> = None;

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
 use centaur::edit::Similarity;
 use centaur::format::gltf::Source;
@@ -222,9 +222,4 @@ impl AdapterArgs {
     pub(super) fn open(&self) -> Result<Gpu> {
         Ok(Gpu::open(self.adapter.as_deref())?)
     }
-}
-
-/// Makes the folder if need be; [`super::output::check_folder`] has looked at its parent.
-pub(super) fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path).with_context(|| format!("{}: cannot make the folder", path.display()))
 }

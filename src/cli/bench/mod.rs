@@ -16,7 +16,7 @@ use self::jobs::{Job, Protocol, Shard, Variant};
 use self::record::Record;
 use self::work::Outcome;
 use super::output;
-use super::shared::{self, MessageArgs};
+use super::shared::MessageArgs;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -117,7 +117,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.list {
         return open.iter().try_for_each(|job| list(job, args));
     }
-    shared::make_folder(&args.output)?;
+    let _folder = output::Folder::make(&args.output)?;
     if !args.messages.quiet && !args.messages.json && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {
         output::note("LPIPS will not be scored: that needs -- --lpips-weights FILE");
     }
