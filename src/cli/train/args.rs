@@ -412,3 +412,102 @@ pub(super) enum SurfaceOf {
     /// The capture's points, triangulated in every view
     Points,
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::{CommandFactory as _, Parser as _};
+    use serde_json::{Map, Value, json};
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    /// By name, of the command with these flags.
+    fn options(flags: &str) -> Map<String, Value> {
+        let words = "centaur train capture -o scene.glb".split(' ').chain(flags.split_whitespace());
+        let Command::Train(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
+        serde_json::from_value(serde_json::to_value(args.options()).unwrap()).unwrap()
+    }
+
+    /// Flags that say where files are, what of a capture is read, what the surface is made of and what is told, which are no options.
+    const OTHERS: [&str; 17] = [
+        "output",
+        "ply",
+        "report",
+        "lpips-weights",
+        "no-eval",
+        "adapter",
+        "resume",
+        "stop-at-eof",
+        "no-points",
+        "mesh",
+        "surface",
+        "downscale",
+        "max-side",
+        "images",
+        "masks",
+        "quiet",
+        "json",
+    ];
+
+    #[test]
+    fn every_flag_sets_the_option_that_it_is_for_and_no_other() {
+        let rows = [
+            ("--all-views", "split", json!("all")),
+            ("--iterations 40000", "iterations", json!(40_000)),
+            ("--warmup 70", "warmup", json!(70)),
+            ("--no-mesh", "warmup", json!(0)),
+            ("--surface-iterations 80", "surface_iterations", json!(80)),
+            ("--density inria", "density", json!("inria")),
+            ("--density absgs", "density", json!("absgs")),
+            ("--max-splats 90", "max_splats", json!(90)),
+            ("--max-floats 100", "max_floats", json!(100)),
+            ("--budget-mb 0.5", "max_floats", json!(125_000)),
+            ("--visible-only", "visible_only", json!(true)),
+            ("--dense-texels", "dense_texels", json!(true)),
+            ("--antialias", "antialias", json!(true)),
+            ("--coarse-to-fine", "coarse_to_fine", json!(true)),
+            ("--exposure", "exposure", json!(true)),
+            ("--refine-poses", "refine_poses", json!(true)),
+            ("--pose-reach 1.5 beside --refine-poses", "pose_reach", json!(1.5)),
+            ("--dropout 0.25", "dropout", json!(0.25)),
+            ("--disparity-weight 0.125", "disparity_weight", json!(0.125)),
+            ("--sh-degree 1", "sh_degree", json!(1)),
+            ("--ssim-weight 0.75", "ssim_weight", json!(0.75)),
+            ("--seed 110", "seed", json!(110)),
+            ("--checkpoint-every 120", "checkpoint_every", json!(120)),
+            ("--eval-every 130", "eval_every", json!(130)),
+            ("--triangles 140", "triangles", json!(140)),
+            ("--planar off", "planar", json!(false)),
+            ("--shell off", "shell", json!(false)),
+            ("--texture-size 150", "texture_size", json!(150)),
+            ("--band-degree 3", "band_degree", json!(3)),
+            ("--mode stable", "mode", json!("stable")),
+            ("--mode direct", "mode", json!("direct")),
+            ("--lambda 0.0625", "lambda", json!(0.0625)),
+            ("--layers 4", "layers", json!(4)),
+            ("--background white", "background", json!("white")),
+            ("--background random", "background", json!("random")),
+        ];
+        let usual = options("");
+        assert_eq!(json!(usual), json!(TrainOptions::default()), "defaults of flags are those of options");
+        for (flags, option, value) in &rows {
+            let (flag, beside) = flags.split_once(" beside ").unwrap_or((flags, ""));
+            let without = options(beside);
+            let with = options(&format!("{beside} {flag}")).into_iter();
+            let changed: Vec<_> = with.filter(|(name, value)| without[name] != *value).collect();
+            assert_eq!(changed, [((*option).to_owned(), value.clone())], "{flags}");
+        }
+        for option in usual.keys() {
+            assert!(rows.iter().any(|(_, of_row, _)| of_row == option), "{option} is set by no flag of this table");
+        }
+        let command = Cli::command();
+        let mut flags: Vec<&str> =
+            command.find_subcommand("train").unwrap().get_arguments().filter_map(|flag| flag.get_long()).collect();
+        let of_row = |flags: &'static str| flags[2..].split(' ').next().unwrap();
+        let mut known: Vec<&str> = rows.iter().map(|(flags, ..)| of_row(flags)).chain(OTHERS).collect();
+        flags.sort_unstable();
+        known.sort_unstable();
+        known.dedup();
+        assert_eq!(flags, known, "a flag is in this table or among the others");
+    }
+}
