@@ -115,12 +115,37 @@ fn one_line(error: &anyhow::Error) -> String {
 mod tests {
     use anyhow::anyhow;
     use clap::CommandFactory as _;
+    use clap::error::ErrorKind;
 
     use super::*;
 
     #[test]
     fn arguments_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    /// The words of a command and of all below it, as of `centaur cameras orbit`.
+    fn commands(command: &clap::Command, above: &[String]) -> Vec<Vec<String>> {
+        let words = [above, &[command.get_name().to_owned()]].concat();
+        let below = command.get_subcommands().flat_map(|command| commands(command, &words));
+        std::iter::once(words.clone()).chain(below).collect()
+    }
+
+    #[test]
+    fn help_is_an_answer_of_every_command() {
+        let all = commands(&Cli::command(), &[]);
+        assert!(
+            ["bench", "devices", "orbit"].iter().all(|name| all.iter().any(|words| words.ends_with(&[(*name).into()])))
+        );
+        for words in all {
+            let help = Cli::try_parse_from(words.iter().map(String::as_str).chain(["--help"])).err().unwrap();
+            assert_eq!(
+                (help.kind(), help.exit_code(), help.use_stderr()),
+                (ErrorKind::DisplayHelp, 0, false),
+                "{words:?}"
+            );
+            assert!(help.to_string().contains(&format!("Usage: {}", words.join(" "))), "{words:?}: {help}");
+        }
     }
 
     /// Examples that are wrapped cannot be pasted, and wrapped tables are hard to read.
