@@ -351,19 +351,6 @@ fn machines_without_an_adapter() {
 }
 
 #[test]
-fn maps_larger_than_the_adapter_binds() {
-    let limit = centaur::render::gpu::list_adapters()[0].max_binding_bytes;
-    if limit >= 16 * 8128 * 8128 {
-        return; // Nothing that --texture-size accepts is too large here.
-    }
-    let folder = folder_with_capture(8);
-    std::fs::write(folder.path().join("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
-    let arguments = ["--mesh", "mesh.obj", "--texture-size", "8128", "--band-degree", "0"];
-    let line = failure(folder.path(), &mut train(folder.path(), arguments));
-    assert!(line.contains(" MiB, but ") && line.contains("--texture-size"), "{line}");
-}
-
-#[test]
 fn checkpoints_of_other_runs_and_damaged_ones() {
     let folder = folder_with_capture(8);
     let checkpoint = folder.path().join("scene.glb.checkpoint");

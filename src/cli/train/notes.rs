@@ -147,3 +147,24 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
         _ => error.into(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use centaur::render::gpu::GpuError;
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    /// That it is refused is tested where it is, of any adapter.
+    #[test]
+    fn what_is_too_large_for_the_adapter_comes_with_the_flags_that_make_it_smaller() {
+        let words = ["centaur", "train", "capture", "-o", "scene.glb"];
+        let Command::Train(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
+        let (what, adapter) = ("the map of colour and opacity".to_owned(), "llvmpipe".to_owned());
+        let error = TrainError::Gpu(GpuError::TooLarge { what, needed: 1344, limit: 128, adapter });
+        let said = with_advice(error, &args, false).to_string();
+        assert!(said.contains(" needs a buffer of 1344 MiB, but llvmpipe binds at most 128 MiB: "), "{said}");
+        assert!(said.ends_with("; see --max-splats, --texture-size and --downscale"), "{said}");
+    }
+}
