@@ -73,7 +73,7 @@ test-rust: ## unit, integration and documentation tests
 	LP_NATIVE_VECTOR_WIDTH=512 cargo test --release --lib -- $(WIDTH_TESTS)
 
 # Test files with a test that needs the shared data; all ignored tests of such a file run.
-DATA_TESTS = $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs))
+DATA_TESTS = $(or $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs)),$(error no test needs shared data))
 
 test-data: ## tests on real captures and foreign files, in the folder CENTAUR_DATA
 	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA: not run")
