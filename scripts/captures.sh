@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
 # Hybrid against splats alone at the same allowance of floats, on the demo capture and on the captures in $CENTAUR_DATA:
 # at larger sizes than `make equal-floats` and without filters. `captures.sh [SEED…]`, by default 0 and 1; about 2 minutes a run on 2 cores without a GPU.
-# Reports, pictures and JSON go to out/captures.
+# What is done is not done again, and what was stopped goes on. Reports, pictures and JSON go to out/captures.
+# CAPTURES_CENTAUR=PROGRAM, CAPTURES_OUT=FOLDER.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 data=${CENTAUR_DATA:-}
-out=out/captures
+out=${CAPTURES_OUT:-out/captures}
 mkdir -p "$out"
-cargo build --release --quiet
-centaur() { cargo run --release --quiet -- "$@"; }
+[ -n "${CAPTURES_CENTAUR:-}" ] || cargo build --release --quiet
+centaur() { if [ -n "${CAPTURES_CENTAUR:-}" ]; then "$CAPTURES_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+# A training that is stopped ends well, which a shell takes for the end of that command alone.
+trap 'exit 130' INT
 
 compare() { # name, capture, floats, iterations, flags of the capture
     local name=$1 capture=$2 floats=$3 iterations=$4 kind
@@ -19,11 +22,19 @@ compare() { # name, capture, floats, iterations, flags of the capture
     fi
     for seed in $seeds; do
         for kind in hybrid splats; do
-            local flags=(--no-mesh)
+            local run=$out/$name-$kind-$seed flags=(--no-mesh)
             [ $kind = splats ] || flags=(--surface-iterations 600 --warmup 600 --layers 1 --triangles 6000 --texture-size 512)
-            centaur train "$capture" -o "$out/$name-$kind-$seed.glb" --report "$out/$name-$kind-$seed" --json --quiet \
-                --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$out/$name-$kind-$seed.json"
-            python3 - "$out/$name-$kind-$seed.json" "$name" "$kind" "$seed" <<'PYTHON'
+            [ ! -f "$run.glb.checkpoint" ] || flags+=(--resume)
+            if [ ! -f "$run.json" ]; then
+                centaur train "$capture" -o "$run.glb" --report "$run" --json --quiet \
+                    --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$run.part"
+                if ! grep -q '"outcome":"finished"' "$run.part"; then
+                    echo "$name: stopped; the same command goes on" >&2
+                    exit 1
+                fi
+                mv "$run.part" "$run.json"
+            fi
+            python3 - "$run.json" "$name" "$kind" "$seed" <<'PYTHON'
 import json, sys
 run = json.load(open(sys.argv[1]))
 e = run["evaluation"]
