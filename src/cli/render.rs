@@ -2,9 +2,9 @@ mod write;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, bail};
 use centaur::format::gltf::Source;
-use centaur::format::{CameraFile, DEFAULT_FPS, MAX_FRAMES, ReadOptions, Sampling, frame_count, read_file};
+use centaur::format::{CameraFile, DEFAULT_FPS, MAX_FRAMES, ReadOptions, Sampling, SceneFile, frame_count, read_file};
 use centaur::render::contract::{ImageModel, ShDirection};
 use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Picture, Renderer};
 use centaur::scene::{Camera, HybridScene};
@@ -194,104 +194,136 @@ impl Args {
             "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
         )
     }
+
+    /// The one time that the scene and its cameras are shown at, if one is asked for.
+    fn moment(&self) -> Option<f64> {
+        if let Some(When::At(time)) = self.time { Some(time) } else { None }
+    }
+
+    /// What has the cameras.
+    fn source(&self) -> &Path {
+        if self.is_embedded() { &self.scene } else { &self.cameras }
+    }
+
+    /// Cameras in the frame of the scene, with times where they are frames of a path or of a span.
+    fn shot(&self, file: &SceneFile) -> Result<CameraFile> {
+        let sampling = Sampling { time: self.moment(), ..self.sampling.sampling() };
+        let mut shot = match &file.source {
+            _ if self.is_embedded() && file.cameras.is_empty() => {
+                bail!("{}: holds no cameras: say --cameras PATH", self.scene.display())
+            }
+            Some(document) if self.is_embedded() => self.loading.cameras_of(document, self.source(), &sampling)?,
+            _ => self.loading.cameras(self.source(), &sampling)?,
+        };
+        if shot.y_up != file.y_up {
+            let (theirs, scenes) =
+                if file.y_up { ("the frame of captures", "y up") } else { ("y up", "in the frame of captures") };
+            shot.notes
+                .push(format!("taken to be in {theirs}: turned half about x, as {} is {scenes}", self.scene.display()));
+            shot = shot.in_frame(file.y_up);
+        }
+        let moving = moving(file);
+        if let Some(When::Span(start, end)) = self.time {
+            let document = moving.with_context(|| {
+                let scene = self.scene.display();
+                format!("{scene}: --time START..END: expected a scene that moves, found one that rests")
+            })?;
+            let fps = sampling.fps.or(document.fps()).unwrap_or(DEFAULT_FPS);
+            shot = span(shot, [start, end], fps)?;
+        }
+        if moving.is_some() && self.time.is_none() && sampling.fps.is_some() && shot.times.is_empty() {
+            let note =
+                "its cameras are no frames of a path: --fps gives them no times, and the scene is shown as it rests";
+            shot.notes.push(note.to_owned());
+        }
+        Ok(shot)
+    }
+
+    /// Where the picture of each camera goes.
+    fn pictures(&self, shot: &CameraFile) -> Vec<PathBuf> {
+        let extension = if self.format() == Format::Png { "png" } else { "exr" };
+        let names = shared::picture_names(shot.cameras.iter().map(|(name, _)| name.as_str()), extension);
+        names.iter().map(|name| self.output.join(name)).collect()
+    }
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     output::check_folder(&args.output)?;
-    let at = if let Some(When::At(time)) = args.time { Some(time) } else { None };
-    let file = read_file(
-        &args.scene,
-        &ReadOptions { time: at, animations: &args.played.animations, ..ReadOptions::default() },
-    )?;
-    let sampling = Sampling { time: at, ..args.sampling.sampling() };
-    let is_embedded = args.is_embedded();
-    let source = if is_embedded { &args.scene } else { &args.cameras };
-    let mut shot = match &file.source {
-        _ if is_embedded && file.cameras.is_empty() => {
-            bail!("{}: holds no cameras: say --cameras PATH", args.scene.display())
-        }
-        Some(document) if is_embedded => args.loading.cameras_of(document, source, &sampling)?,
-        _ => args.loading.cameras(source, &sampling)?,
-    };
-    if shot.y_up != file.y_up {
-        let (theirs, scenes) =
-            if file.y_up { ("the frame of captures", "y up") } else { ("y up", "in the frame of captures") };
-        shot.notes
-            .push(format!("taken to be in {theirs}: turned half about x, as {} is {scenes}", args.scene.display()));
-        shot = shot.in_frame(file.y_up);
-    }
-    let moving = file.source.as_ref().filter(|document| document.moves());
-    if let Some(When::Span(start, end)) = args.time {
-        ensure!(
-            moving.is_some(),
-            "{}: --time START..END: expected a scene that moves, found one that rests",
-            args.scene.display()
-        );
-        let known = sampling.fps.or(moving.and_then(Source::fps));
-        shot = span(shot, [start, end], known.unwrap_or(DEFAULT_FPS))?;
-    }
-    if moving.is_some() && args.time.is_none() && sampling.fps.is_some() && shot.times.is_empty() {
-        let note = "its cameras are no frames of a path: --fps gives them no times, and the scene is shown as it rests";
-        shot.notes.push(note.to_owned());
-    }
-    // Where nothing says when a picture is taken, the scene rests.
-    let times = moving.map_or_else(Vec::new, |_| shot.times.clone());
-    let (y_up, rest, cameras) = (file.y_up, file.scene, shot.cameras);
-    // Of the scene; of cameras in the same file both say the same.
-    let notes: Vec<String> =
-        file.notes.iter().filter(|note| !(is_embedded && shot.notes.contains(note))).cloned().collect();
-    args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &cameras))?;
+    let options = ReadOptions { time: args.moment(), animations: &args.played.animations, ..ReadOptions::default() };
+    let file = read_file(&args.scene, &options)?;
+    let shot = args.shot(&file)?;
+    args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &shot.cameras))?;
     let gpu = args.adapter.open()?;
-    let poses: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    let extension = if args.format() == Format::Png { "png" } else { "exr" };
-    let names = shared::picture_names(cameras.iter().map(|(name, _)| name.as_str()), extension);
-    let written: Vec<PathBuf> = names.iter().map(|name| args.output.join(name)).collect();
-    shared::spare_photographs(&written, source, &args.loading.options())?;
+    let pictures = args.pictures(&shot);
+    shared::spare_photographs(&pictures, args.source(), &args.loading.options())?;
     let _folder = output::Folder::make(&args.output)?;
-    let mut progress = Views::new(&args.messages, "rendering", cameras.len());
-    let composition = rest.composition;
+    draw(&gpu, &file, &shot, &pictures, args)?;
+    let fps = shot.fps.unwrap_or(DEFAULT_FPS);
+    args.video.as_deref().map_or(Ok(()), |path| video::write(path, &pictures, fps))?;
+    // Of the scene; of cameras in the same file both say the same.
+    let is_said = |note: &&String| args.is_embedded() && shot.notes.contains(note);
+    let notes: Vec<&String> = file.notes.iter().filter(|note| !is_said(note)).collect();
+    if args.messages.json {
+        print_json(&gpu, &pictures, &notes, &shot, args)
+    } else {
+        print(&pictures, &notes, &shot, args)
+    }
+}
+
+/// The document of a scene that moves.
+fn moving(file: &SceneFile) -> Option<&Source> {
+    file.source.as_ref().filter(|document| document.moves())
+}
+
+/// Renders the scene from every camera of the shot, posed anew at each time; where nothing says when a picture is taken, it rests.
+fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], args: &Args) -> Result<()> {
+    let (moving, composition) = (moving(file), &file.scene.composition);
+    let poses: Vec<Camera> = shot.cameras.iter().map(|(_, camera)| *camera).collect();
+    let mut progress = Views::new(&args.messages, "rendering", poses.len());
     let mut kept: Option<AnyRenderer<'_>> = None;
-    for (i, ((name, camera), path)) in cameras.iter().zip(&written).enumerate() {
-        let mut renderer = match (moving.zip(times.get(i)), kept.take()) {
+    for (i, ((name, camera), path)) in shot.cameras.iter().zip(pictures).enumerate() {
+        let mut renderer = match (moving.zip(shot.times.get(i)), kept.take()) {
             (None, Some(same)) => same,
-            (None, None) => AnyRenderer::new(&gpu, &rest, &poses, &args.look)?,
+            (None, None) => AnyRenderer::new(gpu, &file.scene, &poses, &args.look)?,
             // One on the GPU at a time.
             (Some((document, &time)), before) => {
                 drop(before);
-                let posed = document.at(&rest, time).with_context(|| args.scene.display().to_string())?;
-                AnyRenderer::new(&gpu, &posed, &poses, &args.look)?
+                let posed = document.at(&file.scene, time).with_context(|| args.scene.display().to_string())?;
+                AnyRenderer::new(gpu, &posed, &poses, &args.look)?
             }
         };
         let rendered = renderer.render(camera).with_context(|| name.clone())?;
         kept = Some(renderer);
-        let file = write::File { path, camera, composition: &composition, y_up, args };
+        let picture = write::File { path, camera, composition, y_up: file.y_up, args };
         match rendered {
-            Rendered::Parts(parts) if args.look.layers => file.layers(parts)?,
-            Rendered::Parts(parts) => file.picture(parts.flattened(composition.background))?,
-            Rendered::Whole(picture) => file.picture(picture)?,
+            Rendered::Parts(parts) if args.look.layers => picture.layers(parts)?,
+            Rendered::Parts(parts) => picture.picture(parts.flattened(composition.background))?,
+            Rendered::Whole(whole) => picture.picture(whole)?,
         }
         progress.advance();
     }
     progress.finish();
-    let fps = shot.fps.unwrap_or(DEFAULT_FPS);
+    Ok(())
+}
+
+fn print_json(gpu: &Gpu, pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args) -> Result<()> {
+    let both: Vec<&String> = notes.iter().copied().chain(&shot.notes).collect();
+    let mut outcome = serde_json::json!({ "pictures": pictures, "adapter": gpu.adapter(), "notes": both });
     if let Some(path) = &args.video {
-        video::write(path, &written, fps)?;
+        outcome["video"] = serde_json::json!(path);
     }
-    if args.messages.json {
-        let both: Vec<&String> = notes.iter().chain(&shot.notes).collect();
-        let mut outcome = serde_json::json!({ "pictures": written, "adapter": gpu.adapter(), "notes": both });
-        if let Some(path) = &args.video {
-            outcome["video"] = serde_json::json!(path);
-        }
-        return output::print_json(&outcome);
-    }
-    let mut lines = vec![format!("{}: {}", args.output.display(), output::counted(written.len(), "picture"))];
+    output::print_json(&outcome)
+}
+
+fn print(pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args) -> Result<()> {
+    let mut lines = vec![format!("{}: {}", args.output.display(), output::counted(pictures.len(), "picture"))];
     if let Some(path) = &args.video {
-        lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), written.len() as f64 / fps));
+        let fps = shot.fps.unwrap_or(DEFAULT_FPS);
+        lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), pictures.len() as f64 / fps));
     }
     lines.extend(notes.iter().map(|note| format!("note: {}: {note}", args.scene.display())));
-    lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", source.display())));
+    lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", args.source().display())));
     output::print(&lines.join("\n"))
 }
 
