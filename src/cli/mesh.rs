@@ -5,7 +5,7 @@ use centaur::capture::{Capture, View};
 use centaur::format::{ReadOptions, gltf, mesh_import, read_file};
 use centaur::geometry::{
     self, Ball, ChartSpace, Contraction, MeshBvh, PlanarOptions, SparseStats, Surface, SurfaceDistance, SurfaceStats,
-    Viewers,
+    UnwrapStats, Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_points, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
@@ -87,63 +87,49 @@ impl Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
-    // What is not kept of meshes are their UVs, which are made anew.
-    let read = |file: &Path| -> Result<Surface> {
-        let read = mesh_import::read(file)?;
-        Ok(Surface { positions: read.positions, triangles: read.triangles })
-    };
     let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
     let capture = args.loading.open(&args.capture)?;
     let mut notes: Vec<String> = vec![];
-    let (surface, steps, origin) = match (&args.mesh, &args.splats) {
-        (Some(file), _) => {
-            let (surface, steps) = geometry::tidy(read(file)?, args.triangles)
-                .with_context(|| format!("{}: expected a mesh to make a surface of", file.display()))?;
-            (surface, steps, SurfaceOrigin::Given)
-        }
-        (None, Some(splats)) => {
-            let file = read_file(splats, &ReadOptions::default())?;
-            let (scene, turned) =
-                shared::in_capture_frame(file.scene, file.y_up).with_context(|| splats.display().to_string())?;
-            notes.extend(file.notes.into_iter().chain(turned).map(|note| format!("{}: {note}", splats.display())));
-            ensure!(!scene.splats.is_empty(), "{}: expected trained splats, found none", splats.display());
-            let gpu = args.adapter.open()?;
-            let mut views = Views::new(&args.messages, "fusing", capture.views.len());
-            let (triangles, planar) = (args.triangles, args.planar());
-            let (surface, steps) =
-                surface_from_splats(&gpu, &scene, &capture, triangles, planar, |view| views.reach(view + 1))
-                    .with_context(|| splats.display().to_string())?;
-            views.finish();
-            (surface, steps, SurfaceOrigin::Splats)
-        }
+    let made = match (&args.mesh, &args.splats) {
+        (Some(file), _) => from_mesh(file, args)?,
+        (None, Some(splats)) => from_splats(splats, &capture, args, &mut notes)?,
         (None, None) => from_points(&capture, args, &mut notes)?,
     };
     if !args.messages.json {
         notes.iter().for_each(|note| output::note(note));
     }
-    let compare = |(file, truth): &(&Path, Surface)| {
-        compare(&surface, truth, args, &capture)?.with_context(|| {
-            format!(
-                "{}: expected a surface that views of the capture see where this one is, found none",
-                file.display()
-            )
-        })
-    };
-    let charts_in = steps.contraction.map(ChartSpace::unbounded);
-    let unwrapped = geometry::unwrap(&surface, charts_in.as_ref(), args.texture_size).map_err(|e| {
-        let source = args.mesh.as_ref().or(args.splats.as_ref()).unwrap_or(&args.capture);
-        anyhow!("{}: {e}; see --texture-size and --triangles", source.display())
-    })?;
-    let charts = unwrapped.stats;
-    let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
-    let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
+    let (mesh, charts) = unwrapped(&made, args)?;
     let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition: Composition::default() };
     gltf::write_glb(&args.output, &scene, &[], None)?;
     // The surface is there, also where it cannot be compared.
-    let compared = truth.as_ref().map(compare).transpose()?;
+    let distance = truth.map(|(file, truth)| compare(&made.surface, file, &truth, args, &capture)).transpose()?;
     let seen = seen_part(&scene.meshes[0], args.texture_size.min(SEEN_AT) as usize, &capture)?;
-    if args.messages.json {
-        return output::print_json(&serde_json::json!({
+    let outcome = Outcome { made, charts, seen, distance, notes };
+    if args.messages.json { outcome.print_json(args) } else { outcome.print(args) }
+}
+
+/// A surface, and how it came to be.
+struct Made {
+    surface: Surface,
+    steps: SurfaceStats,
+    origin: SurfaceOrigin,
+}
+
+/// What is told of a surface.
+struct Outcome {
+    made: Made,
+    charts: UnwrapStats,
+    /// Part of the texels that views see.
+    seen: f64,
+    /// From and to the truth, if that is given.
+    distance: Option<SurfaceDistance>,
+    notes: Vec<String>,
+}
+
+impl Outcome {
+    fn print_json(&self, args: &Args) -> Result<()> {
+        let Self { made: Made { steps, origin, .. }, charts, seen, distance, notes } = self;
+        output::print_json(&serde_json::json!({
             "surface": args.output,
             "notes": notes,
             "origin": origin,
@@ -156,28 +142,50 @@ pub(super) fn run(args: &Args) -> Result<()> {
             "atlas": { "charts": charts.charts, "gutter": charts.gutter, "texels_per_unit": charts.texels_per_unit,
                        "coverage": charts.coverage, "mean_density": charts.mean_density,
                        "min_density": charts.min_density, "seen": seen },
-            "truth": compared,
-        }));
+            "truth": distance,
+        }))
     }
-    if let Some(distance) = compared {
+
+    fn print(&self, args: &Args) -> Result<()> {
+        let Self { made, charts, seen, distance, .. } = self;
+        if let Some(distance) = distance {
+            output::print(&format!(
+                "to the truth {:.5} on average, from it {:.5}, Chamfer distance {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
+                distance.accuracy,
+                distance.completeness,
+                distance.chamfer,
+                distance.within,
+                distance.precision,
+                distance.recall,
+                distance.f_score,
+                100.0 * distance.counted,
+            ))?;
+        }
         output::print(&format!(
-            "to the truth {:.5} on average, from it {:.5}, Chamfer distance {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
-            distance.accuracy,
-            distance.completeness,
-            distance.chamfer,
-            distance.within,
-            distance.precision,
-            distance.recall,
-            distance.f_score,
-            100.0 * distance.counted,
-        ))?;
+            "{}\n\
+             {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels\n\
+             wrote {}",
+            made.in_words(),
+            charts.charts,
+            100.0 * charts.coverage,
+            charts.gutter,
+            100.0 * charts.mean_density,
+            100.0 * charts.min_density,
+            100.0 * seen,
+            args.output.display()
+        ))
     }
-    let made = if origin == SurfaceOrigin::Given {
-        format!(
-            "triangles: {} read, {} whole and no crumbs ({} holes closed), {} after simplification",
-            steps.extracted, steps.cleaned, steps.holes, steps.simplified
-        )
-    } else {
+}
+
+impl Made {
+    fn in_words(&self) -> String {
+        let steps = &self.steps;
+        if self.origin == SurfaceOrigin::Given {
+            return format!(
+                "triangles: {} read, {} whole and no crumbs ({} holes closed), {} after simplification",
+                steps.extracted, steps.cleaned, steps.holes, steps.simplified
+            );
+        }
         format!(
             "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
              planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}",
@@ -193,61 +201,37 @@ pub(super) fn run(args: &Args) -> Result<()> {
             steps.planar.before,
             steps.planar.after,
         )
-    };
-    output::print(&format!(
-        "{made}\n\
-         {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels\n\
-         wrote {}",
-        charts.charts,
-        100.0 * charts.coverage,
-        charts.gutter,
-        100.0 * charts.mean_density,
-        100.0 * charts.min_density,
-        100.0 * seen,
-        args.output.display()
-    ))
+    }
 }
 
-/// Texels a side, at most, for telling which part of a map is seen: what is hidden costs a ray per texel and view.
-const SEEN_AT: u32 = 512;
-
-/// Part of the texels in charts of a square map whose centres a view of the capture sees.
-fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
-    let cameras = capture.cameras();
-    let viewers = Viewers { cameras: &cameras, near: 0.0, layers: 1, shows: &|_, _| true };
-    let bvh = MeshBvh::of(std::slice::from_ref(mesh));
-    let (charted, seen) = geometry::texel_visibility(mesh, [side; 2], &bvh, &viewers)?.counts();
-    Ok(seen as f64 / charted.max(1) as f64)
+/// What is not kept of meshes are their UVs, which are made anew.
+fn read(file: &Path) -> Result<Surface> {
+    let read = mesh_import::read(file)?;
+    Ok(Surface { positions: read.positions, triangles: read.triangles })
 }
 
-/// The surface against the truth, as far as a camera of the capture sees that; `None` if none does.
-fn compare(surface: &Surface, truth: &Surface, args: &Args, capture: &Capture) -> Result<Option<SurfaceDistance>> {
-    let (low, high) =
-        truth.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
-    let (cameras, points) = (capture.cameras(), capture.positions());
-    let ball = match args.truth_radius {
-        Some(radius) => Ball { center: Contraction::around(&cameras, &points)?.center, radius },
-        None => Contraction::if_unbounded(&cameras, &points)?
-            .map_or(Ball::EVERYTHING, |Contraction { center, radius }| Ball { center, radius }),
-    };
-    let box_of_ball = |side: f64| (ball.center + DVec3::splat(side * ball.radius)).as_vec3();
-    let diagonal = f64::from(low.max(box_of_ball(-1.0)).distance(high.min(box_of_ball(1.0))));
-    let bvh = MeshBvh::new([(truth.positions.as_slice(), truth.triangles.as_slice())]);
-    let is_seen = |p: DVec3| {
-        capture.views.iter().any(|View { camera, .. }| {
-            let center = camera.center();
-            camera.in_picture(camera.to_camera(p)).is_some() && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
-        })
-    };
-    let within = args.within.unwrap_or(0.01 * diagonal);
-    Ok(geometry::surface_distance(surface, truth, within, ball, is_seen))
+fn from_mesh(file: &Path, args: &Args) -> Result<Made> {
+    let (surface, steps) = geometry::tidy(read(file)?, args.triangles)
+        .with_context(|| format!("{}: expected a mesh to make a surface of", file.display()))?;
+    Ok(Made { surface, steps, origin: SurfaceOrigin::Given })
 }
 
-fn from_points(
-    capture: &Capture,
-    args: &Args,
-    notes: &mut Vec<String>,
-) -> Result<(Surface, SurfaceStats, SurfaceOrigin)> {
+fn from_splats(splats: &Path, capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Result<Made> {
+    let file = read_file(splats, &ReadOptions::default())?;
+    let named = || splats.display().to_string();
+    let (scene, turned) = shared::in_capture_frame(file.scene, file.y_up).with_context(named)?;
+    notes.extend(file.notes.into_iter().chain(turned).map(|note| format!("{}: {note}", splats.display())));
+    ensure!(!scene.splats.is_empty(), "{}: expected trained splats, found none", splats.display());
+    let gpu = args.adapter.open()?;
+    let mut views = Views::new(&args.messages, "fusing", capture.views.len());
+    let reached = |view| views.reach(view + 1);
+    let (surface, steps) =
+        surface_from_splats(&gpu, &scene, capture, args.triangles, args.planar(), reached).with_context(named)?;
+    views.finish();
+    Ok(Made { surface, steps, origin: SurfaceOrigin::Splats })
+}
+
+fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Result<Made> {
     ensure!(
         !capture.points.is_empty(),
         "{}: expected a capture with points, found none: name trained splats before it",
@@ -267,5 +251,55 @@ fn from_points(
             "{capture}: does not say of {guessed} of {views} views which points they see: each was taken for seen where none is nearer"
         ));
     }
-    Ok((surface, steps.surface, origin))
+    Ok(Made { surface, steps: steps.surface, origin })
+}
+
+/// The surface with texture coordinates, and maps of which nothing is known yet.
+fn unwrapped(made: &Made, args: &Args) -> Result<(Mesh, UnwrapStats)> {
+    let charts_in = made.steps.contraction.map(ChartSpace::unbounded);
+    let unwrapped = geometry::unwrap(&made.surface, charts_in.as_ref(), args.texture_size).map_err(|e| {
+        let source = args.mesh.as_ref().or(args.splats.as_ref()).unwrap_or(&args.capture);
+        anyhow!("{}: {e}; see --texture-size and --triangles", source.display())
+    })?;
+    let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
+    let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
+    Ok((mesh, unwrapped.stats))
+}
+
+/// Texels a side, at most, for telling which part of a map is seen: what is hidden costs a ray per texel and view.
+const SEEN_AT: u32 = 512;
+
+/// Part of the texels in charts of a square map whose centres a view of the capture sees.
+fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
+    let cameras = capture.cameras();
+    let viewers = Viewers { cameras: &cameras, near: 0.0, layers: 1, shows: &|_, _| true };
+    let bvh = MeshBvh::of(std::slice::from_ref(mesh));
+    let (charted, seen) = geometry::texel_visibility(mesh, [side; 2], &bvh, &viewers)?.counts();
+    Ok(seen as f64 / charted.max(1) as f64)
+}
+
+/// The surface against the truth, which is that of `file`, as far as a camera of the capture sees that.
+fn compare(surface: &Surface, file: &Path, truth: &Surface, args: &Args, capture: &Capture) -> Result<SurfaceDistance> {
+    let (low, high) =
+        truth.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+    let (cameras, points) = (capture.cameras(), capture.positions());
+    let ball = match args.truth_radius {
+        Some(radius) => Ball { center: Contraction::around(&cameras, &points)?.center, radius },
+        None => Contraction::if_unbounded(&cameras, &points)?
+            .map_or(Ball::EVERYTHING, |Contraction { center, radius }| Ball { center, radius }),
+    };
+    let box_of_ball = |side: f64| (ball.center + DVec3::splat(side * ball.radius)).as_vec3();
+    let diagonal = f64::from(low.max(box_of_ball(-1.0)).distance(high.min(box_of_ball(1.0))));
+    let bvh = MeshBvh::new([(truth.positions.as_slice(), truth.triangles.as_slice())]);
+    let is_seen = |p: DVec3| {
+        capture.views.iter().any(|View { camera, .. }| {
+            let center = camera.center();
+            camera.in_picture(camera.to_camera(p)).is_some() && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
+        })
+    };
+    let within = args.within.unwrap_or(0.01 * diagonal);
+    geometry::surface_distance(surface, truth, within, ball, is_seen).with_context(|| {
+        let file = file.display();
+        format!("{file}: expected a surface that views of the capture see where this one is, found none")
+    })
 }
