@@ -13,8 +13,9 @@ use centaur::atomic::Aside;
 use centaur::capture::Capture;
 use centaur::evaluate;
 use centaur::format::{gltf, ply};
-use centaur::metrics::Evaluation;
-use centaur::optimize::{self, Checkpoints, Outcome, RefinedPose, Session, Trained};
+use centaur::metrics::{Evaluation, Lpips};
+use centaur::optimize::{self, Checkpoints, MeshSource, Outcome, RefinedPose, Session, TrainOptions, Trained};
+use centaur::render::gpu::Gpu;
 
 pub(super) use self::args::Args;
 use super::eval::{self, Details};
@@ -37,70 +38,23 @@ pub(super) fn run(args: &Args) -> Result<()> {
     told.extend(aside.iter().map(|aside| {
         format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.path().display())
     }));
-    if !args.messages.json {
-        told.iter().for_each(|note| output::note(note));
-    }
-    let mut reporter = Reporter::new(&args.messages);
-    let session = Session {
-        gpu: &gpu,
-        checkpoints: if args.resume {
-            Checkpoints::Resume(args.checkpoint())
-        } else {
-            Checkpoints::Save(args.checkpoint())
-        },
-        stop: &stop,
-        progress: &mut |progress| reporter.update(progress),
-    };
-    let trained = optimize::train(&capture, mesh, &options, session);
-    reporter.finish();
-    // Those of other runs are aside as yet.
-    let has_saved = args.checkpoint().exists();
-    if let (Err(_), Some(aside)) = (&trained, aside)
-        && aside.back().is_ok_and(|is_back| is_back)
-    {
-        output::note(&format!("{}: is back, since this run left none", args.checkpoint().display()));
-    }
-    let trained = trained.map_err(|error| notes::with_advice(error, args, has_saved))?;
+    tell(&told, args);
+    let trained = train(args, (&capture, mesh, &options), &gpu, &stop, aside)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         let checkpoint = args.checkpoint();
         let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
         return report_interruption(args, ("checkpoint", &checkpoint), &line, &told);
     }
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
-    let written = write(args, &capture, &trained, &record);
-    if written.is_err() && has_saved {
-        output::note(&format!(
-            "{}: is kept; the same command with --resume goes on from it",
-            args.checkpoint().display()
-        ));
+    write(args, &capture, &trained, &record)?;
+    let scored = scores.then(|| score(args, &capture, &trained, &record, (&gpu, lpips.as_ref()), &stop)).transpose()?;
+    if let Some(None) = scored {
+        let line = format!("wrote {}, without scores; centaur eval gives them", args.output.display());
+        return report_interruption(args, ("scene", &args.output), &line, &told);
     }
-    written?;
-    let mut evaluation = None;
-    if scores {
-        let mut settings = record.settings();
-        let origin = trained.surface.map(notes::in_words);
-        settings.extend(origin.map(|origin| ("surface".to_owned(), origin.to_owned())));
-        settings.extend(notes::moved(&trained).map(|moved| ("poses".to_owned(), moved)));
-        let details = Details {
-            scene_file: &args.output,
-            lpips: lpips.as_ref(),
-            folder: args.report.as_deref(),
-            settings: &settings,
-            training: Some(&record),
-            messages: &args.messages,
-            stop: &stop,
-        };
-        evaluation = eval::evaluate(&gpu, &trained.scene, &capture, &details)
-            .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))?;
-        if evaluation.is_none() {
-            let line = format!("wrote {}, without scores; centaur eval gives them", args.output.display());
-            return report_interruption(args, ("scene", &args.output), &line, &told);
-        }
-    }
+    let evaluation = scored.flatten();
     let capped = notes::capped(args, &trained, &gpu);
-    if !args.messages.json {
-        capped.iter().for_each(|note| output::note(note));
-    }
+    tell(capped.as_slice(), args);
     told.extend(capped);
     if args.messages.json {
         print_json(args, &capture, &trained, &told, evaluation.as_ref())?;
@@ -110,6 +64,45 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // Everything is written and said; what was kept for resuming has served.
     let _ = std::fs::remove_file(args.checkpoint());
     Ok(())
+}
+
+/// At once, to persons; in JSON they come at the end.
+fn tell(told: &[String], args: &Args) {
+    if !args.messages.json {
+        told.iter().for_each(|note| output::note(note));
+    }
+}
+
+/// The training itself. Where it fails before it has saved a checkpoint, what is `aside` is back.
+fn train(
+    args: &Args,
+    (capture, mesh, options): (&Capture, MeshSource, &TrainOptions),
+    gpu: &Gpu,
+    stop: &AtomicBool,
+    aside: Option<Aside>,
+) -> Result<Trained> {
+    let checkpoint = args.checkpoint();
+    let mut reporter = Reporter::new(&args.messages);
+    let session = Session {
+        gpu,
+        checkpoints: if args.resume {
+            Checkpoints::Resume(checkpoint.clone())
+        } else {
+            Checkpoints::Save(checkpoint.clone())
+        },
+        stop,
+        progress: &mut |progress| reporter.update(progress),
+    };
+    let trained = optimize::train(capture, mesh, options, session);
+    reporter.finish();
+    trained.map_err(|error| {
+        // Those of other runs are aside as yet.
+        let has_saved = checkpoint.exists();
+        if aside.is_some_and(|aside| aside.back().is_ok_and(|is_back| is_back)) {
+            output::note(&format!("{}: is back, since this run left none", checkpoint.display()));
+        }
+        notes::with_advice(error, args, has_saved)
+    })
 }
 
 /// Set by signals, and by the end of stdin where that is asked for.
@@ -147,13 +140,49 @@ fn will_be_scored(args: &Args, capture: &Capture) -> Result<bool> {
     Ok(scores)
 }
 
+/// Writes scene and splats; from a checkpoint that there is they can be made again.
 fn write(args: &Args, capture: &Capture, trained: &Trained, record: &Record) -> Result<()> {
     let cameras: Vec<_> = capture.views.iter().zip(&trained.cameras).map(|(v, c)| (v.name.clone(), *c)).collect();
-    gltf::write_glb(&args.output, &trained.scene, &cameras, Some(serde_json::to_value(record)?))?;
-    if let Some(path) = &args.ply {
-        ply::write_with(path, &trained.scene.splats, &[], trained.scene.composition.pixel_filter)?;
-    }
-    Ok(())
+    let scene = &trained.scene;
+    let all = || -> Result<()> {
+        gltf::write_glb(&args.output, scene, &cameras, Some(serde_json::to_value(record)?))?;
+        if let Some(path) = &args.ply {
+            ply::write_with(path, &scene.splats, &[], scene.composition.pixel_filter)?;
+        }
+        Ok(())
+    };
+    all().inspect_err(|_| {
+        let checkpoint = args.checkpoint();
+        if checkpoint.exists() {
+            output::note(&format!("{}: is kept; the same command with --resume goes on from it", checkpoint.display()));
+        }
+    })
+}
+
+/// Scores the held-out views; `None` if that was stopped.
+fn score(
+    args: &Args,
+    capture: &Capture,
+    trained: &Trained,
+    record: &Record,
+    (gpu, lpips): (&Gpu, Option<&Lpips>),
+    stop: &AtomicBool,
+) -> Result<Option<Evaluation>> {
+    let mut settings = record.settings();
+    let origin = trained.surface.map(notes::in_words);
+    settings.extend(origin.map(|origin| ("surface".to_owned(), origin.to_owned())));
+    settings.extend(notes::moved(trained).map(|moved| ("poses".to_owned(), moved)));
+    let details = Details {
+        scene_file: &args.output,
+        lpips,
+        folder: args.report.as_deref(),
+        settings: &settings,
+        training: Some(record),
+        messages: &args.messages,
+        stop,
+    };
+    eval::evaluate(gpu, &trained.scene, capture, &details)
+        .with_context(|| format!("{} is written, but not its evaluation", args.output.display()))
 }
 
 fn print_json(
