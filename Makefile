@@ -143,11 +143,6 @@ bench-ray: $(BENCH_RAY)/installed ## `centaur bench` on two nodes of Ray on this
 	@rm -rf target/bench-ray && mkdir -p target/bench-ray
 	$(BENCH_RAY)/bin/python tests/oracles/check_bench_ray.py "$(CENTAUR)" demo target/bench-ray
 
-$(BENCH_RAY)/installed:
-	$(PYTHON) -m venv $(BENCH_RAY)
-	$(BENCH_RAY)/bin/pip install --quiet --disable-pip-version-check ray==2.60.0
-	touch $@
-
 bench-slurm: ## `centaur bench` as an array of Slurm, two nodes on this machine (Debian's slurm-wlm, as root; 2 minutes)
 	@[ $$(id -u) -eq 0 ] || { echo "error: Slurm's daemons want root: run this as root, in a container for example" >&2; exit 1; }
 	@export PATH=$$PATH:/usr/sbin; for daemon in slurmctld slurmd munged; do command -v $$daemon >/dev/null || { scripts/install.sh slurm-wlm munge; break; }; done
@@ -200,26 +195,6 @@ crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and pla
 		.venv-blender-$$version/bin/python tests/crosscheck/check_blender.py "$(CENTAUR)" target/oracles/hybrid.glb target/crosscheck/blender-$$version || exit 1; \
 	done
 
-.venv-blender-%/installed:
-	$(BLENDER_PYTHON) -m venv .venv-blender-$*
-	.venv-blender-$*/bin/pip install --quiet --disable-pip-version-check bpy==$*
-	touch $@
-
-$(ORACLES_FLIP)/installed:
-	$(PYTHON) -m venv $(ORACLES_FLIP)
-	$(ORACLES_FLIP)/bin/pip install --quiet --disable-pip-version-check flip-evaluator==1.7 numpy==2.4.6 pillow==13.0.0
-	touch $@
-
-$(ORACLES_LPIPS)/installed: tests/oracles/requirements-lpips.txt
-	$(PYTHON) -m venv $(ORACLES_LPIPS)
-	$(ORACLES_LPIPS)/bin/pip install --quiet --disable-pip-version-check -r $<
-	touch $@
-
-$(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
-	$(PYTHON) -m venv $(ORACLES_USD)
-	$(ORACLES_USD)/bin/pip install --quiet --disable-pip-version-check -r $<
-	touch $@
-
 # Our pictures beside those of other programs, pixel by pixel; the page is in out/crosscheck.
 CROSSCHECK_FLAGS ?=
 # --quick takes the first of BLENDERS.
@@ -252,12 +227,6 @@ crosscheck-quick-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLEN
 crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
 	$(MAKE) crosscheck CROSSCHECK_FLAGS="--quick $(CROSSCHECK_FLAGS)"
 
-# Its numpy, too, needs Python 3.11.
-$(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
-	$(BLENDER_PYTHON) -m venv $(CROSSCHECK)
-	$(CROSSCHECK)/bin/pip install --quiet --disable-pip-version-check -r $<
-	touch $@
-
 SPLATS ?= 1000000
 convert-times: system ## time and memory of conversions, beside splat-transform's (Node 20, GNU time; SPLATS=1000000)
 	@mkdir -p target/oracles
@@ -273,21 +242,6 @@ fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (nightly Rust; cargo install
 		RAYON_NUM_THREADS=1 ASAN_OPTIONS=detect_odr_violation=0 cargo +nightly fuzz run $$target -- -max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=2048 -malloc_limit_mb=512 \
 			-max_len=65536 -print_final_stats=1 || exit 1; \
 	done
-
-$(ORACLES)/installed: tests/oracles/requirements.txt
-	$(PYTHON) -m venv $(ORACLES)
-	$(ORACLES)/bin/pip install --quiet --disable-pip-version-check -r $<
-	touch $@
-
-$(ORACLES_GLTF)/installed: tests/oracles/requirements-gltf.txt
-	$(PYTHON) -m venv $(ORACLES_GLTF)
-	$(ORACLES_GLTF)/bin/pip install --quiet --disable-pip-version-check -r $<
-	touch $@
-
-$(ORACLES_COMPOSITION)/installed: tests/oracles/requirements-composition.txt
-	$(PYTHON) -m venv $(ORACLES_COMPOSITION)
-	$(ORACLES_COMPOSITION)/bin/pip install --quiet --disable-pip-version-check -r $<
-	touch $@
 
 target/oracles/test_garden.npz:
 	@mkdir -p $(@D)
@@ -329,9 +283,28 @@ unbounded-captures: test-geometry $(patsubst %,target/unbounded/%/sparse/0/point
 target/unbounded/%/sparse/0/points3D.bin: $(wildcard datasets-scripts/unbounded_*.py) $(addprefix datasets-scripts/,procedural.py demo_scene.py mitsuba_capture.py colmap_model.py triangulation.py) | .venv/installed
 	.venv/bin/python datasets-scripts/unbounded_capture.py $* target/unbounded/$* $(UNBOUNDED_FLAGS)
 
+# Packages from PyPI. A list that names other versions is installed anew.
 .venv/installed: datasets-scripts/requirements.txt
-	$(PYTHON) -m venv .venv
-	.venv/bin/pip install --quiet --disable-pip-version-check -r $<
+$(ORACLES)/installed: tests/oracles/requirements.txt
+$(ORACLES_COMPOSITION)/installed: tests/oracles/requirements-composition.txt
+$(ORACLES_FLIP)/installed: tests/oracles/requirements-flip.txt
+$(ORACLES_GLTF)/installed: tests/oracles/requirements-gltf.txt
+$(ORACLES_LPIPS)/installed: tests/oracles/requirements-lpips.txt
+$(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
+$(BENCH_RAY)/installed: tests/oracles/requirements-ray.txt
+$(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
+# Its numpy, too, needs Python 3.11.
+$(CROSSCHECK)/installed: PYTHON = $(BLENDER_PYTHON)
+
+# Its version is in the name.
+.venv-blender-%/installed:
+	$(BLENDER_PYTHON) -m venv $(@D)
+	$(@D)/bin/pip install --quiet --disable-pip-version-check bpy==$*
+	touch $@
+
+$(addsuffix /installed,.venv $(ORACLES) $(ORACLES_COMPOSITION) $(ORACLES_FLIP) $(ORACLES_GLTF) $(ORACLES_LPIPS) $(ORACLES_USD) $(BENCH_RAY) $(CROSSCHECK)):
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/pip install --quiet --disable-pip-version-check -r $<
 	touch $@
 
 clean-out: ## delete out/
