@@ -5,8 +5,8 @@
     python tests/oracles/check_colmap_models.py            # compare, exit 1 on a difference above 1e-9 pixels
     python tests/oracles/check_colmap_models.py --write    # make the file anew
 
-Written with pycolmap 4.2.1. Per camera model the file holds parameters, camera-space points and the pixels they fall
-on; a model this pycolmap does not know is skipped and named.
+Written with pycolmap 4.2.1, which knows all of these models. Per camera model the file holds parameters, camera-space points
+and the pixels they fall on.
 """
 import argparse
 import json
@@ -50,21 +50,24 @@ def main():
         cases = [{"model": m, "params": p, "points": POINTS} for m, p in MODELS.items()]
     else:
         cases = json.loads(FILE.read_text())
-    worst = 0.0
+    unknown = [m for m in MODELS if m not in pycolmap.CameraModelId.__members__]
+    if unknown:
+        sys.exit(f"pycolmap {pycolmap.__version__} does not know {', '.join(unknown)}")
+    if [case["model"] for case in cases] != [*MODELS]:
+        sys.exit(f"{FILE}: expected {', '.join(MODELS)}, found {', '.join(case['model'] for case in cases)}")
+    differences = []
     for case in cases:
-        if case["model"] not in pycolmap.CameraModelId.__members__:
-            print(f"pycolmap {pycolmap.__version__} does not know {case['model']}: skipped")
-            continue
         camera = pycolmap.Camera(model=case["model"], width=640, height=480, params=case["params"])
         pixels = np.array(camera.img_from_cam(np.array(case["points"])))
         if arguments.write:
             case["id"] = int(camera.model)
             case["pixels"] = pixels.tolist()
-        difference = float(np.abs(pixels - np.array(case["pixels"])).max())
-        worst = max(worst, difference)
-        print(f"{case['model']:28} {difference:.1e} px")
+        differences.append(np.abs(pixels - np.array(case["pixels"])).max())
+        print(f"{case['model']:28} {differences[-1]:.1e} px")
     if arguments.write:
         FILE.write_text("[\n" + ",\n".join(json.dumps(c) for c in cases) + "\n]\n")
+    # Unlike `max`, numpy's keeps what is not a number.
+    worst = np.max(differences)
     sys.exit(0 if worst < 1e-9 else f"largest difference {worst} px")
 
 
