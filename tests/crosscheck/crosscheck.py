@@ -33,8 +33,10 @@ GATES = {
     # Mitsuba without our plug-ins: it orders splats by where rays enter them, and draws rays at random within a pixel.
     "mitsuba stock": {"few": 33, "many": 28},
 }
-# Of splats alone and of meshes alone, whatever the program.
+# Of splats alone and of meshes alone, whatever the program, but for what draws no layers.
 LAYER_GATE = 50
+LAYERS = ["splats", "mesh"]
+WITHOUT_LAYERS = ["mitsuba stock"]
 # In Cycles a ray through the common edge of two facets of a `cap` meets both or neither: one to three pixels a picture. So many with
 # an error above 0.01 are counted and left out of what its gates are held to; `psnr` is of all.
 CAP_EDGES = 5
@@ -64,13 +66,13 @@ def run(command, timeout=1800):
 
 
 def read(path):
-    """{"": RGBA, "splats": RGBA, "mesh": RGBA} of an EXR, [h, w, 4]; layers that are not in it are left out."""
+    """{"": RGBA, "splats": RGBA, "mesh": RGBA} of an EXR, [h, w, 4], as far as it has them."""
     channels = {}
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:
             channels |= {name.split("ViewLayer.")[-1]: c.pixels.astype(np.float64) for name, c in part.channels.items()}
     layers = {}
-    for layer in ("", "splats", "mesh"):
+    for layer in ("", *LAYERS):
         names = [f"{layer}.{c}" if layer else c for c in "RGBA"]
         if all(name in channels for name in names):
             layers[layer] = np.stack([channels[name] for name in names], -1)
@@ -178,8 +180,11 @@ def over(image, background):
     return image[..., :3] + (1 - image[..., 3:]) * background
 
 
-def compare(row, ours, theirs, background, gate, edges):
-    """Fills `row` with figures, and says whether its gates are met, at most `edges` pixels left out."""
+def compare(row, ours, theirs, background, gate, edges, layers):
+    """Fills `row` with figures of the picture and its `layers`, and says whether their gates are met, at most `edges` pixels left out."""
+    for found in (ours, theirs):
+        if not {"", *layers} <= found.keys():
+            raise RuntimeError(f"expected RGBA and the layers {layers}, found {sorted(found)}")
     if ours[""].shape != theirs[""].shape:
         raise RuntimeError(f"expected a picture of {ours[''].shape}, found {theirs[''].shape}")
     meets = lambda psnr, gate: psnr is None or psnr >= gate
@@ -187,8 +192,8 @@ def compare(row, ours, theirs, background, gate, edges):
     row |= figures(over(ours[""], background), over(theirs[""], background)) | {"gate": gate}
     row["alpha"] = figures(ours[""][..., 3:], theirs[""][..., 3:])
     row["passes"] = at_least(row, gate)
-    if "splats" in theirs and "mesh" in theirs:
-        row["layers"] = {name: figures(ours[name], theirs[name]) for name in ("splats", "mesh")}
+    if layers:
+        row["layers"] = {name: figures(ours[name], theirs[name]) for name in layers}
         row["sum_error"] = float(np.abs(theirs["splats"] + theirs["mesh"] - theirs[""])[..., :3].max())
         row["passes"] &= all(at_least(f, LAYER_GATE) for f in row["layers"].values()) and row["sum_error"] <= SUM_LIMIT
     row["pictures"] = [report.png(p) for p in (
@@ -236,7 +241,8 @@ def check(scene, arguments, out):
                 if error:
                     raise RuntimeError(error)
                 edges = CAP_EDGES if name.endswith(" cap") else 0
-                compare(row, ours[model][i][0], theirs[i][0], background, gate, edges)
+                layers = [] if name in WITHOUT_LAYERS else LAYERS
+                compare(row, ours[model][i][0], theirs[i][0], background, gate, edges, layers)
                 row["seconds"] = {"ours": round(ours[model][i][1], 2), "theirs": round(theirs[i][1], 2)}
             except RuntimeError as e:
                 row["error"] = str(e)
