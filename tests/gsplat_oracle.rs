@@ -108,6 +108,7 @@ fn compare(found: &[[f64; 3]], expected: &[[f64; 3]], margins: &[Margin], tolera
     let (mut sum, mut exempt, mut largest) = (0.0, 0, 0f64);
     for ((a, b), margin) in found.iter().zip(expected).zip(margins) {
         let differences = [0, 1, 2].map(|c| (a[c] - b[c]).abs());
+        assert!(differences.iter().all(|d| d.is_finite()));
         if margin.is_within(tolerance) {
             exempt += 1;
             largest = differences.into_iter().fold(largest, f64::max);

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use glam::{DMat3, DVec2, DVec3, Vec3};
 
 use super::*;
+use crate::render::testing::largest;
 use crate::scene::{Camera, Intrinsics};
 
 fn look_at(eye: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
@@ -128,7 +129,7 @@ fn sphere_error(surface: &Surface) -> (f64, f64) {
     let centroids = corners.map(|[a, b, c]| (a + b + c) / 3.0);
     let errors: Vec<f64> =
         surface.positions.iter().map(|p| p.as_dvec3()).chain(centroids).map(|p| (p.length() - 1.0).abs()).collect();
-    (errors.iter().copied().fold(0.0, f64::max), errors.iter().sum::<f64>() / errors.len() as f64)
+    (largest(errors.iter().copied()), errors.iter().sum::<f64>() / errors.len() as f64)
 }
 
 #[test]
@@ -320,15 +321,16 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
         fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }).unwrap();
     }
     let surface = fusion.extract();
-    let (mut kinds, mut worst) = ([0, 0], [0.0_f64; 2]);
+    let mut errors = [vec![], vec![]];
     for p in &surface.positions {
         let distance = f64::from(p.length());
         let is_far = usize::from(distance > 10.0);
-        kinds[is_far] += 1;
         // In voxels as they are there: along the ray they grow by the square of the distance.
         let size = [options.voxel, options.voxel * (FAR / 6.0).powi(2)][is_far];
-        worst[is_far] = worst[is_far].max((distance - [1.0, FAR][is_far]).abs() / size);
+        errors[is_far].push((distance - [1.0, FAR][is_far]).abs() / size);
     }
+    let kinds = errors.each_ref().map(Vec::len);
+    let worst = errors.map(largest);
     let mib = fusion.bytes() >> 20;
     eprintln!("{kinds:?} vertices near and far, at most {worst:?} voxels off, {mib} MiB");
     assert!(worst[0] < 1.0 && worst[1] < 1.0, "{worst:?}");

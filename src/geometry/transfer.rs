@@ -83,6 +83,7 @@ fn dilate(texels: &mut [f32], drawn: &mut [bool], channels: usize, side: usize) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::testing::largest;
 
     /// Two triangles that cover the square from `low` to `high`.
     fn square(low: Vec2, high: Vec2) -> Vec<[Vec2; 3]> {
@@ -99,7 +100,7 @@ mod tests {
     fn the_same_layout_gives_the_same_texels() {
         let all = square(Vec2::ZERO, Vec2::ONE);
         let same = transfer(&ramp(), &all, &all, 32, 0).unwrap();
-        let error = same.texels().iter().zip(ramp().texels()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let error = largest(same.texels().iter().zip(ramp().texels()).map(|(a, b)| f64::from((a - b).abs())));
         assert!(error < 1e-4, "{error}");
     }
 

@@ -1,10 +1,15 @@
-//! Random scenes for the tests of the reference and of the GPU renderer.
+//! Random scenes for the tests of the reference and of the GPU renderer, and how far numbers are apart.
 
 use glam::{DMat3, DQuat, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh};
+
+/// Largest of `magnitudes`, of which there must be some; NaN if one is, which `f64::max` would drop.
+pub(crate) fn largest(magnitudes: impl IntoIterator<Item = f64>) -> f64 {
+    magnitudes.into_iter().max_by(f64::total_cmp).unwrap()
+}
 
 /// A camera with different focal lengths and an off-centre principal point, turned by up to 0.3 rad, and a function
 /// from its camera space to world space.

@@ -5,6 +5,7 @@ use super::*;
 use crate::capture::{self, LoadOptions};
 use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, validate, write_scene};
+use crate::render::testing::largest;
 use crate::scene::Intrinsics;
 
 /// A path with turns, of which some pass half a turn of the quaternion.
@@ -22,10 +23,10 @@ fn largest_difference(a: &[(String, Camera)], b: &[(String, Camera)]) -> f64 {
     assert_eq!(a.len(), b.len());
     let of = |(a, b): (&(String, Camera), &(String, Camera))| {
         assert_eq!(a.1.intrinsics(), b.1.intrinsics());
-        let r = (a.1.rotation() - b.1.rotation()).to_cols_array().map(f64::abs).into_iter().fold(0.0, f64::max);
-        r.max((a.1.center() - b.1.center()).abs().max_element())
+        let rotation = (a.1.rotation() - b.1.rotation()).to_cols_array().map(f64::abs);
+        rotation.into_iter().chain((a.1.center() - b.1.center()).abs().to_array())
     };
-    a.iter().zip(b).map(of).fold(0.0, f64::max)
+    largest(a.iter().zip(b).flat_map(of))
 }
 
 fn read(path: &Path) -> CameraFile {

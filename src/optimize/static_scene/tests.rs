@@ -10,7 +10,10 @@ use crate::{
     format::gltf,
     geometry::{self, Surface, TexelSight, Viewers},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
-    render::gpu::{Renderer, state::SplatState},
+    render::{
+        gpu::{Renderer, state::SplatState},
+        testing::largest,
+    },
     scene::{Atlas, Texture},
 };
 
@@ -604,7 +607,7 @@ fn file_shows_what_trainer_showed(options: &TrainOptions) {
             let before = training.render(camera, scene.composition.background, true).unwrap();
             let after = renderer.render(camera).unwrap();
             let pairs = before.rgb.as_flattened().iter().zip(after.rgb.as_flattened());
-            let worst = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let worst = largest(pairs.map(|(a, b)| f64::from((a - b).abs())));
             assert!(worst < 1.0 / 255.0, "{worst}");
         }
     });

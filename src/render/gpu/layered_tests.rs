@@ -24,7 +24,7 @@ fn agreement<const N: usize>(found: &[[f32; N]], expected: &[[f64; N]]) -> Agree
     assert_eq!(found.len(), expected.len());
     let (mut squares, mut differing) = (0.0, 0);
     for (f, e) in found.iter().zip(expected) {
-        let worst = f.iter().zip(e).map(|(f, e)| (f64::from(*f) - e).abs()).fold(0.0, f64::max);
+        let worst = testing::largest(f.iter().zip(e).map(|(f, e)| (f64::from(*f) - e).abs()));
         assert!(worst.is_finite());
         squares += f.iter().zip(e).map(|(f, e)| (f64::from(*f) - e).powi(2)).sum::<f64>();
         differing += usize::from(worst > 1e-2);

@@ -227,7 +227,7 @@ fn what_all_have_in_common_is_taken_out() {
     let of_others = common.of(30);
     let mut centered = common.clone();
     centered.center(&cameras, &views);
-    let largest = |state: &PoseState| state.values[..30 * FLOATS].iter().fold(0.0f32, |a, v| a.max(v.abs()));
+    let largest = |state: &PoseState| testing::largest(state.values[..30 * FLOATS].iter().map(|v| f64::from(v.abs())));
     assert!(largest(&common) > 1e-3 && largest(&centered) < 1e-8, "{}", largest(&centered));
     assert_eq!(centered.of(30), of_others, "a view that is not among them rests");
 

@@ -158,6 +158,7 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::render::reference::{self, Parameters};
+    use crate::render::testing::largest;
     use crate::scene::{Camera, Composition, HybridScene, Intrinsics};
 
     /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, unequal SH, and moments that are nowhere zero.
@@ -212,9 +213,8 @@ pub(crate) mod tests {
         let parameters = Parameters { smoothing: vec![f64::from(0.02_f32)], ..Parameters::of(&raw) };
         let before = reference::render_parameters(&raw, &camera, &parameters);
         let after = reference::render(&scene(splats.clone()), &camera);
-        let most =
-            before.transmittance.iter().zip(&after.transmittance).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        let shown = before.transmittance.iter().map(|t| 1.0 - t).fold(0.0, f64::max);
+        let most = largest(before.transmittance.iter().zip(&after.transmittance).map(|(a, b)| (a - b).abs()));
+        let shown = largest(before.transmittance.iter().map(|t| 1.0 - t));
         // Scales and logits are stored as f32.
         assert!(most < 1e-5 * shown && shown > 0.01, "{most:e} of {shown:e}");
         let variance = |log_scale: f32| (2.0 * f64::from(log_scale)).exp();

@@ -425,7 +425,7 @@ fn filters_equal_the_reference() {
         let (image, found, _) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some((&cotangent, 0.0)));
         let reference = reference::render_parameters(&scene, &camera, &parameters);
         let pairs = image.rgb.iter().flatten().zip(reference.rgb.iter().flatten());
-        let most = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let most = testing::largest(pairs.map(|(a, b)| (a - b).abs()));
         let errors = class_errors(&found.unwrap(), &expected);
         eprintln!("{variance} px², {deviation}: image {most:.1e}, {errors:?}");
         // A few wide splats: rounding alone.

@@ -10,7 +10,10 @@ use super::{
     texels::TexelStep,
     view::{VIEW_WORDS, View},
 };
-use crate::scene::{Atlas, Mesh, Texture};
+use crate::{
+    render::testing,
+    scene::{Atlas, Mesh, Texture},
+};
 
 /// Gradients of every class of texel, also with fewer bands than are stored, against central differences of the oracle.
 /// The loss is Σ w·(r, g, b, alpha) with random weights over all fragments; it is linear in the texels except where a
@@ -49,8 +52,10 @@ fn texel_gradients_match_finite_differences() {
         let mut checked = [0, 0];
         for (m, (base, bands)) in gradients.iter().enumerate() {
             for (class, found) in [base, bands].into_iter().enumerate() {
-                let scale = found.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
-                let strong: Vec<usize> = (0..found.len()).filter(|&i| found[i].abs() > 0.1 * scale).collect();
+                let scale = testing::largest(found.iter().map(|g| f64::from(g.abs())));
+                assert!(scale > 0.0, "{case}: {scale}");
+                let strong: Vec<usize> =
+                    (0..found.len()).filter(|&i| f64::from(found[i].abs()) > 0.1 * scale).collect();
                 for n in 0..30 {
                     let pick = |len: usize, unit: f32| (unit * len as f32) as usize;
                     let unit = random.unit();
@@ -77,11 +82,11 @@ fn texel_gradients_match_finite_differences() {
                     let wanted = (at(h) - at(-h)) / taken;
                     let error = (f64::from(found[i]) - wanted).abs();
                     assert!(
-                        error < 1e-3 * wanted.abs() + 1e-4 * f64::from(scale),
+                        error < 1e-3 * wanted.abs() + 1e-4 * scale,
                         "{case}: mesh {m} class {class} float {i}: {} instead of {wanted}",
                         found[i]
                     );
-                    checked[class] += usize::from(wanted.abs() > 0.01 * f64::from(scale));
+                    checked[class] += usize::from(wanted.abs() > 0.01 * scale);
                 }
             }
         }

@@ -396,8 +396,8 @@ fn splats_that_a_step_leaves_out_are_neither_seen_nor_moved() {
     };
     let (found, moved) = stepped(&all, Dropout { seed, rate });
     let (expected, others) = stepped(&fewer, Dropout::default());
-    let difference = found.as_flattened().iter().zip(expected.as_flattened()).map(|(a, b)| (a - b).abs());
-    assert!(difference.fold(0.0, f32::max) < 1e-5);
+    let difference = found.as_flattened().iter().zip(expected.as_flattened()).map(|(a, b)| f64::from((a - b).abs()));
+    assert!(testing::largest(difference) < 1e-5);
     let row = |state: &SplatState, i: usize| state.geometry_m[i * GEOMETRY..][..GEOMETRY].to_vec();
     for i in (0..n).filter(|i| !stays(i)) {
         assert!(row(&moved, i).iter().all(|m| *m == 0.0), "splat {i} was left out");

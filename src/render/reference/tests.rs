@@ -4,7 +4,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 use crate::render::contract::{ImageModel, ShDirection};
-use crate::render::testing::{random_scene, smooth_scene, two_rays};
+use crate::render::testing::{largest, random_scene, smooth_scene, two_rays};
 use crate::scene::{Atlas, Composition, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture};
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
@@ -20,7 +20,7 @@ fn logit(opacity: f32) -> f32 {
 
 fn max_difference(a: &Image, b: &Image) -> f64 {
     let rgb = a.rgb.as_flattened().iter().zip(b.rgb.as_flattened());
-    rgb.chain(a.transmittance.iter().zip(&b.transmittance)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    largest(rgb.chain(a.transmittance.iter().zip(&b.transmittance)).map(|(a, b)| (a - b).abs()))
 }
 
 /// A random image, as the derivative of a loss.
@@ -337,8 +337,8 @@ fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters
 
 /// A gradient and the central difference of 1e-4, which in f64 is good to about 1e-8 of the curvature, of every parameter of a class.
 fn check_pairs(class: &str, pairs: &[(f64, f64)]) {
-    let scale = pairs.iter().map(|(_, b)| b.abs()).fold(0.0, f64::max);
-    let worst = pairs.iter().map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / scale;
+    let scale = largest(pairs.iter().map(|(_, b)| b.abs()));
+    let worst = largest(pairs.iter().map(|(a, b)| (a - b).abs())) / scale;
     eprintln!("{class}: {} parameters, relative error {worst:.1e}", pairs.len());
     assert!(worst < 1e-6 && scale > 1e-6, "{class}: {worst:e} of {scale:e}");
 }
@@ -443,15 +443,16 @@ fn vertex_gradients_are_finite_differences() {
         let cotangent = random_cotangent(&camera, 18);
         let parameters = Parameters::of(&scene);
         let mut gradient = backward(&scene, &camera, &cotangent);
-        let (mut worst, mut scale) = (0.0_f64, 0.0_f64);
+        let mut pairs = vec![];
         for (m, mesh) in scene.meshes.iter().enumerate() {
             for parameter in (0..mesh.positions().len()).flat_map(|v| (0..3).map(move |k| Parameter::Position(m, v, k)))
             {
                 let expected = finite_difference(&scene, &camera, &parameters, &cotangent, parameter, 1e-6);
-                worst = worst.max((*gradient.at(parameter) - expected).abs());
-                scale = scale.max(expected.abs());
+                pairs.push((*gradient.at(parameter), expected));
             }
         }
+        let scale = largest(pairs.iter().map(|(_, b)| b.abs()));
+        let worst = largest(pairs.iter().map(|(a, b)| (a - b).abs()));
         eprintln!("vertices: relative error {:.1e}", worst / scale);
         // Central differences of 1e-6 in f64 hold some eight digits of the image.
         assert!(worst < 1e-5 * scale && scale > 1e-3, "{worst:e} of {scale:e}");
@@ -538,7 +539,7 @@ fn the_two_models_agree_on_small_splats() {
     let ewa = render_layers(&scene, &camera, ImageModel::Ewa);
     let ray = render_layers(&scene, &camera, ImageModel::Ray(ShDirection::Mean));
     let difference = |a: &[f64; 4], b: &[f64; 4]| (a[3] - b[3]).abs();
-    let most = ewa.splats.iter().zip(&ray.splats).map(|(a, b)| difference(a, b)).fold(0.0, f64::max);
+    let most = largest(ewa.splats.iter().zip(&ray.splats).map(|(a, b)| difference(a, b)));
     // The low-pass adds 0.3 px² to variances of 30 and more; the cut at 1/255 is elsewhere.
     assert!(ewa.splats[32 * 64 + 32][3] > 0.5 && most > 1e-4 && most < 6e-3, "{most}");
 }
@@ -552,7 +553,7 @@ fn parts_sum_to_the_picture() {
         let layers = render_layers(&scene, &camera, ImageModel::Ewa);
         let sum = layers.over(scene.composition.background);
         let most = |a: &[[f64; 3]], b: &[[f64; 3]]| {
-            a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+            largest(a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()))
         };
         assert!(most(&sum, &whole.rgb) < 1e-12);
         for i in 0..sum.len() {
