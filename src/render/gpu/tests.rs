@@ -121,6 +121,9 @@ const MEAN: f64 = 1e-4;
 /// term that is left out is worth per cents.
 const GRADIENT: f64 = 1e-3;
 
+/// Of a scene's pixels, a fifth: found is a sixth where 5,000 splats lie among meshes, and which they are the reference alone says.
+const EXCUSED: usize = 5;
+
 /// Pixels that a decision is close in, and those of each kind of decision; a pixel may be of several.
 #[derive(Default)]
 struct Excused {
@@ -128,12 +131,13 @@ struct Excused {
     by_kind: [usize; 4],
 }
 
-/// Mean and largest difference over pixels that no decision is close in, and the others.
+/// Mean and largest difference over pixels that no decision is close in, and the others, which are few.
 fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, Excused) {
     let (expected, margins) = reference::render_with_margins(scene, camera);
     let (mut sum, mut most, mut excused) = (0.0, 0.0_f64, Excused::default());
     for (i, margin) in margins.iter().enumerate() {
         if margin.is_within(&TOLERANCE) {
+            assert!(found.rgb[i].iter().all(|c| c.is_finite()), "pixel {i}");
             excused.pixels += 1;
             for (count, within) in excused.by_kind.iter_mut().zip(margin.within(&TOLERANCE)) {
                 *count += usize::from(within);
@@ -147,7 +151,8 @@ fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, Ex
             most = most.max(difference);
         }
     }
-    (sum / (3 * (margins.len() - excused.pixels).max(1)) as f64, most, excused)
+    assert!(EXCUSED * excused.pixels < margins.len(), "{} of {} are excused", excused.pixels, margins.len());
+    (sum / (3 * (margins.len() - excused.pixels)) as f64, most, excused)
 }
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
@@ -189,7 +194,8 @@ fn images_equal_the_reference() {
         Margin::KINDS,
         all.by_kind
     );
-    assert!(all.pixels * 10 < pixels, "{} of {pixels} pixels are threshold pixels", all.pixels);
+    // Twice as many as there are.
+    assert!(all.pixels * 35 < pixels, "{} of {pixels} pixels are threshold pixels", all.pixels);
 }
 
 /// The paper's figure, as the reference has it (`two_rays_disagree_in_direct_order_only`), as f32.
