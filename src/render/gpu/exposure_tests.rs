@@ -6,11 +6,14 @@ use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
     exposure::{ExposureState, ExposureStep, FLOATS},
-    loss::TruthAlpha,
+    loss::{LossValues, TruthAlpha, tests::defined},
     training::{Step, Training},
     view::Dropout,
 };
-use crate::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
+use crate::{
+    render::testing,
+    scene::{Camera, Composition, HybridScene, Intrinsics, Splats},
+};
 
 /// No multiple of a workgroup's pixels.
 const SIZE: [u32; 2] = [70, 61];
@@ -94,44 +97,58 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
         .unwrap();
 }
 
-/// Mean absolute difference of an exposed picture from the truth.
-fn l1(state: &ExposureState, picture: &[[f32; 3]], truth: &[u8]) -> f64 {
+/// Of an exposed picture and the truth.
+fn values(state: &ExposureState, picture: &[[f32; 3]], truth: &[u8]) -> LossValues {
     let e: Vec<f64> = state.of(1).map(f64::from).to_vec();
     let exposed = |rgb: &[f32; 3], c: usize| {
         let [r, g, b] = rgb.map(f64::from);
         e[4 * c] * r + e[4 * c + 1] * g + e[4 * c + 2] * b + e[4 * c + 3]
     };
-    let of_pixel = |(p, rgb): (usize, &[f32; 3])| {
-        (0..3).map(|c| (exposed(rgb, c) - f64::from(truth[4 * p + c]) / 255.0).abs()).sum::<f64>()
-    };
-    picture.iter().enumerate().map(of_pixel).sum::<f64>() / (3 * picture.len()) as f64
+    let channels = [0, 1, 2].map(|c| {
+        let true_values = truth.iter().skip(c).step_by(4).map(|v| f64::from(*v) / 255.0);
+        (picture.iter().map(|rgb| exposed(rgb, c)).collect::<Vec<_>>(), true_values.collect::<Vec<_>>())
+    });
+    defined(SIZE.map(|side| side as usize), channels.each_ref().map(|(x, y)| [&x[..], &y[..]]))
 }
 
+fn loss(values: LossValues, ssim_weight: f32) -> f64 {
+    let w = f64::from(ssim_weight);
+    (1.0 - w) * values.l1 + w * (1.0 - values.ssim)
+}
+
+/// With SSIM, too, whose windows are of what is exposed.
 #[test]
 fn gradients_are_those_of_the_exposed_picture() {
+    assert_gradients(0.0);
+    assert_gradients(0.2);
+}
+
+/// Compares the gradients of a step with central differences of the definition.
+fn assert_gradients(ssim_weight: f32) {
     let (gpu, truth, state) = (Gpu::open(None).unwrap(), truth(), exposures());
-    let mut trained = training(&gpu, &scene((0, 0), 0.0), 0.0);
+    let mut trained = training(&gpu, &scene((0, 0), 0.0), ssim_weight);
     let picture = trained.render(&camera(), [0.1, 0.2, 0.3], true).unwrap().rgb;
     trained.expose(&state).unwrap();
     step(&mut trained, &truth, Some(ExposureStep { view: 1, rate: 1e-2 }));
-    assert!((trained.loss().unwrap().l1 - l1(&state, &picture, &truth)).abs() < 1e-6);
+    let (found, expected) = (trained.loss().unwrap(), values(&state, &picture, &truth));
+    assert!(
+        (found.l1 - expected.l1).abs() < 1e-6 && (found.ssim - expected.ssim).abs() < 1e-5,
+        "{found:?} {expected:?}"
+    );
 
     // Adam's first moment of the first step is a tenth of the gradient.
     let after = trained.read_exposures().unwrap().unwrap();
-    let largest = after.moments[0].iter().fold(0f32, |a, m| a.max(10.0 * m.abs()));
+    let largest = testing::largest(after.moments[0].iter().map(|m| f64::from(10.0 * m.abs())));
     assert!(largest > 0.01, "{largest}");
     for i in 0..FLOATS {
         let at = |h: f32| {
             let mut moved = state.clone();
             moved.values[FLOATS + i] += h;
-            (l1(&moved, &picture, &truth), f64::from(moved.values[FLOATS + i]))
+            (loss(values(&moved, &picture, &truth), ssim_weight), f64::from(moved.values[FLOATS + i]))
         };
-        let ((a, to_a), (b, to_b)) = (at(1e-3), at(-1e-3));
+        let ((a, to_a), (b, to_b)) = (at(1e-4), at(-1e-4));
         let (numeric, found) = ((a - b) / (to_a - to_b), f64::from(10.0 * after.moments[0][FLOATS + i]));
-        assert!(
-            (numeric - found).abs() < 1e-5 * f64::from(largest).max(1e-2),
-            "{i}: {found}, differences say {numeric}"
-        );
+        assert!((numeric - found).abs() < 1e-5 * largest, "{i}: {found}, differences say {numeric}");
         // And the step is one of Adam: by the rate, against the gradient.
         let moved = after.values[FLOATS + i] - state.values[FLOATS + i];
         assert!((f64::from(moved) + 1e-2 * numeric.signum()).abs() < 1e-6, "{i}: {moved}");
@@ -147,8 +164,9 @@ fn gradients_are_those_of_the_exposed_picture() {
     for splat in 0..SPLATS {
         for channel in 0..3 {
             let at = |h: f32| {
-                let picture = training(&gpu, &scene((splat, channel), h), 0.0).render(&camera(), [0.1, 0.2, 0.3], true);
-                l1(&state, &picture.unwrap().rgb, &truth)
+                let mut moved = training(&gpu, &scene((splat, channel), h), ssim_weight);
+                let picture = moved.render(&camera(), [0.1, 0.2, 0.3], true).unwrap().rgb;
+                loss(values(&state, &picture, &truth), ssim_weight)
             };
             let numeric = (at(0.05) - at(-0.05)) / 0.1;
             let found = f64::from(10.0 * found[3 * splat + channel]);

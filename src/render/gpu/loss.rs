@@ -117,7 +117,7 @@ impl Loss {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg32;
 
@@ -131,6 +131,37 @@ mod tests {
         image: Vec<[f32; 4]>,
         truth: Vec<[u8; 4]>,
         alpha: TruthAlpha,
+    }
+
+    /// The definition, window by window, of `[h·w]` rendered and true values of each channel.
+    pub(in crate::render::gpu) fn defined([w, h]: [usize; 2], channels: [[&[f64]; 2]; 3]) -> LossValues {
+        let gauss: Vec<f64> = (-5..=5).map(|i| (-f64::from(i * i) / 4.5).exp()).collect();
+        let norm = gauss.iter().sum::<f64>().powi(2);
+        let (mut l1, mut ssim) = (0.0, 0.0);
+        for [x, y] in channels {
+            for (row, column) in (0..h).flat_map(|r| (0..w).map(move |c| (r, c))) {
+                let mut m = [0.0; 5];
+                for (r, k) in (row.saturating_sub(5)..h.min(row + 6))
+                    .flat_map(|r| (column.saturating_sub(5)..w.min(column + 6)).map(move |k| (r, k)))
+                {
+                    let weight = gauss[r + 5 - row] * gauss[k + 5 - column] / norm;
+                    let (x, y) = (x[r * w + k], y[r * w + k]);
+                    m = [
+                        m[0] + weight * x,
+                        m[1] + weight * y,
+                        m[2] + weight * x * x,
+                        m[3] + weight * y * y,
+                        m[4] + weight * x * y,
+                    ];
+                }
+                let (s11, s22, s12) = (m[2] - m[0] * m[0], m[3] - m[1] * m[1], m[4] - m[0] * m[1]);
+                ssim += (2.0 * m[0] * m[1] + 1e-4) * (2.0 * s12 + 9e-4)
+                    / ((m[0] * m[0] + m[1] * m[1] + 1e-4) * (s11 + s22 + 9e-4));
+            }
+            l1 += x.iter().zip(y).map(|(x, y)| (x - y).abs()).sum::<f64>();
+        }
+        let n = (3 * w * h) as f64;
+        LossValues { l1: l1 / n, ssim: ssim / n }
     }
 
     impl Images {
@@ -165,37 +196,8 @@ mod tests {
             (x, y, slope)
         }
 
-        /// The definition, window by window.
         fn values(&self) -> LossValues {
-            let [w, h] = self.size;
-            let gauss: Vec<f64> = (-5..=5).map(|i| (-f64::from(i * i) / 4.5).exp()).collect();
-            let norm = gauss.iter().sum::<f64>().powi(2);
-            let (mut l1, mut ssim) = (0.0, 0.0);
-            for c in 0..3 {
-                let (x, y, _) = self.channel(c);
-                for (row, column) in (0..h).flat_map(|r| (0..w).map(move |c| (r, c))) {
-                    let mut m = [0.0; 5];
-                    for (r, k) in (row.saturating_sub(5)..h.min(row + 6))
-                        .flat_map(|r| (column.saturating_sub(5)..w.min(column + 6)).map(move |k| (r, k)))
-                    {
-                        let weight = gauss[r + 5 - row] * gauss[k + 5 - column] / norm;
-                        let (x, y) = (x[r * w + k], y[r * w + k]);
-                        m = [
-                            m[0] + weight * x,
-                            m[1] + weight * y,
-                            m[2] + weight * x * x,
-                            m[3] + weight * y * y,
-                            m[4] + weight * x * y,
-                        ];
-                    }
-                    let (s11, s22, s12) = (m[2] - m[0] * m[0], m[3] - m[1] * m[1], m[4] - m[0] * m[1]);
-                    ssim += (2.0 * m[0] * m[1] + 1e-4) * (2.0 * s12 + 9e-4)
-                        / ((m[0] * m[0] + m[1] * m[1] + 1e-4) * (s11 + s22 + 9e-4));
-                }
-                l1 += x.iter().zip(&y).map(|(x, y)| (x - y).abs()).sum::<f64>();
-            }
-            let n = (3 * w * h) as f64;
-            LossValues { l1: l1 / n, ssim: ssim / n }
+            defined(self.size, [0, 1, 2].map(|c| self.channel(c)).each_ref().map(|(x, y, _)| [&x[..], &y[..]]))
         }
 
         fn on_gpu(&self, gpu: &Gpu, ssim_weight: f32) -> (LossValues, Vec<[f32; 4]>) {
