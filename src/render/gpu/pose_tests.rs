@@ -133,7 +133,7 @@ fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Came
 
 #[test]
 fn gradients_are_those_of_the_reference() {
-    let gpus = [Gpu::open(None).unwrap(), Gpu::open_restricted(None, false).unwrap()];
+    let gpus = [Gpu::open(None).unwrap(), Gpu::with_subgroups(false)];
     for gpu in gpus.into_iter().chain([Gpu::open(None).unwrap().posing_as_gpu()]) {
         // Smooth: with each pixel filter, far differences.
         for filter in [PixelFilter::DILATION, PixelFilter::MIP] {

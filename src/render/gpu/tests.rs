@@ -328,9 +328,9 @@ fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics]
 /// are proven by finite differences (`render/reference`); on these scenes no decision changes within f32's reach.
 #[test]
 fn gradients_equal_the_reference() {
-    let restricted = [true, false].map(|subgroups| (Gpu::open_restricted(None, subgroups).unwrap(), 6));
+    let restricted = [true, false].map(|subgroups| (Gpu::with_subgroups(subgroups), 6));
     // Kernels as they are on GPUs take their time on a software adapter.
-    let without = Gpu::open_restricted(None, false).unwrap();
+    let without = Gpu::with_subgroups(false);
     let others = [
         (Gpu::open(None).unwrap().posing_as_gpu(), 2),
         (without.posing_as_gpu(), 1),
@@ -365,7 +365,7 @@ fn gradients_equal_the_reference() {
 #[test]
 fn absolute_gradients_are_those_of_every_pixel_alone() {
     for (subgroups, poses) in [(true, false), (false, false), (true, true), (false, true)] {
-        let gpu = Gpu::open_restricted(None, subgroups).unwrap();
+        let gpu = Gpu::with_subgroups(subgroups);
         let gpu = if poses { gpu.posing_as_gpu() } else { gpu };
         let (scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
         let (cotangent, n) = (random_cotangent(&camera, 3), scene.splats.len());
@@ -472,7 +472,7 @@ fn filters_equal_the_reference() {
 #[test]
 fn vertex_gradients_equal_the_reference() {
     for subgroups in [true, false] {
-        let gpu = Gpu::open_restricted(None, subgroups).unwrap();
+        let gpu = Gpu::with_subgroups(subgroups);
         for seed in 0..4 {
             let (scene, camera) = testing::smooth_scene(seed, [1, 2, 4, 1][seed as usize], MODES[seed as usize % 3]);
             let cotangent = random_cotangent(&camera, seed);

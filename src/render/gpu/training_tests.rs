@@ -210,7 +210,7 @@ fn folded_steps_learn_the_same() {
 fn steps_are_the_same_in_every_run() {
     let (scene, camera) = testing::random_scene(34, 2000, 2, 2, 2, OrderMode::Stable);
     let wide = camera.resized(384, 288);
-    let open = |subgroups| Gpu::open_restricted(None, subgroups).unwrap();
+    let open = Gpu::with_subgroups;
     for (gpu, steps) in [(open(true), 6), (open(false), 3), (open(true).posing_as_gpu(), 2)] {
         let run = || {
             let mut training = Training::new(&gpu, &scene, &[wide], 0.2).unwrap();
@@ -241,7 +241,7 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
     let ways = [(true, false), (false, false), (true, true), (false, true)];
     for ((subgroups, absolute), poses) in ways.into_iter().flat_map(|way| [(way, false), (way, true)]) {
         let open = || {
-            let gpu = Gpu::open_restricted(None, subgroups).unwrap();
+            let gpu = Gpu::with_subgroups(subgroups);
             if poses { gpu.posing_as_gpu() } else { gpu }
         };
         let [all, parts] = [open(), open().binding_at_most(256 << 10)].map(|gpu| {

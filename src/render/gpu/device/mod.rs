@@ -125,6 +125,14 @@ impl Gpu {
         self.limits.max_compute_workgroups_per_dimension
     }
 
+    /// The best adapter, with subgroups or without. One that has none cannot test what kernels do with them.
+    #[cfg(test)]
+    pub(crate) fn with_subgroups(subgroups: bool) -> Self {
+        let gpu = Self::open_restricted(None, subgroups).unwrap();
+        assert_eq!(gpu.profile.subgroups, subgroups, "{} has no subgroups", gpu.adapter);
+        gpu
+    }
+
     /// The same adapter, but dispatches are folded into rows of at most so many workgroups.
     #[cfg(test)]
     pub(crate) fn narrowed(mut self, widest: u32) -> Self {
