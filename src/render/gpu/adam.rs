@@ -1,6 +1,6 @@
 //! Adam for splats (`shaders/adam_splats.wgsl`).
 
-use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 use crate::scene::sh;
 
 /// Threads per workgroup.
@@ -59,8 +59,8 @@ pub(super) fn bias_corrections(step: u32) -> [f32; 2] {
 
 /// Adam for one set of splat buffers.
 pub(crate) struct SplatAdam {
-    geometry: (Kernel, Bindings),
-    harmonics: (Kernel, Bindings),
+    geometry: Stage,
+    harmonics: Stage,
     uniform: Buffer,
     n_splats: usize,
     /// SH floats that a thread takes.
@@ -89,14 +89,12 @@ impl SplatAdam {
         let lanes = if sh_floats.is_multiple_of(4) { 4 } else { 1 };
         let defines = gpu.defines().with("SH_FLOATS", sh_floats as u32).with("FOURS", u32::from(lanes == 4));
         let sets = [parameters, gradient, first_moment, second_moment];
-        let kernel = |entry, is_geometry: bool| {
+        let stage = |entry, is_geometry: bool| {
             let defines = defines.clone().with("GEOMETRY", u32::from(is_geometry));
-            let kernel = Kernel::new(gpu, "adam_splats.wgsl", entry, &defines);
             let [p, g, m, v] = sets.map(|s| if is_geometry { s.geometry } else { s.sh });
-            let bindings = kernel.bind(gpu, &[&uniform, visible, p, g, m, v, status]);
-            (kernel, bindings)
+            Stage::new(gpu, "adam_splats.wgsl", entry, &defines, &[&uniform, visible, p, g, m, v, status])
         };
-        let (geometry, harmonics) = (kernel("geometry", true), kernel("harmonics", false));
+        let (geometry, harmonics) = (stage("geometry", true), stage("harmonics", false));
         Ok(Self { geometry, harmonics, uniform, n_splats: 0, lanes, active_floats: 3 })
     }
 
@@ -127,9 +125,9 @@ impl SplatAdam {
 
     /// Appends the step to a frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
-        frame.dispatch(&self.geometry.0, &self.geometry.1, groups(self.n_splats, THREADS));
+        frame.dispatch(&self.geometry, groups(self.n_splats, THREADS));
         let threads = self.n_splats * self.active_floats.div_ceil(self.lanes);
-        frame.dispatch(&self.harmonics.0, &self.harmonics.1, groups(threads, THREADS));
+        frame.dispatch(&self.harmonics, groups(threads, THREADS));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{
     blend::{BlendBackward, moments},
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Stage, groups},
     pipeline::Pipeline,
     splats::GEOMETRY,
     view::View,
@@ -19,7 +19,7 @@ pub(crate) struct Backward {
     besides: Besides,
     blend: BlendBackward,
     /// `splat_backward.wgsl`
-    of_splats: (Kernel, Bindings),
+    of_splats: Stage,
 }
 
 /// Of `capacity` splats.
@@ -94,7 +94,7 @@ impl Backward {
     /// Appends everything from the image gradient to parameter gradients.
     pub(crate) fn record(&self, frame: &mut Frame, pipeline: &Pipeline, view: &View) {
         self.record_blend(frame, view);
-        frame.dispatch(&self.of_splats.0, &self.of_splats.1, groups(view.n_splats as usize, 256));
+        frame.dispatch(&self.of_splats, groups(view.n_splats as usize, 256));
         if let Some(mesh) = &pipeline.mesh {
             mesh.record_backward(frame);
         }
@@ -147,7 +147,7 @@ fn of_splats(
     gradients: &SplatGradients,
     status: &Buffer,
     Besides { absolute, by_pose }: Besides,
-) -> (Kernel, Bindings) {
+) -> Stage {
     let Pipeline { view, splats, lists, .. } = pipeline;
     let terms = sh::coefficients(splats.sh_degree) as u32;
     let fours = (3 * terms).is_multiple_of(4);
@@ -159,7 +159,6 @@ fn of_splats(
         .with("MOMENTS", moments(absolute) as u32)
         .with("ABSOLUTE", u32::from(absolute))
         .with("POSES", u32::from(by_pose));
-    let kernel = Kernel::new(gpu, "splat_backward.wgsl", "main", &defines);
     let mut buffers = vec![
         view,
         &splats.geometry,
@@ -173,6 +172,5 @@ fn of_splats(
         status,
     ];
     buffers.extend(&gradients.turn);
-    let bindings = kernel.bind(gpu, &buffers);
-    (kernel, bindings)
+    Stage::new(gpu, "splat_backward.wgsl", "main", &defines, &buffers)
 }

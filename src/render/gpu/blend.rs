@@ -1,7 +1,7 @@
 //! The blend of splats and mesh layers and its gradients: `blend_forward.wgsl`, `blend_backward.wgsl`.
 
 use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
     scan::DispatchSize,
     shader::Defines,
     splats::{COUNT_STORED_PAIRS, COUNT_VISIBLE, ImageCapacity, Purpose, SplatLists},
@@ -32,13 +32,13 @@ pub(crate) struct Blend {
     /// `[BUCKETS][pixel]` two words: pair after the last that a bucket used, and bits of the disparity, 1/z, of what is in it, blended as its
     /// colour. Empty as well.
     pub(crate) ends: Buffer,
-    forward: (Kernel, Bindings),
+    forward: Stage,
 }
 
 /// From the gradient of the image to sums per splat and the gradient of mesh layers.
 pub(crate) struct BlendBackward {
     /// Of tiles, into rows; of the rows, into moments. One after the other where the rows of all pairs cannot be bound.
-    windows: Vec<[(Kernel, Bindings); 2]>,
+    windows: Vec<[Stage; 2]>,
     per_splat: DispatchSize,
     /// `[n]` rows of sums per splat; 0 of those that the last view does not see.
     pub(crate) moments: Buffer,
@@ -113,7 +113,7 @@ impl Blend {
 
     /// Appends the blend of `tiles` tiles.
     pub(crate) fn record(&self, frame: &mut Frame, tiles: usize) {
-        frame.dispatch(&self.forward.0, &self.forward.1, tiles);
+        frame.dispatch(&self.forward, tiles);
     }
 }
 
@@ -123,13 +123,12 @@ fn forward(
     [image, buckets, ends]: [&Buffer; 3],
     view: &Buffer,
     layers: Option<LayerBuffers>,
-) -> (Kernel, Bindings) {
+) -> Stage {
     let saves = lists.purpose() == Purpose::Train;
     let n_layers = lists.layers();
     let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true)
         .with("SAVE", u32::from(saves))
         .with("AT_ONCE", splats_at_once(gpu));
-    let kernel = Kernel::new(gpu, "blend_forward.wgsl", "main", &defines);
     let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, image];
     if saves {
         buffers.extend([buckets, ends]);
@@ -137,8 +136,7 @@ fn forward(
     if let Some(l) = layers {
         buffers.extend([&lists.thresholds, l.depth, l.color]);
     }
-    let bindings = kernel.bind(gpu, &buffers);
-    (kernel, bindings)
+    Stage::new(gpu, "blend_forward.wgsl", "main", &defines, &buffers)
 }
 
 impl BlendBackward {
@@ -195,9 +193,7 @@ impl BlendBackward {
         let bound = |file: &str, defines: &Defines, start: usize, buffers: &[&Buffer]| {
             let defines =
                 defines.clone().with("WINDOW_START", start as u32).with("WINDOW_END", (start + window) as u32);
-            let kernel = Kernel::new(gpu, file, "main", &defines);
-            let bindings = kernel.bind(gpu, buffers);
-            (kernel, bindings)
+            Stage::new(gpu, file, "main", &defines, buffers)
         };
         let of_window = |start: usize| {
             let of_tiles = bound("blend_backward.wgsl", &defines, start, &tiles);
@@ -214,8 +210,8 @@ impl BlendBackward {
         frame.clear(&self.moments);
         self.per_splat.record(frame);
         for [of_tiles, of_splats] in &self.windows {
-            frame.dispatch(&of_tiles.0, &of_tiles.1, tiles);
-            self.per_splat.dispatch(frame, &of_splats.0, &of_splats.1);
+            frame.dispatch(of_tiles, tiles);
+            self.per_splat.dispatch(frame, of_splats);
         }
     }
 }

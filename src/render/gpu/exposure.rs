@@ -4,7 +4,7 @@ use glam::{Mat3, Vec3};
 
 use super::{
     backward::Backward,
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups},
     per_view::{PerView, PerViewBuffers},
     pipeline::Pipeline,
     view::View,
@@ -67,12 +67,12 @@ pub(crate) struct ExposureStep {
 
 /// The exposures of all views, and the stage between loss and blend.
 pub(crate) struct Exposures {
-    pull: Kernel,
-    update: Kernel,
+    /// Pull and update.
+    kernels: [Kernel; 2],
     uniform: Buffer,
     pub(super) views: PerViewBuffers<FLOATS>,
     partial: Buffer,
-    bindings: Option<Bindings>,
+    stages: Option<[Stage; 2]>,
 }
 
 impl Exposures {
@@ -81,45 +81,41 @@ impl Exposures {
     /// # Errors
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &ExposureState, pixels: usize) -> Result<Self, GpuError> {
-        let kernel = |entry| Kernel::new(gpu, "exposure.wgsl", entry, &gpu.defines());
         Ok(Self {
-            pull: kernel("pull"),
-            update: kernel("update"),
+            kernels: ["pull", "update"].map(|entry| Kernel::new(gpu, "exposure.wgsl", entry, &gpu.defines())),
             uniform: gpu.uniform("exposure step", 8)?,
             views: PerViewBuffers::new(gpu, "exposures", state)?,
             partial: gpu.storage("exposure gradients", FLOATS * groups(pixels, PIXELS))?,
-            bindings: None,
+            stages: None,
         })
     }
 
     /// Binds the buffers of a pipeline and its way back.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
         let [first, second] = &self.views.moments;
-        self.bindings = Some(self.pull.bind(
-            gpu,
-            &[
-                &pipeline.view,
-                &self.uniform,
-                &pipeline.blend.image,
-                &backward.image_gradient,
-                &self.views.values,
-                first,
-                second,
-                &self.partial,
-                &backward.status,
-            ],
-        ));
+        let buffers = [
+            &pipeline.view,
+            &self.uniform,
+            &pipeline.blend.image,
+            &backward.image_gradient,
+            &self.views.values,
+            first,
+            second,
+            &self.partial,
+            &backward.status,
+        ];
+        self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
     /// Appends to a frame what takes the gradient of the loss to that of the picture, and a step of the view's exposure.
     pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep) {
-        let Some(bindings) = &self.bindings else { return };
+        let Some([pull, update]) = &self.stages else { return };
         let [first, second] = self.views.count(step.view, step.rate != 0.0);
         let n = groups(view.pixels(), PIXELS);
         let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, 0, 0, 0];
         gpu.write(&self.uniform, 0, &words);
-        frame.dispatch(&self.pull, bindings, n);
-        frame.dispatch(&self.update, bindings, 1);
+        frame.dispatch(pull, n);
+        frame.dispatch(update, 1);
     }
 
     /// The last `skipped` steps changed nothing, see [`PerViewBuffers::settle`].

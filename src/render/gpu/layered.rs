@@ -2,7 +2,7 @@
 //! for pictures that are kept; training and viewing take [`super::Renderer`].
 
 use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
     mesh::MeshStage,
     pipeline::PAIRS_PER_SPLAT,
     renderer::Picture,
@@ -70,7 +70,7 @@ pub struct LayeredRenderer<'g> {
     image: ImageCapacity,
     lists: SplatLists,
     parts: Buffer,
-    blend: (Kernel, Bindings),
+    blend: Stage,
 }
 
 impl<'g> LayeredRenderer<'g> {
@@ -139,7 +139,7 @@ impl<'g> LayeredRenderer<'g> {
             mesh.record_forward(&mut frame);
         }
         self.lists.record(self.gpu, &mut frame, self.n_splats);
-        frame.dispatch(&self.blend.0, &self.blend.1, view.n_tiles());
+        frame.dispatch(&self.blend, view.n_tiles());
         frame.submit();
         Ok(())
     }
@@ -190,7 +190,7 @@ fn blend(
     mesh: Option<&MeshStage>,
     lists: &SplatLists,
     parts: &Buffer,
-) -> (Kernel, Bindings) {
+) -> Stage {
     let by_ray = model == ImageModel::Ray(ShDirection::Ray);
     let defines = gpu
         .defines()
@@ -216,7 +216,5 @@ fn blend(
             "blend_rays.wgsl"
         }
     };
-    let kernel = Kernel::new(gpu, file, "main", &defines);
-    let bindings = kernel.bind(gpu, &buffers);
-    (kernel, bindings)
+    Stage::new(gpu, file, "main", &defines, &buffers)
 }

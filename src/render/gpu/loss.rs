@@ -1,9 +1,6 @@
 //! Photometric loss of a rendered image and its gradient (`shaders/loss.wgsl`, `shaders/loss_serial.wgsl` on software adapters).
 
-use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
-    shader::Defines,
-};
+use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 
 /// How a kernel shares out an image: each tile of a channel has a mean of its own.
 struct Tiling {
@@ -42,9 +39,8 @@ pub(crate) struct LossValues {
 
 /// L1 + D-SSIM (Kerbl et al. 2023, eq. 7).
 pub(crate) struct Loss {
-    forward: Kernel,
-    backward: Kernel,
-    bindings: Bindings,
+    forward: Stage,
+    backward: Stage,
     means: Buffer,
     weights: Buffer,
     ssim_weight: f32,
@@ -73,19 +69,19 @@ impl Loss {
         ssim_weight: f32,
         exposures: Option<&Buffer>,
     ) -> Result<Self, GpuError> {
-        let defines: Defines = gpu.defines().with("EXPOSURE", u32::from(exposures.is_some()));
+        let defines = gpu.defines().with("EXPOSURE", u32::from(exposures.is_some()));
         let tiling = if gpu.profile().is_cpu { SERIAL } else { PARALLEL };
-        let forward = Kernel::new(gpu, tiling.file, "forward", &defines);
-        let backward = Kernel::new(gpu, tiling.file, "backward", &defines);
         let tiles = |&(w, h): &(usize, usize)| 3 * groups(w, tiling.width) * groups(h, tiling.height);
         let n_tiles = sizes.iter().map(tiles).max().unwrap_or(0);
         let pixels = sizes.iter().map(|&(w, h)| w * h).max().unwrap_or(0);
         let weights = gpu.uniform("loss weights", 4)?;
         let slopes = gpu.storage("SSIM slopes", 12 * pixels)?;
         let means = gpu.storage("loss means", 2 * n_tiles)?;
-        let buffers = [view_uniform, &weights, image, truth, &slopes, gradient, &means];
-        let bindings = forward.bind(gpu, &buffers.into_iter().chain(exposures).collect::<Vec<_>>());
-        let loss = Self { forward, backward, bindings, means, weights, ssim_weight, n_tiles, tiling };
+        let mut buffers = vec![view_uniform, &weights, image, truth, &slopes, gradient, &means];
+        buffers.extend(exposures);
+        let stage = |entry| Stage::new(gpu, tiling.file, entry, &defines, &buffers);
+        let (forward, backward) = (stage("forward"), stage("backward"));
+        let loss = Self { forward, backward, means, weights, ssim_weight, n_tiles, tiling };
         loss.set_truth(gpu, TruthAlpha::Ignore, 0);
         Ok(loss)
     }
@@ -101,8 +97,8 @@ impl Loss {
     /// Appends loss and gradient to a frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
         let n_groups = groups(self.n_tiles, self.tiling.tiles_per_group);
-        frame.dispatch(&self.forward, &self.bindings, n_groups);
-        frame.dispatch(&self.backward, &self.bindings, n_groups);
+        frame.dispatch(&self.forward, n_groups);
+        frame.dispatch(&self.backward, n_groups);
     }
 
     /// The values of the last frame. Waits for it.

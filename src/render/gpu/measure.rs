@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::{
     adam::{AdamStep, SplatRates},
-    device::{Frame, Gpu, GpuError, Kernel, Timer},
+    device::{Frame, Gpu, GpuError, Stage, Timer},
     loss::TruthAlpha,
     renderer::Renderer,
     texels::TexelStep,
@@ -44,16 +44,12 @@ pub fn ceilings(gpu: &Gpu) -> Result<Option<Ceilings>, GpuError> {
         let copies = entry == "copy";
         let loops = if entry == "atomics" { adds } else { loops };
         let defines = gpu.defines().with("LOOPS", loops).with("COPY", u32::from(copies));
-        let kernel = Kernel::new(gpu, "ceilings.wgsl", entry, &defines);
-        let bindings = if copies {
-            kernel.bind(gpu, &[&source, &sums, &destination])
-        } else {
-            kernel.bind(gpu, &[&source, &sums])
-        };
+        let buffers = [&source, &sums, &destination];
+        let stage = Stage::new(gpu, "ceilings.wgsl", entry, &defines, if copies { &buffers } else { &buffers[..2] });
         let mut best = f64::INFINITY;
         for _ in 0..6 {
             let mut frame = Frame::timed(gpu, &mut timer);
-            frame.dispatch(&kernel, &bindings, groups);
+            frame.dispatch(&stage, groups);
             frame.submit();
             best = best.min(timer.seconds(gpu)?[0].1.max(1e-9));
         }

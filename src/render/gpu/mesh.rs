@@ -5,7 +5,7 @@
 //! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters) → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
 //! dispatched.
 
-use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;
 use super::splats::longer_list;
 #[cfg(test)]
@@ -79,15 +79,15 @@ struct Bound {
     fragments: usize,
     /// Threads of the texels' gradients for all layers.
     texel_threads: usize,
-    setup: Bindings,
-    count: Bindings,
-    scan: Bindings,
-    scatter: Bindings,
-    raster: Bindings,
-    shade: Bindings,
+    setup: Stage,
+    count: Stage,
+    scan: Stage,
+    scatter: Stage,
+    raster: Stage,
+    shade: Stage,
     /// The largest gradient, then those of the texels.
-    backward: Option<[Bindings; 2]>,
-    vertices: Option<[Bindings; 3]>,
+    backward: Option<[Stage; 2]>,
+    vertices: Option<[Stage; 3]>,
 }
 
 /// Kernel of the texels' gradients, and the pixels, across and down, that so many of its threads take together. On a software adapter
@@ -383,29 +383,29 @@ impl MeshStage {
     /// Depths and colours of all layers for the view in the uniform.
     pub(crate) fn record_forward(&self, frame: &mut Frame) {
         let Some(bound) = &self.bound else { return };
-        let (k, triangles) = (&self.kernels, groups(self.n_triangles, GROUP));
-        frame.dispatch(&k.setup, &bound.setup, triangles);
-        frame.dispatch(&k.count, &bound.count, triangles);
-        frame.dispatch(&k.scan, &bound.scan, 1);
-        frame.dispatch(&k.scatter, &bound.scatter, triangles);
-        frame.dispatch(&k.raster, &bound.raster, bound.bins);
-        frame.dispatch(&k.shade, &bound.shade, groups(bound.fragments, GROUP));
+        let triangles = groups(self.n_triangles, GROUP);
+        frame.dispatch(&bound.setup, triangles);
+        frame.dispatch(&bound.count, triangles);
+        frame.dispatch(&bound.scan, 1);
+        frame.dispatch(&bound.scatter, triangles);
+        frame.dispatch(&bound.raster, bound.bins);
+        frame.dispatch(&bound.shade, groups(bound.fragments, GROUP));
     }
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
         let Some(Bound { backward: Some([peak, texels]), fragments, texel_threads, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
-        frame.dispatch(&self.kernels.peak, peak, groups(*fragments, PEAK_FRAGMENTS));
-        frame.dispatch(&self.kernels.backward, texels, groups(*texel_threads, RUN_GROUP));
+        frame.dispatch(peak, groups(*fragments, PEAK_FRAGMENTS));
+        frame.dispatch(texels, groups(*texel_threads, RUN_GROUP));
         self.texels.record_pull(frame);
     }
 
     /// Gradients of free vertices from `layer_gradient`, which is used up, and the maps as they were rendered; after `record_backward`.
     pub(crate) fn record_vertex_backward(&self, frame: &mut Frame) {
-        let Some(Bound { vertices: Some(bindings), fragments, .. }) = &self.bound else { return };
+        let Some(Bound { vertices: Some(stages), fragments, .. }) = &self.bound else { return };
         if let Some(free) = &self.vertices {
-            free.record_backward(frame, bindings, *fragments);
+            free.record_backward(frame, stages, *fragments);
         }
     }
 

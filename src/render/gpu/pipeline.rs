@@ -2,7 +2,7 @@
 
 use super::{
     blend::{Blend, LayerBuffers},
-    device::{Buffer, Frame, Gpu, GpuError, Kernel},
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
     mesh::MeshStage,
     renderer::Picture,
     splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list, longest_list},
@@ -183,16 +183,13 @@ impl Pipeline {
         if renewed {
             return Ok(None);
         }
-        let kernel = Kernel::new(gpu, "blend_depth.wgsl", "main", &gpu.defines());
         let depth = gpu.storage("median depth", view.pixels())?;
         let lists = &self.lists;
-        let bindings = kernel.bind(
-            gpu,
-            &[&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth, &self.splats.geometry],
-        );
+        let buffers = [&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth, &self.splats.geometry];
+        let blend = Stage::new(gpu, "blend_depth.wgsl", "main", &gpu.defines(), &buffers);
         let mut frame = Frame::new(gpu);
         self.record(gpu, &mut frame, &view);
-        frame.dispatch(&kernel, &bindings, view.n_tiles());
+        frame.dispatch(&blend, view.n_tiles());
         frame.submit();
         if self.grow_if_short(gpu)? { Ok(None) } else { gpu.read(&depth, view.pixels()).map(Some) }
     }

@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::{
     backward::Backward,
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage},
     per_view::{PerView, PerViewBuffers},
     pipeline::Pipeline,
 };
@@ -85,28 +85,24 @@ pub(crate) struct PoseStep {
 
 /// The poses of all views, and the stages before and after the frame.
 pub(crate) struct Poses {
-    correct: Kernel,
-    pull: Kernel,
-    update: Kernel,
+    /// Correct, pull and update.
+    kernels: [Kernel; 3],
     step: Buffer,
     views: PerViewBuffers<FLOATS>,
     partial: Buffer,
-    bindings: Option<Bindings>,
+    stages: Option<[Stage; 3]>,
 }
 
 impl Poses {
     /// # Errors
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &PoseState) -> Result<Self, GpuError> {
-        let kernel = |entry| Kernel::new(gpu, "pose.wgsl", entry, &gpu.defines());
         Ok(Self {
-            correct: kernel("correct"),
-            pull: kernel("pull"),
-            update: kernel("update"),
+            kernels: ["correct", "pull", "update"].map(|entry| Kernel::new(gpu, "pose.wgsl", entry, &gpu.defines())),
             step: gpu.uniform("pose step", 8)?,
             views: PerViewBuffers::new(gpu, "poses", state)?,
             partial: gpu.storage("pose gradients", 8 * PARTS)?,
-            bindings: None,
+            stages: None,
         })
     }
 
@@ -125,25 +121,25 @@ impl Poses {
             &self.partial,
             &backward.status,
         ];
-        self.bindings = Some(self.update.bind(gpu, &buffers));
+        self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
     /// Appends to a frame, before anything else of it, what makes its view the corrected one, and says what [`Self::record_update`]
     /// is to do.
     pub(crate) fn record_correction(&mut self, gpu: &Gpu, frame: &mut Frame, step: &PoseStep) {
-        let Some(bindings) = &self.bindings else { return };
+        let Some([correct, ..]) = &self.stages else { return };
         let [first, second] = self.views.count(step.view, step.turn_rate != 0.0);
         let [turn, shift] = [step.turn_rate, step.shift_rate].map(f32::to_bits);
         let words = [step.view as u32, turn, shift, first, second, 0, 0, 0];
         gpu.write(&self.step, 0, &words);
-        frame.dispatch(&self.correct, bindings, 1);
+        frame.dispatch(correct, 1);
     }
 
     /// Appends the step of the view's pose, after the gradients.
     pub(crate) fn record_update(&self, frame: &mut Frame) {
-        if let Some(bindings) = &self.bindings {
-            frame.dispatch(&self.pull, bindings, PARTS);
-            frame.dispatch(&self.update, bindings, 1);
+        if let Some([_, pull, update]) = &self.stages {
+            frame.dispatch(pull, PARTS);
+            frame.dispatch(update, 1);
         }
     }
 

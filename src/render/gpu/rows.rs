@@ -125,8 +125,8 @@ impl RowGather {
         for &(what, buffer, fetched) in buffers {
             let width = if what == Rows::GeometryMoments { GEOMETRY } else { self.sh_floats };
             for kernel in &self.kernels[what as usize] {
-                let bindings = kernel.bind(gpu, &[&self.size, &list, buffer, fetched]);
-                frame.dispatch(kernel, &bindings, groups(changes.len() * width, THREADS));
+                let stage = kernel.bind(gpu, &[&self.size, &list, buffer, fetched]);
+                frame.dispatch(&stage, groups(changes.len() * width, THREADS));
             }
         }
         frame.submit();

@@ -1,17 +1,13 @@
 //! Prefix sums on the GPU (`shaders/scan.wgsl`), and the size of dispatches whose length only the GPU knows.
 
-use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
-    shader::Defines,
-};
+use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 
 /// Threads per workgroup.
 const THREADS: usize = 256;
 
 /// Arguments of indirect dispatches that cover a number of items kept in a GPU buffer.
 pub(crate) struct DispatchSize {
-    kernel: Kernel,
-    bindings: Bindings,
+    compute: Stage,
     size: Buffer,
 }
 
@@ -26,30 +22,28 @@ impl DispatchSize {
     ) -> Result<Self, GpuError> {
         let defines =
             gpu.defines().with("COUNT_WORD", count_word).with("CAPACITY", capacity as u32).with("BLOCK", block as u32);
-        let kernel = Kernel::new(gpu, "dispatch_size.wgsl", "main", &defines);
         let size = gpu.storage("dispatch size", 3)?;
-        let bindings = kernel.bind(gpu, &[counts, &size]);
-        Ok(Self { kernel, bindings, size })
+        let compute = Stage::new(gpu, "dispatch_size.wgsl", "main", &defines, &[counts, &size]);
+        Ok(Self { compute, size })
     }
 
     /// Computes the size from the count as it is at this point of the frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
-        frame.dispatch(&self.kernel, &self.bindings, 1);
+        frame.dispatch(&self.compute, 1);
     }
 
-    /// Dispatches `kernel` with it.
-    pub(crate) fn dispatch(&self, frame: &mut Frame, kernel: &Kernel, bindings: &Bindings) {
-        frame.dispatch_indirect(kernel, bindings, &self.size, 0);
+    /// Dispatches `stage` with it.
+    pub(crate) fn dispatch(&self, frame: &mut Frame, stage: &Stage) {
+        frame.dispatch_indirect(stage, &self.size);
     }
 }
 
 /// Exclusive prefix sum of u32.
 pub(crate) struct Scan {
     size: DispatchSize,
-    sum_blocks: Kernel,
-    scan_sums: Kernel,
-    scan_blocks: Kernel,
-    bindings: Bindings,
+    sum_blocks: Stage,
+    scan_sums: Stage,
+    scan_blocks: Stage,
 }
 
 impl Scan {
@@ -70,26 +64,29 @@ impl Scan {
         // Software adapters pay for every barrier, not for idle lanes: long runs per thread.
         let per_thread = if gpu.profile().is_cpu { 64 } else { 8 };
         let block = THREADS * per_thread;
-        let defines: Defines = gpu
+        let defines = gpu
             .defines()
             .with("COUNT_WORD", count_word)
             .with("TOTAL_WORD", total_word)
             .with("CAPACITY", capacity as u32)
             .with("PER_THREAD", per_thread as u32);
-        let kernel = |entry| Kernel::new(gpu, "scan.wgsl", entry, &defines);
-        let (sum_blocks, scan_sums, scan_blocks) = (kernel("sum_blocks"), kernel("scan_sums"), kernel("scan_blocks"));
         let block_sums = gpu.storage("scan block sums", groups(capacity, block))?;
-        let bindings = sum_blocks.bind(gpu, &[counts, input, &block_sums, output]);
-        let size = DispatchSize::new(gpu, capacity, block, counts, count_word)?;
-        Ok(Self { size, sum_blocks, scan_sums, scan_blocks, bindings })
+        let buffers = [counts, input, &block_sums, output];
+        let stage = |entry| Stage::new(gpu, "scan.wgsl", entry, &defines, &buffers);
+        Ok(Self {
+            size: DispatchSize::new(gpu, capacity, block, counts, count_word)?,
+            sum_blocks: stage("sum_blocks"),
+            scan_sums: stage("scan_sums"),
+            scan_blocks: stage("scan_blocks"),
+        })
     }
 
     /// Appends the scan to a frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
         self.size.record(frame);
-        self.size.dispatch(frame, &self.sum_blocks, &self.bindings);
-        frame.dispatch(&self.scan_sums, &self.bindings, 1);
-        self.size.dispatch(frame, &self.scan_blocks, &self.bindings);
+        self.size.dispatch(frame, &self.sum_blocks);
+        frame.dispatch(&self.scan_sums, 1);
+        self.size.dispatch(frame, &self.scan_blocks);
     }
 }
 

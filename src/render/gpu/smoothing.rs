@@ -47,7 +47,7 @@ impl Smoothing {
         frame.clear(&self.largest);
         for kernel in [&self.measure, &self.complete] {
             let buffers = [&self.uniform, &self.views, geometry, &self.largest];
-            frame.dispatch(kernel, &kernel.bind(gpu, &buffers), groups(n_splats, THREADS));
+            frame.dispatch(&kernel.bind(gpu, &buffers), groups(n_splats, THREADS));
         }
         frame.submit();
     }

@@ -2,7 +2,7 @@
 //! `shaders/radix_sort_serial.wgsl` on software adapters).
 
 use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups},
     scan::DispatchSize,
 };
 
@@ -36,11 +36,8 @@ impl Width {
 pub(crate) struct Sort {
     width: Width,
     size: DispatchSize,
-    count: Kernel,
-    scan: Kernel,
-    scatter: Kernel,
-    /// One per pass; they read one pair of buffers and write the other in turn.
-    passes: Vec<Bindings>,
+    /// Count, scan and scatter of every pass; passes read one pair of buffers and write the other in turn.
+    passes: Vec<[Stage; 3]>,
     keys: [Buffer; 2],
     values: [Buffer; 2],
 }
@@ -78,8 +75,7 @@ impl Sort {
             Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK) * 16),
             Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS * 256),
         };
-        let kernel = |entry| Kernel::new(gpu, file, entry, &defines);
-        let (count, scan, scatter) = (kernel("count"), kernel("scan"), kernel("scatter"));
+        let kernels = ["count", "scan", "scatter"].map(|entry| Kernel::new(gpu, file, entry, &defines));
         let keys = [gpu.storage("sort keys", capacity)?, gpu.storage("sort keys", capacity)?];
         let values = [gpu.storage("sort values", capacity)?, gpu.storage("sort values", capacity)?];
         let histograms = gpu.storage("sort histograms", n_counters)?;
@@ -95,10 +91,10 @@ impl Sort {
             gpu.write(&uniform, 0, &[shift, (1 << here) - 1, 0, 0]);
             let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
             let buffers = [counts, &keys[from], &values[from], &keys[to], &values[to], &histograms, &uniform];
-            passes.push(count.bind(gpu, &buffers));
+            passes.push(kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
         }
         let size = DispatchSize::new(gpu, capacity, BLOCK, counts, count_word)?;
-        Ok(Self { width, size, count, scan, scatter, passes, keys, values })
+        Ok(Self { width, size, passes, keys, values })
     }
 
     /// Where the caller writes keys.
@@ -126,17 +122,17 @@ impl Sort {
         if self.width == Width::Parallel {
             self.size.record(frame);
         }
-        for bindings in &self.passes {
-            self.record_blocks(frame, &self.count, bindings);
-            frame.dispatch(&self.scan, bindings, 1);
-            self.record_blocks(frame, &self.scatter, bindings);
+        for [count, scan, scatter] in &self.passes {
+            self.record_blocks(frame, count);
+            frame.dispatch(scan, 1);
+            self.record_blocks(frame, scatter);
         }
     }
 
-    fn record_blocks(&self, frame: &mut Frame, kernel: &Kernel, bindings: &Bindings) {
+    fn record_blocks(&self, frame: &mut Frame, stage: &Stage) {
         match self.width {
-            Width::Parallel => self.size.dispatch(frame, kernel, bindings),
-            Width::Serial => frame.dispatch(kernel, bindings, MAX_CHUNKS / LANES),
+            Width::Parallel => self.size.dispatch(frame, stage),
+            Width::Serial => frame.dispatch(stage, MAX_CHUNKS / LANES),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Splats on the GPU: their parameters, and the stages from projection to depth-sorted tile lists.
 
 use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Stage, groups},
     scan::{DispatchSize, Scan},
     sort::Sort,
     view::TILE,
@@ -116,12 +116,12 @@ pub(crate) struct SplatLists {
     place_pairs: Scan,
     per_visible: DispatchSize,
     per_pair: DispatchSize,
-    project: (Kernel, Bindings),
-    compact: (Kernel, Bindings),
-    gather: (Kernel, Bindings),
-    emit: (Kernel, Bindings),
-    ranges_kernel: (Kernel, Bindings),
-    order: Option<(Kernel, Bindings)>,
+    project: Stage,
+    compact: Stage,
+    gather: Stage,
+    emit: Stage,
+    find_ranges: Stage,
+    order: Option<Stage>,
     numbered: Buffer,
     offsets: Buffer,
     tile_count: Buffer,
@@ -208,11 +208,7 @@ impl SplatLists {
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_PAIRS", COUNT_PAIRS)
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
-        let stage = |file: &str, buffers: &[&Buffer]| {
-            let kernel = Kernel::new(gpu, file, "main", &defines);
-            let bindings = kernel.bind(gpu, buffers);
-            (kernel, bindings)
-        };
+        let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);
         let sorted = depth_sort.values_out();
         let mut parameters = vec![view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible];
         let project = match &rays {
@@ -238,7 +234,7 @@ impl SplatLists {
             ordered.extend([tile_sort.values_out(), &splat_of, &numbered]);
         }
         let emit = stage("emit_pairs.wgsl", &emitted);
-        let ranges_kernel = stage("tile_ranges.wgsl", &ordered);
+        let find_ranges = stage("tile_ranges.wgsl", &ordered);
         let order =
             layer_depth.map(|(depth, _)| stage("order_splats.wgsl", &[view, &visible, &projected, depth, &thresholds]));
         let per_visible = DispatchSize::new(gpu, n, 256, &counts, COUNT_VISIBLE)?;
@@ -263,7 +259,7 @@ impl SplatLists {
             compact,
             gather,
             emit,
-            ranges_kernel,
+            find_ranges,
             order,
             numbered,
             offsets,
@@ -276,20 +272,20 @@ impl SplatLists {
         gpu.write(&self.counts, 0, &[n as u32, 0, 0, 0]);
         frame.clear(&self.ranges);
         let all = groups(n, 256);
-        frame.dispatch(&self.project.0, &self.project.1, all);
+        frame.dispatch(&self.project, all);
         self.find_visible.record(frame);
-        frame.dispatch(&self.compact.0, &self.compact.1, all);
+        frame.dispatch(&self.compact, all);
         self.depth_sort.record(frame);
-        if let Some((kernel, bindings)) = &self.order {
-            frame.dispatch(kernel, bindings, all);
+        if let Some(order) = &self.order {
+            frame.dispatch(order, all);
         }
         self.per_visible.record(frame);
-        self.per_visible.dispatch(frame, &self.gather.0, &self.gather.1);
+        self.per_visible.dispatch(frame, &self.gather);
         self.place_pairs.record(frame);
-        self.per_visible.dispatch(frame, &self.emit.0, &self.emit.1);
+        self.per_visible.dispatch(frame, &self.emit);
         self.per_pair.record(frame);
         self.tile_sort.record(frame);
-        self.per_pair.dispatch(frame, &self.ranges_kernel.0, &self.ranges_kernel.1);
+        self.per_pair.dispatch(frame, &self.find_ranges);
     }
 
     /// Splat of every (tile, splat) pair, sorted by tile and depth.

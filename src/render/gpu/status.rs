@@ -2,7 +2,7 @@
 //! a host that looks only now and then (`shaders/check_lists.wgsl`, `shaders/shared/status.wgsl`).
 
 use super::{
-    device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel},
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
     mesh::MeshStage,
     splats::{COUNT_PAIRS, SplatLists},
 };
@@ -57,24 +57,19 @@ impl Status {
 }
 
 /// The stage that finds out whether lists were too short.
-pub(crate) struct ListCheck {
-    kernel: Kernel,
-    bindings: Bindings,
-}
+pub(crate) struct ListCheck(Stage);
 
 impl ListCheck {
     /// For these lists; to be made anew when they are.
     pub(crate) fn new(gpu: &Gpu, view: &Buffer, lists: &SplatLists, mesh: Option<&MeshStage>, status: &Buffer) -> Self {
         let defines = gpu.defines().with("COUNT_PAIRS", COUNT_PAIRS).with("MESH", u32::from(mesh.is_some()));
-        let kernel = Kernel::new(gpu, "check_lists.wgsl", "main", &defines);
         let mut buffers = vec![view, lists.counts(), status];
         buffers.extend(mesh.map(MeshStage::pairs).into_iter().flatten());
-        let bindings = kernel.bind(gpu, &buffers);
-        Self { kernel, bindings }
+        Self(Stage::new(gpu, "check_lists.wgsl", "main", &defines, &buffers))
     }
 
     /// Appends it to a frame, behind the lists.
     pub(crate) fn record(&self, frame: &mut Frame) {
-        frame.dispatch(&self.kernel, &self.bindings, 1);
+        frame.dispatch(&self.0, 1);
     }
 }

@@ -6,7 +6,7 @@
 //! and 13⅓ more to train.
 
 use super::adam::bias_corrections;
-use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;
 use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
 
@@ -103,18 +103,18 @@ struct Pool {
     texels: Buffer,
     /// One per mesh; None where a mesh has no bands.
     maps: Vec<Option<Map>>,
-    /// Level, bindings and workgroups of `build_mips`: every map's levels but level 0, fine to coarse.
-    mips: Vec<(u32, Bindings, usize)>,
+    /// Level, `build_mips` for it and its workgroups: every map's levels but level 0, fine to coarse.
+    mips: Vec<(u32, Stage, usize)>,
     training: Option<Training>,
 }
 
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    /// Bindings and workgroups of `pull_mips`: every map's levels but level 0, coarse to fine.
-    pull: Vec<(Bindings, usize)>,
-    /// Of `adam_texels`: every map.
-    adam: Vec<(Bindings, usize)>,
+    /// `pull_mips` and its workgroups: every map's levels but level 0, coarse to fine.
+    pull: Vec<(Stage, usize)>,
+    /// `adam_texels` and its workgroups: every map.
+    adam: Vec<(Stage, usize)>,
 }
 
 struct Kernels {
@@ -159,8 +159,8 @@ impl Pool {
             let (Some(map), Some(texture)) = (map, texture) else { continue };
             gpu.write(&texels, map.offset as u64 * 4, texture.texels());
             for level in 1..map.levels {
-                let bindings = kernels.mips.bind(gpu, &[&uniform(gpu, map, level)?, &texels]);
-                mips.push((level, bindings, groups(map.floats(level), GROUP)));
+                let stage = kernels.mips.bind(gpu, &[&uniform(gpu, map, level)?, &texels]);
+                mips.push((level, stage, groups(map.floats(level), GROUP)));
             }
         }
         let mut pool = Self { texels, maps, mips, training: None };
@@ -185,8 +185,8 @@ impl Pool {
         let Some(training) = &mut self.training else { return Ok(()) };
         for map in self.maps.iter().flatten() {
             for level in (1..map.levels).rev() {
-                let bindings = kernels.pull.bind(gpu, &[&uniform(gpu, map, level)?, &training.gradients]);
-                training.pull.push((bindings, groups(map.floats(level), GROUP)));
+                let stage = kernels.pull.bind(gpu, &[&uniform(gpu, map, level)?, &training.gradients]);
+                training.pull.push((stage, groups(map.floats(level), GROUP)));
             }
             let uniform = uniform(gpu, map, 0)?;
             let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status, peaks];
@@ -228,7 +228,6 @@ pub(crate) struct Texels {
     base: Pool,
     bands: Pool,
     degrees: Vec<u32>,
-    kernels: Kernels,
     step: Buffer,
     peaks: Buffer,
 }
@@ -254,7 +253,6 @@ impl Texels {
             base: Pool::new(gpu, &kernels, shared, ("mesh base texels", true), &base, status)?,
             bands: Pool::new(gpu, &kernels, shared, ("mesh band texels", false), &bands, status)?,
             degrees: meshes.iter().map(|m| m.atlas().sh_degree()).collect(),
-            kernels,
             step,
             peaks,
         };
@@ -316,8 +314,8 @@ impl Texels {
     /// Rebuilds the levels from `first` (at least 1) on, each from the one before.
     fn record_mips(&self, frame: &mut Frame, first: u32) {
         let mips = self.base.mips.iter().chain(&self.bands.mips);
-        for (_, bindings, groups) in mips.filter(|(level, ..)| *level >= first) {
-            frame.dispatch(&self.kernels.mips, bindings, *groups);
+        for (_, stage, groups) in mips.filter(|(level, ..)| *level >= first) {
+            frame.dispatch(stage, *groups);
         }
     }
 
@@ -331,8 +329,8 @@ impl Texels {
 
     /// Completes the gradients of level 1 by those of the coarser levels; Adam and `read_gradients` do level 0.
     pub(crate) fn record_pull(&self, frame: &mut Frame) {
-        for (bindings, groups) in self.training().flat_map(|t| &t.pull) {
-            frame.dispatch(&self.kernels.pull, bindings, *groups);
+        for (stage, groups) in self.training().flat_map(|t| &t.pull) {
+            frame.dispatch(stage, *groups);
         }
     }
 
@@ -343,8 +341,8 @@ impl Texels {
 
     /// One step of Adam on level 0, and level 1, then the other mips, which therefore always match it.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
-        for (bindings, groups) in self.training().flat_map(|t| &t.adam) {
-            frame.dispatch(&self.kernels.adam, bindings, *groups);
+        for (stage, groups) in self.training().flat_map(|t| &t.adam) {
+            frame.dispatch(stage, *groups);
         }
         self.record_mips(frame, 2);
     }

@@ -7,7 +7,7 @@
 use glam::Vec3;
 
 use super::adam::bias_corrections;
-use super::device::{Bindings, Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;
 #[cfg(test)]
 use super::texels::{FIXED_ONE, PEAKS};
@@ -64,7 +64,7 @@ pub(crate) struct Vertices {
     /// Of fragments, their peak, sums.
     backward: [Kernel; 3],
     /// Start, even, odd, move.
-    moving: [(Kernel, Bindings); 4],
+    moving: [Stage; 4],
 }
 
 impl Vertices {
@@ -102,9 +102,7 @@ impl Vertices {
         let step = gpu.uniform("vertex step", 4)?;
         let buffers = [&step, &gradient, &moments, &steps, &first, &neighbors, &normals, positions, status, peaks];
         let moving = [("start", 0), ("diffuse", 0), ("diffuse", 1), ("displace", 0)].map(|(entry, odd)| {
-            let kernel = Kernel::new(gpu, "move_vertices.wgsl", entry, &gpu.defines().with("ODD", odd));
-            let bindings = kernel.bind(gpu, &buffers);
-            (kernel, bindings)
+            Stage::new(gpu, "move_vertices.wgsl", entry, &gpu.defines().with("ODD", odd), &buffers)
         });
         let backward = [
             Kernel::new(gpu, "uv_backward.wgsl", "backward", defines),
@@ -123,7 +121,7 @@ impl Vertices {
         fragment: &[&Buffer; 5],
         (base, bands): (&Buffer, Option<&Buffer>),
         [layer_gradient, peaks]: [&Buffer; 2],
-    ) -> [Bindings; 3] {
+    ) -> [Stage; 3] {
         let mut of_fragments = fragment.to_vec();
         of_fragments.extend([base, layer_gradient, &self.corner_normals]);
         of_fragments.extend(bands);
@@ -135,10 +133,10 @@ impl Vertices {
     }
 
     /// Gradients of all vertices; the layers' gradient is used up.
-    pub(crate) fn record_backward(&self, frame: &mut Frame, bindings: &[Bindings; 3], fragments: usize) {
+    pub(crate) fn record_backward(&self, frame: &mut Frame, stages: &[Stage; 3], fragments: usize) {
         frame.clear(&self.gradient);
-        for ((kernel, bindings), block) in self.backward.iter().zip(bindings).zip([GROUP, PEAK_FRAGMENTS, GROUP]) {
-            frame.dispatch(kernel, bindings, groups(fragments, block));
+        for (stage, block) in stages.iter().zip([GROUP, PEAK_FRAGMENTS, GROUP]) {
+            frame.dispatch(stage, groups(fragments, block));
         }
     }
 
@@ -153,8 +151,8 @@ impl Vertices {
     pub(crate) fn record_step(&self, frame: &mut Frame) {
         let [start, even, odd, done] = &self.moving;
         let diffusions = (0..DIFFUSIONS).flat_map(|_| [even, odd]);
-        for (kernel, bindings) in [start].into_iter().chain(diffusions).chain([done]) {
-            frame.dispatch(kernel, bindings, groups(self.count, GROUP));
+        for stage in [start].into_iter().chain(diffusions).chain([done]) {
+            frame.dispatch(stage, groups(self.count, GROUP));
         }
     }
 

@@ -1,6 +1,6 @@
 //! Recording of commands, and what they took.
 
-use super::{Bindings, Buffer, Gpu, GpuError, Kernel};
+use super::{Buffer, Gpu, GpuError, Stage};
 
 /// Commands that are submitted together.
 pub(crate) struct Frame<'a> {
@@ -23,15 +23,23 @@ impl<'a> Frame<'a> {
         Self { timer: Some(timer), ..Self::new(gpu) }
     }
 
-    fn pass(&mut self, kernel: &Kernel) -> &mut wgpu::ComputePass<'static> {
+    /// A pass in which the stage is what is dispatched next.
+    fn pass(&mut self, stage: &Stage) -> &mut wgpu::ComputePass<'static> {
+        let pass = self.open_pass(&stage.kernel.label);
+        stage.encode(pass);
+        pass
+    }
+
+    /// The pass that commands go to; one of its own, timed and so `label`led, with a timer.
+    fn open_pass(&mut self, label: &str) -> &mut wgpu::ComputePass<'static> {
         if let Some(timer) = &mut self.timer
             && timer.labels.len() < Timer::CAPACITY
         {
             self.pass = None;
             let i = 2 * timer.labels.len() as u32;
-            timer.labels.push(kernel.label.clone());
+            timer.labels.push(label.to_owned());
             let pass = self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some(&kernel.label),
+                label: Some(label),
                 timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
                     query_set: &timer.queries,
                     beginning_of_pass_write_index: Some(i),
@@ -47,24 +55,18 @@ impl<'a> Frame<'a> {
     }
 
     /// Runs `groups` workgroups, folded into rows where one is too short (see `group_index` in WGSL), the last of which is full, too.
-    pub(crate) fn dispatch(&mut self, kernel: &Kernel, bindings: &Bindings, groups: usize) {
+    pub(crate) fn dispatch(&mut self, stage: &Stage, groups: usize) {
         if groups == 0 {
             return;
         }
         let widest = self.gpu.widest_dispatch() as usize;
         let (x, y) = (groups.min(widest), groups.div_ceil(widest));
-        let pass = self.pass(kernel);
-        pass.set_pipeline(&kernel.pipeline);
-        pass.set_bind_group(0, &bindings.group, &[]);
-        pass.dispatch_workgroups(x as u32, y as u32, 1);
+        self.pass(stage).dispatch_workgroups(x as u32, y as u32, 1);
     }
 
-    /// Runs as many workgroups as the three words at byte `offset` of `counts` say.
-    pub(crate) fn dispatch_indirect(&mut self, kernel: &Kernel, bindings: &Bindings, counts: &Buffer, offset: u64) {
-        let pass = self.pass(kernel);
-        pass.set_pipeline(&kernel.pipeline);
-        pass.set_bind_group(0, &bindings.group, &[]);
-        pass.dispatch_workgroups_indirect(&counts.raw, offset);
+    /// Runs as many workgroups as the first three words of `size` say.
+    pub(crate) fn dispatch_indirect(&mut self, stage: &Stage, size: &Buffer) {
+        self.pass(stage).dispatch_workgroups_indirect(&size.raw, 0);
     }
 
     /// Fills a buffer with zeros.

@@ -1,4 +1,4 @@
-//! Compiled entry points of `shaders/` and what they are bound to.
+//! Compiled entry points of `shaders/`, and the buffers that they run on.
 
 use std::sync::{Arc, PoisonError};
 
@@ -8,17 +8,32 @@ use crate::render::gpu::shader::{self, Access, Defines};
 /// A compiled compute entry point. Cheap to clone.
 #[derive(Clone)]
 pub(crate) struct Kernel {
-    pub(super) label: String,
-    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) label: Arc<str>,
+    pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
-    slots: Vec<u32>,
+    /// Numbers of its bindings, in order.
+    slots: Arc<[u32]>,
 }
 
-/// The buffers of one kernel.
-pub(crate) struct Bindings {
-    pub(super) group: wgpu::BindGroup,
+/// A kernel on its buffers: what a frame dispatches.
+pub(crate) struct Stage {
+    pub(super) kernel: Kernel,
+    bindings: wgpu::BindGroup,
     /// A bind group keeps its buffers alive.
     _allocations: Vec<Arc<Allocation>>,
+}
+
+impl Stage {
+    /// As [`Kernel::new`], then [`Kernel::bind`].
+    pub(crate) fn new(gpu: &Gpu, file: &str, entry: &str, defines: &Defines, buffers: &[&Buffer]) -> Self {
+        Kernel::new(gpu, file, entry, defines).bind(gpu, buffers)
+    }
+
+    /// Makes it what the pass dispatches next.
+    pub(super) fn encode(&self, pass: &mut wgpu::ComputePass) {
+        pass.set_pipeline(&self.kernel.pipeline);
+        pass.set_bind_group(0, &self.bindings, &[]);
+    }
 }
 
 impl Kernel {
@@ -81,11 +96,11 @@ impl Kernel {
             },
             cache: None,
         });
-        Self { label, pipeline, layout, slots: bindings.iter().map(|b| b.0).collect() }
+        Self { label: label.into(), pipeline, layout, slots: bindings.iter().map(|b| b.0).collect() }
     }
 
-    /// Binds `buffers` in the order of the shader's binding numbers.
-    pub(crate) fn bind(&self, gpu: &Gpu, buffers: &[&Buffer]) -> Bindings {
+    /// This kernel on `buffers`, in the order of the shader's binding numbers.
+    pub(crate) fn bind(&self, gpu: &Gpu, buffers: &[&Buffer]) -> Stage {
         assert_eq!(self.slots.len(), buffers.len(), "{} has {} bindings", self.label, self.slots.len());
         let entries: Vec<_> = self
             .slots
@@ -93,12 +108,13 @@ impl Kernel {
             .zip(buffers)
             .map(|(&binding, b)| wgpu::BindGroupEntry { binding, resource: b.raw.as_entire_binding() })
             .collect();
-        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let bindings = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(&self.label),
             layout: &self.layout,
             entries: &entries,
         });
-        Bindings { group, _allocations: buffers.iter().map(|b| Arc::clone(&b.allocation)).collect() }
+        let _allocations = buffers.iter().map(|b| Arc::clone(&b.allocation)).collect();
+        Stage { kernel: self.clone(), bindings, _allocations }
     }
 }
 

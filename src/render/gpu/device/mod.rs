@@ -18,7 +18,7 @@ use buffer::Memory;
 use error::Failure;
 pub use error::GpuError;
 pub(crate) use frame::{Frame, Timer, groups};
-pub(crate) use kernel::{Bindings, Kernel};
+pub(crate) use kernel::{Kernel, Stage};
 
 use super::shader::Defines;
 
