@@ -4,8 +4,8 @@
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     mesh::MeshStage,
+    picture::Picture,
     pipeline::PAIRS_PER_SPLAT,
-    renderer::Picture,
     splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list},
     view::{VIEW_WORDS, View},
 };

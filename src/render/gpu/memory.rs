@@ -1,16 +1,25 @@
-//! How much memory training takes, and how much there is.
+//! How much memory training takes.
 
-use super::{
-    blend::moments, device::Gpu, mesh::BIN, pipeline::PAIRS_PER_SPLAT, state::GEOMETRY_FLOATS, training::HEADROOM,
-    view::TILE,
-};
+use super::{blend::moments, device::Gpu, mesh::BIN, pipeline::PAIRS_PER_SPLAT, state::GEOMETRY_FLOATS, view::TILE};
 use crate::scene::sh;
+
+/// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
+const HEADROOM: f64 = 0.5;
 
 /// Most splats of a degree whose longest array fits one binding of the adapter.
 #[must_use]
 pub fn most_splats(gpu: &Gpu, sh_degree: u32) -> usize {
     let bytes_each = 4 * (3 * sh::coefficients(sh_degree)).max(GEOMETRY_FLOATS);
     gpu.max_binding_bytes() as usize / bytes_each
+}
+
+/// Splats that buffers for `n` of a degree have room for: no more than the adapter binds at once, which `n` itself may still exceed.
+pub(crate) fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
+    (n + headroom(n)).min(most_splats(gpu, sh_degree)).max(n)
+}
+
+fn headroom(n: usize) -> usize {
+    (n as f64 * HEADROOM) as usize
 }
 
 /// What the memory of a training run depends on.
@@ -67,7 +76,7 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         parts.iter().fold(0_u64, |sum, (count, floats)| sum.saturating_add(count.saturating_mul(4 * floats)))
     };
     let (pixels, layers) = (wide(s.width).saturating_mul(wide(s.height)), wide(s.layers));
-    let splats = wide(s.splats).saturating_add((s.splats as f64 * HEADROOM) as u64);
+    let splats = wide(s.splats).saturating_add(wide(headroom(s.splats)));
     let sh_floats = 3 * wide(sh::coefficients(s.sh_degree));
     let per_side =
         |side: u32| wide(s.width.div_ceil(side as usize)).saturating_mul(wide(s.height.div_ceil(side as usize)));
@@ -103,62 +112,9 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
     }
 }
 
-/// Bytes of the host's memory that programs may still take, where the system says so.
-pub(super) fn host_memory() -> Option<u64> {
-    let read = |file: &str| std::fs::read_to_string(file).ok();
-    let free = available_bytes(&read("/proc/meminfo")?)?;
-    // Within the limits of all groups, those of containers and jobs among them, that the process is in.
-    let group =
-        read("/proc/self/cgroup").and_then(|text| Some(text.lines().find_map(|l| l.strip_prefix("0::/"))?.to_owned()));
-    let left_of = |group: &std::path::Path| {
-        let [max, current, stat] = ["max", "current", "stat"]
-            .map(|what| read(&format!("/sys/fs/cgroup/{}/memory.{what}", group.display())).unwrap_or_default());
-        left_of_group(&max, &current, &stat)
-    };
-    let groups = group.iter().flat_map(|group| std::path::Path::new(group).ancestors());
-    Some(groups.filter_map(left_of).fold(free, u64::min))
-}
-
-/// What a control group may still take by the files of Linux's second version of them, of which the kernel takes back what it keeps of files.
-/// `None` without a limit.
-fn left_of_group(max: &str, current: &str, stat: &str) -> Option<u64> {
-    let [max, current] = [max, current].map(|text| text.trim().parse::<u64>().ok());
-    let kept = |name: &str| {
-        let line = stat.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
-        line.and_then(|n| n.trim().parse::<u64>().ok()).unwrap_or(0)
-    };
-    let of_files = kept("inactive_file").saturating_add(kept("active_file"));
-    Some(max?.saturating_sub(current?.saturating_sub(of_files)))
-}
-
-/// `MemAvailable` of Linux's `/proc/meminfo`.
-fn available_bytes(meminfo: &str) -> Option<u64> {
-    let kib = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    kib.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn free_memory_is_read_from_linux() {
-        let text = "MemTotal:       24684000 kB\nMemFree:  100 kB\nMemAvailable:   23256352 kB\nBuffers: 1 kB\n";
-        assert_eq!(available_bytes(text), Some(23_256_352 * 1024));
-        assert_eq!(available_bytes("MemTotal: 5 kB\n"), None);
-        assert_eq!(available_bytes("MemAvailable: some\n"), None);
-    }
-
-    #[test]
-    fn a_container_has_what_is_left_of_its_limit() {
-        let stat = "anon 50\ninactive_file 300\nactive_file 100\ninactive_file_other 7\n";
-        assert_eq!(left_of_group("1000\n", "700\n", stat), Some(700));
-        assert_eq!(left_of_group("1000", "700", ""), Some(300));
-        assert_eq!(left_of_group("100", "700", stat), Some(0));
-        for (max, current) in [("max\n", "700"), ("", ""), ("1000", "")] {
-            assert_eq!(left_of_group(max, current, stat), None);
-        }
-    }
 
     #[test]
     fn absurd_sizes_saturate() {

@@ -20,6 +20,7 @@ mod mesh;
 #[cfg(test)]
 mod mesh_tests;
 pub(crate) mod per_view;
+mod picture;
 mod pipeline;
 pub(crate) mod pose;
 #[cfg(test)]
@@ -40,7 +41,8 @@ pub(crate) mod view;
 
 pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
 pub use layered::{LayeredPicture, LayeredRenderer};
-pub use renderer::{Picture, Renderer};
+pub use picture::Picture;
+pub use renderer::Renderer;
 
 #[cfg(test)]
 mod tests;

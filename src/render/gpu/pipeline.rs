@@ -4,7 +4,7 @@ use super::{
     blend::{Blend, LayerBuffers},
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     mesh::MeshStage,
-    renderer::Picture,
+    picture::Picture,
     splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list, longest_list},
     view::{VIEW_WORDS, View},
 };

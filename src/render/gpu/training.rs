@@ -6,10 +6,10 @@ use super::{
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
-    memory::most_splats,
+    memory::with_headroom,
+    picture::Picture,
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
-    renderer::Picture,
     rows::{RowGather, Rows, Source},
     smoothing::Smoothing,
     splats::{GEOMETRY, SplatBuffers, longer_list},
@@ -20,9 +20,6 @@ use super::{
     view::{Dropout, View},
 };
 use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
-
-/// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
-pub(crate) const HEADROOM: f64 = 0.5;
 
 #[cfg(test)]
 impl SplatState {
@@ -547,11 +544,6 @@ impl<'g> Training<'g> {
 
 fn sh_floats(pipeline: &Pipeline) -> usize {
     3 * sh::coefficients(pipeline.splats.sh_degree)
-}
-
-/// No more than the adapter binds at once, which `n` itself may still exceed.
-fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
-    (n + (n as f64 * HEADROOM) as usize).min(most_splats(gpu, sh_degree)).max(n)
 }
 
 fn new_loss(

@@ -5,8 +5,7 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
-use super::{Gpu, GpuError};
-use crate::render::gpu::memory::host_memory;
+use super::{Gpu, GpuError, host_memory::host_memory};
 
 /// Bytes that are allocated.
 #[derive(Default)]

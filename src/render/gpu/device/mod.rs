@@ -4,6 +4,7 @@ mod adapters;
 mod buffer;
 mod error;
 mod frame;
+mod host_memory;
 mod kernel;
 
 use std::{
@@ -193,8 +194,7 @@ impl Gpu {
 
 #[cfg(test)]
 mod tests {
-    use super::{error::LESS, *};
-    use crate::render::gpu::memory::host_memory;
+    use super::{error::LESS, host_memory::host_memory, *};
 
     #[test]
     fn too_little_memory_is_an_error_that_says_how_much_there_is() {
