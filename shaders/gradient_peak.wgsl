@@ -8,7 +8,7 @@
 @group(0) @binding(2) var<storage, read> layer_gradient: array<vec4f>;  // [L, h, w]
 @group(0) @binding(3) var<storage, read_write> peaks: array<atomic<u32>>;
 
-const FRAGMENTS: u32 = 16u;            // PEAK_FRAGMENTS in texels.rs is 256 times as many
+const FRAGMENTS: u32 = 16u;            // PEAK_FRAGMENTS in texels.rs
 
 var<workgroup> largest: atomic<u32>;
 

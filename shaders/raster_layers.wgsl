@@ -6,7 +6,7 @@
 //
 // Per (triangle, bin): 52 bytes read, 64 bytes of workgroup memory. Per (triangle, pixel): 6 fma, 5 min/max; per hit
 // another 8 flops and LAYERS compare-exchanges. Writes 8 bytes per pixel and layer.
-// A thread owns PER_THREAD pixels, so that it reads a staged triangle once for all of them.
+// A thread owns PER_THREAD pixels, so that it reads a staged triangle once for all of them; THREADS have the BIN × BIN of a bin.
 
 //#import shared/view.wgsl
 
@@ -18,7 +18,6 @@
 @group(0) @binding(5) var<storage, read_write> layer_depth: array<f32>;     // [LAYERS, h, w], 0 = empty
 @group(0) @binding(6) var<storage, read_write> layer_triangle: array<u32>;  // [LAYERS, h, w], index + 1
 
-const THREADS: u32 = BIN * BIN / PER_THREAD;
 const ROWS: u32 = THREADS / BIN;        // rows between two pixels of a thread
 const BATCH: u32 = 64u;                 // triangles staged at a time
 const FAR: f32 = 3e38;

@@ -1,10 +1,7 @@
 //! Adam for splats (`shaders/adam_splats.wgsl`).
 
-use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Stage};
 use crate::scene::sh;
-
-/// Threads per workgroup.
-const THREADS: usize = 256;
 
 /// Parameters of splats, or their gradients or moments: the layout is the same.
 #[derive(Clone, Copy)]
@@ -125,9 +122,9 @@ impl SplatAdam {
 
     /// Appends the step to a frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
-        frame.dispatch(&self.geometry, groups(self.n_splats, THREADS));
+        frame.dispatch_threads(&self.geometry, self.n_splats);
         let threads = self.n_splats * self.active_floats.div_ceil(self.lanes);
-        frame.dispatch(&self.harmonics, groups(threads, THREADS));
+        frame.dispatch_threads(&self.harmonics, threads);
     }
 }
 

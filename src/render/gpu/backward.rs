@@ -2,7 +2,7 @@
 
 use super::{
     blend::{BlendBackward, moments},
-    device::{Buffer, Frame, Gpu, GpuError, Stage, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
     pipeline::Pipeline,
     splats::GEOMETRY,
     view::View,
@@ -94,7 +94,7 @@ impl Backward {
     /// Appends everything from the image gradient to parameter gradients.
     pub(crate) fn record(&self, frame: &mut Frame, pipeline: &Pipeline, view: &View) {
         self.record_blend(frame, view);
-        frame.dispatch(&self.of_splats, groups(view.n_splats as usize, 256));
+        frame.dispatch_threads(&self.of_splats, view.n_splats as usize);
         if let Some(mesh) = &pipeline.mesh {
             mesh.record_backward(frame);
         }

@@ -8,13 +8,12 @@ struct Tiling {
     /// Of a tile, as in the shader.
     width: usize,
     height: usize,
-    tiles_per_group: usize,
+    /// A thread to a tile, rather than a workgroup.
+    by_threads: bool,
 }
 
-/// A workgroup to a tile.
-const PARALLEL: Tiling = Tiling { file: "loss.wgsl", width: 16, height: 40, tiles_per_group: 1 };
-/// A thread to a tile.
-const SERIAL: Tiling = Tiling { file: "loss_serial.wgsl", width: 8, height: 64, tiles_per_group: 32 };
+const PARALLEL: Tiling = Tiling { file: "loss.wgsl", width: 16, height: 40, by_threads: false };
+const SERIAL: Tiling = Tiling { file: "loss_serial.wgsl", width: 8, height: 64, by_threads: true };
 
 /// What the truth's alpha channel means.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -96,9 +95,9 @@ impl Loss {
 
     /// Appends loss and gradient to a frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
-        let n_groups = groups(self.n_tiles, self.tiling.tiles_per_group);
-        frame.dispatch(&self.forward, n_groups);
-        frame.dispatch(&self.backward, n_groups);
+        let take = if self.tiling.by_threads { Frame::dispatch_threads } else { Frame::dispatch };
+        take(frame, &self.forward, self.n_tiles);
+        take(frame, &self.backward, self.n_tiles);
     }
 
     /// The values of the last frame. Waits for it.

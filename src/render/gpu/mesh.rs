@@ -15,12 +15,6 @@ use super::vertices::{VertexState, VertexStep, Vertices};
 use super::view::View;
 use crate::scene::{Atlas, Mesh};
 
-/// Threads per workgroup of the kernels over triangles and over pixels.
-const GROUP: usize = 256;
-
-/// Threads per workgroup of `texel_backward` and `texel_backward_serial`.
-const RUN_GROUP: usize = 64;
-
 /// Side in pixels of the square bins that triangles are sorted into. Smaller than the splats' tiles: the triangles of
 /// a dense mesh are a few pixels large, and every triangle is tested at every pixel of its bins.
 pub(crate) const BIN: u32 = 8;
@@ -154,7 +148,8 @@ impl Kernels {
             .with("FOURS", u32::from(texels.bands_are_in_fours()))
             .with("RUN", run)
             .with("BIN", BIN)
-            .with("PER_THREAD", per_thread);
+            .with("PER_THREAD", per_thread)
+            .with("THREADS", BIN * BIN / per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
         Self {
             setup: kernel("setup_triangles.wgsl", "setup"),
@@ -383,21 +378,20 @@ impl MeshStage {
     /// Depths and colours of all layers for the view in the uniform.
     pub(crate) fn record_forward(&self, frame: &mut Frame) {
         let Some(bound) = &self.bound else { return };
-        let triangles = groups(self.n_triangles, GROUP);
-        frame.dispatch(&bound.setup, triangles);
-        frame.dispatch(&bound.count, triangles);
+        frame.dispatch_threads(&bound.setup, self.n_triangles);
+        frame.dispatch_threads(&bound.count, self.n_triangles);
         frame.dispatch(&bound.scan, 1);
-        frame.dispatch(&bound.scatter, triangles);
+        frame.dispatch_threads(&bound.scatter, self.n_triangles);
         frame.dispatch(&bound.raster, bound.bins);
-        frame.dispatch(&bound.shade, groups(bound.fragments, GROUP));
+        frame.dispatch_threads(&bound.shade, bound.fragments);
     }
 
     /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
         let Some(Bound { backward: Some([peak, texels]), fragments, texel_threads, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
-        frame.dispatch(peak, groups(*fragments, PEAK_FRAGMENTS));
-        frame.dispatch(texels, groups(*texel_threads, RUN_GROUP));
+        frame.dispatch_threads(peak, groups(*fragments, PEAK_FRAGMENTS));
+        frame.dispatch_threads(texels, *texel_threads);
         self.texels.record_pull(frame);
     }
 

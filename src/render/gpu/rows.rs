@@ -1,12 +1,9 @@
 //! Splats in a new order, without their way through the host (`shaders/gather_rows.wgsl`).
 
 use super::{
-    device::{Buffer, Frame, Gpu, GpuError, Kernel, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Kernel},
     splats::{GEOMETRY, OPACITY},
 };
-
-/// Threads per workgroup.
-const THREADS: usize = 256;
 
 /// Which splat another takes its SH coefficients and its moments of Adam from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,7 +123,7 @@ impl RowGather {
             let width = if what == Rows::GeometryMoments { GEOMETRY } else { self.sh_floats };
             for kernel in &self.kernels[what as usize] {
                 let stage = kernel.bind(gpu, &[&self.size, &list, buffer, fetched]);
-                frame.dispatch(&stage, groups(changes.len() * width, THREADS));
+                frame.dispatch_threads(&stage, changes.len() * width);
             }
         }
         frame.submit();

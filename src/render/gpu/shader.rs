@@ -227,6 +227,13 @@ pub(crate) fn bindings(wgsl: &str) -> Vec<(u32, Access)> {
     found
 }
 
+/// Threads in a workgroup of an entry point of a preprocessed shader.
+pub(crate) fn workgroup_size(wgsl: &str, entry: &str, defines: &Defines) -> u32 {
+    let (before, _) = wgsl.split_once(&format!("fn {entry}(")).expect("the entry point");
+    let (_, size) = before.rsplit_once("@workgroup_size(").expect("a size before it");
+    defines.value(size.split_once(')').expect("a closing bracket").0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -247,5 +254,11 @@ mod tests {
     fn bindings_are_found() {
         let wgsl = "@group(0) @binding(1) var<storage, read> a: array<f32>;\n@group(0) @binding(0) var<uniform> v: V;";
         assert_eq!(bindings(wgsl), vec![(0, Access::Uniform), (1, Access::Read)]);
+    }
+
+    #[test]
+    fn workgroups_are_measured() {
+        let wgsl = "@compute @workgroup_size(8)\nfn a() {}\n@compute @workgroup_size(N)\nfn b(\n) {}";
+        assert_eq!(["a", "b"].map(|entry| workgroup_size(wgsl, entry, &Defines::default().with("N", 64))), [8, 64]);
     }
 }

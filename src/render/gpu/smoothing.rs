@@ -1,10 +1,8 @@
 //! How far splats are smoothed while they are trained (`shaders/filter_splats.wgsl`).
 
-use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Kernel};
 use crate::scene::Camera;
 
-/// Threads per workgroup.
-const THREADS: usize = 256;
 /// Words of a view.
 const VIEW: usize = 20;
 /// Part of the image's size around it within which means count as seen (Mip-Splatting's `scene/gaussian_model.py`).
@@ -47,7 +45,7 @@ impl Smoothing {
         frame.clear(&self.largest);
         for kernel in [&self.measure, &self.complete] {
             let buffers = [&self.uniform, &self.views, geometry, &self.largest];
-            frame.dispatch(&kernel.bind(gpu, &buffers), groups(n_splats, THREADS));
+            frame.dispatch_threads(&kernel.bind(gpu, &buffers), n_splats);
         }
         frame.submit();
     }

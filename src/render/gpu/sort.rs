@@ -8,9 +8,7 @@ use super::{
 
 /// Pairs per workgroup of `radix_sort.wgsl`.
 const BLOCK: usize = 2048;
-/// Threads per workgroup of `radix_sort_serial.wgsl`.
-const LANES: usize = 8;
-/// Most chunks of `radix_sort_serial.wgsl`: enough for a few workgroups on each core, few enough that scanning their
+/// Most chunks of `radix_sort_serial.wgsl`, a thread to each: enough for a few workgroups on each core, few enough that scanning their
 /// 256 counters costs little.
 const MAX_CHUNKS: usize = 256;
 
@@ -132,7 +130,7 @@ impl Sort {
     fn record_blocks(&self, frame: &mut Frame, stage: &Stage) {
         match self.width {
             Width::Parallel => self.size.dispatch(frame, stage),
-            Width::Serial => frame.dispatch(stage, MAX_CHUNKS / LANES),
+            Width::Serial => frame.dispatch_threads(stage, MAX_CHUNKS),
         }
     }
 }

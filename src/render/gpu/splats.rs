@@ -1,7 +1,7 @@
 //! Splats on the GPU: their parameters, and the stages from projection to depth-sorted tile lists.
 
 use super::{
-    device::{Buffer, Frame, Gpu, GpuError, Stage, groups},
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
     scan::{DispatchSize, Scan},
     sort::Sort,
     view::TILE,
@@ -271,13 +271,12 @@ impl SplatLists {
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, n: usize) {
         gpu.write(&self.counts, 0, &[n as u32, 0, 0, 0]);
         frame.clear(&self.ranges);
-        let all = groups(n, 256);
-        frame.dispatch(&self.project, all);
+        frame.dispatch_threads(&self.project, n);
         self.find_visible.record(frame);
-        frame.dispatch(&self.compact, all);
+        frame.dispatch_threads(&self.compact, n);
         self.depth_sort.record(frame);
         if let Some(order) = &self.order {
-            frame.dispatch(order, all);
+            frame.dispatch_threads(order, n);
         }
         self.per_visible.record(frame);
         self.per_visible.dispatch(frame, &self.gather);

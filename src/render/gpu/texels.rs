@@ -6,7 +6,7 @@
 //! and 13⅓ more to train.
 
 use super::adam::bias_corrections;
-use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
+use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage};
 use super::shader::Defines;
 use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
 
@@ -14,8 +14,6 @@ use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
 #[cfg(test)]
 pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
 
-/// Threads per workgroup of every kernel over texels.
-const GROUP: usize = 256;
 /// Of `shaders/shared/fixed_point.wgsl`.
 #[cfg(test)]
 pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
@@ -23,8 +21,8 @@ pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
 const BAND_UNIT: f32 = 8.0;
 /// Words of [`Texels::peaks`]: of the maps, of the vertices.
 pub(crate) const PEAKS: usize = 2;
-/// Fragments of a workgroup of `gradient_peak.wgsl`.
-pub(crate) const PEAK_FRAGMENTS: usize = 256 * 16;
+/// Fragments of a thread of `gradient_peak.wgsl`, as there.
+pub(crate) const PEAK_FRAGMENTS: usize = 16;
 
 /// Sets word `peak` of [`Texels::peaks`]; `defines` are those of the mesh stage.
 pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
@@ -103,7 +101,7 @@ struct Pool {
     texels: Buffer,
     /// One per mesh; None where a mesh has no bands.
     maps: Vec<Option<Map>>,
-    /// Level, `build_mips` for it and its workgroups: every map's levels but level 0, fine to coarse.
+    /// Level, `build_mips` for it and its threads: every map's levels but level 0, fine to coarse.
     mips: Vec<(u32, Stage, usize)>,
     training: Option<Training>,
 }
@@ -111,9 +109,9 @@ struct Pool {
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    /// `pull_mips` and its workgroups: every map's levels but level 0, coarse to fine.
+    /// `pull_mips` and its threads: every map's levels but level 0, coarse to fine.
     pull: Vec<(Stage, usize)>,
-    /// `adam_texels` and its workgroups: every map.
+    /// `adam_texels` and its threads: every map.
     adam: Vec<(Stage, usize)>,
 }
 
@@ -160,7 +158,7 @@ impl Pool {
             gpu.write(&texels, map.offset as u64 * 4, texture.texels());
             for level in 1..map.levels {
                 let stage = kernels.mips.bind(gpu, &[&uniform(gpu, map, level)?, &texels]);
-                mips.push((level, stage, groups(map.floats(level), GROUP)));
+                mips.push((level, stage, map.floats(level)));
             }
         }
         let mut pool = Self { texels, maps, mips, training: None };
@@ -186,13 +184,13 @@ impl Pool {
         for map in self.maps.iter().flatten() {
             for level in (1..map.levels).rev() {
                 let stage = kernels.pull.bind(gpu, &[&uniform(gpu, map, level)?, &training.gradients]);
-                training.pull.push((stage, groups(map.floats(level), GROUP)));
+                training.pull.push((stage, map.floats(level)));
             }
             let uniform = uniform(gpu, map, 0)?;
             let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status, peaks];
             // A thread moves the floats that one of level 1 is the mean of.
             let threads = map.floats(1.min(map.levels - 1));
-            training.adam.push((kernels.adam.bind(gpu, &buffers), groups(threads, GROUP)));
+            training.adam.push((kernels.adam.bind(gpu, &buffers), threads));
         }
         Ok(())
     }
@@ -314,8 +312,8 @@ impl Texels {
     /// Rebuilds the levels from `first` (at least 1) on, each from the one before.
     fn record_mips(&self, frame: &mut Frame, first: u32) {
         let mips = self.base.mips.iter().chain(&self.bands.mips);
-        for (_, stage, groups) in mips.filter(|(level, ..)| *level >= first) {
-            frame.dispatch(stage, *groups);
+        for (_, stage, threads) in mips.filter(|(level, ..)| *level >= first) {
+            frame.dispatch_threads(stage, *threads);
         }
     }
 
@@ -329,8 +327,8 @@ impl Texels {
 
     /// Completes the gradients of level 1 by those of the coarser levels; Adam and `read_gradients` do level 0.
     pub(crate) fn record_pull(&self, frame: &mut Frame) {
-        for (stage, groups) in self.training().flat_map(|t| &t.pull) {
-            frame.dispatch(stage, *groups);
+        for (stage, threads) in self.training().flat_map(|t| &t.pull) {
+            frame.dispatch_threads(stage, *threads);
         }
     }
 
@@ -341,8 +339,8 @@ impl Texels {
 
     /// One step of Adam on level 0, and level 1, then the other mips, which therefore always match it.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
-        for (stage, groups) in self.training().flat_map(|t| &t.adam) {
-            frame.dispatch(stage, *groups);
+        for (stage, threads) in self.training().flat_map(|t| &t.adam) {
+            frame.dispatch_threads(stage, *threads);
         }
         self.record_mips(frame, 2);
     }

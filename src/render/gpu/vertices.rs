@@ -15,7 +15,6 @@ use super::texels::{PEAK_FRAGMENTS, peak_kernel};
 use crate::geometry::{self, Rings};
 use crate::scene::Mesh;
 
-const GROUP: usize = 256;
 /// As in `shared/fixed_point.wgsl`.
 #[cfg(test)]
 const VERTEX_CARRY: f32 = 4096.0;
@@ -135,8 +134,8 @@ impl Vertices {
     /// Gradients of all vertices; the layers' gradient is used up.
     pub(crate) fn record_backward(&self, frame: &mut Frame, stages: &[Stage; 3], fragments: usize) {
         frame.clear(&self.gradient);
-        for (stage, block) in stages.iter().zip([GROUP, PEAK_FRAGMENTS, GROUP]) {
-            frame.dispatch(stage, groups(fragments, block));
+        for (stage, per_thread) in stages.iter().zip([1, PEAK_FRAGMENTS, 1]) {
+            frame.dispatch_threads(stage, groups(fragments, per_thread));
         }
     }
 
@@ -152,7 +151,7 @@ impl Vertices {
         let [start, even, odd, done] = &self.moving;
         let diffusions = (0..DIFFUSIONS).flat_map(|_| [even, odd]);
         for stage in [start].into_iter().chain(diffusions).chain([done]) {
-            frame.dispatch(stage, groups(self.count, GROUP));
+            frame.dispatch_threads(stage, self.count);
         }
     }
 

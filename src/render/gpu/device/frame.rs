@@ -64,6 +64,11 @@ impl<'a> Frame<'a> {
         self.pass(stage).dispatch_workgroups(x as u32, y as u32, 1);
     }
 
+    /// Runs as many workgroups as have that many threads, or more.
+    pub(crate) fn dispatch_threads(&mut self, stage: &Stage, threads: usize) {
+        self.dispatch(stage, groups(threads, stage.kernel.threads));
+    }
+
     /// Runs as many workgroups as the first three words of `size` say.
     pub(crate) fn dispatch_indirect(&mut self, stage: &Stage, size: &Buffer) {
         self.pass(stage).dispatch_workgroups_indirect(&size.raw, 0);

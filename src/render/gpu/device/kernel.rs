@@ -13,6 +13,8 @@ pub(crate) struct Kernel {
     layout: wgpu::BindGroupLayout,
     /// Numbers of its bindings, in order.
     slots: Arc<[u32]>,
+    /// Threads in a workgroup.
+    pub(super) threads: usize,
 }
 
 /// A kernel on its buffers: what a frame dispatches.
@@ -54,6 +56,7 @@ impl Kernel {
         #[cfg(test)]
         keep(&wgsl, file, entry);
         let bindings = shader::bindings(&wgsl);
+        let threads = shader::workgroup_size(&wgsl, entry, defines) as usize;
         let entries: Vec<_> = bindings
             .iter()
             .map(|&(binding, access)| wgpu::BindGroupLayoutEntry {
@@ -96,7 +99,7 @@ impl Kernel {
             },
             cache: None,
         });
-        Self { label: label.into(), pipeline, layout, slots: bindings.iter().map(|b| b.0).collect() }
+        Self { label: label.into(), pipeline, layout, slots: bindings.iter().map(|b| b.0).collect(), threads }
     }
 
     /// This kernel on `buffers`, in the order of the shader's binding numbers.
