@@ -1,7 +1,7 @@
 // Exposures of photographs (as in INRIA 3DGS): the picture of a view is compared as E·(r, g, b, 1), where E is a 3×4 matrix of its own.
 //
 // `pull`: from the gradient by what was compared to that by the picture, Eᵀ·g, in place; and each workgroup's part of
-// g·(r, g, b, 1)ᵀ, the gradient by E. 48 bytes and 24 multiply-adds a pixel, 25 MB at 960 × 540: bound by bandwidth.
+// g·(r, g, b, 1)ᵀ, the gradient by E; PER_THREAD pixels to a thread. 48 bytes and 24 multiply-adds a pixel, 25 MB at 960 × 540: bound by bandwidth.
 // `update`: their sum, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
@@ -26,8 +26,6 @@ struct Step {
 @group(0) @binding(6) var<storage, read_write> second: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> partial: array<vec4f>;       // [workgroup of `pull`][row]
 @group(0) @binding(8) var<storage, read_write> status: Status;
-
-const PER_THREAD: u32 = 16u;            // PIXELS in exposure.rs is 256 times as many
 
 @compute @workgroup_size(256)
 fn pull(

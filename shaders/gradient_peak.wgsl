@@ -1,5 +1,5 @@
 // The largest of what the fragments' gradients hold, whichever way, as the bits of a positive float: NaN is larger than
-// all. It sets the unit of sums in fixed point. 20 bytes read per pixel and layer.
+// all. It sets the unit of sums in fixed point. FRAGMENTS to a thread, 20 bytes read per pixel and layer.
 
 //#import shared/view.wgsl
 
@@ -7,8 +7,6 @@
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [L, h, w], index + 1
 @group(0) @binding(2) var<storage, read> layer_gradient: array<vec4f>;  // [L, h, w]
 @group(0) @binding(3) var<storage, read_write> peaks: array<atomic<u32>>;
-
-const FRAGMENTS: u32 = 16u;            // PEAK_FRAGMENTS in texels.rs
 
 var<workgroup> largest: atomic<u32>;
 

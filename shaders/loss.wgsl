@@ -7,7 +7,7 @@
 //     ∂S/∂x = blur(g1) + 2d·blur(g2) + y·blur(g3),
 // with the slopes of S: g1 by the mean of x, g2 by blur(d²), g3 by blur(xy).
 //
-// A workgroup does one channel of a 16 × 40 tile, and of the 5 pixels around it whatever windows reach. It brings these into workgroup
+// A workgroup does one channel of a tile of WIDTH × HEIGHT = 16 × 40, and of the 5 pixels around it whatever windows reach. It brings these into workgroup
 // memory, threads in a row next to each other in the picture, so that every cache line is read once and whole; with a thread to a row
 // each would read lines of its own. Then rows are blurred (8 outputs a thread out of 18 inputs), in place, then columns (5 out of 15). Per
 // pixel and channel:
@@ -18,17 +18,15 @@
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
-const WIDTH: u32 = 16u;                 // of a tile; as in loss.rs
-const HEIGHT: u32 = 40u;
 const REACH: u32 = 5u;
-const ROWS: u32 = 50u;                  // HEIGHT + 2·REACH
+const ROWS: u32 = HEIGHT + 2u * REACH;
 // Strides of rows, in vectors. Threads on successive rows hit different banks with each.
-const STRIDE: u32 = 17u;                // of what is blurred along x: WIDTH and a gap
-const PAIRS: u32 = 13u;                 // of two numbers of each of WIDTH + 2·REACH pixels, two pixels to a vector
-const QUADS: u32 = 7u;                  // of one number of each, four pixels to a vector
-const SINGLE: u32 = 650u;               // where these begin, after ROWS × PAIRS
+const STRIDE: u32 = WIDTH + 1u;         // of what is blurred along x, with a gap
+const PAIRS: u32 = WIDTH / 2u + REACH;  // of two numbers of each of WIDTH + 2·REACH pixels, two pixels to a vector
+const QUADS: u32 = (PAIRS + 1u) / 2u;   // of one number of each, four pixels to a vector
+const SINGLE: u32 = ROWS * PAIRS;       // where these begin
 
-var<workgroup> tile_memory: array<vec4f, 1000>;     // ROWS × (PAIRS + QUADS), then ROWS × STRIDE, then sums of threads
+var<workgroup> tile_memory: array<vec4f, ROWS * (PAIRS + QUADS)>;   // then ROWS × STRIDE, then sums of threads
 
 struct Tile {
     corner: vec2u,

@@ -1,7 +1,7 @@
 // loss.wgsl for software adapters, which take the lanes of every load and store in turn: no workgroup memory, which is plain
 // memory there, and many outputs to a thread.
 //
-// A thread walks down a strip of one channel, 8 pixels wide. It blurs a row in registers (8 outputs out of 18 loads) and adds
+// A thread walks down a strip of one channel, WIDTH = 8 pixels wide and HEIGHT = 64 high. It blurs a row in registers (8 outputs out of 18 loads) and adds
 // it to the sums of the windows it lies in: ten that later rows belong to as well, moved up one place on the way, and one
 // that is complete. Per pixel and channel, and a sixth more for the rows around a strip: forward 4.5 loads, 16 B written, some 160
 // multiplications and additions; backward 2.3 loads of 12 B, 2 of 4 B, 4 B written, some 110.
@@ -9,8 +9,6 @@
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
-const WIDTH: u32 = 8u;                  // of a strip; as in loss.rs
-const HEIGHT: u32 = 64u;
 const REACH: u32 = 5u;
 
 struct Strip {

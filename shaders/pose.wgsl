@@ -29,8 +29,6 @@ struct Step {
 @group(0) @binding(7) var<storage, read_write> partial: array<vec4f>;       // [workgroup of `pull`][∂L/∂ω, ∂L/∂c]
 @group(0) @binding(8) var<storage, read_write> status: Status;
 
-const PARTS: u32 = 256u;                // as in pose.rs
-
 // exp(ω)·x
 fn turned(turn: vec3f, x: vec3f) -> vec3f {
     let half = 0.5 * length(turn);

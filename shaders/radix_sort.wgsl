@@ -2,7 +2,7 @@
 // digit histograms of blocks, their scan in digit-major order, scatter. For adapters with many lanes; see
 // radix_sort_serial.wgsl for the other kind.
 //
-// A block is 256 threads × 8 consecutive pairs. Each thread counts its own pairs per digit, so that the scan over
+// A BLOCK is 256 threads × 8 consecutive pairs; there are DIGITS = 16. Each thread counts its own pairs per digit, so that the scan over
 // (digit, thread) is stable without atomics. Counters are 16 bits wide (≤ 2048): digits d and d+8 share a word.
 // Pairs are put in order in workgroup memory first, so that the writes of neighbouring threads are neighbours.
 
@@ -22,11 +22,8 @@ struct Pass {
 //#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
-const DIGITS: u32 = 16u;
-const BLOCK: u32 = 2048u;               // BLOCK in sort.rs
-
-var<workgroup> counters: array<u32, 2048>;     // [digit mod 8][thread]; later one word per pair
-var<workgroup> digit_base: array<u32, 16>;
+var<workgroup> counters: array<u32, BLOCK>;     // [digit mod 8][thread]; later one word per pair
+var<workgroup> digit_base: array<u32, DIGITS>;
 
 fn item_count() -> u32 {
     return min(counts[COUNT_WORD], CAPACITY);

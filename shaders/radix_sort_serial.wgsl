@@ -1,6 +1,6 @@
 // One pass of a stable radix sort of (key, value) pairs by up to eight bits, least significant digit first, for
 // software adapters: few cores, lanes that read and write one by one, expensive barriers. Each thread walks a long
-// chunk of consecutive pairs with its own 256 counters, which is stable by construction and needs no barrier.
+// chunk of consecutive pairs with its own DIGITS = 256 counters, which is stable by construction and needs no barrier.
 // Same three dispatches as radix_sort.wgsl: histograms of chunks, their scan in digit-major order, scatter.
 
 struct Pass {
@@ -19,11 +19,10 @@ struct Pass {
 //#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
-const DIGITS: u32 = 256u;
 const LANES: u32 = 8u;
 const SHORTEST_CHUNK: u32 = 1024u;      // shorter ones cost more in counters than in pairs
 
-var<workgroup> counters: array<u32, 2048>;     // [lane][digit]
+var<workgroup> counters: array<u32, LANES * DIGITS>;    // [lane][digit]
 
 fn item_count() -> u32 {
     return min(counts[COUNT_WORD], CAPACITY);

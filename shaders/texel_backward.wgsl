@@ -1,5 +1,5 @@
-// Scatters the gradient of every fragment's colour and alpha to its texels, a thread to a fragment, a workgroup to 8 × 8 pixels of a
-// layer.
+// Scatters the gradient of every fragment's colour and alpha to its texels, a thread to a fragment, a workgroup to ACROSS × DOWN pixels
+// of a layer.
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
 // times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient
@@ -15,7 +15,6 @@
 //#import shared/mesh_fragment.wgsl
 //#import shared/fragment_gradient.wgsl
 
-const SIDE: u32 = 8u;                   // of a workgroup's pixels, as in mesh.rs
 const NONE: u32 = 0xffffffffu;
 
 @compute @workgroup_size(64)
@@ -26,12 +25,13 @@ fn backward(
     @builtin(subgroup_invocation_id) lane: u32,
 //#end
 ) {
-    let blocks = (view.size + SIDE - 1u) / SIDE;
+    let size = vec2u(ACROSS, DOWN);
+    let blocks = (view.size + size - 1u) / size;
     let index = group_index(group);
     let layer = index / (blocks.x * blocks.y);
     if layer >= LAYERS { return; }
     let block = index - layer * blocks.x * blocks.y;
-    let at = SIDE * vec2u(block % blocks.x, block / blocks.x) + vec2u(thread % SIDE, thread / SIDE);
+    let at = size * vec2u(block % blocks.x, block / blocks.x) + vec2u(thread % ACROSS, thread / ACROSS);
     var triangle = 0u;
     var g = vec4f(0.0);
     if all(at < view.size) {

@@ -1,4 +1,4 @@
-// texel_backward.wgsl for software adapters, which take the lanes of an atomic addition in turn: a thread walks RUN pixels
+// texel_backward.wgsl for software adapters, which take the lanes of an atomic addition in turn: a thread walks DOWN pixels
 // down a column.
 //
 // Neighbouring pixels share texels: a footprint moves by at most about a texel from one to the next. The thread sums in
@@ -28,11 +28,11 @@ fn backward(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let i = group_index(group) * 64u + thread;
-    let strips = (view.size.y + RUN - 1u) / RUN;
+    let strips = (view.size.y + DOWN - 1u) / DOWN;
     let strip = i / view.size.x;
     let x = i - strip * view.size.x;
     let layer = strip / strips;
-    let top = (strip - layer * strips) * RUN;
+    let top = (strip - layer * strips) * DOWN;
     if layer >= LAYERS { return; }
     let scale = fixed_scale(peaks[0]);
 
@@ -54,10 +54,10 @@ fn backward(
     let terms = (view.band_degree + 1u) * (view.band_degree + 1u);
     //#end
     // One step more than there are pixels: it holds nothing, so that everything leaves.
-    for (var step = 0u; step <= RUN; step += 1u) {
+    for (var step = 0u; step <= DOWN; step += 1u) {
         let y = top + step;
         let pixel = (layer * view.size.y + y) * view.size.x + x;
-        let last = step == RUN || y >= view.size.y;
+        let last = step == DOWN || y >= view.size.y;
         var triangle = 0u;
         var g = vec4f(0.0);
         if !last { triangle = layer_triangle[pixel]; }

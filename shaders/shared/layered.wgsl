@@ -13,8 +13,6 @@
 @group(0) @binding(8) var<storage, read> corners: array<vec4f>;
 //#end
 
-const PARTS: u32 = 4u;
-
 struct Layered {
     splats: vec4f,                      // rgb · weight, Σ weight
     mesh: vec4f,

@@ -1,13 +1,7 @@
-// What every stage knows of the view being rendered. `View::words` in render/gpu/view.rs writes the same layout.
+// What every stage knows of the view being rendered. `View::words` in render/gpu/view.rs writes the same layout;
+// TILE, pixels per tile side, and the modes, MODE_…, are from there.
 
 //#import shared/group_index.wgsl
-
-const TILE: u32 = 16u;                  // pixels per tile side
-const PIXELS: u32 = 256u;               // pixels per tile
-
-const MODE_STABLE: u32 = 0u;
-const MODE_SURFACE_CONSISTENT: u32 = 1u;
-const MODE_DIRECT: u32 = 2u;
 
 struct View {
     row_x: vec4f,                       // world→camera, rows of [R|t]
@@ -39,7 +33,7 @@ fn to_camera(v: View, p: vec3f) -> vec3f {
     return vec3f(dot(v.row_x, h), dot(v.row_y, h), dot(v.row_z, h));
 }
 
-// Pixel of one of a tile's PIXELS threads; beyond the image where that ends within the tile, or there is no such tile.
+// Pixel of one of a tile's TILE² threads; beyond the image where that ends within the tile, or there is no such tile.
 fn tile_pixel(v: View, tile: u32, thread: u32) -> vec2u {
     return TILE * vec2u(tile % v.tiles.x, tile / v.tiles.x) + vec2u(thread % TILE, thread / TILE);
 }

@@ -10,8 +10,9 @@ use super::{
     view::View,
 };
 
-/// Pixels of a workgroup of `pull`.
-const PIXELS: usize = 4096;
+/// Pixels of a thread of `pull`, and of a workgroup.
+const PER_THREAD: usize = 16;
+const PIXELS: usize = 256 * PER_THREAD;
 /// Floats of a matrix.
 pub(crate) const FLOATS: usize = 12;
 /// Rows of the identity.
@@ -81,8 +82,9 @@ impl Exposures {
     /// # Errors
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &ExposureState, pixels: usize) -> Result<Self, GpuError> {
+        let defines = gpu.defines().with("PER_THREAD", PER_THREAD as u32);
         Ok(Self {
-            kernels: ["pull", "update"].map(|entry| Kernel::new(gpu, "exposure.wgsl", entry, &gpu.defines())),
+            kernels: ["pull", "update"].map(|entry| Kernel::new(gpu, "exposure.wgsl", entry, &defines)),
             uniform: gpu.uniform("exposure step", 8)?,
             views: PerViewBuffers::new(gpu, "exposures", state)?,
             partial: gpu.storage("exposure gradients", FLOATS * groups(pixels, PIXELS))?,

@@ -196,7 +196,8 @@ fn blend(
         .defines()
         .with("LAYERS", mesh.map_or(0, MeshStage::layers))
         .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
-        .with("SH_BY_RAY", u32::from(by_ray));
+        .with("SH_BY_RAY", u32::from(by_ray))
+        .with("PARTS", PARTS as u32);
     let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, parts];
     if let Some(m) = mesh {
         buffers.extend([m.layer_depth(), m.layer_color(), m.layer_triangle(), m.corners()]);

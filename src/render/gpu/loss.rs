@@ -5,7 +5,7 @@ use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 /// How a kernel shares out an image: each tile of a channel has a mean of its own.
 struct Tiling {
     file: &'static str,
-    /// Of a tile, as in the shader.
+    /// Of a tile, pixels.
     width: usize,
     height: usize,
     /// A thread to a tile, rather than a workgroup.
@@ -68,8 +68,10 @@ impl Loss {
         ssim_weight: f32,
         exposures: Option<&Buffer>,
     ) -> Result<Self, GpuError> {
-        let defines = gpu.defines().with("EXPOSURE", u32::from(exposures.is_some()));
         let tiling = if gpu.profile().is_cpu { SERIAL } else { PARALLEL };
+        let defines = (gpu.defines().with("EXPOSURE", u32::from(exposures.is_some())))
+            .with("WIDTH", tiling.width as u32)
+            .with("HEIGHT", tiling.height as u32);
         let tiles = |&(w, h): &(usize, usize)| 3 * groups(w, tiling.width) * groups(h, tiling.height);
         let n_tiles = sizes.iter().map(tiles).max().unwrap_or(0);
         let pixels = sizes.iter().map(|&(w, h)| w * h).max().unwrap_or(0);

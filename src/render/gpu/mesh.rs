@@ -140,13 +140,14 @@ impl Kernels {
         // many pixels saves loads. Hardware wants the lanes.
         let per_thread: u32 = if gpu.profile().is_cpu { 8 } else { 1 };
         assert!((BIN * BIN).is_multiple_of(per_thread), "threads share out a bin without rest");
-        let (backward, [_, run], _) = texel_backward(gpu);
+        let (backward, [across, down], _) = texel_backward(gpu);
         let defines: Defines = gpu
             .defines()
             .with("LAYERS", layers)
             .with("BANDS", texels.band_coefficients())
             .with("FOURS", u32::from(texels.bands_are_in_fours()))
-            .with("RUN", run)
+            .with("ACROSS", across)
+            .with("DOWN", down)
             .with("BIN", BIN)
             .with("PER_THREAD", per_thread)
             .with("THREADS", BIN * BIN / per_thread);

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::scene::Camera;
 
-/// Workgroups of `pull`.
+/// Workgroups of `pull`: as many as threads of `update`.
 const PARTS: usize = 256;
 /// Floats of a view.
 pub(crate) const FLOATS: usize = 8;
@@ -97,8 +97,9 @@ impl Poses {
     /// # Errors
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &PoseState) -> Result<Self, GpuError> {
+        let defines = gpu.defines().with("PARTS", PARTS as u32);
         Ok(Self {
-            kernels: ["correct", "pull", "update"].map(|entry| Kernel::new(gpu, "pose.wgsl", entry, &gpu.defines())),
+            kernels: ["correct", "pull", "update"].map(|entry| Kernel::new(gpu, "pose.wgsl", entry, &defines)),
             step: gpu.uniform("pose step", 8)?,
             views: PerViewBuffers::new(gpu, "poses", state)?,
             partial: gpu.storage("pose gradients", 8 * PARTS)?,

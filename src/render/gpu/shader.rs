@@ -6,10 +6,11 @@
 //! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced by A, …, B−1; if A > B, by A−1, …, B.
 //!   A and B are numbers or defines.
 //!
-//! Every define is also emitted as `const NAME: u32`, every number of [`contract`] as `const NAME: f32`.
+//! Every define is also emitted as `const NAME: u32`, as are the constants of [`view`], and every number of [`contract`] as `const NAME: f32`.
 
 use std::collections::BTreeMap;
 
+use super::view;
 use crate::render::contract;
 
 macro_rules! embed {
@@ -130,7 +131,7 @@ pub(crate) fn preprocess(file: &str, defines: &Defines) -> String {
     for (name, value) in CONTRACT {
         out.push_str(&format!("const {name}: f32 = {:?};\n", value as f32));
     }
-    for (name, value) in &defines.0 {
+    for (name, value) in view::CONSTANTS.iter().map(|(name, value)| (name, value)).chain(&defines.0) {
         out.push_str(&format!("const {name}: u32 = {value}u;\n"));
     }
     let text = load(file);

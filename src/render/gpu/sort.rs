@@ -68,15 +68,17 @@ impl Sort {
             .defines()
             .with("COUNT_WORD", count_word)
             .with("CAPACITY", capacity as u32)
+            .with("DIGITS", 1 << width.digit_bits())
+            .with("BLOCK", BLOCK as u32)
             .with("MAX_CHUNKS", MAX_CHUNKS as u32);
-        let (file, n_counters) = match width {
-            Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK) * 16),
-            Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS * 256),
+        let (file, parts) = match width {
+            Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK)),
+            Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS),
         };
         let kernels = ["count", "scan", "scatter"].map(|entry| Kernel::new(gpu, file, entry, &defines));
         let keys = [gpu.storage("sort keys", capacity)?, gpu.storage("sort keys", capacity)?];
         let values = [gpu.storage("sort values", capacity)?, gpu.storage("sort values", capacity)?];
-        let histograms = gpu.storage("sort histograms", n_counters)?;
+        let histograms = gpu.storage("sort histograms", parts << width.digit_bits())?;
 
         let bits = bits.clamp(1, 32);
         let n_passes = bits.div_ceil(width.digit_bits());

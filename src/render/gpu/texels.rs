@@ -21,12 +21,13 @@ pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
 const BAND_UNIT: f32 = 8.0;
 /// Words of [`Texels::peaks`]: of the maps, of the vertices.
 pub(crate) const PEAKS: usize = 2;
-/// Fragments of a thread of `gradient_peak.wgsl`, as there.
+/// Fragments of a thread of `gradient_peak.wgsl`.
 pub(crate) const PEAK_FRAGMENTS: usize = 16;
 
 /// Sets word `peak` of [`Texels::peaks`]; `defines` are those of the mesh stage.
 pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
-    Kernel::new(gpu, "gradient_peak.wgsl", "peak", &defines.clone().with("PEAK", peak))
+    let defines = defines.clone().with("PEAK", peak).with("FRAGMENTS", PEAK_FRAGMENTS as u32);
+    Kernel::new(gpu, "gradient_peak.wgsl", "peak", &defines)
 }
 
 /// What a step of Adam needs besides the gradients.

@@ -38,6 +38,22 @@ pub(crate) const VIEW_WORDS: usize = 40;
 /// Side of a tile in pixels.
 pub(crate) const TILE: u32 = 16;
 
+/// What every shader has by these names.
+pub(super) const CONSTANTS: [(&str, u32); 4] = [
+    ("TILE", TILE),
+    ("MODE_STABLE", mode_word(OrderMode::Stable)),
+    ("MODE_SURFACE_CONSISTENT", mode_word(OrderMode::SurfaceConsistent)),
+    ("MODE_DIRECT", mode_word(OrderMode::Direct)),
+];
+
+const fn mode_word(mode: OrderMode) -> u32 {
+    match mode {
+        OrderMode::Stable => 0,
+        OrderMode::SurfaceConsistent => 1,
+        OrderMode::Direct => 2,
+    }
+}
+
 impl View {
     /// A view of splats and meshes, all bands of which are shown, with room for so many (tile, splat) pairs.
     pub(crate) fn of_scene(
@@ -101,12 +117,7 @@ impl View {
         words.extend([k.width, k.height, tiles.0, tiles.1]);
         let b = c.background;
         words.extend([b[0], b[1], b[2], 0.0].map(f32::to_bits));
-        let mode = match c.mode {
-            OrderMode::Stable => 0,
-            OrderMode::SurfaceConsistent => 1,
-            OrderMode::Direct => 2,
-        };
-        words.extend([self.n_splats, self.sh_degree, mode, self.n_triangles]);
+        words.extend([self.n_splats, self.sh_degree, mode_word(c.mode), self.n_triangles]);
         words.extend([c.near.to_bits(), c.lambda.min(f32::MAX).to_bits(), self.pair_capacity, self.band_degree]);
         words.extend([
             c.pixel_filter.variance.to_bits(),
