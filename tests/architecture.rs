@@ -1,8 +1,9 @@
-//! The invariants of ARCHITECTURE.md, checked in the source text: which module may name which, and what the library
-//! must not do.
+//! The invariants of ARCHITECTURE.md, checked in the source text: which module may name which, in which directories
+//! imports go one way, and what the library must not do.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
@@ -19,6 +20,10 @@ const MAY_IMPORT: [(&str, &[&str]); 11] = [
     ("evaluate", &["scene", "capture", "metrics", "render"]),
     ("optimize", &["atomic", "scene", "capture", "evaluate", "geometry", "render"]),
 ];
+
+/// Directories below `src` in which no file imports one that imports it, be it by way of others. What a directory holds besides, and what
+/// the file above it has of its own, counts for all.
+const ONE_WAY: [&str; 6] = ["edit", "geometry", "optimize", "optimize/static_scene", "path", "scene"];
 
 /// What may be named only in some files: (text, where by path prefix, in words).
 const ONLY_IN: [(&str, &[&str], &str); 5] = [
@@ -59,7 +64,7 @@ fn identifier(text: &str) -> &str {
     &text[..text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len())]
 }
 
-/// First path segments of what follows `crate::`: one, or those of a group in braces.
+/// First segments of the path that `text` begins with: one, or those of a group in braces.
 fn heads(text: &str) -> Vec<&str> {
     let text = text.trim_start();
     let Some(group) = text.strip_prefix('{') else { return vec![identifier(text)] };
@@ -80,14 +85,61 @@ fn heads(text: &str) -> Vec<&str> {
     found
 }
 
-/// Top-level modules that `text`, a file at `path` below `src`, names through `crate::` or enough `super::`.
-fn imports<'a>(path: &Path, text: &'a str) -> Vec<&'a str> {
-    let mut found: Vec<&str> =
-        text.match_indices("crate::").flat_map(|(i, word)| heads(&text[i + word.len()..])).collect();
+/// What `text`, a file at `path` below a module, names of that module, through its own name or enough `super::`.
+fn imports<'a>(module: &str, path: &Path, text: &'a str) -> Vec<&'a str> {
     let named = if path.ends_with("mod.rs") { 1 } else { 0 };
     let up = "super::".repeat(path.components().count() - named);
-    found.extend(text.match_indices(&up).flat_map(|(i, chain)| heads(&text[i + chain.len()..])));
+    let mut found = vec![];
+    for way in [format!("{module}::"), up] {
+        found.extend(text.match_indices(&way).flat_map(|(i, _)| heads(&text[i + way.len()..])));
+    }
     found
+}
+
+/// Names that the file above a directory takes over from the files of it, and from which.
+fn taken_over(above: &str) -> BTreeMap<&str, &str> {
+    let mut from = BTreeMap::new();
+    for (i, _) in above.match_indices("use ") {
+        let before = above[..i].rsplit('\n').next().unwrap();
+        if !matches!(before, "" | "pub " | "pub(crate) " | "pub(super) ") {
+            continue;
+        }
+        let used = above[i + 4..].split(';').next().unwrap();
+        let words = used.split(|c: char| !c.is_alphanumeric() && c != '_');
+        let mut words = words.filter(|word| !matches!(*word, "" | "self"));
+        let module = words.next().unwrap();
+        from.extend(words.map(|name| (name, module)));
+    }
+    from
+}
+
+/// The imports among files of a directory that are part of a circle, or between two: which file of which others. `files` are (path in the
+/// directory, text), `above` is the text of the file above it.
+fn circles(directory: &str, above: &str, files: &[(PathBuf, String)]) -> Vec<String> {
+    let module_of = |path: &Path| identifier(path.iter().next().unwrap().to_str().unwrap()).to_owned();
+    let taken_over = taken_over(above);
+    let name = directory.rsplit('/').next().unwrap();
+    let mut graph: BTreeMap<String, BTreeSet<String>> =
+        files.iter().map(|(path, _)| (module_of(path), BTreeSet::new())).collect();
+    for (path, text) in files {
+        let module = module_of(path);
+        let found: Vec<&str> = imports(name, path, text).iter().map(|n| *taken_over.get(n).unwrap_or(n)).collect();
+        let siblings = found.iter().filter(|other| **other != module && graph.contains_key(**other));
+        let siblings: Vec<String> = siblings.map(|other| (*other).to_owned()).collect();
+        graph.get_mut(&module).unwrap().extend(siblings);
+    }
+    // What imports nothing that is left, or is imported by nothing that is left, is in no circle.
+    loop {
+        let imported: BTreeSet<String> = graph.values().flatten().cloned().collect();
+        let before = graph.len();
+        graph.retain(|module, of| !of.is_empty() && imported.contains(module));
+        let left: BTreeSet<String> = graph.keys().cloned().collect();
+        graph.values_mut().for_each(|of| of.retain(|other| left.contains(other)));
+        if graph.len() == before {
+            break;
+        }
+    }
+    graph.iter().map(|(module, of)| format!("{directory}: {module} imports {of:?}")).collect()
 }
 
 /// What is wrong with a file at `path` below `src`.
@@ -99,7 +151,7 @@ fn violations(path: &Path, text: &str) -> Vec<String> {
     let module = identifier(path.iter().next().unwrap().to_str().unwrap());
     let mut wrong = vec![];
     if let Some((_, allowed)) = MAY_IMPORT.iter().find(|(name, _)| *name == module) {
-        for import in imports(path, &text) {
+        for import in imports("crate", path, &text) {
             let is_module = MAY_IMPORT.iter().any(|(name, _)| *name == import);
             if is_module && import != module && !allowed.contains(&import) {
                 wrong.push(format!("{shown}: {module} imports {import}"));
@@ -140,6 +192,24 @@ fn source_keeps_the_invariants() {
 }
 
 #[test]
+fn imports_go_one_way() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let read = |path: &Path| production(&std::fs::read_to_string(path).unwrap());
+    for directory in ONE_WAY {
+        let (folder, mut files) = (root.join(directory), vec![]);
+        sources(&folder, &mut files);
+        let above =
+            [folder.join("mod.rs"), folder.with_extension("rs")].into_iter().find(|file| file.exists()).unwrap();
+        files.retain(|file| *file != above && !is_test_file(file));
+        let files: Vec<(PathBuf, String)> =
+            files.iter().map(|file| (file.strip_prefix(&folder).unwrap().into(), read(file))).collect();
+        assert!(files.len() > 1, "{directory}: found only {} files", files.len());
+        let wrong = circles(directory, &read(&above), &files);
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    }
+}
+
+#[test]
 fn every_module_has_a_rule() {
     let lib = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).unwrap();
     let mut modules: Vec<&str> =
@@ -177,4 +247,24 @@ fn violations_are_found_and_tests_exempt() {
     assert_eq!(check("geometry/bvh.rs", test_only), ["geometry/bvh.rs: geometry imports optimize"]);
     assert!(check("render/gpu/device/mod.rs", "wgpu::Device").is_empty());
     assert!(check("cli/eval.rs", "println!()").is_empty());
+}
+
+#[test]
+fn circles_are_found() {
+    let check = |above: &str, files: &[(&str, &str)]| {
+        let files: Vec<(PathBuf, String)> = files.iter().map(|(path, text)| (path.into(), production(text))).collect();
+        circles("render/gpu", above, &files)
+    };
+    let above = "mod a;\nmod b;\npub use a::{A, of as a_of};\npub(crate) use self::b::B;\nuse crate::scene::C;\nfn f() { \"use c, A\"; }";
+    let one_way = ("a.rs", "use super::{f, C, B};\nuse crate::a::x;");
+    let tests = "use super::f;\n#[cfg(test)]\nmod tests {\n use super::super::A;\n}";
+    assert!(check(above, &[one_way, ("b.rs", tests)]).is_empty());
+    let circle = ["render/gpu: a imports {\"b\"}", "render/gpu: b imports {\"a\"}"];
+    for back in ["use super::A;", "use super::{f, a::{x, y}};", "use crate::{scene::C, render::gpu::{a_of, f}};"] {
+        assert_eq!(check(above, &[one_way, ("b.rs", back), ("c.rs", "use super::{a, b};")]), circle, "{back}");
+    }
+    // By way of a third, and of a directory, whose files are one with the file above them.
+    let third = [one_way, ("b/deep.rs", "use super::super::c::x;\nuse super::a::x;"), ("c.rs", "use super::a;")];
+    assert_eq!(check(above, &third).len(), 3);
+    assert!(check(above, &[one_way, ("b.rs", "use super::c;"), ("b/a.rs", "use super::a;"), ("c.rs", "")]).is_empty());
 }

@@ -1,6 +1,6 @@
 use glam::{DVec3, Vec3};
 
-use super::{GeometryError, Shell};
+use super::GeometryError;
 use crate::scene::{Camera, OpticalAxes};
 
 /// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
@@ -90,37 +90,6 @@ impl Contraction {
     }
 }
 
-/// Where a surface is laid out in charts, if not in the world: so that what is far away has as many texels to a pixel as what the cameras
-/// look at.
-#[derive(Clone, Copy, Debug)]
-pub struct ChartSpace {
-    /// The end of whose ball is as far away as cameras are.
-    contraction: Contraction,
-    /// What alone is contracted, if not all.
-    shell: Option<Shell>,
-}
-
-impl ChartSpace {
-    /// For a surface without bounds, of which all is contracted.
-    #[must_use]
-    pub fn unbounded(contraction: Contraction) -> Self {
-        // Half the cameras' distance.
-        Self { contraction: Contraction { radius: 0.25 * contraction.radius, ..contraction }, shell: None }
-    }
-
-    /// For one with bounds and a shell: within, cameras may be as near to anything as to what they look at.
-    #[must_use]
-    pub fn within_shell(contraction: Contraction, shell: Shell) -> Self {
-        Self { shell: Some(shell), ..Self::unbounded(contraction) }
-    }
-
-    /// Where a point of the world comes to lie.
-    pub(super) fn place(&self, p: DVec3) -> DVec3 {
-        let is_contracted = self.shell.is_none_or(|shell| shell.holds(p.as_vec3()));
-        if is_contracted { self.contraction.contract(p) } else { p }
-    }
-}
-
 /// Per axis, the `q` and 1−`q` quantiles of the finite points.
 pub(super) fn quantile_box(points: impl Iterator<Item = DVec3>, q: f64) -> Option<(DVec3, DVec3)> {
     let points: Vec<DVec3> = points.filter(|p| p.is_finite()).collect();
@@ -170,18 +139,6 @@ mod tests {
                 let differences = (BALL.contract(p + d * h) - BALL.contract(p - d * h)) / (2.0 * h);
                 assert!(BALL.along(p, d).distance(differences) < 1e-8, "{distance} {d}");
             }
-        }
-    }
-
-    #[test]
-    fn charts_of_what_is_far_have_as_many_texels_to_a_pixel() {
-        // Cameras are half the radius away from the centre.
-        let charts = ChartSpace::unbounded(BALL).contraction;
-        for distance in [300.0, 1e6] {
-            let p = BALL.center + DVec3::X * distance;
-            let texels = charts.along(p, DVec3::Y).length();
-            // Where a texel is as large as a pixel at the centre, one is so here.
-            assert!((texels * distance / (0.5 * BALL.radius) - 1.0).abs() < 0.01);
         }
     }
 }

@@ -13,6 +13,7 @@ mod occluded;
 mod pack;
 mod planar;
 mod raster;
+mod reconstruct;
 mod shell;
 mod smooth;
 mod sparse;
@@ -25,7 +26,7 @@ mod visibility;
 use std::fmt::Display;
 
 pub use bvh::{ClosestPoint, Hit, MeshBvh};
-pub use contraction::{ChartSpace, Contraction};
+pub use contraction::Contraction;
 pub use distance::{Ball, SurfaceDistance, surface_distance};
 pub use faint::faint_triangles;
 pub use fusion::{DepthView, Fusion, FusionOptions};
@@ -33,16 +34,14 @@ pub use holes::without_holes;
 pub use neighbors::mean_squared_distance_to_3_neighbors;
 pub use occluded::occluded_splats;
 pub use planar::{PlanarOptions, PlanarStats, flatten};
+pub use reconstruct::{SurfaceOptions, SurfaceStats, surface_from_depths, surface_from_fusion};
 pub use shell::Shell;
 pub use smooth::{Rings, smooth, vertex_normals, without_rough};
 pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};
-pub use surface::{
-    Surface, SurfaceOptions, SurfaceStats, clean, compact, components, simplify, surface_from_depths,
-    surface_from_fusion,
-};
+pub use surface::{Surface, clean, compact, components, simplify};
 pub use tidy::tidy;
 pub use transfer::transfer;
-pub use unwrap::{UnwrapStats, UnwrappedMesh, unwrap};
+pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, unwrap};
 pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};
 
 /// Why a surface could not be made or unwrapped.

@@ -12,7 +12,8 @@ use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Tria
 use super::bvh::MeshBvh;
 use super::fusion::{Fusion, FusionOptions};
 use super::planar::PlanarOptions;
-use super::surface::{Surface, SurfaceOptions, SurfaceStats, surface_from_fusion};
+use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
+use super::surface::Surface;
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
 

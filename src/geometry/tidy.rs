@@ -2,8 +2,10 @@
 
 use std::collections::HashMap;
 
-use super::surface::{Surface, SurfaceStats, compact, components, simplify, without_broken};
-use super::{GeometryError, without_holes};
+use super::GeometryError;
+use super::holes::without_holes;
+use super::reconstruct::SurfaceStats;
+use super::surface::{Surface, compact, components, simplify, without_broken};
 
 /// A connected piece is a crumb if it has fewer triangles, as of an iso-surface (2DGS), ...
 const CRUMB_FACES: usize = 50;

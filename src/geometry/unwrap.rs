@@ -1,7 +1,7 @@
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::{ChartSpace, GeometryError, Surface, charts, pack};
+use super::{Contraction, GeometryError, Shell, Surface, charts, pack};
 use crate::scene::Texture;
 
 /// A surface with texture coordinates for one square atlas.
@@ -32,6 +32,37 @@ pub struct UnwrapStats {
     pub mean_density: f64,
     /// The same for the worst triangle.
     pub min_density: f64,
+}
+
+/// Where a surface is laid out in charts, if not in the world: so that what is far away has as many texels to a pixel as what the cameras
+/// look at.
+#[derive(Clone, Copy, Debug)]
+pub struct ChartSpace {
+    /// The end of whose ball is as far away as cameras are.
+    contraction: Contraction,
+    /// What alone is contracted, if not all.
+    shell: Option<Shell>,
+}
+
+impl ChartSpace {
+    /// For a surface without bounds, of which all is contracted.
+    #[must_use]
+    pub fn unbounded(contraction: Contraction) -> Self {
+        // Half the cameras' distance.
+        Self { contraction: Contraction { radius: 0.25 * contraction.radius, ..contraction }, shell: None }
+    }
+
+    /// For one with bounds and a shell: within, cameras may be as near to anything as to what they look at.
+    #[must_use]
+    pub fn within_shell(contraction: Contraction, shell: Shell) -> Self {
+        Self { shell: Some(shell), ..Self::unbounded(contraction) }
+    }
+
+    /// Where a point of the world comes to lie.
+    pub(super) fn place(&self, p: DVec3) -> DVec3 {
+        let is_contracted = self.shell.is_none_or(|shell| shell.holds(p.as_vec3()));
+        if is_contracted { self.contraction.contract(p) } else { p }
+    }
 }
 
 /// Cuts a surface into charts, projects each onto its plane and packs them into an atlas of `atlas_size`² texels with
@@ -122,7 +153,6 @@ fn corner_positions(surface: &Surface) -> Result<Vec<[DVec3; 3]>, GeometryError>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Contraction;
     use glam::DVec2;
     use rand::{RngExt, SeedableRng};
 
@@ -253,6 +283,19 @@ mod tests {
             (0..180u32).flat_map(|i| [2 * i, 2 * i + 1].map(|a| [a, a + 1 + (a % 2), a + 2 - (a % 2)])).collect();
         let stats = check(&Surface { positions, triangles }, 256);
         assert!((3..12).contains(&stats.charts), "{stats:?}");
+    }
+
+    #[test]
+    fn charts_of_what_is_far_have_as_many_texels_to_a_pixel() {
+        let ball = Contraction { center: DVec3::new(1.0, -2.0, 0.5), radius: 3.0 };
+        // Cameras are half the radius away from the centre.
+        let charts = ChartSpace::unbounded(ball).contraction;
+        for distance in [300.0, 1e6] {
+            let p = ball.center + DVec3::X * distance;
+            let texels = charts.along(p, DVec3::Y).length();
+            // Where a texel is as large as a pixel at the centre, one is so here.
+            assert!((texels * distance / (0.5 * ball.radius) - 1.0).abs() < 0.01);
+        }
     }
 
     /// Two squares of one size in the picture of a camera 3 in front of the centre, 3 and 303 away.
