@@ -4,8 +4,8 @@ use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::{Capture, View};
 use centaur::format::{ReadOptions, gltf, mesh_import, read_file};
 use centaur::geometry::{
-    self, Ball, ChartSpace, Contraction, MeshBvh, PlanarOptions, SparseStats, Surface, SurfaceDistance, SurfaceStats,
-    UnwrapStats, Viewers,
+    self, Ball, ChartSpace, Contraction, MeshBvh, SparseStats, Surface, SurfaceDistance, SurfaceStats, UnwrapStats,
+    Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_points, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
@@ -76,12 +76,6 @@ pub(super) struct Args {
     loading: CaptureArgs,
     #[command(flatten)]
     messages: MessageArgs,
-}
-
-impl Args {
-    fn planar(&self) -> Option<PlanarOptions> {
-        self.planar.is_auto().then(PlanarOptions::default)
-    }
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
@@ -225,8 +219,8 @@ fn from_splats(splats: &Path, capture: &Capture, args: &Args, notes: &mut Vec<St
     let gpu = args.adapter.open()?;
     let mut views = Views::new(&args.messages, "fusing", capture.views.len());
     let reached = |view| views.reach(view + 1);
-    let (surface, steps) =
-        surface_from_splats(&gpu, &scene, capture, args.triangles, args.planar(), reached).with_context(named)?;
+    let (surface, steps) = surface_from_splats(&gpu, &scene, capture, args.triangles, args.planar.is_auto(), reached)
+        .with_context(named)?;
     views.finish();
     Ok(Made { surface, steps, origin: SurfaceOrigin::Splats })
 }
@@ -239,7 +233,7 @@ fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Resul
     );
     let all: Vec<usize> = (0..capture.views.len()).collect();
     let (surface, steps, origin) =
-        surface_from_points(capture, &capture.cameras(), &all, args.triangles, args.planar())
+        surface_from_points(capture, &capture.cameras(), &all, args.triangles, args.planar.is_auto())
             .with_context(|| args.capture.display().to_string())?;
     let SparseStats { views, guessed, lifted, clear, .. } = steps;
     if !args.messages.json && !args.messages.quiet {

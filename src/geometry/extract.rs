@@ -5,7 +5,7 @@ use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::fusion::{Block, Fusion, SIDE};
+use super::fusion::{Block, Fusion, LEAST_VIEWS, SIDE};
 use super::surface::Surface;
 
 /// A block with one sample of each neighbour on either side: samples −1..=8 of its own count.
@@ -20,23 +20,10 @@ struct Patch {
 
 impl Fusion {
     /// The surface where the fused distance changes sign, counter-clockwise seen from outside; one vertex per grid cell
-    /// that it passes (surface nets), shared across blocks. Cells with a corner of less than `min_weight` have no
-    /// vertex: the surface ends where nothing was seen. The order of vertices and triangles depends on the views only.
-    #[must_use]
-    pub fn extract(&self) -> Surface {
-        self.expanded(self.extract_contracted())
-    }
-
-    /// The surface in the world that lies there in contracted space.
-    pub(super) fn expanded(&self, mut surface: Surface) -> Surface {
-        if let Some(contraction) = &self.options.contraction {
-            surface.positions.iter_mut().for_each(|p| *p = contraction.expand(p.as_dvec3()).as_vec3());
-        }
-        surface
-    }
-
-    /// The same in contracted space, where all voxels are alike.
-    pub(super) fn extract_contracted(&self) -> Surface {
+    /// that it passes (surface nets), shared across blocks. Cells with a corner that too few views have seen have no
+    /// vertex: the surface ends there. The order of vertices and triangles depends on the views only. With a contraction it lies in
+    /// contracted space, where all voxels are alike.
+    pub(super) fn extract(&self) -> Surface {
         let mut order: Vec<&Block> = self.blocks.iter().collect();
         order.par_sort_unstable_by_key(|b| b.key);
         let patches: Vec<Patch> =
@@ -56,6 +43,14 @@ impl Fusion {
                 })
                 .collect();
             surface.triangles.extend(patch.triangles.iter().map(|t| t.map(|v| welded[v as usize])));
+        }
+        surface
+    }
+
+    /// The surface in the world that lies there in contracted space.
+    pub(super) fn expanded(&self, mut surface: Surface) -> Surface {
+        if let Some(contraction) = &self.options.contraction {
+            surface.positions.iter_mut().for_each(|p| *p = contraction.expand(p.as_dvec3()).as_vec3());
         }
         surface
     }
@@ -106,7 +101,7 @@ impl Fusion {
                 for y in range(1) {
                     for x in range(0) {
                         let voxel = voxels[(x + SIDE * (y + SIDE * z)) as usize];
-                        if voxel.weight >= self.options.min_weight {
+                        if voxel.views >= LEAST_VIEWS {
                             let [px, py, pz] = [x + 1, y + 1, z + 1];
                             let padded = [px + offset[0] * SIDE, py + offset[1] * SIDE, pz + offset[2] * SIDE];
                             let i = Padded::linearize(padded.map(|p| p as u32)) as usize;

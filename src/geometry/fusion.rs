@@ -7,17 +7,6 @@ use super::GeometryError;
 use super::contraction::{Contraction, quantile_box};
 use crate::scene::Camera;
 
-/// A depth map and the camera that sees it.
-#[derive(Clone, Copy, Debug)]
-pub struct DepthView<'a> {
-    /// Its intrinsics give the size `w`×`h`.
-    pub camera: Camera,
-    /// `[h·w]` camera-space z; 0, negative or not finite means no surface.
-    pub depth: &'a [f32],
-    /// `[h·w]` confidence, ≥ 0; `None` means 1 everywhere.
-    pub weight: Option<&'a [f32]>,
-}
-
 /// Where and how finely depth maps are fused. Lengths are in world units, with a contraction in those of contracted space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionOptions {
@@ -31,8 +20,6 @@ pub struct FusionOptions {
     pub contraction: Option<Contraction>,
     /// Depths beyond this, in world units, are ignored.
     pub max_depth: f64,
-    /// Accumulated weight from which a voxel counts as seen; with unit weights, the number of views.
-    pub min_weight: f32,
     /// Limit on the memory for voxels, bytes.
     pub max_bytes: usize,
 }
@@ -42,12 +29,15 @@ const VOXELS_BEHIND: f64 = 8.0;
 /// Farthest surface in radii of the contraction. Parallax ends there, and splats of the sky begin (`optimize/background.rs`, 15 or so).
 const FARTHEST: f64 = 12.0;
 
+/// Views that must have seen a voxel for it to count (2DGS).
+pub(super) const LEAST_VIEWS: f32 = 2.0;
+
 /// Memory for voxels, bytes.
 const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
-    /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels; two views
-    /// must agree. Bounded, the box holds all but the outermost 0.5 % of `points` on each side and reaches no farther than that radius along any axis from
+    /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels.
+    /// Bounded, the box holds all but the outermost 0.5 % of `points` on each side and reaches no farther than that radius along any axis from
     /// what all cameras look at, and `max_depth` is as far as any of them has to what is in it. With a `contraction` the box is one of contracted points, and
     /// `max_depth` is what leaves room for some voxels behind a surface.
     ///
@@ -84,7 +74,7 @@ impl FusionOptions {
             Some(_) => radius * (f64::from(resolution) / VOXELS_BEHIND).clamp(1.0, FARTHEST),
         };
         let truncation = 5.0 * voxel;
-        Ok(Self { voxel, truncation, bounds, contraction, max_depth, min_weight: 2.0, max_bytes: MAX_BYTES })
+        Ok(Self { voxel, truncation, bounds, contraction, max_depth, max_bytes: MAX_BYTES })
     }
 
     /// Where a surface seen at the world point `p` along a ray comes to lie, and how far that ray leads from there within one
@@ -101,11 +91,11 @@ pub(super) const SIDE: i32 = 8;
 /// Voxels of a block.
 pub(super) const VOLUME: usize = (SIDE * SIDE * SIDE) as usize;
 
-/// Signed distance to the surface in units of the truncation, positive outside, and the weight behind it.
+/// Signed distance to the surface in units of the truncation, positive outside, and the number of views behind it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Voxel {
     pub(super) distance: f32,
-    pub(super) weight: f32,
+    pub(super) views: f32,
 }
 
 /// `SIDE`³ voxels, x fastest.
@@ -119,6 +109,7 @@ pub(super) struct Block {
 ///
 /// Order matters a little: a view carves free space only out of blocks that exist when it is fused.
 pub struct Fusion {
+    /// What it was made with.
     pub(super) options: FusionOptions,
     pub(super) blocks: Vec<Block>,
     pub(super) slots: HashMap<[i32; 3], u32>,
@@ -144,9 +135,6 @@ impl Fusion {
         if options.truncation < 2.0 * options.voxel {
             let expected = format!("at least 2 voxels of {}", options.voxel);
             return Err(GeometryError::argument("truncation", expected, &options.truncation));
-        }
-        if !(options.min_weight > 0.0 && options.min_weight.is_finite()) {
-            return Err(GeometryError::argument("min_weight", "a positive number", &options.min_weight));
         }
         let (low, high) = options.bounds;
         let voxels = (high - low) / options.voxel;
@@ -177,7 +165,7 @@ impl Fusion {
             let mut fusion = Self::new(options(resolution)?)?;
             for (i, camera) in cameras.iter().enumerate() {
                 let depth = depth_of(i)?;
-                match fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }) {
+                match fusion.integrate(camera, &depth) {
                     Err(GeometryError::FusionMemory { .. }) if resolution > least => {
                         // Half of the voxels, about: they are near a surface.
                         resolution = ((0.7 * f64::from(resolution)) as u32).max(least);
@@ -188,12 +176,6 @@ impl Fusion {
             }
             return Ok(fusion);
         }
-    }
-
-    /// What it was made with.
-    #[must_use]
-    pub fn options(&self) -> &FusionOptions {
-        &self.options
     }
 
     /// Number of views fused so far.
@@ -208,44 +190,38 @@ impl Fusion {
         self.blocks.len() * VOLUME * size_of::<Voxel>()
     }
 
-    /// Fuses one view: every voxel in front of the seen surface and up to one truncation behind it takes part in a
-    /// weighted mean of (seen depth − own depth), cut off at the truncation.
+    /// Fuses one view, `depth` `[h·w]` in camera-space z; 0, negative or not finite means no surface. Every voxel in front of the
+    /// seen surface and up to one truncation behind it takes part in a mean of (seen depth − own depth), cut off at the truncation.
     ///
     /// # Errors
-    /// If the maps do not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not
-    /// fused.
-    pub fn integrate(&mut self, view: &DepthView) -> Result<(), GeometryError> {
-        let k = view.camera.intrinsics();
+    /// If the map does not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not fused.
+    pub fn integrate(&mut self, camera: &Camera, depth: &[f32]) -> Result<(), GeometryError> {
+        let k = camera.intrinsics();
         let pixels = k.width as usize * k.height as usize;
-        for (field, len) in [("depth", view.depth.len()), ("weight", view.weight.map_or(pixels, <[f32]>::len))] {
-            if len != pixels {
-                return Err(GeometryError::argument(
-                    field,
-                    format!("{}×{} = {pixels} pixels", k.width, k.height),
-                    &len,
-                ));
-            }
+        if depth.len() != pixels {
+            let expected = format!("{}×{} = {pixels} pixels", k.width, k.height);
+            return Err(GeometryError::argument("depth", expected, &depth.len()));
         }
-        self.allocate(view)?;
-        let projection = Projection::new(view, &self.options);
+        self.allocate(camera, depth)?;
+        let projection = Projection::new(camera, depth, &self.options);
         self.blocks.par_iter_mut().for_each(|block| projection.update(block));
         self.views += 1;
         Ok(())
     }
 
-    /// Adds the blocks within one truncation of the surface seen in `view`.
-    fn allocate(&mut self, view: &DepthView) -> Result<(), GeometryError> {
+    /// Adds the blocks within one truncation of the surface that a camera sees.
+    fn allocate(&mut self, camera: &Camera, depth: &[f32]) -> Result<(), GeometryError> {
         let o = self.options;
-        let k = view.camera.intrinsics();
-        let (width, to_world) = (k.width as usize, view.camera.rotation().transpose());
-        let center = view.camera.center();
+        let k = camera.intrinsics();
+        let (width, to_world) = (k.width as usize, camera.rotation().transpose());
+        let center = camera.center();
         // Cells of half a block; samples along the ray are half a cell apart.
         let cell = o.voxel * f64::from(SIDE / 2);
         let cells_of_row = |row: usize| {
             let (mut cells, mut previous) = (Vec::new(), None);
-            for (x, &depth) in view.depth[row * width..(row + 1) * width].iter().enumerate() {
+            for (x, &depth) in depth[row * width..(row + 1) * width].iter().enumerate() {
                 let Some(depth) = valid_depth(depth, o.max_depth) else { continue };
-                let ray = to_world * view.camera.ray(glam::DVec2::new(x as f64 + 0.5, row as f64 + 0.5));
+                let ray = to_world * camera.ray(glam::DVec2::new(x as f64 + 0.5, row as f64 + 0.5));
                 let (middle, reach) = o.band(center + ray * f64::from(depth), ray);
                 let [near, far] = [middle - reach, middle + reach].map(|p| (p - o.bounds.0) / cell);
                 // Neighbouring pixels mostly pass the same cells.
@@ -273,11 +249,10 @@ impl Fusion {
         // A voxel that projects into a pixel is at most half a step along and half a pixel diagonal across away from a
         // sample; a coarse depth map far away is the case where the second matters. Contracted, pixels stop growing: at x radii
         // from the centre those of a camera at c are (x + c)(2 − 1/x)/x as wide, which is below 2(1 + c).
-        let depths = view.depth.iter().filter_map(|&depth| valid_depth(depth, o.max_depth));
+        let depths = depth.iter().filter_map(|&depth| valid_depth(depth, o.max_depth));
         let farthest = f64::from(depths.fold(0.0, f32::max));
-        let widest = o
-            .contraction
-            .map_or(farthest, |c| farthest.min(2.0 * (c.radius + view.camera.center().distance(c.center))));
+        let widest =
+            o.contraction.map_or(farthest, |c| farthest.min(2.0 * (c.radius + camera.center().distance(c.center))));
         let footprint = widest * 0.71 / k.fx.min(k.fy);
         let reach = 0.25 + (footprint / cell).min(8.0);
         let mut keys: Vec<[i32; 3]> = cells
@@ -317,7 +292,9 @@ fn valid_depth(depth: f32, max_depth: f64) -> Option<f32> {
 
 /// A view with what the voxel loop needs at hand.
 struct Projection<'a> {
-    view: &'a DepthView<'a>,
+    camera: &'a Camera,
+    /// `[h·w]`
+    depth: &'a [f32],
     options: &'a FusionOptions,
     /// Camera-space steps of one voxel along the world axes.
     steps: [Vec3; 3],
@@ -326,9 +303,9 @@ struct Projection<'a> {
 }
 
 impl<'a> Projection<'a> {
-    fn new(view: &'a DepthView<'a>, options: &'a FusionOptions) -> Self {
-        let k = view.camera.intrinsics();
-        let rotation = view.camera.rotation();
+    fn new(camera: &'a Camera, depth: &'a [f32], options: &'a FusionOptions) -> Self {
+        let k = camera.intrinsics();
+        let rotation = camera.rotation();
         let (w, h) = (f64::from(k.width), f64::from(k.height));
         let sides = [
             DVec3::new(k.fx, 0.0, k.cx),
@@ -337,7 +314,8 @@ impl<'a> Projection<'a> {
             DVec3::new(0.0, -k.fy, h - k.cy),
         ];
         Self {
-            view,
+            camera,
+            depth,
             options,
             steps: [0, 1, 2].map(|axis| (rotation.col(axis) * options.voxel).as_vec3()),
             sides: sides.map(DVec3::normalize),
@@ -348,7 +326,7 @@ impl<'a> Projection<'a> {
         let o = self.options;
         let edge = o.voxel * f64::from(SIDE);
         let corner = o.bounds.0 + glam::IVec3::from_array(block.key).as_dvec3() * edge;
-        let camera = &self.view.camera;
+        let camera = self.camera;
         let is_outside = |middle: DVec3, radius: f64| {
             let middle = camera.to_camera(middle);
             let aside = self.sides.iter().any(|n| n.dot(middle) < -radius);
@@ -389,35 +367,29 @@ impl<'a> Projection<'a> {
         let side = SIDE as usize;
         for (i, voxel) in block.voxels.iter_mut().enumerate() {
             let Some((p, truncation)) = place(i % side, i / side % side, i / (side * side)) else { continue };
-            let Some((distance, weight)) = self.sample(p, truncation) else { continue };
-            let total = voxel.weight + weight;
-            let step = (distance / truncation).min(1.0) - voxel.distance;
-            voxel.distance += step * (weight / total);
-            voxel.weight = total;
+            let Some(distance) = self.sample(p, truncation) else { continue };
+            voxel.views += 1.0;
+            voxel.distance += ((distance / truncation).min(1.0) - voxel.distance) * voxel.views.recip();
         }
     }
 
-    /// Seen depth minus own, and the weight, where camera-space `p` projects to; nothing deeper than the truncation. The
+    /// Seen depth minus own where camera-space `p` projects to; nothing deeper than the truncation. The
     /// depth is bilinear on a surface, nearest at its edges, so that none is made up between two surfaces.
-    fn sample(&self, p: Vec3, truncation: f32) -> Option<(f32, f32)> {
+    fn sample(&self, p: Vec3, truncation: f32) -> Option<f32> {
         if p.z <= 0.0 {
             return None;
         }
-        let k = self.view.camera.intrinsics();
+        let k = self.camera.intrinsics();
         let (u, v) = (k.fx as f32 * p.x / p.z + k.cx as f32, k.fy as f32 * p.y / p.z + k.cy as f32);
         let (w, h) = (k.width as usize, k.height as usize);
         if !(u >= 0.0 && v >= 0.0 && u < w as f32 && v < h as f32) {
             return None;
         }
-        let at = |x: usize, y: usize| valid_depth(self.view.depth[y * w + x], self.options.max_depth);
+        let at = |x: usize, y: usize| valid_depth(self.depth[y * w + x], self.options.max_depth);
         // `u < w` holds for the f32 nearest to w − tiny too, hence no index is out of range.
         let nearest = (u as usize, v as usize);
         let depth = at(nearest.0, nearest.1)?;
-        let weight = self.view.weight.map_or(1.0, |weights| weights[nearest.1 * w + nearest.0]);
-        if !(weight > 0.0 && weight.is_finite()) {
-            return None;
-        }
-        let in_band = |distance: f32| (distance >= -truncation).then_some((distance, weight));
+        let in_band = |distance: f32| (distance >= -truncation).then_some(distance);
         let (left, top) = ((u - 0.5).max(0.0), (v - 0.5).max(0.0));
         let (x, y) = (left as usize, top as usize);
         // Far from the surface the sign says it all.

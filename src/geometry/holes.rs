@@ -7,8 +7,10 @@ use spade::{
     AngleLimit, ConstrainedDelaunayTriangulation, HasPosition, Point2, RefinementParameters, Triangulation as _,
 };
 
-use super::Surface;
+use super::surface::Surface;
 
+/// A hole with more edges around it is not closed: of an iso-surface about 13 voxels across.
+const MOST_EDGES: usize = 40;
 /// How far an edge may leave its plane, and what is in the hole may be from it, as a part of the square root of the area within.
 const FLATNESS: f64 = 0.3;
 /// Least mean cosine between that plane and the triangles around the edge: below, it is the end of a tube.
@@ -45,16 +47,16 @@ impl From<Point2<f64>> for Corner {
     }
 }
 
-/// Closes holes whose edge has at most `max_edges` edges, and returns how many. A hole is a boundary that the surface lies around:
+/// Closes small holes, and returns how many. A hole is a boundary that the surface lies around:
 /// nearly flat, simple in its plane, with no other vertex in it or near above and below. Outlines, ends of tubes and holes that
 /// something is in stay open, and so do those at which boundaries touch. New triangles are about as large as those around, and
 /// wound alike.
 ///
 /// The cost is linear in the triangles, and for each hole in the vertices within its box: all are sorted along one axis.
 #[must_use]
-pub fn without_holes(mut surface: Surface, max_edges: usize) -> (Surface, usize) {
+pub(super) fn without_holes(mut surface: Surface) -> (Surface, usize) {
     let edges = boundaries(&surface);
-    let small = |edge: &&Edge| edge.vertices.len() <= max_edges;
+    let small = |edge: &&Edge| edge.vertices.len() <= MOST_EDGES;
     let holes: Vec<Hole> = edges.iter().filter(small).filter_map(|edge| Hole::new(&surface.positions, edge)).collect();
     let grid = Grid::new(&surface, holes.iter().map(|hole| hole.reach).sum::<f64>() / holes.len().max(1) as f64);
     let empty = holes.into_iter().filter(|hole| !grid.near(hole.center, hole.reach).any(|v| hole.holds(&surface, v)));
@@ -265,8 +267,7 @@ mod tests {
 
     #[test]
     fn a_hole_is_closed_and_the_outline_is_not() {
-        let (closed, count) =
-            without_holes(sheet(9, |_, _| 0.0, |x, y| (3..6).contains(&x) && (3..7).contains(&y)), 40);
+        let (closed, count) = without_holes(sheet(9, |_, _| 0.0, |x, y| (3..6).contains(&x) && (3..7).contains(&y)));
         assert_eq!(count, 1);
         // All of one side, once: the signed area is that of the square.
         assert!((area(&closed) - 81.0 * DVec3::Z).length() < 1e-4, "{}", area(&closed));
@@ -282,13 +283,13 @@ mod tests {
         assert_eq!(left.iter().map(|edge| edge.vertices.len()).collect::<Vec<_>>(), [36]);
         // About as large as those around.
         assert!(closed.triangles.len() > 162 && closed.triangles.len() < 200, "{}", closed.triangles.len());
-        assert_eq!(without_holes(closed.clone(), 1000), (closed, 0));
+        assert_eq!(without_holes(closed.clone()), (closed, 0));
     }
 
     #[test]
     fn a_hole_in_a_bent_surface_follows_it() {
         let bent = |x: f32, y: f32| 0.02 * ((x - 6.0).powi(2) + (y - 6.0).powi(2));
-        let (closed, count) = without_holes(sheet(12, bent, |x, y| (4..8).contains(&x) && (4..8).contains(&y)), 40);
+        let (closed, count) = without_holes(sheet(12, bent, |x, y| (4..8).contains(&x) && (4..8).contains(&y)));
         assert_eq!(count, 1);
         // The edge is at heights of 0.08 in the middles of its sides to 0.16 at its corners: so is what is within, not at 0.
         let heights = closed.positions[169..].iter().map(|p| p.z);
@@ -298,22 +299,23 @@ mod tests {
 
     #[test]
     fn what_is_no_hole_stays_open() {
-        let kept = |surface: Surface, max_edges: usize| without_holes(surface, max_edges).1;
+        let kept = |surface: Surface| without_holes(surface).1;
         let hole = |x: u32, y: u32| (3..6).contains(&x) && (3..6).contains(&y);
-        assert_eq!(kept(sheet(9, |_, _| 0.0, hole), 11), 0, "too long");
-        assert_eq!(kept(sheet(9, |_, _| 0.0, |x, y| hole(x, y) && (x, y) != (4, 4)), 40), 0, "an island in it");
-        assert_eq!(kept(sheet(9, |_, _| 0.0, |x, y| (x, y) == (3, 3) || (x, y) == (4, 4)), 40), 0, "two that touch");
-        assert_eq!(kept(sheet(9, |x, _| 3.0 * (x - 4.5).abs(), hole), 40), 0, "a fold");
+        let long = |n: u32| sheet(20, |_, _| 0.0, move |x, y| (3..13).contains(&x) && (3..n).contains(&y));
+        assert_eq!((kept(long(13)), kept(long(14))), (1, 0), "too long");
+        assert_eq!(kept(sheet(9, |_, _| 0.0, |x, y| hole(x, y) && (x, y) != (4, 4))), 0, "an island in it");
+        assert_eq!(kept(sheet(9, |_, _| 0.0, |x, y| (x, y) == (3, 3) || (x, y) == (4, 4))), 0, "two that touch");
+        assert_eq!(kept(sheet(9, |x, _| 3.0 * (x - 4.5).abs(), hole)), 0, "a fold");
         // A tube of squares.
         let ring = |z: f32| [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, z));
         let wall = |i: u32| [[i, (i + 1) % 4, (i + 1) % 4 + 4], [i, (i + 1) % 4 + 4, i + 4]];
         let tube = Surface { positions: [ring(0.0), ring(1.0)].concat(), triangles: (0..4).flat_map(wall).collect() };
-        assert_eq!((boundaries(&tube).len(), kept(tube.clone(), 40)), (2, 0), "ends");
+        assert_eq!((boundaries(&tube).len(), kept(tube.clone())), (2, 0), "ends");
         let mut tapered = tube;
         tapered.positions[4..]
             .iter_mut()
             .for_each(|p| *p = Vec3::new(0.5, 0.5, 1.0) + 0.9 * (*p - Vec3::new(0.5, 0.5, 1.0)));
-        assert_eq!(kept(tapered, 40), 0, "ends of a tube that narrows");
+        assert_eq!(kept(tapered), 0, "ends of a tube that narrows");
         // A closed thing in the hole has no boundary.
         let mut with_blob = sheet(9, |_, _| 0.0, hole);
         let first = with_blob.positions.len() as u32;
@@ -321,7 +323,7 @@ mod tests {
         with_blob.positions.extend(corners);
         let faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]];
         with_blob.triangles.extend(faces.map(|t| t.map(|v| first + v)));
-        assert_eq!(kept(with_blob, 40), 0, "a blob in it");
-        assert_eq!(kept(Surface::default(), 40), 0);
+        assert_eq!(kept(with_blob), 0, "a blob in it");
+        assert_eq!(kept(Surface::default()), 0);
     }
 }

@@ -9,26 +9,15 @@ use super::Contraction;
 use super::smooth::{Rings, directions};
 use super::surface::{Surface, compact, without_broken};
 
-/// What counts as flat, and how finely it is meshed. Lengths are in voxels of the fused volume.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlanarOptions {
-    /// Vertices of a plane are at most so far from it: 1. The noise that smoothing leaves is below that.
-    pub tolerance: f64,
-    /// Least cosine between a plane and the surface's direction over some edges around a vertex of it: 0.9, or 26°.
-    pub least_cosine: f64,
-    /// Least area of a plane: 150, or 12×12. Smaller parts of what is round pass for flat within the tolerance.
-    pub least_area: f64,
-    /// Edges within planes become at most so many times as long as those of all would be if the target of triangles were spread evenly: 4.
-    /// Larger triangles could only be kept or dropped as a whole when training judges them.
-    pub coarseness: f64,
-}
-
-impl Default for PlanarOptions {
-    fn default() -> Self {
-        Self { tolerance: 1.0, least_cosine: 0.9, least_area: 150.0, coarseness: 4.0 }
-    }
-}
-
+/// Vertices of a plane are at most so many voxels from it. The noise that smoothing leaves is below that.
+const TOLERANCE: f64 = 1.0;
+/// Least cosine between a plane and the surface's direction over some edges around a vertex of it: 26°.
+const LEAST_COSINE: f64 = 0.9;
+/// Least area of a plane in square voxels: 12×12. Smaller parts of what is round pass for flat within the tolerance.
+const LEAST_AREA: f64 = 150.0;
+/// Edges within planes become at most so many times as long as those of all would be if the target of triangles were spread evenly.
+/// Larger triangles could only be kept or dropped as a whole when training judges them.
+const COARSENESS: f64 = 4.0;
 /// Edges over which the direction of the surface is averaged.
 const RADIUS: usize = 4;
 /// A plane begins with what is near its first vertex, in voxels, and is fitted so often while it grows.
@@ -55,7 +44,7 @@ const THINNEST: f64 = 1e-3;
 /// In no plane.
 const NONE: u32 = u32::MAX;
 
-/// What [`flatten`] did.
+/// What was flat, and what was made of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlanarStats {
     /// Planes found.
@@ -80,21 +69,20 @@ impl Plane {
 }
 
 /// Makes flat regions flat and meshes them anew; a vertex stays if it were to move far or fold a triangle over by moving. Nothing
-/// else changes but what [`clean`](super::clean) takes for broken, and the surface stays as closed as it was. With a `contraction`
+/// else changes but what [`without_broken`] drops, and the surface stays as closed as it was. With a `contraction`
 /// the surface and its voxels lie in contracted space, and what is flat is so in the world. `voxel` is the edge of one. Also returns
 /// which vertices `[V]` a simplification to `target_triangles` should keep, lest the triangles of planes become much larger than
 /// those of the rest.
 #[must_use]
-pub fn flatten(
+pub(super) fn flatten(
     surface: Surface,
     voxel: f64,
     contraction: Option<&Contraction>,
     target_triangles: usize,
-    options: &PlanarOptions,
 ) -> (Surface, Vec<bool>, PlanarStats) {
     let mut surface = compact(without_broken(surface));
     let keep_none = vec![false; surface.positions.len()];
-    let sheet = Sheet::new(&surface, voxel, contraction, *options);
+    let sheet = Sheet::new(&surface, voxel, contraction);
     let (planes, mut of_vertex) = sheet.planes();
     if planes.is_empty() {
         return (surface, keep_none, PlanarStats::default());
@@ -104,7 +92,7 @@ pub fn flatten(
     let places: Vec<DVec3> = positions.iter().map(|p| sheet.place(*p)).collect();
     let area: f64 = surface.triangles.iter().map(|t| 0.5 * cross(&places, t).length()).sum();
     let mean = area / target_triangles.clamp(1, surface.triangles.len()) as f64;
-    let longest = options.coarseness * (mean * 4.0 / 3.0_f64.sqrt()).sqrt();
+    let longest = COARSENESS * (mean * 4.0 / 3.0_f64.sqrt()).sqrt();
     let moved = places.iter().zip(&planes_of).zip(&mut surface.positions).filter(|m| !m.0.1.is_empty());
     moved.for_each(|((new, _), old)| *old = (*new * voxel).as_vec3());
     let mut mesh = Planar::new(surface.triangles, &positions, &places, &planes, &planes_of);
@@ -119,7 +107,6 @@ pub fn flatten(
 
 /// A surface with what growing planes asks of it. Lengths are in voxels.
 struct Sheet {
-    options: PlanarOptions,
     contraction: Option<Contraction>,
     /// In the world.
     positions: Vec<DVec3>,
@@ -133,7 +120,7 @@ struct Sheet {
 }
 
 impl Sheet {
-    fn new(surface: &Surface, voxel: f64, contraction: Option<&Contraction>, options: PlanarOptions) -> Self {
+    fn new(surface: &Surface, voxel: f64, contraction: Option<&Contraction>) -> Self {
         let contraction = contraction.map(|c| Contraction { center: c.center / voxel, radius: c.radius / voxel });
         let places: Vec<DVec3> = surface.positions.iter().map(|p| p.as_dvec3() / voxel).collect();
         let in_world = |p: &DVec3| contraction.map(|c| c.expand(*p)).filter(|q| q.is_finite()).unwrap_or(*p);
@@ -145,7 +132,7 @@ impl Sheet {
             let area = cross(&places, t).length() / 6.0;
             t.iter().for_each(|&v| areas[v as usize] += area);
         }
-        Self { options, contraction, positions, places, rings, directions, areas }
+        Self { contraction, positions, places, rings, directions, areas }
     }
 
     /// Where a point of the world comes to lie in contracted space.
@@ -170,8 +157,7 @@ impl Sheet {
         let mut tried = vec![false; count];
         // The last search that came past a vertex.
         let mut passed = (vec![0_u32; count], 0);
-        let mut seeds: Vec<usize> =
-            (0..count).filter(|&v| self.directions[v].length() > self.options.least_cosine).collect();
+        let mut seeds: Vec<usize> = (0..count).filter(|&v| self.directions[v].length() > LEAST_COSINE).collect();
         seeds.sort_by(|&a, &b| self.directions[b].length_squared().total_cmp(&self.directions[a].length_squared()));
         for seed in seeds {
             if tried[seed] || of_vertex[seed] != NONE {
@@ -193,10 +179,10 @@ impl Sheet {
             // What is refused is not tried again: the flattest beginnings come first, and it may be large.
             region.iter().for_each(|&v| tried[v] = true);
             let area: f64 = region.iter().map(|&v| self.areas[v]).sum();
-            let is_flat = self.roughness(&plane, &region) <= ROUGHEST * self.options.tolerance;
+            let is_flat = self.roughness(&plane, &region) <= ROUGHEST * TOLERANCE;
             // Refitted, it may have left its first vertex behind.
             region.retain(|&v| v != seed || self.belongs(v, &plane));
-            if area >= self.options.least_area && is_flat {
+            if area >= LEAST_AREA && is_flat {
                 region.iter().for_each(|&v| of_vertex[v] = planes.len() as u32);
                 planes.push(plane);
             }
@@ -207,8 +193,7 @@ impl Sheet {
     /// Whether a vertex is near a plane, and the surface around it inclined as that is.
     fn belongs(&self, v: usize, plane: &Plane) -> bool {
         let direction = self.directions[v];
-        self.height(plane, v).abs() <= self.options.tolerance
-            && plane.normal.dot(direction) >= self.options.least_cosine * direction.length()
+        self.height(plane, v).abs() <= TOLERANCE && plane.normal.dot(direction) >= LEAST_COSINE * direction.length()
     }
 
     /// Vertices near a plane that are connected to the seed and in no other, the seed first.
@@ -280,7 +265,7 @@ impl Sheet {
                 for &n in self.rings.around(v) {
                     let n = n as usize;
                     let cosine = planes[plane as usize].normal.dot(self.directions[n].normalize_or_zero());
-                    let is_near = height(plane, n) <= self.options.tolerance && cosine >= CLOSING_COSINE;
+                    let is_near = height(plane, n) <= TOLERANCE && cosine >= CLOSING_COSINE;
                     if of_vertex[n] == NONE && is_near {
                         let best = joins.entry(n).or_insert(plane);
                         if (height(plane, n), plane) < (height(*best, n), *best) {
@@ -324,7 +309,7 @@ impl Sheet {
         };
         let mut positions: Vec<DVec3> = planes_of.iter_mut().enumerate().map(|(v, on)| set(v, on)).collect();
         // Those that may not stay where they were set, first what goes too far and then what folds.
-        let farthest = FARTHEST * self.options.tolerance;
+        let farthest = FARTHEST * TOLERANCE;
         let is_far = |v: &usize| self.place(positions[*v]).distance(self.places[*v]) > farthest;
         let mut back: Vec<usize> = (0..positions.len()).filter(is_far).collect();
         loop {

@@ -7,8 +7,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::geometry::tests::{depth_map, edge_counts, orbit, unit_sphere};
-use crate::geometry::{DepthView, Fusion, FusionOptions, SurfaceOptions, simplify, surface_from_fusion};
+use crate::geometry::surface::simplify;
+use crate::geometry::tests::{ANY, depth_map, edge_counts, orbit, unit_sphere};
+use crate::geometry::{Fusion, FusionOptions, SurfaceOptions, surface_from_fusion};
 
 /// The surface of a cube of `n`³ cells of side 1, every vertex moved by up to `noise` along each axis.
 fn cube(n: u32, noise: f32) -> Surface {
@@ -58,7 +59,7 @@ fn mean(values: &[f32]) -> f32 {
 #[test]
 fn a_noisy_cube_gets_six_flat_sides() {
     let noisy = cube(40, 0.25);
-    let (flat, keep, stats) = flatten(noisy.clone(), 1.0, None, noisy.triangles.len(), &PlanarOptions::default());
+    let (flat, keep, stats) = flatten(noisy.clone(), 1.0, None, noisy.triangles.len());
     assert_eq!(stats.planes, 6, "{stats:?}");
     assert!(stats.before * 100 > 99 * noisy.triangles.len() && stats.after * 5 < stats.before, "{stats:?}");
     assert_eq!((euler(&noisy), euler(&flat)), (2, 2));
@@ -92,9 +93,8 @@ fn a_noisy_cube_gets_six_flat_sides() {
 
 #[test]
 fn what_is_not_flat_or_too_small_stays_as_it_was() {
-    let noisy = cube(12, 0.2);
-    let small = PlanarOptions { least_area: 200.0, ..PlanarOptions::default() };
-    let (same, keep, stats) = flatten(noisy.clone(), 1.0, None, 100, &small);
+    let noisy = cube(10, 0.2);
+    let (same, keep, stats) = flatten(noisy.clone(), 1.0, None, 100);
     assert_eq!((same, stats), (noisy, PlanarStats::default()));
     assert!(!keep.contains(&true));
     // A dome on a sheet with a hole: only the sheet is flat, and open edges stay open.
@@ -111,7 +111,7 @@ fn what_is_not_flat_or_too_small_stays_as_it_was() {
         sheet.triangles.extend([[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]);
     }
     let sheet = compact(sheet);
-    let (flat, _, stats) = flatten(sheet.clone(), 1.0, None, sheet.triangles.len(), &PlanarOptions::default());
+    let (flat, _, stats) = flatten(sheet.clone(), 1.0, None, sheet.triangles.len());
     assert_eq!(stats.planes, 1, "{stats:?}");
     assert!(stats.after * 4 < stats.before, "{stats:?}");
     assert_eq!((euler(&sheet), euler(&flat)), (0, 0));
@@ -137,7 +137,6 @@ fn fused(hit: impl Fn(DVec3, DVec3) -> Option<f64>, noise: f64) -> Fusion {
         bounds: (DVec3::splat(-1.4), DVec3::splat(1.4)),
         contraction: None,
         max_depth: 6.0,
-        min_weight: 2.0,
         max_bytes: 1 << 30,
     };
     let mut fusion = Fusion::new(volume).unwrap();
@@ -147,13 +146,13 @@ fn fused(hit: impl Fn(DVec3, DVec3) -> Option<f64>, noise: f64) -> Fusion {
         for (i, d) in depth.iter_mut().enumerate().filter(|d| *d.1 > 0.0) {
             *d += blocks[i / 160 / 6 * 27 + i % 160 / 6] as f32;
         }
-        fusion.integrate(&DepthView { camera, depth: &depth, weight: None }).unwrap();
+        fusion.integrate(&camera, &depth).unwrap();
     }
     fusion
 }
 
-fn surface(fusion: &Fusion, planar: Option<PlanarOptions>, target_triangles: usize) -> (Surface, PlanarStats) {
-    let options = SurfaceOptions { planar, target_triangles, ..SurfaceOptions::new(fusion.options) };
+fn surface(fusion: &Fusion, planar: bool, target_triangles: usize) -> (Surface, PlanarStats) {
+    let options = SurfaceOptions { planar, target_triangles, ..ANY };
     let (surface, stats) = surface_from_fusion(fusion, &options).unwrap();
     (surface, stats.planar)
 }
@@ -167,8 +166,8 @@ fn a_fused_box_is_flat_and_has_edges() {
         (enter < leave).then_some(enter)
     };
     let fusion = fused(side, 3.0);
-    let (with, stats) = surface(&fusion, Some(PlanarOptions::default()), 6000);
-    let (without, none) = surface(&fusion, None, 6000);
+    let (with, stats) = surface(&fusion, true, 6000);
+    let (without, none) = surface(&fusion, false, 6000);
     assert_eq!((stats.planes, none), (6, PlanarStats::default()));
     let voxel = VOXEL as f32;
     let (flat, rough) = (mean(&off_box(&with, HALF)) / voxel, mean(&off_box(&without, HALF)) / voxel);
@@ -184,8 +183,8 @@ fn a_fused_box_is_flat_and_has_edges() {
     let (sharp, round) = (to(&with), to(&without));
     assert!(round > 0.2 && sharp < 0.3 * round, "{round} voxels became {sharp}");
     // As closed as before: what the noise tore stays torn.
-    let (before, _) = surface(&fusion, None, usize::MAX);
-    let (after, ..) = flatten(before.clone(), VOXEL, None, 6000, &PlanarOptions::default());
+    let (before, _) = surface(&fusion, false, usize::MAX);
+    let (after, ..) = flatten(before.clone(), VOXEL, None, 6000);
     assert_eq!(
         (euler(&before), edge_counts(&before)[1..].to_vec()),
         (euler(&after), edge_counts(&after)[1..].to_vec())
@@ -195,8 +194,8 @@ fn a_fused_box_is_flat_and_has_edges() {
 #[test]
 fn a_fused_sphere_has_no_plane() {
     let fusion = fused(unit_sphere, 2.0);
-    let (with, stats) = surface(&fusion, Some(PlanarOptions::default()), 6000);
-    assert_eq!((with, stats), surface(&fusion, None, 6000));
+    let (with, stats) = surface(&fusion, true, 6000);
+    assert_eq!((with, stats), surface(&fusion, false, 6000));
 }
 
 #[test]
@@ -224,7 +223,7 @@ fn what_is_contracted_is_flat_in_the_world() {
         mean(&s.positions.iter().map(up).collect::<Vec<_>>())
     };
     let floor = compact(floor);
-    let (flat, _, stats) = flatten(floor.clone(), 1.0, Some(&ball), floor.triangles.len(), &PlanarOptions::default());
+    let (flat, _, stats) = flatten(floor.clone(), 1.0, Some(&ball), floor.triangles.len());
     assert_eq!(stats.planes, 1, "{stats:?}");
     assert!(stats.before * 10 > 9 * floor.triangles.len() && stats.after * 4 < stats.before, "{stats:?}");
     let flat = compact(flat);
@@ -233,37 +232,23 @@ fn what_is_contracted_is_flat_in_the_world() {
 
 #[test]
 fn anything_is_taken() {
-    let any = PlanarOptions { least_area: 0.0, ..PlanarOptions::default() };
-    let of = |positions: &[Vec3], triangles: &[[u32; 3]], voxel: f64, options: &PlanarOptions| {
-        for ball in [None, Some(&Contraction { center: DVec3::ONE, radius: 2.0 })] {
-            let (flat, keep, _) = flatten(
-                Surface { positions: positions.to_vec(), triangles: triangles.to_vec() },
-                voxel,
-                ball,
-                1,
-                options,
-            );
-            assert_eq!(flat.positions.len(), keep.len());
-            assert!(flat.positions.iter().all(|p| p.is_finite()));
-        }
-    };
     let corners = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z, Vec3::NAN, Vec3::INFINITY, Vec3::MAX];
     let triangles =
         [[0, 0, 0], [0, 1, 2], [0, 2, 1], [0, 1, 3], [1, 0, 3], [0, 1, 4], [2, 3, 5], [0, 1, 6], [7, 8, 99]];
-    let sheet = cube(8, 0.1);
-    let mut broken = sheet.clone();
+    let few = Surface { positions: corners.to_vec(), triangles: triangles.to_vec() };
+    let mut broken = cube(14, 0.1);
     broken.positions[7] = Vec3::NAN;
     broken.positions[8] = Vec3::MAX;
     broken.triangles[9] = [0, 1, u32::MAX];
-    for voxel in [1.0, 1e-30, 1e30, 0.0, -1.0, f64::NAN, f64::INFINITY] {
-        of(&[], &[], voxel, &any);
-        of(&corners, &triangles, voxel, &any);
-        of(&broken.positions, &broken.triangles, voxel, &any);
-        for odd in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            of(&sheet.positions, &sheet.triangles, voxel, &PlanarOptions { tolerance: odd, ..any });
-            of(&sheet.positions, &sheet.triangles, voxel, &PlanarOptions { least_cosine: odd, ..any });
-            of(&sheet.positions, &sheet.triangles, voxel, &PlanarOptions { least_area: odd, ..any });
-            of(&sheet.positions, &sheet.triangles, voxel, &PlanarOptions { coarseness: odd, ..any });
+    // The last is large enough for planes, the others are not.
+    assert!(flatten(broken.clone(), 1.0, None, 1).2.planes > 0);
+    for surface in [Surface::default(), few, broken] {
+        for voxel in [1.0, 1e-3, 1e-30, 1e30, 0.0, -1.0, f64::NAN, f64::INFINITY] {
+            for ball in [None, Some(&Contraction { center: DVec3::ONE, radius: 2.0 })] {
+                let (flat, keep, _) = flatten(surface.clone(), voxel, ball, 1);
+                assert_eq!(flat.positions.len(), keep.len());
+                assert!(flat.positions.iter().all(|p| p.is_finite()));
+            }
         }
     }
 }
@@ -276,7 +261,7 @@ fn a_vertex_of_two_planes_that_are_nearly_one_is_still_set_onto_the_third() {
     let planes = [plane(DVec3::Z), plane(DVec3::new(-tilt.sin(), 0.0, tilt.cos())), plane(DVec3::Y)];
     let positions = vec![Vec3::new(0.0, 0.3, 0.2), Vec3::new(5.0, 0.2, 0.0), Vec3::new(2.0, -0.3, 4.0)];
     let surface = Surface { positions, triangles: vec![[0, 2, 1]] };
-    let sheet = Sheet::new(&surface, 1.0, None, PlanarOptions::default());
+    let sheet = Sheet::new(&surface, 1.0, None);
     let (positions, planes_of) = sheet.snapped(&surface.triangles, &planes, &[0, 1, 2]);
     assert_eq!(planes_of, [vec![0, 2], vec![1, 2], vec![2]]);
     assert!(positions[0].abs_diff_eq(DVec3::ZERO, 1e-7), "{}", positions[0]);

@@ -9,6 +9,12 @@ use super::surface::{Surface, compact};
 /// edges (pass band 0.1) and does not shrink them.
 const FORWARD: f32 = 0.5;
 const BACK: f32 = -0.526;
+/// Times that both are taken.
+const PASSES: usize = 20;
+/// Edges around a triangle over which its roughness is judged.
+const ROUGH_RADIUS: usize = 4;
+/// Least length of the mean of unit normals around a triangle that is not rough, which a right-angled edge passes.
+const LEAST_DIRECTION: f64 = 0.6;
 
 /// Vertices around each vertex: `of[first[v]..first[v + 1]]`, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -68,11 +74,10 @@ impl Rings {
     }
 }
 
-/// Taubin smoothing: noise of the size of an edge goes, shapes and volume stay. One pass is a step forward and one back.
-/// Indices must be in range.
-pub fn smooth(surface: &mut Surface, passes: usize) {
+/// Taubin smoothing: noise of the size of an edge goes, shapes and volume stay. Indices must be in range.
+pub(super) fn smooth(surface: &mut Surface) {
     let rings = Rings::new(surface.positions.len(), &surface.triangles);
-    for step in (0..passes).flat_map(|_| [FORWARD, BACK]) {
+    for step in (0..PASSES).flat_map(|_| [FORWARD, BACK]) {
         let old = &surface.positions;
         let moved = (0..old.len()).into_par_iter().map(|v| {
             let around = rings.around(v);
@@ -125,15 +130,14 @@ pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Ri
     normals.into_iter().map(|n| n.0).collect()
 }
 
-/// Drops triangles around which the surface has no direction: where directions, averaged over `radius` edges, are shorter than
-/// `least`. Indices must be in range.
+/// Drops triangles around which the surface has no direction. Indices must be in range.
 #[must_use]
-pub fn without_rough(surface: Surface, radius: usize, least: f64) -> Surface {
+pub(super) fn without_rough(surface: Surface) -> Surface {
     let rings = Rings::new(surface.positions.len(), &surface.triangles);
     let Surface { positions, mut triangles } = surface;
     let exact: Vec<DVec3> = positions.iter().map(|p| p.as_dvec3()).collect();
-    let directions = directions(&exact, &triangles, &rings, radius);
-    triangles.retain(|t| t.iter().all(|&v| directions[v as usize].length() >= least));
+    let directions = directions(&exact, &triangles, &rings, ROUGH_RADIUS);
+    triangles.retain(|t| t.iter().all(|&v| directions[v as usize].length() >= LEAST_DIRECTION));
     compact(Surface { positions, triangles })
 }
 
@@ -165,7 +169,7 @@ mod tests {
             (errors.iter().sum::<f32>() / errors.len() as f32).sqrt()
         };
         let before = rms(&surface);
-        smooth(&mut surface, 20);
+        smooth(&mut surface);
         // Of white noise the pass band of a tenth keeps about that share of the power.
         assert!(rms(&surface) < 0.4 * before, "{before} became {}", rms(&surface));
         let amplitude = surface.positions.iter().map(|p| p.z).fold(0.0, f32::max);
@@ -175,11 +179,11 @@ mod tests {
     #[test]
     fn borders_do_not_creep_in() {
         let mut surface = sheet(20, |_, _| 0.0);
-        smooth(&mut surface, 20);
+        smooth(&mut surface);
         let low = surface.positions.iter().fold(Vec3::INFINITY, |low, &p| low.min(p));
         let high = surface.positions.iter().fold(Vec3::NEG_INFINITY, |high, &p| high.max(p));
         assert!((high - low).truncate().min_element() > 19.5, "{low} {high}");
-        smooth(&mut Surface::default(), 3);
+        smooth(&mut Surface::default());
     }
 
     #[test]
@@ -187,11 +191,11 @@ mod tests {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(2);
         // Flat, with a right-angled ridge along x = 30; crumbs beyond x = 60.
         let surface = sheet(90, |x, _| if x < 60 { -(x as f32 - 30.0).abs() } else { rng.random_range(-9.0..9.0) });
-        let kept = without_rough(surface.clone(), 4, 0.6);
+        let kept = without_rough(surface.clone());
         let beyond = |s: &Surface, from: f32| s.positions.iter().filter(|p| p.x > from).count();
         assert_eq!(kept.positions.iter().filter(|p| p.x < 50.0).count(), 50 * 91);
         assert!(beyond(&kept, 64.0) * 10 < beyond(&surface, 64.0), "{} left", beyond(&kept, 64.0));
-        assert_eq!(without_rough(Surface::default(), 4, 0.6), Surface::default());
+        assert_eq!(without_rough(Surface::default()), Surface::default());
     }
 
     #[test]

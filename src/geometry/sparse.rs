@@ -11,7 +11,6 @@ use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Tria
 
 use super::bvh::MeshBvh;
 use super::fusion::{Fusion, FusionOptions};
-use super::planar::PlanarOptions;
 use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
 use super::surface::Surface;
 use super::{Contraction, GeometryError};
@@ -42,6 +41,8 @@ const LEAST_AGREEING: u32 = 5;
 const ALLOWED_RAYS: u32 = 1;
 /// A triangle is in the way if it is nearer than the point by more than this part of its depth.
 const IN_THE_WAY: f64 = 0.03;
+/// Triangles of the least connected piece of the fused surface (2DGS).
+const LEAST_FACES: usize = 50;
 /// Cells across the longer side of the picture in which [`visible_points`] compares depths.
 const CELLS: f64 = 48.0;
 /// Cells across in which of those points only the nearest is: two pixels of the depth maps.
@@ -72,7 +73,7 @@ impl SparseStats {
     }
 }
 
-/// Fuses a surface of at most about `triangles` triangles. Flat regions, as `planar` says what is one, are made flat; `None`: none are.
+/// Fuses a surface of at most about `triangles` triangles. With `planar` flat regions are made flat and meshed anew with few triangles.
 ///
 /// # Errors
 /// Without cameras, if there are too few points, or if no surface is left.
@@ -80,7 +81,7 @@ pub fn surface_from_points(
     views: &[PointView],
     points: &[Vec3],
     triangles: usize,
-    planar: Option<PlanarOptions>,
+    planar: bool,
 ) -> Result<(Surface, SparseStats), GeometryError> {
     let seen: Vec<Vec<u32>> = views
         .par_iter()
@@ -116,7 +117,7 @@ pub fn surface_from_points(
     let options = |resolution: u32| FusionOptions::suggest(&cameras, points, resolution, contraction);
     let depth_of = |i: usize| Ok::<_, GeometryError>(depth_map(&cameras[i], points, &clear[i]));
     let fusion = Fusion::of_depths(&cameras, LEAST_RESOLUTION..=resolution, options, depth_of)?;
-    let options = SurfaceOptions { target_triangles: triangles, planar, ..SurfaceOptions::new(*fusion.options()) };
+    let options = SurfaceOptions { min_component_faces: LEAST_FACES, planar, target_triangles: triangles };
     let (surface, counts) = surface_from_fusion(&fusion, &options)?;
     stats.surface = counts;
     Ok((surface, stats))
@@ -454,8 +455,7 @@ mod tests {
         let cameras = cameras();
         for wrong in [0, 100] {
             let (points, views) = cloud(&cameras, wrong);
-            let (surface, stats) =
-                surface_from_points(&views, &points, 20_000, Some(PlanarOptions::default())).unwrap();
+            let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
             let [accuracy, completeness] = errors(&surface, &points);
             eprintln!("{wrong} wrong points: {accuracy:.4} to the truth, {completeness:.4} from it, {stats:?}");
             assert!(accuracy < 0.01 && completeness < 0.01, "{accuracy} {completeness}");
@@ -465,11 +465,11 @@ mod tests {
         // One view of which nothing is known does not make the others guesses.
         let (points, mut views) = cloud(&cameras, 0);
         views[3].sees.clear();
-        let (_, stats) = surface_from_points(&views, &points, 20_000, Some(PlanarOptions::default())).unwrap();
+        let (_, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         assert_eq!((stats.guessed, stats.is_guess()), (1, false));
         // Without tracks the points themselves say what is visible: as exact, but less is found.
         views.iter_mut().for_each(|view| view.sees.clear());
-        let (surface, stats) = surface_from_points(&views, &points, 20_000, Some(PlanarOptions::default())).unwrap();
+        let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         let [accuracy, completeness] = errors(&surface, &points);
         eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
         assert!(accuracy < 0.01 && completeness < 0.15, "{accuracy} {completeness}");
@@ -496,9 +496,9 @@ mod tests {
         let cameras = cameras();
         let views: Vec<_> = cameras.iter().map(|c| PointView { camera: *c, sees: vec![0, 1, 2, 900] }).collect();
         for points in [vec![], vec![Vec3::ZERO], vec![Vec3::ZERO; 3], vec![Vec3::NAN; 5]] {
-            let error = surface_from_points(&views, &points, 1000, None).unwrap_err().to_string();
+            let error = surface_from_points(&views, &points, 1000, false).unwrap_err().to_string();
             assert!(error.contains("lifting triangles of points"), "{error}");
         }
-        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000, None).is_err());
+        assert!(surface_from_points(&[], &[Vec3::ZERO], 1000, false).is_err());
     }
 }

@@ -2,8 +2,8 @@ use glam::Vec3;
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
-/// outside. Unchecked: [`clean`] and [`simplify`] skip triangles with an index out of range; other functions ask for indices in range, and panic
-/// without.
+/// outside. Unchecked: unwrapping refuses triangles with an index out of range, tidying drops them; other functions ask for indices in range, and
+/// panic without.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// World positions.
@@ -16,7 +16,7 @@ pub struct Surface {
 /// `min_component_faces` triangles. Drops triangles that are broken (index out of range, position not finite), have no
 /// area or repeat another one's corners, and vertices that nothing uses. The order of what is kept does not change.
 #[must_use]
-pub fn clean(surface: Surface, min_component_faces: usize, keep_components: usize) -> Surface {
+pub(super) fn clean(surface: Surface, min_component_faces: usize, keep_components: usize) -> Surface {
     let mut surface = without_broken(surface);
     let component = components(&surface);
     let mut faces = vec![0usize; surface.positions.len()];
@@ -49,7 +49,7 @@ pub fn components(surface: &Surface) -> Vec<u32> {
 /// At most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer). Vertices marked in `keep`, `[V]`
 /// or fewer, stay. Topology is kept, so a surface of many pieces or holes may end above the target; one below it is returned cleaned.
 #[must_use]
-pub fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize) -> Surface {
+pub(super) fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize) -> Surface {
     let (mut surface, used) = compacted(without_broken(surface.clone()));
     if surface.triangles.len() <= target_triangles {
         return surface;

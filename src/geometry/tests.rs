@@ -4,9 +4,14 @@ use std::collections::HashMap;
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
 
+use super::surface::{clean, simplify};
 use super::*;
 use crate::render::testing::largest;
 use crate::scene::{Camera, Intrinsics};
+
+/// All but crumbs.
+pub(super) const ANY: SurfaceOptions =
+    SurfaceOptions { min_component_faces: 50, planar: true, target_triangles: 100_000 };
 
 fn look_at(eye: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
     let z = (target - eye).normalize();
@@ -99,13 +104,12 @@ fn fused_sphere(cameras: &[Camera], voxel: f64) -> Fusion {
         bounds: (DVec3::splat(-1.3), DVec3::splat(1.3)),
         contraction: None,
         max_depth: 6.0,
-        min_weight: 2.0,
         max_bytes: 1 << 30,
     };
     let mut fusion = Fusion::new(options).unwrap();
     for camera in cameras {
         let depth = depth_map(camera, unit_sphere);
-        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }).unwrap();
+        fusion.integrate(camera, &depth).unwrap();
     }
     fusion
 }
@@ -171,8 +175,7 @@ fn memory_follows_the_surface_and_has_a_limit() {
     assert!(growth < 5.0, "{growth}");
     let mut limited = Fusion::new(FusionOptions { max_bytes: 100_000, ..coarse.options }).unwrap();
     let depth = depth_map(&cameras[0], unit_sphere);
-    let view = DepthView { camera: cameras[0], depth: &depth, weight: None };
-    assert!(matches!(limited.integrate(&view), Err(GeometryError::FusionMemory { views: 0, .. })));
+    assert!(matches!(limited.integrate(&cameras[0], &depth), Err(GeometryError::FusionMemory { views: 0, .. })));
     assert_eq!(limited.bytes(), 0);
 }
 
@@ -181,27 +184,24 @@ fn an_open_plane_ends_where_nothing_was_seen() {
     let cameras: Vec<Camera> = (0..6)
         .map(|i| look_at(DVec3::new(0.2 * f64::from(i) - 0.5, 0.1, -2.0), DVec3::new(0.0, 0.0, 0.0), 120, 90))
         .collect();
-    let depths: Vec<Vec<f32>> = cameras
-        .iter()
-        .map(|c| {
-            depth_map(c, |o, d| {
-                let t = -o.z / d.z;
-                let p = o + d * t;
-                (p.x.abs() < 0.4 && p.y.abs() < 0.4).then_some(t)
-            })
-        })
-        .collect();
-    let fusion = FusionOptions {
+    let mut fusion = Fusion::new(FusionOptions {
         voxel: 0.02,
         truncation: 0.1,
         bounds: (DVec3::splat(-1.0), DVec3::splat(1.0)),
         contraction: None,
         max_depth: 4.0,
-        min_weight: 2.0,
         max_bytes: 1 << 28,
-    };
-    let views = cameras.iter().zip(&depths).map(|(&camera, depth)| DepthView { camera, depth, weight: None });
-    let surface = surface_from_depths(views, &SurfaceOptions::new(fusion)).unwrap();
+    })
+    .unwrap();
+    for camera in &cameras {
+        let depth = depth_map(camera, |o, d| {
+            let t = -o.z / d.z;
+            let p = o + d * t;
+            (p.x.abs() < 0.4 && p.y.abs() < 0.4).then_some(t)
+        });
+        fusion.integrate(camera, &depth).unwrap();
+    }
+    let surface = surface_from_fusion(&fusion, &ANY).unwrap().0;
     for p in &surface.positions {
         // 0.05 voxels: z is interpolated linearly between pixels, but 1/z is what is linear on a plane. One voxel and a
         // pixel beyond the rim may be filled.
@@ -318,9 +318,9 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
     let mut fusion = Fusion::new(options).unwrap();
     for camera in &cameras {
         let depth = depth_map(camera, around);
-        fusion.integrate(&DepthView { camera: *camera, depth: &depth, weight: None }).unwrap();
+        fusion.integrate(camera, &depth).unwrap();
     }
-    let surface = fusion.extract();
+    let surface = fusion.expanded(fusion.extract());
     let mut errors = [vec![], vec![]];
     for p in &surface.positions {
         let distance = f64::from(p.length());
@@ -336,7 +336,7 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
     assert!(worst[0] < 1.0 && worst[1] < 1.0, "{worst:?}");
     // 4π/voxel² near, and what two views see in their corners of 4π(6·1.9/voxel)² far.
     assert!(kinds[0] > 5_000 && kinds[1] > 50_000 && mib < 200, "{kinds:?}, {mib} MiB");
-    let (simple, stats) = surface_from_fusion(&fusion, &SurfaceOptions::new(options)).unwrap();
+    let (simple, stats) = surface_from_fusion(&fusion, &ANY).unwrap();
     assert!(stats.contraction == contraction && simple.positions.iter().any(|p| (p.length() - 60.0).abs() < 1.0));
     let [near, far] = [0.5..1.5, 50.0..70.0].map(|range: std::ops::Range<f32>| {
         simple.triangles.iter().filter(|t| range.contains(&simple.positions[t[0] as usize].length())).count()
@@ -344,7 +344,7 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
     assert_eq!(near + far, simple.triangles.len());
     // As many as they take in contracted space, not in the world.
     assert!(near > 500 && far > near, "{near} and {far}");
-    assert_eq!(surface_from_fusion(&fusion, &SurfaceOptions::new(options)).unwrap().0, simple);
+    assert_eq!(surface_from_fusion(&fusion, &ANY).unwrap().0, simple);
 }
 
 #[test]
@@ -358,16 +358,13 @@ fn refuses_what_makes_no_sense() {
     assert!(refused(FusionOptions { contraction: Some(flat), ..good }));
     assert!(refused(FusionOptions { truncation: 0.1, ..good }));
     assert!(refused(FusionOptions { bounds: (DVec3::ONE, DVec3::ZERO), ..good }));
-    assert!(refused(FusionOptions { min_weight: 0.0, ..good }));
     let camera = orbit(1, 8, 8)[0];
     let mut fusion = Fusion::new(good).unwrap();
-    assert!(fusion.integrate(&DepthView { camera, depth: &[1.0; 63], weight: None }).is_err());
-    assert!(fusion.integrate(&DepthView { camera, depth: &[1.0; 64], weight: Some(&[1.0]) }).is_err());
+    assert!(fusion.integrate(&camera, &[1.0; 63]).is_err());
     let broken = [f32::NAN, f32::INFINITY, -1.0, 0.0, 1e30, 1e-30, 2.0, 2.1].repeat(8);
-    let weights = [1.0, f32::NAN, f32::INFINITY, -1.0].repeat(16);
-    fusion.integrate(&DepthView { camera, depth: &broken, weight: Some(&weights) }).unwrap();
+    fusion.integrate(&camera, &broken).unwrap();
     assert!(fusion.extract().positions.iter().all(|p| p.is_finite()));
-    let none = surface_from_depths([], &SurfaceOptions::new(good));
+    let none = surface_from_fusion(&Fusion::new(good).unwrap(), &ANY);
     assert!(matches!(none, Err(GeometryError::EmptySurface { step: "extraction", .. })));
 }
 
@@ -381,7 +378,7 @@ fn time_fusion_of_40_views() {
         Fusion::new(FusionOptions { voxel, truncation: 5.0 * voxel, ..fused_sphere(&[], 0.1).options }).unwrap();
     let start = std::time::Instant::now();
     for (camera, depth) in cameras.iter().zip(&depths) {
-        fusion.integrate(&DepthView { camera: *camera, depth, weight: None }).unwrap();
+        fusion.integrate(camera, depth).unwrap();
     }
     let fused = start.elapsed();
     let surface = fusion.extract();
@@ -416,9 +413,9 @@ fn time_noisy_depth_to_atlas() {
             for d in depth.iter_mut().filter(|d| **d > 0.0) {
                 *d += (noise * voxel * 2.0 * (rng.random::<f64>() - 0.5)) as f32;
             }
-            fusion.integrate(&DepthView { camera, depth: &depth, weight: None }).unwrap();
+            fusion.integrate(&camera, &depth).unwrap();
         }
-        let options = SurfaceOptions { target_triangles: 50_000, ..SurfaceOptions::new(fusion.options) };
+        let options = SurfaceOptions { target_triangles: 50_000, ..ANY };
         let (surface, stats) = surface_from_fusion(&fusion, &options).unwrap();
         let (max, mean) = sphere_error(&surface);
         let start = std::time::Instant::now();

@@ -11,10 +11,8 @@ use super::surface::{Surface, compact, components, simplify, without_broken};
 const CRUMB_FACES: usize = 50;
 /// ... and less than this part of the area of the largest: a box has twelve triangles.
 const CRUMB_AREA: f64 = 0.01;
-/// Edges around the largest hole that is closed, as of an iso-surface.
-const HOLE_EDGES: usize = 40;
 
-/// Welds vertices at the same place, drops broken triangles and crumbs, closes small holes (see [`without_holes`]) and simplifies
+/// Welds vertices at the same place, drops broken triangles and crumbs, closes small holes and simplifies
 /// to at most about `target_triangles`. The statistics call what came in extracted. The cost is linear.
 ///
 /// # Errors
@@ -29,7 +27,7 @@ pub fn tidy(surface: Surface, target_triangles: usize) -> Result<(Surface, Surfa
         return Err(GeometryError::EmptySurface { step: "cleaning", hint });
     }
     let closed;
-    (closed, stats.holes) = without_holes(kept, HOLE_EDGES);
+    (closed, stats.holes) = without_holes(kept);
     stats.even = closed.triangles.len();
     let simplified = simplify(&closed, &[], target_triangles);
     stats.simplified = simplified.triangles.len();

@@ -115,8 +115,7 @@ pub struct TrainOptions {
     /// Triangles that a mesh made from the capture is simplified to: 20,000; more are left where its topology needs them, and those of the
     /// shell come on top.
     pub triangles: usize,
-    /// Flat regions of such a mesh are made flat and meshed anew with few triangles ([`geometry::flatten`](crate::geometry::flatten)).
-    /// On, see docs/experiments.md.
+    /// Flat regions of such a mesh are made flat and meshed anew with few triangles. On, see docs/experiments.md.
     pub planar: bool,
     /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
     /// far background. Its triangles are judged as all others, by two views at least, and it has no vertex that `triangles` counts. Not

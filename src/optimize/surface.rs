@@ -6,8 +6,8 @@ use super::{TrainError, TrainOptions};
 use crate::{
     capture::{self, Capture, Photo},
     geometry::{
-        self, Contraction, Fusion, FusionOptions, GeometryError, PlanarOptions, PointView, SparseStats, Surface,
-        SurfaceOptions, SurfaceStats, UnwrappedMesh,
+        self, Contraction, Fusion, FusionOptions, GeometryError, PointView, SparseStats, Surface, SurfaceOptions,
+        SurfaceStats, UnwrappedMesh,
     },
     render::gpu::{Gpu, Renderer},
     scene::{Atlas, Camera, Composition, HybridScene, Mesh, Texture, sh},
@@ -97,7 +97,7 @@ pub fn from_splats(
     scene: &HybridScene,
     capture: &Capture,
     triangles: usize,
-    planar: Option<PlanarOptions>,
+    planar: bool,
     mut on_view: impl FnMut(usize),
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     let cameras = capture.cameras();
@@ -127,7 +127,7 @@ pub fn from_points(
     cameras: &[Camera],
     views: &[usize],
     triangles: usize,
-    planar: Option<PlanarOptions>,
+    planar: bool,
 ) -> Result<(Surface, SparseStats, SurfaceOrigin), GeometryError> {
     let view = |&i: &usize| PointView { camera: cameras[i], sees: capture.views[i].sees.clone() };
     let views: Vec<PointView> = views.iter().map(view).collect();
@@ -160,7 +160,7 @@ pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
     triangles: usize,
-    planar: Option<PlanarOptions>,
+    planar: bool,
     depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     // The radius is twice the distance of the focus, which a pixel there divides by the focal length.
@@ -172,13 +172,8 @@ pub(super) fn from_depths(
         Ok(FusionOptions { truncation: TRUNCATION * suggested.voxel, ..suggested })
     };
     let fusion = Fusion::of_depths(cameras, LEAST_RESOLUTION..=resolution, options, depth_of)?;
-    let bounds = SurfaceOptions {
-        target_triangles: triangles,
-        min_component_faces: LEAST_FACES,
-        planar,
-        ..SurfaceOptions::new(*fusion.options())
-    };
-    Ok(geometry::surface_from_fusion(&fusion, &bounds)?)
+    let options = SurfaceOptions { min_component_faces: LEAST_FACES, planar, target_triangles: triangles };
+    Ok(geometry::surface_from_fusion(&fusion, &options)?)
 }
 
 /// What `make` makes of charts in an atlas of `size`² texels, or of up to `largest`² where they have no room in fewer.

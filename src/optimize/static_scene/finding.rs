@@ -2,7 +2,7 @@
 
 use super::Run;
 use crate::{
-    geometry::{GeometryError, PlanarOptions, Surface},
+    geometry::{GeometryError, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::training::Training,
     scene::Mesh,
@@ -11,7 +11,7 @@ use crate::{
 impl Run<'_> {
     /// Fuses triangles of the points that the training views see, or the median depths of the splats as they are.
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
-        let planar = self.options.planar.then(PlanarOptions::default);
+        let planar = self.options.planar;
         if of_points {
             match surface::from_points(self.capture, &self.cameras, &self.train, self.options.triangles, planar) {
                 Ok((surface, _, origin)) => {
