@@ -1,6 +1,7 @@
 use glam::{DVec3, Vec3};
 
 use super::GeometryError;
+use super::quantile::{median, quantile_box};
 use crate::scene::{Camera, OpticalAxes};
 
 /// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
@@ -25,17 +26,15 @@ impl Contraction {
     /// # Errors
     /// Without cameras.
     pub fn around(cameras: &[Camera], points: &[Vec3]) -> Result<Self, GeometryError> {
-        if cameras.is_empty() {
-            return Err(GeometryError::argument("cameras", "at least one camera", &"none"));
-        }
         let inner = quantile_box(points.iter().map(|p| p.as_dvec3()), 0.25);
         let mean_center = || cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len() as f64;
         // Axes that hardly cross leave it where the points are, or else among the cameras.
         let expected = inner.map_or_else(mean_center, |(low, high)| (low + high) / 2.0);
         let center = OpticalAxes::of(cameras).meeting_point_near(expected);
-        let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(center)).collect();
-        distances.sort_unstable_by(f64::total_cmp);
-        let (least, median) = (distances[0], distances[distances.len() / 2]);
+        let distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(center)).collect();
+        let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+        let median =
+            median(distances).ok_or_else(|| GeometryError::argument("cameras", "at least one camera", &"none"))?;
         let distance = if least < 0.5 * median { median } else { least };
         // A camera in the very focus (a panorama): the points say how large the scene is.
         let fallback = inner.map_or(1.0, |(low, high)| (high - low).length());
@@ -88,21 +87,6 @@ impl Contraction {
         let radial = outward * d.dot(outward);
         (radial / distance + (d - radial) * (2.0 - 1.0 / distance)) / distance
     }
-}
-
-/// Per axis, the `q` and 1−`q` quantiles of the finite points.
-pub(super) fn quantile_box(points: impl Iterator<Item = DVec3>, q: f64) -> Option<(DVec3, DVec3)> {
-    let points: Vec<DVec3> = points.filter(|p| p.is_finite()).collect();
-    let mut corners = (DVec3::ZERO, DVec3::ZERO);
-    for axis in 0..3 {
-        let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
-        let skip = (values.len() as f64 * q) as usize;
-        let last = values.len().checked_sub(1 + skip)?;
-        values.sort_unstable_by(f64::total_cmp);
-        corners.0[axis] = values[skip];
-        corners.1[axis] = values[last];
-    }
-    Some(corners)
 }
 
 #[cfg(test)]

@@ -4,7 +4,8 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::GeometryError;
-use super::contraction::{Contraction, quantile_box};
+use super::contraction::Contraction;
+use super::quantile::quantile_box;
 use crate::scene::Camera;
 
 /// Where and how finely depth maps are fused. Lengths are in world units, with a contraction in those of contracted space.

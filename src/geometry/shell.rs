@@ -6,6 +6,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bvh::MeshBvh;
+use super::quantile::quantile;
 use super::surface::{Surface, compact};
 use crate::scene::{Camera, LARGEST_COORDINATE};
 
@@ -42,10 +43,8 @@ impl Shell {
         let center = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len().max(1) as f64;
         let spread = cameras.iter().map(|c| c.center().distance(center)).fold(0.0, f64::max);
         let focal = cameras.iter().map(|c| c.intrinsics().fx.max(c.intrinsics().fy)).fold(0.0, f64::max);
-        let mut distances: Vec<f64> = points.iter().map(|p| p.as_dvec3().distance(center)).collect();
-        distances.retain(|d| d.is_finite());
-        distances.sort_unstable_by(f64::total_cmp);
-        let outer = distances.get(distances.len() * 99 / 100).map_or(0.0, |d| BEYOND_POINTS * d);
+        let distances = points.iter().map(|p| p.as_dvec3().distance(center)).filter(|d| d.is_finite()).collect();
+        let outer = quantile(distances, 0.99).map_or(0.0, |d| BEYOND_POINTS * d);
         let radius = outer.max(spread * focal.min(FARTHEST));
         (radius > 0.0 && radius < LARGEST_COORDINATE).then(|| {
             let width = cameras.iter().map(field_of_view).fold(0.0, f64::max);

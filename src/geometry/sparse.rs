@@ -11,6 +11,7 @@ use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Tria
 
 use super::bvh::MeshBvh;
 use super::fusion::{Fusion, FusionOptions};
+use super::quantile::median;
 use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
 use super::surface::Surface;
 use super::{Contraction, GeometryError};
@@ -243,13 +244,10 @@ fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]
             delaunay.add_constraint(a, b);
         }
     }
-    let mut edges: Vec<f64> =
-        delaunay.undirected_edges().map(|edge| edge.length_2()).filter(|length| *length > 0.0).collect();
-    if edges.is_empty() {
+    let edges = delaunay.undirected_edges().map(|edge| edge.length_2()).filter(|length| *length > 0.0);
+    let Some(median) = median(edges.collect()) else {
         return vec![];
-    }
-    let middle = edges.len() / 2;
-    let median = *edges.select_nth_unstable_by(middle, f64::total_cmp).1;
+    };
     let longest = median * LONGEST_EDGE * LONGEST_EDGE; // of squares
     let surface = |face: spade::handles::FaceHandle<'_, spade::handles::InnerTag, Seen, (), CdtEdge<()>, ()>| {
         let corners = face.vertices().map(|v| v.data().point);
@@ -299,9 +297,7 @@ fn median_edge(points: &[Vec3], lifted: &[Vec<[u32; 3]>], contraction: Option<&C
         contraction.map_or(p, |c| c.contract(p))
     };
     let length = |t: &[u32; 3]| place(t[0]).distance(place(t[1]));
-    let mut edges: Vec<f64> = lifted.iter().flatten().map(length).collect();
-    let middle = edges.len() / 2;
-    edges.select_nth_unstable_by(middle, f64::total_cmp).1.max(f64::MIN_POSITIVE)
+    median(lifted.iter().flatten().map(length).collect()).unwrap_or(0.0).max(f64::MIN_POSITIVE)
 }
 
 /// Depth of the nearest triangle at every pixel centre, `[h·w]`, 0 where there is none.

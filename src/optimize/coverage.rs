@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     capture::{CaptureError, Photo, View},
-    geometry::MeshBvh,
+    geometry::{MeshBvh, quantile},
     scene::{Camera, LARGEST_COORDINATE, Splats},
 };
 
@@ -230,9 +230,8 @@ impl Shown {
 }
 
 /// The least of some depths, but for what may be wild; 0 if there are none.
-fn nearest_depth(mut depths: Vec<f64>) -> f64 {
-    let wild = (WILD * depths.len() as f64) as usize;
-    if depths.is_empty() { 0.0 } else { *depths.select_nth_unstable_by(wild, f64::total_cmp).1 }
+fn nearest_depth(depths: Vec<f64>) -> f64 {
+    quantile(depths, WILD).unwrap_or(0.0)
 }
 
 /// Whether a splat would stand right before a camera, or before the points and meshes of too many views.

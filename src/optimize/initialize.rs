@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 use crate::render::gpu::state::logit;
 use crate::{
     capture::{Point, extent},
-    geometry::mean_squared_distance_to_3_neighbors,
+    geometry::{mean_squared_distance_to_3_neighbors, median},
     scene::{Camera, OpticalAxes, SceneError, Splats, sh},
 };
 
@@ -138,13 +138,8 @@ pub(super) fn round_splats(
 fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
     let mut scales: Vec<f32> =
         mean_squared_distance_to_3_neighbors(means).into_iter().map(|d| d.min(f32::MAX).sqrt()).collect();
-    let mut positive: Vec<f32> = scales.iter().copied().filter(|&s| s > 0.0).collect();
-    let middle = positive.len() / 2;
-    let median = if positive.is_empty() {
-        1e-7_f32.sqrt() * 100.0
-    } else {
-        *positive.select_nth_unstable_by(middle, f32::total_cmp).1
-    };
+    let positive = scales.iter().filter(|&&s| s > 0.0).map(|&s| f64::from(s)).collect();
+    let median = median(positive).map_or(1e-7_f32.sqrt() * 100.0, |median| median as f32);
     let floor = (median / 100.0).max(f32::MIN_POSITIVE);
     scales.iter_mut().for_each(|s| *s = s.clamp(floor, (10.0 * median).max(floor)));
     scales
@@ -172,9 +167,7 @@ pub(super) fn distance_of_focus(cameras: &[Camera]) -> Option<f64> {
 /// The place in front of most cameras where their axes meet, and the median distance to it.
 fn common_focus(cameras: &[Camera]) -> Option<(DVec3, f64)> {
     let point = OpticalAxes::of(cameras).meeting_point()?;
-    let mut distances: Vec<f64> = cameras.iter().map(|c| c.center().distance(point)).collect();
-    let middle = distances.len() / 2;
-    let median = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let median = median(cameras.iter().map(|c| c.center().distance(point)).collect())?;
     let is_in_front = |c: &&Camera| (point - c.center()).dot(c.rotation().row(2)) > 0.5 * median;
     let in_front = cameras.iter().filter(is_in_front).count();
     (median > 0.0 && 2 * in_front > cameras.len()).then_some((point, median))

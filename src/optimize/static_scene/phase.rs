@@ -8,7 +8,7 @@ use rand::{RngExt, seq::SliceRandom};
 use super::{Outcome, Phase, Progress, Run, photographs::truth_alpha, plan::Plan, sampled};
 use crate::{
     evaluate::Comparison,
-    geometry::Shell,
+    geometry::{Shell, median},
     optimize::{
         Background, Density, TrainError, TrainOptions,
         density::mcmc::{self, EpochWeight},
@@ -343,10 +343,8 @@ fn pixel_size(cameras: &[Camera], meshes: &[Mesh], shell: Option<&Shell>) -> f32
     let is_near = |p: &&Vec3| shell.is_none_or(|shell| !shell.holds(**p));
     let positions = || meshes.iter().flat_map(Mesh::positions).filter(is_near);
     let stride = positions().count().div_ceil(1000).max(1);
-    let mut sizes: Vec<f64> = (positions().step_by(stride))
+    let sizes = (positions().step_by(stride))
         .flat_map(|p| cameras.iter().map(move |c| c.to_camera(p.as_dvec3()).z / c.intrinsics().fx))
-        .filter(|size| *size > 0.0)
-        .collect();
-    sizes.sort_unstable_by(f64::total_cmp);
-    sizes.get(sizes.len() / 2).map_or(0.0, |&s| s as f32)
+        .filter(|size| *size > 0.0);
+    median(sizes.collect()).map_or(0.0, |size| size as f32)
 }

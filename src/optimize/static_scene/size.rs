@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::capture::Capture;
+use crate::{capture::Capture, geometry::median};
 
 /// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
 const USUAL_EXTENT: f64 = 5.0;
@@ -25,7 +25,5 @@ pub(super) fn median_depth(capture: &Capture, views: &[usize]) -> Option<f64> {
         let points = capture.points.iter().step_by(step).map(|point| camera.to_camera(point.position));
         points.filter_map(|p| camera.in_picture(p).map(|_| p.z))
     };
-    let mut depths: Vec<f64> = views.iter().flat_map(in_view).collect();
-    let middle = depths.len() / 2;
-    (!depths.is_empty()).then(|| *depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+    median(views.iter().flat_map(in_view).collect())
 }
