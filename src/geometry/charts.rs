@@ -5,6 +5,8 @@ use std::collections::{HashMap, VecDeque};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::raster::pixels_around;
+
 /// A piece of the surface and its planar projection.
 pub(super) struct Chart {
     /// Triangle indices.
@@ -359,15 +361,12 @@ fn not_overlapping(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<bool> {
     for (triangle, clear) in corners.iter().zip(&mut clear) {
         covered.clear();
         let [a, b, c] = triangle.map(|p| (p - low) / cell);
-        let (from, to) = (a.min(b).min(c).floor(), a.max(b).max(c).floor());
-        for y in from.y as usize..=(to.y as usize).min(height - 1) {
-            for x in from.x as usize..=(to.x as usize).min(width - 1) {
-                let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                let side = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s);
-                // Counter-clockwise by construction of the charts; a centre on an edge belongs to no triangle.
-                if side(a, b) > 0.0 && side(b, c) > 0.0 && side(c, a) > 0.0 {
-                    covered.push(y * width + x);
-                }
+        for (x, y) in pixels_around(&[a, b, c].map(|p| p - 0.5), 0.0, [width, height], 0..height) {
+            let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let side = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s);
+            // Counter-clockwise by construction of the charts; a centre on an edge belongs to no triangle.
+            if side(a, b) > 0.0 && side(b, c) > 0.0 && side(c, a) > 0.0 {
+                covered.push(y * width + x);
             }
         }
         *clear = !covered.iter().any(|&i| taken[i]);

@@ -1,4 +1,4 @@
-//! The texels of an atlas that belong to a triangle: those whose centres lie in it, or those that it touches.
+//! The pixels of a grid that belong to a triangle: those whose centres lie in it, or those that it touches.
 
 use std::ops::Range;
 
@@ -8,23 +8,28 @@ use super::bvh::closest_barycentrics;
 
 /// A weight may be so far below 0: of a centre on an edge that two triangles share it is rounded to either side.
 const ON_EDGE: f64 = 1e-12;
-/// Texels within which places are taken for the same, so that rounding leaves none out.
+/// Pixels within which places are taken for the same, so that rounding leaves none out.
 const ROUNDING: f64 = 1e-6;
 
 /// Calls `each` with column, row and the weights of the three corners for every texel of `rows` whose centre lies in the triangle with
 /// these UVs, in an atlas of `size` texels, (width, height); centres on its edges lie in it. Of one without area there are none.
-pub(super) fn texels_in(
-    uvs: &[Vec2; 3],
+pub(super) fn texels_in(uvs: &[Vec2; 3], size: [usize; 2], rows: Range<usize>, each: impl FnMut(usize, usize, DVec3)) {
+    pixels_in(&texel_positions(uvs, size), size, rows, each);
+}
+
+/// The same with corners in pixels, (0, 0) at the centre of the first.
+pub(super) fn pixels_in(
+    corners: &[DVec2; 3],
     size: [usize; 2],
     rows: Range<usize>,
     mut each: impl FnMut(usize, usize, DVec3),
 ) {
-    let corners @ [a, b, c] = texel_positions(uvs, size);
+    let [a, b, c] = *corners;
     let area = (b - a).perp_dot(c - a);
     if area == 0.0 || !area.is_finite() {
         return;
     }
-    for (x, y) in texels_around(&corners, 0.0, size, rows) {
+    for (x, y) in pixels_around(corners, 0.0, size, rows) {
         let p = DVec2::new(x as f64, y as f64);
         let (wa, wb) = ((c - b).perp_dot(p - b) / area, (a - c).perp_dot(p - c) / area);
         let weights = DVec3::new(wa, wb, 1.0 - wa - wb);
@@ -45,7 +50,7 @@ pub(super) fn texels_touched(
 ) {
     let corners = texel_positions(uvs, size);
     let [a, b, c] = corners.map(|p| p.extend(0.0));
-    for (x, y) in texels_around(&corners, 0.5, size, rows).filter(|&(x, y)| wanted(x, y)) {
+    for (x, y) in pixels_around(&corners, 0.5, size, rows).filter(|&(x, y)| wanted(x, y)) {
         let p = DVec3::new(x as f64, y as f64, 0.0);
         let weights = closest_barycentrics(p, [a, b, c]);
         let nearest = a * weights.x + b * weights.y + c * weights.z;
@@ -55,9 +60,9 @@ pub(super) fn texels_touched(
     }
 }
 
-/// Columns and rows of the texels of `rows` whose centres lie in the triangle or no farther than `reach` from it along both axes, and some
+/// Columns and rows of the pixels of `rows` whose centres lie in the triangle or no farther than `reach` from it along both axes, and some
 /// beside them: no more than its length and area ask for, however it lies.
-fn texels_around(
+pub(super) fn pixels_around(
     &corners: &[DVec2; 3],
     reach: f64,
     [width, height]: [usize; 2],
@@ -128,7 +133,7 @@ mod tests {
 
     /// However long, a sliver asks for texels along it only.
     #[test]
-    fn texels_around_a_triangle_are_those_in_its_box_that_are_near() {
+    fn pixels_around_a_triangle_are_those_in_its_box_that_are_near() {
         let mut random = Pcg64::seed_from_u64(8);
         for i in 0..200 {
             let mut point = || DVec2::new(random.random_range(-9.0..40.0), random.random_range(-9.0..40.0));
@@ -136,7 +141,7 @@ mod tests {
             // Every other one is thin.
             let corners = if i % 2 == 0 { [a, point(), point()] } else { [a, point(), a + 0.02 * point()] };
             for reach in [0.0, 0.5] {
-                let around: Vec<_> = texels_around(&corners, reach, [32; 2], 3..30).collect();
+                let around: Vec<_> = pixels_around(&corners, reach, [32; 2], 3..30).collect();
                 let area = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]).abs();
                 let length = corners[0].distance(corners[1]) + corners[0].distance(corners[2]) + 2.0;
                 assert!(around.len() as f64 <= area + 6.0 * length, "{} {area} {length}", around.len());

@@ -5,13 +5,14 @@
 
 use std::collections::{HashMap, HashSet};
 
-use glam::{DVec2, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
 use super::bvh::MeshBvh;
 use super::fusion::{Fusion, FusionOptions};
 use super::quantile::median;
+use super::raster::pixels_in;
 use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
 use super::surface::Surface;
 use super::{Contraction, GeometryError};
@@ -307,42 +308,24 @@ fn depth_map(camera: &Camera, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<f3
     let mut depth = vec![0.0_f32; width * height];
     for triangle in triangles {
         let corners = triangle.map(|i| camera.to_camera(points[i as usize].as_dvec3()));
-        let pixels = corners.map(|p| camera.project(p));
-        let low = pixels[0].min(pixels[1]).min(pixels[2]) - 0.5;
-        let high = pixels[0].max(pixels[1]).max(pixels[2]) - 0.5;
-        let range = |low: f64, high: f64, n: usize| {
-            (low.ceil().max(0.0) as usize)..((high.floor() + 1.0).max(0.0) as usize).min(n)
-        };
-        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-        for y in range(low.y, high.y, height) {
-            for x in range(low.x, high.x, width) {
-                let at = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                if !contains(pixels, at) {
-                    continue;
-                }
-                // Where the pixel's ray, of depth 1, meets the triangle's plane.
-                let z = (corners[0].dot(normal) / camera.ray(at).dot(normal)) as f32;
-                let known = &mut depth[y * width + x];
-                if z > 0.0 && z.is_finite() && (*known == 0.0 || z < *known) {
-                    *known = z;
-                }
+        let pixels = corners.map(|p| camera.project(p) - 0.5);
+        // Of depth it is the inverse that is linear in the picture.
+        let nearness = DVec3::from(corners.map(|p| p.z.recip()));
+        pixels_in(&pixels, [width, height], 0..height, |x, y, weights| {
+            let z = nearness.dot(weights).recip() as f32;
+            let known = &mut depth[y * width + x];
+            if *known == 0.0 || z < *known {
+                *known = z;
             }
-        }
+        });
     }
     depth
-}
-
-/// Whether a triangle of either winding holds `p`, its border included.
-fn contains(corners: [DVec2; 3], p: DVec2) -> bool {
-    let side = |a: DVec2, b: DVec2| (b - a).perp_dot(p - a);
-    let sides = [side(corners[0], corners[1]), side(corners[1], corners[2]), side(corners[2], corners[0])];
-    sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0)
 }
 
 /// A sphere and a floor under it, seen from all around above.
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, DVec3};
+    use glam::DMat3;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg32;
 
