@@ -6,6 +6,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::raster::pixels_around;
+use super::surface::first_at_place;
 
 /// A piece of the surface and its planar projection.
 pub(super) struct Chart {
@@ -61,15 +62,10 @@ fn members(chart_of: &[u32]) -> Vec<Vec<u32>> {
 /// Per triangle the neighbour across the edge from corner k to k+1. Corners at the same position are one vertex. An edge
 /// of more than two triangles, or of two that run along it in the same direction, is a border.
 fn neighbors(corners: &[[DVec3; 3]]) -> Vec<[u32; 3]> {
-    let mut index_of = HashMap::new();
-    let mut vertex = |p: DVec3| {
-        let next = index_of.len() as u32;
-        // + 0.0 turns −0 into 0.
-        *index_of.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(next)
-    };
-    let vertices: Vec<[u32; 3]> = corners.iter().map(|c| c.map(&mut vertex)).collect();
+    let vertices = first_at_place(corners.as_flattened().iter().copied());
+    let (vertices, _) = vertices.as_chunks::<3>();
     let mut edges: Vec<(u32, u32, bool, u32, usize)> = Vec::with_capacity(3 * vertices.len());
-    for (face, v) in (0u32..).zip(&vertices).filter(|(_, v)| v[0] != v[1] && v[1] != v[2] && v[2] != v[0]) {
+    for (face, v) in (0u32..).zip(vertices).filter(|(_, v)| v[0] != v[1] && v[1] != v[2] && v[2] != v[0]) {
         for k in 0..3 {
             let (a, b) = (v[k], v[(k + 1) % 3]);
             edges.push((a.min(b), a.max(b), a < b, face, k));

@@ -1,4 +1,6 @@
-use glam::Vec3;
+use std::collections::{HashMap, HashSet};
+
+use glam::{DVec3, Vec3};
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
@@ -93,7 +95,7 @@ pub(super) fn without_broken(mut surface: Surface) -> Surface {
             _ => false,
         }
     });
-    let mut first_of: std::collections::HashSet<[u32; 3]> = std::collections::HashSet::new();
+    let mut first_of: HashSet<[u32; 3]> = HashSet::new();
     surface.triangles.retain(|t| {
         let mut sorted = *t;
         sorted.sort_unstable();
@@ -111,18 +113,19 @@ pub fn compact(surface: Surface) -> Surface {
 /// Also which vertices are left.
 fn compacted(surface: Surface) -> (Surface, Vec<bool>) {
     let mut used = vec![false; surface.positions.len()];
-    surface.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
-    let mut next = 0;
-    let new_index: Vec<u32> = used
-        .iter()
-        .map(|&u| {
-            next += u32::from(u);
-            next.saturating_sub(1)
-        })
-        .collect();
-    let compact = Surface {
-        positions: surface.positions.into_iter().zip(&used).filter_map(|(p, &u)| u.then_some(p)).collect(),
-        triangles: surface.triangles.into_iter().map(|t| t.map(|v| new_index[v as usize])).collect(),
-    };
+    surface.triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+    let (mut compact, mut renamed): (Surface, Vec<u32>) = Default::default();
+    for (position, used) in surface.positions.into_iter().zip(&used) {
+        renamed.push(compact.positions.len() as u32);
+        compact.positions.extend(used.then_some(position));
+    }
+    compact.triangles = surface.triangles.into_iter().map(|t| t.map(|v| renamed[v as usize])).collect();
     (compact, used)
+}
+
+/// `[N]` Of every point the first that is at the very same place, by its index.
+pub(super) fn first_at_place(points: impl Iterator<Item = DVec3>) -> Vec<u32> {
+    let mut first = HashMap::new();
+    // + 0.0 turns −0 into 0.
+    (0..).zip(points).map(|(i, p)| *first.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert(i)).collect()
 }

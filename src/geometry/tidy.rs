@@ -1,11 +1,9 @@
 //! A surface that somebody else made, on the way to charts: what an iso-surface has by itself it may lack.
 
-use std::collections::HashMap;
-
 use super::GeometryError;
 use super::holes::without_holes;
 use super::reconstruct::SurfaceStats;
-use super::surface::{Surface, compact, components, simplify, without_broken};
+use super::surface::{Surface, compact, components, first_at_place, simplify, without_broken};
 
 /// A connected piece is a crumb if it has fewer triangles, as of an iso-surface (2DGS), ...
 const CRUMB_FACES: usize = 50;
@@ -39,11 +37,7 @@ pub fn tidy(surface: Surface, target_triangles: usize) -> Result<(Surface, Surfa
 
 /// Vertices at the very same place become one: files have them apart where texture coordinates or normals are.
 fn welded(mut surface: Surface) -> Surface {
-    let mut first: HashMap<[u32; 3], u32> = HashMap::new();
-    let positions = surface.positions.iter().enumerate();
-    // Zero has two signs.
-    let same: Vec<u32> =
-        positions.map(|(i, p)| *first.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_insert(i as u32)).collect();
+    let same = first_at_place(surface.positions.iter().map(|p| p.as_dvec3()));
     for v in surface.triangles.iter_mut().flatten() {
         *v = same.get(*v as usize).copied().unwrap_or(*v);
     }
