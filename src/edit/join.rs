@@ -7,20 +7,8 @@ pub fn with_sh_degree(splats: Splats, degree: u32) -> Splats {
     if degree == splats.sh_degree() {
         return splats;
     }
-    let mut s = splats.into_arrays();
-    let [before, after] = [s.sh_degree, degree].map(sh::coefficients);
-    if after < before {
-        (0..s.means.len()).for_each(|i| s.sh.copy_within(i * before..i * before + after, i * after));
-        s.sh.truncate(s.means.len() * after);
-        s.sh.shrink_to_fit();
-    } else {
-        let mut wider = vec![[0.0; 3]; s.means.len() * after];
-        let rows = wider.chunks_exact_mut(after).zip(s.sh.chunks_exact(before));
-        rows.for_each(|(to, from)| to[..before].copy_from_slice(from));
-        s.sh = wider;
-    }
-    s.sh_degree = degree;
-    s.check().expect("a lower degree is a part, and zeros are valid")
+    let arrays = splats.into_arrays().with_sh_degree(degree);
+    arrays.check().expect("a lower degree is a part, and zeros are valid")
 }
 
 /// A mesh whose colour has at most this SH degree.
@@ -56,7 +44,7 @@ pub fn join(scenes: Vec<HybridScene>) -> Result<HybridScene, SceneError> {
             let field = format!("scene {} of those to be joined", i + 1);
             return Err(SceneError::new(field, format!("colours in {expected:?}"), format!("{found:?}")));
         }
-        all.append(with_sh_degree(scene.splats, degree).into_arrays());
+        all.append(scene.splats.into_arrays().with_sh_degree(degree));
         meshes.extend(scene.meshes);
     }
     Ok(HybridScene { splats: all.check()?, meshes, composition })

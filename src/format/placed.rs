@@ -4,7 +4,7 @@ use glam::DMat4;
 
 use super::error::Fault;
 pub(super) use crate::scene::placement::{Similarity, similarity, turned};
-use crate::scene::{SplatArrays, Splats, placement, sh};
+use crate::scene::{SplatArrays, Splats, placement};
 
 /// Moves splats to where a node puts them: means, scales, rotations and spherical harmonics.
 ///
@@ -23,21 +23,8 @@ pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Res
 pub(super) fn join(parts: Vec<(String, SplatArrays)>) -> Result<Splats, Fault> {
     let places: Vec<(usize, String)> = parts.iter().map(|(at, part)| (part.means.len(), at.clone())).collect();
     let degree = parts.iter().map(|(_, part)| part.sh_degree).max().unwrap_or(0);
-    let k = sh::coefficients(degree);
-    let mut parts = parts.into_iter().map(|(_, mut part)| {
-        if part.sh_degree < degree {
-            let own = part.sh.chunks_exact(sh::coefficients(part.sh_degree));
-            part.sh = own.flat_map(|c| c.iter().copied().chain(std::iter::repeat([0.0; 3])).take(k)).collect();
-        }
-        SplatArrays { sh_degree: degree, ..part }
-    });
+    let mut parts = parts.into_iter().map(|(_, part)| part.with_sh_degree(degree));
     let Some(mut all) = parts.next() else { return Ok(Splats::empty(0)) };
-    for mut part in parts {
-        all.means.append(&mut part.means);
-        all.rotations.append(&mut part.rotations);
-        all.log_scales.append(&mut part.log_scales);
-        all.opacity_logits.append(&mut part.opacity_logits);
-        all.sh.append(&mut part.sh);
-    }
+    parts.for_each(|part| all.append(part));
     all.check().map_err(|e| Fault::from(e).of_part(places.iter().map(|(count, at)| (*count, at.as_str()))))
 }

@@ -4,8 +4,7 @@ use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
 use super::activation;
-use super::error::Fault;
-use crate::scene::{Splats, sh};
+use crate::scene::{SplatArrays, Splats, sh};
 
 /// One splat in the parameters of [`Splats`]. The rotation need not be normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,30 +49,9 @@ impl Record {
     }
 }
 
-/// The arrays of [`Splats`] while they are read.
-pub(super) struct Columns {
-    means: Vec<Vec3>,
-    rotations: Vec<Quat>,
-    log_scales: Vec<Vec3>,
-    opacity_logits: Vec<f32>,
-    sh_degree: u32,
-    sh: Vec<[f32; 3]>,
-}
-
-impl Columns {
-    /// Makes room for `count` splats, which the caller knows to fit into the file.
-    pub(super) fn with_capacity(count: usize, sh_degree: u32) -> Self {
-        Self {
-            means: Vec::with_capacity(count),
-            rotations: Vec::with_capacity(count),
-            log_scales: Vec::with_capacity(count),
-            opacity_logits: Vec::with_capacity(count),
-            sh_degree,
-            sh: Vec::with_capacity(count * sh::coefficients(sh_degree)),
-        }
-    }
-
-    /// As [`Self::push`], unless [`Self::finish`] would refuse it; true if it was taken.
+/// The arrays while they are read.
+impl SplatArrays {
+    /// As [`Self::push`], unless [`Self::check`] would refuse it; true if it was taken.
     pub(super) fn push_valid(&mut self, record: &Record) -> bool {
         let valid = record.is_valid();
         if valid {
@@ -125,11 +103,6 @@ impl Columns {
                 own.iter_mut().zip(splat.sh()).for_each(|(to, from)| *to = *from);
             }
         });
-    }
-
-    pub(super) fn finish(self) -> Result<Splats, Fault> {
-        let Self { means, rotations, log_scales, opacity_logits, sh_degree, sh } = self;
-        Ok(Splats::new(means, rotations, log_scales, opacity_logits, sh_degree, sh)?)
     }
 }
 

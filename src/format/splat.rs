@@ -18,9 +18,9 @@ use glam::{Quat, Vec3};
 use super::blocks::{in_waves, read_in_blocks};
 use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::record::{Columns, Record, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
+use super::record::{Record, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
 use super::{FormatError, activation, atomic_write_with};
-use crate::scene::Splats;
+use crate::scene::{SplatArrays, Splats};
 
 const BYTES: usize = 32;
 /// Splats that are encoded as one task.
@@ -72,20 +72,20 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splat
         let found = format!("{} bytes after splat {count}", length % BYTES);
         return Err(Fault::byte(count * BYTES, format!("{BYTES} bytes per splat"), found));
     }
-    let mut columns = Columns::with_capacity(count, 0);
+    let mut arrays = SplatArrays::with_capacity(count, 0);
     let mut dropped = 0;
     read_in_blocks(&mut file, 0, (count, BYTES), |_, rows| {
         // Rows have the length that they are asked for.
         let splat = |row: &[u8]| decode(row.first_chunk().unwrap_or(&[0; BYTES]));
         if drop_invalid {
-            dropped += rows.filter(|row| !columns.push_valid(&splat(row))).count();
+            dropped += rows.filter(|row| !arrays.push_valid(&splat(row))).count();
         } else {
             let rows: Vec<&[u8]> = rows.collect();
-            columns.extend(rows.len(), |i| splat(rows[i]));
+            arrays.extend(rows.len(), |i| splat(rows[i]));
         }
     })?;
     let byte = |i: usize| Location::Byte((i * BYTES) as u64);
-    Ok((columns.finish().map_err(|fault| fault.of_element(byte))?, dropped))
+    Ok((arrays.check().map_err(|e| Fault::from(e).of_element(byte))?, dropped))
 }
 
 fn encode(splat: &Record) -> [u8; BYTES] {

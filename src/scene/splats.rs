@@ -166,6 +166,36 @@ pub struct SplatArrays {
 }
 
 impl SplatArrays {
+    /// Empty, with room for `count` splats.
+    pub(crate) fn with_capacity(count: usize, sh_degree: u32) -> Self {
+        Self {
+            means: Vec::with_capacity(count),
+            rotations: Vec::with_capacity(count),
+            log_scales: Vec::with_capacity(count),
+            opacity_logits: Vec::with_capacity(count),
+            sh_degree,
+            sh: Vec::with_capacity(count * sh::coefficients(sh_degree)),
+        }
+    }
+
+    /// The same of another SH degree: higher bands are dropped, or added as zeros.
+    #[must_use]
+    pub fn with_sh_degree(mut self, degree: u32) -> Self {
+        let [before, after] = [self.sh_degree, degree].map(sh::coefficients);
+        let rows = self.sh.len() / before;
+        if after < before {
+            (0..rows).for_each(|i| self.sh.copy_within(i * before..i * before + after, i * after));
+            self.sh.truncate(rows * after);
+            self.sh.shrink_to_fit();
+        } else if after > before {
+            let mut wider = vec![[0.0; 3]; rows * after];
+            let each = wider.chunks_exact_mut(after).zip(self.sh.chunks_exact(before));
+            each.for_each(|(to, from)| to[..before].copy_from_slice(from));
+            self.sh = wider;
+        }
+        Self { sh_degree: degree, ..self }
+    }
+
     /// Adds the splats of another, of the same SH degree, after its own.
     pub fn append(&mut self, mut other: Self) {
         self.means.append(&mut other.means);

@@ -8,8 +8,8 @@ use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SEC
 use crate::format::activation;
 use crate::format::blocks::read_in_blocks;
 use crate::format::error::{Fault, Location};
-use crate::format::record::{Columns, Record, dc_of_bytes, logit_of_byte};
-use crate::scene::{Splats, sh};
+use crate::format::record::{Record, dc_of_bytes, logit_of_byte};
+use crate::scene::{SplatArrays, Splats, sh};
 
 /// How the numbers of a splat are stored.
 #[derive(Clone, Copy)]
@@ -68,9 +68,10 @@ pub(super) fn decode(mut file: impl Read + Seek + Send) -> Result<Splats, Fault>
         return Err(Fault::byte(16, format!("{count} splats as in the sections"), declared.to_string()));
     }
     let sh_degree = parsed.iter().map(|s| s.layout.sh_degree).max().unwrap_or(0);
-    let mut columns = Columns::with_capacity(count, sh_degree);
-    parsed.iter().try_for_each(|section| section.decode(&mut file, &mut columns))?;
-    columns.finish().map_err(|fault| fault.of_element(|i| Location::Byte(start_of_splat(&parsed, i) as u64)))
+    let mut arrays = SplatArrays::with_capacity(count, sh_degree);
+    parsed.iter().try_for_each(|section| section.decode(&mut file, &mut arrays))?;
+    let byte = |i: usize| Location::Byte(start_of_splat(&parsed, i) as u64);
+    arrays.check().map_err(|e| Fault::from(e).of_element(byte))
 }
 
 /// Offset of splat `i` of all sections together.
@@ -126,7 +127,7 @@ impl Section {
         Ok(Self { count, layout, bucket_size, bucket_stride: stride, full_buckets, lengths, centers, splats })
     }
 
-    fn decode(&self, file: &mut (impl Read + Seek + Send), columns: &mut Columns) -> Result<(), Fault> {
+    fn decode(&self, file: &mut (impl Read + Seek + Send), arrays: &mut SplatArrays) -> Result<(), Fault> {
         let lengths = read_at(file, self.lengths.clone())?;
         let centers = read_at(file, self.centers.clone())?;
         let lengths = std::iter::repeat_n(self.bucket_size, self.full_buckets)
@@ -149,7 +150,7 @@ impl Section {
         file.seek(SeekFrom::Start(start)).map_err(|e| Fault::unreadable(start, &e))?;
         read_in_blocks(file, start, (self.count, stride), |first, rows| {
             let rows: Vec<&[u8]> = rows.collect();
-            columns.extend(rows.len(), |i| decode_splat(&self.layout, center_of(first + i), rows[i]));
+            arrays.extend(rows.len(), |i| decode_splat(&self.layout, center_of(first + i), rows[i]));
         })
     }
 }

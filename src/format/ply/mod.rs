@@ -15,9 +15,9 @@ pub use self::attribute::Attribute;
 use self::table::{Column, Element, Header};
 use super::blocks::in_waves;
 use super::error::{Fault, FormatError, open_file, shown};
-use super::record::{Columns, Record};
+use super::record::Record;
 use super::{ReadOptions, activation, atomic_write_with};
-use crate::scene::{PixelFilter, Splats, sh, smoothed_parameters};
+use crate::scene::{PixelFilter, SplatArrays, Splats, sh, smoothed_parameters};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
 /// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own: the
@@ -224,19 +224,19 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     };
     let reserve = |n| {
         attributes.iter_mut().for_each(|a| a.values.reserve_exact(n));
-        (Columns::with_capacity(n, sh_degree), attributes, 0)
+        (SplatArrays::with_capacity(n, sh_degree), attributes, 0)
     };
-    let (columns, attributes, dropped) =
-        body.blocks(&header, "vertex", reserve, |(columns, attributes, dropped), rows| {
+    let (arrays, attributes, dropped) =
+        body.blocks(&header, "vertex", reserve, |(arrays, attributes, dropped), rows| {
             let mut also = |row: &[u8]| attributes.iter_mut().zip(&extra).for_each(|(a, c)| a.values.push(c.f64(row)));
             if !drop_invalid {
                 let bytes: Vec<&[u8]> = rows.collect();
-                columns.extend(bytes.len(), |i| decode(bytes[i]));
+                arrays.extend(bytes.len(), |i| decode(bytes[i]));
                 bytes.into_iter().for_each(also);
                 return Ok(());
             }
             for row in rows {
-                if columns.push_valid(&decode(row)) {
+                if arrays.push_valid(&decode(row)) {
                     also(row);
                 } else {
                     *dropped += 1;
@@ -244,7 +244,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             }
             Ok(())
         })?;
-    let splats = columns.finish().map_err(|fault| body.locate(&header, "vertex", |i| i, fault))?;
+    let splats = arrays.check().map_err(|e| body.locate(&header, "vertex", |i| i, e.into()))?;
     Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped })
 }
 

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::files::FileSet;
 use super::texels::Texels;
 use crate::format::error::Fault;
-use crate::format::record::{Columns, Record, logit_of_byte};
-use crate::scene::{Splats, sh};
+use crate::format::record::{Record, logit_of_byte};
+use crate::scene::{SplatArrays, Splats, sh};
 
 /// `meta.json` of both versions.
 #[derive(Serialize, Deserialize)]
@@ -266,9 +266,9 @@ impl Harmonics<'_> {
 
 impl Decoder<'_> {
     pub(super) fn splats(&self) -> Result<Splats, Fault> {
-        let mut columns = Columns::with_capacity(self.scheme.count, self.harmonics.as_ref().map_or(0, |h| h.degree));
-        columns.extend(self.scheme.count, |i| self.record(i));
-        columns.finish().map_err(|fault| fault.under("/means"))
+        let mut arrays = SplatArrays::with_capacity(self.scheme.count, self.harmonics.as_ref().map_or(0, |h| h.degree));
+        arrays.extend(self.scheme.count, |i| self.record(i));
+        arrays.check().map_err(|e| Fault::from(e).under("/means"))
     }
 
     /// Splat `i`.

@@ -11,8 +11,8 @@ use crate::atomic::folder_of;
 use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::length::file_bytes;
-use crate::format::record::{Columns, Record};
-use crate::scene::Splats;
+use crate::format::record::Record;
+use crate::scene::{SplatArrays, Splats};
 
 pub(super) const INDEX: &str = "lod-meta.json";
 
@@ -91,15 +91,15 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
         sources.push((splats, vec![all]));
     }
     let degree = sources.iter().map(|(splats, _)| splats.sh_degree()).max().unwrap_or(0);
-    let mut columns = Columns::with_capacity(0, degree);
+    let mut arrays = SplatArrays::with_capacity(0, degree);
     for (splats, parts) in &sources {
         let indices = parts.iter().flat_map(|part| part.offset..part.offset + part.count);
-        indices.for_each(|i| columns.push(&Record::of(splats, i)));
+        indices.for_each(|i| arrays.push(&Record::of(splats, i)));
     }
     let notes = (coarser > 0).then(|| {
         format!("the files of the finest level are missing for {coarser} part(s) of the scene; coarser ones are read")
     });
-    let splats = columns.finish().map_err(|fault| fault.under("/tree").in_file(path))?;
+    let splats = arrays.check().map_err(|e| Fault::from(e).under("/tree").in_file(path))?;
     Ok(NotedSplats::new(splats, antialiased, notes.into_iter().collect()))
 }
 

@@ -29,9 +29,9 @@ use self::frame::Frame;
 use super::blocks::in_waves;
 use super::error::{Fault, read_file};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::record::{Columns, Record};
+use super::record::Record;
 use super::{FormatError, NotedSplats, atomic_write_with};
-use crate::scene::{Splats, sh};
+use crate::scene::{SplatArrays, Splats, sh};
 
 /// Which layout to write.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -121,10 +121,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<NotedSplats, Fault> {
     if sh_degree < header.sh_degree {
         notes.push(format!("SH bands above degree {sh_degree} of {} are left out", header.sh_degree));
     }
-    let mut columns = Columns::with_capacity(header.count, sh_degree);
+    let mut arrays = SplatArrays::with_capacity(header.count, sh_degree);
     let streams = streams.each_ref().map(Vec::as_slice);
-    columns.extend(header.count, |i| frame.to_scene(&packed::decode(&header, streams, i)));
-    Ok(NotedSplats::new(columns.finish()?, header.flags & ANTIALIASED != 0, notes))
+    arrays.extend(header.count, |i| frame.to_scene(&packed::decode(&header, streams, i)));
+    Ok(NotedSplats::new(arrays.check()?, header.flags & ANTIALIASED != 0, notes))
 }
 
 /// Splats that are packed as one task.

@@ -21,9 +21,9 @@ use super::{degree_of_rest, rest_columns};
 use crate::format::blocks::in_waves;
 use crate::format::error::Fault;
 use crate::format::loss::{Loss, SplatError, WriteReport};
-use crate::format::record::{Columns, Record, logit_of_byte, opacity_byte, quantize};
+use crate::format::record::{Record, logit_of_byte, opacity_byte, quantize};
 use crate::format::{FormatError, atomic_write_with};
-use crate::scene::{PixelFilter, Splats, in_morton_order, sh};
+use crate::scene::{PixelFilter, SplatArrays, Splats, in_morton_order, sh};
 
 /// Splats in a chunk.
 const CHUNK: usize = 256;
@@ -176,19 +176,19 @@ pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>
         Ok(())
     })?;
     let record = |i: usize| decode(&chunks[i / CHUNK], rows[i]);
-    let columns = match header.element("sh").filter(|_| sh_degree > 0) {
+    let arrays = match header.element("sh").filter(|_| sh_degree > 0) {
         None => {
-            let mut columns = Columns::with_capacity(count, 0);
-            columns.extend(count, record);
-            columns
+            let mut arrays = SplatArrays::with_capacity(count, 0);
+            arrays.extend(count, record);
+            arrays
         }
         Some(element) => {
             let (rest, bands) = (rest_columns(element), sh::coefficients(sh_degree) - 1);
             // As many rows of `sh` as splats, so that `count` fits into the file.
-            let start = |_| (0, Columns::with_capacity(count, sh_degree));
-            body.blocks(header, "sh", start, |(first, columns), rows| {
+            let start = |_| (0, SplatArrays::with_capacity(count, sh_degree));
+            body.blocks(header, "sh", start, |(first, arrays), rows| {
                 let rows: Vec<&[u8]> = rows.collect();
-                columns.extend(rows.len(), |i| {
+                arrays.extend(rows.len(), |i| {
                     let mut splat = Record { sh_degree, ..record(*first + i) };
                     for band in 0..bands {
                         let byte = |channel: usize| rest[channel * bands + band].f64(rows[i]) as u8;
@@ -203,7 +203,7 @@ pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>
         }
     };
     // Bounds are the only floats.
-    columns.finish().map_err(|fault| body.locate(header, "chunk", |i| i / CHUNK, fault))
+    arrays.check().map_err(|e| body.locate(header, "chunk", |i| i / CHUNK, e.into()))
 }
 
 struct EncodedChunk {

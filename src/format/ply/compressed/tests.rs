@@ -14,9 +14,9 @@ fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
 }
 
 fn as_written(splats: &Splats) -> Splats {
-    let mut columns = Columns::with_capacity(splats.len(), splats.sh_degree());
-    in_morton_order(splats).iter().for_each(|&i| columns.push(&Record::of(splats, i)));
-    columns.finish().unwrap()
+    let mut arrays = SplatArrays::with_capacity(splats.len(), splats.sh_degree());
+    in_morton_order(splats).iter().for_each(|&i| arrays.push(&Record::of(splats, i)));
+    arrays.check().unwrap()
 }
 
 #[test]
