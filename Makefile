@@ -33,7 +33,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm oracle-composition-setup oracle-usd-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm oracle-composition-setup oracle-usd-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-ffmpeg oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -48,7 +48,7 @@ demo: build ## train the small capture in demo/ into out/demo: scene.glb, pictur
 	@mkdir -p out/demo
 	$(CENTAUR) train demo -o out/demo/scene.glb --report out/demo/report $(DEMO_FLAGS)
 
-test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also runs crosscheck-quick, oracle-composition, oracle-usd, bench-ray and bench-slurm
+test: system lint test-rust test-data test-python test-end-to-end left-out ## all tests; CI also runs crosscheck-quick, oracle-composition, oracle-usd, oracle-ffmpeg, bench-ray and bench-slurm
 
 lint: fmt clippy doc ## formatting, clippy and rustdoc, warnings are errors
 
@@ -105,7 +105,8 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 CHECKS := $(shell sed -En 's/^(oracle-[a-z-]+|crosscheck[a-z-]*|bench-[a-z]+|test-geometry|fuzz):.*\#\# .*/\1/p' Makefile)
 RAN ?=
 left-out:
-	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data") $(if $(filter oracle-usd,$(RAN)),"needs usd-core: make test-oracles")
+	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data") $(if $(filter oracle-usd,$(RAN)),"needs usd-core: make test-oracles") \
+		$(if $(filter oracle-ffmpeg,$(RAN)),"needs ffmpeg: make oracle-ffmpeg")
 	@echo "targets left out: $(filter-out $(RAN),$(CHECKS))"
 	@for lanes in $(LANES); do scripts/with-lanes.sh $$lanes true; done
 	$(if $(filter crosscheck%,$(RAN)),$(NAME_SAMPLES))
@@ -180,6 +181,10 @@ oracle-splat-transform: ## splats that we convert by splat-transform, both ways
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) \
 		cargo test --release --test splat_transform_oracle -- --ignored
+
+oracle-ffmpeg: ## films of `centaur render --video` by the real ffmpeg (Debian's ffmpeg, as root)
+	@command -v ffmpeg >/dev/null && command -v ffprobe >/dev/null || scripts/install.sh ffmpeg
+	cargo test --release --test cameras -- --ignored
 
 oracle-usd: $(ORACLES_USD)/installed ## USD that we read and write by usd-core
 	CENTAUR_USD_PYTHON=$(abspath $(ORACLES_USD)/bin/python) cargo test --release --test usd_oracle -- --ignored

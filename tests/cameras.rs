@@ -5,6 +5,7 @@
 mod common;
 
 use std::path::Path;
+use std::process::Command;
 
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::color::linear_to_srgb;
@@ -230,6 +231,49 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
     assert!(code == Some(1) && said.starts_with("error: ") && !at("film.mp4").exists(), "{code:?} {said}");
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert!(left.iter().all(|name| !name.to_string_lossy().starts_with(".centaur-")), "{left:?}");
+}
+
+/// What players are told of a film by the real ffmpeg, and what they show: the pictures, of odd sides, in their order and colours.
+#[test]
+#[ignore = "needs ffmpeg: make oracle-ffmpeg"]
+fn films_show_the_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let ([width, height], frames) = ([61, 45], 5);
+    write_capture(&folder.path().join("capture"), 9, (32, 24));
+    write_ball(&folder.path().join("ball.ply"), Composition::default());
+    run(
+        folder.path(),
+        &["cameras", "orbit", "capture", "-o", "orbit.json", "--frames", "5", "--size", "61x45", "--fps", "12.5"],
+    );
+    run(folder.path(), &["render", "ball.ply", "--cameras", "orbit.json", "-o", "frames", "--video", "film.mp4"]);
+    let stdout_of = |program: &str, args: &[&str]| {
+        let output = Command::new(program).current_dir(folder.path()).args(args).output().unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+        output.stdout
+    };
+    let entries = "stream=codec_name,pix_fmt,width,height,r_frame_rate,nb_read_frames,color_range,color_space,color_transfer,color_primaries";
+    let told =
+        stdout_of("ffprobe", &["-v", "error", "-count_frames", "-show_entries", entries, "-of", "json", "film.mp4"]);
+    let told: serde_json::Value = serde_json::from_slice(&told).unwrap();
+    let expected = serde_json::json!([{
+        "codec_name": "h264", "pix_fmt": "yuv420p", "width": 62, "height": 46, "r_frame_rate": "25/2", "nb_read_frames": "5",
+        "color_range": "tv", "color_space": "bt709", "color_transfer": "bt709", "color_primaries": "bt709",
+    }]);
+    assert_eq!(told["streams"], expected);
+
+    let shown = stdout_of("ffmpeg", &["-v", "error", "-i", "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]);
+    assert_eq!(shown.len(), frames * (width + 1) * (height + 1) * 3);
+    // Mean difference of a frame of the film from a picture, without the column and the row that make its sides even; of 255.
+    let difference = |frame: usize, picture: usize| {
+        let picture = image::open(folder.path().join(format!("frames/frame_0000{picture}.png"))).unwrap().to_rgb8();
+        let rows = shown.chunks_exact(3 * (width + 1)).skip(frame * (height + 1)).take(height);
+        let pairs = rows.flat_map(|row| &row[..3 * width]).zip(picture.as_raw());
+        pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (3 * width * height) as f64
+    };
+    for frame in 0..frames {
+        let (same, next) = (difference(frame, frame), difference(frame, (frame + 1) % frames));
+        assert!(same < 1.0 && next > 2.0 * same, "frame {frame}: {same} from its picture, {next} from the next");
+    }
 }
 
 #[test]
