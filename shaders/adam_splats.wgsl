@@ -1,12 +1,10 @@
-// A step of Adam for splats (β 0.9, 0.999; ε 1e-15 outside the root), with MCMC's regularisers and noise
-// (Kheradmand et al. 2024). `geometry`: one thread per splat; `harmonics`: one thread per four active SH floats, or per one where
+// A step of Adam for splats, with MCMC's regularisers and noise (Kheradmand et al. 2024). `geometry`: one thread per splat; `harmonics`: one thread per four active SH floats, or per one where
 // splats do not begin at multiples of four (degrees 0 and 2).
 //
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
 // bandwidth, 1.7 kB per splat of degree 3.
 
 //#import shared/random.wgsl
-//#import shared/adam.wgsl
 //#import shared/group_index.wgsl
 //#import shared/rotation.wgsl
 //#import shared/status.wgsl
@@ -40,13 +38,14 @@ struct Step {
 @group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> second: array<vec4f>;
 
+//#import shared/adam.wgsl with FLOATS=vec4f
+
 // New value of parameter vector i.
 fn adam(i: u32, value: vec4f, g: vec4f, rates: vec4f) -> vec4f {
-    let m = BETA_1 * first[i] + 0.1 * g;
-    let v = BETA_2 * second[i] + 0.001 * g * g;
-    first[i] = m;
-    second[i] = v;
-    return value - rates * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    let m = moments_with(g, Moments(first[i], second[i]));
+    first[i] = m.first;
+    second[i] = m.second;
+    return value - adam_step(m, rates, step.correction_1, step.correction_2);
 }
 
 // Three independent normal numbers, by Box and Muller.
@@ -103,9 +102,11 @@ fn geometry(
 //#if FOURS
 alias Floats = vec4f;
 const LANES: u32 = 4u;
+//#import shared/adam.wgsl with FLOATS=vec4f
 //#else
 alias Floats = f32;
 const LANES: u32 = 1u;
+//#import shared/adam.wgsl with FLOATS=f32
 //#end
 
 // [splat][coefficient][rgb]
@@ -136,17 +137,18 @@ fn harmonics(
     //#end
     let g = gradient[i];
     let before = parameters[i];
-    let m = select(first[i], BETA_1 * first[i] + 0.1 * g, is_active);
-    let v = select(second[i], BETA_2 * second[i] + 0.001 * g * g, is_active);
-    first[i] = m;
-    second[i] = v;
-    let after = before - rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
+    let kept = Moments(first[i], second[i]);
+    let moved = moments_with(g, kept);
+    let m = Moments(select(kept.first, moved.first, is_active), select(kept.second, moved.second, is_active));
+    first[i] = m.first;
+    second[i] = m.second;
+    let after = before - adam_step(m, rate, step.correction_1, step.correction_2);
     let value = select(before, after, is_active);
     parameters[i] = value;
     //#if FOURS
-    let finite = are_finite(value) && are_finite(v);
+    let finite = are_finite(value) && are_finite(m.second);
     //#else
-    let finite = is_finite(value) && is_finite(v);
+    let finite = is_finite(value) && is_finite(m.second);
     //#end
     if !finite { atomicOr(&status.not_finite, NOT_FINITE_SH); }
 }

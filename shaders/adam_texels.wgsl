@@ -1,6 +1,5 @@
-// One thread per channel of 2×2 texels of level 0: a step of Adam (β 0.9, 0.999; ε 1e-15 outside the root),
-// and the mean of the four, which is the float of level 1; build_mips does the levels beyond. A map without mips has one
-// thread per float.
+// One thread per channel of 2×2 texels of level 0: a step of Adam, and the mean of the four, which is the float of
+// level 1; build_mips does the levels beyond. A map without mips has one thread per float.
 //
 // The gradient of a texel is its own plus a quarter of its parent's, which pull_mips has completed. Per float of level 0
 // 17 bytes read, 13 written: bound by bandwidth. What no view has seen, or next to nothing of, has neither gradient nor
@@ -12,7 +11,7 @@
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
-//#import shared/adam.wgsl
+//#import shared/adam.wgsl with FLOATS=f32
 //#import shared/status.wgsl
 //#import shared/fixed_point.wgsl
 
@@ -69,17 +68,16 @@ fn adam(
     var finite = true;
     //#for k in 0..4
     {
-        let m = vec2f(mix(g$k, old$k.x, BETA_1), mix(g$k * g$k, old$k.y, BETA_2));
-        let ratio = m.x / scale.x / (sqrt(m.y / scale.y) + EPSILON);
-        var value = value$k - rate * clamp(ratio, -longest, longest);
+        let m = mixed_moments(g$k, Moments(old$k.x, old$k.y));
+        var value = value$k - rate * clamp(adam_step(m, 1.0, scale.x, scale.y), -longest, longest);
         if is_opacity && is_finite(value) {
             value = clamp(value, -MAX_LOGIT, MAX_LOGIT);
         }
         let stays = held || (g$k == 0.0 && (sparse || all(old$k == vec2f(0.0))));
         if !stays {
-            moments[map.moments + i$k] = m;
+            moments[map.moments + i$k] = vec2f(m.first, m.second);
             texels[map.offset + i$k] = value;
-            finite = finite && is_finite(value) && is_finite(m.x) && is_finite(m.y);
+            finite = finite && is_finite(value) && is_finite(m.first) && is_finite(m.second);
         }
         sum += select(value, value$k, stays);
     }

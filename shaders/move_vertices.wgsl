@@ -5,7 +5,7 @@
 // takes the step.
 
 //#import shared/view.wgsl
-//#import shared/adam.wgsl
+//#import shared/adam.wgsl with FLOATS=f32
 //#import shared/status.wgsl
 //#import shared/fixed_point.wgsl
 
@@ -44,9 +44,9 @@ fn start(
     if !is_finite(g) {
         atomicOr(&status.not_finite, NOT_FINITE_VERTICES);
     }
-    let m = vec2f(mix(g, moments[v].x, BETA_1), mix(g * g, moments[v].y, BETA_2));
-    moments[v] = m;
-    let s = (m.x / step.correction_1) / (sqrt(m.y / step.correction_2) + EPSILON);
+    let m = mixed_moments(g, Moments(moments[v].x, moments[v].y));
+    moments[v] = vec2f(m.first, m.second);
+    let s = adam_step(m, 1.0, step.correction_1, step.correction_2);
     steps[v] = vec4f(s, s, s, 0.0);
 }
 

@@ -7,7 +7,7 @@
 // `update`: their sum, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
-//#import shared/adam.wgsl
+//#import shared/adam.wgsl with FLOATS=vec4f
 //#import shared/status.wgsl
 //#import shared/sum_rows.wgsl with ROWS=2
 
@@ -84,13 +84,12 @@ fn update(@builtin(local_invocation_index) thread: u32) {
         let across = cross(turn, g.xyz);
         g = vec4f(g.xyz - 0.5 * across + cross(turn, across) / 6.0, 0.0);
     }
-    let m = BETA_1 * first[i] + 0.1 * g;
-    let v = BETA_2 * second[i] + 0.001 * g * g;
-    let value = poses[i] - rate * (m / step.correction_1) / (sqrt(v / step.correction_2) + EPSILON);
-    first[i] = m;
-    second[i] = v;
+    let m = moments_with(g, Moments(first[i], second[i]));
+    let value = poses[i] - adam_step(m, vec4f(rate), step.correction_1, step.correction_2);
+    first[i] = m.first;
+    second[i] = m.second;
     poses[i] = value;
-    if !(are_finite(value) && are_finite(v)) {
+    if !(are_finite(value) && are_finite(m.second)) {
         atomicOr(&status.not_finite, NOT_FINITE_POSES);
     }
 }

@@ -1,7 +1,27 @@
-//! Adam for splats (`shaders/adam_splats.wgsl`).
+//! Adam: its constants (`shaders/shared/adam.wgsl`), and its steps for splats (`shaders/adam_splats.wgsl`).
 
-use super::device::{Buffer, Frame, Gpu, GpuError, Stage};
+use super::{
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
+    shader::Defines,
+    status::with_not_finite,
+};
 use crate::scene::sh;
+
+/// β₁ and β₂: what is left of the moments in a step (INRIA 3DGS, `scene/gaussian_model.py`).
+const BETAS: [f64; 2] = [0.9, 0.999];
+/// Added to the root of the second moment (ibid.).
+const EPSILON: f64 = 1e-15;
+
+/// What every kernel is told that takes steps of Adam.
+pub(super) fn defines(gpu: &Gpu) -> Defines {
+    let [beta_1, beta_2] = BETAS;
+    with_not_finite(gpu.defines())
+        .with_real("BETA_1", beta_1)
+        .with_real("BETA_2", beta_2)
+        .with_real("GAIN_1", 1.0 - beta_1)
+        .with_real("GAIN_2", 1.0 - beta_2)
+        .with_real("EPSILON", EPSILON)
+}
 
 /// Parameters of splats, or their gradients or moments: the layout is the same.
 #[derive(Clone, Copy)]
@@ -49,9 +69,9 @@ pub(crate) struct AdamStep {
     pub(crate) visible_only: bool,
 }
 
-/// 1 − β₁ᵗ and 1 − β₂ᵗ, by which step t of Adam (`shared/adam.wgsl`) divides its moments.
+/// 1 − β₁ᵗ and 1 − β₂ᵗ, by which step t divides the moments.
 pub(super) fn bias_corrections(step: u32) -> [f32; 2] {
-    [0.9_f64, 0.999].map(|beta| (1.0 - beta.powf(f64::from(step.max(1)))) as f32)
+    BETAS.map(|beta| (1.0 - beta.powf(f64::from(step.max(1)))) as f32)
 }
 
 /// Adam for one set of splat buffers.
@@ -84,7 +104,7 @@ impl SplatAdam {
     ) -> Result<Self, GpuError> {
         let uniform = gpu.uniform("Adam step", 16)?;
         let lanes = if sh_floats.is_multiple_of(4) { 4 } else { 1 };
-        let defines = gpu.defines().with("SH_FLOATS", sh_floats as u32).with("FOURS", u32::from(lanes == 4));
+        let defines = defines(gpu).with("SH_FLOATS", sh_floats as u32).with("FOURS", u32::from(lanes == 4));
         let sets = [parameters, gradient, first_moment, second_moment];
         let stage = |entry, is_geometry: bool| {
             let defines = defines.clone().with("GEOMETRY", u32::from(is_geometry));

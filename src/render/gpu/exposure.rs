@@ -3,6 +3,7 @@
 use glam::{Mat3, Vec3};
 
 use super::{
+    adam,
     backward::Backward,
     device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups},
     per_view::{PerView, PerViewBuffers},
@@ -82,7 +83,7 @@ impl Exposures {
     /// # Errors
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &ExposureState, pixels: usize) -> Result<Self, GpuError> {
-        let defines = gpu.defines().with("PER_THREAD", PER_THREAD as u32);
+        let defines = adam::defines(gpu).with("PER_THREAD", PER_THREAD as u32);
         Ok(Self {
             kernels: ["pull", "update"].map(|entry| Kernel::new(gpu, "exposure.wgsl", entry, &defines)),
             uniform: gpu.uniform("exposure step", 8)?,

@@ -3,6 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
+    adam,
     backward::Backward,
     device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage},
     per_view::{PerView, PerViewBuffers},
@@ -97,7 +98,7 @@ impl Poses {
     /// # Errors
     /// If the adapter has no memory left.
     pub(crate) fn new(gpu: &Gpu, state: &PoseState) -> Result<Self, GpuError> {
-        let defines = gpu.defines().with("PARTS", PARTS as u32);
+        let defines = adam::defines(gpu).with("PARTS", PARTS as u32);
         Ok(Self {
             kernels: ["correct", "pull", "update"].map(|entry| Kernel::new(gpu, "pose.wgsl", entry, &defines)),
             step: gpu.uniform("pose step", 8)?,

@@ -6,7 +6,7 @@
 //! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced by A, …, B−1; if A > B, by A−1, …, B.
 //!   A and B are numbers or defines.
 //!
-//! Every define is also emitted as `const NAME: u32`, as are the constants of [`view`], and every number of [`contract`] as `const NAME: f32`.
+//! Every define is also emitted as `const NAME`, of u32 or f32; so are the constants of [`view`] and the numbers of [`contract`].
 
 use std::collections::BTreeMap;
 
@@ -99,18 +99,28 @@ const CONTRACT: [(&str, f64); 6] = [
 
 /// Names and values that specialise a shader.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
-pub(crate) struct Defines(BTreeMap<&'static str, u32>);
+pub(crate) struct Defines {
+    whole: BTreeMap<&'static str, u32>,
+    /// The bits of an f32.
+    real: BTreeMap<&'static str, u32>,
+}
 
 impl Defines {
     /// The same defines with one more.
     pub(crate) fn with(mut self, name: &'static str, value: u32) -> Self {
-        self.0.insert(name, value);
+        self.whole.insert(name, value);
+        self
+    }
+
+    /// The same defines with a number, which no directive asks for.
+    pub(crate) fn with_real(mut self, name: &'static str, value: f64) -> Self {
+        self.real.insert(name, (value as f32).to_bits());
         self
     }
 
     fn value(&self, text: &str) -> u32 {
         let name = text.trim();
-        let value = name.parse().ok().or_else(|| self.0.get(name).copied());
+        let value = name.parse().ok().or_else(|| self.whole.get(name).copied());
         value.unwrap_or_else(|| panic!("shader define {name} is not set"))
     }
 
@@ -131,8 +141,11 @@ pub(crate) fn preprocess(file: &str, defines: &Defines) -> String {
     for (name, value) in CONTRACT {
         out.push_str(&format!("const {name}: f32 = {:?};\n", value as f32));
     }
-    for (name, value) in view::CONSTANTS.iter().map(|(name, value)| (name, value)).chain(&defines.0) {
+    for (name, value) in view::CONSTANTS.iter().map(|(name, value)| (name, value)).chain(&defines.whole) {
         out.push_str(&format!("const {name}: u32 = {value}u;\n"));
+    }
+    for (name, bits) in &defines.real {
+        out.push_str(&format!("const {name}: f32 = {:?};\n", f32::from_bits(*bits)));
     }
     let text = load(file);
     let lines: Vec<&str> = text.lines().collect();

@@ -3,12 +3,27 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
-    mesh::MeshStage,
+    shader::Defines,
     splats::{COUNT_PAIRS, SplatLists},
 };
 
 /// Words of the buffer.
 const WORDS: usize = 5;
+/// What may cease to be finite: by the names of their bits in shaders, from the lowest on, and in words.
+const NOT_FINITE: [(&str, &str); 7] = [
+    ("NOT_FINITE_GEOMETRY", "splat geometry"),
+    ("NOT_FINITE_SH", "SH coefficients"),
+    ("NOT_FINITE_BASE", "a map of colour and opacity"),
+    ("NOT_FINITE_BANDS", "a map of view dependence"),
+    ("NOT_FINITE_VERTICES", "vertices of the mesh"),
+    ("NOT_FINITE_EXPOSURES", "exposures of photographs"),
+    ("NOT_FINITE_POSES", "poses of photographs"),
+];
+
+/// Adds these bits.
+pub(super) fn with_not_finite(defines: Defines) -> Defines {
+    NOT_FINITE.iter().enumerate().fold(defines, |defines, (bit, (name, _))| defines.with(name, 1 << bit))
+}
 
 /// A zeroed buffer for it.
 pub(crate) fn status_buffer(gpu: &Gpu) -> Result<Buffer, GpuError> {
@@ -38,19 +53,10 @@ impl Status {
     /// If the driver failed.
     pub(crate) fn read(gpu: &Gpu, buffer: &Buffer) -> Result<Self, GpuError> {
         let words: Vec<u32> = gpu.read(buffer, WORDS)?;
-        let groups = [
-            "splat geometry",
-            "SH coefficients",
-            "a map of colour and opacity",
-            "a map of view dependence",
-            "vertices of the mesh",
-            "exposures of photographs",
-            "poses of photographs",
-        ];
-        let not_finite = groups.into_iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
+        let not_finite = NOT_FINITE.iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
         Ok(Self {
             skipped: words[1],
-            not_finite: not_finite.map(|(_, group)| group),
+            not_finite: not_finite.map(|(_, (_, group))| *group),
             pairs: [words[2] as usize, words[3] as usize],
         })
     }
@@ -60,11 +66,18 @@ impl Status {
 pub(crate) struct ListCheck(Stage);
 
 impl ListCheck {
-    /// For these lists; to be made anew when they are.
-    pub(crate) fn new(gpu: &Gpu, view: &Buffer, lists: &SplatLists, mesh: Option<&MeshStage>, status: &Buffer) -> Self {
-        let defines = gpu.defines().with("COUNT_PAIRS", COUNT_PAIRS).with("MESH", u32::from(mesh.is_some()));
+    /// For these lists, and `MeshStage::pairs`; to be made anew when they are.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        view: &Buffer,
+        lists: &SplatLists,
+        triangle_pairs: Option<[&Buffer; 2]>,
+        status: &Buffer,
+    ) -> Self {
+        let has_mesh = triangle_pairs.is_some();
+        let defines = gpu.defines().with("COUNT_PAIRS", COUNT_PAIRS).with("MESH", u32::from(has_mesh));
         let mut buffers = vec![view, lists.counts(), status];
-        buffers.extend(mesh.map(MeshStage::pairs).into_iter().flatten());
+        buffers.extend(triangle_pairs.into_iter().flatten());
         Self(Stage::new(gpu, "check_lists.wgsl", "main", &defines, &buffers))
     }
 

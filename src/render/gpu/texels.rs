@@ -5,7 +5,7 @@
 //! mip pyramid (level 0, then level 1, …); moments exist for level 0 only. Bytes per level-0 float: 5⅓ to render,
 //! and 13⅓ more to train.
 
-use super::adam::bias_corrections;
+use super::adam::{self, bias_corrections};
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage};
 use super::shader::Defines;
 use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
@@ -237,11 +237,10 @@ impl Texels {
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
     pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], status: Option<&Buffer>) -> Result<Self, GpuError> {
-        let kernel = |file, entry| Kernel::new(gpu, file, entry, &gpu.defines());
         let kernels = Kernels {
-            mips: kernel("build_mips.wgsl", "build"),
-            pull: kernel("pull_mips.wgsl", "pull"),
-            adam: kernel("adam_texels.wgsl", "adam"),
+            mips: Kernel::new(gpu, "build_mips.wgsl", "build", &gpu.defines()),
+            pull: Kernel::new(gpu, "pull_mips.wgsl", "pull", &gpu.defines()),
+            adam: Kernel::new(gpu, "adam_texels.wgsl", "adam", &adam::defines(gpu)),
         };
         let step = gpu.uniform("texel step", 8)?;
         let peaks = gpu.storage("gradient peaks", PEAKS)?;

@@ -7,6 +7,7 @@ use super::{
     exposure::{ExposureState, ExposureStep, Exposures},
     loss::{Loss, LossValues, TruthAlpha},
     memory::with_headroom,
+    mesh::MeshStage,
     picture::Picture,
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
@@ -559,7 +560,7 @@ fn new_loss(
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck {
-    ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref(), status)
+    ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref().map(MeshStage::pairs), status)
 }
 
 fn new_moments(gpu: &Gpu, splats: &SplatBuffers) -> Result<[Buffer; 4], GpuError> {

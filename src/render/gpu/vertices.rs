@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-use super::adam::bias_corrections;
+use super::adam::{self, bias_corrections};
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;
 #[cfg(test)]
@@ -101,7 +101,7 @@ impl Vertices {
         let step = gpu.uniform("vertex step", 4)?;
         let buffers = [&step, &gradient, &moments, &steps, &first, &neighbors, &normals, positions, status, peaks];
         let moving = [("start", 0), ("diffuse", 0), ("diffuse", 1), ("displace", 0)].map(|(entry, odd)| {
-            Stage::new(gpu, "move_vertices.wgsl", entry, &gpu.defines().with("ODD", odd), &buffers)
+            Stage::new(gpu, "move_vertices.wgsl", entry, &adam::defines(gpu).with("ODD", odd), &buffers)
         });
         let backward = [
             Kernel::new(gpu, "uv_backward.wgsl", "backward", defines),
