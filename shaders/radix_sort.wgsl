@@ -26,7 +26,7 @@ var<workgroup> counters: array<u32, BLOCK>;     // [digit mod 8][thread]; later 
 var<workgroup> digit_base: array<u32, DIGITS>;
 
 fn item_count() -> u32 {
-    return min(counts[COUNT_WORD], CAPACITY);
+    return min(counts[COUNT_WORD], arrayLength(&keys_in));
 }
 
 fn digit_of(key: u32) -> u32 {

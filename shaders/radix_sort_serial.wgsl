@@ -25,7 +25,7 @@ const SHORTEST_CHUNK: u32 = 1024u;      // shorter ones cost more in counters th
 var<workgroup> counters: array<u32, LANES * DIGITS>;    // [lane][digit]
 
 fn item_count() -> u32 {
-    return min(counts[COUNT_WORD], CAPACITY);
+    return min(counts[COUNT_WORD], arrayLength(&keys_in));
 }
 
 fn chunk_length(n: u32) -> u32 {

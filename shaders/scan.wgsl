@@ -15,7 +15,7 @@ const BLOCK: u32 = 256u * PER_THREAD;
 var<workgroup> shared_count: u32;
 
 fn item_count() -> u32 {
-    return min(counts[COUNT_WORD], CAPACITY);
+    return min(counts[COUNT_WORD], arrayLength(&input));
 }
 
 @compute @workgroup_size(256)

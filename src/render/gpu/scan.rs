@@ -20,9 +20,8 @@ impl DispatchSize {
         counts: &Buffer,
         count_word: u32,
     ) -> Result<Self, GpuError> {
-        let defines =
-            gpu.defines().with("COUNT_WORD", count_word).with("CAPACITY", capacity as u32).with("BLOCK", block as u32);
-        let size = gpu.storage("dispatch size", 3)?;
+        let defines = gpu.defines().with("COUNT_WORD", count_word).with("BLOCK", block as u32);
+        let size = gpu.storage_with("dispatch size", &[0, 0, 0, capacity as u32])?;
         let compute = Stage::new(gpu, "dispatch_size.wgsl", "main", &defines, &[counts, &size]);
         Ok(Self { compute, size })
     }
@@ -68,7 +67,6 @@ impl Scan {
             .defines()
             .with("COUNT_WORD", count_word)
             .with("TOTAL_WORD", total_word)
-            .with("CAPACITY", capacity as u32)
             .with("PER_THREAD", per_thread as u32);
         let block_sums = gpu.storage("scan block sums", groups(capacity, block))?;
         let buffers = [counts, input, &block_sums, output];

@@ -67,7 +67,6 @@ impl Sort {
         let defines = gpu
             .defines()
             .with("COUNT_WORD", count_word)
-            .with("CAPACITY", capacity as u32)
             .with("DIGITS", 1 << width.digit_bits())
             .with("BLOCK", BLOCK as u32)
             .with("MAX_CHUNKS", MAX_CHUNKS as u32);
@@ -165,6 +164,17 @@ mod tests {
             let expected: Vec<u32> = expected.iter().map(|&v| keys[v as usize]).collect();
             assert!(found == expected, "{width:?}, {bits} bits, {} pairs: keys", keys.len());
         }
+    }
+
+    #[test]
+    fn longer_lists_are_sorted_by_the_same_kernels() {
+        let gpu = Gpu::open(None).unwrap();
+        let counts = gpu.storage("counts", 4).unwrap();
+        let compiled = [1000, 2000].map(|capacity| {
+            Sort::new(&gpu, capacity, 13, &counts, 2).unwrap();
+            gpu.n_kernels()
+        });
+        assert_eq!(compiled[0], compiled[1]);
     }
 
     #[test]

@@ -148,6 +148,12 @@ impl Gpu {
         self
     }
 
+    /// Kernels compiled so far.
+    #[cfg(test)]
+    pub(crate) fn n_kernels(&self) -> usize {
+        self.kernels.lock().unwrap().len()
+    }
+
     /// The same adapter, with what kernels have for GPUs: uniforms, and threads that work together.
     #[cfg(test)]
     pub(crate) fn posing_as_gpu(mut self) -> Self {
