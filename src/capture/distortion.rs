@@ -223,7 +223,7 @@ impl Lens {
     /// Second result: whether some pixels have no photograph behind them. Those are 0, alpha included.
     pub(super) fn rectify(&self, rgba: &[u8]) -> (Vec<u8>, bool) {
         let k = &self.intrinsics;
-        let (w, h) = (f64::from(k.width), f64::from(k.height));
+        let [w, h] = k.size().to_array();
         let far = DVec2::new(k.cx.abs().max((w - k.cx).abs()) / k.fx, k.cy.abs().max((h - k.cy).abs()) / k.fy);
         let domain = self.distortion.domain(far.length()).powi(2);
         let (sx, sy) = (1.0 / k.fx, 1.0 / k.fy);

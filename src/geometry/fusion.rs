@@ -198,7 +198,7 @@ impl Fusion {
     /// If the map does not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not fused.
     pub fn integrate(&mut self, camera: &Camera, depth: &[f32]) -> Result<(), GeometryError> {
         let k = camera.intrinsics();
-        let pixels = k.width as usize * k.height as usize;
+        let pixels = k.pixels();
         if depth.len() != pixels {
             let expected = format!("{}×{} = {pixels} pixels", k.width, k.height);
             return Err(GeometryError::argument("depth", expected, &depth.len()));
@@ -307,7 +307,7 @@ impl<'a> Projection<'a> {
     fn new(camera: &'a Camera, depth: &'a [f32], options: &'a FusionOptions) -> Self {
         let k = camera.intrinsics();
         let rotation = camera.rotation();
-        let (w, h) = (f64::from(k.width), f64::from(k.height));
+        let [w, h] = k.size().to_array();
         let sides = [
             DVec3::new(k.fx, 0.0, k.cx),
             DVec3::new(-k.fx, 0.0, w - k.cx),

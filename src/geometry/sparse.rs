@@ -161,7 +161,7 @@ impl Cells {
     /// So many along the longer side.
     fn across(count: f64, camera: &Camera) -> Self {
         let k = camera.intrinsics();
-        let side = f64::from(k.width.max(k.height)) / count;
+        let side = f64::from(k.longer_side()) / count;
         let along = |pixels: u32| (f64::from(pixels) / side).ceil() as usize + 1;
         Self { side, columns: along(k.width), rows: along(k.height) }
     }
@@ -184,7 +184,7 @@ fn project(camera: &Camera, point: Vec3) -> Option<(DVec2, f64)> {
 /// The same view as a picture of `SIDE` pixels.
 fn small(camera: &Camera) -> Camera {
     let k = camera.intrinsics();
-    let scale = f64::from(SIDE) / f64::from(k.width.max(k.height));
+    let scale = f64::from(SIDE) / f64::from(k.longer_side());
     let side = |n: u32| (f64::from(n) * scale).round().max(1.0) as u32;
     camera.resized(side(k.width), side(k.height))
 }

@@ -177,7 +177,7 @@ mod tests {
         let in_front_of = |background, capture: &Capture, shade: &(dyn Fn(&View) -> u8 + Sync)| {
             let photo = |view: &View| {
                 let k = view.camera.intrinsics();
-                let rgba = [shade(view), 100, 200, 255].repeat(k.width as usize * k.height as usize);
+                let rgba = [shade(view), 100, 200, 255].repeat(k.pixels());
                 let (width, height) = (k.width, k.height);
                 Ok(Photo { width, height, rgba, has_alpha: false, masked: false }.into())
             };

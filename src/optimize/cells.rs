@@ -40,7 +40,7 @@ pub(super) struct Cells {
 impl Cells {
     pub(super) fn new(camera: &Camera) -> Self {
         let k = camera.intrinsics();
-        let side = (CELL * f64::from(k.width.max(k.height))).max(1.0);
+        let side = (CELL * f64::from(k.longer_side())).max(1.0);
         let cells = |pixels: u32| (f64::from(pixels) / side).ceil() as usize;
         Self { camera: *camera, side, columns: cells(k.width), rows: cells(k.height) }
     }

@@ -305,7 +305,7 @@ fn spread(cells: &Cells, mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
 /// Pixels beyond each side of a picture.
 fn margin(camera: &Camera) -> u32 {
     let k = camera.intrinsics();
-    (MARGIN * f64::from(k.width.max(k.height))).round() as u32
+    (MARGIN * f64::from(k.longer_side())).round() as u32
 }
 
 /// Mean colour of some pixels of a picture with a margin, which repeats what is at its rim; if there are any, and all of them count.
@@ -339,7 +339,7 @@ mod tests {
 
     fn grey(camera: &Camera) -> Photo {
         let k = camera.intrinsics();
-        let rgba = [51, 102, 204, 255].repeat(k.width as usize * k.height as usize);
+        let rgba = [51, 102, 204, 255].repeat(k.pixels());
         Photo { width: k.width, height: k.height, rgba, has_alpha: false, masked: false }
     }
 

@@ -26,7 +26,7 @@ pub(super) fn check(
     let hybrid = size(options, cameras, source, max_splats, texture_size);
     // The longest buffers. Splats are limited to what can be bound.
     let [base, bands] = map_floats(options, texture_size).map(|floats| floats as u64 * 341 / 256);
-    let area = |c: &Camera| u64::from(c.intrinsics().width) * u64::from(c.intrinsics().height);
+    let area = |c: &Camera| c.intrinsics().pixels() as u64;
     let pixels = cameras.iter().map(area).max().unwrap_or(1);
     if hybrid.layers > 0 {
         gpu.ensure_bindable("the map of colour and opacity", 4 * base)?;

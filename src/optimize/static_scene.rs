@@ -473,7 +473,7 @@ fn sampled(test: &[usize]) -> impl Iterator<Item = usize> {
 }
 
 fn longest_side(camera: &Camera) -> u32 {
-    camera.intrinsics().width.max(camera.intrinsics().height)
+    camera.intrinsics().longer_side()
 }
 
 /// The splats on the GPU, to be rearranged.

@@ -100,7 +100,7 @@ pub fn filter_opacity(filter: PixelFilter, covariance: DMat2) -> f64 {
 /// Range of (x/z, y/z) to which a mean is clamped before the projection is linearised there, as (min, max).
 #[must_use]
 pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
-    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
+    let size = k.size();
     let (focal, principal) = (DVec2::new(k.fx, k.fy), DVec2::new(k.cx, k.cy));
     let margin = JACOBIAN_MARGIN * 0.5 * size;
     ((-principal - margin) / focal, (size - principal + margin) / focal)

@@ -43,6 +43,24 @@ impl Intrinsics {
         width.max(height) <= Self::MAX_SIDE && (1..=Self::MAX_PIXELS).contains(&pixels)
     }
 
+    /// Pixels of the image.
+    #[must_use]
+    pub fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Width and height of the image, as lengths in it.
+    #[must_use]
+    pub fn size(&self) -> DVec2 {
+        DVec2::new(f64::from(self.width), f64::from(self.height))
+    }
+
+    /// Pixels of the longer side.
+    #[must_use]
+    pub fn longer_side(&self) -> u32 {
+        self.width.max(self.height)
+    }
+
     /// The same camera at another image size. Uses the *actual* new size, so rounding is accounted for.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
@@ -142,7 +160,7 @@ impl Camera {
     /// is not a number.
     #[must_use]
     pub fn in_picture(&self, p: DVec3) -> Option<DVec2> {
-        let size = DVec2::new(f64::from(self.intrinsics.width), f64::from(self.intrinsics.height));
+        let size = self.intrinsics.size();
         let uv = (p.z > 0.0).then(|| self.project(p))?;
         (uv.cmpge(DVec2::ZERO).all() && uv.cmplt(size).all()).then_some(uv)
     }

@@ -43,7 +43,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
-    let longest = |view: &View| view.camera.intrinsics().width.max(view.camera.intrinsics().height);
+    let longest = |view: &View| view.camera.intrinsics().longer_side();
     let side = capture.views.iter().map(longest).max().unwrap_or(0);
     let large = (side > USUAL_SIDE).then(|| {
         format!(

@@ -305,7 +305,7 @@ pub(super) fn camera_and_node(name: &str, camera: &Camera, near: f32, index: usi
         rotation: camera.rotation().transpose().to_cols_array(),
         translation: camera.translation().to_array(),
     };
-    let (width, height) = (f64::from(k.width), f64::from(k.height));
+    let [width, height] = k.size().to_array();
     let optics = json!({
         "name": name,
         "type": "perspective",

@@ -167,7 +167,7 @@ fn stock(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> 
     let mut root = Element::scene().child(integrator);
     for (_, camera) in cameras {
         let k = camera.intrinsics();
-        let (width, height) = (f64::from(k.width), f64::from(k.height));
+        let [width, height] = k.size().to_array();
         let sensor = Element::plugin("sensor", "perspective")
             .with("string", "fov_axis", "x")
             .with("float", "fov", 2.0 * (0.5 * width / k.fx).atan().to_degrees())

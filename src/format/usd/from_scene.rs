@@ -203,7 +203,7 @@ pub(super) fn view(name: &str, identifier: &str, camera: &Camera, near: f32) -> 
         prim.metadata.push(Field { edit: None, name: "displayName".to_owned(), value: Value::text(name) });
     }
     let k = camera.intrinsics();
-    let (width, height) = (f64::from(k.width), f64::from(k.height));
+    let [width, height] = k.size().to_array();
     let focal = APERTURE * k.fx / width;
     let vertical = focal * height / k.fy;
     let float = |value: f64| Value::Floats(vec![value as f32]);

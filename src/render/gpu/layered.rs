@@ -153,7 +153,7 @@ impl<'g> LayeredRenderer<'g> {
 
     fn read(&self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
         let k = camera.intrinsics();
-        let words: Vec<[[f32; 4]; PARTS]> = self.gpu.read(&self.parts, k.width as usize * k.height as usize)?;
+        let words: Vec<[[f32; 4]; PARTS]> = self.gpu.read(&self.parts, k.pixels())?;
         Ok(LayeredPicture {
             width: k.width,
             height: k.height,

@@ -99,7 +99,7 @@ pub struct StepTimes {
 /// If the adapter fails, or the scene's composition is not valid.
 pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: usize) -> Result<StepTimes, GpuError> {
     scene.composition.validate()?;
-    let truth = vec![128; camera.intrinsics().width as usize * camera.intrinsics().height as usize * 4];
+    let truth = vec![128; camera.intrinsics().pixels() * 4];
     let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
     let step = Step {

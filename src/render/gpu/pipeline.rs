@@ -167,7 +167,7 @@ impl Pipeline {
     /// The image of the last frame, which was of `camera`. Waits.
     pub(crate) fn read_picture(&self, gpu: &Gpu, camera: &Camera) -> Result<Picture, GpuError> {
         let k = camera.intrinsics();
-        let words: Vec<[f32; 4]> = gpu.read(&self.blend.image, k.width as usize * k.height as usize)?;
+        let words: Vec<[f32; 4]> = gpu.read(&self.blend.image, k.pixels())?;
         Ok(Picture {
             width: k.width,
             height: k.height,

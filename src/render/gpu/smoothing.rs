@@ -55,7 +55,7 @@ impl Smoothing {
 fn view_words(camera: &Camera) -> [f32; VIEW] {
     let (k, r, t) = (camera.intrinsics(), camera.rotation(), camera.translation());
     let row = |i: usize| [r.row(i).x, r.row(i).y, r.row(i).z, t[i]];
-    let (w, h) = (f64::from(k.width), f64::from(k.height));
+    let [w, h] = k.size().to_array();
     let low = [(-MARGIN * w - k.cx) / k.fx, (-MARGIN * h - k.cy) / k.fy];
     let high = [((1.0 + MARGIN) * w - k.cx) / k.fx, ((1.0 + MARGIN) * h - k.cy) / k.fy];
     let rest = [low[0], low[1], high[0], high[1], k.fx.max(k.fy), 0.0, 0.0, 0.0];

@@ -69,7 +69,7 @@ fn smoothed_frame(
             backward.renew(gpu, &pipeline).unwrap();
         }
     }
-    let pixels = (k.width * k.height) as usize;
+    let pixels = k.pixels();
     let words: Vec<f32> = gpu.read(&pipeline.blend.image, pixels * 4).unwrap();
     let rendered = Image {
         width: k.width as usize,
@@ -299,7 +299,7 @@ fn class_errors(found: &Parameters, expected: &Parameters) -> Vec<(&'static str,
 
 fn random_cotangent(camera: &Camera, seed: u64) -> Image {
     let k = camera.intrinsics();
-    let pixels = (k.width * k.height) as usize;
+    let pixels = k.pixels();
     let mut rng = Pcg32::seed_from_u64(seed);
     Image {
         width: k.width as usize,
@@ -312,7 +312,7 @@ fn random_cotangent(camera: &Camera, seed: u64) -> Image {
 /// What density control goes by: the norm of the centre's gradient where the picture is two wide and two high, views, weight.
 fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics], camera: &Camera) {
     let k = camera.intrinsics();
-    let half = 0.5 * glam::DVec2::new(f64::from(k.width), f64::from(k.height));
+    let half = 0.5 * k.size();
     assert_eq!(found.len(), expected.len());
     let largest = expected.iter().map(|e| (half * e.center).length()).fold(0.0, f64::max);
     assert!(largest > 0.0 && expected.iter().any(|e| e.weight > 0.1));

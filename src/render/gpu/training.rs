@@ -320,7 +320,7 @@ impl<'g> Training<'g> {
     /// Index + 1 of the nearest triangle at each pixel of the view that was rendered last, `[h·w]`; 0 where there is none,
     /// empty without meshes. Waits.
     pub(crate) fn front_triangles(&self, camera: &Camera) -> Result<Vec<u32>, GpuError> {
-        let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
+        let pixels = camera.intrinsics().pixels();
         self.pipeline.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_front_triangles(self.gpu, pixels))
     }
 

@@ -57,7 +57,7 @@ fn step(training: &mut Training, camera: &Camera) {
 
 fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
     let (size, sh_degree) = (camera.intrinsics(), training.pipeline.splats.sh_degree);
-    let truth = vec![200; 4 * (size.width * size.height) as usize];
+    let truth = vec![200; 4 * size.pixels()];
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
     let splats = AdamStep {
         number: 1,

@@ -98,8 +98,7 @@ impl View {
 
     /// Pixels.
     pub(crate) fn pixels(&self) -> usize {
-        let k = self.camera.intrinsics();
-        k.width as usize * k.height as usize
+        self.camera.intrinsics().pixels()
     }
 
     /// The uniform's words, in the order of the WGSL struct.

@@ -102,7 +102,7 @@ fn surface_margin(scene: &HybridScene, camera: &Camera, view: &View<'_>, hits: &
     if composition.mode == OrderMode::Direct {
         return margin;
     }
-    let size = DVec2::new(f64::from(k.width), f64::from(k.height));
+    let size = k.size();
     let border = splat.center.abs().min((splat.center - size).abs()) / size;
     margin.order = border.min_element();
     if splat.center.cmplt(DVec2::ZERO).any() || splat.center.cmpge(size).any() {

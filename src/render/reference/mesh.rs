@@ -124,7 +124,7 @@ pub(super) fn camera_triangles(scene: &HybridScene, camera: &Camera, positions: 
 pub(super) fn trace(scene: &HybridScene, camera: &Camera, positions: &[Vec<DVec3>]) -> Vec<Vec<Hit>> {
     let bvh = MeshBvh::of(&scene.meshes);
     let triangles = camera_triangles(scene, camera, positions);
-    let pixels = camera.intrinsics().width as usize * camera.intrinsics().height as usize;
+    let pixels = camera.intrinsics().pixels();
     (0..pixels).into_par_iter().map(|pixel| trace_pixel(scene, camera, &bvh, &triangles, pixel)).collect()
 }
 
