@@ -4,7 +4,8 @@ use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     scan::DispatchSize,
     shader::Defines,
-    splats::{COUNT_STORED_PAIRS, COUNT_VISIBLE, ImageCapacity, Purpose, SplatLists},
+    splats::{ImageCapacity, Purpose, SplatLists},
+    tile_pairs::{COUNT_STORED_PAIRS, COUNT_VISIBLE},
 };
 
 /// Threads of a workgroup of `sum_moments.wgsl`.
@@ -129,7 +130,7 @@ fn forward(
     let defines = with_paths(&base_defines(gpu, n_layers), n_layers, true)
         .with("SAVE", u32::from(saves))
         .with("AT_ONCE", splats_at_once(gpu));
-    let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, image];
+    let mut buffers = vec![view, &lists.pairs.ranges, lists.pairs.splats(), &lists.projected, image];
     if saves {
         buffers.extend([buckets, ends]);
     }
@@ -172,13 +173,13 @@ impl BlendBackward {
             .with("SPLATS", splats_a_group as u32)
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
-        let (pairs, window) = (lists.pair_capacity(), rows_at_most(gpu, n_moments));
+        let (pairs, window) = (lists.pairs.capacity(), rows_at_most(gpu, n_moments));
         let sums = gpu.storage("splat moments", capacity.max(1) * n_moments)?;
         let rows = gpu.storage("sums of pairs", pairs.min(window) * n_moments)?;
         let numbers = lists.numbers();
         let mut tiles = vec![
             view,
-            &lists.ranges,
+            &lists.pairs.ranges,
             numbers.pairs,
             &lists.projected,
             image_gradient,

@@ -115,7 +115,7 @@ impl<'g> LayeredRenderer<'g> {
                 Some(mesh) => mesh.grow_if_short(self.gpu, &self.view)?,
                 None => false,
             };
-            if pairs > self.lists.pair_capacity() {
+            if pairs > self.lists.pairs.capacity() {
                 self.renew(longer_list(self.gpu, pairs))?;
             } else if !mesh_grew {
                 break;
@@ -127,11 +127,11 @@ impl<'g> LayeredRenderer<'g> {
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
         let splats = (self.n_splats, self.splats.sh_degree);
         let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
-        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pair_capacity());
+        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pairs.capacity());
         if let Some(mesh) = &mut self.mesh
             && mesh.resize(self.gpu, &view, &self.view)?
         {
-            self.renew(self.lists.pair_capacity())?;
+            self.renew(self.lists.pairs.capacity())?;
         }
         self.gpu.write(&self.view, 0, &view.words());
         let mut frame = Frame::new(self.gpu);
@@ -198,7 +198,7 @@ fn blend(
         .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
         .with("SH_BY_RAY", u32::from(by_ray))
         .with("PARTS", PARTS as u32);
-    let mut buffers = vec![view, &lists.ranges, lists.pair_splats(), &lists.projected, parts];
+    let mut buffers = vec![view, &lists.pairs.ranges, lists.pairs.splats(), &lists.projected, parts];
     if let Some(m) = mesh {
         buffers.extend([m.layer_depth(), m.layer_color(), m.layer_triangle(), m.corners()]);
     }

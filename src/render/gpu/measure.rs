@@ -184,7 +184,7 @@ fn evaluations(gpu: &Gpu, training: &Training, camera: &Camera) -> Result<usize,
     let lists = &training.pipeline.lists;
     let tile = TILE as usize;
     let across = width.div_ceil(tile);
-    let ranges: Vec<[u32; 2]> = gpu.read(&lists.ranges, across * height.div_ceil(tile))?;
+    let ranges: Vec<[u32; 2]> = gpu.read(&lists.pairs.ranges, across * height.div_ceil(tile))?;
     let ends: Vec<[u32; 2]> =
         gpu.read(&training.pipeline.blend.ends, (lists.layers() as usize + 1) * width * height)?;
     let mut last: Vec<u32> = ranges.iter().map(|r| r[0]).collect();

@@ -35,6 +35,7 @@ pub(crate) mod splats;
 pub mod state;
 pub(crate) mod status;
 pub(crate) mod texels;
+mod tile_pairs;
 pub(crate) mod training;
 pub(crate) mod vertices;
 pub(crate) mod view;

@@ -79,13 +79,13 @@ impl Pipeline {
     pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<(View, bool), GpuError> {
         let splats = (self.n_splats, self.splats.sh_degree);
         let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
-        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pair_capacity());
+        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pairs.capacity());
         let grew = match &mut self.mesh {
             Some(mesh) => mesh.resize(gpu, &view, &self.view)?,
             None => false,
         };
         if grew {
-            self.renew_lists(gpu, self.lists.pair_capacity())?;
+            self.renew_lists(gpu, self.lists.pairs.capacity())?;
         }
         Ok((view, grew))
     }
@@ -110,7 +110,7 @@ impl Pipeline {
             Some(mesh) => mesh.grow_if_short(gpu, &self.view)?,
             None => false,
         };
-        let short = pairs > self.lists.pair_capacity();
+        let short = pairs > self.lists.pairs.capacity();
         if short {
             self.renew_lists(gpu, longer_list(gpu, pairs))?;
         }
@@ -124,7 +124,7 @@ impl Pipeline {
 
     /// Entries that the lists of (tile, splat) and (bin, triangle) pairs hold.
     pub(crate) fn list_lengths(&self) -> [usize; 2] {
-        [self.lists.pair_capacity(), self.mesh.as_ref().map_or(0, MeshStage::pair_capacity)]
+        [self.lists.pairs.capacity(), self.mesh.as_ref().map_or(0, MeshStage::pair_capacity)]
     }
 
     /// Makes the lists at least this long. True if they had to be made anew.
@@ -136,7 +136,7 @@ impl Pipeline {
             Some(mesh) => mesh.lengthen(gpu, &self.view, triangles)?,
             None => false,
         };
-        let short = splats > self.lists.pair_capacity();
+        let short = splats > self.lists.pairs.capacity();
         if short {
             self.renew_lists(gpu, splats)?;
         }
@@ -147,7 +147,7 @@ impl Pipeline {
     pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<SplatBuffers, GpuError> {
         let before = std::mem::replace(&mut self.splats, splats);
         let pairs = splats_pairs(self.splats.capacity).min(longest_list(gpu));
-        self.renew_lists(gpu, pairs.max(self.lists.pair_capacity()))?;
+        self.renew_lists(gpu, pairs.max(self.lists.pairs.capacity()))?;
         Ok(before)
     }
 
@@ -185,7 +185,8 @@ impl Pipeline {
         }
         let depth = gpu.storage("median depth", view.pixels())?;
         let lists = &self.lists;
-        let buffers = [&self.view, &lists.ranges, lists.pair_splats(), &lists.projected, &depth, &self.splats.geometry];
+        let buffers =
+            [&self.view, &lists.pairs.ranges, lists.pairs.splats(), &lists.projected, &depth, &self.splats.geometry];
         let blend = Stage::new(gpu, "blend_depth.wgsl", "main", &gpu.defines(), &buffers);
         let mut frame = Frame::new(gpu);
         self.record(gpu, &mut frame, &view);

@@ -1,19 +1,14 @@
-//! Splats on the GPU: their parameters, and the stages from projection to depth-sorted tile lists.
+//! Splats on the GPU: their parameters, and the stages from projection to those in view, by depth.
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
-    scan::{DispatchSize, Scan},
+    scan::Scan,
     sort::Sort,
+    tile_pairs::{COUNT_PAIRS, COUNT_SPLATS, COUNT_VISIBLE, InView, TilePairs},
     view::TILE,
 };
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::scene::{Camera, Splats, sh};
-
-/// Words of the buffer of counts.
-const COUNT_SPLATS: u32 = 0;
-pub(super) const COUNT_VISIBLE: u32 = 1;
-pub(super) const COUNT_PAIRS: u32 = 2;
-pub(super) const COUNT_STORED_PAIRS: u32 = 3;
 
 /// Bits of a depth key, see `compact_visible.wgsl`.
 const DEPTH_BITS: u32 = 28;
@@ -104,26 +99,15 @@ pub(crate) struct SplatLists {
     pub(crate) thresholds: Buffer,
     /// `[capacity][5]` vec4, see `blend_rays.wgsl`; `None` under [`ImageModel::Ewa`].
     pub(crate) rays: Option<Buffer>,
-    /// `[tiles]` vec2u.
-    pub(crate) ranges: Buffer,
+    pub(crate) pairs: TilePairs,
     counts: Buffer,
-    pair_capacity: usize,
     layers: u32,
     purpose: Purpose,
     depth_sort: Sort,
-    tile_sort: Sort,
     find_visible: Scan,
-    place_pairs: Scan,
-    per_visible: DispatchSize,
-    per_pair: DispatchSize,
     project: Stage,
     compact: Stage,
-    gather: Stage,
-    emit: Stage,
-    find_ranges: Stage,
     order: Option<Stage>,
-    numbered: Buffer,
-    offsets: Buffer,
     tile_count: Buffer,
 }
 
@@ -185,31 +169,19 @@ impl SplatLists {
         let tile_count = gpu.storage("tile counts", n)?;
         let visible = gpu.storage("visible splats", n)?;
         let slots = gpu.storage("slots", n)?;
-        let sorted_count = gpu.storage("sorted tile counts", n)?;
-        let offsets = gpu.storage("pair offsets", n)?;
         let counts = gpu.storage("counts", 4)?;
-        // And one that holds the number of pairs.
-        let ranges = gpu.storage("tile ranges", (image.tiles + 1) * 2)?;
         let layers = layer_depth.map_or(0, |l| l.1);
         let thresholds = gpu.storage("order thresholds", (n * layers as usize).max(1))?;
 
         let depth_sort = Sort::new(gpu, n, DEPTH_BITS, &counts, COUNT_VISIBLE)?;
-        let tile_bits = usize::BITS - image.tiles.leading_zeros(); // one key more than tiles
-        let tile_sort = Sort::new(gpu, pair_capacity, tile_bits, &counts, COUNT_STORED_PAIRS)?;
         let find_visible = Scan::new(gpu, n, &visible, &slots, &counts, COUNT_SPLATS, COUNT_VISIBLE)?;
-        let place_pairs = Scan::new(gpu, n, &sorted_count, &offsets, &counts, COUNT_VISIBLE, COUNT_PAIRS)?;
 
         let defines = gpu
             .defines()
             .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
             .with("LAYERS", layers)
-            .with("TRAIN", u32::from(trains))
-            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)))
-            .with("COUNT_VISIBLE", COUNT_VISIBLE)
-            .with("COUNT_PAIRS", COUNT_PAIRS)
-            .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
+            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)));
         let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);
-        let sorted = depth_sort.values_out();
         let mut parameters = vec![view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible];
         let project = match &rays {
             None => stage("project_splats.wgsl", &parameters),
@@ -222,47 +194,30 @@ impl SplatLists {
             "compact_visible.wgsl",
             &[view, &visible, &slots, &projected, depth_sort.keys_in(), depth_sort.values_in()],
         );
-        let gather = stage("gather_counts.wgsl", &[&counts, sorted, &tile_count, &sorted_count]);
-        let mut emitted =
-            vec![view, &counts, sorted, &offsets, &tile_count, &projected, tile_sort.keys_in(), tile_sort.values_in()];
-        let mut ordered = vec![view, &counts, tile_sort.keys_out(), &ranges];
-        let kept = if trains { pair_capacity } else { 0 };
-        let splat_of = gpu.storage("splats of pairs", kept)?;
-        let numbered = gpu.storage("numbers of pairs", 2 * kept)?;
-        if trains {
-            emitted.push(&splat_of);
-            ordered.extend([tile_sort.values_out(), &splat_of, &numbered]);
-        }
-        let emit = stage("emit_pairs.wgsl", &emitted);
-        let find_ranges = stage("tile_ranges.wgsl", &ordered);
         let order =
             layer_depth.map(|(depth, _)| stage("order_splats.wgsl", &[view, &visible, &projected, depth, &thresholds]));
-        let per_visible = DispatchSize::new(gpu, n, 256, &counts, COUNT_VISIBLE)?;
-        let per_pair = DispatchSize::new(gpu, pair_capacity, 256, &counts, COUNT_STORED_PAIRS)?;
+        let in_view = InView {
+            view,
+            counts: &counts,
+            splats: depth_sort.values_out(),
+            tile_count: &tile_count,
+            projected: &projected,
+        };
+        let pairs = TilePairs::new(gpu, &in_view, (image.tiles, n), pair_capacity, trains)?;
         Ok(Self {
             projected,
             visible,
             thresholds,
             rays,
-            ranges,
+            pairs,
             counts,
-            pair_capacity,
             layers,
             purpose,
             depth_sort,
-            tile_sort,
             find_visible,
-            place_pairs,
-            per_visible,
-            per_pair,
             project,
             compact,
-            gather,
-            emit,
-            find_ranges,
             order,
-            numbered,
-            offsets,
             tile_count,
         })
     }
@@ -270,7 +225,7 @@ impl SplatLists {
     /// Appends projection, depth order, ordering against the mesh layers and tile lists of the first `n` splats.
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, n: usize) {
         gpu.write(&self.counts, 0, &[n as u32, 0, 0, 0]);
-        frame.clear(&self.ranges);
+        frame.clear(&self.pairs.ranges);
         frame.dispatch_threads(&self.project, n);
         self.find_visible.record(frame);
         frame.dispatch_threads(&self.compact, n);
@@ -278,27 +233,16 @@ impl SplatLists {
         if let Some(order) = &self.order {
             frame.dispatch_threads(order, n);
         }
-        self.per_visible.record(frame);
-        self.per_visible.dispatch(frame, &self.gather);
-        self.place_pairs.record(frame);
-        self.per_visible.dispatch(frame, &self.emit);
-        self.per_pair.record(frame);
-        self.tile_sort.record(frame);
-        self.per_pair.dispatch(frame, &self.find_ranges);
+        self.pairs.record(frame);
     }
 
-    /// Splat of every (tile, splat) pair, sorted by tile and depth.
-    pub(crate) fn pair_splats(&self) -> &Buffer {
-        self.tile_sort.values_out()
-    }
-
-    /// The same pairs with their numbers, in training.
+    /// The pairs with their numbers, in training.
     pub(crate) fn numbers(&self) -> Numbers<'_> {
         Numbers {
-            pairs: &self.numbered,
+            pairs: &self.pairs.numbered,
             counts: &self.counts,
             splats: self.depth_sort.values_out(),
-            first: &self.offsets,
+            first: &self.pairs.offsets,
             count: &self.tile_count,
         }
     }
@@ -316,11 +260,6 @@ impl SplatLists {
     /// What they were made for.
     pub(crate) fn purpose(&self) -> Purpose {
         self.purpose
-    }
-
-    /// Pairs that fit.
-    pub(crate) fn pair_capacity(&self) -> usize {
-        self.pair_capacity
     }
 
     /// Visible splats and pairs of the last frame; more pairs than the capacity mean that the frame is incomplete.

@@ -4,7 +4,8 @@
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     shader::Defines,
-    splats::{COUNT_PAIRS, SplatLists},
+    splats::SplatLists,
+    tile_pairs::COUNT_PAIRS,
 };
 
 /// Words of the buffer.

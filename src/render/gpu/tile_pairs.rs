@@ -1,0 +1,118 @@
+//! (tile, splat) pairs: which splats every tile of a view sees, by depth.
+
+use super::{
+    device::{Buffer, Frame, Gpu, GpuError, Stage},
+    scan::{DispatchSize, Scan},
+    sort::Sort,
+};
+
+/// Words of the buffer of counts: splats, those in view, pairs, pairs that fit.
+pub(super) const COUNT_SPLATS: u32 = 0;
+pub(super) const COUNT_VISIBLE: u32 = 1;
+pub(super) const COUNT_PAIRS: u32 = 2;
+pub(super) const COUNT_STORED_PAIRS: u32 = 3;
+
+/// What pairs are made of.
+pub(super) struct InView<'a> {
+    /// The view's uniform.
+    pub(super) view: &'a Buffer,
+    /// `[4]`, see [`COUNT_SPLATS`].
+    pub(super) counts: &'a Buffer,
+    /// Splats in view, by depth.
+    pub(super) splats: &'a Buffer,
+    /// `[splat]`: tiles that it touches.
+    pub(super) tile_count: &'a Buffer,
+    /// As `SplatLists::projected`.
+    pub(super) projected: &'a Buffer,
+}
+
+/// Pairs of tiles and splats, sorted by tile and depth.
+pub(crate) struct TilePairs {
+    /// `[tiles]` vec2u: a tile's first pair, and the one after its last.
+    pub(crate) ranges: Buffer,
+    /// `[pair]` vec2u, splat and number; empty but in training.
+    pub(super) numbered: Buffer,
+    /// The first number of each splat in view, by depth.
+    pub(super) offsets: Buffer,
+    capacity: usize,
+    per_visible: DispatchSize,
+    per_pair: DispatchSize,
+    gather: Stage,
+    place: Scan,
+    emit: Stage,
+    sort: Sort,
+    find_ranges: Stage,
+}
+
+impl TilePairs {
+    /// Room for `capacity` pairs of up to so many tiles and splats. With `numbers` pairs have numbers, those of a splat one after the other.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold them.
+    pub(super) fn new(
+        gpu: &Gpu,
+        in_view: &InView,
+        (tiles, splats): (usize, usize),
+        capacity: usize,
+        numbers: bool,
+    ) -> Result<Self, GpuError> {
+        let &InView { view, counts, splats: by_depth, tile_count, projected } = in_view;
+        let sorted_count = gpu.storage("sorted tile counts", splats)?;
+        let offsets = gpu.storage("pair offsets", splats)?;
+        // And one that holds the number of pairs.
+        let ranges = gpu.storage("tile ranges", (tiles + 1) * 2)?;
+        let bits = usize::BITS - tiles.leading_zeros(); // one key more than tiles
+        let sort = Sort::new(gpu, capacity, bits, counts, COUNT_STORED_PAIRS)?;
+        let kept = if numbers { capacity } else { 0 };
+        let splat_of = gpu.storage("splats of pairs", kept)?;
+        let numbered = gpu.storage("numbers of pairs", 2 * kept)?;
+        let mut emitted =
+            vec![view, counts, by_depth, &offsets, tile_count, projected, sort.keys_in(), sort.values_in()];
+        let mut ordered = vec![view, counts, sort.keys_out(), &ranges];
+        if numbers {
+            emitted.push(&splat_of);
+            ordered.extend([sort.values_out(), &splat_of, &numbered]);
+        }
+        let defines = gpu
+            .defines()
+            .with("TRAIN", u32::from(numbers))
+            .with("COUNT_VISIBLE", COUNT_VISIBLE)
+            .with("COUNT_PAIRS", COUNT_PAIRS)
+            .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
+        let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);
+        Ok(Self {
+            per_visible: DispatchSize::new(gpu, splats, 256, counts, COUNT_VISIBLE)?,
+            per_pair: DispatchSize::new(gpu, capacity, 256, counts, COUNT_STORED_PAIRS)?,
+            gather: stage("gather_counts.wgsl", &[counts, by_depth, tile_count, &sorted_count]),
+            place: Scan::new(gpu, splats, &sorted_count, &offsets, counts, COUNT_VISIBLE, COUNT_PAIRS)?,
+            emit: stage("emit_pairs.wgsl", &emitted),
+            find_ranges: stage("tile_ranges.wgsl", &ordered),
+            ranges,
+            numbered,
+            offsets,
+            capacity,
+            sort,
+        })
+    }
+
+    /// Appends them to a frame that has begun by clearing [`Self::ranges`], behind what they are made of.
+    pub(super) fn record(&self, frame: &mut Frame) {
+        self.per_visible.record(frame);
+        self.per_visible.dispatch(frame, &self.gather);
+        self.place.record(frame);
+        self.per_visible.dispatch(frame, &self.emit);
+        self.per_pair.record(frame);
+        self.sort.record(frame);
+        self.per_pair.dispatch(frame, &self.find_ranges);
+    }
+
+    /// Splat of every pair.
+    pub(crate) fn splats(&self) -> &Buffer {
+        self.sort.values_out()
+    }
+
+    /// Pairs that fit.
+    pub(crate) fn capacity(&self) -> usize {
+        self.capacity
+    }
+}
