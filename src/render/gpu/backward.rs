@@ -3,6 +3,7 @@
 use super::{
     blend::{BlendBackward, moments},
     device::{Buffer, Frame, Gpu, GpuError, Stage},
+    front::Front,
     pipeline::Pipeline,
     splats::GEOMETRY,
     view::View,
@@ -65,7 +66,7 @@ impl Backward {
     /// If the adapter has no memory left.
     pub(crate) fn renew(&mut self, gpu: &Gpu, pipeline: &Pipeline) -> Result<(), GpuError> {
         self.blend = blend_backward(gpu, pipeline, &self.image_gradient, self.besides)?;
-        if self.splats.capacity != pipeline.splats.capacity {
+        if self.splats.capacity != pipeline.front.splats.capacity {
             self.splats = SplatGradients::new(gpu, pipeline, self.besides)?;
         }
         self.of_splats = of_splats(gpu, pipeline, &self.blend, &self.splats, &self.status, self.besides);
@@ -95,7 +96,7 @@ impl Backward {
     pub(crate) fn record(&self, frame: &mut Frame, pipeline: &Pipeline, view: &View) {
         self.record_blend(frame, view);
         frame.dispatch_threads(&self.of_splats, view.n_splats as usize);
-        if let Some(mesh) = &pipeline.mesh {
+        if let Some(mesh) = &pipeline.front.mesh {
             mesh.record_backward(frame);
         }
     }
@@ -114,10 +115,10 @@ impl Backward {
 
 impl SplatGradients {
     fn new(gpu: &Gpu, pipeline: &Pipeline, besides: Besides) -> Result<Self, GpuError> {
-        let capacity = pipeline.splats.capacity;
+        let capacity = pipeline.front.splats.capacity;
         Ok(Self {
             geometry: gpu.storage("geometry gradient", capacity * GEOMETRY)?,
-            sh: gpu.storage("SH gradient", capacity * 3 * sh::coefficients(pipeline.splats.sh_degree))?,
+            sh: gpu.storage("SH gradient", capacity * 3 * sh::coefficients(pipeline.front.splats.sh_degree))?,
             statistics: gpu.storage("density statistics", capacity * 4)?,
             turn: turn_gradient(gpu, capacity, besides)?,
             capacity,
@@ -135,9 +136,10 @@ fn blend_backward(
     image_gradient: &Buffer,
     besides: Besides,
 ) -> Result<BlendBackward, GpuError> {
-    let Pipeline { lists, blend, view, splats, .. } = pipeline;
+    let Pipeline { front, blend } = pipeline;
+    let Front { lists, view, splats, .. } = front;
     let sums = (splats.capacity, besides.absolute);
-    BlendBackward::new(gpu, lists, blend, view, pipeline.layers(), image_gradient, sums)
+    BlendBackward::new(gpu, lists, blend, view, front.layers(), image_gradient, sums)
 }
 
 fn of_splats(
@@ -148,7 +150,7 @@ fn of_splats(
     status: &Buffer,
     Besides { absolute, by_pose }: Besides,
 ) -> Stage {
-    let Pipeline { view, splats, lists, .. } = pipeline;
+    let Front { view, splats, lists, .. } = &pipeline.front;
     let terms = sh::coefficients(splats.sh_degree) as u32;
     let fours = (3 * terms).is_multiple_of(4);
     let defines = gpu

@@ -97,7 +97,7 @@ impl Exposures {
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
         let [first, second] = &self.views.moments;
         let buffers = [
-            &pipeline.view,
+            &pipeline.front.view,
             &self.uniform,
             &pipeline.blend.image,
             &backward.image_gradient,

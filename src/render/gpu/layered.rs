@@ -3,14 +3,13 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
+    front::Front,
     mesh::MeshStage,
     picture::Picture,
-    pipeline::PAIRS_PER_SPLAT,
-    splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list},
-    view::{VIEW_WORDS, View},
+    splats::Purpose,
 };
 use crate::render::contract::{ImageModel, ShDirection};
-use crate::scene::{Camera, Composition, HybridScene, sh};
+use crate::scene::{Camera, HybridScene, sh};
 
 /// Vectors of four floats that the shaders write per pixel.
 const PARTS: usize = 4;
@@ -62,13 +61,7 @@ impl LayeredPicture {
 pub struct LayeredRenderer<'g> {
     gpu: &'g Gpu,
     model: ImageModel,
-    composition: Composition,
-    n_splats: usize,
-    view: Buffer,
-    splats: SplatBuffers,
-    mesh: Option<MeshStage>,
-    image: ImageCapacity,
-    lists: SplatLists,
+    front: Front,
     parts: Buffer,
     blend: Stage,
 }
@@ -80,26 +73,10 @@ impl<'g> LayeredRenderer<'g> {
     /// If the composition is not valid, or the adapter cannot hold the scene.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], model: ImageModel) -> Result<Self, GpuError> {
         scene.composition.validate()?;
-        let composition = scene.composition;
-        let splats = SplatBuffers::new(gpu, scene.splats.len(), scene.splats.sh_degree())?;
-        splats.write(gpu, &scene.splats);
-        let view = gpu.uniform("view", VIEW_WORDS)?;
-        let mut mesh = match scene.meshes.as_slice() {
-            [] => None,
-            meshes => Some(MeshStage::new(gpu, meshes, composition.layers, None)?),
-        };
-        if let Some(mesh) = &mut mesh {
-            for camera in cameras {
-                mesh.resize(gpu, &View::of(camera, composition), &view)?;
-            }
-        }
-        let image = ImageCapacity::of(cameras.iter().map(|c| (c.intrinsics().width, c.intrinsics().height)));
-        let parts = gpu.storage("parts of the picture", image.pixels * PARTS * 4)?;
-        let pairs = splats.capacity * PAIRS_PER_SPLAT + image.tiles;
-        let lists = lists(gpu, model, &splats, image, pairs, &view, mesh.as_ref())?;
-        let blend = blend(gpu, model, &view, &splats, mesh.as_ref(), &lists, &parts);
-        let n_splats = scene.splats.len();
-        Ok(Self { gpu, model, composition, n_splats, view, splats, mesh, image, lists, parts, blend })
+        let front = Front::new(gpu, scene, 0, cameras, Purpose::Render(model), None)?;
+        let parts = gpu.storage("parts of the picture", front.image.pixels * PARTS * 4)?;
+        let blend = blend(gpu, model, &front, &parts);
+        Ok(Self { gpu, model, front, parts, blend })
     }
 
     /// Renders one picture and waits for it.
@@ -107,17 +84,12 @@ impl<'g> LayeredRenderer<'g> {
     /// # Errors
     /// If the image is larger than announced, the driver fails or the adapter runs short of memory.
     pub fn render(&mut self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
-        self.image.check(camera)?;
+        self.front.image.check(camera)?;
         loop {
             self.submit(camera)?;
-            let (_, pairs) = self.lists.read_counts(self.gpu)?;
-            let mesh_grew = match &mut self.mesh {
-                Some(mesh) => mesh.grow_if_short(self.gpu, &self.view)?,
-                None => false,
-            };
-            if pairs > self.lists.pairs.capacity() {
-                self.renew(longer_list(self.gpu, pairs))?;
-            } else if !mesh_grew {
+            let grew = self.front.grow_if_short(self.gpu)?;
+            self.rebind(grew);
+            if !grew {
                 break;
             }
         }
@@ -125,30 +97,19 @@ impl<'g> LayeredRenderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let splats = (self.n_splats, self.splats.sh_degree);
-        let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
-        let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pairs.capacity());
-        if let Some(mesh) = &mut self.mesh
-            && mesh.resize(self.gpu, &view, &self.view)?
-        {
-            self.renew(self.lists.pairs.capacity())?;
-        }
-        self.gpu.write(&self.view, 0, &view.words());
+        let (view, renewed) = self.front.prepare(self.gpu, camera)?;
+        self.rebind(renewed);
         let mut frame = Frame::new(self.gpu);
-        if let Some(mesh) = &self.mesh {
-            mesh.record_forward(&mut frame);
-        }
-        self.lists.record(self.gpu, &mut frame, self.n_splats);
+        self.front.record(self.gpu, &mut frame, &view);
         frame.dispatch(&self.blend, view.n_tiles());
         frame.submit();
         Ok(())
     }
 
-    fn renew(&mut self, pairs: usize) -> Result<(), GpuError> {
-        let (gpu, mesh) = (self.gpu, self.mesh.as_ref());
-        self.lists = lists(gpu, self.model, &self.splats, self.image, pairs, &self.view, mesh)?;
-        self.blend = blend(gpu, self.model, &self.view, &self.splats, mesh, &self.lists, &self.parts);
-        Ok(())
+    fn rebind(&mut self, renewed: bool) {
+        if renewed {
+            self.blend = blend(self.gpu, self.model, &self.front, &self.parts);
+        }
     }
 
     fn read(&self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
@@ -168,33 +129,12 @@ impl<'g> LayeredRenderer<'g> {
     }
 }
 
-/// Tile lists; only the EWA model orders splats against layers before it blends.
-fn lists(
-    gpu: &Gpu,
-    model: ImageModel,
-    splats: &SplatBuffers,
-    image: ImageCapacity,
-    pairs: usize,
-    view: &Buffer,
-    mesh: Option<&MeshStage>,
-) -> Result<SplatLists, GpuError> {
-    let depth = mesh.filter(|_| model == ImageModel::Ewa).map(|m| (m.layer_depth(), m.layers()));
-    SplatLists::new(gpu, Purpose::Render(model), splats, image, pairs, view, depth)
-}
-
-fn blend(
-    gpu: &Gpu,
-    model: ImageModel,
-    view: &Buffer,
-    splats: &SplatBuffers,
-    mesh: Option<&MeshStage>,
-    lists: &SplatLists,
-    parts: &Buffer,
-) -> Stage {
+fn blend(gpu: &Gpu, model: ImageModel, front: &Front, parts: &Buffer) -> Stage {
+    let Front { view, splats, mesh, lists, .. } = front;
     let by_ray = model == ImageModel::Ray(ShDirection::Ray);
     let defines = gpu
         .defines()
-        .with("LAYERS", mesh.map_or(0, MeshStage::layers))
+        .with("LAYERS", mesh.as_ref().map_or(0, MeshStage::layers))
         .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
         .with("SH_BY_RAY", u32::from(by_ray))
         .with("PARTS", PARTS as u32);

@@ -164,7 +164,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
             }
         }
     }
-    let (visible, pairs) = training.pipeline.lists.read_counts(gpu)?;
+    let (visible, pairs) = training.pipeline.front.lists.read_counts(gpu)?;
     let evaluations = evaluations(gpu, &training, camera)?;
     drop(training);
     let frame_seconds = Renderer::new(gpu, scene, &[*camera])?.seconds_per_frame(camera, repeats.max(1) as u32)?;
@@ -181,7 +181,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
 /// See [`StepTimes::evaluations`].
 fn evaluations(gpu: &Gpu, training: &Training, camera: &Camera) -> Result<usize, GpuError> {
     let (width, height) = (camera.intrinsics().width as usize, camera.intrinsics().height as usize);
-    let lists = &training.pipeline.lists;
+    let lists = &training.pipeline.front.lists;
     let tile = TILE as usize;
     let across = width.div_ceil(tile);
     let ranges: Vec<[u32; 2]> = gpu.read(&lists.pairs.ranges, across * height.div_ceil(tile))?;

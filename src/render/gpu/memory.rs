@@ -1,6 +1,6 @@
 //! How much memory training takes.
 
-use super::{blend::moments, device::Gpu, mesh::BIN, pipeline::PAIRS_PER_SPLAT, state::GEOMETRY_FLOATS, view::TILE};
+use super::{blend::moments, device::Gpu, front::PAIRS_PER_SPLAT, mesh::BIN, state::GEOMETRY_FLOATS, view::TILE};
 use crate::scene::sh;
 
 /// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.

@@ -8,6 +8,7 @@ mod device;
 pub(crate) mod exposure;
 #[cfg(test)]
 mod exposure_tests;
+mod front;
 mod layered;
 #[cfg(test)]
 mod layered_tests;

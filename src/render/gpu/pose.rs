@@ -113,7 +113,7 @@ impl Poses {
         let Some(by_turn) = &backward.splats.turn else { return };
         let [first, second] = &self.views.moments;
         let buffers = [
-            &pipeline.view,
+            &pipeline.front.view,
             &self.step,
             &self.views.values,
             first,

@@ -48,7 +48,7 @@ fn truth(camera: &Camera) -> Vec<u8> {
 fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<PoseStep>) {
     let splats = AdamStep {
         number: 1,
-        n_splats: training.pipeline.n_splats as u32,
+        n_splats: training.pipeline.front.n_splats as u32,
         sh_degree,
         rates: RATES,
         opacity_weight: 0.0,
@@ -167,7 +167,7 @@ fn more_splats_than_there_was_room_for_pull_at_poses() {
     training.sum_absolute_gradients().unwrap();
     training.refine_poses(&poses()).unwrap();
     let all = Training::new(&gpu, &scene, &[camera], 0.0).unwrap().read_splats().unwrap();
-    assert!(training.pipeline.splats.capacity < 300);
+    assert!(training.pipeline.front.splats.capacity < 300);
     training.write_splats(&all).unwrap();
     assert_gradient_of(training, &scene, &camera, 1e-8, 2e-4);
 }

@@ -28,7 +28,7 @@ impl<'g> Renderer<'g> {
     /// # Errors
     /// If the image is larger than announced, the driver fails or the adapter runs short of memory.
     pub fn render(&mut self, camera: &Camera) -> Result<Picture, GpuError> {
-        self.pipeline.image.check(camera)?;
+        self.pipeline.front.image.check(camera)?;
         loop {
             self.submit(camera)?;
             if !self.pipeline.grow_if_short(self.gpu)? {
@@ -40,7 +40,7 @@ impl<'g> Renderer<'g> {
 
     /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
     pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
-        self.pipeline.image.check(camera)?;
+        self.pipeline.front.image.check(camera)?;
         loop {
             if let Some(depths) = self.pipeline.median_depth(self.gpu, camera)? {
                 return Ok(depths);

@@ -46,7 +46,7 @@ fn smoothed_frame(
     let mut backward = status.map(|status| Backward::new(gpu, &pipeline, status).unwrap());
     let n = scene.splats.len();
     for (i, &deviation) in deviations.iter().enumerate() {
-        gpu.write(&pipeline.splats.geometry, 48 * i as u64 + 44, &[deviation as f32]);
+        gpu.write(&pipeline.front.splats.geometry, 48 * i as u64 + 44, &[deviation as f32]);
     }
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
@@ -91,7 +91,7 @@ fn smoothed_frame(
         for (i, c) in sh.chunks_exact(3).enumerate() {
             out.sh[i] = glam::DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
         }
-        let texels = pipeline.mesh.as_ref().map_or(vec![], |m| m.read_gradients(gpu).unwrap());
+        let texels = pipeline.front.mesh.as_ref().map_or(vec![], |m| m.read_gradients(gpu).unwrap());
         for (i, (base, bands)) in texels.into_iter().enumerate() {
             out.base[i] = base.into_iter().map(f64::from).collect();
             out.bands[i] = bands.into_iter().map(f64::from).collect();
@@ -388,7 +388,7 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
         let mut expected = vec![[0.0_f64; 2]; n];
         for p in 0..cotangent.rgb.len() {
             let moments = frame(&mut plain, Some(p));
-            let projected: Vec<f32> = gpu.read(&plain.0.lists.projected, 12 * n).unwrap();
+            let projected: Vec<f32> = gpu.read(&plain.0.front.lists.projected, 12 * n).unwrap();
             for (i, sum) in expected.iter_mut().enumerate() {
                 let (m, q) = (&moments[10 * i..], &projected[12 * i + 4..]);
                 sum[0] += f64::from(q[0] * m[1] + q[1] * m[2]).abs();
@@ -479,8 +479,8 @@ fn vertex_gradients_equal_the_reference() {
             let expected = reference::backward(&scene, &camera, &cotangent).positions;
             let (mut pipeline, backward) = differentiable(&gpu, &scene, &camera);
             let state = VertexState::new(&scene.meshes, 1.0);
-            let mesh = pipeline.mesh.as_mut().unwrap();
-            mesh.free_vertices(&gpu, &scene.meshes, &pipeline.view, &backward.status, &state).unwrap();
+            let mesh = pipeline.front.mesh.as_mut().unwrap();
+            mesh.free_vertices(&gpu, &scene.meshes, &pipeline.front.view, &backward.status, &state).unwrap();
             let (view, _) = pipeline.prepare(&gpu, &camera).unwrap();
             let words: Vec<f32> =
                 cotangent.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
@@ -488,9 +488,9 @@ fn vertex_gradients_equal_the_reference() {
             let mut frame = Frame::new(&gpu);
             pipeline.record(&gpu, &mut frame, &view);
             backward.record(&mut frame, &pipeline, &view);
-            pipeline.mesh.as_ref().unwrap().record_vertex_backward(&mut frame);
+            pipeline.front.mesh.as_ref().unwrap().record_vertex_backward(&mut frame);
             frame.submit();
-            let found = pipeline.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap();
+            let found = pipeline.front.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap();
             let normals = state.normals.chunks_exact(3).map(|n| Vec3::from_slice(n).as_dvec3());
             let expected = expected.iter().flatten().zip(normals).map(|(g, n)| g.dot(n));
             let error = relative(found.into_iter().map(f64::from), expected);

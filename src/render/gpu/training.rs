@@ -5,6 +5,7 @@ use super::{
     backward::Backward,
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     exposure::{ExposureState, ExposureStep, Exposures},
+    front::Front,
     loss::{Loss, LossValues, TruthAlpha},
     memory::with_headroom,
     mesh::MeshStage,
@@ -90,12 +91,12 @@ pub(crate) struct Training<'g> {
 impl<'g> Training<'g> {
     /// Splats there are.
     pub(crate) fn n_splats(&self) -> usize {
-        self.pipeline.n_splats
+        self.pipeline.front.n_splats
     }
 
-    /// As [`Pipeline::list_lengths`].
+    /// As [`Front::list_lengths`].
     pub(crate) fn list_lengths(&self) -> [usize; 2] {
-        self.pipeline.list_lengths()
+        self.pipeline.front.list_lengths()
     }
 
     /// For a scene seen by `cameras`.
@@ -115,10 +116,10 @@ impl<'g> Training<'g> {
         sizes.dedup();
         let truth = gpu.storage("photograph", pipeline.pixels())?;
         let loss = new_loss(gpu, (&pipeline, &backward), &truth, &sizes, ssim_weight, None)?;
-        let (moments, moments_of) = (new_moments(gpu, &pipeline.splats)?, pipeline.splats.capacity);
+        let (moments, moments_of) = (new_moments(gpu, &pipeline.front.splats)?, pipeline.front.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &backward, &moments)?;
         let list_check = new_list_check(gpu, &pipeline, &backward.status);
-        let rows = RowGather::new(gpu, sh_floats(&pipeline))?;
+        let rows = RowGather::new(gpu, sh_floats(&pipeline.front.splats))?;
         let (smoothing, exposures, poses, timer) = (None, None, None, None);
         Ok(Self {
             gpu,
@@ -143,7 +144,7 @@ impl<'g> Training<'g> {
     /// Renders the view, differentiates the loss and moves the parameters, unless lists were too short for the view:
     /// then nothing changes, by this step and those after it, until [`Self::grow_if_short`] is called. Does not wait.
     pub(crate) fn step(&mut self, step: &Step) -> Result<(), GpuError> {
-        self.pipeline.composition.background = step.background;
+        self.pipeline.front.composition.background = step.background;
         let mut view = self.prepare(step.camera)?;
         view.sh_degree = step.sh_degree.min(view.sh_degree);
         view.band_degree = step.band_degree;
@@ -170,7 +171,7 @@ impl<'g> Training<'g> {
             exposures.record(self.gpu, &mut frame, &view, &step);
         }
         self.backward.record(&mut frame, &self.pipeline, &view);
-        if let (Some(_), Some(mesh)) = (&step.vertices, &self.pipeline.mesh) {
+        if let (Some(_), Some(mesh)) = (&step.vertices, &self.pipeline.front.mesh) {
             mesh.record_vertex_backward(&mut frame);
         }
         if let Some(poses) = pose {
@@ -180,11 +181,11 @@ impl<'g> Training<'g> {
             self.adam.set(self.gpu, rates);
             self.adam.record(&mut frame);
         }
-        if let (Some(rates), Some(mesh)) = (&step.texels, &self.pipeline.mesh) {
+        if let (Some(rates), Some(mesh)) = (&step.texels, &self.pipeline.front.mesh) {
             mesh.set_step(self.gpu, rates);
             mesh.record_adam(&mut frame);
         }
-        if let (Some(step), Some(mesh)) = (&step.vertices, &self.pipeline.mesh) {
+        if let (Some(step), Some(mesh)) = (&step.vertices, &self.pipeline.front.mesh) {
             mesh.record_vertex_step(self.gpu, &mut frame, step);
         }
         frame.submit();
@@ -228,14 +229,14 @@ impl<'g> Training<'g> {
 
     /// From now on [`Self::smooth`] smooths splats as far as these views, the training views, cannot tell.
     pub(crate) fn smooth_for(&mut self, cameras: &[Camera]) -> Result<(), GpuError> {
-        self.smoothing = Some(Smoothing::new(self.gpu, cameras, self.pipeline.composition.near)?);
+        self.smoothing = Some(Smoothing::new(self.gpu, cameras, self.pipeline.front.composition.near)?);
         Ok(())
     }
 
     /// Measures how far the splats are smoothed, by where they are now; nothing without [`Self::smooth_for`]. Does not wait.
     pub(crate) fn smooth(&self) {
         if let Some(smoothing) = &self.smoothing {
-            smoothing.run(self.gpu, &self.pipeline.splats.geometry, self.pipeline.n_splats);
+            smoothing.run(self.gpu, &self.pipeline.front.splats.geometry, self.pipeline.front.n_splats);
         }
     }
 
@@ -246,14 +247,14 @@ impl<'g> Training<'g> {
 
     /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.
     pub(crate) fn free_vertices(&mut self, meshes: &[Mesh], state: &VertexState) -> Result<(), GpuError> {
-        let Pipeline { mesh, view, .. } = &mut self.pipeline;
+        let Front { mesh, view, .. } = &mut self.pipeline.front;
         let status = &self.backward.status;
         mesh.as_mut().map_or(Ok(()), |mesh| mesh.free_vertices(self.gpu, meshes, view, status, state))
     }
 
     /// The meshes as they are now: moved vertices, trained maps. `meshes` are those of the scene. Waits.
     pub(crate) fn read_meshes(&self, meshes: &[Mesh]) -> Result<Vec<Mesh>, GpuError> {
-        let Some(stage) = &self.pipeline.mesh else { return Ok(vec![]) };
+        let Some(stage) = &self.pipeline.front.mesh else { return Ok(vec![]) };
         let count = meshes.iter().map(|m| m.positions().len()).sum();
         let mut positions = stage.read_positions(self.gpu, count)?.into_iter();
         let invalid = |e| GpuError::Failed { adapter: self.gpu.adapter().to_owned(), reason: format!("mesh {e}") };
@@ -266,13 +267,13 @@ impl<'g> Training<'g> {
 
     /// Normals and moments of free vertices; empty if none are. Waits.
     pub(crate) fn read_vertex_state(&self) -> Result<VertexState, GpuError> {
-        let vertices = self.pipeline.mesh.as_ref().and_then(|m| m.vertices());
+        let vertices = self.pipeline.front.mesh.as_ref().and_then(|m| m.vertices());
         vertices.map_or(Ok(VertexState::default()), |v| v.read_state(self.gpu))
     }
 
     /// Renders a view with what is trained so far. Waits.
     pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], splats: bool) -> Result<Picture, GpuError> {
-        self.pipeline.composition.background = background;
+        self.pipeline.front.composition.background = background;
         loop {
             let mut view = self.prepare(camera)?;
             if !splats {
@@ -303,7 +304,7 @@ impl<'g> Training<'g> {
             }
         }
         let (moments, row) = self.backward.moments();
-        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.n_splats * row)?;
+        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.front.n_splats * row)?;
         Ok(rows.chunks_exact(row).map(|m| [m[6], m[7], m[8], m[9]]).collect())
     }
 
@@ -321,7 +322,7 @@ impl<'g> Training<'g> {
     /// empty without meshes. Waits.
     pub(crate) fn front_triangles(&self, camera: &Camera) -> Result<Vec<u32>, GpuError> {
         let pixels = camera.intrinsics().pixels();
-        self.pipeline.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_front_triangles(self.gpu, pixels))
+        self.pipeline.front.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_front_triangles(self.gpu, pixels))
     }
 
     /// Loss of the last step. Waits for it.
@@ -343,7 +344,7 @@ impl<'g> Training<'g> {
         if skipped == 0 {
             return Ok(0);
         }
-        let lengths = self.pipeline.list_lengths();
+        let lengths = self.pipeline.front.list_lengths();
         let longer = |i: usize| if needed[i] > lengths[i] { longer_list(self.gpu, needed[i]) } else { 0 };
         self.lengthen_lists([longer(0), longer(1)])?;
         Status::forget_skipped(self.gpu, &self.backward.status);
@@ -368,7 +369,7 @@ impl<'g> Training<'g> {
         Ok(grew)
     }
 
-    /// Makes the lists at least as long as `Pipeline::list_lengths` of another run said.
+    /// Makes the lists at least as long as `Front::list_lengths` of another run said.
     pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<(), GpuError> {
         if self.pipeline.lengthen_lists(self.gpu, lengths)? {
             self.rebind()?;
@@ -378,9 +379,9 @@ impl<'g> Training<'g> {
 
     /// Parameters and moments of all splats. Waits.
     pub(crate) fn read_splats(&self) -> Result<SplatState, GpuError> {
-        let (p, n) = (&self.pipeline, self.pipeline.n_splats);
+        let (p, n) = (&self.pipeline.front, self.pipeline.front.n_splats);
         let [gm, gv, sm, sv] = &self.moments;
-        let terms = sh_floats(p);
+        let terms = sh_floats(&p.splats);
         let read = |buffer: &Buffer, width: usize| self.gpu.read::<f32>(buffer, n * width);
         Ok(SplatState {
             sh_degree: p.splats.sh_degree,
@@ -395,7 +396,7 @@ impl<'g> Training<'g> {
 
     /// Geometry of all splats, `[N·12]`. Waits.
     pub(crate) fn read_geometry(&self) -> Result<Vec<f32>, GpuError> {
-        self.gpu.read(&self.pipeline.splats.geometry, self.pipeline.n_splats * GEOMETRY)
+        self.gpu.read(&self.pipeline.front.splats.geometry, self.pipeline.front.n_splats * GEOMETRY)
     }
 
     /// Replaces the geometry of all splats; everything else of each is what its source had. Statistics are zeroed. Waits only where buffers
@@ -406,11 +407,11 @@ impl<'g> Training<'g> {
     pub(crate) fn rearrange(&mut self, geometry: &[f32], sources: &[Source]) -> Result<(), GpuError> {
         let n = sources.len();
         assert_eq!(geometry.len(), n * GEOMETRY, "one source per splat");
-        debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.n_splats), "sources are splats");
-        if n > self.pipeline.splats.capacity {
+        debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.front.n_splats), "sources are splats");
+        if n > self.pipeline.front.splats.capacity {
             self.enlarge(n)?;
         }
-        let (p, [gm, gv, sm, sv]) = (&self.pipeline, &self.moments);
+        let (p, [gm, gv, sm, sv]) = (&self.pipeline.front, &self.moments);
         // The next step writes gradients anew before it reads them.
         let gradients = &self.backward.splats;
         let (scratch, sh_scratch) = (&gradients.geometry, &gradients.sh);
@@ -426,17 +427,17 @@ impl<'g> Training<'g> {
         let mut frame = Frame::new(self.gpu);
         frame.clear(&gradients.statistics);
         frame.submit();
-        self.pipeline.n_splats = n;
+        self.pipeline.front.n_splats = n;
         Ok(())
     }
 
     /// Makes room for `n` splats. What every step makes anew is freed first and made again last, so that what is copied between, parameters
     /// and moments, takes no more at its peak than all of it afterwards. Waits.
     fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
-        let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.splats.sh_degree, self.pipeline.n_splats);
-        self.pipeline.n_splats = 0;
+        let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.front.splats.sh_degree, self.pipeline.front.n_splats);
+        self.pipeline.front.n_splats = 0;
         let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?)?;
-        let moments = self.replace_moments(new_moments(gpu, &self.pipeline.splats)?);
+        let moments = self.replace_moments(new_moments(gpu, &self.pipeline.front.splats)?);
         self.rebind()?;
         let larger = SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?;
         let larger_moments = new_moments(gpu, &larger)?;
@@ -451,31 +452,31 @@ impl<'g> Training<'g> {
         self.pipeline.replace_splats(gpu, larger)?;
         self.replace_moments(larger_moments);
         self.rebind()?;
-        self.pipeline.n_splats = n_splats;
+        self.pipeline.front.n_splats = n_splats;
         Ok(())
     }
 
     /// Puts moments of as many splats as the pipeline has room for in place of those before.
     fn replace_moments(&mut self, moments: [Buffer; 4]) -> [Buffer; 4] {
-        self.moments_of = self.pipeline.splats.capacity;
+        self.moments_of = self.pipeline.front.splats.capacity;
         std::mem::replace(&mut self.moments, moments)
     }
 
     /// Replaces all splats. Statistics are zeroed.
     pub(crate) fn write_splats(&mut self, state: &SplatState) -> Result<(), GpuError> {
         let n = state.len();
-        if n > self.pipeline.splats.capacity {
-            let sh_degree = self.pipeline.splats.sh_degree;
+        if n > self.pipeline.front.splats.capacity {
+            let sh_degree = self.pipeline.front.splats.sh_degree;
             // All that matters is on the host: the old buffers go first, so that there is never room for both.
-            self.pipeline.n_splats = 0;
+            self.pipeline.front.n_splats = 0;
             for capacity in [0, with_headroom(self.gpu, n, sh_degree)] {
                 let splats = SplatBuffers::new(self.gpu, capacity, sh_degree)?;
                 self.pipeline.replace_splats(self.gpu, splats)?;
                 self.rebind()?;
             }
         }
-        self.pipeline.n_splats = n;
-        let p = &self.pipeline;
+        self.pipeline.front.n_splats = n;
+        let p = &self.pipeline.front;
         let [gm, gv, sm, sv] = &self.moments;
         let buffers = [&p.splats.geometry, &p.splats.sh, gm, gv, sm, sv];
         for (buffer, values) in buffers.into_iter().zip(state.arrays()) {
@@ -487,7 +488,7 @@ impl<'g> Training<'g> {
 
     /// Density statistics, `[N·4]`, see `splat_backward.wgsl`. Waits.
     pub(crate) fn read_statistics(&self) -> Result<Vec<f32>, GpuError> {
-        self.gpu.read(&self.backward.splats.statistics, self.pipeline.n_splats * 4)
+        self.gpu.read(&self.backward.splats.statistics, self.pipeline.front.n_splats * 4)
     }
 
     /// Replaces the density statistics.
@@ -497,12 +498,12 @@ impl<'g> Training<'g> {
 
     /// First and second moments of the maps, in one documented order. Waits.
     pub(crate) fn read_texel_moments(&self) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
-        self.pipeline.mesh.as_ref().map_or(Ok((vec![], vec![])), |m| m.read_moments(self.gpu))
+        self.pipeline.front.mesh.as_ref().map_or(Ok((vec![], vec![])), |m| m.read_moments(self.gpu))
     }
 
     /// Replaces the moments of the maps; false if their number is wrong.
     pub(crate) fn write_texel_moments(&self, first: &[f32], second: &[f32]) -> bool {
-        match &self.pipeline.mesh {
+        match &self.pipeline.front.mesh {
             Some(mesh) => mesh.write_moments(self.gpu, first, second),
             None => first.is_empty() && second.is_empty(),
         }
@@ -525,8 +526,8 @@ impl<'g> Training<'g> {
         if let Some(poses) = &mut self.poses {
             poses.bind(self.gpu, &self.pipeline, &self.backward);
         }
-        if self.moments_of != self.pipeline.splats.capacity {
-            self.replace_moments(new_moments(self.gpu, &self.pipeline.splats)?);
+        if self.moments_of != self.pipeline.front.splats.capacity {
+            self.replace_moments(new_moments(self.gpu, &self.pipeline.front.splats)?);
         }
         self.adam = new_adam(self.gpu, &self.pipeline, &self.backward, &self.moments)?;
         Ok(())
@@ -543,8 +544,8 @@ impl<'g> Training<'g> {
     }
 }
 
-fn sh_floats(pipeline: &Pipeline) -> usize {
-    3 * sh::coefficients(pipeline.splats.sh_degree)
+fn sh_floats(splats: &SplatBuffers) -> usize {
+    3 * sh::coefficients(splats.sh_degree)
 }
 
 fn new_loss(
@@ -556,15 +557,21 @@ fn new_loss(
     exposures: Option<&Buffer>,
 ) -> Result<Loss, GpuError> {
     let (image, gradient) = (&pipeline.blend.image, &backward.image_gradient);
-    Loss::new(gpu, sizes, image, truth, gradient, &pipeline.view, ssim_weight, exposures)
+    Loss::new(gpu, sizes, image, truth, gradient, &pipeline.front.view, ssim_weight, exposures)
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck {
-    ListCheck::new(gpu, &pipeline.view, &pipeline.lists, pipeline.mesh.as_ref().map(MeshStage::pairs), status)
+    ListCheck::new(
+        gpu,
+        &pipeline.front.view,
+        &pipeline.front.lists,
+        pipeline.front.mesh.as_ref().map(MeshStage::pairs),
+        status,
+    )
 }
 
 fn new_moments(gpu: &Gpu, splats: &SplatBuffers) -> Result<[Buffer; 4], GpuError> {
-    let (n, terms) = (splats.capacity, 3 * sh::coefficients(splats.sh_degree));
+    let (n, terms) = (splats.capacity, sh_floats(splats));
     Ok([
         gpu.storage("geometry moment 1", n * GEOMETRY)?,
         gpu.storage("geometry moment 2", n * GEOMETRY)?,
@@ -577,12 +584,12 @@ fn new_adam(gpu: &Gpu, pipeline: &Pipeline, backward: &Backward, moments: &[Buff
     let [geometry_m, geometry_v, sh_m, sh_v] = moments;
     SplatAdam::new(
         gpu,
-        sh_floats(pipeline),
-        SplatFloats { geometry: &pipeline.splats.geometry, sh: &pipeline.splats.sh },
+        sh_floats(&pipeline.front.splats),
+        SplatFloats { geometry: &pipeline.front.splats.geometry, sh: &pipeline.front.splats.sh },
         SplatFloats { geometry: &backward.splats.geometry, sh: &backward.splats.sh },
         SplatFloats { geometry: geometry_m, sh: sh_m },
         SplatFloats { geometry: geometry_v, sh: sh_v },
-        &pipeline.lists.visible,
+        &pipeline.front.lists.visible,
         &backward.status,
     )
 }

@@ -56,12 +56,12 @@ fn step(training: &mut Training, camera: &Camera) {
 }
 
 fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
-    let (size, sh_degree) = (camera.intrinsics(), training.pipeline.splats.sh_degree);
+    let (size, sh_degree) = (camera.intrinsics(), training.pipeline.front.splats.sh_degree);
     let truth = vec![200; 4 * size.pixels()];
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
     let splats = AdamStep {
         number: 1,
-        n_splats: training.pipeline.n_splats as u32,
+        n_splats: training.pipeline.front.n_splats as u32,
         sh_degree,
         rates,
         opacity_weight: 0.0,
@@ -139,11 +139,11 @@ fn a_step_after_depths_that_were_long_learns() {
         training
     };
     let [mut short, mut long] = [made(), made()];
-    let lengths = short.pipeline.list_lengths();
+    let lengths = short.pipeline.front.list_lengths();
     let depths = short.median_depth(&near).unwrap();
     assert!(depths[(SIDE * SIDE / 2 + SIDE / 2) as usize] > 0.0);
-    assert!(short.pipeline.list_lengths()[0] > lengths[0], "nothing was too short");
-    long.lengthen_lists(short.pipeline.list_lengths()).unwrap();
+    assert!(short.pipeline.front.list_lengths()[0] > lengths[0], "nothing was too short");
+    long.lengthen_lists(short.pipeline.front.list_lengths()).unwrap();
     let losses = [&mut short, &mut long].map(|training| {
         step(training, &near);
         assert_eq!(training.status().unwrap().skipped, 0);
@@ -165,9 +165,9 @@ fn longer_lists_leave_pictures_alone() {
     let image = |training: &Training| training.pipeline.read_picture(&gpu, &near).unwrap().rgb;
     let (loss, seen) = (training.loss().unwrap(), image(&training));
     assert!(loss.l1 > 0.0);
-    let lengths = training.pipeline.list_lengths();
+    let lengths = training.pipeline.front.list_lengths();
     training.lengthen_lists(lengths.map(|n| 4 * n)).unwrap();
-    assert!(training.pipeline.list_lengths()[0] > lengths[0]);
+    assert!(training.pipeline.front.list_lengths()[0] > lengths[0]);
     assert_eq!((training.loss().unwrap(), image(&training)), (loss, seen));
 }
 
@@ -250,7 +250,7 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
                 training.sum_absolute_gradients().unwrap();
                 step(&mut training, &near);
             }
-            assert!(training.pipeline.lists.read_counts(&gpu).unwrap().1 > 12_000);
+            assert!(training.pipeline.front.lists.read_counts(&gpu).unwrap().1 > 12_000);
             learnt(&training, &scene.meshes)
         });
         assert!(all.0.geometry_m.iter().filter(|m| **m != 0.0).count() > 50);

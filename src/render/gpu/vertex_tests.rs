@@ -95,7 +95,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
         // What they would have learnt while they rest does not move them later.
         let number = t.checked_sub(10).map(|t| t + 1);
         if number == Some(1) {
-            let mesh = training.pipeline.mesh.as_ref().unwrap();
+            let mesh = training.pipeline.front.mesh.as_ref().unwrap();
             assert!(mesh.read_vertex_gradient(&gpu).unwrap().iter().all(|g| *g == 0.0));
         }
         let step = |number| VertexStep { number, rate: 0.1 * 0.1_f32.powf(number as f32 / 150.0) };
@@ -133,7 +133,7 @@ fn a_wall_of_two_triangles_is_pulled_as_far_in_large_pictures() {
         while training.grow_if_short().unwrap() > 0 {
             training.step(&step).unwrap();
         }
-        training.pipeline.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap()
+        training.pipeline.front.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap()
     };
     let (few, many) = (pulled(64), pulled(1024));
     let largest = few.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
