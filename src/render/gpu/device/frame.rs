@@ -30,7 +30,7 @@ impl<'a> Frame<'a> {
         pass
     }
 
-    /// The pass that commands go to; one of its own, timed and so `label`led, with a timer.
+    /// The pass for the next dispatch; with a timer one for it alone, which is timed as `label`.
     fn open_pass(&mut self, label: &str) -> &mut wgpu::ComputePass<'static> {
         if let Some(timer) = &mut self.timer
             && timer.labels.len() < Timer::CAPACITY
