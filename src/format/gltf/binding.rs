@@ -3,7 +3,7 @@
 use glam::{DMat4, DQuat, Quat, Vec3};
 use serde_json::Value;
 
-use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SplatExtension};
+use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SplatExtension, extension_of};
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::similarity;
@@ -21,7 +21,7 @@ pub(super) struct Bindable {
 
 /// Where the extension's object is in a primitive's `KHR_gaussian_splatting`, and what it says.
 pub(super) fn object(khr: &Value, id: (usize, usize)) -> Result<Option<(String, SplatExtension)>, Fault> {
-    let Some(value) = khr.get("extensions").and_then(|e| e.get(HYBRID)) else { return Ok(None) };
+    let Some(value) = extension_of(khr, HYBRID) else { return Ok(None) };
     let at = format!("/meshes/{}/primitives/{}/extensions/{KHR_SPLATS}/extensions/{HYBRID}", id.0, id.1);
     let object = from_value(value, &at, &format!("an object of {HYBRID}"))?;
     Ok(Some((at, object)))

@@ -2,6 +2,7 @@
 //! are in `schema/EXT_gaussian_splatting_hybrid`.
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::format::error::Fault;
 use crate::scene::{ColorSpace, Composition, OrderMode, PixelFilter};
@@ -33,6 +34,11 @@ pub(super) const DRAFT_ROTATION: &str = "_ROTATION";
 pub(super) const DRAFT_SCALE: &str = "_SCALE";
 pub(crate) const OPACITY: &str = "KHR_gaussian_splatting:OPACITY";
 
+/// `extensions.name` of an object.
+pub(crate) fn extension_of<'a>(object: &'a Value, name: &str) -> Option<&'a Value> {
+    object.get("extensions")?.get(name)
+}
+
 /// Attribute names of SH coefficients 0..(d+1)², in the order of `scene::sh::basis`.
 pub(crate) fn sh_attributes(degree: u32) -> impl Iterator<Item = String> {
     (0..=degree).flat_map(|l| (0..=2 * l).map(move |m| format!("{KHR_SPLATS}:SH_DEGREE_{l}_COEF_{m}")))
@@ -48,7 +54,7 @@ pub(crate) struct Khr {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) projection: Option<String>,
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
-    pub(crate) extensions: serde_json::Map<String, serde_json::Value>,
+    pub(crate) extensions: serde_json::Map<String, Value>,
 }
 
 /// `KHR_gaussian_splatting.extensions.KHR_gaussian_splatting_compression_spz_2`.
@@ -201,7 +207,7 @@ pub(crate) struct TextureRef {
     #[serde(default)]
     pub(crate) tex_coord: u32,
     #[serde(default, skip_serializing_if = "serde_json::Map::is_empty")]
-    pub(crate) extensions: serde_json::Map<String, serde_json::Value>,
+    pub(crate) extensions: serde_json::Map<String, Value>,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]

@@ -7,6 +7,7 @@ use meshopt::{
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::extension::extension_of;
 use crate::format::error::{Fault, from_value};
 
 /// Both names; KHR adds a version of the attribute codec and the filter COLOR.
@@ -32,7 +33,7 @@ struct Compressed {
 
 /// The compressed form of a buffer view, with its place below the view.
 pub(super) fn of_view(view: &Value) -> Option<(&'static str, &Value)> {
-    NAMES.into_iter().find_map(|name| Some((name, view.get("extensions")?.get(name)?)))
+    NAMES.into_iter().find_map(|name| Some((name, extension_of(view, name)?)))
 }
 
 /// Decompresses every compressed view of the document, given its buffers by index: (view, bytes).

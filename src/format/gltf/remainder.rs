@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::extension::{
     DRAFT_ROTATION, DRAFT_SCALE, EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, ROTATION, SCALE, SPZ, TEXTURE_TRANSFORM,
-    UNLIT, WEBP,
+    UNLIT, WEBP, extension_of,
 };
 use super::meshopt;
 
@@ -61,7 +61,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     if primitives().any(|p| khr_extension(p, HYBRID)) {
         found.push(Remnant { what: "bindings of splats".to_owned(), moves: true });
     }
-    if root.get("extensions").is_some_and(|e| e.get(HYBRID).is_some()) {
+    if extension_of(root, HYBRID).is_some() {
         found.push(Remnant { what: "deformation fields".to_owned(), moves: true });
     }
     let others: BTreeSet<&str> = primitives().flat_map(other_attributes).collect();
@@ -84,14 +84,13 @@ fn items(value: Option<&Value>) -> &[Value] {
 }
 
 fn khr_extension(primitive: &Value, name: &str) -> bool {
-    let khr = primitive.get("extensions").and_then(|e| e.get(KHR_SPLATS)?.get("extensions"));
-    khr.is_some_and(|nested| nested.get(name).is_some())
+    extension_of(primitive, KHR_SPLATS).is_some_and(|khr| extension_of(khr, name).is_some())
 }
 
 /// Attributes of a primitive that a scene does not hold.
 fn other_attributes(primitive: &Value) -> Vec<&str> {
     let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return vec![] };
-    let khr = primitive.get("extensions").and_then(|e| e.get(KHR_SPLATS));
+    let khr = extension_of(primitive, KHR_SPLATS);
     // Read where the names of today are not there, and no SPZ stands for all.
     let of_draft = khr.is_some_and(is_draft) && !khr_extension(primitive, SPZ);
     let is_read = |name: &str| match name {

@@ -6,7 +6,7 @@ use serde::Deserialize as _;
 use serde_json::Value;
 
 use super::buffer::Buffer;
-use super::extension::{HYBRID, KHR_SPLATS, Radiance, SPZ, Surface};
+use super::extension::{HYBRID, KHR_SPLATS, Radiance, SPZ, Surface, extension_of};
 use super::lift::Asset;
 use super::{meshopt, uri};
 
@@ -36,7 +36,7 @@ pub(in crate::format) fn sizes(asset: &Asset, file_bytes: u64) -> Sizes {
             }
             let own = primitive.extension_value(HYBRID).and_then(|v| Surface::deserialize(v).ok()?.surface_vertices);
             own.into_iter().for_each(|a| count.accessor(part, a));
-            let stream = khr.and_then(|k| k.get("extensions")?.get(SPZ)?.get("bufferView")?.as_u64());
+            let stream = khr.and_then(|k| extension_of(k, SPZ)?.get("bufferView")?.as_u64());
             stream.into_iter().for_each(|view| count.view(part, view as usize));
         }
     }

@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use super::buffer::Buffer;
 use super::container::Bin;
-use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract};
+use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract, extension_of};
 use super::lift::Asset;
 use super::motion::Clip;
 use super::moving::Moving;
@@ -193,7 +193,7 @@ impl Source {
     }
 
     fn contract(&self) -> Option<&Value> {
-        self.root.get("scenes")?.get(self.scene())?.get("extensions")?.get(HYBRID)
+        extension_of(self.root.get("scenes")?.get(self.scene())?, HYBRID)
     }
 
     /// The document as it was read, whatever has become of the scene, and its one buffer.

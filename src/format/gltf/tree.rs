@@ -6,7 +6,7 @@ use glam::{DMat4, DVec3};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::extension::{KHR_SPLATS, SPZ};
+use super::extension::{KHR_SPLATS, SPZ, extension_of};
 use super::lift::Asset;
 use super::motion::{Clip, Motion};
 use super::remainder::remainder;
@@ -141,7 +141,7 @@ fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Prim
         triangles,
         sh_degree: khr.map(|_| (1..=3).take_while(|&l| has_degree(l)).last().unwrap_or(0)),
         color_space: khr.and_then(|k| k.get("colorSpace")?.as_str()).map(str::to_owned),
-        is_spz: khr.is_some_and(|k| k.get("extensions").is_some_and(|e| e.get(SPZ).is_some())),
+        is_spz: khr.is_some_and(|k| extension_of(k, SPZ).is_some()),
         material: primitive.material().index(),
         morph_targets: primitive.morph_targets().len(),
     }

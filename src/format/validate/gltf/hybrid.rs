@@ -12,7 +12,7 @@ use super::schema::{self, Unknown};
 use super::splats::check_token;
 use super::{binding, extension, fields, index, objects, primitives};
 use crate::format::error::shown;
-use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM};
+use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM, extension_of};
 
 const COLOR_SPACES: [&str; 2] = ["srgb_rec709_display", "lin_rec709_display"];
 
@@ -147,7 +147,7 @@ struct Coordinates {
 impl Coordinates {
     fn of(source: &Value) -> Self {
         let texture = source.get("texture").unwrap_or(&Value::Null);
-        let transform = texture.get("extensions").and_then(|e| e.get(TEXTURE_TRANSFORM)).unwrap_or(&Value::Null);
+        let transform = extension_of(texture, TEXTURE_TRANSFORM).unwrap_or(&Value::Null);
         let part =
             |key: &str, i: usize, usual: f64| transform.get(key).and_then(|v| v.get(i)?.as_f64()).unwrap_or(usual);
         let rotation = transform.get("rotation").and_then(Value::as_f64).unwrap_or(0.0);

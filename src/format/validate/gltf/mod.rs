@@ -22,7 +22,7 @@ use serde_json::Value;
 use self::document::Document;
 use super::Findings;
 use crate::format::error::shown;
-use crate::format::gltf::extension::HYBRID;
+use crate::format::gltf::extension::{HYBRID, extension_of};
 
 /// Checks a `.glb` or `.gltf`; `folder` is where its buffers and images may lie.
 pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
@@ -69,5 +69,5 @@ fn primitives(root: &Value) -> impl Iterator<Item = (String, &Value)> {
 
 /// An extension of an object, with its JSON pointer.
 fn extension<'a>(object: &'a Value, name: &str, at: &str) -> Option<(String, &'a Value)> {
-    Some((format!("{at}/extensions/{name}"), object.get("extensions")?.get(name)?))
+    Some((format!("{at}/extensions/{name}"), extension_of(object, name)?))
 }

@@ -5,6 +5,7 @@ use serde_json::Value;
 use super::super::{Findings, Offenders};
 use super::document::{Component, Document, Elements};
 use super::{index, objects, primitives};
+use crate::format::gltf::extension::{KHR_SPLATS, extension_of};
 
 /// How far from 1 the length of a unit vector or quaternion may be. 8-bit components are half a step of 1/127 off each.
 pub(super) const UNIT_TOLERANCE: f64 = 0.01;
@@ -91,7 +92,7 @@ fn attribute_rule(name: &str) -> Option<(&'static [&'static str], &'static [Comp
 fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, findings: &mut Findings) {
     let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return };
     let accessor = |i: &Value| i.as_u64().and_then(|i| document.root.get("accessors")?.get(i as usize));
-    let is_splats = primitive.get("extensions").and_then(|e| e.get("KHR_gaussian_splatting")).is_some();
+    let is_splats = extension_of(primitive, KHR_SPLATS).is_some();
     let quantized = document.uses("KHR_mesh_quantization");
     let positions = attributes.get("POSITION").and_then(accessor);
     let vertices = positions.and_then(|p| index(p, "count"));
