@@ -25,7 +25,7 @@ pub use images::{ImageSource, Photo, decode};
 use glam::Vec3;
 
 use self::views::Frame;
-use crate::{atomic::folder_of, scene::Camera};
+use crate::{atomic::folder_of, format::has_extension, scene::Camera};
 
 /// A set of posed photographs and what structure from motion knows of the surface.
 #[derive(Clone, Debug)]
@@ -208,7 +208,7 @@ const COARSEST: f64 = 2.5e-4;
 pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError> {
     let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if folder { path } else { folder_of(path) };
-    if !folder && !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+    if !folder && !has_extension(path, &["json"]) {
         return Err(CaptureError::invalid(path, "capture", "a folder or a transforms*.json", "another file"));
     }
     if let Some(images) = &options.images {

@@ -3,7 +3,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use centaur::capture::LoadOptions;
 use centaur::format::{
-    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, write_cameras, write_cameras_with_scene,
+    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, gltf, has_extension, write_cameras,
+    write_cameras_with_scene,
 };
 use centaur::path::{self, Around, PathError, Shot, Spline};
 use centaur::scene::{Camera, Intrinsics};
@@ -195,7 +196,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
 impl FileArgs {
     fn read(&self, sampling: &Sampling<'_>) -> Result<CameraFile> {
         usage::demand(
-            !self.with_scene || is_gltf(&self.output),
+            !self.with_scene || gltf::is_named(&self.output),
             format!("{}: --with-scene: expected a name that ends in .glb or .gltf", self.output.display()),
         )?;
         if is_folder(&self.output) {
@@ -205,7 +206,7 @@ impl FileArgs {
         }
         if !self.with_scene {
             let spared = output::spare(&self.output, [self.source.as_path()]);
-            if is_gltf(&self.output) {
+            if gltf::is_named(&self.output) {
                 let lost = || format!("--with-scene writes {} again with the path in it", self.source.display());
                 spared.with_context(lost)?;
             } else {
@@ -244,7 +245,7 @@ impl FileArgs {
             write_cameras(&self.output, &file)?
         };
         let CameraFile { cameras, fps, times, mut notes, y_up } = file;
-        let is_gltf = is_gltf(&self.output);
+        let is_gltf = gltf::is_named(&self.output);
         if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
         }
@@ -261,7 +262,7 @@ impl FileArgs {
             );
         }
         let begins = times.first().copied().unwrap_or_default();
-        let has_times = is_gltf || self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("usda"));
+        let has_times = is_gltf || has_extension(&self.output, &["usda"]);
         if begins != 0.0 && !(has_times && begins > 0.0) {
             notes.push(format!(
                 "begins at {begins} s, which {} does not say: there it begins at 0",
@@ -286,10 +287,6 @@ impl FileArgs {
         lines.extend(notes.iter().map(|note| format!("note: {}: {note}", self.source.display())));
         output::print(&lines.join("\n"))
     }
-}
-
-fn is_gltf(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
 }
 
 fn is_folder(path: &Path) -> bool {

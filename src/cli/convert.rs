@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
 use centaur::edit::{self, Similarity};
 use centaur::format::ply::Attribute;
-use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, spz};
+use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, gltf, spz};
 use centaur::scene::Composition;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -138,10 +138,10 @@ fn writable(path: PathBuf) -> Result<PathBuf, String> {
 pub(super) fn run(args: &Args) -> Result<()> {
     let files = args.files()?;
     usage::demand(
-        args.played.animations.is_empty() || args.time.is_some() || !is_gltf(files.output),
+        args.played.animations.is_empty() || args.time.is_some() || !gltf::is_named(files.output),
         "--animation: a glTF takes all animations of a glTF over: say --time, or another format",
     )?;
-    let is_spz = files.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("spz"));
+    let is_spz = format::has_extension(files.output, &["spz"]);
     usage::demand(
         is_spz || args.spz_version.is_none(),
         format!("{}: --spz-version: expected a name that ends in .spz", files.output.display()),
@@ -160,7 +160,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         files.output.display(),
         if edited.steps.is_empty() { "" } else { " after removing" },
     );
-    if edited.source.as_ref().is_some_and(|s| is_gltf(files.output) && s.stands(&edited.scene, &edited.cameras)) {
+    if edited.source.as_ref().is_some_and(|s| gltf::is_named(files.output) && s.stands(&edited.scene, &edited.cameras))
+    {
         // A document that is written again is taken over exactly, whatever a scene can hold of it.
         inputs.iter_mut().for_each(|input| input.notes.clear());
     }
@@ -192,16 +193,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json { output::print_json(&outcome) } else { output::print(&described(&outcome)) }
 }
 
-fn is_gltf(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"))
-}
-
 /// All inputs as one scene in the frame of captures, and what is to be said about them.
 fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
     let one = files.len() == 1;
     let options = ReadOptions {
         drop_invalid: args.drop_invalid,
-        keep_document: one && is_gltf(output),
+        keep_document: one && gltf::is_named(output),
         time: args.time,
         animations: &args.played.animations,
     };

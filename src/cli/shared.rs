@@ -127,7 +127,7 @@ pub(super) fn in_capture_frame(scene: HybridScene, y_up: bool) -> Result<(Hybrid
 
 /// Cameras of a capture (a folder or `.json`), or of a glTF or USD file.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadOptions) -> Result<CameraFile> {
-    let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    let is_json = format::has_extension(path, &["json"]);
     if !(is_json || path.is_dir()) {
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
@@ -158,7 +158,7 @@ pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &Loa
     let Some(folder) = pictures.iter().find_map(|picture| picture.parent()?.canonicalize().ok()) else {
         return Ok(());
     };
-    if path.is_dir() || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+    if path.is_dir() || format::has_extension(path, &["json"]) {
         spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))?;
     }
     let known = path.canonicalize().ok();

@@ -10,7 +10,7 @@ use glam::{DVec2, Vec2, Vec3};
 use super::error::{Fault, FormatError, Location, read_file};
 use super::gltf::{Asset, Motion, Poses, placements, triangles};
 use super::ply::table;
-use super::polygon;
+use super::{has_extension, polygon};
 
 /// A mesh without maps.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +38,7 @@ pub struct ImportedMesh {
 /// # Errors
 /// If the file cannot be read, is malformed, or has no triangle.
 pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
-    let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+    let is_obj = has_extension(path, &["obj"]);
     let bytes = read_file(path)?;
     let soup = if bytes.starts_with(b"ply") {
         from_ply(&bytes)

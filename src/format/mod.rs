@@ -77,6 +77,12 @@ pub fn atomic_write_with(
     atomic::write_with(path, produce).map_err(|source| FormatError::Write { file: path.to_owned(), source })
 }
 
+/// Whether the name of a file ends in one of `extensions` (without dot), in any case.
+#[must_use]
+pub fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    path.extension().is_some_and(|own| extensions.iter().any(|extension| own.eq_ignore_ascii_case(extension)))
+}
+
 /// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
@@ -140,7 +146,6 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     // Enough to see past the white space with which JSON may begin.
     error::open_file(path)?.take(256).read_to_end(&mut start).map_err(failed)?;
     let first = start.iter().find(|b| !b.is_ascii_whitespace());
-    let named = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
     if start.starts_with(b"glTF") {
         Ok(Kind::Gltf)
     } else if start.starts_with(b"ply") {
@@ -152,9 +157,9 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     } else if start.starts_with(b"NGSP") || start.starts_with(&[0x1f, 0x8b, 8]) {
         // gzip of something else says so when it is opened.
         Ok(Kind::Spz)
-    } else if named("splat") {
+    } else if has_extension(path, &["splat"]) {
         Ok(Kind::Splat)
-    } else if named("ksplat") {
+    } else if has_extension(path, &["ksplat"]) {
         Ok(Kind::Ksplat)
     } else if first == Some(&b'{') {
         Ok(Kind::Gltf)

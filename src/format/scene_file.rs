@@ -8,8 +8,8 @@ use super::error::Fault;
 use super::ply::Attribute;
 use super::record::Record;
 use super::{
-    FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, gltf, kind, ksplat, mitsuba,
-    ply, sog, splat, spz, usd,
+    FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, gltf, has_extension, kind,
+    ksplat, mitsuba, ply, sog, splat, spz, usd,
 };
 use crate::atomic;
 use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats};
@@ -132,7 +132,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
     // Files beside it lie where a link leads, unless that has a name of another kind.
     let place = atomic::place_of(path).map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
-    let is_alike = place.extension().is_some_and(|other| other.eq_ignore_ascii_case(extension));
+    let is_alike = has_extension(&place, &[extension]);
     let path = if is_alike { &place } else { path };
     let (splats, antialiased) = (&scene.splats, scene.composition.pixel_filter.normalized);
     let report = match extension {

@@ -145,8 +145,7 @@ pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError>
 /// # Errors
 /// If `path` has another extension than these, `scene` cannot be read or is something else, or the file cannot be written.
 pub fn write_cameras_with_scene(path: &Path, scene: &Path, file: &CameraFile) -> Result<u64, FormatError> {
-    let is_gltf = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb") || e.eq_ignore_ascii_case("gltf"));
-    if !is_gltf {
+    if !gltf::is_named(path) {
         return Err(Fault::whole("a name that ends in .glb or .gltf", path.display().to_string()).in_file(path));
     }
     match kind(scene)? {

@@ -10,9 +10,9 @@ use serde_json::{Value, json};
 
 use super::buffer::{self, Buffer};
 use super::{glb, uri};
-use crate::format::atomic_write_with;
 use crate::format::blocks::{BLOCK_BYTES, in_waves};
 use crate::format::error::{Fault, FormatError};
+use crate::format::{atomic_write_with, has_extension};
 
 /// The content of buffer 0, in pieces that begin at multiples of 4 bytes.
 #[derive(Default)]
@@ -118,7 +118,7 @@ pub(super) fn write(path: &Path, document: Value, bin: &Bin<'_>) -> Result<u64, 
 }
 
 fn written(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
-    let is_text = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf"));
+    let is_text = has_extension(path, &["gltf"]);
     if is_text {
         if bin.len() == 0 {
             return atomic_write_with(path, |file| Ok(serde_json::to_writer(file, &document)?));

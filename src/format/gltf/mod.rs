@@ -64,8 +64,14 @@ pub(super) use uv::{Unrolling, UvMap};
 
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;
-use super::{FormatError, ReadOptions, SceneFile};
+use super::{FormatError, ReadOptions, SceneFile, has_extension};
 use crate::scene::{Camera, Composition, HybridScene, Splats};
+
+/// Whether what is written to a file of this name is glTF.
+#[must_use]
+pub fn is_named(path: &Path) -> bool {
+    has_extension(path, &["glb", "gltf"])
+}
 
 /// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
 /// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings).

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::{file_bytes, stored_bytes};
 use super::validate::unknown_properties;
-use super::{FormatError, Kind, ReadOptions, kind, ply, read_file, usd};
+use super::{FormatError, Kind, ReadOptions, has_extension, kind, ply, read_file, usd};
 use crate::scene::{Camera, ColorSpace, Composition, HALF_TURN, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
@@ -148,7 +148,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
         Kind::Usd => {
             let file = usd::read(path)?;
             let (own, bytes) = (file_bytes(path)?, stored_bytes(path)?);
-            let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
+            let is_package = has_extension(path, &["usdz"]);
             let parts = [(if is_package { "package" } else { "layer" }, own), ("beside", bytes - own)];
             Ok(Summary {
                 format: Kind::Usd.name(),

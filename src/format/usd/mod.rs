@@ -50,7 +50,7 @@ use self::package::{Opened, Place, located};
 use self::stage::Stage;
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;
-use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange};
+use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange, has_extension};
 use crate::scene::{Camera, HybridScene};
 
 /// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to
@@ -132,7 +132,7 @@ pub fn write(
     cameras: &[(String, Camera)],
     record: Option<&serde_json::Value>,
 ) -> Result<(u64, Vec<String>), FormatError> {
-    let is_package = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("usdz"));
+    let is_package = has_extension(path, &["usdz"]);
     let prefix = if is_package { String::new() } else { format!("{}_", exchange::stem(path, ".usda")) };
     let failed = |reason| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };
     let export = from_scene::export(scene, cameras, record, &prefix).map_err(failed)?;
