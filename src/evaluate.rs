@@ -9,7 +9,7 @@ use crate::{
     capture::{self, Capture, CaptureError, Photo, Split, View},
     metrics::{self, Evaluation, Lpips, Measured, MetricError, ViewScore},
     render::gpu::{Gpu, GpuError, Picture, Renderer},
-    scene::{Camera, ColorSpace, Composition, HybridScene, color::linear_to_srgb},
+    scene::{Camera, Composition, HybridScene},
 };
 
 /// Frames per second are a mean over this many views, each rendered so many times.
@@ -166,11 +166,8 @@ impl Comparison {
     /// Of a photograph and what a scene of this composition shows of it.
     #[must_use]
     pub fn new(photo: &Photo, picture: &Picture, composition: &Composition) -> Self {
-        let encoded = |rgb: [f32; 3]| match composition.color_space {
-            ColorSpace::SrgbDisplay => rgb,
-            ColorSpace::LinearDisplay => rgb.map(linear_to_srgb),
-        };
-        let background = encoded(composition.background);
+        let space = composition.color_space;
+        let background = space.to_srgb(composition.background);
         let mut truth = Rgb32FImage::new(photo.width, photo.height);
         let mut render = Rgb32FImage::new(picture.width, picture.height);
         for (p, truth) in truth.pixels_mut().enumerate() {
@@ -181,7 +178,7 @@ impl Comparison {
         for (p, (render, rgb)) in render.pixels_mut().zip(&picture.rgb).enumerate() {
             // Those of other sizes have no score.
             let mask = if are_alike { expected(photo, p, background).1 } else { 1.0 };
-            *render = Rgb(encoded(*rgb).map(|c| c * mask));
+            *render = Rgb(space.to_srgb(*rgb).map(|c| c * mask));
         }
         let is_empty = photo.masked && photo.rgba.chunks_exact(4).all(|rgba| rgba[3] == 0);
         Self { truth, render, masked: photo.masked, is_empty }
@@ -216,6 +213,7 @@ pub(crate) fn expected(photo: &Photo, p: usize, background: [f32; 3]) -> ([f32; 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{ColorSpace, color::linear_to_srgb};
 
     fn photo(masked: bool) -> Photo {
         Photo { width: 2, height: 1, rgba: vec![255, 0, 0, 0, 0, 255, 0, 255], has_alpha: !masked, masked }

@@ -92,7 +92,7 @@ pub fn write_exr(
     let mut attributes =
         LayerAttributes { software_name: Some(Text::new_or_panic("centaur")), ..LayerAttributes::default() };
     attributes.comments = Text::new_or_none(&header.comment);
-    attributes.other.insert(Text::new_or_panic("colorSpace"), text(space_name(header.color_space)));
+    attributes.other.insert(Text::new_or_panic("colorSpace"), text(header.color_space.name()));
     let compression = match header.compression {
         ExrCompression::Zip => Compression::ZIP16,
         ExrCompression::Piz => Compression::PIZ,
@@ -129,13 +129,6 @@ const REC_709: Chromaticities = Chromaticities {
     blue: exr::math::Vec2(0.15, 0.06),
     white: exr::math::Vec2(0.3127, 0.3290),
 };
-
-fn space_name(space: ColorSpace) -> &'static str {
-    match space {
-        ColorSpace::SrgbDisplay => "srgb_rec709_display",
-        ColorSpace::LinearDisplay => "lin_rec709_display",
-    }
-}
 
 #[cfg(test)]
 mod tests {

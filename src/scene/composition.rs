@@ -1,4 +1,5 @@
 use super::SceneError;
+use super::color::{linear_to_srgb, srgb_to_linear};
 
 /// How the order of a splat and a mesh layer is decided. `render::contract` has the formulas.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -37,6 +38,47 @@ pub enum ColorSpace {
     SrgbDisplay,
     /// Linear light, Rec. 709 primaries (`lin_rec709_display`).
     LinearDisplay,
+}
+
+impl ColorSpace {
+    /// All of them, the default first.
+    pub const ALL: [Self; 2] = [Self::SrgbDisplay, Self::LinearDisplay];
+
+    /// Its name in glTF, in headers of EXR and in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SrgbDisplay => "srgb_rec709_display",
+            Self::LinearDisplay => "lin_rec709_display",
+        }
+    }
+
+    /// A colour of this space in sRGB, as pictures of 8 bits are.
+    #[must_use]
+    pub fn to_srgb(self, rgb: [f32; 3]) -> [f32; 3] {
+        match self {
+            Self::SrgbDisplay => rgb,
+            Self::LinearDisplay => rgb.map(linear_to_srgb),
+        }
+    }
+
+    /// A colour of this space in linear light.
+    #[must_use]
+    pub fn to_linear(self, rgb: [f32; 3]) -> [f32; 3] {
+        match self {
+            Self::SrgbDisplay => rgb.map(srgb_to_linear),
+            Self::LinearDisplay => rgb,
+        }
+    }
+
+    /// Linear light as a colour of this space.
+    #[must_use]
+    pub fn from_linear(self, rgb: [f32; 3]) -> [f32; 3] {
+        match self {
+            Self::SrgbDisplay => rgb.map(linear_to_srgb),
+            Self::LinearDisplay => rgb,
+        }
+    }
 }
 
 /// How the projections of splats are fitted to the pixels of a picture, which are not points.

@@ -276,29 +276,18 @@ pub(crate) struct ExactCamera {
     pub(crate) translation: [f64; 3],
 }
 
-pub(crate) fn color_space_token(space: ColorSpace) -> &'static str {
-    match space {
-        ColorSpace::SrgbDisplay => "srgb_rec709_display",
-        ColorSpace::LinearDisplay => "lin_rec709_display",
-    }
-}
-
 pub(crate) fn parse_color_space(token: &str, at: &str) -> Result<ColorSpace, Fault> {
-    match token {
-        "srgb_rec709_display" => Ok(ColorSpace::SrgbDisplay),
-        "lin_rec709_display" => Ok(ColorSpace::LinearDisplay),
-        _ => Err(Fault::pointer(
-            format!("{at}/colorSpace"),
-            "srgb_rec709_display or lin_rec709_display",
-            format!("`{token}`"),
-        )),
-    }
+    let named = ColorSpace::ALL.into_iter().find(|space| space.name() == token);
+    named.ok_or_else(|| {
+        let expected = ColorSpace::ALL.map(ColorSpace::name).join(" or ");
+        Fault::pointer(format!("{at}/colorSpace"), expected, format!("`{token}`"))
+    })
 }
 
 impl SceneContract {
     pub(crate) fn new(c: &Composition) -> Self {
         Self {
-            color_space: color_space_token(c.color_space).to_owned(),
+            color_space: c.color_space.name().to_owned(),
             sort_key: view_z(),
             mode: c.mode.name().to_owned(),
             lambda: c.lambda.is_finite().then_some(c.lambda),

@@ -34,14 +34,13 @@ impl BaseColour {
     /// The texel of a map for `rgba`, linear light, before the material's factor.
     pub(super) fn texel(&self, rgba: [f32; 4]) -> [f32; 4] {
         let linear = [0, 1, 2].map(|c| rgba[c] * self.factor[c]);
-        let shown = if self.space == ColorSpace::SrgbDisplay { linear.map(color::linear_to_srgb) } else { linear };
         let alpha = rgba[3] * self.factor[3];
         let alpha = match self.cutoff {
             None => 1.0,
             Some(0.0) => alpha,
             Some(cutoff) => f32::from(alpha >= cutoff),
         };
-        let [r, g, b] = sh::dc_from_rgb(shown);
+        let [r, g, b] = sh::dc_from_rgb(self.space.from_linear(linear));
         [r, g, b, activation::logit(alpha).0]
     }
 }

@@ -6,8 +6,8 @@ use glam::{DMat4, DVec4, Quat, Vec3};
 use serde_json::Value;
 
 use super::extension::{
-    DRAFT_ROTATION, DRAFT_SCALE, HYBRID, KHR_SPLATS, Khr, OPACITY, ROTATION, SCALE, SPZ, Spz, color_space_token,
-    parse_color_space, sh_attributes,
+    DRAFT_ROTATION, DRAFT_SCALE, HYBRID, KHR_SPLATS, Khr, OPACITY, ROTATION, SCALE, SPZ, Spz, parse_color_space,
+    sh_attributes,
 };
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
@@ -36,7 +36,7 @@ pub(super) fn read(
     if let Some(token) = &khr.color_space
         && parse_color_space(token, &at_khr)? != space
     {
-        let expected = format!("{} throughout", color_space_token(space));
+        let expected = format!("{} throughout", space.name());
         return Err(Fault::pointer(format!("{at_khr}/colorSpace"), expected, format!("`{token}`")));
     }
     let is_draft = khr.kernel.is_none() && khr.color_space.is_none();

@@ -11,10 +11,10 @@ use serde_json::{Value, json};
 use super::container::Bin;
 use super::extension::{
     EXTRAS, ExactCamera, HYBRID, KHR_SPLATS, Khr, OPACITY, OpacityField, ROOT_NODE, ROTATION, Radiance, SCALE,
-    SceneContract, ShField, Surface, TexelSource, UNLIT, color_space_token, sh_attributes,
+    SceneContract, ShField, Surface, TexelSource, UNLIT, sh_attributes,
 };
 use crate::format::activation;
-use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, color, sh};
+use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, sh};
 
 pub(super) const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -152,8 +152,7 @@ impl<'a> Layout<'a> {
         // What a viewer without the extension shows. COLOR_0 is linear light whatever the splats are.
         let color_view = self.rows(Some(ARRAY_BUFFER), (n, 8), move |i, bytes| {
             let rgb = sh::rgb_from_dc(splats.sh_of(i)[0]).map(|c| c.clamp(0.0, 1.0));
-            let linear = if space == ColorSpace::SrgbDisplay { rgb.map(color::srgb_to_linear) } else { rgb };
-            for c in linear.into_iter().chain([opacity(i)]) {
+            for c in space.to_linear(rgb).into_iter().chain([opacity(i)]) {
                 bytes.extend_from_slice(&((c * 65535.0).round() as u16).to_le_bytes());
             }
         });
@@ -163,7 +162,7 @@ impl<'a> Layout<'a> {
 
         let khr = Khr {
             kernel: Some("ellipse".to_owned()),
-            color_space: Some(color_space_token(space).to_owned()),
+            color_space: Some(space.name().to_owned()),
             projection: None,
             extensions: serde_json::Map::new(),
         };
@@ -229,7 +228,7 @@ impl<'a> Layout<'a> {
             }
         }
         let radiance = Radiance {
-            color_space: color_space_token(space).to_owned(),
+            color_space: space.name().to_owned(),
             opacity: Some(OpacityField { source: logits, activation: "logistic".to_owned() }),
             spherical_harmonics: Some(ShField { degree: atlas.sh_degree(), frame: "node".to_owned(), coefficients }),
         };
@@ -370,8 +369,7 @@ fn preview_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
     let mut rgba = Vec::with_capacity(base.texels().len());
     for t in base.texels().chunks_exact(4) {
         let rgb = sh::rgb_from_dc([t[0], t[1], t[2]]);
-        let shown = if space == ColorSpace::LinearDisplay { rgb.map(color::linear_to_srgb) } else { rgb };
-        rgba.extend(shown.map(to_byte));
+        rgba.extend(space.to_srgb(rgb).map(to_byte));
         rgba.push(to_byte(activation::opacity(t[3])));
     }
     let mut png = vec![];

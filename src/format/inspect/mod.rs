@@ -12,7 +12,7 @@ use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::{file_bytes, stored_bytes};
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, has_extension, kind, ply, read_file, usd};
-use crate::scene::{Camera, ColorSpace, Composition, HALF_TURN, HybridScene, Mesh, Splats};
+use crate::scene::{Camera, Composition, HALF_TURN, HybridScene, Mesh, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -250,10 +250,7 @@ fn composition(c: &Composition) -> CompositionSummary {
         mode: c.mode.name(),
         lambda: c.lambda.is_finite().then_some(c.lambda),
         layers: c.layers,
-        color_space: match c.color_space {
-            ColorSpace::SrgbDisplay => "srgb_rec709_display",
-            ColorSpace::LinearDisplay => "lin_rec709_display",
-        },
+        color_space: c.color_space.name(),
         background: c.background,
         near: c.near,
         filter_variance: c.pixel_filter.variance,

@@ -5,7 +5,6 @@ use glam::{DMat3, DMat4, DVec3, Mat3, Vec3};
 use super::document::{Entry, Field, Layer, Prim, Value};
 use super::{frame, maps, names};
 use crate::format::activation;
-use crate::format::gltf::extension::color_space_token;
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, PixelFilter, Splats, sh};
 
 /// Width of the sensor that cameras are given, in mm; only its ratio to the focal length counts.
@@ -74,7 +73,7 @@ fn contract(root: &mut Prim, c: &Composition) {
     root.set_custom("token", names::MODE, Value::text(c.mode.name()));
     root.set_custom("float", names::LAMBDA, Value::Floats(vec![c.lambda]));
     root.set_custom("int", names::LAYERS, Value::Integers(vec![i64::from(c.layers)]));
-    root.set_custom("token", names::COLOR_SPACE, Value::text(color_space_token(c.color_space)));
+    root.set_custom("token", names::COLOR_SPACE, Value::text(c.color_space.name()));
     root.set_custom("float3", names::BACKGROUND, Value::Floats(c.background.to_vec()));
     root.set_custom("float", names::NEAR, Value::Floats(vec![c.near]));
     if c.pixel_filter != PixelFilter::default() {

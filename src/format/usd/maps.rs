@@ -7,7 +7,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 
 use crate::format::{MAX_PIXEL_RATIO, activation};
-use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
+use crate::scene::{Atlas, ColorSpace, Texture, sh};
 
 /// On failure: what was expected, and what was found.
 pub(super) type Mismatch = (String, String);
@@ -17,8 +17,7 @@ pub(super) fn color_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
     let base = atlas.base();
     let shown = |t: &[f32]| {
         let rgb = sh::rgb_from_dc([t[0], t[1], t[2]]);
-        let rgb = if space == ColorSpace::LinearDisplay { rgb.map(color::linear_to_srgb) } else { rgb };
-        rgb.map(to_byte)
+        space.to_srgb(rgb).map(to_byte)
     };
     let pixels: Vec<u8> = base.texels().chunks_exact(4).flat_map(shown).collect();
     png(base, &pixels, ExtendedColorType::Rgb8)

@@ -126,7 +126,7 @@ impl Materials<'_> {
         let Some(shader) = mesh.material.and_then(|material| preview_surface(stage, material)) else {
             notes.push(format!("{at}: without a UsdPreviewSurface it gets one colour"));
             let rgb = stage.rows::<3>(mesh.prim, "primvars:displayColor")?.and_then(|c| c.first().copied());
-            let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| shown(rgb, self.space)));
+            let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| self.space.from_linear(rgb)));
             let alpha = stage.rows::<1>(mesh.prim, "primvars:displayOpacity")?.and_then(|a| a.first().copied());
             let opacity = Picture::constant(alpha.map_or([1.0; 3], |[a]| [a; 3]));
             return Ok((joined(&color, &opacity)?, Coordinates::plain()));
@@ -185,7 +185,7 @@ impl Materials<'_> {
         is_color: bool,
     ) -> Result<Picture, Fault> {
         let space = self.space;
-        let shown = |rgb: [f32; 3]| if is_color { shown(rgb, space) } else { rgb };
+        let shown = |rgb: [f32; 3]| if is_color { space.from_linear(rgb) } else { rgb };
         let (texture, output) = match stage.input(shader, input) {
             Some(Source::Output { prim, name }) => (prim, name),
             Some(Source::Value(value)) => {
@@ -248,11 +248,6 @@ pub(super) fn check(stage: &Stage<'_>, mesh: usize, place: &mut Place) -> Option
     let mut materials = Materials { place, space: ColorSpace::default(), unrolling: Unrolling::default() };
     let fault = materials.exact(stage, mesh)?.err()?;
     Some(Breach { code: "USD_MAP", is_error: true, fault })
-}
-
-/// Linear light in a space of blending.
-fn shown(rgb: [f32; 3], space: ColorSpace) -> [f32; 3] {
-    if space == ColorSpace::SrgbDisplay { rgb.map(color::linear_to_srgb) } else { rgb }
 }
 
 /// The shader at the surface output of a material.

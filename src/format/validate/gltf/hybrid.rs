@@ -13,8 +13,7 @@ use super::splats::check_token;
 use super::{binding, extension, fields, index, objects, primitives};
 use crate::format::error::shown;
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM, extension_of};
-
-const COLOR_SPACES: [&str; 2] = ["srgb_rec709_display", "lin_rec709_display"];
+use crate::scene::ColorSpace;
 
 /// The objects of the extension in a document, each with its JSON pointer and the name of its schema.
 fn parts<'a>(root: &'a Value) -> Vec<(String, &'a Value, String)> {
@@ -90,7 +89,7 @@ fn check_mixed(root: &Value, findings: &mut Findings) {
 }
 
 fn check_scene(root: &Value, contract: &Value, at: &str, findings: &mut Findings) {
-    check_token(contract, "colorSpace", &COLOR_SPACES, "HYBRID_TOKEN", at, findings);
+    check_token(contract, "colorSpace", &ColorSpace::ALL.map(ColorSpace::name), "HYBRID_TOKEN", at, findings);
     check_token(contract, "mode", &["stable", "surfaceConsistent", "direct"], "HYBRID_TOKEN", at, findings);
     check_token(contract, "sortKey", &["viewZ"], "HYBRID_TOKEN", at, findings);
     let Some(space) = contract.get("colorSpace").and_then(Value::as_str) else { return };
@@ -111,7 +110,7 @@ fn check_material(
     at: &str,
     findings: &mut Findings,
 ) {
-    check_token(radiance, "colorSpace", &COLOR_SPACES, "HYBRID_TOKEN", at, findings);
+    check_token(radiance, "colorSpace", &ColorSpace::ALL.map(ColorSpace::name), "HYBRID_TOKEN", at, findings);
     if let Some(opacity) = radiance.get("opacity") {
         check_token(opacity, "activation", &["none", "logistic"], "HYBRID_TOKEN", &format!("{at}/opacity"), findings);
         check_texels(document, (i, opacity), 1, &format!("{at}/opacity"), findings);

@@ -8,7 +8,7 @@ use super::scenes::check_unit;
 use super::schema::{self, escaped, shown};
 use super::{extension, index, primitives};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, OPACITY, ROTATION, SCALE, sh_attributes};
-use crate::scene::{color, sh};
+use crate::scene::{ColorSpace, color, sh};
 
 /// Greatest difference of `COLOR_0` from what the splats show that rounding to 8 bits explains.
 const FALLBACK_TOLERANCE: f64 = 1.5 / 255.0;
@@ -41,7 +41,7 @@ fn check_object(khr: &Value, at: &str, findings: &mut Findings) {
     schema::check(khr, KHR_SPLATS, at, findings);
     let known: [(&str, &[&str]); 4] = [
         ("kernel", &["ellipse"]),
-        ("colorSpace", &["srgb_rec709_display", "lin_rec709_display"]),
+        ("colorSpace", &ColorSpace::ALL.map(ColorSpace::name)),
         ("projection", &["perspective"]),
         ("sortingMethod", &["cameraDistance"]),
     ];
@@ -139,7 +139,7 @@ fn check_fallback(
     let elements = |name: &str| document.elements(attributes.get(name)?.as_u64()? as usize);
     let dc = sh_attributes(0).next().unwrap_or_default();
     let (Some(color), Some(dc)) = (elements("COLOR_0"), elements(&dc)) else { return };
-    let is_srgb = khr.get("colorSpace").and_then(Value::as_str) == Some("srgb_rec709_display");
+    let is_srgb = khr.get("colorSpace").and_then(Value::as_str) == Some(ColorSpace::SrgbDisplay.name());
     let (mut worst, mut first) = (0.0, 0);
     for i in 0..color.count.min(dc.count) {
         let (stored, dc) = (color.vector::<3>(i), dc.vector::<3>(i));
