@@ -19,6 +19,7 @@ pub mod mitsuba;
 mod placed;
 pub mod ply;
 mod polygon;
+mod preview;
 mod record;
 mod scene_file;
 pub mod sog;

@@ -4,8 +4,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use glam::{DMat3, DQuat, Vec2, Vec3};
-use image::ImageEncoder as _;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::ExtendedColorType;
 use serde_json::{Value, json};
 
 use super::container::Bin;
@@ -13,7 +12,7 @@ use super::extension::{
     EXTRAS, ExactCamera, HYBRID, KHR_SPLATS, Khr, OPACITY, OpacityField, ROOT_NODE, ROTATION, Radiance, SCALE,
     SceneContract, ShField, Surface, TexelSource, UNLIT, sh_attributes,
 };
-use crate::format::activation;
+use crate::format::{activation, preview};
 use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, sh};
 
 pub(super) const FLOAT: u32 = 5126;
@@ -362,19 +361,13 @@ fn split_at_seams(mesh: &Mesh) -> Split {
     Split { surface_vertices, uvs: uvs.into_iter().map(Option::unwrap_or_default).collect(), triangles }
 }
 
-/// RGBA8 of what the maps show without view dependence: sRGB-encoded DC colour, linear opacity.
+/// RGBA8 of what the maps show without view dependence.
 fn preview_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
     let base = atlas.base();
-    let to_byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let mut rgba = Vec::with_capacity(base.texels().len());
-    for t in base.texels().chunks_exact(4) {
-        let rgb = sh::rgb_from_dc([t[0], t[1], t[2]]);
-        rgba.extend(space.to_srgb(rgb).map(to_byte));
-        rgba.push(to_byte(activation::opacity(t[3])));
+    for texel in base.texels().chunks_exact(4) {
+        rgba.extend(preview::color(texel, space));
+        rgba.push(preview::opacity(texel));
     }
-    let mut png = vec![];
-    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(&rgba, base.width(), base.height(), image::ExtendedColorType::Rgba8)
-        .expect("encoding into memory, with a buffer of the declared size, cannot fail");
-    png
+    preview::png(base, &rgba, ExtendedColorType::Rgba8)
 }

@@ -3,44 +3,26 @@
 use std::io::Cursor;
 
 use exr::prelude::{ReadChannels as _, ReadLayers as _};
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder as _};
+use image::ExtendedColorType;
 
-use crate::format::{MAX_PIXEL_RATIO, activation};
-use crate::scene::{Atlas, ColorSpace, Texture, sh};
+use crate::format::{MAX_PIXEL_RATIO, preview};
+use crate::scene::{Atlas, ColorSpace, Texture};
 
 /// On failure: what was expected, and what was found.
 pub(super) type Mismatch = (String, String);
 
-/// RGB of coefficient 0, encoded in sRGB, as PNG.
+/// RGB without view dependence, as PNG.
 pub(super) fn color_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
     let base = atlas.base();
-    let shown = |t: &[f32]| {
-        let rgb = sh::rgb_from_dc([t[0], t[1], t[2]]);
-        space.to_srgb(rgb).map(to_byte)
-    };
-    let pixels: Vec<u8> = base.texels().chunks_exact(4).flat_map(shown).collect();
-    png(base, &pixels, ExtendedColorType::Rgb8)
+    let pixels: Vec<u8> = base.texels().chunks_exact(4).flat_map(|texel| preview::color(texel, space)).collect();
+    preview::png(base, &pixels, ExtendedColorType::Rgb8)
 }
 
 /// Opacity, linear, as a grey PNG.
 pub(super) fn opacity_png(atlas: &Atlas) -> Vec<u8> {
     let base = atlas.base();
-    let opacity = |t: &[f32]| to_byte(activation::opacity(t[3]));
-    let pixels: Vec<u8> = base.texels().chunks_exact(4).map(opacity).collect();
-    png(base, &pixels, ExtendedColorType::L8)
-}
-
-fn to_byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
-}
-
-fn png(size: &Texture, pixels: &[u8], kind: ExtendedColorType) -> Vec<u8> {
-    let mut png = vec![];
-    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(pixels, size.width(), size.height(), kind)
-        .expect("encoding into memory, with a buffer of the declared size, cannot fail");
-    png
+    let pixels: Vec<u8> = base.texels().chunks_exact(4).map(preview::opacity).collect();
+    preview::png(base, &pixels, ExtendedColorType::L8)
 }
 
 /// Names of the channels of a map: of the base the zeroth coefficient and the logit of opacity, of the bands the rest.

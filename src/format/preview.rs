@@ -1,0 +1,30 @@
+//! What other programs show of maps: 8 bits, without view dependence.
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+
+use super::activation;
+use crate::scene::{ColorSpace, Texture, sh};
+
+/// sRGB-encoded colour of a texel of a base map.
+pub(super) fn color(texel: &[f32], space: ColorSpace) -> [u8; 3] {
+    space.to_srgb(sh::rgb_from_dc([texel[0], texel[1], texel[2]])).map(to_byte)
+}
+
+/// Its opacity, linear.
+pub(super) fn opacity(texel: &[f32]) -> u8 {
+    to_byte(activation::opacity(texel[3]))
+}
+
+/// `pixels` as PNG, as wide and as high as `size`.
+pub(super) fn png(size: &Texture, pixels: &[u8], kind: ExtendedColorType) -> Vec<u8> {
+    let mut png = vec![];
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(pixels, size.width(), size.height(), kind)
+        .expect("encoding into memory, with a buffer of the declared size, cannot fail");
+    png
+}
+
+fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
