@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::colmap::{self, ImageRecord, PointRecords};
+use super::colmap_records::{self, ImageRecord, PointRecords};
 use super::distortion::Lens;
 use super::{CaptureError, Point};
 
@@ -100,15 +100,15 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
             place: format!("camera at byte {at}"),
             model,
         };
-        let (name, parameters) = colmap::model_of_id(model).ok_or_else(|| unsupported(model.to_string()))?;
+        let (name, parameters) = colmap_records::model_of_id(model).ok_or_else(|| unsupported(model.to_string()))?;
         let values = (0..parameters)
             .map(|_| file.f64s::<1>("camera parameters").map(|[v]| v))
             .collect::<Result<Vec<f64>, _>>()?;
         if let Some(v) = values.iter().find(|v| !v.is_finite()) {
             return Err(file.invalid(at, "camera", "finite parameters", v.to_string()));
         }
-        let lens = colmap::lens(name, &values, width, height).ok_or_else(|| unsupported(name.into()))?;
-        if let Some(focal) = colmap::unfit_focal_length(&lens) {
+        let lens = colmap_records::lens(name, &values, width, height).ok_or_else(|| unsupported(name.into()))?;
+        if let Some(focal) = colmap_records::unfit_focal_length(&lens) {
             return Err(file.invalid(at, "camera", "positive focal lengths", focal.to_string()));
         }
         if cameras.insert(id, lens).is_some() {

@@ -6,7 +6,7 @@ use std::str::{FromStr, SplitWhitespace};
 
 use glam::DVec3;
 
-use super::colmap::{self, ImageRecord, PointRecords};
+use super::colmap_records::{self, ImageRecord, PointRecords};
 use super::distortion::Lens;
 use super::{CaptureError, Point};
 
@@ -61,7 +61,7 @@ pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, Cap
             place: format!("line {number}"),
             model: model.into(),
         };
-        let count = colmap::parameter_count(model).ok_or_else(unsupported)?;
+        let count = colmap_records::parameter_count(model).ok_or_else(unsupported)?;
         let values: Vec<f64> =
             (0..count).map(|_| line.number("a camera parameter")).collect::<Result<_, CaptureError>>()?;
         if let Some(v) = values.iter().find(|v| !v.is_finite()) {
@@ -70,8 +70,8 @@ pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, Cap
         if let Some(word) = line.words.next() {
             return Err(line.invalid(&format!("{count} parameters of {model}"), &format!("{word} after them")));
         }
-        let lens = colmap::lens(model, &values, width, height).ok_or_else(unsupported)?;
-        if let Some(focal) = colmap::unfit_focal_length(&lens) {
+        let lens = colmap_records::lens(model, &values, width, height).ok_or_else(unsupported)?;
+        if let Some(focal) = colmap_records::unfit_focal_length(&lens) {
             return Err(line.invalid("positive focal lengths", &focal.to_string()));
         }
         if cameras.insert(id, lens).is_some() {

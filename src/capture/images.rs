@@ -8,7 +8,6 @@ use image::metadata::Orientation;
 use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Rgba, RgbaImage};
 
 use super::distortion::{Distortion, Lens};
-use super::views::same_aspect;
 use super::{CaptureError, View, error};
 use crate::{format::MAX_PIXEL_RATIO, scene::Intrinsics};
 
@@ -103,6 +102,12 @@ impl Header {
     pub(super) fn stored(&self) -> (Orientation, (u32, u32)) {
         (Orientation::NoTransforms, self.size)
     }
+}
+
+/// Whether two sizes have the same aspect ratio to 1 %: resized pictures are rounded to whole pixels.
+pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
+    let ratio = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
+    (ratio(a) / ratio(b) - 1.0).abs() <= 0.01
 }
 
 fn image_error(path: &Path, length: usize, error: &ImageError) -> CaptureError {

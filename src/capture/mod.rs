@@ -7,6 +7,7 @@ mod cache;
 mod cameras;
 mod colmap;
 mod colmap_binary;
+mod colmap_records;
 mod colmap_text;
 mod distortion;
 mod error;

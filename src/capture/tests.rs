@@ -365,8 +365,8 @@ fn camera_models_project_as_in_colmap() {
     let cases: Vec<ModelCase> = serde_json::from_str(include_str!("../../tests/data/colmap_models.json")).unwrap();
     assert_eq!(cases.len(), 17, "all models but EQUIRECTANGULAR");
     for case in cases {
-        assert_eq!(colmap::model_of_id(case.id), Some((&case.model[..], case.params.len())));
-        let lens = colmap::lens(&case.model, &case.params, 640, 480).unwrap();
+        assert_eq!(colmap_records::model_of_id(case.id), Some((&case.model[..], case.params.len())));
+        let lens = colmap_records::lens(&case.model, &case.params, 640, 480).unwrap();
         let k = lens.intrinsics;
         for (point, pixel) in case.points.iter().zip(case.pixels) {
             let d = lens.distortion.distort(DVec3::from(*point).truncate() / point[2]);

@@ -60,12 +60,6 @@ pub(super) fn inside<'a>(list: &Path, at: &str, name: &'a str) -> Result<&'a Pat
     Err(CaptureError::invalid(list, at, "a path inside the capture", format!("{name:?}")))
 }
 
-/// Whether two sizes have the same aspect ratio to 1 %: resized pictures are rounded to whole pixels.
-pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
-    let ratio = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
-    (ratio(a) / ratio(b) - 1.0).abs() <= 0.01
-}
-
 /// Checks frames and turns them into views sorted by name. `list` is the file that the capture is named by where there are none.
 pub(super) fn assemble(
     mut frames: Vec<Frame>,
@@ -151,7 +145,7 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
     // were turned before, by a program that left the note, only the upright one fits.
     let (orientation, (width, height)) = [header.stored(), header.upright()]
         .into_iter()
-        .find(|&(_, size)| same_aspect(size, declared))
+        .find(|&(_, size)| images::same_aspect(size, declared))
         .ok_or_else(|| {
             let (_, (w, h)) = header.stored();
             let expected = format!("the aspect ratio of its camera, {}×{}", declared.0, declared.1);

@@ -6,6 +6,7 @@
 mod evaluation;
 mod flip;
 mod lpips;
+mod markup;
 mod picture;
 pub mod plot;
 mod psnr;

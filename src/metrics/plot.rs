@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use super::markup::escaped;
+
 /// A curve.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plot {
@@ -36,7 +38,7 @@ pub fn svg(plot: &Plot) -> String {
     let px = |x: f64| MARGIN[0] + (x - x0) / (x1 - x0) * (WIDTH - MARGIN[0] - MARGIN[2]);
     let py = |y: f64| HEIGHT - MARGIN[3] - (y - y0) / (y1 - y0) * (HEIGHT - MARGIN[1] - MARGIN[3]);
 
-    let title = super::report::escaped(&plot.title);
+    let title = escaped(&plot.title);
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" \
          aria-label=\"{title}\" font-family=\"system-ui,sans-serif\" font-size=\"11\" \
@@ -53,7 +55,7 @@ pub fn svg(plot: &Plot) -> String {
     for &y in &y_ticks {
         text(MARGIN[0] - 6.0, py(y) + 4.0, "end", &short(if plot.log_y { 10_f64.powf(y) } else { y }));
     }
-    text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", &super::report::escaped(&plot.x_label));
+    text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", &escaped(&plot.x_label));
     let (left, right) = (MARGIN[0], WIDTH - MARGIN[2]);
     let rules: String = (y_ticks.iter()).fold(String::new(), |mut d, &y| {
         let _ = write!(d, "M{left:.1} {:.1}H{right:.1}", py(y));

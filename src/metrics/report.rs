@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use image::{ImageError, RgbImage, codecs::jpeg::JpegEncoder};
 
+use super::markup::escaped;
 use super::{
     Evaluation, Scores,
     plot::{self, Plot},
@@ -146,11 +147,6 @@ thead th,.pairs th,small{color:var(--soft);font-weight:400}.pairs th{white-space
 figure{margin:0 0 1.2rem}img{max-width:100%;height:auto;display:block}
 figcaption,footer{color:var(--soft);font-size:.85rem}footer{margin-top:2rem}
 ";
-
-/// Text made safe between tags and in quoted attributes.
-pub(super) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
 
 /// RFC 4648 base64 with padding.
 fn base64(bytes: &[u8]) -> String {
