@@ -21,7 +21,7 @@
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> numbered: array<vec2u>;         // [pair]: splat, number of its row
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
-@group(0) @binding(4) var<storage, read> image_gradient: array<vec4f>;   // ∂L/∂rgb
+@group(0) @binding(4) var<storage, read> image_gradient: array<vec4f>;   // ∂L/∂rgb, and by the disparity Σw/z
 @group(0) @binding(5) var<storage, read> buckets: array<vec4f>;
 @group(0) @binding(6) var<storage, read> ends: array<vec2u>;
 @group(0) @binding(7) var<storage, read_write> rows: array<f32>;         // [number within the window][MOMENTS]
@@ -162,7 +162,7 @@ fn main(
     var depth$j_$l = EMPTY_DEPTH;
 //#end
     if x < view.size.x && y$j < view.size.y {
-        g$j = vec4f(image_gradient[pixel$j].xyz, view.disparity_slope);
+        g$j = image_gradient[pixel$j];
 //#for l in 0..LAYERS
         let d$l = layer_depth[$lu * n_pixels + pixel$j];
         var layer$l = vec4f(0.0);

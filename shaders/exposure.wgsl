@@ -20,7 +20,7 @@ struct Step {
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> image: array<vec4f>;               // rgb and transmittance per pixel
-@group(0) @binding(3) var<storage, read_write> gradient: array<vec4f>;      // as image; the last of four is not used
+@group(0) @binding(3) var<storage, read_write> gradient: array<vec4f>;      // ∂L/∂rgb; the last of four is kept
 @group(0) @binding(4) var<storage, read_write> exposures: array<vec4f>;     // [view][row]
 @group(0) @binding(5) var<storage, read_write> first: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> second: array<vec4f>;
@@ -42,11 +42,11 @@ fn pull(
         let pixel = (index * PER_THREAD + k) * 256u + thread;
         if pixel < n_pixels {
             let seen = vec4f(image[pixel].xyz, 1.0);
-            let g = gradient[pixel].xyz;
+            let g = gradient[pixel];
             r0 += g.x * seen;
             r1 += g.y * seen;
             r2 += g.z * seen;
-            gradient[pixel] = vec4f(g.x * e0 + g.y * e1 + g.z * e2, 0.0);
+            gradient[pixel] = vec4f(g.x * e0 + g.y * e1 + g.z * e2, g.w);
         }
     }
     sums[thread] = r0;

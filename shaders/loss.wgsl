@@ -223,6 +223,7 @@ fn backward(
         let c = colors(pixel, tile.channel, background);
         l1 += abs(c.x - c.y);
         gradient[4u * pixel + tile.channel] = loss_slope(c, g, scale);
+        if tile.channel == 0u { gradient[4u * pixel + 3u] = disparity_slope(pixel); }
     }
     //#end
     let total = workgroup_sum(thread, l1);

@@ -104,6 +104,7 @@ fn backward(
                 let c = colors(pixel, strip.channel, background);
                 total += abs(c.x - c.y);
                 gradient[4u * pixel + strip.channel] = loss_slope(c, mean, scale);
+                if strip.channel == 0u { gradient[4u * pixel + 3u] = disparity_slope(pixel); }
             }
         }
         //#end

@@ -5,7 +5,7 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;               // rgb and transmittance per pixel
 @group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
 @group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3
-@group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // as image; the last of four is not used
+@group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // ∂L/∂rgb, and by the pixel's expected disparity
 @group(0) @binding(6) var<storage, read_write> means: array<vec2f>;       // each tile's part of mean SSIM and L1
 //#if EXPOSURE
 @group(0) @binding(7) var<storage, read> exposures: array<vec4f>;         // [view][row], see exposure.wgsl
@@ -20,6 +20,7 @@ const W4: f32 = 0.00759876;
 const W5: f32 = 0.00102838;
 const C1: f32 = 0.0001;                 // (0.01·range)²
 const C2: f32 = 0.0009;                 // (0.03·range)²
+const AMISS: f32 = 0.02;                // 5/255: what a pixel that shows its photograph differs by, about
 
 // Rendered, then exposed colour, and the true one; and the slope of the first by that after the exposure. `background` is the
 // channel's of the view, which truth with alpha is over as it is exposed, too: where neither has anything, nothing pulls at the exposure.
@@ -60,6 +61,18 @@ fn ssim(mean: vec4f) -> Ssim {
     let by_a = b * d * md * md * c * c;
     let by_b = a * c * vd * d * d;
     return Ssim(s, vec3f(2.0 * (m2 * (by_a - by_b) + md * s * (d - c)), -s * d, 2.0 * by_b));
+}
+
+// ∂L/∂(expected disparity of a pixel), Σw/z: as much as is asked for where the picture is as the photograph has it, which is where that says no
+// more; less where it is not, of which the pixel's colour is to take care first. It is held in the gradient.
+fn disparity_slope(pixel: u32) -> f32 {
+    if view.disparity_slope == 0.0 { return 0.0; }
+    var amiss = 0.0;
+    for (var channel = 0u; channel < 3u; channel++) {
+        let c = colors(pixel, channel, view.background[channel]);
+        amiss = max(amiss, abs(c.x - c.y));
+    }
+    return view.disparity_slope * exp(-amiss / AMISS);
 }
 
 // The four maps that are blurred, of rendered and true colour.

@@ -8,7 +8,7 @@ struct View {
     row_y: vec4f,
     row_z: vec4f,
     center: vec3f,                      // camera centre, world
-    disparity_slope: f32,               // ∂L/∂(expected disparity of a pixel), in training; see blend_backward.wgsl
+    disparity_slope: f32,               // ∂L/∂(expected disparity of a pixel), in training, at most; see loss_terms.wgsl
     focal: vec2f,                       // pixels
     principal: vec2f,                   // pixels, continuous coordinates
     size: vec2u,                        // image, pixels

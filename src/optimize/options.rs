@@ -73,9 +73,9 @@ pub struct TrainOptions {
     /// Part of the splats that a step leaves out at random by the end of the run, from none at its beginning, the others being that much
     /// more opaque (`DropGaussian`, Park et al. 2025): by how many views there are, see [`Self::dropout_of`].
     pub dropout: Option<f32>,
-    /// Weight in the loss of the mean over pixels of expected disparity, Σw/z of splats, with the median depth of what views see as unit: 0 (3DGS).
-    /// What photographs leave open stays away from cameras by it: dark splats before a dark room cost nothing where training views
-    /// see them, and are fog before what another view shows. Short runs lose by it (docs/experiments.md).
+    /// Weight in the loss of the mean of expected disparity, Σw/z of splats, over pixels, as far as these are as their photograph has them,
+    /// with the median depth of what views see as unit: 0 (3DGS). What photographs leave open stays away from cameras by it: dark splats
+    /// before a dark room cost nothing where training views see them, and are fog before what another view shows (docs/experiments.md).
     pub disparity_weight: f32,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,

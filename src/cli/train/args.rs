@@ -117,9 +117,8 @@ pub(in crate::cli) struct Args {
     /// opaque: against learning few views by heart (Park et al. 2025) [default: 0.2 up to 12 training views, falling to 0 at 20]
     #[arg(long, value_name = "0..0.9", value_parser = dropout, help_heading = OPTIMISATION)]
     pub(super) dropout: Option<f32>,
-    /// Weight in the loss of how near pixels are on the mean (expected disparity, times the median depth of what views see): keeps splats that
-    /// photographs say nothing of out of the air before surfaces. 0.003 to 0.01 for long runs whose held-out views show dark fog; short
-    /// runs lose by it
+    /// Weight in the loss of how near pixels are on the mean that show their photograph (expected disparity, times the median depth of what
+    /// views see): keeps splats that photographs say nothing of out of the air before surfaces. 0.01 where held-out views show dark fog
     #[arg(long, value_name = "WEIGHT", default_value_t = TrainOptions::default().disparity_weight, value_parser = finite_not_negative,
           help_heading = OPTIMISATION)]
     pub(super) disparity_weight: f32,

@@ -87,7 +87,7 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
             sh_degree: 0,
             band_degree: 0,
             dropout: Dropout::default(),
-            disparity_weight: 0.0,
+            disparity_weight: 0.1,
             splats: Some(splats),
             texels: None,
             vertices: None,

@@ -52,7 +52,7 @@ impl Loss {
     ///
     /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
     /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied
-    /// * `gradient`: `array<vec4f>` `[h·w]`, receives ∂L/∂rgb, the last is left alone; with exposures rgb is what these make of the image
+    /// * `gradient`: `array<vec4f>` `[h·w]`, receives ∂L/∂rgb and the slope by the pixel's disparity; with exposures rgb is what these make of the image
     /// * `exposures`: `array<vec4f>` `[V·3]`, see `exposure.wgsl`
     ///
     /// # Errors
@@ -122,6 +122,8 @@ pub(super) mod tests {
     use crate::render::gpu::view::VIEW_WORDS;
 
     const BACKGROUND: [f32; 3] = [0.9, 0.4, 0.1];
+    /// Of the loss by the disparity of a pixel that is as its photograph.
+    const SLOPE: f32 = 3.0;
 
     struct Images {
         size: [usize; 2],
@@ -201,6 +203,7 @@ pub(super) mod tests {
             let [w, h] = self.size;
             let mut view = [0u32; VIEW_WORDS];
             view[20..24].copy_from_slice(&[w as u32, h as u32, w.div_ceil(16) as u32, h.div_ceil(16) as u32]);
+            view[15] = SLOPE.to_bits();
             view[24..27].copy_from_slice(&BACKGROUND.map(f32::to_bits));
             let uniform = gpu.uniform("view", VIEW_WORDS).unwrap();
             gpu.write(&uniform, 0, &view);
@@ -253,7 +256,7 @@ pub(super) mod tests {
             assert!((found.ssim - expected.ssim).abs() < 1e-5, "{size:?} {alpha:?}: {found:?}, not {expected:?}");
 
             let n = size[0] * size[1];
-            let largest = gradient.iter().flatten().fold(0f32, |a, &b| a.max(b.abs()));
+            let largest = gradient.iter().flat_map(|g| &g[..3]).fold(0f32, |a, &b| a.max(b.abs()));
             let w = 0.2;
             for j in 0..24 {
                 let (pixel, c) = (j * 7919 % n, j % 3);
@@ -276,6 +279,14 @@ pub(super) mod tests {
                 assert!(error < 1e-3, "{size:?} {alpha:?} pixel {pixel}.{c}: {analytic}, differences say {numeric}");
             }
             assert!(gradient.iter().all(|g| g[..3].iter().all(|&c| c != 7.0)), "every pixel is written");
+            let channels = [0, 1, 2].map(|c| images.channel(c));
+            for (pixel, g) in gradient.iter().enumerate() {
+                let amiss = channels.iter().map(|(x, y, _)| (x[pixel] - y[pixel]).abs()).fold(0.0, f64::max);
+                let expected = f64::from(SLOPE) * (-amiss / 0.02).exp();
+                let error = (f64::from(g[3]) - expected).abs();
+                // Colours are off by an ulp or two, for e to the fiftyfold of it.
+                assert!(error < 3e-5 * f64::from(SLOPE), "{size:?} {alpha:?} pixel {pixel}: {}, not {expected}", g[3]);
+            }
         }
     }
 

@@ -28,17 +28,17 @@ fn gpu_frame(
     camera: &Camera,
     cotangent: Option<&Image>,
 ) -> (Image, Option<Parameters>) {
-    let (image, gradients, _) = smoothed_frame(gpu, scene, camera, &[], cotangent.map(|c| (c, 0.0)));
+    let (image, gradients, _) = smoothed_frame(gpu, scene, camera, &[], cotangent.map(|c| (c, None)));
     (image, gradients)
 }
 
-/// The same of splats that are smoothed, by `deviations` or not at all, with the slope of the loss by a pixel's disparity beside its cotangent, and the statistics of density control `[N]`.
+/// The same of splats that are smoothed, by `deviations` or not at all, with the slopes of the loss by pixels' disparities beside their cotangents, and the statistics of density control `[N]`.
 fn smoothed_frame(
     gpu: &Gpu,
     scene: &HybridScene,
     camera: &Camera,
     deviations: &[f64],
-    cotangent: Option<(&Image, f64)>,
+    cotangent: Option<(&Image, Option<&[f64]>)>,
 ) -> (Image, Option<Parameters>, Vec<[f32; 4]>) {
     let k = *camera.intrinsics();
     let status = cotangent.map(|_| status_buffer(gpu).unwrap());
@@ -50,11 +50,12 @@ fn smoothed_frame(
     }
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
-        let (mut view, _) = pipeline.prepare(gpu, camera).unwrap();
-        if let (Some((c, slope)), Some(b)) = (cotangent, &backward) {
-            let words: Vec<f32> = c.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
+        let (view, _) = pipeline.prepare(gpu, camera).unwrap();
+        if let (Some((c, slopes)), Some(b)) = (cotangent, &backward) {
+            let slope = |pixel| slopes.map_or(0.0, |slopes| slopes[pixel]);
+            let words = c.rgb.iter().enumerate().flat_map(|(i, &[r, g, b])| [r, g, b, slope(i)].map(|v| v as f32));
+            let words: Vec<f32> = words.collect();
             gpu.write(&b.image_gradient, 0, &words);
-            view.disparity_weight = slope as f32 * view.pixels() as f32;
         }
         let mut frame = Frame::new(gpu);
         pipeline.record(gpu, &mut frame, &view);
@@ -345,10 +346,11 @@ fn gradients_equal_the_reference() {
             if seed == 5 {
                 scene.meshes.clear();
             }
-            let (cotangent, slope) = (random_cotangent(&camera, seed), 1.5);
+            let cotangent = random_cotangent(&camera, seed);
+            let slopes: Vec<f64> = (0..camera.intrinsics().pixels()).map(|pixel| (pixel % 4) as f64).collect();
             let (expected, of_splats) =
-                reference::backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent, slope);
-            let (_, found, statistics) = smoothed_frame(&gpu, &scene, &camera, &[], Some((&cotangent, slope)));
+                reference::backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent, Some(&slopes));
+            let (_, found, statistics) = smoothed_frame(&gpu, &scene, &camera, &[], Some((&cotangent, Some(&slopes))));
             check_statistics(&statistics, &of_splats, &camera);
             let found = found.unwrap();
             let errors = class_errors(&found, &expected);
@@ -427,8 +429,8 @@ fn filters_equal_the_reference() {
             parameters.means.iter().map(|&mean| f64::from((deviation * camera.to_camera(mean).z) as f32)).collect();
         parameters.smoothing.clone_from(&deviations);
         let cotangent = random_cotangent(&camera, 3);
-        let expected = reference::backward_parameters(&scene, &camera, &parameters, &cotangent, 0.0).0;
-        let (image, found, _) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some((&cotangent, 0.0)));
+        let expected = reference::backward_parameters(&scene, &camera, &parameters, &cotangent, None).0;
+        let (image, found, _) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some((&cotangent, None)));
         let reference = reference::render_parameters(&scene, &camera, &parameters);
         let pairs = image.rgb.iter().flatten().zip(reference.rgb.iter().flatten());
         let most = testing::largest(pairs.map(|(a, b)| (a - b).abs()));

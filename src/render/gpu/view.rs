@@ -18,8 +18,8 @@ pub(crate) struct View {
     pub(crate) pair_capacity: u32,
     /// Splats that are left out.
     pub(crate) dropout: Dropout,
-    /// In training, what the loss grows by with the mean over pixels of their expected disparity Σw/z, 1/(1/world unit). The gradients follow
-    /// it; depths and meshes do not.
+    /// In training, what the loss grows by with the mean over pixels of their expected disparity Σw/z, 1/(1/world unit), pixels that differ from
+    /// their photograph counting less (`shaders/shared/loss_terms.wgsl`). The gradients follow it; depths and meshes do not.
     pub(crate) disparity_weight: f32,
 }
 

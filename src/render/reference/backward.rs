@@ -41,21 +41,21 @@ struct MapGradients {
 /// If `cotangent` is not of the camera's size.
 #[must_use]
 pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Parameters {
-    backward_parameters(scene, camera, &Parameters::of(scene), cotangent, 0.0).0
+    backward_parameters(scene, camera, &Parameters::of(scene), cotangent, None).0
 }
 
 /// [`backward`] of a scene with other parameters of the same shape, and what density control wants to know of every splat. The loss also grows by
-/// `disparity_slope` with [`disparity`] (world units), as far as splats cover each other: depths are held, and meshes are not pulled.
+/// `disparity_slopes` with each pixel's [`disparity`] (world units), as far as splats cover each other: depths are held, and meshes are not pulled.
 ///
 /// # Panics
-/// If the shapes differ or `cotangent` is not of the camera's size.
+/// If the shapes differ, or `cotangent` or the slopes are not of the camera's size.
 #[must_use]
 pub fn backward_parameters(
     scene: &HybridScene,
     camera: &Camera,
     parameters: &Parameters,
     cotangent: &Image,
-    disparity_slope: f64,
+    disparity_slopes: Option<&[f64]>,
 ) -> (Parameters, Vec<ScreenStatistics>) {
     let view = View::new(scene, camera, parameters);
     let mut splats = vec![ProjectedGradient::ZERO; view.splats.len()];
@@ -68,6 +68,7 @@ pub fn backward_parameters(
         let list = view.contributions(pixel);
         let d_rgb = DVec3::from(cotangent.rgb[pixel]);
         let last = list.last().map_or(1.0, |last| last.transmittance * (1.0 - last.alpha));
+        let disparity_slope = disparity_slopes.map_or(0.0, |slopes| slopes[pixel]);
         let (mut behind, mut disparity_behind) = (background, 0.0);
         for c in list.iter().rev() {
             let d_color = c.transmittance * c.alpha * d_rgb;
@@ -112,15 +113,15 @@ pub fn backward_parameters(
     (result, statistics)
 }
 
-/// The expected disparity of all pixels, Σ of weight/z over what they show, 1/world unit.
+/// The expected disparity of each pixel `[h·w]`, Σ of weight/z over what it shows, 1/world unit.
 ///
 /// # Panics
 /// If the shapes differ.
 #[must_use]
-pub fn disparity(scene: &HybridScene, camera: &Camera, parameters: &Parameters) -> f64 {
+pub fn disparity(scene: &HybridScene, camera: &Camera, parameters: &Parameters) -> Vec<f64> {
     let view = View::new(scene, camera, parameters);
     let of_pixel = |pixel| view.contributions(pixel).iter().map(|c| c.transmittance * c.alpha / c.depth).sum::<f64>();
-    (0..view.layers.len()).map(of_pixel).sum()
+    (0..view.layers.len()).map(of_pixel).collect()
 }
 
 impl ProjectedGradient {

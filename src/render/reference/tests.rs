@@ -308,7 +308,7 @@ fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters
     let away = Margin { alpha: 1e-3, order: 1e-4, edge: 0.0, stop: 1e-2 };
     assert!(!margins.iter().any(|m| m.is_within(&away)), "the scene is not away from all thresholds");
 
-    let mut gradient = backward_parameters(scene, camera, parameters, &cotangent, 0.0).0;
+    let mut gradient = backward_parameters(scene, camera, parameters, &cotangent, None).0;
     let n = scene.splats.len();
     let splats = 0..n;
     let mut classes: Vec<(&str, Vec<Parameter>)> = vec![
@@ -361,14 +361,15 @@ fn gradients_of_disparity_are_finite_differences() {
     for (mode, layers) in MODES.into_iter().zip([1, 2, 4]) {
         let (scene, camera) = smooth_scene(11, layers, mode);
         let (parameters, nothing) = (Parameters::of(&scene), no_cotangent(&camera));
-        let mut gradient = backward_parameters(&scene, &camera, &parameters, &nothing, 1.0).0;
+        let slopes: Vec<f64> = (0..camera.intrinsics().pixels()).map(|pixel| (pixel % 7) as f64).collect();
+        let mut gradient = backward_parameters(&scene, &camera, &parameters, &nothing, Some(&slopes)).0;
         let n = scene.splats.len();
         let right = camera.rotation().transpose() * DVec3::X;
         let moved = |by: &dyn Fn(&mut Parameters, f64)| {
             let [ahead, back] = [step, -step].map(|step| {
                 let mut parameters = parameters.clone();
                 by(&mut parameters, step);
-                disparity(&scene, &camera, &parameters)
+                disparity(&scene, &camera, &parameters).iter().zip(&slopes).map(|(d, slope)| d * slope).sum::<f64>()
             });
             (ahead - back) / (2.0 * step)
         };
@@ -465,7 +466,7 @@ fn screen_statistics_are_those_of_the_image() {
     let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
     scene.meshes.clear();
     let cotangent = random_cotangent(&camera, 5);
-    let statistics = backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent, 0.0).1;
+    let statistics = backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent, None).1;
     let shifted = |cx: f64, cy: f64| {
         let k = camera.intrinsics();
         let k = Intrinsics { cx: k.cx + cx, cy: k.cy + cy, ..*k };
