@@ -68,7 +68,7 @@ LANES_TESTS := gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
 test-rust: ## unit, integration and documentation tests
 	cargo test --release --no-fail-fast
 	@for name in $(LANES_TESTS); do \
-		cargo test --release --lib --quiet -- --list $$name | grep -q ': test$$' || { echo "no test has $$name in its name" >&2; exit 1; }; \
+		cargo test --release --lib --quiet -- --list $$name | grep ': test$$' >/dev/null || { echo "no test has $$name in its name" >&2; exit 1; }; \
 	done
 	@for lanes in $(LANES); do \
 		scripts/with-lanes.sh $$lanes cargo test --release --lib -- $(LANES_TESTS) || exit 1; \
