@@ -12,7 +12,7 @@ use crate::scene::sh;
 
 /// Gradients of the splats' parameters, and how they are found. Those of texels are the mesh stage's.
 pub(crate) struct Backward {
-    /// `[h·w]` vec4: ∂L/∂rgb of the image, written by the loss.
+    /// `[h·w]` vec4: ∂L/∂rgb of the image and by its disparity Σw/z, written by the loss.
     pub(crate) image_gradient: Buffer,
     /// What the run finds out about itself, see `status.rs`.
     pub(crate) status: Buffer,

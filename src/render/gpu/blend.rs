@@ -141,7 +141,7 @@ fn forward(
 }
 
 impl BlendBackward {
-    /// For `capacity` splats in these lists, which are for training. `image_gradient` is `[h·w]` vec4, ∂L/∂rgb; with `absolute`
+    /// For `capacity` splats in these lists, which are for training. `image_gradient` is `[h·w]` vec4, ∂L/∂rgb and by the disparity; with `absolute`
     /// it also sums up how strongly pixels pull at the means, whichever way.
     pub(crate) fn new(
         gpu: &Gpu,
