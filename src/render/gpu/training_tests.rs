@@ -16,8 +16,11 @@ use super::{
     view::Dropout,
 };
 use crate::{
-    render::testing,
-    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, gather},
+    render::{
+        reference::{self, Image, Parameters},
+        testing,
+    },
+    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, gather, sh},
 };
 
 const SIDE: u32 = 256;
@@ -56,8 +59,15 @@ fn step(training: &mut Training, camera: &Camera) {
 }
 
 fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
-    let (size, sh_degree) = (camera.intrinsics(), training.pipeline.front.splats.sh_degree);
-    let truth = vec![200; 4 * size.pixels()];
+    let truth = vec![200; 4 * camera.intrinsics().pixels()];
+    let usual = usual(training, camera, &truth);
+    let pose = Some(PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 });
+    training.step(&Step { dropout, vertices: Some(VertexStep { number: 1, rate: 0.1 }), pose, ..usual }).unwrap();
+}
+
+/// The first step of splats and texels towards the truth.
+fn usual<'a>(training: &Training, camera: &'a Camera, truth: &'a [u8]) -> Step<'a> {
+    let sh_degree = training.pipeline.front.splats.sh_degree;
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
     let splats = AdamStep {
         number: 1,
@@ -71,23 +81,76 @@ fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
         visible_only: false,
     };
     let texels = TexelStep { number: 1, base_rate: 0.01, band_rate: 0.01, visited_only: false, holds_opacity: false };
-    training
-        .step(&Step {
-            camera,
-            truth: &truth,
-            truth_alpha: TruthAlpha::Ignore,
-            background: [0.0; 3],
-            sh_degree,
-            band_degree: 2,
-            dropout,
-            disparity_weight: 0.0,
-            splats: Some(splats),
-            texels: Some(texels),
-            vertices: Some(VertexStep { number: 1, rate: 0.1 }),
-            exposure: None,
-            pose: Some(PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 }),
-        })
-        .unwrap();
+    Step {
+        camera,
+        truth,
+        truth_alpha: TruthAlpha::Ignore,
+        background: [0.0; 3],
+        sh_degree,
+        band_degree: 2,
+        dropout: Dropout::default(),
+        disparity_weight: 0.0,
+        splats: Some(splats),
+        texels: Some(texels),
+        vertices: None,
+        exposure: None,
+        pose: None,
+    }
+}
+
+/// Of the weight of disparity: in the first moments of the first step, a tenth of the gradient, beside what the photograph says.
+#[test]
+fn a_step_learns_of_nearness_as_its_weight_says() {
+    let weight = 3.0;
+    for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()] {
+        let (mut scene, camera) = testing::smooth_scene(1, 2, OrderMode::Stable);
+        scene.composition.background = [0.0; 3];
+        let new = || Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+        let picture = new().render(&camera, [0.0; 3], true).unwrap().rgb;
+        // Off by up to 8/255, so that pixels count for all between full and a fifth.
+        let off = |i: usize, v: f32| ((v * 255.0).round() as u8).saturating_add(2 * (i % 5) as u8);
+        let truth: Vec<u8> =
+            picture.iter().enumerate().flat_map(|(i, [r, g, b])| [off(i, *r), off(i, *g), off(i, *b), 255]).collect();
+        let learnt = |disparity_weight: f32| {
+            let mut training = new();
+            let usual = usual(&training, &camera, &truth);
+            training.step(&Step { band_degree: sh::MAX_DEGREE, disparity_weight, ..usual }).unwrap();
+            assert_eq!(training.status().unwrap().skipped, 0);
+            training.read_splats().unwrap().geometry_m
+        };
+        let found: Vec<f64> = learnt(weight).iter().zip(learnt(0.0)).map(|(a, b)| 10.0 * f64::from(a - b)).collect();
+
+        let pixels = camera.intrinsics().pixels();
+        let slope = |(shown, truth): (&[f32; 3], &[u8])| {
+            let amiss = testing::largest((0..3).map(|c| (f64::from(shown[c]) - f64::from(truth[c]) / 255.0).abs()));
+            f64::from(weight) / pixels as f64 * (-amiss / 0.02).exp()
+        };
+        let slopes: Vec<f64> = picture.iter().zip(truth.chunks_exact(4)).map(slope).collect();
+        let k = camera.intrinsics();
+        let nothing = Image {
+            width: k.width as usize,
+            height: k.height as usize,
+            rgb: vec![[0.0; 3]; pixels],
+            transmittance: vec![0.0; pixels],
+        };
+        let parameters = Parameters::of(&scene);
+        let expected = reference::backward_parameters(&scene, &camera, &parameters, &nothing, Some(&slopes)).0;
+        let rows = found.chunks_exact(GEOMETRY);
+        let errors = rows.enumerate().flat_map(|(i, row)| {
+            let expected = [
+                &expected.means[i].to_array()[..],
+                &[expected.opacity_logits[i]],
+                &expected.rotations[i],
+                &expected.log_scales[i].to_array(),
+            ];
+            row.iter().zip(expected.concat()).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>()
+        });
+        let (error, largest) =
+            (testing::largest(errors), testing::largest(expected.opacity_logits.iter().map(|g| g.abs())));
+        eprintln!("{}: {error:.1e} of {largest:.1e}", gpu.adapter());
+        // Differences of two f32 sums, of which the photograph's part is the larger.
+        assert!(error < 1e-4 * largest, "{error:e} of {largest:e}");
+    }
 }
 
 type Learnt = (SplatState, Vec<f32>, Vec<Mesh>, (Vec<f32>, Vec<f32>), (Vec<f32>, [Vec<f32>; 2]));
