@@ -108,10 +108,11 @@ left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data") $(if $(filter oracle-usd,$(RAN)),"needs usd-core: make test-oracles") \
 		$(if $(filter oracle-ffmpeg,$(RAN)),"needs ffmpeg: make oracle-ffmpeg")
 	@echo "targets left out: $(filter-out $(RAN),$(CHECKS))"
-	@for lanes in $(LANES); do scripts/with-lanes.sh $$lanes true; done
+	@for lanes in $(LANES); do scripts/with-lanes.sh $$lanes true || exit 1; done
 	$(if $(filter crosscheck%,$(RAN)),$(NAME_SAMPLES))
 
-test-oracles: $(filter oracle-% bench-ray,$(CHECKS)) ## compare with programs of others from PyPI and npm (Python 3.11 with venv, Node 20; 11 GB)
+# What root installs comes last: without, the others have run.
+test-oracles: $(filter-out oracle-ffmpeg,$(filter oracle-% bench-ray,$(CHECKS))) oracle-ffmpeg ## compare with programs of others from PyPI and npm, and with ffmpeg (Python 3.11 with venv, Node 20; 11 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
@@ -309,7 +310,7 @@ $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 $(BENCH_RAY)/installed: tests/oracles/requirements-ray.txt
 $(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
 # Its numpy, too, needs Python 3.11.
-$(CROSSCHECK)/installed: PYTHON = $(BLENDER_PYTHON)
+$(CROSSCHECK)/installed: override PYTHON = $(BLENDER_PYTHON)
 
 # Its version is in the name.
 .venv-blender-%/installed:

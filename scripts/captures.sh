@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Hybrid against splats alone at the same allowance of floats, on the demo capture and on the captures in $CENTAUR_DATA:
 # at larger sizes than `make equal-floats` and without filters. `captures.sh [SEED…]`, by default 0 and 1; about 2 minutes a run on 2 cores without a GPU.
-# What is done is not done again, and what was stopped goes on. Reports, pictures and JSON go to out/captures.
+# What is done is not done again, and what was stopped goes on; after a change of code or settings delete the folder. Reports, pictures and JSON go to out/captures.
 # CAPTURES_CENTAUR=PROGRAM, CAPTURES_OUT=FOLDER.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -25,7 +25,7 @@ compare() { # name, capture, floats, iterations, flags of the capture
             local run=$out/$name-$kind-$seed flags=(--no-mesh)
             [ $kind = splats ] || flags=(--surface-iterations 600 --warmup 600 --layers 1 --triangles 6000 --texture-size 512)
             [ ! -f "$run.glb.checkpoint" ] || flags+=(--resume)
-            if [ ! -f "$run.json" ]; then
+            if ! grep -qs '"outcome":"finished"' "$run.json"; then
                 centaur train "$capture" -o "$run.glb" --report "$run" --json --quiet \
                     --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$run.part"
                 if ! grep -q '"outcome":"finished"' "$run.part"; then
