@@ -90,7 +90,7 @@ pub(super) struct Folder {
 }
 
 impl Folder {
-    /// Makes the folder if need be; [`check_folder`] has looked at its parent.
+    /// Makes the folder if need be, and those above it.
     pub(super) fn make(path: &Path) -> Result<Self> {
         let is_new = !path.exists();
         std::fs::create_dir_all(path).with_context(|| format!("{}: cannot make the folder", path.display()))?;

@@ -75,7 +75,8 @@ pub struct TrainOptions {
     pub dropout: Option<f32>,
     /// Weight in the loss of the mean of expected disparity, Σw/z of splats, over pixels, as far as these are as their photograph has them,
     /// with the median depth of what views see as unit: 0 (3DGS). What photographs leave open stays away from cameras by it: dark splats
-    /// before a dark room cost nothing where training views see them, and are fog before what another view shows (docs/experiments.md).
+    /// before a dark room cost nothing where training views see them, and are fog before what another view shows (docs/experiments.md). What
+    /// masks leave out counts in full.
     pub disparity_weight: f32,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,

@@ -27,7 +27,7 @@ use crate::scene::{Camera, HALF_TURN};
 pub struct CameraFile {
     /// At least one where it has been read, with their names.
     pub cameras: Vec<(String, Camera)>,
-    /// How many there are a second, if they are the frames of a shot.
+    /// How many are shown a second, if they are the frames of a shot or that was asked for.
     pub fps: Option<f64>,
     /// True if they are in a world with y up, as those of glTF and USD; false if they are in the frame of the capture, half a turn
     /// about x away.
