@@ -24,6 +24,21 @@ pub struct Hit {
     pub barycentrics: DVec3,
 }
 
+/// The point of a mesh that is closest to another point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClosestPoint {
+    /// World position on the triangle.
+    pub position: DVec3,
+    /// Distance to the query.
+    pub distance: f64,
+    /// Index of the mesh in the order given to [`MeshBvh::new`].
+    pub mesh: u32,
+    /// Index of the triangle in its mesh.
+    pub triangle: u32,
+    /// Weights of the triangle's three corners; their sum is 1.
+    pub barycentrics: DVec3,
+}
+
 /// A bounding volume hierarchy over the triangles of one or several meshes, both sides visible.
 ///
 /// The boxes are f32, relative to the centre of the scene and padded so that rounding cannot lose a triangle; the
@@ -148,24 +163,24 @@ impl MeshBvh {
         count == 0 || !missed
     }
 
-    /// From a point to the closest one of all triangles; infinite without triangles or if `point` is not finite. Degenerate
-    /// triangles count as the segments they are.
+    /// The closest point of all triangles; `None` without triangles or if `point` is not finite. Degenerate triangles
+    /// count as the segments they are.
     #[must_use]
-    pub fn distance(&self, point: impl Into<DVec3>) -> f64 {
+    pub fn closest_point(&self, point: impl Into<DVec3>) -> Option<ClosestPoint> {
         let point = point.into();
         if self.tree.nodes.is_empty() || !point.is_finite() {
-            return f64::INFINITY;
+            return None;
         }
         let distance_to = |node: usize| {
             let aabb = self.tree.nodes[node].aabb();
             let (low, high) = (self.center + aabb.min.as_dvec3(), self.center + aabb.max.as_dvec3());
             point.distance_squared(point.clamp(low, high))
         };
-        let mut least = f64::INFINITY;
+        let mut best: Option<ClosestPoint> = None;
         // Squared distances are not negative, so their bits sort like the numbers.
         let mut queue = BinaryHeap::from([Reverse((distance_to(0).to_bits(), 0usize))]);
         while let Some(Reverse((bits, index))) = queue.pop() {
-            if f64::from_bits(bits) >= least * least {
+            if best.as_ref().is_some_and(|b| f64::from_bits(bits) >= b.distance * b.distance) {
                 break;
             }
             let node = &self.tree.nodes[index];
@@ -177,10 +192,15 @@ impl MeshBvh {
             for slot in node.first_index..node.first_index + node.prim_count {
                 let t = &self.triangles[self.tree.primitive_indices[slot as usize] as usize];
                 let corners = t.corners.map(Vec3::as_dvec3);
-                least = least.min(weighted(corners, closest_barycentrics(point, corners)).distance(point));
+                let barycentrics = closest_barycentrics(point, corners);
+                let position = weighted(corners, barycentrics);
+                let distance = position.distance(point);
+                if best.as_ref().is_none_or(|b| distance < b.distance) {
+                    best = Some(ClosestPoint { position, distance, mesh: t.mesh, triangle: t.triangle, barycentrics });
+                }
             }
         }
-        least
+        best
     }
 
     /// `None` if the ray passes the scene by, or is not a ray. Boxes that begin behind `t_max` are passed by.
@@ -359,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn distance_equals_brute_force() {
+    fn closest_point_equals_brute_force() {
         let soups = [random_soup(300, 4, Vec3::ZERO)];
         let tree = bvh(&soups);
         let mut rng = rand_pcg::Pcg64::seed_from_u64(5);
@@ -376,8 +396,11 @@ mod tests {
                     }
                 }
             }
+            let closest = tree.closest_point(p).unwrap();
+            assert!(closest.distance <= nearest + 1e-12);
             // The samples are at most 0.5·√3/20 apart.
-            assert!((nearest - 0.05..=nearest + 1e-12).contains(&tree.distance(p)));
+            assert!(closest.distance >= nearest - 0.05);
+            assert!(closest.barycentrics.min_element() >= 0.0);
         }
     }
 
@@ -385,7 +408,7 @@ mod tests {
     fn degenerate_input_is_no_hit_and_no_panic() {
         let empty = MeshBvh::new([]);
         assert!(empty.all_hits(Vec3::ZERO, Vec3::Z).is_empty());
-        assert_eq!(empty.distance(Vec3::ZERO), f64::INFINITY);
+        assert!(empty.closest_point(Vec3::ZERO).is_none());
         let p = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN];
         let t = [[0, 1, 9], [0, 1, 3], [0, 0, 0], [0, 1, 1], [0, 1, 2]];
         let tree = MeshBvh::new([(&p[..], &t[..])]);
@@ -396,7 +419,6 @@ mod tests {
         }
         let point = MeshBvh::new([(&[Vec3::ONE; 3][..], &[[0, 1, 2]][..])]);
         assert!(point.all_hits(Vec3::ZERO, Vec3::ONE).is_empty());
-        assert!((point.distance(Vec3::ZERO) - 3f64.sqrt()).abs() < 1e-6);
-        assert_eq!(point.distance(Vec3::NAN), f64::INFINITY);
+        assert!((point.closest_point(Vec3::ZERO).unwrap().distance - 3f64.sqrt()).abs() < 1e-6);
     }
 }

@@ -82,7 +82,8 @@ pub fn surface_distance(
 /// Mean distance of points to a surface, and the part of them that is near it.
 fn to(points: &[DVec3], surface: &Surface, within: f64) -> (f64, f64) {
     let bvh = MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
-    let distances: Vec<f64> = points.par_iter().map(|p| bvh.distance(*p)).collect();
+    let distance = |p: &DVec3| bvh.closest_point(*p).map_or(f64::INFINITY, |closest| closest.distance);
+    let distances: Vec<f64> = points.par_iter().map(distance).collect();
     let near = distances.iter().filter(|d| **d <= within).count();
     (distances.iter().sum::<f64>() / points.len() as f64, near as f64 / points.len() as f64)
 }

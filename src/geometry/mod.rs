@@ -26,7 +26,7 @@ mod visibility;
 
 use std::fmt::Display;
 
-pub use bvh::{Hit, MeshBvh};
+pub use bvh::{ClosestPoint, Hit, MeshBvh};
 pub use contraction::Contraction;
 pub use distance::{Ball, SurfaceDistance, surface_distance};
 pub use faint::faint_triangles;

@@ -177,7 +177,7 @@ fn a_fused_box_is_flat_and_has_edges() {
     let edges: Vec<Vec3> = along.flat_map(|a| [(a, HALF), (-a, -HALF)].map(|(a, h)| Vec3::new(a, h, HALF))).collect();
     let to = |surface: &Surface| {
         let bvh = crate::geometry::MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
-        let distance = |p: &Vec3| bvh.distance(*p) as f32 / voxel;
+        let distance = |p: &Vec3| bvh.closest_point(p.as_dvec3()).unwrap().distance as f32 / voxel;
         mean(&edges.iter().map(distance).collect::<Vec<_>>())
     };
     let (sharp, round) = (to(&with), to(&without));

@@ -396,9 +396,10 @@ mod tests {
         let center = |t: &[u32; 3]| t.iter().map(|&i| surface.positions[i as usize]).sum::<Vec3>() / 3.0;
         let accuracy = surface.triangles.iter().map(|t| error(center(t))).sum::<f64>() / surface.triangles.len() as f64;
         let bvh = MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
+        let distance = |p: &Vec3| bvh.closest_point(*p).map_or(f64::INFINITY, |c| c.distance);
         // What is below the sphere is seen by nobody.
         let seen = |p: &&Vec3| !(f64::from(p.y) > 0.5 && f64::from(p.x.hypot(p.z)) < 1.2);
-        let known: Vec<f64> = points[..5000].iter().filter(seen).map(|p| bvh.distance(*p)).collect();
+        let known: Vec<f64> = points[..5000].iter().filter(seen).map(distance).collect();
         [accuracy, known.iter().sum::<f64>() / known.len() as f64]
     }
 

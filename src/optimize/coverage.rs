@@ -167,7 +167,7 @@ impl Shown {
             .filter(|p| p.z > known.near)
             .filter_map(|p| Some((cells.of(p)?, p.z.recip())))
             .collect();
-        let to_mesh = known.meshes.distance(camera.center());
+        let to_mesh = known.meshes.closest_point(camera.center()).map_or(f64::INFINITY, |p| p.distance);
         let clear = CLEAR * to_mesh.min(nearest_depth(seen.iter().map(|s| s.1.recip()).collect()));
         seen.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let (mut nearest, mut median) = (vec![None; cells.len()], vec![None; cells.len()]);
