@@ -301,7 +301,7 @@ fn median_edge(points: &[Vec3], lifted: &[Vec<[u32; 3]>], contraction: Option<&C
     median(lifted.iter().flatten().map(length).collect()).unwrap_or(0.0).max(f64::MIN_POSITIVE)
 }
 
-/// Depth of the nearest triangle at every pixel centre, `[h·w]`, 0 where there is none.
+/// Depth of the nearest triangle at every pixel centre, `[h·w]`, 0 where there is none. All are before the camera, as [`lift`] has them.
 fn depth_map(camera: &Camera, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<f32> {
     let k = camera.intrinsics();
     let (width, height) = (k.width as usize, k.height as usize);
