@@ -1,10 +1,11 @@
-// One pass of a stable radix sort of (key, value) pairs by four bits, least significant digit first. Three dispatches:
-// digit histograms of blocks, their scan in digit-major order, scatter. For adapters with many lanes; see
+// One pass of a stable radix sort of (key, value) pairs by up to eight bits, least significant digit first. Three dispatches:
+// how often blocks have each digit, where every block's first pair of a digit goes, scatter. For adapters with many lanes; see
 // radix_sort_serial.wgsl for the other kind.
 //
-// A BLOCK is 256 threads × 8 consecutive pairs; there are DIGITS = 16. Each thread counts its own pairs per digit, so that the scan over
-// (digit, thread) is stable without atomics. Counters are 16 bits wide (≤ 2048): digits d and d+8 share a word.
-// Pairs are put in order in workgroup memory first, so that the writes of neighbouring threads are neighbours.
+// A BLOCK is 256 threads × 8 consecutive pairs; there are DIGITS = 256. A block is put in order in workgroup memory first, so that the
+// writes of neighbouring threads are neighbours: by one half of the digit, then by the other, each of which a thread counts in its own
+// pairs, so that the scan over (half, thread) is stable without atomics. What is moved there is a word of digit and place in the block; pairs
+// are fetched once they are in order, from the cache. A pass reads 12 bytes of a pair, that cache apart, and writes 8.
 
 struct Pass {
     shift: u32,
@@ -16,43 +17,38 @@ struct Pass {
 @group(0) @binding(2) var<storage, read> values_in: array<u32>;
 @group(0) @binding(3) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(4) var<storage, read_write> values_out: array<u32>;
-@group(0) @binding(5) var<storage, read_write> histograms: array<u32>;  // [digit][block]
+// [digit]: of all blocks; behind that [digit][block].
+@group(0) @binding(5) var<storage, read_write> histograms: array<u32>;
 @group(0) @binding(6) var<uniform> digit_bits: Pass;
 
 //#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
-var<workgroup> counters: array<u32, BLOCK>;     // [digit mod 8][thread]; later one word per pair
+const PLACE_BITS: u32 = 11u;            // of BLOCK places
+
+var<workgroup> digit_counts: array<atomic<u32>, DIGITS>;
+var<workgroup> words: array<u32, BLOCK + BLOCK / 32u>;  // by `spread`: counters [half of a digit mod 8][thread], or one word per pair
 var<workgroup> digit_base: array<u32, DIGITS>;
 
 fn item_count() -> u32 {
     return min(counts[COUNT_WORD], arrayLength(&keys_in));
 }
 
+fn block_count(n: u32) -> u32 {
+    return (n + BLOCK - 1u) / BLOCK;
+}
+
 fn digit_of(key: u32) -> u32 {
     return (key >> digit_bits.shift) & digit_bits.mask;
 }
 
-fn counter(digit: u32, thread: u32) -> u32 {
-    return (digit % 8u) * 256u + thread;
+fn of_block(digit: u32, block: u32, n_blocks: u32) -> u32 {
+    return DIGITS + digit * n_blocks + block;
 }
 
-fn half(digit: u32) -> u32 {
-    return (digit / 8u) * 16u;
-}
-
-// Clears this thread's counters and counts its pairs.
-fn count_digits(thread: u32, start: u32, n: u32) {
-    //#for k in 0..8
-    counters[$ku * 256u + thread] = 0u;
-    //#end
-    //#for k in 0..8
-    if start + $ku < n {
-        let d = digit_of(keys_in[start + $ku]);
-        counters[counter(d, thread)] += 1u << half(d);
-    }
-    //#end
-    workgroupBarrier();
+// So that 32 threads which read eight consecutive words each hit different banks.
+fn spread(place: u32) -> u32 {
+    return place + place / 32u;
 }
 
 @compute @workgroup_size(256)
@@ -62,42 +58,96 @@ fn count(
 ) {
     let n = item_count();
     let block = group_index(group);
-    count_digits(thread, block * BLOCK + thread * 8u, n);
-    // 32 threads per pair of digits add eight words each.
-    var sum = 0u;
-    //#for k in 0..8
-    sum += counters[thread * 8u + $ku];
-    //#end
-    row_values[thread] = sum;
+    atomicStore(&digit_counts[thread], 0u);
     workgroupBarrier();
-    let n_blocks = (n + BLOCK - 1u) / BLOCK;
-    if thread < DIGITS && block < n_blocks {
-        sum = 0u;
-        for (var i = 0u; i < 32u; i++) { sum += row_values[(thread % 8u) * 32u + i]; }
-        histograms[thread * n_blocks + block] = (sum >> half(thread)) & 0xffffu;
+    // Pairs of the same digit in a row are added at once: where all have it, eight threads in place of 64 wait for each other.
+    let start = block * BLOCK + thread * 8u;
+    var digit = 0u;
+    var run = 0u;
+    //#for k in 0..8
+    if start + $ku < n {
+        let d = digit_of(keys_in[start + $ku]);
+        if d != digit {
+            if run > 0u { atomicAdd(&digit_counts[digit], run); }
+            digit = d;
+            run = 0u;
+        }
+        run++;
+    }
+    //#end
+    if run > 0u { atomicAdd(&digit_counts[digit], run); }
+    workgroupBarrier();
+    let n_blocks = block_count(n);
+    if thread <= digit_bits.mask && block < n_blocks {
+        histograms[of_block(thread, block, n_blocks)] = atomicLoad(&digit_counts[thread]);
     }
 }
 
+// A workgroup to a digit: the sums of all blocks before each, and of all.
 @compute @workgroup_size(256)
-fn scan(@builtin(local_invocation_index) thread: u32) {
-    let n_entries = (item_count() + BLOCK - 1u) / BLOCK * DIGITS;
+fn scan(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(local_invocation_index) thread: u32,
+) {
+    let digit = group_index(group);
+    if digit > digit_bits.mask { return; }
+    let n_blocks = block_count(item_count());
+    let first = of_block(digit, 0u, n_blocks);
     var carry = 0u;
-    for (var base = 0u; base < n_entries; base += 2048u) {
+    for (var base = 0u; base < n_blocks; base += 2048u) {
         let start = base + thread * 8u;
         var sum = 0u;
         //#for k in 0..8
         var v$k = 0u;
-        if start + $ku < n_entries { v$k = histograms[start + $ku]; }
+        if start + $ku < n_blocks { v$k = histograms[first + start + $ku]; }
         sum += v$k;
         //#end
         var before = carry + workgroup_scan(thread, sum);
         //#for k in 0..8
-        if start + $ku < n_entries { histograms[start + $ku] = before; }
+        if start + $ku < n_blocks { histograms[first + start + $ku] = before; }
         before += v$k;
         //#end
         carry += workgroup_total;
         workgroupBarrier();
     }
+    if thread == 0u { histograms[digit] = carry; }
+}
+
+// Puts the words of a block, eight of which each thread has, into the order of four of their bits and leaves them in `words`.
+fn order_by(bits: u32, thread: u32, mine: ptr<function, array<u32, 8>>) {
+    // Counters are 16 bits wide (≤ BLOCK): values h and h+8 share a word.
+    //#for k in 0..8
+    words[spread($ku * 256u + thread)] = 0u;
+    //#end
+    //#for k in 0..8
+    let h$k = ((*mine)[$k] >> bits) & 15u;
+    let counter$k = spread((h$k % 8u) * 256u + thread);
+    let half$k = (h$k / 8u) * 16u;
+    words[counter$k] += 1u << half$k;
+    //#end
+    workgroupBarrier();
+    // Scan of the counters: first the low halves of words in order, then the high ones.
+    var sum = 0u;
+    //#for k in 0..8
+    let c$k = words[spread(thread * 8u + $ku)];
+    sum += c$k;
+    //#end
+    var before = workgroup_scan(thread, sum);
+    before += workgroup_total << 16u;
+    //#for k in 0..8
+    words[spread(thread * 8u + $ku)] = before;
+    before += c$k;
+    //#end
+    workgroupBarrier();
+    //#for k in 0..8
+    let at$k = words[counter$k];
+    words[counter$k] = at$k + (1u << half$k);
+    //#end
+    workgroupBarrier();
+    //#for k in 0..8
+    words[spread((at$k >> half$k) & 0xffffu)] = (*mine)[$k];
+    //#end
+    workgroupBarrier();
 }
 
 @compute @workgroup_size(256)
@@ -106,63 +156,48 @@ fn scatter(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let n = item_count();
+    let n_blocks = block_count(n);
     let block = group_index(group);
     let first = block * BLOCK;
-    let start = first + thread * 8u;
-    count_digits(thread, start, n);
 
-    // Scan of the counters: first the low halves in order, then the high ones.
-    var sum = 0u;
+    // What lies behind the last pair has the highest digit, so that it stays behind.
+    var mine: array<u32, 8>;
     //#for k in 0..8
-    let c$k = counters[thread * 8u + $ku];
-    sum += c$k;
-    //#end
-    let prefix = workgroup_scan(thread, sum);
-    var before = prefix + (workgroup_total << 16u);
-    //#for k in 0..8
-    counters[thread * 8u + $ku] = before;
-    before += c$k;
-    //#end
-    workgroupBarrier();
-    if thread < DIGITS {
-        let n_blocks = (n + BLOCK - 1u) / BLOCK;
-        let in_block = (counters[counter(thread, 0u)] >> half(thread)) & 0xffffu;
-        digit_base[thread] = histograms[thread * n_blocks + block] - in_block;
-    }
-    workgroupBarrier();
-
-    // Rank inside the block.
-    //#for k in 0..8
-    var key$k = 0u;
-    var rank$k = 0u;
-    if start + $ku < n {
-        key$k = keys_in[start + $ku];
-        let d = digit_of(key$k);
-        let word = counters[counter(d, thread)];
-        rank$k = (word >> half(d)) & 0xffffu;
-        counters[counter(d, thread)] = word + (1u << half(d));
+    mine[$k] = ((DIGITS - 1u) << PLACE_BITS) | (thread * 8u + $ku);
+    if first + thread * 8u + $ku < n {
+        mine[$k] = (digit_of(keys_in[first + thread * 8u + $ku]) << PLACE_BITS) | (thread * 8u + $ku);
     }
     //#end
-    workgroupBarrier();
+    order_by(PLACE_BITS, thread, &mine);
     //#for k in 0..8
-    if start + $ku < n { counters[rank$k] = key$k; }
+    mine[$k] = words[spread(thread * 8u + $ku)];
     //#end
+    workgroupBarrier();
+    order_by(PLACE_BITS + 4u, thread, &mine);
+
+    // Where a block's pairs of a digit go, less where they are in it.
+    var of_digit = 0u;
+    var base = 0u;
+    if thread <= digit_bits.mask && block < n_blocks {
+        of_digit = histograms[thread];
+        base = histograms[of_block(thread, block, n_blocks)];
+    }
+    digit_base[thread] = base + workgroup_scan(thread, of_digit);
     workgroupBarrier();
     // The k-th pair to write is number k·256 + thread of the ordered block.
     //#for k in 0..8
-    var to$k = 0u;
-    if first + $ku * 256u + thread < n {
-        let key = counters[$ku * 256u + thread];
-        to$k = digit_base[digit_of(key)] + $ku * 256u + thread;
-        keys_out[to$k] = key;
+    let place$k = $ku * 256u + thread;
+    let word$k = words[spread(place$k)];
+    let digit$k = word$k >> PLACE_BITS;
+    if place$k == 0u || (words[spread(place$k - 1u)] >> PLACE_BITS) != digit$k { digit_base[digit$k] -= place$k; }
+    //#end
+    workgroupBarrier();
+    //#for k in 0..8
+    let from$k = first + (word$k & (BLOCK - 1u));
+    if from$k < n {
+        let to = digit_base[digit$k] + place$k;
+        keys_out[to] = keys_in[from$k];
+        values_out[to] = values_in[from$k];
     }
-    //#end
-    workgroupBarrier();
-    //#for k in 0..8
-    if start + $ku < n { counters[rank$k] = values_in[start + $ku]; }
-    //#end
-    workgroupBarrier();
-    //#for k in 0..8
-    if first + $ku * 256u + thread < n { values_out[to$k] = counters[$ku * 256u + thread]; }
     //#end
 }

@@ -11,7 +11,7 @@ const GROUPS: [(&str, &[&str]); 10] = [
         "sort and lists",
         &[
             "scan",
-            "dispatch_size",
+            "dispatch_sizes",
             "compact_visible",
             "radix_sort",
             "radix_sort_serial",

@@ -157,7 +157,7 @@ mod tests {
             needed(&size(&options, &cameras, source, 1_000_000, 2048), *source == MeshSource::Splats, 2048)
         };
         let (what, hybrid) = of(&MeshSource::Splats);
-        let expected = "training (1000000 splats of SH degree 3: 4333 MiB, the mesh with maps of 2048² texels 415 MiB, \
+        let expected = "training (1000000 splats of SH degree 3: 4343 MiB, the mesh with maps of 2048² texels 415 MiB, \
                         images of 1920×1080: 682 MiB)";
         assert_eq!(what, expected);
         let (what, alone) = of(&MeshSource::None);

@@ -2,7 +2,7 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
-    scan::DispatchSize,
+    scan::DispatchSizes,
     shader::Defines,
     splats::{ImageCapacity, Purpose, SplatLists},
     tile_pairs::{COUNT_STORED_PAIRS, COUNT_VISIBLE},
@@ -40,7 +40,8 @@ pub(crate) struct Blend {
 pub(crate) struct BlendBackward {
     /// Of tiles, into rows; of the rows, into moments. One after the other where the rows of all pairs cannot be bound.
     windows: Vec<[Stage; 2]>,
-    per_splat: DispatchSize,
+    sizes: DispatchSizes,
+    splats_a_group: usize,
     /// `[n]` rows of sums per splat; 0 of those that the last view does not see.
     pub(crate) moments: Buffer,
 }
@@ -201,18 +202,18 @@ impl BlendBackward {
             [of_tiles, bound("sum_moments.wgsl", &sum_defines, start, &of_splats)]
         };
         let windows = (0..pairs.max(1)).step_by(window).map(of_window).collect();
-        let per_splat = DispatchSize::new(gpu, capacity, splats_a_group, numbers.counts, COUNT_VISIBLE)?;
-        Ok(Self { windows, per_splat, moments: sums })
+        let sizes = DispatchSizes::new(gpu, capacity, &[splats_a_group], numbers.counts, COUNT_VISIBLE)?;
+        Ok(Self { windows, sizes, splats_a_group, moments: sums })
     }
 
     /// Appends the gradients of `tiles` tiles.
     pub(crate) fn record(&self, frame: &mut Frame, tiles: usize) {
         // Splats out of view would keep what another view has found of them.
         frame.clear(&self.moments);
-        self.per_splat.record(frame);
+        self.sizes.record(frame);
         for [of_tiles, of_splats] in &self.windows {
             frame.dispatch(of_tiles, tiles);
-            self.per_splat.dispatch(frame, of_splats);
+            self.sizes.dispatch(frame, of_splats, self.splats_a_group);
         }
     }
 }

@@ -105,8 +105,13 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         ]);
     }
     TrainingBytes {
-        // Pairs: keys and values, twice, splats, those with their numbers, sums. The counters of two sorts.
-        splats: bytes(&[(splats, per_splat), (pairs, 4 + 1 + 2 + sums), (2 * 256 * 256, 1)]),
+        // Pairs: keys and values, twice, splats, those with their numbers, sums. The counters of two sorts, by chunks or by blocks.
+        splats: bytes(&[
+            (splats, per_splat),
+            (pairs, 4 + 1 + 2 + sums),
+            (2 * 256 * 256, 1),
+            (splats.saturating_add(pairs) / 8, 1),
+        ]),
         meshes,
         images: bytes(&[(pixels, per_pixel), (tiles, 2), (per_side(BIN), per_bin)]),
     }

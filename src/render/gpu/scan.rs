@@ -5,47 +5,75 @@ use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 /// Threads per workgroup.
 const THREADS: usize = 256;
 
-/// Arguments of indirect dispatches that cover a number of items kept in a GPU buffer.
-pub(crate) struct DispatchSize {
+/// Arguments of indirect dispatches over a number of items kept in a GPU buffer, for workgroups of several sizes.
+pub(crate) struct DispatchSizes {
     compute: Stage,
-    size: Buffer,
+    sizes: Buffer,
+    blocks: Vec<usize>,
 }
 
-impl DispatchSize {
-    /// For `counts[count_word]` items, at most `capacity`, in workgroups of `block`.
+impl DispatchSizes {
+    /// For `counts[count_word]` items, at most `capacity`, in workgroups of any of `blocks` (at most four).
     pub(crate) fn new(
         gpu: &Gpu,
         capacity: usize,
-        block: usize,
+        blocks: &[usize],
         counts: &Buffer,
         count_word: u32,
     ) -> Result<Self, GpuError> {
-        let defines = gpu.defines().with("COUNT_WORD", count_word).with("BLOCK", block as u32);
-        let size = gpu.storage_with("dispatch size", &[0, 0, 0, capacity as u32])?;
-        let compute = Stage::new(gpu, "dispatch_size.wgsl", "main", &defines, &[counts, &size]);
-        Ok(Self { compute, size })
+        let defines = gpu.defines().with("COUNT_WORD", count_word);
+        let sizes: Vec<[u32; 4]> = blocks.iter().map(|&block| [0, 0, 0, block as u32]).collect();
+        let sizes = gpu.storage_with("dispatch sizes", &sizes)?;
+        let most = gpu.storage_with("most items", &[capacity as u32])?;
+        let compute = Stage::new(gpu, "dispatch_sizes.wgsl", "main", &defines, &[counts, &sizes, &most]);
+        Ok(Self { compute, sizes, blocks: blocks.to_vec() })
     }
 
-    /// Computes the size from the count as it is at this point of the frame.
+    /// Computes the sizes from the count as it is at this point of the frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
         frame.dispatch(&self.compute, 1);
     }
 
-    /// Dispatches `stage` with it.
-    pub(crate) fn dispatch(&self, frame: &mut Frame, stage: &Stage) {
-        frame.dispatch_indirect(stage, &self.size);
+    /// Dispatches `stage`, whose workgroups take `block` items each, one of those that these sizes are for.
+    pub(crate) fn dispatch(&self, frame: &mut Frame, stage: &Stage, block: usize) {
+        let place = self.blocks.iter().position(|&b| b == block).expect("sizes are for workgroups of that many");
+        frame.dispatch_indirect(stage, &self.sizes, place);
+    }
+}
+
+/// How many items a stage runs over.
+#[derive(Clone, Copy)]
+pub(crate) enum Items<'a> {
+    /// As the host knows.
+    Known(usize),
+    /// As the GPU has counted.
+    Counted(&'a DispatchSizes),
+}
+
+impl Items<'_> {
+    /// Dispatches `stage`, whose workgroups take `block` of them each.
+    fn dispatch(self, frame: &mut Frame, stage: &Stage, block: usize) {
+        match self {
+            Self::Known(items) => frame.dispatch(stage, groups(items, block)),
+            Self::Counted(sizes) => sizes.dispatch(frame, stage, block),
+        }
     }
 }
 
 /// Exclusive prefix sum of u32.
 pub(crate) struct Scan {
-    size: DispatchSize,
+    block: usize,
     sum_blocks: Stage,
     scan_sums: Stage,
     scan_blocks: Stage,
 }
 
 impl Scan {
+    /// Items that a workgroup takes.
+    pub(crate) fn block(gpu: &Gpu) -> usize {
+        THREADS * per_thread(gpu)
+    }
+
     /// Scans the first `counts[count_word]` (≤ `capacity`) words of `input` into `output`, another buffer, and writes
     /// the total to `counts[total_word]`.
     ///
@@ -60,32 +88,34 @@ impl Scan {
         count_word: u32,
         total_word: u32,
     ) -> Result<Self, GpuError> {
-        // Software adapters pay for every barrier, not for idle lanes: long runs per thread.
-        let per_thread = if gpu.profile().is_cpu { 64 } else { 8 };
-        let block = THREADS * per_thread;
+        let block = Self::block(gpu);
         let defines = gpu
             .defines()
             .with("COUNT_WORD", count_word)
             .with("TOTAL_WORD", total_word)
-            .with("PER_THREAD", per_thread as u32);
+            .with("PER_THREAD", per_thread(gpu) as u32);
         let block_sums = gpu.storage("scan block sums", groups(capacity, block))?;
         let buffers = [counts, input, &block_sums, output];
         let stage = |entry| Stage::new(gpu, "scan.wgsl", entry, &defines, &buffers);
         Ok(Self {
-            size: DispatchSize::new(gpu, capacity, block, counts, count_word)?,
+            block,
             sum_blocks: stage("sum_blocks"),
             scan_sums: stage("scan_sums"),
             scan_blocks: stage("scan_blocks"),
         })
     }
 
-    /// Appends the scan to a frame.
-    pub(crate) fn record(&self, frame: &mut Frame) {
-        self.size.record(frame);
-        self.size.dispatch(frame, &self.sum_blocks);
+    /// Appends the scan of `items`, as many as are counted, to a frame.
+    pub(crate) fn record(&self, frame: &mut Frame, items: Items) {
+        items.dispatch(frame, &self.sum_blocks, self.block);
         frame.dispatch(&self.scan_sums, 1);
-        self.size.dispatch(frame, &self.scan_blocks);
+        items.dispatch(frame, &self.scan_blocks, self.block);
     }
+}
+
+/// Software adapters pay for every barrier, not for idle lanes: long runs per thread.
+fn per_thread(gpu: &Gpu) -> usize {
+    if gpu.profile().is_cpu { 64 } else { 8 }
 }
 
 #[cfg(test)]
@@ -109,18 +139,23 @@ mod tests {
         let widest = gpu.widest_dispatch();
         let counts = gpu.storage("counts", 1).unwrap();
         let capacity = u32::MAX / 2;
-        let size = DispatchSize::new(&gpu, capacity as usize, 256, &counts, 0).unwrap();
+        let sizes = DispatchSizes::new(&gpu, capacity as usize, &[2048, 256], &counts, 0).unwrap();
         for items in [0, 1, 256, 257, 256 * widest, 256 * widest + 1, 400_000_000, capacity, u32::MAX] {
             gpu.write(&counts, 0, &[items]);
             let mut frame = Frame::new(&gpu);
-            size.record(&mut frame);
+            sizes.record(&mut frame);
             frame.submit();
-            let [x, y, z] = gpu.read::<u32>(&size.size, 3).unwrap()[..] else { unreachable!() };
-            let needed = items.min(capacity).div_ceil(256);
-            assert!(x <= widest && y <= widest && z == 1, "{items}: {x} {y} {z}");
-            assert!((needed..needed + widest).contains(&(x * y)), "{items}: {x} {y}");
-            // Kernels take rows for that wide.
-            assert!(y == 1 || x == widest, "{items}: {x} {y}");
+            let found = gpu.read::<u32>(&sizes.sizes, 8).unwrap();
+            for ([x, y, z, block], expected) in found.as_chunks().0.iter().copied().zip([2048, 256]) {
+                assert!(
+                    x <= widest && y <= widest && z == 1 && block == expected,
+                    "{items}: {x} {y} {z}, {block} each"
+                );
+                let needed = items.min(capacity).div_ceil(block);
+                assert!((needed..needed + widest).contains(&(x * y)), "{items}: {x} {y}");
+                // Kernels take rows for that wide.
+                assert!(y == 1 || x == widest, "{items}: {x} {y}");
+            }
         }
     }
 
@@ -133,7 +168,7 @@ mod tests {
         let counts = gpu.storage_with("counts", &[0, n as u32, 0, 0]).unwrap();
         let scan = Scan::new(&gpu, n, &input, &output, &counts, 1, 3).unwrap();
         let mut frame = Frame::new(&gpu);
-        scan.record(&mut frame);
+        scan.record(&mut frame, Items::Known(n));
         frame.submit();
         let expected: Vec<u32> = (0..n as u64).map(|i| (90_000 * i).min(u64::from(u32::MAX)) as u32).collect();
         assert!(gpu.read::<u32>(&output, n).unwrap() == expected);
@@ -148,11 +183,15 @@ mod tests {
         let output = gpu.storage("output", capacity).unwrap();
         let counts = gpu.storage("counts", 4).unwrap();
         let scan = Scan::new(gpu, capacity, &input, &output, &counts, 1, 3).unwrap();
+        let sizes = DispatchSizes::new(gpu, capacity, &[Scan::block(gpu)], &counts, 1).unwrap();
         for n in [0, 1, 255, 2047, 2048, 2049, 16_383, 16_385, 100_000, capacity] {
             gpu.write(&output, 0, &vec![u32::MAX; capacity]);
             gpu.write(&counts, 0, &[7, n as u32, 8, 9]);
             let mut frame = Frame::new(gpu);
-            scan.record(&mut frame);
+            sizes.record(&mut frame);
+            // By every other count also as the host would say it.
+            let items = if n % 2 == 0 { Items::Known(n) } else { Items::Counted(&sizes) };
+            scan.record(&mut frame, items);
             frame.submit();
             let mut sum = 0;
             let mut expected = vec![];

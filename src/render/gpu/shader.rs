@@ -32,7 +32,7 @@ embed![
     "ceilings.wgsl",
     "check_lists.wgsl",
     "compact_visible.wgsl",
-    "dispatch_size.wgsl",
+    "dispatch_sizes.wgsl",
     "emit_pairs.wgsl",
     "exposure.wgsl",
     "filter_splats.wgsl",

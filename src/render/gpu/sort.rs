@@ -3,11 +3,13 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups},
-    scan::DispatchSize,
+    scan::DispatchSizes,
 };
 
-/// Pairs per workgroup of `radix_sort.wgsl`.
-const BLOCK: usize = 2048;
+/// Pairs that a workgroup of `radix_sort.wgsl` takes.
+pub(crate) const BLOCK: usize = 2048;
+/// Bits of a key that a pass sorts by, at most.
+const DIGIT_BITS: u32 = 8;
 /// Most chunks of `radix_sort_serial.wgsl`, a thread to each: enough for a few workgroups on each core, few enough that scanning their
 /// 256 counters costs little.
 const MAX_CHUNKS: usize = 256;
@@ -15,29 +17,27 @@ const MAX_CHUNKS: usize = 256;
 /// Which of the two shaders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Width {
-    /// Many lanes: four bits per pass.
+    /// Many lanes: blocks, put in order by all threads of a workgroup.
     Parallel,
-    /// Few lanes: eight bits per pass.
+    /// Few lanes: chunks, each walked by a thread.
     Serial,
-}
-
-impl Width {
-    fn digit_bits(self) -> u32 {
-        match self {
-            Self::Parallel => 4,
-            Self::Serial => 8,
-        }
-    }
 }
 
 /// A sort of up to `capacity` pairs.
 pub(crate) struct Sort {
     width: Width,
-    size: DispatchSize,
-    /// Count, scan and scatter of every pass; passes read one pair of buffers and write the other in turn.
-    passes: Vec<[Stage; 3]>,
+    passes: Vec<Pass>,
     keys: [Buffer; 2],
     values: [Buffer; 2],
+}
+
+/// Passes read one pair of buffers and write the other in turn.
+struct Pass {
+    count: Stage,
+    scan: Stage,
+    scatter: Stage,
+    /// Values that its digit may have.
+    digits: usize,
 }
 
 impl Sort {
@@ -67,20 +67,21 @@ impl Sort {
         let defines = gpu
             .defines()
             .with("COUNT_WORD", count_word)
-            .with("DIGITS", 1 << width.digit_bits())
+            .with("DIGITS", 1 << DIGIT_BITS)
             .with("BLOCK", BLOCK as u32)
             .with("MAX_CHUNKS", MAX_CHUNKS as u32);
+        // Blocks are followed by what they have in common.
         let (file, parts) = match width {
-            Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK)),
+            Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK) + 1),
             Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS),
         };
         let kernels = ["count", "scan", "scatter"].map(|entry| Kernel::new(gpu, file, entry, &defines));
         let keys = [gpu.storage("sort keys", capacity)?, gpu.storage("sort keys", capacity)?];
         let values = [gpu.storage("sort values", capacity)?, gpu.storage("sort values", capacity)?];
-        let histograms = gpu.storage("sort histograms", parts << width.digit_bits())?;
+        let histograms = gpu.storage("sort histograms", parts << DIGIT_BITS)?;
 
         let bits = bits.clamp(1, 32);
-        let n_passes = bits.div_ceil(width.digit_bits());
+        let n_passes = bits.div_ceil(DIGIT_BITS);
         let per_pass = bits.div_ceil(n_passes);
         let mut passes = Vec::new();
         for pass in 0..n_passes {
@@ -90,10 +91,10 @@ impl Sort {
             gpu.write(&uniform, 0, &[shift, (1 << here) - 1, 0, 0]);
             let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
             let buffers = [counts, &keys[from], &values[from], &keys[to], &values[to], &histograms, &uniform];
-            passes.push(kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
+            let [count, scan, scatter] = kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers));
+            passes.push(Pass { count, scan, scatter, digits: 1 << here });
         }
-        let size = DispatchSize::new(gpu, capacity, BLOCK, counts, count_word)?;
-        Ok(Self { width, size, passes, keys, values })
+        Ok(Self { width, passes, keys, values })
     }
 
     /// Where the caller writes keys.
@@ -116,22 +117,21 @@ impl Sort {
         &self.values[self.passes.len() % 2]
     }
 
-    /// Appends the sort to a frame.
-    pub(crate) fn record(&self, frame: &mut Frame) {
-        if self.width == Width::Parallel {
-            self.size.record(frame);
-        }
-        for [count, scan, scatter] in &self.passes {
-            self.record_blocks(frame, count);
-            frame.dispatch(scan, 1);
-            self.record_blocks(frame, scatter);
-        }
-    }
-
-    fn record_blocks(&self, frame: &mut Frame, stage: &Stage) {
-        match self.width {
-            Width::Parallel => self.size.dispatch(frame, stage),
-            Width::Serial => frame.dispatch_threads(stage, MAX_CHUNKS),
+    /// Appends the sort to a frame. `sizes` are of the pairs, for workgroups of [`BLOCK`] among others.
+    pub(crate) fn record(&self, frame: &mut Frame, sizes: &DispatchSizes) {
+        for Pass { count, scan, scatter, digits } in &self.passes {
+            match self.width {
+                Width::Parallel => {
+                    sizes.dispatch(frame, count, BLOCK);
+                    frame.dispatch(scan, *digits);
+                    sizes.dispatch(frame, scatter, BLOCK);
+                }
+                Width::Serial => {
+                    frame.dispatch_threads(count, MAX_CHUNKS);
+                    frame.dispatch(scan, 1);
+                    frame.dispatch_threads(scatter, MAX_CHUNKS);
+                }
+            }
         }
     }
 }
@@ -147,6 +147,7 @@ mod tests {
     fn check(gpu: &Gpu, width: Width, bits: u32, capacity: usize, lists: &[Vec<u32>]) {
         let counts = gpu.storage("counts", 4).unwrap();
         let sort = Sort::with_width(gpu, capacity, bits, &counts, 2, width).unwrap();
+        let sizes = DispatchSizes::new(gpu, capacity, &[BLOCK], &counts, 2).unwrap();
         let mask = u32::MAX >> (32 - bits);
         for keys in lists {
             let values: Vec<u32> = (0..keys.len() as u32).collect();
@@ -154,7 +155,8 @@ mod tests {
             gpu.write(sort.values_in(), 0, &values);
             gpu.write(&counts, 8, &[keys.len() as u32]);
             let mut frame = Frame::new(gpu);
-            sort.record(&mut frame);
+            sizes.record(&mut frame);
+            sort.record(&mut frame, &sizes);
             frame.submit();
             let mut expected = values;
             expected.sort_by_key(|&v| keys[v as usize] & mask);
@@ -190,6 +192,8 @@ mod tests {
                 let mut lists: Vec<Vec<u32>> =
                     lengths.iter().map(|&n| (0..n).map(|_| rng.random()).collect()).collect();
                 lists.push(vec![0xdead_beef; 5000]);
+                // As high as what fills up the last block.
+                lists.push((0..5000).map(|i| if i % 3 == 0 { 7 } else { u32::MAX }).collect());
                 lists.push((0..5000).rev().collect());
                 check(&gpu, width, bits, capacity, &lists);
                 if width == Width::Parallel {

@@ -2,9 +2,9 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
-    scan::Scan,
-    sort::Sort,
-    tile_pairs::{COUNT_PAIRS, COUNT_SPLATS, COUNT_VISIBLE, InView, TilePairs},
+    scan::{DispatchSizes, Items, Scan},
+    sort::{self, Sort},
+    tile_pairs::{COUNT_PAIRS, COUNT_SPLATS, COUNT_VISIBLE, InView, PER_GROUP, TilePairs},
     view::TILE,
 };
 use crate::render::contract::{ImageModel, ShDirection};
@@ -105,6 +105,8 @@ pub(crate) struct SplatLists {
     purpose: Purpose,
     depth_sort: Sort,
     find_visible: Scan,
+    /// Of those in view.
+    sizes: DispatchSizes,
     project: Stage,
     compact: Stage,
     order: Option<Stage>,
@@ -175,6 +177,8 @@ impl SplatLists {
 
         let depth_sort = Sort::new(gpu, n, DEPTH_BITS, &counts, COUNT_VISIBLE)?;
         let find_visible = Scan::new(gpu, n, &visible, &slots, &counts, COUNT_SPLATS, COUNT_VISIBLE)?;
+        let blocks = [PER_GROUP, sort::BLOCK, Scan::block(gpu)];
+        let sizes = DispatchSizes::new(gpu, n, &blocks, &counts, COUNT_VISIBLE)?;
 
         let defines = gpu
             .defines()
@@ -215,6 +219,7 @@ impl SplatLists {
             purpose,
             depth_sort,
             find_visible,
+            sizes,
             project,
             compact,
             order,
@@ -227,13 +232,14 @@ impl SplatLists {
         gpu.write(&self.counts, 0, &[n as u32, 0, 0, 0]);
         frame.clear(&self.pairs.ranges);
         frame.dispatch_threads(&self.project, n);
-        self.find_visible.record(frame);
+        self.find_visible.record(frame, Items::Known(n));
+        self.sizes.record(frame);
         frame.dispatch_threads(&self.compact, n);
-        self.depth_sort.record(frame);
+        self.depth_sort.record(frame, &self.sizes);
         if let Some(order) = &self.order {
             frame.dispatch_threads(order, n);
         }
-        self.pairs.record(frame);
+        self.pairs.record(frame, &self.sizes);
     }
 
     /// The pairs with their numbers, in training.

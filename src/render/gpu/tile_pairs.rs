@@ -2,8 +2,8 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
-    scan::{DispatchSize, Scan},
-    sort::Sort,
+    scan::{DispatchSizes, Items, Scan},
+    sort::{self, Sort},
 };
 
 /// Words of the buffer of counts: splats, those in view, pairs, pairs that fit.
@@ -11,6 +11,9 @@ pub(super) const COUNT_SPLATS: u32 = 0;
 pub(super) const COUNT_VISIBLE: u32 = 1;
 pub(super) const COUNT_PAIRS: u32 = 2;
 pub(super) const COUNT_STORED_PAIRS: u32 = 3;
+
+/// Splats or pairs that a workgroup of these stages takes.
+pub(super) const PER_GROUP: usize = 256;
 
 /// What pairs are made of.
 pub(super) struct InView<'a> {
@@ -35,8 +38,7 @@ pub(crate) struct TilePairs {
     /// The first number of each splat in view, by depth.
     pub(super) offsets: Buffer,
     capacity: usize,
-    per_visible: DispatchSize,
-    per_pair: DispatchSize,
+    sizes: DispatchSizes,
     gather: Stage,
     place: Scan,
     emit: Stage,
@@ -81,8 +83,7 @@ impl TilePairs {
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
         let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);
         Ok(Self {
-            per_visible: DispatchSize::new(gpu, splats, 256, counts, COUNT_VISIBLE)?,
-            per_pair: DispatchSize::new(gpu, capacity, 256, counts, COUNT_STORED_PAIRS)?,
+            sizes: DispatchSizes::new(gpu, capacity, &[PER_GROUP, sort::BLOCK], counts, COUNT_STORED_PAIRS)?,
             gather: stage("gather_counts.wgsl", &[counts, by_depth, tile_count, &sorted_count]),
             place: Scan::new(gpu, splats, &sorted_count, &offsets, counts, COUNT_VISIBLE, COUNT_PAIRS)?,
             emit: stage("emit_pairs.wgsl", &emitted),
@@ -95,15 +96,15 @@ impl TilePairs {
         })
     }
 
-    /// Appends them to a frame that has begun by clearing [`Self::ranges`], behind what they are made of.
-    pub(super) fn record(&self, frame: &mut Frame) {
-        self.per_visible.record(frame);
-        self.per_visible.dispatch(frame, &self.gather);
-        self.place.record(frame);
-        self.per_visible.dispatch(frame, &self.emit);
-        self.per_pair.record(frame);
-        self.sort.record(frame);
-        self.per_pair.dispatch(frame, &self.find_ranges);
+    /// Appends them to a frame that has begun by clearing [`Self::ranges`], behind what they are made of. `visible` are sizes of the splats
+    /// in view, for workgroups of [`PER_GROUP`] and of [`Scan::block`].
+    pub(super) fn record(&self, frame: &mut Frame, visible: &DispatchSizes) {
+        visible.dispatch(frame, &self.gather, PER_GROUP);
+        self.place.record(frame, Items::Counted(visible));
+        visible.dispatch(frame, &self.emit, PER_GROUP);
+        self.sizes.record(frame);
+        self.sort.record(frame, &self.sizes);
+        self.sizes.dispatch(frame, &self.find_ranges, PER_GROUP);
     }
 
     /// Splat of every pair.

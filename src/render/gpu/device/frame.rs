@@ -69,9 +69,9 @@ impl<'a> Frame<'a> {
         self.dispatch(stage, groups(threads, stage.kernel.threads));
     }
 
-    /// Runs as many workgroups as the first three words of `size` say.
-    pub(crate) fn dispatch_indirect(&mut self, stage: &Stage, size: &Buffer) {
-        self.pass(stage).dispatch_workgroups_indirect(&size.raw, 0);
+    /// Runs as many workgroups as the first three of the four words number `place` of `sizes` say.
+    pub(crate) fn dispatch_indirect(&mut self, stage: &Stage, sizes: &Buffer, place: usize) {
+        self.pass(stage).dispatch_workgroups_indirect(&sizes.raw, 16 * place as u64);
     }
 
     /// Fills a buffer with zeros.
