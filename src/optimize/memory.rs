@@ -10,8 +10,12 @@ use crate::{
     scene::{Camera, sh},
 };
 
+/// Most bytes of photographs that stay on the adapter.
+const MOST_KEPT: u64 = 1 << 30;
+
 /// Error if the run would end for lack of memory once it has `max_splats`, as far as that can be told: longer lists, which are there beside the
-/// old ones while they take their place, are not counted.
+/// old ones while they take their place, are not counted. Else the bytes of photographs that may stay on the adapter: those of all cameras, or
+/// [`MOST_KEPT`] of them, where half as much again as the run asks for is free beside them.
 ///
 /// # Errors
 /// [`GpuError::NotEnoughMemory`](crate::render::gpu::GpuError) with what takes how much.
@@ -22,7 +26,7 @@ pub(super) fn check(
     source: &MeshSource,
     max_splats: usize,
     texture_size: u32,
-) -> Result<(), TrainError> {
+) -> Result<u64, TrainError> {
     let hybrid = size(options, cameras, source, max_splats, texture_size);
     // The longest buffers. Splats are limited to what can be bound.
     let [base, bands] = map_floats(options, texture_size).map(|floats| floats as u64 * 341 / 256);
@@ -38,7 +42,10 @@ pub(super) fn check(
     }
     gpu.ensure_bindable("the loss of an image", 48 * pixels)?;
     let (what, bytes) = needed(&hybrid, source.is_found(), texture_size);
-    Ok(gpu.ensure_free(&what, bytes)?)
+    gpu.ensure_free(&what, bytes)?;
+    let photographs = cameras.iter().map(area).fold(0_u64, |sum, pixels| sum.saturating_add(4 * pixels)).min(MOST_KEPT);
+    let with_room = bytes.saturating_add(bytes / 2).saturating_add(photographs);
+    Ok(if gpu.ensure_free("photographs", with_room).is_ok() { photographs } else { 0 })
 }
 
 /// Error if these splats cannot be rendered alone beside what is there.

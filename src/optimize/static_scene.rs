@@ -158,6 +158,8 @@ struct Run<'a> {
     train: Vec<usize>,
     test: Vec<usize>,
     photos: Photographs<'a>,
+    /// Bytes of them that may stay on the adapter.
+    kept_photographs: u64,
     longest_side: u32,
     budget: Budget<'a>,
     extent: f32,
@@ -230,6 +232,7 @@ impl<'a> Run<'a> {
             train,
             test,
             photos,
+            kept_photographs: 0,
             extent,
             unit,
             distance,
@@ -250,7 +253,7 @@ impl<'a> Run<'a> {
         };
         let resumes = saved.is_some();
         self.log.past = saved.as_mut().map(|saved| std::mem::take(&mut saved.past)).unwrap_or_default();
-        memory::check(
+        self.kept_photographs = memory::check(
             self.session.gpu,
             self.options,
             &self.cameras,
@@ -366,6 +369,7 @@ impl<'a> Run<'a> {
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
         let mut training = Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight)?;
+        training.keep_photographs(self.kept_photographs);
         if self.options.density == Density::Absgs {
             training.sum_absolute_gradients()?;
         }

@@ -239,6 +239,7 @@ impl Run<'_> {
             // Where it was found to be, at the size of the picture.
             camera: &self.cameras[index].resized(photo.width, photo.height),
             truth: &photo.rgba,
+            kept_as: Some(index),
             truth_alpha: truth_alpha(&photo),
             background,
             sh_degree,

@@ -82,6 +82,7 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
         .step(&Step {
             camera: &camera(),
             truth,
+            kept_as: None,
             truth_alpha,
             background: [0.1, 0.2, 0.3],
             sh_degree: 0,

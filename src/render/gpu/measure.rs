@@ -101,6 +101,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     scene.composition.validate()?;
     let truth = vec![128; camera.intrinsics().pixels() * 4];
     let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
+    training.keep_photographs(truth.len() as u64);
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
     let step = Step {
         vertices: None,
@@ -108,6 +109,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
         pose: None,
         camera,
         truth: &truth,
+        kept_as: Some(0),
         truth_alpha: TruthAlpha::Ignore,
         background: scene.composition.background,
         sh_degree: scene.splats.sh_degree(),

@@ -21,6 +21,7 @@ mod mesh;
 #[cfg(test)]
 mod mesh_tests;
 pub(crate) mod per_view;
+mod photographs;
 mod picture;
 mod pipeline;
 pub(crate) mod pose;

@@ -61,6 +61,7 @@ fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<P
         .step(&Step {
             camera,
             truth: &truth(camera),
+            kept_as: None,
             truth_alpha: TruthAlpha::Ignore,
             background: [0.3, 0.2, 0.1],
             sh_degree,

@@ -9,6 +9,7 @@ use super::{
     loss::{Loss, LossValues, TruthAlpha},
     memory::with_headroom,
     mesh::MeshStage,
+    photographs::Photographs,
     picture::Picture,
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
@@ -46,6 +47,8 @@ pub(crate) struct Step<'a> {
     pub(crate) camera: &'a Camera,
     /// RGBA8, `[h·w·4]`.
     pub(crate) truth: &'a [u8],
+    /// Number under which [`Training::keep_photographs`] keeps it; under one number and size it is always the same.
+    pub(crate) kept_as: Option<usize>,
     /// What its alpha means.
     pub(crate) truth_alpha: TruthAlpha,
     pub(crate) background: [f32; 3],
@@ -71,7 +74,7 @@ pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
     pub(super) pipeline: Pipeline,
     backward: Backward,
-    truth: Buffer,
+    photographs: Photographs,
     /// Of the largest pictures, (width, height), each once.
     sizes: Vec<(usize, usize)>,
     ssim_weight: f32,
@@ -114,8 +117,8 @@ impl<'g> Training<'g> {
         let mut sizes: Vec<_> = cameras.iter().map(size).collect();
         sizes.sort_unstable();
         sizes.dedup();
-        let truth = gpu.storage("photograph", pipeline.pixels())?;
-        let loss = new_loss(gpu, (&pipeline, &backward), &truth, &sizes, ssim_weight, None)?;
+        let photographs = Photographs::new(gpu, pipeline.pixels())?;
+        let loss = new_loss(gpu, (&pipeline, &backward), &photographs.shown, &sizes, ssim_weight, None)?;
         let (moments, moments_of) = (new_moments(gpu, &pipeline.front.splats)?, pipeline.front.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &backward, &moments)?;
         let list_check = new_list_check(gpu, &pipeline, &backward.status);
@@ -125,7 +128,7 @@ impl<'g> Training<'g> {
             gpu,
             pipeline,
             backward,
-            truth,
+            photographs,
             sizes,
             ssim_weight,
             list_check,
@@ -153,11 +156,11 @@ impl<'g> Training<'g> {
         if step.splats.is_none() {
             view.n_splats = 0;
         }
-        self.gpu.write(&self.truth, 0, step.truth);
         let mut frame = match &mut self.timer {
             Some(timer) => Frame::timed(self.gpu, timer),
             None => Frame::new(self.gpu),
         };
+        self.photographs.show(self.gpu, &mut frame, step.truth, step.kept_as);
         let pose = self.poses.as_mut().zip(step.pose).map(|(poses, step)| {
             poses.record_correction(self.gpu, &mut frame, &step);
             poses
@@ -190,6 +193,11 @@ impl<'g> Training<'g> {
         }
         frame.submit();
         Ok(())
+    }
+
+    /// From now on the adapter keeps photographs that have a number, up to so many bytes, unless its memory is the host's.
+    pub(crate) fn keep_photographs(&mut self, bytes: u64) {
+        self.photographs.keep(if self.gpu.shares_host_memory() { 0 } else { bytes });
     }
 
     /// From now on photographs have exposures, which follow `Step::exposure`; or have others, of as many views. Every step
@@ -534,9 +542,9 @@ impl<'g> Training<'g> {
     }
 
     fn bind_loss(&mut self) -> Result<(), GpuError> {
-        let Self { gpu, pipeline, backward, truth, sizes, ssim_weight, .. } = &*self;
+        let Self { gpu, pipeline, backward, photographs, sizes, ssim_weight, .. } = &*self;
         let exposures = self.exposures.as_ref().map(|exposures| &exposures.views.values);
-        self.loss = new_loss(gpu, (pipeline, backward), truth, sizes, *ssim_weight, exposures)?;
+        self.loss = new_loss(gpu, (pipeline, backward), &photographs.shown, sizes, *ssim_weight, exposures)?;
         if let Some(exposures) = &mut self.exposures {
             exposures.bind(self.gpu, &self.pipeline, &self.backward);
         }

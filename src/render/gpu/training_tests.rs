@@ -84,6 +84,7 @@ fn usual<'a>(training: &Training, camera: &'a Camera, truth: &'a [u8]) -> Step<'
     Step {
         camera,
         truth,
+        kept_as: None,
         truth_alpha: TruthAlpha::Ignore,
         background: [0.0; 3],
         sh_degree,
@@ -266,6 +267,26 @@ fn folded_steps_learn_the_same() {
     let (plain, folded) = (Gpu::open(None).unwrap(), Gpu::open(None).unwrap().narrowed(7));
     let [expected, found] = [&plain, &folded].map(|gpu| first_moments(&stepped(gpu, &scene, &[camera], &camera)));
     assert!(found.iter().any(|m| *m != 0.0) && found == expected);
+}
+
+/// Two of three stay on the adapter.
+#[test]
+fn photographs_that_stay_teach_what_those_teach_that_are_sent() {
+    let (scene, camera) = testing::smooth_scene(1, 1, OrderMode::Stable);
+    let gpu = Gpu::open(None).unwrap().posing_as_gpu();
+    let bytes = 4 * camera.intrinsics().pixels();
+    let photographs = [60, 120, 240].map(|grey| vec![grey; bytes]);
+    let learnt = |kept: u64| {
+        let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+        training.keep_photographs(kept);
+        for number in [0, 1, 2, 2, 0, 1] {
+            let step = Step { kept_as: Some(number), ..usual(&training, &camera, &photographs[number]) };
+            training.step(&step).unwrap();
+        }
+        assert_eq!(training.status().unwrap().skipped, 0);
+        training.read_splats().unwrap().geometry
+    };
+    assert!(learnt(2 * bytes as u64) == learnt(0) && learnt(0) != super::splats::pack_geometry(&scene.splats));
 }
 
 /// Bit by bit, whatever the order in which workgroups run: maps, vertices, splats, poses.

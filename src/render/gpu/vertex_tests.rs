@@ -55,6 +55,7 @@ fn of_vertices<'a>(camera: &'a Camera, truth: &'a [u8], vertices: Option<VertexS
     Step {
         camera,
         truth,
+        kept_as: None,
         truth_alpha: TruthAlpha::Ignore,
         background: [0.0; 3],
         sh_degree: 0,

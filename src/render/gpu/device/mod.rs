@@ -109,6 +109,11 @@ impl Gpu {
         self.profile
     }
 
+    /// Whether its memory is the host's.
+    pub(crate) fn shares_host_memory(&self) -> bool {
+        self.is_unified
+    }
+
     /// Most bytes that were allocated at once since the device was opened.
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
@@ -154,10 +159,11 @@ impl Gpu {
         self.kernels.lock().unwrap().len()
     }
 
-    /// The same adapter, with what kernels have for GPUs: uniforms, and threads that work together.
+    /// The same adapter, with what there is for GPUs: uniforms, threads that work together, memory that is not the host's.
     #[cfg(test)]
     pub(crate) fn posing_as_gpu(mut self) -> Self {
         self.profile.is_cpu = false;
+        self.is_unified = false;
         self
     }
 

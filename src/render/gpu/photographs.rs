@@ -1,0 +1,98 @@
+//! The photograph that a step compares its picture with, and those that stay on the adapter, so that they are not sent anew in every epoch.
+
+use std::collections::HashMap;
+
+use super::device::{Buffer, Frame, Gpu, GpuError};
+
+/// Photographs in RGBA8.
+pub(crate) struct Photographs {
+    /// `[h·w]`: what the loss reads.
+    pub(crate) shown: Buffer,
+    kept: Kept,
+}
+
+/// Those that stay.
+#[derive(Default)]
+struct Kept {
+    /// By number, with its bytes.
+    photographs: HashMap<usize, (u64, Buffer)>,
+    /// Bytes that there is still room for.
+    room: u64,
+}
+
+impl Photographs {
+    /// Of up to `pixels` pixels. None are kept.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn new(gpu: &Gpu, pixels: usize) -> Result<Self, GpuError> {
+        Ok(Self { shown: gpu.storage("photograph", pixels)?, kept: Kept::default() })
+    }
+
+    /// From now on those that have a number are kept, up to so many bytes.
+    pub(crate) fn keep(&mut self, bytes: u64) {
+        self.kept = Kept { photographs: HashMap::new(), room: bytes };
+    }
+
+    /// Makes a photograph the one that the rest of the frame reads. Under one `number` and size it is always the same.
+    pub(crate) fn show(&mut self, gpu: &Gpu, frame: &mut Frame, rgba: &[u8], number: Option<usize>) {
+        match number.and_then(|number| self.kept.get(gpu, rgba, number)) {
+            Some(kept) => frame.copy(kept, &self.shown),
+            None => gpu.write(&self.shown, 0, rgba),
+        }
+    }
+}
+
+impl Kept {
+    /// That photograph on the adapter, sent there if it is not there yet; none where there is no room for it.
+    fn get(&mut self, gpu: &Gpu, rgba: &[u8], number: usize) -> Option<&Buffer> {
+        let bytes = rgba.len() as u64;
+        // Pictures grow while they are trained on.
+        if let Some(of_before) = self.photographs.get(&number).map(|(bytes, _)| *bytes).filter(|b| *b != bytes) {
+            self.photographs.remove(&number);
+            self.room += of_before;
+        }
+        if !self.photographs.contains_key(&number) {
+            let left = self.room.checked_sub(bytes)?;
+            let Ok(buffer) = gpu.storage("kept photograph", rgba.len() / 4) else {
+                // What there is is needed for other things.
+                self.room = 0;
+                return None;
+            };
+            gpu.write(&buffer, 0, rgba);
+            self.room = left;
+            self.photographs.insert(number, (bytes, buffer));
+        }
+        self.photographs.get(&number).map(|(_, buffer)| buffer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_kept_is_sent_once() {
+        let gpu = Gpu::open(None).unwrap();
+        let mut photographs = Photographs::new(&gpu, 16).unwrap();
+        let show = |photographs: &mut Photographs, value: u8, bytes: usize, number: Option<usize>| {
+            let mut frame = Frame::new(&gpu);
+            photographs.show(&gpu, &mut frame, &vec![value; bytes], number);
+            frame.submit();
+            let shown: Vec<u8> = gpu.read(&photographs.shown, 64).unwrap();
+            assert!(shown[..bytes].iter().all(|v| *v == shown[0]));
+            shown[0]
+        };
+        // Without room every one is sent.
+        assert_eq!([(1, 0), (2, 0)].map(|(v, n)| show(&mut photographs, v, 64, Some(n))), [1, 2]);
+        photographs.keep(150);
+        // Others under their numbers would show if they were sent again. There is no room for the third, nor is one without number kept.
+        let shown = [(3, Some(0)), (4, Some(1)), (5, Some(0)), (6, Some(1)), (7, Some(2)), (8, Some(2)), (9, None)];
+        assert_eq!(shown.map(|(v, n)| show(&mut photographs, v, 64, n)), [3, 4, 3, 4, 7, 8, 9]);
+        // One of another size takes the place of that before, and what it leaves has room for others.
+        let shown = [(10, 16, 1), (11, 16, 1), (12, 64, 2), (13, 64, 2), (14, 64, 1), (15, 64, 1)];
+        assert_eq!(shown.map(|(v, bytes, n)| show(&mut photographs, v, bytes, Some(n))), [10, 10, 12, 12, 14, 15]);
+        photographs.keep(0);
+        assert_eq!(show(&mut photographs, 16, 64, Some(0)), 16);
+    }
+}
