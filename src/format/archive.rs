@@ -12,7 +12,7 @@ pub(super) fn write_zip<W: Write + Seek>(
     out: W,
     fill: impl FnOnce(&mut ZipWriter<UntilError<W>>) -> io::Result<()>,
 ) -> io::Result<()> {
-    let mut zip = ZipWriter::new(UntilError { out, has_failed: false });
+    let mut zip = ZipWriter::new(UntilError { out, at: 0, has_failed: false });
     fill(&mut zip)?;
     zip.finish()?;
     Ok(())
@@ -21,6 +21,8 @@ pub(super) fn write_zip<W: Write + Seek>(
 /// Takes and drops everything after its first error: a zip that is dropped writes its end, and says on stderr that it cannot.
 pub(super) struct UntilError<W> {
     out: W,
+    /// Where it stands, or would: a zip subtracts places from each other.
+    at: u64,
     has_failed: bool,
 }
 
@@ -37,7 +39,9 @@ impl<W> UntilError<W> {
 
 impl<W: Write> Write for UntilError<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.attempt(bytes.len(), |out| out.write(bytes))
+        let written = self.attempt(bytes.len(), |out| out.write(bytes))?;
+        self.at += written as u64;
+        Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -47,7 +51,13 @@ impl<W: Write> Write for UntilError<W> {
 
 impl<W: Seek> Seek for UntilError<W> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.attempt(0, |out| out.seek(to))
+        let instead = match to {
+            SeekFrom::Start(at) => at,
+            SeekFrom::Current(by) => self.at.saturating_add_signed(by),
+            SeekFrom::End(_) => self.at,
+        };
+        self.at = self.attempt(instead, |out| out.seek(to))?;
+        Ok(self.at)
     }
 }
 
@@ -60,6 +70,7 @@ mod tests {
     /// Full after so many bytes; counts the calls after that.
     struct Disk {
         left: usize,
+        at: u64,
         calls: usize,
     }
 
@@ -69,6 +80,7 @@ mod tests {
                 self.calls += 1;
                 io::Error::from(io::ErrorKind::StorageFull)
             })?;
+            self.at += bytes.len() as u64;
             Ok(bytes.len())
         }
 
@@ -78,15 +90,18 @@ mod tests {
     }
 
     impl Seek for &mut Disk {
-        fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
-            Ok(0)
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            if let SeekFrom::Start(at) = to {
+                self.at = at;
+            }
+            Ok(self.at)
         }
     }
 
     #[test]
     fn a_disk_that_is_full_hears_nothing_more() {
         for left in [0, 20, 60, 1000, 1060] {
-            let mut disk = Disk { left, calls: 0 };
+            let mut disk = Disk { left, at: 0, calls: 0 };
             let filled = write_zip(&mut disk, |zip| {
                 zip.start_file("a", SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored))?;
                 zip.write_all(&[7; 1000])
@@ -94,7 +109,7 @@ mod tests {
             assert_eq!(filled.unwrap_err().kind(), io::ErrorKind::StorageFull, "{left}");
             assert_eq!(disk.calls, 1, "{left}");
         }
-        let mut disk = Disk { left: 1 << 20, calls: 0 };
+        let mut disk = Disk { left: 1 << 20, at: 0, calls: 0 };
         write_zip(&mut disk, |_| Ok(())).unwrap();
     }
 }
