@@ -3,20 +3,19 @@
 use glam::DMat4;
 
 use super::error::Fault;
-pub(super) use crate::scene::placement::{Similarity, similarity, turned};
+pub(super) use crate::scene::placement::{Similarity, orthogonal, similarity, turned};
 use crate::scene::{SplatArrays, Splats, placement};
 
 /// Moves splats to where a node puts them: means, scales, rotations and spherical harmonics.
 ///
 /// # Errors
-/// At `at`, if the transform is no similarity.
+/// At `at`, if the transform leaves them no extent along an axis.
 pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Result<(), Fault> {
     let all = 0..splats.means.len();
     if placement::place(splats, all, transform) {
         return Ok(());
     }
-    let expected = "a rotation, a translation and an even, positive scale above splats";
-    Err(Fault::pointer(at, expected, "another transform"))
+    Err(Fault::pointer(at, "a transform with an inverse above splats", "one without"))
 }
 
 /// All parts as one, at the highest degree among them, with where each is from: a JSON pointer, or the path of a prim.

@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
 use super::{Atlas, SceneError, SplatArrays, Texture, sh};
 
-/// `scale · rotation` and a translation: what a splat can follow.
+/// `scale · rotation` and a translation.
 pub(crate) struct Similarity {
     pub(crate) scale: f64,
     pub(crate) rotation: DQuat,
@@ -29,19 +29,77 @@ pub(crate) fn similarity(transform: DMat4) -> Option<Similarity> {
     })
 }
 
-/// Moves some splats to where a node puts them: means, scales, rotations and spherical harmonics. False, and nothing done, if
-/// the transform is no similarity.
+/// The orthogonal matrix next to the linear part of a transform, by which what is seen of things turns or is mirrored; `None` if
+/// that part has no inverse.
+pub(crate) fn orthogonal(transform: DMat4) -> Option<DMat3> {
+    if let Some(Similarity { rotation, .. }) = similarity(transform) {
+        return Some(DMat3::from_quat(rotation));
+    }
+    let linear = DMat3::from_mat4(transform);
+    let mut unit = linear * linear.determinant().abs().cbrt().recip();
+    // Newton's iteration for the polar decomposition halves lengths far from 1 and doubles the digits of those near it.
+    for _ in 0..64 {
+        unit = 0.5 * (unit + unit.inverse().transpose());
+    }
+    (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-9).then_some(unit)
+}
+
+/// Moves some splats to where a node puts them: means, shapes and spherical harmonics. By its linear part M a covariance Σ becomes
+/// M·Σ·Mᵀ, and harmonics turn by [`orthogonal`]. False, and nothing done, if M has no inverse.
 pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DMat4) -> bool {
     if transform == DMat4::IDENTITY {
         return true;
     }
-    let Some(Similarity { scale, rotation, .. }) = similarity(transform) else { return false };
-    let moved = |mean: &mut glam::Vec3| *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
+    let Some(orthogonal) = orthogonal(transform) else { return false };
+    let moved = |mean: &mut Vec3| *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
     splats.means[these.clone()].par_iter_mut().for_each(moved);
-    splats.rotations[these.clone()].par_iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
-    splats.log_scales[these.clone()].par_iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
-    turn(splats, these, DMat3::from_quat(rotation));
+    let (rotations, log_scales) = (&mut splats.rotations[these.clone()], &mut splats.log_scales[these.clone()]);
+    if let Some(Similarity { scale, rotation, .. }) = similarity(transform) {
+        rotations.par_iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
+        log_scales.par_iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
+    } else {
+        let linear = DMat3::from_mat4(transform);
+        rotations.par_iter_mut().zip(log_scales).for_each(|(q, s)| (*q, *s) = stretched(linear, *q, *s));
+    }
+    turn(splats, these, orthogonal);
     true
+}
+
+/// Rotation and log-scales of an ellipsoid that a linear map with an inverse has gone over.
+fn stretched(linear: DMat3, rotation: Quat, log_scale: Vec3) -> (Quat, Vec3) {
+    // Of the longest axis, so that numbers and their squares stay in range.
+    const LEAST_PART: f64 = 1e-60;
+    let (size, longest) = (linear.determinant().abs().cbrt(), f64::from(log_scale.max_element()));
+    let parts = (log_scale.as_dvec3() - longest).exp().max(DVec3::splat(LEAST_PART));
+    let axes = DMat3::from_quat(rotation.as_dquat().normalize()) * DMat3::from_diagonal(parts);
+    let axes = half_axes(linear * size.recip() * axes);
+    let lengths = DVec3::new(axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length());
+    // As they are an ellipsoid's, they may all point the other way.
+    let unit = axes * DMat3::from_diagonal(axes.determinant().signum() / lengths);
+    let log_scale = (lengths * size).to_array().map(|length| length.ln() + longest);
+    (DQuat::from_mat3(&unit).normalize().as_quat(), DVec3::from(log_scale).as_vec3())
+}
+
+/// The half axes of an ellipsoid of which the columns are conjugate ones: left singular vectors times singular values, by one-sided
+/// Jacobi rotations, which are exact for short axes beside long ones, too.
+fn half_axes(conjugate: DMat3) -> DMat3 {
+    // What is left is squared with every sweep.
+    const MAX_SWEEPS: usize = 12;
+    let mut columns = [conjugate.x_axis, conjugate.y_axis, conjugate.z_axis];
+    for _ in 0..MAX_SWEEPS {
+        for [i, j] in [[0, 1], [0, 2], [1, 2]] {
+            let (a, b) = (columns[i], columns[j]);
+            let dot = a.dot(b);
+            if dot.abs() <= f64::EPSILON * a.length() * b.length() {
+                continue;
+            }
+            let cotangent = (b.length_squared() - a.length_squared()) / (2.0 * dot);
+            let tangent = cotangent.signum() / (cotangent.abs() + cotangent.hypot(1.0));
+            let cosine = tangent.hypot(1.0).recip();
+            (columns[i], columns[j]) = (cosine * (a - tangent * b), cosine * (b + tangent * a));
+        }
+    }
+    DMat3::from_cols(columns[0], columns[1], columns[2])
 }
 
 /// Turns (or mirrors) the view dependence of some splats.
@@ -67,6 +125,18 @@ pub(crate) fn turned(atlas: &Atlas, orthogonal: DMat3) -> Result<Atlas, SceneErr
 mod tests {
     use super::*;
 
+    fn some_splats(n: usize) -> SplatArrays {
+        let x = |i: usize| 2.0 * (i as f32 * 0.618_034).fract() - 1.0;
+        SplatArrays {
+            means: (0..n).map(|i| Vec3::new(x(i), x(i + 3), x(i + 7))).collect(),
+            rotations: (0..n).map(|i| Quat::from_xyzw(x(i), x(2 * i), x(3 * i), 1.1).normalize()).collect(),
+            log_scales: (0..n).map(|i| Vec3::new(4.0 * x(5 * i), x(7 * i), 3.0 * x(9 * i)) - 3.0).collect(),
+            opacity_logits: vec![0.0; n],
+            sh_degree: 3,
+            sh: (0..16 * n).map(|i| [x(i), x(11 * i), x(13 * i)]).collect(),
+        }
+    }
+
     #[test]
     fn only_similarities_come_apart() {
         let rotation = DQuat::from_rotation_y(0.7);
@@ -79,5 +149,53 @@ mod tests {
         let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
         let exact = similarity(flip * flip).unwrap();
         assert!(exact.scale == 1.0 && exact.rotation == DQuat::IDENTITY);
+    }
+
+    #[test]
+    fn orthogonal_parts_are_those_of_nodes() {
+        let turn = DMat3::from_quat(DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.4, -0.8));
+        for scale in [DVec3::splat(3.0), DVec3::new(1.0, 1e3, 1e-6), DVec3::new(2.0, -1.0, 0.5), -DVec3::ONE] {
+            let transform = DMat4::from_mat3(turn * DMat3::from_diagonal(scale));
+            let expected = turn * DMat3::from_diagonal(scale.signum());
+            assert!(orthogonal(transform).unwrap().abs_diff_eq(expected, 1e-9), "{scale}");
+        }
+        for flat in [DMat4::ZERO, DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))] {
+            assert!(orthogonal(flat).is_none() && !place(&mut some_splats(3), 0..3, flat));
+        }
+    }
+
+    #[test]
+    fn covariances_follow_any_transform() {
+        let turn = |a: f64| DQuat::from_euler(glam::EulerRot::YXZ, a, 2.0 * a, 1.0 - a);
+        let stretch = |s: DVec3, a: f64| DMat4::from_scale_rotation_translation(s, turn(a), DVec3::new(1.0, a, -2.0));
+        let uneven = stretch(DVec3::new(1.0, 0.2, 3.0), 0.3);
+        let mirror = stretch(DVec3::new(-1.0, 1.0, 1.0), 0.7);
+        let sheared = stretch(DVec3::new(1e-3, 1e-3, 4.0), 1.2) * uneven;
+        let before = some_splats(40);
+        let covariance = |s: &SplatArrays, i: usize| {
+            let r = DMat3::from_quat(s.rotations[i].as_dquat().normalize());
+            r * DMat3::from_diagonal((2.0 * s.log_scales[i].as_dvec3()).exp()) * r.transpose()
+        };
+        for transform in [uneven, mirror, sheared] {
+            let mut after = before.clone();
+            assert!(place(&mut after, 1..40, transform));
+            let (linear, seen) = (DMat3::from_mat4(transform), orthogonal(transform).unwrap());
+            for i in 1..40 {
+                let expected = linear * covariance(&before, i) * linear.transpose();
+                let size = expected.to_cols_array().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+                let found = covariance(&after, i);
+                assert!((found * size.recip()).abs_diff_eq(expected * size.recip(), 1e-5), "{found} {expected}");
+                let color = |s: &SplatArrays, d: DVec3| -> f64 {
+                    let k = &s.sh[i * 16..(i + 1) * 16];
+                    sh::basis(d.to_array()).iter().zip(k).map(|(y, c)| y * f64::from(c[1])).sum()
+                };
+                let d = DVec3::new(0.36, -0.48, 0.8);
+                assert!((color(&after, seen * d) - color(&before, d)).abs() < 1e-5);
+            }
+            assert_eq!((after.means[0], after.rotations[0]), (before.means[0], before.rotations[0]));
+        }
+        // An axis without length stays the shortest, and finite.
+        let (rotation, log_scale) = stretched(DMat3::from_mat4(sheared), Quat::IDENTITY, Vec3::new(0.0, -1e30, -3.0));
+        assert!(rotation.is_finite() && log_scale.is_finite() && log_scale.y < log_scale.z, "{log_scale}");
     }
 }

@@ -18,7 +18,7 @@ use std::ops::Range;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::placement::{Similarity, place, similarity, turn, turned};
+use super::placement::{orthogonal, place, similarity, turn, turned};
 use super::{HybridScene, Mesh, SceneError, SplatArrays, check_len};
 
 /// A moment of a rig.
@@ -207,7 +207,7 @@ impl Rig {
     ///
     /// # Errors
     /// If the scene or the pose is not that of this rig, `moved` is no similarity, or bones are where splats cannot follow them:
-    /// sheared, mirrored or scaled unevenly. What a bone scales to nothing is not drawn.
+    /// flat. What a bone scales to nothing is not drawn.
     pub fn pose(&self, scene: &HybridScene, pose: &Pose, moved: DMat4) -> Result<HybridScene, SceneError> {
         let Some(by) = similarity(moved) else {
             return Err(SceneError::new("moved", "a rotation, a shift and an even scale", "another transform"));
@@ -243,9 +243,9 @@ impl Rig {
         let mut atlas = mesh.atlas().clone();
         if let Skinning::Bone(bone) = rest_surface.skinning
             && atlas.sh_degree() > 0
-            && let Since::Moved(_, Similarity { rotation, .. }) = self.since_rest(bone, pose, moved)?
+            && let Since::Moved(_, turn) = self.since_rest(bone, pose, moved)?
         {
-            atlas = turned(&atlas, DMat3::from_quat(rotation))?;
+            atlas = turned(&atlas, turn)?;
         }
         let mut positions = rest_surface.positions(pose);
         if moved != DMat4::IDENTITY {
@@ -265,10 +265,10 @@ impl Rig {
         }
         let transform = moved * now * (moved * rest).inverse();
         // Of a bone without extent where it rests nothing can be told: the inverse is not finite.
-        let since = Some(transform).filter(DMat4::is_finite).and_then(similarity);
-        since.map(|since| Since::Moved(transform, since)).ok_or_else(|| {
-            let expected = "a bone that turns, shifts and scales evenly what hangs on it";
-            SceneError::new(format!("bone {}", self.names[bone]), expected, "another transform")
+        let turn = Some(transform).filter(DMat4::is_finite).and_then(orthogonal);
+        turn.map(|turn| Since::Moved(transform, turn)).ok_or_else(|| {
+            let expected = "a transform with an inverse, where it rests and now";
+            SceneError::new(format!("bone {}", self.names[bone]), expected, "one without")
         })
     }
 
@@ -301,10 +301,10 @@ impl Rig {
     ) -> Result<(), SceneError> {
         let bone_turn = match binding.harmonics {
             ShFrame::Bone(bone) => match self.since_rest(bone, pose, moved)? {
-                Since::Moved(_, Similarity { rotation, .. }) => rotation,
-                Since::Rested | Since::Gone => DQuat::IDENTITY,
+                Since::Moved(_, turn) => turn,
+                Since::Rested | Since::Gone => DMat3::IDENTITY,
             },
-            ShFrame::Triangles(_) => DQuat::IDENTITY,
+            ShFrame::Triangles(_) => DMat3::IDENTITY,
         };
         for (j, &corners) in binding.corners.iter().enumerate() {
             let i = first + j;
@@ -326,10 +326,10 @@ impl Rig {
                 splats.log_scales[i] = DVec3::from(log_scale).max(DVec3::splat(LEAST_LOG_SCALE)).as_vec3();
                 match &binding.harmonics {
                     ShFrame::Bone(_) => bone_turn,
-                    ShFrame::Triangles(turns) => rotation * turns[j] * unmoved,
+                    ShFrame::Triangles(turns) => DMat3::from_quat(rotation * turns[j] * unmoved),
                 }
             };
-            turn(splats, i..i + 1, DMat3::from_quat(turned_by));
+            turn(splats, i..i + 1, turned_by);
         }
         Ok(())
     }
@@ -342,8 +342,8 @@ const LEAST_LOG_SCALE: f64 = -87.336_544;
 enum Since {
     /// It is where it rests.
     Rested,
-    /// This takes it there.
-    Moved(DMat4, Similarity),
+    /// This takes it there, and turns what is seen of it.
+    Moved(DMat4, DMat3),
     /// It is scaled to nothing, as things are made to disappear.
     Gone,
 }

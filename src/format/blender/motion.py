@@ -85,10 +85,10 @@ def move(thing, matrices):
         say(f"`{thing.name}` is sheared by up to {error:.1e}, which Blender's objects are not: it is shown unsheared")
 
 
-def from_rest(motion, bone):
-    """From where a thing on a bone rests to where it is, [F, 4, 4]; zeros where it has no extent as it rests."""
+def to_bone(motion, bone):
+    """From where a thing on a bone rests to the space of the bone, [4, 4]; zeros where it has no extent as it rests."""
     rest = motion["bones_rest"][bone]
-    return motion["bones"][:, bone] @ np.linalg.inv(rest) if abs(np.linalg.det(rest)) > 1e-30 else 0 * motion["bones"][:, bone]
+    return np.linalg.inv(rest) if abs(np.linalg.det(rest)) > 1e-30 else np.zeros((4, 4))
 
 
 def add_motion(collection, root, motion, has_path):
@@ -121,7 +121,7 @@ def deform(thing, motion, index, rig):
             # View dependence is in the frame in which the mesh rests, which has to be that of the object.
             rest = motion["bones_rest"][bone[0]]
             base, deltas = base @ rest[:3, :3].T + rest[:3, 3], deltas @ rest[:3, :3].T
-            matrices = from_rest(motion, bone[0])
+            matrices = motion["bones"][:, bone[0]] @ to_bone(motion, bone[0])
     thing.data.vertices.foreach_set("co", base.astype(np.float32).ravel())
     thing.data.update()
     if len(which):
@@ -218,8 +218,9 @@ def bind(collection, root, motion):
     for bone in sorted({*motion["splat_bones"], *motion["splat_harmonics"]} - {-1, -2}):
         thing = attach(collection, root, f"{root.name} {SCENE['motion']['names'][bone]}", None)
         thing["centaur bone"] = int(bone)
+        thing["to bone"] = to_bone(motion, bone).ravel().tolist()
         thing.empty_display_size = 0.1
-        move(thing, from_rest(motion, bone))
+        move(thing, motion["bones"][:, bone])
 
 
 def in_scene(thing, root, depsgraph):
@@ -249,14 +250,13 @@ def followed(splats, root, data, depsgraph):
     for thing in root.children:
         if "centaur bone" not in thing:
             continue
-        matrix = in_scene(thing, root, depsgraph)
-        these, size = bones == thing["centaur bone"], np.cbrt(np.linalg.det(matrix[:3, :3]))
-        unit = matrix[:3, :3] / size if size > 1e-12 else np.eye(3)
-        mean[these] = mean[these] @ matrix[:3, :3].T + matrix[:3, 3]
-        scale[these] *= max(size, 1e-12)
-        axes[these] = unit @ axes[these]
-        opacity[these] *= size > 1e-12
-        turn[harmonics == thing["centaur bone"]] = unit
+        matrix = in_scene(thing, root, depsgraph) @ np.reshape(thing["to bone"], (4, 4))
+        these, linear = bones == thing["centaur bone"], matrix[:3, :3]
+        mean[these] = mean[these] @ linear.T + matrix[:3, 3]
+        axes[these], scale[these] = ellipsoids(linear @ (axes[these] * scale[these][:, None]))
+        left, sizes, right = np.linalg.svd(linear)
+        opacity[these] *= sizes[0] > 1e-12
+        turn[harmonics == thing["centaur bone"]] = left @ right if sizes[0] > 1e-12 else np.eye(3)
     meshes = mesh_objects(root)
     for surface in np.unique(surfaces[surfaces >= 0]):
         these, thing = np.flatnonzero(surfaces == surface), meshes[surface]
@@ -275,6 +275,12 @@ def followed(splats, root, data, depsgraph):
     rotation, sh = splats.rotation.copy(), splats.sh.copy()
     rotation[moved], sh[moved] = quaternions(axes[moved]), turned(sh[moved], turn[moved])
     return Splats(mean, rotation, scale, opacity, sh)
+
+
+def ellipsoids(conjugate):
+    """Axes [N, 3, 3] in columns, a rotation, and lengths [N, 3] of half axes, of which the columns of [N, 3, 3] are conjugate ones."""
+    axes, lengths, _ = np.linalg.svd(conjugate)
+    return axes * np.sign(np.linalg.det(axes))[:, None, None], np.maximum(lengths, np.finfo(np.float32).tiny)
 
 
 def frames_of(v0, v1, v2):

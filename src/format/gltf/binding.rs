@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SplatExtension, extension_of};
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
-use crate::format::placed::similarity;
+use crate::format::placed::orthogonal;
 use crate::scene::rig::{Binding, Frame, ShFrame};
 
 /// A triangle primitive at a node, as splats are bound to it.
@@ -38,7 +38,7 @@ pub(super) fn wanted(asset: &Asset) -> std::collections::HashSet<(usize, usize)>
 }
 
 /// What `count` splats follow: `Err` says why the binding is to be ignored. `harmonics_bone` is that of the node of the splats,
-/// and `turn` its rotation where it rests.
+/// and `turn` its transform where it rests.
 pub(super) fn read(
     asset: &Asset,
     object: &BindingObject,
@@ -88,7 +88,13 @@ pub(super) fn read(
     let harmonics = match &object.spherical_harmonics_frame[..] {
         "node" => ShFrame::Bone(harmonics_bone),
         "triangle" => {
-            let unturned = similarity(turn).map_or(DQuat::IDENTITY, |s| s.rotation.inverse());
+            let turn = orthogonal(turn).unwrap_or_default();
+            if turn.determinant() < 0.0 {
+                return Err(
+                    "expected a node that does not mirror what turns with triangles, found one that does".to_owned()
+                );
+            }
+            let unturned = DQuat::from_mat3(&turn.transpose());
             let undeformed = |&t: &u32| {
                 let frame = Frame::of(to.stored[t as usize].map(Vec3::as_dvec3));
                 frame.map_or(DQuat::IDENTITY, |f| DQuat::from_mat3(&f.axes.transpose())) * unturned

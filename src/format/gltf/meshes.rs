@@ -15,7 +15,7 @@ use super::triangles::{self, Triangles};
 use super::uv::Unrolling;
 use super::vertex_color;
 use crate::format::error::{Fault, from_value};
-use crate::format::placed::{Similarity, similarity, turned};
+use crate::format::placed::{orthogonal, turned};
 use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
 
@@ -134,11 +134,11 @@ impl<'a> Meshes<'a> {
                 .push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
         }
         if maps.atlas.sh_degree() > 0 && transform != DMat4::IDENTITY && node.skin().is_none() {
-            let Some(Similarity { rotation, .. }) = similarity(transform) else {
-                let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
-                return Err(Fault::pointer(at, expected, "another transform"));
-            };
-            group.turn = Some(DMat3::from_quat(rotation)).filter(|turn| *turn != DMat3::IDENTITY);
+            let turn = orthogonal(transform).ok_or_else(|| {
+                let expected = "a transform with an inverse above a mesh with view-dependent colour";
+                Fault::pointer(&at, expected, "one without")
+            })?;
+            group.turn = Some(turn).filter(|turn| *turn != DMat3::IDENTITY);
         }
         let moves = self.poses.animates(&rest_surface, self.motion);
         let id = (node.index(), primitive.index());

@@ -127,7 +127,7 @@ pub(super) fn write_over(
 ///
 /// # Errors
 /// If the file cannot be read, is not valid glTF 2.0, requires an extension that is not understood here, or holds
-/// splats that cannot be represented (another kernel, a node that shears them, values that are not finite).
+/// splats that cannot be represented (another kernel, a node that leaves them no extent along an axis, values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     read_with(path, &ReadOptions::default())
 }

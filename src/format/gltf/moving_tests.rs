@@ -269,6 +269,8 @@ fn bindings_that_do_not_hold_are_ignored_and_said() {
     assert!(with("sphericalHarmonicsFrame", json!("other")).contains("found `other`"));
     assert!(with("translations", json!(0)).contains("expected 1 elements, one per splat, found 3"));
     assert!(with("scales", json!(99)).contains("/accessors"));
+    let mirrored = bound("triangle", |document| document["nodes"][1]["scale"] = json!([1, 1, -1]));
+    assert!(mirrored.rest().notes.join("; ").contains("binding: ignored: expected a node that does not mirror"));
 }
 
 #[test]
@@ -484,15 +486,15 @@ fn what_cannot_be_shown_says_when() {
     let fewer = HybridScene { meshes: vec![], ..other };
     let error = source.at(&fewer, 1.25).unwrap_err().to_string();
     assert_eq!(error, "at 1.25 s: meshes: expected 1 elements, found 0");
-    // A node that grows along one axis shears what turns on it.
-    let sheared = bound("node", |document| {
+    // A node that has no extent along two axes flattens what hangs on it.
+    let flattened = bound("node", |document| {
         document["animations"][0]["channels"][1]["target"]["path"] = json!("scale");
         document["nodes"][2]["name"] = json!("hair");
     });
-    let rest = sheared.rest();
+    let rest = flattened.rest();
     let error = rest.source.unwrap().at(&rest.scene, 0.5).unwrap_err().to_string();
-    let expected = "a bone that turns, shifts and scales evenly what hangs on it";
-    assert_eq!(error, format!("at 0.5 s: bone hair: expected {expected}, found another transform"));
+    let expected = "a transform with an inverse, where it rests and now";
+    assert_eq!(error, format!("at 0.5 s: bone hair: expected {expected}, found one without"));
     let rest = file.rest();
     let ply = file.path.with_file_name("a.ply");
     write_scene(&ply, &rest.scene, &WriteOptions::default()).unwrap();

@@ -137,7 +137,7 @@ impl Source {
     ///
     /// # Errors
     /// If the scene has been changed since in another way than [`Source::follow`] knows, or something of it is somewhere that
-    /// it cannot be shown at: a node that shears splats, numbers that are not finite.
+    /// it cannot be shown at: a node that flattens splats, numbers that are not finite.
     pub fn at(&self, scene: &HybridScene, time: f64) -> Result<HybridScene, SceneError> {
         self.moving.scene(scene, self.moved, time)
     }

@@ -57,7 +57,7 @@ use crate::scene::{Camera, HybridScene};
 /// y up and metres. One layer is read; what would have to be composed of several is named in the notes.
 ///
 /// # Errors
-/// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that shears them,
+/// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that flattens them,
 /// values that are not finite).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;

@@ -2,14 +2,14 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DMat4, Vec2, Vec3};
+use glam::{DMat4, Vec2, Vec3};
 
 use super::document::{Prim, Value, field};
 use super::materials::Materials;
 use super::names;
 use super::stage::Stage;
 use crate::format::error::Fault;
-use crate::format::placed::{Similarity, similarity, turned};
+use crate::format::placed::{orthogonal, turned};
 use crate::format::polygon;
 use crate::scene::Mesh;
 
@@ -52,11 +52,11 @@ pub(super) fn read(
     for Part { material, faces } in &parts {
         let (mut atlas, coordinates) = materials.atlas(stage, &Placed { material: *material, ..*placed }, notes)?;
         if atlas.sh_degree() > 0 && placed.transform != DMat4::IDENTITY {
-            let Some(Similarity { rotation, .. }) = similarity(placed.transform) else {
-                let expected = "a rotation, a translation and an even scale above a mesh with view-dependent colour";
-                return Err(Fault::pointer(at, expected, "another transform"));
-            };
-            atlas = turned(&atlas, DMat3::from_quat(rotation)).map_err(|e| Fault::from(e).under(&at))?;
+            let turn = orthogonal(placed.transform).ok_or_else(|| {
+                let expected = "a transform with an inverse above a mesh with view-dependent colour";
+                Fault::pointer(&at, expected, "one without")
+            })?;
+            atlas = turned(&atlas, turn).map_err(|e| Fault::from(e).under(&at))?;
         }
         let uvs = CornerUvs::of(stage, prim, &coordinates.primvar)?;
         if uvs.is_none() {

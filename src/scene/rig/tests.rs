@@ -214,24 +214,29 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     for (a, b) in texels(posed.meshes[0].atlas()).iter().zip(texels(&expected)) {
         assert!((a - b).abs() < 1e-6);
     }
-    // Scaled to nothing they are not there; sheared, they cannot be shown.
+    // Stretched they are ellipsoids still, as are maps what they were; scaled to nothing they are not there.
     let nothing = Pose { bones: vec![DMat4::from_scale(DVec3::splat(0.0))], weights: vec![] };
-    let shear = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0))], weights: vec![] };
+    let stretch = DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0));
+    let stretched = Pose { bones: vec![stretch * rest_bone], weights: vec![] };
+    let posed = rig.pose(&scene, &stretched, DMat4::IDENTITY).unwrap();
+    let mut expected = scene.splats.clone().into_arrays();
+    assert!(place(&mut expected, 0..1, stretch));
+    same_splats(&posed.splats, &expected.check().unwrap(), 2e-6);
+    for (a, b) in texels(posed.meshes[0].atlas()).iter().zip(texels(scene.meshes[0].atlas())) {
+        assert!((a - b).abs() < 1e-6);
+    }
     let hidden = Rig::new(vec![None], rig.attached().to_vec(), rig.rest().clone(), names(rig.rest())).unwrap();
     assert_eq!(hidden.pose(&scene, &nothing, DMat4::IDENTITY).unwrap().splats.opacity_logits(), [HIDDEN]);
-    let error = hidden.pose(&scene, &shear, DMat4::IDENTITY).unwrap_err().to_string();
-    assert_eq!(
-        error,
-        "bone joint 0: expected a bone that turns, shifts and scales evenly what hangs on it, found another transform"
-    );
-    // As do maps with view dependence on it.
+    // As are meshes on it.
     let only_mesh = Rig::new(rig.surfaces().to_vec(), vec![], rig.rest().clone(), names(rig.rest())).unwrap();
     let gone = only_mesh.pose(&scene, &nothing, DMat4::IDENTITY).unwrap();
     assert!(gone.meshes[0].positions().iter().all(|p| *p == Vec3::ZERO) && gone.splats == scene.splats);
-    assert!(only_mesh.pose(&scene, &shear, DMat4::IDENTITY).is_err());
-    // And what is scaled to a plane is no longer what a splat can be.
+    // What is scaled to a plane is no longer what a splat can be, nor has it a view.
     let plane = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))], weights: vec![] };
-    assert!(hidden.pose(&scene, &plane, DMat4::IDENTITY).is_err());
+    let error = hidden.pose(&scene, &plane, DMat4::IDENTITY).unwrap_err().to_string();
+    let expected = "bone joint 0: expected a transform with an inverse, where it rests and now, found one without";
+    assert_eq!(error, expected);
+    assert!(only_mesh.pose(&scene, &plane, DMat4::IDENTITY).is_err());
 }
 
 #[test]
