@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
-use super::document::{Component, Document, Elements};
+use super::document::{Component, Document, Elements, components};
 use super::{index, objects, primitives};
 use crate::format::gltf::extension::{KHR_SPLATS, extension_of};
 
@@ -122,6 +122,14 @@ fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, finding
                 findings.error("PRIMITIVE_ATTRIBUTE", place(), expected, format!("{found_shape} of {found_kind:?}"));
             }
         }
+        check_alignment(document, accessor, place, findings);
+    }
+    let targets = primitive.get("targets").and_then(Value::as_array).into_iter().flatten().enumerate();
+    for (k, target) in targets.filter_map(|(k, target)| Some((k, target.as_object()?))) {
+        for (name, accessor) in target.iter().filter_map(|(name, value)| Some((name, accessor(value)?))) {
+            let place = || format!("{at}/targets/{k}/{}", super::schema::escaped(name));
+            check_alignment(document, accessor, place, findings);
+        }
     }
     check_indices(document, primitive, vertices, at, findings);
     if !is_splats && let Some(normals) = attributes.get("NORMAL").and_then(Value::as_u64) {
@@ -131,6 +139,20 @@ fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, finding
             "NORMAL_NORM",
             findings,
         );
+    }
+}
+
+/// Every element of a vertex attribute begins at a multiple of 4 bytes of its view (glTF 2.0, 3.6.2.4).
+fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -> String, findings: &mut Findings) {
+    let kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
+    let components = accessor.get("type").and_then(Value::as_str).and_then(components);
+    let view = index(accessor, "bufferView").and_then(|view| document.object("bufferViews", view));
+    let (Some(kind), Some(components), Some(view)) = (kind, components, view) else { return };
+    let stride = index(view, "byteStride").unwrap_or(components * kind.size());
+    let offset = index(accessor, "byteOffset").unwrap_or(0);
+    if !stride.is_multiple_of(4) || !offset.is_multiple_of(4) {
+        let expected = "elements that begin at multiples of 4 bytes of the view";
+        findings.error("ATTRIBUTE_ALIGNMENT", place(), expected, format!("byte {offset}, then every {stride} bytes"));
     }
 }
 

@@ -109,6 +109,13 @@ pub(super) const PLANTED: &[Planted] = &[
         let uv = primitive(f, SURFACE)["attributes"]["TEXCOORD_0"].clone();
         primitive(f, SURFACE)["targets"] = json!([{ "POSITION": uv }]);
     }),
+    ("ATTRIBUTE_ALIGNMENT", "/targets/0/POSITION", |f| {
+        let position = primitive(f, SURFACE)["attributes"]["POSITION"].clone();
+        let mut moved = f.json["accessors"][position.as_u64().unwrap() as usize].clone();
+        moved["byteOffset"] = json!(2);
+        let moved = f.push("accessors", moved);
+        primitive(f, SURFACE)["targets"] = json!([{ "POSITION": moved }]);
+    }),
     ("ANIMATION_PATH", "/channels/0/target/path", |f| {
         f.json["animations"][0]["channels"][0]["target"]["path"] = json!("colour");
     }),

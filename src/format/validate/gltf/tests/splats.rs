@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::{KHR, Planted, SPLATS, primitive};
+use super::{KHR, Planted, SPLATS, U16, primitive};
 
 pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_REQUIRED", "/extensions/KHR_gaussian_splatting", |f| {
@@ -25,6 +25,13 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SPLAT_ATTRIBUTE_UNKNOWN", "/attributes/KHR_gaussian_splatting:SH_DEGREE_4_COEF_0", |f| {
         let scale = primitive(f, SPLATS)["attributes"]["KHR_gaussian_splatting:SCALE"].clone();
         primitive(f, SPLATS)["attributes"]["KHR_gaussian_splatting:SH_DEGREE_4_COEF_0"] = scale;
+    }),
+    ("ATTRIBUTE_ALIGNMENT", "/attributes/KHR_gaussian_splatting:OPACITY", |f| {
+        let before = f.attribute(SPLATS, "KHR_gaussian_splatting:OPACITY");
+        let count = f.json["accessors"][before]["count"].as_u64().unwrap();
+        let packed = f.accessor("SCALAR", U16, &vec![0.0; count as usize]);
+        f.json["accessors"][packed]["normalized"] = json!(true);
+        primitive(f, SPLATS)["attributes"]["KHR_gaussian_splatting:OPACITY"] = json!(packed);
     }),
     ("SPLAT_ROTATION_NORM", "/attributes/KHR_gaussian_splatting:ROTATION", |f| {
         f.set_float(f.attribute(SPLATS, "KHR_gaussian_splatting:ROTATION"), 2, 4, 5.0);
