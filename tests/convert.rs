@@ -222,6 +222,18 @@ fn moving_turns_splats_meshes_and_cameras_with_their_harmonics() {
 }
 
 #[test]
+fn a_rule_that_no_input_states_is_not_lost_by_scaling() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(&folder.path().join("a.ply"), &splats(5, 1)).unwrap();
+    assert!(convert(folder.path(), "a.ply b.ply --scale 100 --strict").starts_with("lost: nothing\n"));
+    // What can state it has it in the new unit, and then it is lost.
+    convert(folder.path(), "a.ply b.glb --scale 100 --strict");
+    assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.near, 20.0);
+    let line = failure(folder.path(), "b.glb c.ply --strict");
+    assert_eq!(line, "error: c.ply: --strict: a .ply would lose the rule of blending");
+}
+
+#[test]
 fn filters_apply_in_one_order_whatever_the_order_of_options() {
     let folder = tempfile::tempdir().unwrap();
     ply::write(&folder.path().join("a.ply"), &splats(100, 2)).unwrap();

@@ -153,7 +153,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
     );
     let (scene, mut inputs) = read(args, files, &bar)?;
     bar.set_message("editing");
-    let edited = args.edits.apply(scene)?;
+    let usual_near = Composition::default().near;
+    let has_own_near = scene.scene.composition.near != usual_near;
+    let mut edited = args.edits.apply(scene)?;
+    if !has_own_near && format::has_extension(files.output, &["ply", "sog", "spz", "splat", "ksplat"]) {
+        // Whoever reads these takes the usual one in whatever unit: the scene has none of its own to lose by being scaled.
+        edited.scene.composition.near = usual_near;
+    }
     ensure!(
         !edited.scene.splats.is_empty() || !edited.scene.meshes.is_empty(),
         "{}: expected something to write, found no splats and no meshes{}",
