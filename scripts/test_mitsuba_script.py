@@ -32,6 +32,12 @@ class Cameras(unittest.TestCase):
                 self.refused(labels, text), f"no camera `{text}`; there are 0 (front), 1 (IMG 2.jpg), 2 (0), 3 (front)"
             )
 
+    def test_of_many_cameras_a_few_are_named(self):
+        few = ", ".join(f"{i} ({i}.jpg)" for i in range(8))
+        for count, rest in ((8, ""), (9, ", … to 8"), (300, ", … to 299")):
+            labels = [f"{i}.jpg" for i in range(count)]
+            self.assertEqual(self.refused(labels, "x"), f"no camera `x`; there are {few}{rest}")
+
     def test_none_is_said_as_convert_says_it(self):
         note = "there are no cameras; a picture needs a <sensor>"
         self.assertEqual(self.refused([], "0"), note)

@@ -470,8 +470,9 @@ def camera_index(labels, text):
         return labels.index(text)
     if text.isdecimal() and len(text) < 10 and int(text) < len(labels):
         return int(text)
-    there = ', '.join(f'{i} ({label})' for i, label in enumerate(labels))
-    raise LookupError(f'no camera `{text}`; there are {there}')
+    some = ', '.join(f'{i} ({label})' for i, label in enumerate(labels[:8]))
+    rest = f', … to {len(labels) - 1}' if len(labels) > 8 else ''
+    raise LookupError(f'no camera `{text}`; there are {some}{rest}')
 
 
 def main():
