@@ -126,9 +126,14 @@ def check_script(centaur, glb, folder):
     moved = (folder / "elsewhere").resolve()
     moved.mkdir(exist_ok=True)
     (moved / script.name).write_text(script.read_text())
+    taken = folder / "taken.blend"
+    taken.mkdir(exist_ok=True)
     for arguments, code, message in [
         ([script, "--render", "/nowhere/a.exr"], 1, "/nowhere/a.exr: cannot write: /nowhere is no folder"),
-        ([script, "--save", folder], 1, "a folder of this name exists"),
+        ([script, "--save", taken], 1, "a folder of this name exists"),
+        ([script, "--save", folder / "scene"], 2, "--save: expected a name that ends in .blend"),
+        ([script, "--render", folder / "layers.png", "--layers"], 2, "--layers: expected --render FILE.exr"),
+        ([script, "--sh-direction", "ray"], 2, "--sh-direction ray: expected --construction cap or shell"),
         ([script, "--render", "a.tif"], 2, "expected a name that ends in .exr or .png"),
         ([script, "--camera", "99"], 1, "--camera: expected 0 to "),
         ([script, "--camera", "nobody"], 1, "found nobody"),
@@ -155,12 +160,12 @@ def check_names(script, folder):
     """Of two cameras the second has the same picture by its number and by its name."""
     head, told, rest = re.split(r"r\'\'\'(.*)\'\'\'", script.read_text(), maxsplit=1)
     scene = json.loads(told)
-    scene["cameras"][1]["name"] = "turned"
+    scene["cameras"][1]["name"] = "path"  # that of `centaur cameras --with-scene`, not the camera of --path
     named = folder / "named.blend.py"
     named.write_text(f"{head}r'''{json.dumps(scene)}'''{rest}")
-    for camera in ("0", "1", "turned"):
+    for camera in ("0", "1", "path"):
         run([sys.executable, named, "--camera", camera, "--render", folder / f"camera_{camera}.exr"])
-    same, other = (inside("compare", folder / "camera_turned.exr", folder / f"camera_{n}.exr")["psnr"] for n in (1, 0))
+    same, other = (inside("compare", folder / "camera_path.exr", folder / f"camera_{n}.exr")["psnr"] for n in (1, 0))
     assert same > 80 > 40 > other, f"by name and by number {same:.1f} dB apart, of another camera {other:.1f} dB"
 
 

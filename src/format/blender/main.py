@@ -70,6 +70,12 @@ def parse(arguments):
         parser.error(f"--frame: expected a number from 1, or `all`, found {options.frame}")
     if options.render and not options.render.lower().endswith((".exr", ".png")):
         parser.error(f"--render: expected a name that ends in .exr or .png, found {options.render}")
+    if options.save and not options.save.lower().endswith(".blend"):
+        parser.error(f"--save: expected a name that ends in .blend, found {options.save}")
+    if options.layers and not (options.render or "").lower().endswith(".exr"):
+        parser.error("--layers: expected --render FILE.exr, which can hold them")
+    if options.sh_direction == "ray" and options.construction == "ewa":
+        parser.error("--sh-direction ray: expected --construction cap or shell; splats of ewa have one colour each")
     return options
 
 
@@ -155,7 +161,7 @@ def check(options):
     for path in filter(None, (options.save, options.render)):
         writable(path)
     count = len(SCENE["cameras"])
-    if options.camera == "path":
+    if is_path(options):
         if not options.path or count < 2:
             raise ScriptError("--camera path: expected --path and two cameras or more")
     elif options.camera == "all":
@@ -175,6 +181,11 @@ def printable(text):
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def is_path(options):
+    """Whether the camera of --path is meant: a scene may have one of that name, as `centaur cameras --with-scene` calls its own."""
+    return options.camera == "path" and (options.path is not None or camera_index("path") is None)
+
+
 def camera_index(text):
     """Index of the camera of this number, or else of this name; of several the first. None if there is none."""
     names = [camera["name"] for camera in SCENE["cameras"]]
@@ -188,7 +199,7 @@ def camera_index(text):
 
 def chosen(options, root):
     """The cameras to render; the first is made active."""
-    if options.camera == "path":
+    if is_path(options):
         return [next(c for c in root.children if c.get("centaur") == "path")]
     cameras = scene_cameras(root)
     if not cameras:
@@ -237,8 +248,8 @@ def run(options):
         return
     stem, extension = os.path.splitext(options.render)
     save = lambda path: write_picture(path, render_picture(options.layers), settings["decode"])
-    if options.camera == "path" or options.frame == "all":
-        moves = SCENE["motion"] or options.camera == "path"
+    if is_path(options) or options.frame == "all":
+        moves = SCENE["motion"] or is_path(options)
         for frame in range(scene.frame_start, scene.frame_end + 1) if moves else [1]:
             scene.frame_set(frame)
             refresh()
