@@ -5,7 +5,8 @@ use std::path::Path;
 
 use exr::meta::attribute::{AttributeValue, Chromaticities, Text};
 use exr::prelude::{
-    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage as _, f16,
+    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
+    WritableImage as _, f16,
 };
 
 use super::{FormatError, atomic_write};
@@ -114,7 +115,9 @@ pub(super) fn encode(map: &Texture, first: usize, names: &[impl AsRef<str>]) -> 
         |(i, name): (usize, &_)| AnyChannel::new(AsRef::<str>::as_ref(name), FlatSamples::F32(plane(first + i)));
     let planes = AnyChannels::sort(names.iter().enumerate().map(named).collect());
     let size = (map.width() as usize, map.height() as usize);
-    bytes(&Image::from_layer(Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, planes)))
+    // Without an order of its own, tiles stand as threads end, and a map written twice is two files.
+    let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::SMALL_FAST_LOSSLESS };
+    bytes(&Image::from_layer(Layer::new(size, LayerAttributes::default(), encoding, planes)))
 }
 
 fn bytes(image: &Image<Layer<AnyChannels<FlatSamples>>>) -> Result<Vec<u8>, String> {
@@ -175,6 +178,21 @@ mod tests {
                     assert!((found - expected).abs() <= if exact { 0.0 } else { 1e-3 * expected.abs() });
                 }
             }
+        }
+    }
+
+    /// Exports that share a map are told apart by its bytes.
+    #[test]
+    fn a_map_is_one_file() {
+        let (width, height) = (1300, 600);
+        let texels = (0..width * height).map(|i| (i as f32).sin()).collect();
+        let map = Texture::new(width, height, 1, texels).unwrap();
+        let file = encode(&map, 0, &["Y"]).unwrap();
+        let header = &exr::meta::MetaData::read_from_buffered(&file[..], true).unwrap().headers[0];
+        assert!(matches!(header.blocks, exr::meta::BlockDescription::Tiles(_)) && header.chunk_count > 1);
+        assert_eq!(header.line_order, LineOrder::Increasing);
+        for _ in 0..8 {
+            assert!(encode(&map, 0, &["Y"]).unwrap() == file);
         }
     }
 
