@@ -271,6 +271,9 @@ pub(super) fn image_names(cameras: &[(String, Camera)]) -> Vec<String> {
     picture_names(names.into_iter(), "png")
 }
 
+/// Most bytes of the name of a picture without number and suffix: file systems allow 255.
+const MAX_STEM: usize = 200;
+
 /// A view's name without suffix and without anything that a file system may take for more than a letter.
 fn safe_stem(view: &str) -> String {
     let stem = Path::new(view).with_extension("");
@@ -279,6 +282,6 @@ fn safe_stem(view: &str) -> String {
         .collect();
     match safe.trim_start_matches('.') {
         "" => "view".to_owned(),
-        name => name.to_owned(),
+        name => name[..name.floor_char_boundary(MAX_STEM)].to_owned(),
     }
 }

@@ -121,6 +121,13 @@ fn names_of_pictures_are_safe_and_unique() {
     let found = names(&["left/0001.jpg", "left_0001.PNG", "LEFT/0001", "../../etc/passwd", "IMG 12.tar.JPG", "..", ""]);
     let expected = ["left_0001", "left_0001_2", "LEFT_0001_3", "_.._etc_passwd", "IMG_12.tar", "view", "view_2"];
     assert_eq!(found, expected.map(|stem| format!("{stem}.png")));
+    let long = format!("{}_{}", "日".repeat(100), "x".repeat(100));
+    let found = names(&[&long, &format!("{long}y")]);
+    assert_eq!(
+        found,
+        ["", "_2"].map(|number| format!("{}{number}.png", "日".repeat(66))),
+        "longer than files may be called"
+    );
     // They are the names in files of cameras, unless all cameras have names of pictures.
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (shot(1, 0.0)[0].1, shot(2, 0.0)[1].1);
