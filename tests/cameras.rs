@@ -289,7 +289,7 @@ fn what_makes_no_path_is_one_line() {
     let two =
         one.replace("}] }", "}, { \"w\": 9, \"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }");
     std::fs::write(at("two.json"), two).unwrap();
-    let cases: [(&[&str], &str); 9] = [
+    let cases: [(&[&str], &str); 10] = [
         (
             &["cameras", "orbit", "one.json", "-o", "a.glb"],
             "one.json: the views' optical axes do not meet in a point: state what to look at as the focus (--focus X,Y,Z)",
@@ -311,6 +311,10 @@ fn what_makes_no_path_is_one_line() {
         (
             &["cameras", "convert", "orbit.glb", "-o", "a.json", "--camera", "b"],
             "orbit.glb: /cameras: expected a camera called b, found path",
+        ),
+        (
+            &["render", "ball.glb", "--cameras", "capture", "-o", "a", "--camera", "002"],
+            "capture: expected a camera called 002, found 000.png, 001.png, 002.png, 003.png, 004.png, 005.png, 006.png, 007.png, …",
         ),
         (&["render", "ball.glb", "-o", "a"], "ball.glb: holds no cameras: say --cameras PATH"),
         (

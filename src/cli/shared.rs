@@ -138,9 +138,14 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     let mut times = stated.and(fps).map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
     if let Some(only) = sampling.only {
         let wanted: Vec<bool> = cameras.iter().map(|(name, _)| name == only).collect();
+        ensure!(
+            wanted.contains(&true),
+            "{}: expected a camera called {only}, found {}",
+            path.display(),
+            format::some_of(cameras.iter().map(|(name, _)| &name[..]))
+        );
         retain_rows(&mut cameras, &wanted);
         retain_rows(&mut times, &wanted);
-        ensure!(!cameras.is_empty(), "{}: expected a camera called {only}, found none", path.display());
     }
     Ok(CameraFile { cameras, fps, y_up, times, notes: vec![] })
 }

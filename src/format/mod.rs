@@ -35,7 +35,7 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 pub use cameras::{
-    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, frame_count, picture_names, read_cameras,
+    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, frame_count, picture_names, read_cameras, some_of,
     write_cameras, write_cameras_with_scene,
 };
 pub use error::{FormatError, Location};

@@ -179,9 +179,7 @@ pub(super) fn chosen(
     if kept.is_empty() {
         return Err(match sampling.only {
             Some(name) if !names.is_empty() => {
-                let some: Vec<&str> = names.iter().take(8).map(String::as_str).collect();
-                let more = if names.len() > some.len() { ", …" } else { "" };
-                Fault::whole(format!("a camera called {name}"), format!("{}{more}", some.join(", ")))
+                Fault::whole(format!("a camera called {name}"), some_of(names.iter().map(String::as_str)))
             }
             _ => Fault::whole("cameras", "none that are pinholes"),
         });
@@ -202,6 +200,13 @@ pub(super) fn chosen(
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
     Ok(CameraFile { cameras, fps, y_up, times, notes })
+}
+
+/// Names in a message: the first few of them.
+pub fn some_of<'a>(mut names: impl Iterator<Item = &'a str>) -> String {
+    let mut some: Vec<&str> = names.by_ref().take(8).collect();
+    some.extend(names.next().map(|_| "…"));
+    some.join(", ")
 }
 
 /// How many frames there are from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or
