@@ -109,6 +109,8 @@ def meshes(stage, expected):
 def cameras(stage, expected):
     for camera in expected:
         prim = stage.GetPrimAtPath(camera["path"])
+        unit = UsdGeom.GetStageMetersPerUnit(stage) / 10
+        same(f"{camera['path']}: sensor", UsdGeom.Camera(prim).GetHorizontalApertureAttr().Get() * unit, 0.036, 1e-8)
         view = UsdGeom.Camera(prim).GetCamera(Usd.TimeCode.Default()).frustum
         matrix = view.ComputeViewMatrix() * view.ComputeProjectionMatrix()
         for point, pixel in camera["points"]:

@@ -7,8 +7,8 @@ use super::{frame, maps, names};
 use crate::format::activation;
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, PixelFilter, Splats, sh};
 
-/// Width of the sensor that cameras are given, in mm; only its ratio to the focal length counts.
-const APERTURE: f64 = 36.0;
+/// Width of the sensor that cameras are given, 36 mm: USD measures it in tenths of the layer's unit, a metre.
+const APERTURE: f64 = 0.36;
 
 /// A layer, and the files that it names.
 pub(super) struct Export {

@@ -176,6 +176,24 @@ def PointInstancer "P" {}
 def Mesh "hidden" { token visibility = "invisible" }
 "#;
 
+/// Pictures need its ratio to the focal length alone; Blender shows both in millimetres.
+#[test]
+fn sensors_are_as_wide_as_film() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usda");
+    write(&path, &random_scene(1, 0, 0, 4), &[("a".to_owned(), camera())], None).unwrap();
+    let layer = document(std::fs::read(&path).unwrap()).unwrap();
+    let stage = Stage::new(&layer);
+    let of_camera = (0..stage.prims.len()).find(|&i| stage.prims[i].type_name == "Camera").unwrap();
+    let millimetres = |name: &str| {
+        let metres_per_unit = layer.field("metersPerUnit").and_then(document::Value::as_number).unwrap();
+        stage.number(of_camera, name).unwrap() * 0.1 * metres_per_unit * 1000.0
+    };
+    let k = *camera().intrinsics();
+    assert!((millimetres("horizontalAperture") - 36.0).abs() < 1e-5);
+    assert!((millimetres("focalLength") - 36.0 * k.fx / f64::from(k.width)).abs() < 1e-5);
+}
+
 #[test]
 fn units_axes_and_nested_transforms_are_applied() {
     let file = read_text(FOREIGN);
