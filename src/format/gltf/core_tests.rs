@@ -336,6 +336,56 @@ fn unlit_materials_are_taken_over_without_a_note() {
     assert_eq!(b.read(document(json!({}))).unwrap().notes, ["/materials/0: shown by its base colour alone, unlit"]);
 }
 
+/// As Blender writes a picture that is plugged into the emission, and a lamp; what has a picture of its own is shown by that.
+#[test]
+fn emission_is_shown_where_there_is_nothing_else() {
+    let (mut b, mut attributes) = triangle();
+    attributes["COLOR_0"] = json!(b.normalized(5121, "VEC4", 3, &[0; 12]));
+    let mut png = std::io::Cursor::new(vec![]);
+    ::image::RgbaImage::from_pixel(1, 1, ::image::Rgba([255, 51, 0, 128]))
+        .write_to(&mut png, ::image::ImageFormat::Png)
+        .unwrap();
+    let view = b.view(png.get_ref());
+    let read = |material: Value| {
+        let file = b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }], "materials": [material],
+            "textures": [{ "source": 0 }], "images": [{ "bufferView": view, "mimeType": "image/png" }],
+            "extensionsUsed": ["KHR_materials_emissive_strength", "KHR_materials_unlit"],
+        }));
+        let file = file.unwrap();
+        (shown(&file.scene.meshes[0], 0), file.notes)
+    };
+    let (color, notes) = read(json!({
+        "emissiveTexture": { "index": 0 }, "emissiveFactor": [0.5, 1, 1], "alphaMode": "BLEND", "doubleSided": true,
+        "pbrMetallicRoughness": { "baseColorFactor": [1, 1, 1, 0.25] },
+    }));
+    // Half the light is 0.735 in sRGB.
+    near(&color, &[0.735_357, 0.2, 0.0, 0.25], 1e-5);
+    assert_eq!(notes, ["/materials/0: shown by its emission alone, unlit"]);
+    let black = json!({ "baseColorFactor": [0, 0, 0, 1] });
+    let strength = json!({ "KHR_materials_emissive_strength": { "emissiveStrength": 0.5 } });
+    let lamp = json!({ "emissiveFactor": [1, 0, 0], "pbrMetallicRoughness": black, "extensions": strength });
+    near(&read(lamp.clone()).0, &[0.735_357, 0.0, 0.0, 1.0], 1e-5);
+    let mut unlit = lamp;
+    unlit["extensions"] = json!({ "KHR_materials_unlit": {} });
+    near(&read(unlit).0, &[0.0, 0.0, 0.0, 1.0], 1e-5);
+    let both = |factor: Value| {
+        let base = json!({ "baseColorTexture": { "index": 0 }, "baseColorFactor": factor });
+        json!({
+            "emissiveTexture": { "index": 0 }, "emissiveFactor": [0.5, 1, 1], "alphaMode": "BLEND", "doubleSided": true,
+            "pbrMetallicRoughness": base,
+        })
+    };
+    let (_, notes) = read(both(json!([1, 1, 1, 1])));
+    assert_eq!(notes[0], "/materials/0: shown by its base colour alone, unlit");
+    // A picture whose alpha covers what it emits: the factor of its colour is black.
+    let covered = both(json!([0, 0, 0, 1]));
+    near(&read(covered.clone()).0, &[0.735_357, 0.2, 0.0, 128.0 / 255.0], 1e-5);
+    let mut constant = covered;
+    constant.as_object_mut().unwrap().remove("emissiveTexture");
+    near(&read(constant).0, &[0.735_357, 1.0, 1.0, 128.0 / 255.0], 1e-5);
+}
+
 #[test]
 fn colours_of_vertices_become_a_map() {
     let (mut b, mut attributes) = triangle();

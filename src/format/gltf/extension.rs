@@ -13,6 +13,7 @@ pub(crate) const KHR_SPLATS: &str = "KHR_gaussian_splatting";
 pub(crate) const HYBRID: &str = "EXT_gaussian_splatting_hybrid";
 /// Core fallback of the mesh material.
 pub(crate) const UNLIT: &str = "KHR_materials_unlit";
+pub(super) const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
 /// Splats compressed by SPZ, within the object of [`KHR_SPLATS`]. A draft of Khronos.
 pub(crate) const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
 /// Scaled, turned and shifted texture coordinates.

@@ -2,7 +2,9 @@
 
 use gltf::material::AlphaMode;
 
-use super::extension::{HYBRID, Radiance, ShField, TEXTURE_TRANSFORM, TexelSource, UNLIT, parse_color_space};
+use super::extension::{
+    EMISSIVE_STRENGTH, HYBRID, Radiance, ShField, TEXTURE_TRANSFORM, TexelSource, UNLIT, parse_color_space,
+};
 use super::image::Texels;
 use super::lift::Asset;
 use super::uv::UvMap;
@@ -200,7 +202,40 @@ fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Resul
     Ok(plane)
 }
 
-/// The core material's base colour as maps of degree 0.
+/// What a core material emits, in linear light, where that is what it shows: its base colour is black, or no picture and emission is one.
+/// `None`: its base colour is shown.
+fn emission(material: &gltf::Material<'_>) -> Option<[f32; 3]> {
+    let pbr = material.pbr_metallic_roughness();
+    let strength = material.extension_value(EMISSIVE_STRENGTH).and_then(|e| e.get("emissiveStrength")?.as_f64());
+    let light = material.emissive_factor().map(|v| v * strength.unwrap_or(1.0) as f32);
+    let is_black = pbr.base_color_factor()[..3].iter().all(|&v| v == 0.0);
+    let is_only_picture = material.emissive_texture().is_some() && pbr.base_color_texture().is_none();
+    let is_lit = material.extension_value(UNLIT).is_none() && light.iter().any(|&v| v > 0.0);
+    (is_lit && (is_black || is_only_picture)).then_some(light)
+}
+
+/// A picture, and where it lies.
+type Placed = (Texels, UvMap);
+
+/// The colours of `light`, which has no alpha, with the alpha of `cover`; `None` if neither is a picture.
+fn covered(light: Option<Placed>, cover: Option<Placed>, at: &str, notes: &mut Vec<String>) -> Option<Placed> {
+    let Some((mut texels, uv)) = light else {
+        let (mut texels, uv) = cover?;
+        texels.rgba.iter_mut().for_each(|[r, g, b, _]| (*r, *g, *b) = (1.0, 1.0, 1.0));
+        return Some((texels, uv));
+    };
+    texels.rgba.iter_mut().for_each(|texel| texel[3] = 1.0);
+    match cover {
+        Some((alpha, place)) if (place, alpha.width, alpha.height) == (uv, texels.width, texels.height) => {
+            texels.rgba.iter_mut().zip(&alpha.rgba).for_each(|(texel, alpha)| texel[3] = alpha[3]);
+        }
+        Some(_) => notes.push(format!("{at}: its opacity has another size or place than its emission and is left out")),
+        None => {}
+    }
+    Some((texels, uv))
+}
+
+/// The core material's base colour, or what it emits, as maps of degree 0.
 fn base_colour(
     asset: &Asset,
     material: &gltf::Material<'_>,
@@ -208,14 +243,29 @@ fn base_colour(
     at: &str,
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
+    let emission = emission(material);
     // Unlit is what maps are; light and shine they cannot follow.
     if material.extension_value(UNLIT).is_none() {
-        notes.push(format!("{at}: shown by its base colour alone, unlit"));
+        let what = if emission.is_some() { "emission" } else { "base colour" };
+        notes.push(format!("{at}: shown by its {what} alone, unlit"));
     }
     let pbr = material.pbr_metallic_roughness();
-    let texture = pbr.base_color_texture();
+    let placed = |texture: Option<gltf::texture::Info<'_>>, name: &str| -> Result<Option<Placed>, Fault> {
+        let Some(info) = texture else { return Ok(None) };
+        Ok(Some((asset.texels(info.texture().index())?, UvMap::of(&info, &format!("{at}/{name}"))?)))
+    };
+    let own = placed(pbr.base_color_texture(), "pbrMetallicRoughness/baseColorTexture")?;
+    let picture = match emission {
+        None => own,
+        Some(_) => {
+            let cover = own.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
+            covered(placed(material.emissive_texture(), "emissiveTexture")?, cover, at, notes)
+        }
+    };
+    let [r, g, b, alpha] = pbr.base_color_factor();
+    let [r, g, b] = emission.unwrap_or([r, g, b]);
     let base = BaseColour {
-        factor: pbr.base_color_factor(),
+        factor: [r, g, b, alpha],
         cutoff: match material.alpha_mode() {
             AlphaMode::Opaque => None,
             AlphaMode::Blend => Some(0.0),
@@ -223,17 +273,13 @@ fn base_colour(
             AlphaMode::Mask => Some(material.alpha_cutoff().unwrap_or(0.5)).filter(|&c| c > 0.0),
         },
         space,
-        is_textured: texture.is_some(),
+        is_textured: picture.is_some(),
     };
-    let uv = match &texture {
-        Some(info) => UvMap::of(info, &format!("{at}/pbrMetallicRoughness/baseColorTexture"))?,
-        None => UvMap::plain(0),
-    };
-    let is_textured = texture.is_some();
-    let texels = match texture {
-        Some(info) => asset.texels(info.texture().index())?,
-        None => Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) },
-    };
+    let is_textured = base.is_textured;
+    let (texels, uv) = picture.unwrap_or_else(|| {
+        let white = Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) };
+        (white, UvMap::plain(0))
+    });
     let values = texels.rgba.iter().flat_map(|t| {
         let [r, g, b, a] = *t;
         let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
@@ -241,5 +287,7 @@ fn base_colour(
     });
     let atlas = Texture::new(texels.width, texels.height, 4, values.collect()).and_then(|base| Atlas::new(base, None));
     let atlas = atlas.map_err(|e| Fault::from(e).under(at))?;
-    Ok(Maps { atlas, uv, image: is_textured.then_some(texels.encoded), base: Some(base) })
+    // Colours of vertices do not change what is emitted.
+    let of_vertices = emission.is_none().then_some(base);
+    Ok(Maps { atlas, uv, image: is_textured.then_some(texels.encoded), base: of_vertices })
 }

@@ -104,6 +104,10 @@ impl Picture {
     }
 }
 
+/// Inputs of a `UsdPreviewSurface`.
+const EMISSION: &str = "inputs:emissiveColor";
+const DIFFUSE: &str = "inputs:diffuseColor";
+
 impl Materials<'_> {
     /// The maps of a mesh, and how they lie on it.
     pub(super) fn atlas(
@@ -132,16 +136,14 @@ impl Materials<'_> {
             return Ok((joined(&color, &opacity)?, Coordinates::plain()));
         };
         let path = stage.path(shader);
-        let is_lit = |name: &str| match stage.input(shader, name) {
+        let is_picture = |name: &'static str| matches!(stage.input(shader, name), Some(Source::Output { .. }));
+        let emits = match stage.input(shader, EMISSION) {
             None => false,
             Some(Source::Output { .. }) => true,
             Some(Source::Value(value)) => value.as_numbers().unwrap_or_default().iter().any(|&v| v > 0.0),
         };
-        let (input, what) = if is_lit("inputs:emissiveColor") {
-            ("inputs:emissiveColor", "emissive")
-        } else {
-            ("inputs:diffuseColor", "diffuse")
-        };
+        // What glows in places has a picture of its colour, too.
+        let (input, what) = if emits && !is_picture(DIFFUSE) { (EMISSION, "emissive") } else { (DIFFUSE, "diffuse") };
         notes.push(format!("{path}: shown by its {what} colour alone, unlit"));
         let color = self.picture(stage, shader, input, [0.18; 3], true)?;
         let mut opacity = self.picture(stage, shader, "inputs:opacity", [1.0; 3], false)?;

@@ -312,6 +312,48 @@ fn the_record_of_the_training_is_read_from_binary_too() {
     }
 }
 
+/// A black map of emission with a light or two on it must not blacken what has a picture; grey that nobody asked for gives way to a map.
+#[test]
+fn emission_is_shown_where_there_is_no_picture_of_the_colour() {
+    let read_with = |inputs: &str| {
+        let (folder, path) = folder_with(&format!(
+            r#"( metersPerUnit = 1 )
+def Mesh "M" {{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1)] ( interpolation = "vertex" )
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </M/M>
+    def Material "M" {{
+        token outputs:surface.connect = <S.outputs:surface>
+        def Shader "S" {{
+            uniform token info:id = "UsdPreviewSurface"
+            {inputs}
+        }}
+        def Shader "Red" {{ uniform token info:id = "UsdUVTexture" asset inputs:file = @./red.png@ }}
+        def Shader "Black" {{ uniform token info:id = "UsdUVTexture" asset inputs:file = @./black.png@ }}
+    }}
+}}
+"#
+        ));
+        for (name, color) in [("red.png", [255, 0, 0]), ("black.png", [0; 3])] {
+            image::RgbImage::from_pixel(1, 1, image::Rgb(color)).save(folder.path().join(name)).unwrap();
+        }
+        let file = read(&path).unwrap();
+        let rgb = sh::rgb_from_dc(file.scene.meshes[0].atlas().base().texels()[..3].try_into().unwrap());
+        (rgb.map(|v| (v * 255.0).round()), file.notes[0].rsplit(": ").next().unwrap().to_owned())
+    };
+    let [diffuse, emissive] = ["diffuse", "emissive"].map(|what| format!("shown by its {what} colour alone, unlit"));
+    let to = |input: &str, texture: &str| format!("color3f inputs:{input}Color.connect = <../{texture}.outputs:rgb>");
+    let both = format!("{}\n{}", to("diffuse", "Red"), to("emissive", "Black"));
+    assert_eq!(read_with(&both), ([255.0, 0.0, 0.0], diffuse));
+    let grey = format!("color3f inputs:diffuseColor = (0.8, 0.8, 0.8)\n{}", to("emissive", "Red"));
+    for inputs in [to("emissive", "Red"), grey] {
+        assert_eq!(read_with(&inputs), ([255.0, 0.0, 0.0], emissive.clone()));
+    }
+}
+
 /// A floor whose tile lies on it turned, three times along u: its picture is written out, corners lie as they say.
 #[test]
 fn textures_are_transformed_and_repeat() {
