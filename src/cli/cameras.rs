@@ -27,7 +27,9 @@ Examples:
 
 SOURCE is a capture or COLMAP model (folder), a transforms*.json or camera_path.json, or a .glb,
 .gltf, .usda, .usdc or .usdz: a scene of Centaur holds the cameras that it was trained from.
-Photographs are not needed where the size of images is stated.
+Photographs are not needed where the size of images is stated. Its world is that of the capture,
+y down, also where it is a glTF or USD of Centaur, which store that turned by half a turn about x;
+other glTF and USD are y up.
 
 OUT is, by its name:
   .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera
