@@ -156,6 +156,16 @@ def check_parts(centaur, glb, folder):
     print("scenes without meshes and cameras, and without splats: render")
 
 
+def check_size(centaur, glb, folder):
+    """A scene in other units is the same picture, after `check_script`."""
+    large = folder / "large.blend.py"
+    run([*centaur, "convert", glb, large, "--scale", "1000000"])
+    run([sys.executable, large, "--render", folder / "large.exr"])
+    same = inside("compare", folder / "ewa.exr", folder / "large.exr")["psnr"]
+    assert same > 60, f"a scene a million times as large is another picture: {same:.1f} dB"
+    print(f"a million times as large: {same:.0f} dB from the picture")
+
+
 def check_names(script, folder):
     """Of two cameras the second has the same picture by its number and by its name."""
     head, told, rest = re.split(r"r\'\'\'(.*)\'\'\'", script.read_text(), maxsplit=1)
@@ -214,6 +224,7 @@ def main():
     folder.mkdir(parents=True, exist_ok=True)
     print(f"Blender {bpy.app.version_string}")
     script = check_script(centaur, glb, folder)
+    check_size(centaur, glb, folder)
     check_parts(centaur, glb, folder)
     check_blend(centaur, glb, folder)
     check_import(glb, script, folder)
