@@ -340,6 +340,28 @@ fn what_makes_no_path_is_one_line() {
     }
 }
 
+/// Compositors make a layer of all channels with one name before the dot, and know those of RGBA, of XYZ and of one channel: Blender showed
+/// nothing of another.
+#[test]
+fn layers_have_channels_that_compositors_know() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(&folder.path().join("capture"), 3, (32, 24));
+    write_ball(&folder.path().join("ball.glb"), Composition::default());
+    let render = ["render", "ball.glb", "--cameras", "capture", "--camera", "000.png", "--layers", "-o", "out"];
+    run(folder.path(), &render);
+    let image = exr::prelude::read_first_flat_layer_from_file(folder.path().join("out/000.exr")).unwrap();
+    let names: Vec<String> = image.layer_data.channel_data.list.iter().map(|c| c.name.to_string()).collect();
+    let mut layers = std::collections::BTreeMap::<&str, Vec<&str>>::new();
+    for (layer, channel) in names.iter().filter_map(|name| name.rsplit_once('.')) {
+        layers.entry(layer).or_default().push(channel);
+    }
+    for (layer, channels) in &layers {
+        let is_known = channels.len() == 1 || [&["A", "B", "G", "R"][..], &["X", "Y", "Z"]].contains(&&channels[..]);
+        assert!(is_known, "{layer}: {channels:?}");
+    }
+    assert_eq!(layers.into_keys().collect::<Vec<_>>(), ["N", "count", "depth", "mesh", "splats"]);
+}
+
 /// Somebody else's glTF and USD are y up, cameras of a capture are not: however they meet, pictures and normals are those of the converted scene.
 #[test]
 fn scenes_that_are_y_up_are_seen_by_captures_as_their_conversion_is() {

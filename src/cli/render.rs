@@ -38,7 +38,7 @@ the background:
                               half; 1e10 where none
   N.X .Y .Z                   unit normal of the nearest mesh layer, towards the camera; y-down as
                               `centaur inspect` has it: negate Y and Z for the world of glTF and USD
-  splats.count                splats that contribute to the pixel";
+  count.splats                splats that contribute to the pixel";
 
 /// Render a scene from given cameras
 #[derive(clap::Args)]

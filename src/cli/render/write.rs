@@ -91,7 +91,7 @@ impl File<'_> {
         }
         channels.push(depth("Z", picture.expected_depth));
         channels.push(depth("depth.first", picture.median_depth));
-        channels.push(Channel { name: "splats.count".to_owned(), values: picture.count, precise: true });
+        channels.push(Channel { name: "count.splats".to_owned(), values: picture.count, precise: true });
         let comment = "Premultiplied, blended in colorSpace, not over the background. N is y-down: negate Y and Z for glTF and USD. Z is expected depth along the camera's \
                        axis, depth.first where alpha passes one half.";
         Ok(format::write_exr(self.path, size, channels, &self.header(self.composition.color_space, comment))?)
