@@ -152,7 +152,8 @@ fn a_path_is_not_made_of_the_one_before() {
     assert_eq!(spline("b.gltf", "c.glb"), first);
 
     let mut late: serde_json::Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
-    let times: Vec<u8> = (0..9).flat_map(|i| (5.0f32 + 0.25 * i as f32).to_le_bytes()).collect();
+    let first = 5.0 + 1.0 / 24.0f32;
+    let times: Vec<u8> = (0..9).flat_map(|i| (first + 0.25 * i as f32).to_le_bytes()).collect();
     std::fs::write(at("times.bin"), &times).unwrap();
     let mut push = |key: &str, value: serde_json::Value| {
         let array = late[key].as_array_mut().unwrap();
@@ -163,19 +164,19 @@ fn a_path_is_not_made_of_the_one_before() {
     let view = push("bufferViews", serde_json::json!({ "buffer": buffer, "byteLength": times.len() }));
     let input = push(
         "accessors",
-        serde_json::json!({ "bufferView": view, "componentType": 5126, "type": "SCALAR", "count": 9, "min": [5], "max": [7] }),
+        serde_json::json!({ "bufferView": view, "componentType": 5126, "type": "SCALAR", "count": 9, "min": [first], "max": [first + 2.0] }),
     );
     let samplers = late["animations"][0]["samplers"].as_array_mut().unwrap();
     samplers.iter_mut().for_each(|sampler| sampler["input"] = input.into());
     std::fs::write(at("late.gltf"), late.to_string()).unwrap();
     let said = run(folder.path(), &["cameras", "convert", "late.gltf", "-o", "late.json"]);
     assert!(
-        said.contains("note: late.gltf: begins at 5 s, which late.json does not say: there it begins at 0"),
+        said.contains("note: late.gltf: begins at 5.042 s, which late.json does not say: there it begins at 0"),
         "{said}"
     );
     let said = run(folder.path(), &["cameras", "convert", "late.gltf", "-o", "late.usda"]);
     assert!(!said.contains("begins"), "{said}");
-    assert!(std::fs::read_to_string(at("late.usda")).unwrap().contains("startTimeCode = 20"));
+    assert!(std::fs::read_to_string(at("late.usda")).unwrap().contains("startTimeCode = 20.1666"));
 }
 
 #[cfg(unix)]

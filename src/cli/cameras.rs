@@ -266,6 +266,8 @@ impl FileArgs {
         let begins = times.first().copied().unwrap_or_default();
         let has_times = is_gltf || has_extension(&self.output, &["usda"]);
         if begins != 0.0 && !(has_times && begins > 0.0) {
+            // The first frame of Blender is at a twenty-fourth: 17 digits of it tell nobody anything.
+            let begins = (1e3 * begins).round() / 1e3;
             notes.push(format!(
                 "begins at {begins} s, which {} does not say: there it begins at 0",
                 self.output.display()
