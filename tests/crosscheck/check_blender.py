@@ -11,6 +11,7 @@ its own, since `bpy` can be imported once.
 import json
 import pathlib
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -80,6 +81,21 @@ def step_import(glb, picture):
     write_exr_to(picture)
     bpy.ops.render.render(write_still=True)
     return {"meshes": things, "cameras": sum(o.type == "CAMERA" for o in bpy.data.objects)}
+
+
+def step_own(script, blend, picture):
+    """Renders in a file whose settings would show something else."""
+    import bpy
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    scene.render.use_multiview, scene.render.use_border, scene.render.resolution_percentage = True, True, 50
+    scene.render.border_max_x, scene.render.use_crop_to_border = 0.5, True
+    scene.cycles.film_exposure, scene.view_settings.use_curve_mapping = 2, True
+    layer.material_override, layer.samples = bpy.data.materials.new("clay"), 4
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    sys.argv = [script, "--render", picture]
+    runpy.run_path(script, run_name="__main__")
+    return {}
 
 
 def step_reopen(blend, folder):
@@ -166,6 +182,14 @@ def check_size(centaur, glb, folder):
     print(f"a million times as large: {same:.0f} dB from the picture")
 
 
+def check_own(script, folder):
+    """In a .blend of the user's the picture is the same, after `check_script`."""
+    inside("own", script, folder / "own.blend", folder / "own.exr")
+    same = inside("compare", folder / "ewa.exr", folder / "own.exr")["psnr"]
+    assert same > 80, f"settings of the file change the picture: {same:.1f} dB"
+    print(f"in a file with other settings: {same:.0f} dB from the picture")
+
+
 def check_names(script, folder):
     """Of two cameras the second has the same picture by its number and by its name."""
     head, told, rest = re.split(r"r\'\'\'(.*)\'\'\'", script.read_text(), maxsplit=1)
@@ -225,6 +249,7 @@ def main():
     print(f"Blender {bpy.app.version_string}")
     script = check_script(centaur, glb, folder)
     check_size(centaur, glb, folder)
+    check_own(script, folder)
     check_parts(centaur, glb, folder)
     check_blend(centaur, glb, folder)
     check_import(glb, script, folder)

@@ -6,8 +6,9 @@ Builds the scene in Blender: a collection with meshes, splats and cameras, with 
 what the optimiser saw. Runs in Blender's text editor (open it, press Run), with `blender --python FILE`, or with the module
 `bpy` of PyPI. The files beside it are needed until a .blend is saved, which holds everything.
 
-In a .blend of yours the scene that is open gets a collection more, and its engine, resolution, view transform, world, compositor
-and sequencer are set for it. Run again, the script replaces what it has built; a file takes one such scene.
+In a .blend of yours the scene that is open gets a collection more, and its engine, resolution, view transform, exposure, world,
+compositor, sequencer, stereo and what its view layers override are set for it. Run again, the script replaces what it has
+built; a file takes one such scene.
 
 constructions of splats:
   ewa    the raster model, which scenes are trained with: a quad per splat at its depth. Exact for the active camera.

@@ -7,14 +7,14 @@ def settle(decode):
     scene = bpy.context.scene
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
-    render.film_transparent, render.use_motion_blur, render.use_border = True, False, False
+    render.film_transparent, render.use_motion_blur, render.use_border, render.use_multiview = True, False, False, False
     render.use_compositing = render.use_sequencer = False
     render.dither_intensity = 0
     render.use_persistent_data = False
     render.use_lock_interface = True  # splats are rebuilt while animations are rendered
     cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
     cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", 0.01
-    cycles.seed = 0
+    cycles.seed, cycles.film_exposure = 0, 1
     # Without the second, paths end at random behind many surfaces.
     cycles.transparent_max_bounces = cycles.min_transparent_bounces = 1024
     cycles.max_bounces = 0
@@ -33,6 +33,7 @@ def settle(decode):
     node.inputs["Color"].default_value = (*shown, 1)
     scene.world = world
     for layer in scene.view_layers:
+        layer.material_override, layer.samples = None, 0
         for name in ("splats", "mesh"):
             if name not in layer.lightgroups:
                 layer.lightgroups.add(name=name)
