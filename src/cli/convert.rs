@@ -375,20 +375,24 @@ fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
 /// Refuses to write `place` beside `output` over what nobody has named: an input, or, where there is no output yet that it may be of,
 /// another file than `new`, which is to be there.
 fn spare_foreign(output: &Path, new: &Path, place: &Path, inputs: &[PathBuf]) -> Result<()> {
-    output::spare(place, inputs.iter().map(PathBuf::as_path))?;
     let is_foreign = || -> io::Result<bool> {
         if output.exists() || !place.exists() {
             return Ok(false);
         }
         Ok(!is_equal(new, place)?)
     };
-    ensure!(
-        !is_foreign().with_context(|| place.display().to_string())?,
-        "{}: would replace {}, which is there already; another name or a folder of its own keeps both",
+    let what = if output::spare(place, inputs.iter().map(PathBuf::as_path)).is_err() {
+        "is read"
+    } else if is_foreign().with_context(|| place.display().to_string())? {
+        "is there already"
+    } else {
+        return Ok(());
+    };
+    bail!(
+        "{}: would replace {}, which {what}; another name or a folder of its own keeps both",
         output.display(),
         place.display()
-    );
-    Ok(())
+    )
 }
 
 fn described(o: &Outcome<'_>) -> String {
