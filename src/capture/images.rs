@@ -239,15 +239,28 @@ fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> R
         return Err(CaptureError::invalid(path, "mask size", expected, format!("{w}×{h}")));
     };
     image.apply_orientation(turn);
-    let mut mask = image.into_luma8();
-    // Of labels, 0 and 1: COLMAP takes whatever is not black for white.
-    if mask.iter().all(|v| *v <= 1) {
-        mask.iter_mut().for_each(|v| *v *= 255);
-    }
+    let mask = weights(image);
     if size == (width, height) {
         return Ok(mask);
     }
     Ok(imageops::resize(&mask, width, height, FilterType::Triangle))
+}
+
+/// How far each pixel of a mask counts: as far as it is light and opaque, or, where there is but one level besides black, as of labels, wholly:
+/// COLMAP takes whatever is not black for white.
+fn weights(mask: DynamicImage) -> GrayImage {
+    // Labels of 16 bits would be 0 in 8.
+    let pixels = mask.into_luma_alpha16();
+    let levels = || pixels.pixels().map(|p| u32::from(p[0]) * u32::from(p[1]));
+    let mut shown = levels().filter(|level| *level > 0);
+    let most = match shown.next() {
+        Some(first) if shown.all(|level| level == first) => first,
+        _ => u32::from(u16::MAX).pow(2),
+    };
+    // Rounded.
+    let weight = |level| ((255 * u64::from(level) + u64::from(most / 2)) / u64::from(most)) as u8;
+    let weights = levels().map(weight).collect();
+    GrayImage::from_raw(pixels.width(), pixels.height(), weights).expect("a weight per pixel")
 }
 
 /// Bicubic (a = −½) with the support scaled by the factor, as Pillow does. Colours are
@@ -368,14 +381,41 @@ mod tests {
         }
     }
 
-    /// As COLMAP has it: what is not black counts.
+    /// Columns 0 to 4 of 16 are of the first colour.
+    fn labelled<P: image::Pixel>(label: P, rest: P) -> DynamicImage
+    where
+        DynamicImage: From<image::ImageBuffer<P, Vec<P::Subpixel>>>,
+    {
+        image::ImageBuffer::from_fn(16, 8, |x, _| if x < 5 { label } else { rest }).into()
+    }
+
+    /// As COLMAP has it: what is not black counts, whatever number or colour of a palette it is.
     #[test]
     fn masks_of_labels_are_masks() {
+        use image::{Luma, LumaA, Rgb};
+        for mask in [
+            labelled(Luma([1_u8]), Luma([0])),
+            labelled(Luma([3_u8]), Luma([0])),
+            labelled(Luma([1_u16]), Luma([0])),
+            labelled(Rgb([128_u8, 0, 0]), Rgb([0; 3])),
+            labelled(Rgba([255_u8; 4]), Rgba([255, 255, 255, 0])),
+        ] {
+            assert!(weights(mask).enumerate_pixels().all(|(x, _, p)| p[0] == if x < 5 { 255 } else { 0 }));
+        }
+        let whole = DynamicImage::ImageLuma8(GrayImage::from_pixel(16, 8, Luma([255])));
+        assert!(weights(whole).iter().all(|w| *w == 255));
+        assert!(weights(DynamicImage::new_luma8(16, 8)).iter().all(|w| *w == 0));
+        // Several levels are shares.
+        let shares = image::ImageBuffer::from_fn(256, 1, |x, _| LumaA([x as u8, if x == 9 { 0 } else { 255 }]));
+        assert!(weights(shares.into()).iter().enumerate().all(|(x, w)| usize::from(*w) == if x == 9 { 0 } else { x }));
+    }
+
+    #[test]
+    fn masks_leave_out_what_they_have_black() {
         let folder = capture_of(&jpeg(), 16, 8);
         std::fs::create_dir(folder.path().join("masks")).unwrap();
         for name in ["00.png", "01.png"] {
-            let labels = GrayImage::from_fn(16, 8, |x, _| image::Luma([u8::from(x < 5)]));
-            labels.save(folder.path().join("masks").join(name)).unwrap();
+            labelled(image::Luma([2_u8]), image::Luma([0])).save(folder.path().join("masks").join(name)).unwrap();
         }
         let options = LoadOptions { masks: true, ..LoadOptions::default() };
         let photo = decode(&open(folder.path(), &options).unwrap().views[0]).unwrap();
