@@ -55,7 +55,7 @@ impl Record {
         Ok(Self {
             capture: capture.name.clone(),
             points: Some(capture.points.len()),
-            settings: serde_json::from_value(serde_json::to_value(options)?)?,
+            settings: by_name(options)?,
             adapter: Some(adapter.to_owned()),
             seconds_per_iteration: trained.seconds_per_iteration,
             history: thinned(&trained.history),
@@ -85,8 +85,14 @@ impl Record {
 
     /// Options as rows of a table.
     pub(super) fn settings(&self) -> Vec<(String, String)> {
-        let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-        let settings = self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(value)));
+        let text = |name: &str, value: &Value| match value {
+            Value::String(text) => text.clone(),
+            // It always has a number, and JSON has none for this one.
+            Value::Null if name == "lambda" => "inf".to_owned(),
+            Value::Null => "default".to_owned(),
+            other => other.to_string(),
+        };
+        let settings = self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(name, value)));
         settings.chain(self.points.map(|n| ("points of the capture".to_owned(), n.to_string()))).collect()
     }
 
@@ -107,6 +113,11 @@ impl Record {
             .map(|(title, log_y, points)| Plot { title: title.into(), x_label: "iteration".into(), log_y, points })
             .collect()
     }
+}
+
+/// Options by their names. By way of text, where 0.01 is no longer than that in f32 either.
+pub(super) fn by_name(options: &TrainOptions) -> serde_json::Result<Map<String, Value>> {
+    serde_json::from_str(&serde_json::to_string(options)?)
 }
 
 /// What may go to a terminal.
@@ -175,6 +186,18 @@ mod tests {
     fn short_histories_are_kept_whole() {
         let points = &record(&history(&[(Phase::Joint, 200)])).plots()[0].points;
         assert_eq!(points.iter().map(|p| p.0 as u32).collect::<Vec<_>>(), (10..=200).step_by(10).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn settings_are_as_they_were_given() {
+        let options = TrainOptions { ssim_weight: 0.2, ..TrainOptions::default() };
+        let rows = |lambda: f32| {
+            let settings = by_name(&TrainOptions { lambda, ..options.clone() }).unwrap();
+            Record { settings, ..record(&[]) }.settings()
+        };
+        let value = |lambda: f32, name: &str| rows(lambda).into_iter().find(|row| row.0 == name).unwrap().1;
+        assert_eq!([0.01, f32::INFINITY].map(|lambda| value(lambda, "lambda")), ["0.01", "inf"]);
+        assert_eq!(["ssim weight", "max floats"].map(|name| value(0.01, name)), ["0.2", "default"]);
     }
 
     #[test]

@@ -19,7 +19,7 @@ use centaur::render::gpu::Gpu;
 
 pub(super) use self::args::Args;
 use super::eval::{self, Details};
-use super::history::Record;
+use super::history::{self, Record};
 use super::progress::Reporter;
 use super::{interrupt, output};
 
@@ -201,7 +201,7 @@ fn print_json(
         "occluded_splats": trained.occluded_splats,
         "notes": told.iter().cloned().chain(notes::at_the_end(args, trained)).collect::<Vec<_>>(),
         "exposures": exposures, "poses": poses,
-        "settings": args.options(), "evaluation": evaluation,
+        "settings": history::by_name(&args.options())?, "evaluation": evaluation,
     }))
 }
 
