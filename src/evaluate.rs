@@ -90,12 +90,19 @@ pub fn held_out(capture: &Capture) -> Result<Vec<&View>, EvaluateError> {
     Ok(held_out.into_iter().map(|i| &capture.views[i]).collect())
 }
 
-/// Reads the photographs of those views, as many at a time as there are cores, and forgets them.
+/// Reads the photographs of those views, as many at a time as there are cores, and forgets them: what cannot be scored, with LPIPS where there
+/// are weights, is better known before hours of training than after.
 ///
 /// # Errors
-/// If there are none, or one cannot be read.
-pub fn check_photographs(capture: &Capture) -> Result<(), EvaluateError> {
-    let unread = held_out(capture)?.into_par_iter().find_map_first(|view| capture::decode(view).err());
+/// If there are none, or one cannot be read, or is too small for the network of `lpips`.
+pub fn check_photographs(capture: &Capture, lpips: Option<&Lpips>) -> Result<(), EvaluateError> {
+    let views = held_out(capture)?;
+    for (lpips, view) in lpips.into_iter().flat_map(|lpips| views.iter().map(move |view| (lpips, view))) {
+        let k = view.camera.intrinsics();
+        let has_room = lpips.check_size((k.width, k.height));
+        has_room.map_err(|source| EvaluateError::Metric { view: view.name.clone(), source })?;
+    }
+    let unread = views.into_par_iter().find_map_first(|view| capture::decode(view).err());
     unread.map_or(Ok(()), |error| Err(error.into()))
 }
 

@@ -105,6 +105,39 @@ fn a_held_out_photograph_that_ends_early_is_found_before_training() {
     assert!(trained.status.success(), "it is needed for scores alone: {}", stderr(&trained));
 }
 
+/// Weights of `AlexNet`, all 0, as `lpips_weights.py` writes others.
+fn write_weights(file: &Path) {
+    let convolutions = [[64, 3, 11], [192, 64, 5], [384, 192, 3], [256, 384, 3], [256, 256, 3]];
+    let shapes: Vec<(String, Vec<usize>)> = (convolutions.into_iter().enumerate())
+        .flat_map(|(i, [outputs, inputs, kernel])| {
+            let of = |part: &str| format!("conv{}.{part}", i + 1);
+            [
+                (of("weight"), vec![outputs, inputs, kernel, kernel]),
+                (of("bias"), vec![outputs]),
+                (format!("lin{i}.weight"), vec![outputs]),
+            ]
+        })
+        .collect();
+    let zeros = vec![0; 4 * 384 * 256 * 9];
+    let tensors = shapes.into_iter().map(|(name, shape)| {
+        let bytes = &zeros[..4 * shape.iter().product::<usize>()];
+        (name, safetensors::tensor::TensorView::new(safetensors::Dtype::F32, shape, bytes).unwrap())
+    });
+    std::fs::write(file, safetensors::serialize(tensors, None).unwrap()).unwrap();
+}
+
+#[test]
+fn photographs_without_room_for_the_network_of_lpips_are_found_before_training() {
+    let folder = folder_with_capture(8);
+    write_weights(&folder.path().join("alex.safetensors"));
+    let mut command = centaur(folder.path());
+    command.args(["train", "capture", "-o", "scene.glb", "--iterations", "12", "--no-mesh", "--quiet"]);
+    command.args(["--lpips-weights", "alex.safetensors", "--max-side", "40"]);
+    let line = failure(folder.path(), &mut command);
+    assert!(line.ends_with("000.png: LPIPS: expected images of at least 31×31 pixels, found 40×27"), "{line}");
+    assert!(!folder.path().join("scene.glb").exists());
+}
+
 #[test]
 fn truncated_binary_models() {
     let camera = |count: u64| {

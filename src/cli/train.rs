@@ -31,7 +31,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let gpu = args.adapter.open()?;
     let options = args.options();
     let stop = stop_flag(args)?;
-    let scores = will_be_scored(args, &capture)?;
+    let scores = will_be_scored(args, &capture, lpips.as_ref())?;
     let mut told = notes::before_training(args, &capture, &gpu, scores);
     told.extend(of_mesh);
     let aside = set_aside(args)?;
@@ -123,7 +123,7 @@ fn stop_flag(args: &Args) -> Result<Arc<AtomicBool>> {
 }
 
 /// Whether there is something to score, with all that it takes.
-fn will_be_scored(args: &Args, capture: &Capture) -> Result<bool> {
+fn will_be_scored(args: &Args, capture: &Capture, lpips: Option<&Lpips>) -> Result<bool> {
     let scores = !args.no_eval && !args.split().split(&capture.views).1.is_empty();
     ensure!(
         scores || args.report.is_none(),
@@ -134,8 +134,7 @@ fn will_be_scored(args: &Args, capture: &Capture) -> Result<bool> {
         eval::report_pictures(folder, capture)?;
     }
     if scores {
-        // One that cannot be read is better known now than after hours.
-        evaluate::check_photographs(capture)?;
+        evaluate::check_photographs(capture, lpips)?;
     }
     Ok(scores)
 }

@@ -10,7 +10,7 @@ use super::{MetricError, check_least, check_same_size, to_rgb8};
 /// If the sizes differ or the images are empty.
 pub fn flip(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
     check_same_size(truth, render)?;
-    check_least("FLIP", 1, truth)?;
+    check_least("FLIP", 1, truth.dimensions())?;
     let [truth, render] =
         [truth, render].map(|image| FlipImageRgb8::with_data(image.width(), image.height(), &to_rgb8(image)));
     let errors = nv_flip::flip(truth, render, DEFAULT_PIXELS_PER_DEGREE).to_vec();

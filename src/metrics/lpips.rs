@@ -218,6 +218,14 @@ impl Lpips {
         self.net
     }
 
+    /// Error unless images of this width and height have room for the network.
+    ///
+    /// # Errors
+    /// If a side is shorter than 16 (VGG) or 31 (Alex) pixels.
+    pub fn check_size(&self, size: (u32, u32)) -> Result<(), MetricError> {
+        check_least("LPIPS", self.net.least(), size)
+    }
+
     /// The distance under both conventions.
     ///
     /// # Errors
@@ -242,7 +250,7 @@ impl Lpips {
         range: LpipsRange,
     ) -> Result<Vec<f64>, MetricError> {
         check_same_size(truth, render)?;
-        check_least("LPIPS", self.net.least(), truth)?;
+        self.check_size(truth.dimensions())?;
         let (mut a, mut b) = (Features::of(truth, range), Features::of(render, range));
         let (mut linear, mut distances) = (self.linear.iter(), vec![]);
         for step in &self.steps {

@@ -53,8 +53,7 @@ fn check_same_size(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<(), Metr
     Err(MetricError::Size { expected: truth.dimensions(), found: render.dimensions() })
 }
 
-fn check_least(metric: &'static str, least: u32, image: &Rgb32FImage) -> Result<(), MetricError> {
-    let found = image.dimensions();
+fn check_least(metric: &'static str, least: u32, found: (u32, u32)) -> Result<(), MetricError> {
     if found.0.min(found.1) >= least {
         return Ok(());
     }

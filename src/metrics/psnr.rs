@@ -9,7 +9,7 @@ use super::{MetricError, check_least, check_same_size};
 /// If the sizes differ or the images are empty.
 pub fn psnr(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
     check_same_size(truth, render)?;
-    check_least("PSNR", 1, truth)?;
+    check_least("PSNR", 1, truth.dimensions())?;
     let squares: f64 = truth.iter().zip(render.iter()).map(|(&t, &r)| (f64::from(t) - f64::from(r)).powi(2)).sum();
     Ok(-10.0 * (squares / truth.as_raw().len() as f64).log10())
 }

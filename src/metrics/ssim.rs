@@ -18,7 +18,7 @@ const C2: f64 = 9e-4;
 /// # Errors
 /// If the sizes differ or the images are empty.
 pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
-    check_least("SSIM", 1, truth)?;
+    check_least("SSIM", 1, truth.dimensions())?;
     ssim(truth, render, Border::Zero)
 }
 
@@ -27,7 +27,7 @@ pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
 /// # Errors
 /// If the sizes differ or a side is shorter than the window of 11 pixels.
 pub fn ssim_valid(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
-    check_least("SSIM (valid)", TAPS as u32, truth)?;
+    check_least("SSIM (valid)", TAPS as u32, truth.dimensions())?;
     ssim(truth, render, Border::Valid)
 }
 
@@ -36,7 +36,7 @@ pub fn ssim_valid(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
 /// # Errors
 /// If the sizes differ or a side is shorter than 6 pixels.
 pub fn ssim_reflect(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
-    check_least("SSIM (reflect)", RADIUS as u32 + 1, truth)?;
+    check_least("SSIM (reflect)", RADIUS as u32 + 1, truth.dimensions())?;
     ssim(truth, render, Border::Reflect)
 }
 
