@@ -154,6 +154,32 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert_eq!(said(&alone).0, table);
 }
 
+/// The time of an iteration is of all runs of a job, of which one may have had others beside it.
+#[test]
+#[cfg(target_os = "linux")]
+fn jobs_that_ran_beside_others_before_have_no_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("scenes")).unwrap();
+    std::fs::create_dir_all(at("out/default")).unwrap();
+    let flags = ["--no-mesh", "--max-side", "32", "--iterations", "4", "--max-splats", "200"];
+    for (scene, before, at_a_time) in [("alone", 1, 1), ("beside", 2, 0)] {
+        let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        std::os::unix::fs::symlink(demo, at("scenes").join(scene)).unwrap();
+        let mut begun = centaur(folder.path());
+        begun.args(["train", &format!("scenes/{scene}"), "-o", &format!("out/default/{scene}-0.glb"), "--stop-at-eof"]);
+        let begun = begun.args(flags).stdin(Stdio::null()).output().unwrap();
+        assert!(said(&begun).0.starts_with("stopped; saved "), "{:?}", said(&begun));
+        std::fs::write(at(&format!("out/default/{scene}-0.lock")), format!("jobs at a time: {before}\n")).unwrap();
+        let mut command = centaur(folder.path());
+        let done = command.args(["bench", "scenes", "-o", "out", "--quiet", "--"]).args(flags).output().unwrap();
+        assert!(done.status.success(), "{:?}", said(&done));
+        let result = std::fs::read(at(&format!("out/default/{scene}-0.json"))).unwrap();
+        let result: serde_json::Value = serde_json::from_slice(&result).unwrap();
+        assert_eq!(result["job"]["at_a_time"], at_a_time, "{scene}");
+    }
+}
+
 /// `bench.sbatch` in each task of an array, with what Slurm sets; `--list` in place of trainings.
 #[test]
 #[cfg(target_os = "linux")]
@@ -274,6 +300,8 @@ fn no_training_is_left_behind_or_done_twice() {
         }
         common::send(signal, &runner.id().to_string());
         let ended = runner.wait_with_output().unwrap();
+        let lock = std::fs::read_to_string(at("out/default/one-0.lock")).unwrap();
+        assert!(lock.starts_with("jobs at a time: 1\n"), "{lock}");
         if signal == "INT" {
             assert_eq!(said(&ended).1, "error: stopped; the same command goes on\n");
         } else if signal == "KILL" {

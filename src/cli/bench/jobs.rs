@@ -221,12 +221,15 @@ impl Job {
         self.scene_flags.iter().chain(&self.flags)
     }
 
+    /// Whether there is a checkpoint to go on from.
+    pub(super) fn is_begun(&self) -> bool {
+        self.result.with_extension("glb.checkpoint").is_file()
+    }
+
     /// Arguments with which this program trains. Those that every job has come last, where nothing replaces them.
     pub(super) fn command(&self) -> Vec<OsString> {
         let scene = self.result.with_extension("glb");
-        let mut checkpoint = scene.clone().into_os_string();
-        checkpoint.push(".checkpoint");
-        let resume = Path::new(&checkpoint).is_file().then(|| "--resume".to_owned());
+        let resume = self.is_begun().then(|| "--resume".to_owned());
         let size = self.protocol.map_or(vec![], |protocol| size_of(&self.scene, protocol));
         let mut command = vec!["train".into(), self.capture.clone().into_os_string()];
         command.extend(size.iter().chain(self.given()).map(OsString::from));

@@ -24,7 +24,7 @@ pub(super) struct Made {
     /// Of `centaur train`, for all scenes of the variant, without those that every job has and those of the protocol.
     pub(super) flags: Vec<String>,
     pub(super) protocol: Option<Protocol>,
-    /// Jobs that shared the machine; 0 if that is unknown. Only the times of 1 are times of a job.
+    /// Jobs that shared the machine; 0 if that is unknown, or was not the same in all runs of this one. Only the times of 1 are times of a job.
     pub(super) at_a_time: usize,
 }
 

@@ -26,7 +26,7 @@ struct Row {
     splats: Option<f64>,
     total_floats: Option<f64>,
     file_bytes: Option<f64>,
-    /// None of jobs that shared the machine, or may have, and of those whose last run only wrote what was trained before.
+    /// None of jobs that shared the machine, or may have, in any of their runs.
     seconds_per_iteration: Option<f64>,
     /// None of jobs that shared the machine, or may have.
     fps: Option<f64>,

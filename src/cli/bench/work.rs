@@ -90,7 +90,10 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
     Ok(Outcome { failed, is_stopped })
 }
 
-/// One training, unless somebody else is at it. `at_a_time` as in [`super::record::Made`].
+/// Before the number of jobs at a time in the first line of a lock.
+const AT_A_TIME: &str = "jobs at a time: ";
+
+/// One training, unless somebody else is at it. `at_a_time` as in [`super::record::Made`], of this run of the job.
 fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if let Some(folder) = job.result.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
@@ -114,6 +117,10 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         let _ = std::fs::remove_file(path);
         return Ok(Ended::Elsewhere);
     }
+    // The time of its iterations is of all its runs.
+    let line = |at_a_time: usize| format!("{AT_A_TIME}{at_a_time}\n");
+    let was_so = || std::fs::read_to_string(&path).is_ok_and(|lock| lock.starts_with(&line(at_a_time)));
+    let at_a_time = if job.is_begun() && !was_so() { 0 } else { at_a_time };
     let mut command = Command::new(this_program()?);
     // As lists of processes show it.
     #[cfg(unix)]
@@ -123,6 +130,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
         // checkpoint. On Windows a lock is of one process, and keeps others from writing.
         lock.set_len(0)
+            .and_then(|()| (&lock).write_all(line(at_a_time).as_bytes()))
             .and_then(|()| lock.try_clone())
             .map(|held| command.stderr(held))
             .context("cannot hold a lock")?;
@@ -141,7 +149,8 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if !output.status.success() {
         let messages = if cfg!(unix) { std::fs::read(&path).unwrap_or_default() } else { output.stderr };
         let messages = String::from_utf8_lossy(&messages);
-        let last = messages.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no message");
+        let mut lines = messages.lines().filter(|line| !line.trim().is_empty() && !line.starts_with(AT_A_TIME));
+        let last = lines.next_back().unwrap_or("no message");
         bail!("{} ({})", last.trim_start_matches("error: "), output.status);
     }
     let mut result: Value = serde_json::from_slice(&output.stdout).context("a training printed no JSON")?;
