@@ -75,9 +75,10 @@ pub struct Photo {
     /// `[height·width·4]`, rows from the top: sRGB-encoded colour, and A, which is straight alpha, a mask
     /// (255 = use this pixel) or their product. Colour is undefined where A is 0.
     pub rgba: Vec<u8>,
-    /// Some pixel of the file is transparent: A is opacity over an unknown background.
+    /// Some pixel of the file is transparent: A is opacity over an unknown background. What an undistorted frame shows outside of such a
+    /// photograph is transparent, too, as what is around an object that was cut out.
     pub has_alpha: bool,
-    /// A mask was applied, or the undistorted frame reaches outside the photograph: A is how far a pixel counts.
+    /// A mask was applied, or the undistorted frame reaches outside a photograph without alpha: A is how far a pixel counts.
     pub masked: bool,
 }
 
@@ -218,7 +219,7 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     let mut masked = source.mask.is_some();
     if source.lens.distortion != Distortion::None {
         let (pinhole, outside) = source.lens.rectify(&rgba);
-        masked |= outside;
+        masked |= outside && !has_alpha;
         rgba = RgbaImage::from_raw(width, height, pinhole).expect("rectify keeps the size");
     }
     let (width, height) = source.size;
