@@ -1,8 +1,9 @@
 // Sums in fixed point: integers come to the same whatever the order of their terms, which is another one in every run.
 // The view's largest gradient of a fragment is FIXED_ONE units: 2,047 terms of that size fit, and what is 2⁻²¹ of it or less is
-// lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels would have to pull alike and as hard as the one
-// that pulls most before the sum wraps around. A texel of the bands, which are a quarter as wide, has 16 times the pixels:
-// its terms are in units that are 8 times as large. A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
+// lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels that pull alike and as hard as the one that pulls most fit. A
+// texel of the bands, which are a quarter as wide, has 16 times the pixels: its terms are in units that are 8 times as large. Where more pixels see
+// one texel than that leaves room for, before a wall in a coarse map or where all corners of a triangle have one place there, units are larger
+// by as much (`gradient_peak.wgsl`). A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
 // one way: its sums are in two words, of which the second counts VERTEX_CARRY units and the first what is left, from −VERTEX_CARRY/2 on.
 
 const FIXED_ONE: f32 = 1048576.0;

@@ -267,7 +267,7 @@ impl MeshStage {
         let backward = t.gradients().map(|(base, bands)| {
             let both = [&s.layer_color, &s.layer_gradient, t.peaks(), base, bands];
             let own = if t.band_coefficients() > 0 { &both[..] } else { &both[..4] };
-            let peak = k.peak.bind(gpu, &[view, &s.layer_triangle, &s.layer_gradient, t.peaks()]);
+            let peak = k.peak.bind(gpu, &[&fragment[..], &[&s.layer_gradient, t.peaks()]].concat());
             [peak, k.backward.bind(gpu, &[&fragment[..], own].concat())]
         });
         let raster = [view, &g.corners, &s.bin_start, &s.bin_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];

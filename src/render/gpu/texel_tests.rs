@@ -95,6 +95,40 @@ fn texel_gradients_match_finite_differences() {
     }
 }
 
+/// A wall in a coarse map, or with all of it at one place of the map: pictures of 270,000 pixels that all pull one way pull as far as those of
+/// 1,200, by a mean over the pixels.
+#[test]
+fn a_texel_as_large_as_the_picture_is_pulled_as_far_in_large_pictures() {
+    let corners = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 2.0));
+    for (side, spread) in [(16, 1.0), (16, 0.0), (1, 1.0)] {
+        let uv = |v: u32| 0.5 + spread * corners[v as usize].truncate() / 18.0;
+        let triangles = vec![[0, 1, 2], [0, 2, 3]];
+        let uvs = triangles.iter().map(|t: &[u32; 3]| t.map(uv)).collect();
+        let maps = Atlas::new(Texture::zeros(side, side, 4), Some(Texture::zeros(side, side, 9))).unwrap();
+        let meshes = [Mesh::new(corners.to_vec(), triangles, uvs, maps).unwrap()];
+        for poses in [false, true] {
+            let pulled = |width: u32, height: u32| {
+                let view = view(width, height, DMat3::IDENTITY, 1, &meshes);
+                let gpu = Gpu::open(None).unwrap();
+                let rig = Rig::new(if poses { gpu.posing_as_gpu() } else { gpu }, &view, &meshes, true);
+                let weights = vec![1.0 / view.pixels() as f32; 4 * view.pixels()];
+                rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
+                let mut frame = Frame::new(&rig.gpu);
+                rig.stage.record_backward(&mut frame);
+                frame.submit();
+                rig.stage.read_gradients(&rig.gpu).unwrap().remove(0)
+            };
+            let (few, many) = (pulled(40, 30), pulled(600, 450));
+            for (few, many) in [(few.0, many.0), (few.1, many.1)] {
+                let largest = testing::largest(few.iter().map(|g| f64::from(g.abs())));
+                assert!(largest > 0.01, "{largest}");
+                let apart = testing::largest(few.iter().zip(&many).map(|(few, many)| f64::from((few - many).abs())));
+                assert!(apart < 0.02 * largest, "{side}² texels, UVs spread by {spread}: {apart} of {largest} apart");
+            }
+        }
+    }
+}
+
 /// A texel seen for the first time late in a run: by the sparse rule it moves by the rate, by the dense one by more,
 /// because its moments are not as old as the steps counted.
 #[test]

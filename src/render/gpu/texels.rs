@@ -24,9 +24,10 @@ pub(crate) const PEAKS: usize = 2;
 /// Fragments of a thread of `gradient_peak.wgsl`.
 pub(crate) const PEAK_FRAGMENTS: usize = 16;
 
-/// Sets word `peak` of [`Texels::peaks`]; `defines` are those of the mesh stage.
+/// Sets word `peak` of [`Texels::peaks`], 0 being that of the maps; `defines` are those of the mesh stage.
 pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
-    let defines = defines.clone().with("PEAK", peak).with("FRAGMENTS", PEAK_FRAGMENTS as u32);
+    let of_maps = u32::from(peak == 0);
+    let defines = (defines.clone().with("PEAK", peak).with("MAPS", of_maps)).with("FRAGMENTS", PEAK_FRAGMENTS as u32);
     Kernel::new(gpu, "gradient_peak.wgsl", "peak", &defines)
 }
 
