@@ -220,7 +220,8 @@ fn curves(gpu: &Gpu, quick: bool) -> anyhow::Result<Vec<Curve>> {
         let points: Vec<(f64, f64)> = points;
         let curve = Curve::of(over, points.clone());
         tables::print_curve(&curve);
-        let plot = Plot { title: "training step (s)".into(), x_label: over.into(), log_y: false, points };
+        let plot =
+            Plot { title: "training step (s)".into(), x_label: over.into(), log_y: false, points, parts: vec![] };
         atomic_write(&folder.join(format!("linearity-{over}.svg")), plot::svg(&plot).as_bytes())?;
         curves.push(curve);
     }

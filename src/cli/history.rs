@@ -96,21 +96,34 @@ impl Record {
         settings.chain(self.points.map(|n| ("points of the capture".to_owned(), n.to_string()))).collect()
     }
 
-    /// The curves from where there is a mesh on: the surface phase counts iterations of its own, and the mesh replaces most of
-    /// its splats. The warm-up ends at iteration 0.
+    /// The curves, one phase after the other. Splats rest, and are not seen, during the warm-up.
     pub(super) fn plots(&self) -> Vec<Plot> {
-        let (mut loss, mut psnr, mut splats) = (vec![], vec![], vec![]);
-        for curves in self.history.iter().filter(|curves| curves.phase != Phase::Surface) {
-            let before = if curves.phase == Phase::Warmup { f64::from(curves.of) } else { 0.0 };
-            let at = || curves.iteration.iter().map(|&i| f64::from(i) - before);
+        let (mut loss, mut psnr, mut splats, mut parts) = (vec![], vec![], vec![], vec![]);
+        let mut before = 0.0;
+        for curves in &self.history {
+            let at = || curves.iteration.iter().map(|&i| before + f64::from(i));
             loss.extend(at().zip(curves.loss.iter().copied()));
-            splats.extend(at().zip(curves.splats.iter().map(|&n| n as f64)));
             psnr.extend(at().zip(&curves.psnr).filter_map(|(at, db)| Some((at, (*db)?))));
+            if curves.phase != Phase::Warmup {
+                splats.extend(at().zip(curves.splats.iter().map(|&n| n as f64)));
+            }
+            let what = match curves.phase {
+                Phase::Surface => "splats",
+                Phase::Warmup => "maps",
+                Phase::Joint => "all",
+            };
+            parts.push((before, what.to_owned()));
+            before += f64::from(curves.of);
         }
+        // A run of one phase has no parts.
+        parts = if parts.len() > 1 { parts } else { vec![] };
         [("loss", true, loss), ("held-out PSNR (dB)", false, psnr), ("splats", false, splats)]
             .into_iter()
             .filter(|(_, _, points)| !points.is_empty())
-            .map(|(title, log_y, points)| Plot { title: title.into(), x_label: "iteration".into(), log_y, points })
+            .map(|(title, log_y, points)| {
+                let parts = parts.clone();
+                Plot { title: title.into(), x_label: "iteration".into(), log_y, points, parts }
+            })
             .collect()
     }
 }
@@ -176,15 +189,19 @@ mod tests {
         assert_eq!(plots.iter().map(|p| &*p.title).collect::<Vec<_>>(), ["loss", "held-out PSNR (dB)", "splats"]);
         let points = &plots[0].points;
         assert!((150..=310).contains(&points.len()), "{} points", points.len());
-        // The warm-up lies before 0, what was before the mesh is left out.
-        assert!(points[0].0 < -8000.0 && points.is_sorted_by(|a, b| a.0 < b.0), "{points:?}");
-        assert_eq!(*points.last().unwrap(), (15_000.0, 0.333_333));
-        assert_eq!(plots[1].points.len(), 48, "a mean of PSNR where there was one");
+        assert!(points[0].0 < 500.0 && points.is_sorted_by(|a, b| a.0 < b.0), "{points:?}");
+        assert_eq!(*points.last().unwrap(), (39_000.0, 0.333_333));
+        assert_eq!(plots[1].points.len(), 78, "a mean of PSNR where there was one");
+        let rested = |x: f64| (15_000.0..=24_000.0).contains(&x);
+        assert!(!plots[2].points.iter().any(|&(x, _)| rested(x) && x != 15_000.0));
+        let part = |x: f64, name: &str| (x, name.to_owned());
+        assert!(plots.iter().all(|p| p.parts == [part(0.0, "splats"), part(15_000.0, "maps"), part(24_000.0, "all")]));
     }
 
     #[test]
     fn short_histories_are_kept_whole() {
-        let points = &record(&history(&[(Phase::Joint, 200)])).plots()[0].points;
+        let Plot { points, parts, .. } = &record(&history(&[(Phase::Joint, 200)])).plots()[0];
+        assert!(parts.is_empty());
         assert_eq!(points.iter().map(|p| p.0 as u32).collect::<Vec<_>>(), (10..=200).step_by(10).collect::<Vec<_>>());
     }
 

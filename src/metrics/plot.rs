@@ -15,6 +15,8 @@ pub struct Plot {
     pub log_y: bool,
     /// (x, value); points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
+    /// Where along x something begins, and what: a rule with its name right of it.
+    pub parts: Vec<(f64, String)>,
 }
 
 const WIDTH: f64 = 420.0;
@@ -56,9 +58,18 @@ pub fn svg(plot: &Plot) -> String {
         text(MARGIN[0] - 6.0, py(y) + 4.0, "end", &short(if plot.log_y { 10_f64.powf(y) } else { y }));
     }
     text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", &escaped(&plot.x_label));
+    let within = |x: f64| (x0..=x1).contains(&x);
+    // The first part begins before the first point.
+    for (x, name) in plot.parts.iter().filter(|(x, _)| *x <= x1) {
+        text(px(x.max(x0)) + 4.0, MARGIN[1] + 8.0, "start", &escaped(name));
+    }
     let (left, right) = (MARGIN[0], WIDTH - MARGIN[2]);
     let rules: String = (y_ticks.iter()).fold(String::new(), |mut d, &y| {
         let _ = write!(d, "M{left:.1} {:.1}H{right:.1}", py(y));
+        d
+    });
+    let rules = (plot.parts.iter().filter(|(x, _)| within(*x))).fold(rules, |mut d, (x, _)| {
+        let _ = write!(d, "M{:.1} {:.1}V{:.1}", px(*x), MARGIN[1], HEIGHT - MARGIN[3]);
         d
     });
     let _ = writeln!(out, "<path d=\"{rules}\" stroke=\"var(--rule,#ddd)\" fill=\"none\"/>");
@@ -165,13 +176,15 @@ mod tests {
             (true, vec![(0.0, 1e-300), (1.0, 1e300)]),
             (true, many),
         ] {
-            let text = svg(&Plot { title: "a < b".into(), x_label: "x < y".into(), log_y, points });
+            let parts = vec![(0.5, "c < d".to_owned()), (f64::NAN, String::new()), (1e300, String::new())];
+            let text = svg(&Plot { title: "a < b".into(), x_label: "x < y".into(), log_y, points, parts });
             assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
             assert!(
                 !text.contains("NaN")
                     && !text.contains("inf")
                     && text.contains("a &lt; b")
-                    && text.contains("x &lt; y"),
+                    && text.contains("x &lt; y")
+                    && text.contains("c &lt; d"),
                 "{text}"
             );
             assert!(text.len() < 20_000, "{} bytes", text.len());

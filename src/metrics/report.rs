@@ -71,13 +71,12 @@ pub fn html(report: &Report<'_>) -> String {
     write_views(&mut out, e);
     out += "</div>\n<div><h2>Scene and machine</h2>\n";
     write_pairs(&mut out, e.figures().iter().map(|(k, v)| (*k, v.as_str())));
-    out += "</div>\n";
+    out += "</div>\n</section>\n";
     if !report.settings.is_empty() {
-        out += "<div><h2>Settings</h2>\n";
+        out += "<details><summary>Settings</summary>\n";
         write_pairs(&mut out, report.settings.iter().map(|(k, v)| (k.as_str(), v.as_str())));
-        out += "</div>\n";
+        out += "</details>\n";
     }
-    out += "</section>\n";
     if !report.plots.is_empty() {
         out += "<h2>Training</h2>\n<section class=\"plots\">\n";
         report.plots.iter().for_each(|p| out += &plot::svg(p));
@@ -135,7 +134,8 @@ const CSS: &str = "
 *{box-sizing:border-box}
 body{margin:0;background:var(--paper);color:var(--ink);font:15px/1.5 system-ui,sans-serif}
 main{max-width:84rem;margin:0 auto;padding:2rem 1.5rem}
-h1{font-size:1.7rem;margin:0}h2{font-size:1.05rem;margin:2rem 0 .6rem}
+h1{font-size:1.7rem;margin:0}h2,summary{font-size:1.05rem;font-weight:700;margin:2rem 0 .6rem}
+summary{cursor:pointer}details table{max-width:40rem}
 .headline{color:var(--soft);margin:.3rem 0 0}.headline b{color:var(--ink);font-size:1.25rem;margin-left:.9rem}
 .headline b:first-child{margin-left:0}
 .columns{display:grid;grid-template-columns:repeat(auto-fit,minmax(21rem,1fr));gap:0 2.5rem}
@@ -187,6 +187,7 @@ mod tests {
             x_label: "iteration".into(),
             log_y: true,
             points: vec![(0.0, 1.0), (10.0, 0.1)],
+            parts: vec![],
         }];
         let pictures = [Picture::new("b <b>.jpg", &RgbImage::new(8, 8)).unwrap()];
         let page = html(&Report {
