@@ -24,7 +24,9 @@ struct Pass {
 //#import shared/group_index.wgsl
 //#import shared/workgroup_scan.wgsl
 
-const PLACE_BITS: u32 = 11u;            // of BLOCK places
+const PLACE_BITS: u32 = 11u;
+const_assert BLOCK == 1u << PLACE_BITS;
+const_assert DIGITS == 256u;            // a thread to each
 
 var<workgroup> digit_counts: array<atomic<u32>, DIGITS>;
 var<workgroup> words: array<u32, BLOCK + BLOCK / 32u>;  // by `spread`: counters [half of a digit mod 8][thread], or one word per pair
@@ -60,7 +62,7 @@ fn count(
     let block = group_index(group);
     atomicStore(&digit_counts[thread], 0u);
     workgroupBarrier();
-    // Pairs of the same digit in a row are added at once: where all have it, eight threads in place of 64 wait for each other.
+    // Pairs of the same digit in a row are added at once: where all have it, 256 additions to one counter wait for each other in place of 2,048.
     let start = block * BLOCK + thread * 8u;
     var digit = 0u;
     var run = 0u;

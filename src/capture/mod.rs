@@ -107,7 +107,8 @@ pub struct LoadOptions {
     /// leading `images` in the paths.
     pub images: Option<String>,
     /// Apply `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a `transforms.json`:
-    /// white is the object, or the one level besides black if there is one only; what is transparent counts as black. With a folder `masks`, or where one image has a mask, every image needs one.
+    /// white is the object, or the one level besides black if there is one only; what is transparent counts as black. With a
+    /// folder `masks`, or where one image has a mask, every image needs one.
     pub masks: bool,
     /// Leave points where they are, as if there were none: their file is not looked at.
     pub without_points: bool,

@@ -21,6 +21,7 @@ impl DispatchSizes {
         counts: &Buffer,
         count_word: u32,
     ) -> Result<Self, GpuError> {
+        assert!(blocks.len() <= 4, "a thread to each, see dispatch_sizes.wgsl");
         let defines = gpu.defines().with("COUNT_WORD", count_word);
         let sizes: Vec<[u32; 4]> = blocks.iter().map(|&block| [0, 0, 0, block as u32]).collect();
         let sizes = gpu.storage_with("dispatch sizes", &sizes)?;

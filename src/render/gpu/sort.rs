@@ -7,7 +7,7 @@ use super::{
 };
 
 /// Pairs that a workgroup of `radix_sort.wgsl` takes.
-pub(crate) const BLOCK: usize = 2048;
+pub(super) const BLOCK: usize = 2048;
 /// Bits of a key that a pass sorts by, at most.
 const DIGIT_BITS: u32 = 8;
 /// Most chunks of `radix_sort_serial.wgsl`, a thread to each: enough for a few workgroups on each core, few enough that scanning their
@@ -70,7 +70,7 @@ impl Sort {
             .with("DIGITS", 1 << DIGIT_BITS)
             .with("BLOCK", BLOCK as u32)
             .with("MAX_CHUNKS", MAX_CHUNKS as u32);
-        // Blocks are followed by what they have in common.
+        // Before the counts of blocks are those of all.
         let (file, parts) = match width {
             Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK) + 1),
             Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS),
