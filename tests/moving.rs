@@ -258,6 +258,10 @@ fn pictures_are_of_their_time() {
     assert_eq!(common::tree(&folder.path().join("span")).len(), 3);
     assert_eq!(bright("span/frame_00000.png"), bright("rest/front.png"));
     assert_eq!(bright("span/frame_00002.png"), bright("at/front.png"));
+    let shorter = run(folder.path(), "render a.gltf -o span --time 0..0.25 --fps 4 --quiet");
+    assert!(shorter.ends_with("note: span: 1 picture after frame_00001.png is of an earlier render\n"), "{shorter}");
+    let one = run(folder.path(), "render a.gltf -o span --time 0 --quiet");
+    assert!(!one.contains("note"), "{one}");
     // A camera that slides along sees it where it was.
     let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
     let mut document: Value = serde_json::from_str(&text).unwrap();

@@ -307,8 +307,22 @@ fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], ar
     Ok(())
 }
 
+/// Says if the last picture's number is followed by more in its folder: whoever takes the folder for one film has the end of another.
+fn leftover(pictures: &[PathBuf]) -> Option<String> {
+    let [_, .., last] = pictures else { return None };
+    let (stem, extension) = (last.file_stem()?.to_str()?, last.extension()?.to_str()?);
+    let (name, digits) = stem.split_at(stem.trim_end_matches(|c: char| c.is_ascii_digit()).len());
+    let (width, number) = (digits.len(), digits.parse::<u32>().ok()?);
+    let exists = |n: &u32| last.with_file_name(format!("{name}{n:0width$}.{extension}")).exists();
+    let count = (number.checked_add(1)?..=u32::MAX).take_while(exists).count();
+    let are = if count == 1 { "is" } else { "are" };
+    (count > 0)
+        .then(|| format!("{} after {stem}.{extension} {are} of an earlier render", output::counted(count, "picture")))
+}
+
 fn print_json(gpu: &Gpu, pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args) -> Result<()> {
-    let both: Vec<&String> = notes.iter().copied().chain(&shot.notes).collect();
+    let left = leftover(pictures);
+    let both: Vec<&String> = notes.iter().copied().chain(&shot.notes).chain(&left).collect();
     let mut outcome = serde_json::json!({ "pictures": pictures, "adapter": gpu.adapter(), "notes": both });
     if let Some(path) = &args.video {
         outcome["video"] = serde_json::json!(path);
@@ -324,6 +338,7 @@ fn print(pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args
     }
     lines.extend(notes.iter().map(|note| format!("note: {}: {note}", args.scene.display())));
     lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", args.source().display())));
+    lines.extend(leftover(pictures).map(|note| format!("note: {}: {note}", args.output.display())));
     output::print(&lines.join("\n"))
 }
 
