@@ -13,7 +13,7 @@ drivers() {
         tr ':' '\n' <<<"${VK_DRIVER_FILES:-$VK_ICD_FILENAMES}"
     else
         find /usr/share/vulkan/icd.d /usr/local/share/vulkan/icd.d /etc/vulkan/icd.d \
-            "${XDG_DATA_HOME:-$HOME/.local/share}/vulkan/icd.d" -name '*.json' 2>/dev/null || true
+            "${XDG_DATA_HOME:-${HOME:-}/.local/share}/vulkan/icd.d" -name '*.json' 2>/dev/null || true
     fi
 }
 
