@@ -27,7 +27,8 @@ CROSSCHECK := .venv-crosscheck
 GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
 GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
 GARDEN := $(or $(wildcard $(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz),target/oracles/test_garden.npz)
-export CENTAUR_GSPLAT_FIXTURE ?= $(abspath target/oracles/gsplat.safetensors)
+# Not an absolute path: make would take one with a space in it for two.
+export CENTAUR_GSPLAT_FIXTURE ?= target/oracles/gsplat.safetensors
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -135,7 +136,7 @@ out/lpips-%.safetensors: datasets-scripts/lpips_weights.py
 LPIPS_CHECK := target/oracles/lpips
 oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## LPIPS of random and published weights by its own package, and whether those are the published ones
 	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py $(LPIPS_CHECK) $(LPIPS_WEIGHTS)
-	CENTAUR_LPIPS_FIXTURE=$(abspath $(LPIPS_CHECK)) cargo test --release --test lpips_oracle -- --ignored --nocapture $(if $(CENTAUR_DATA),,every)
+	CENTAUR_LPIPS_FIXTURE="$(abspath $(LPIPS_CHECK))" cargo test --release --test lpips_oracle -- --ignored --nocapture $(if $(CENTAUR_DATA),,every)
 	$(CENTAUR) train demo -o $(LPIPS_CHECK)/demo.glb $(COARSE)
 	@for net in vgg alex; do \
 		$(CENTAUR) eval $(LPIPS_CHECK)/demo.glb demo --max-side 112 --lpips-weights out/lpips-$$net.safetensors -o $(LPIPS_CHECK)/$$net --quiet || exit 1; \
@@ -180,7 +181,7 @@ oracle-gltf: $(ORACLES_GLTF)/installed ## files that we write by Khronos' valida
 oracle-splat-transform: ## splats that we convert by splat-transform, both ways
 	@mkdir -p target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
-	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) \
+	CENTAUR_SPLAT_TRANSFORM="$(abspath target/oracles/node_modules/.bin/splat-transform)" \
 		cargo test --release --test splat_transform_oracle -- --ignored
 
 oracle-ffmpeg: ## films of `centaur render --video` by the real ffmpeg (Debian's ffmpeg, as root)
@@ -188,14 +189,14 @@ oracle-ffmpeg: ## films of `centaur render --video` by the real ffmpeg (Debian's
 	cargo test --release --test cameras -- --ignored
 
 oracle-usd: $(ORACLES_USD)/installed ## USD that we read and write by usd-core
-	CENTAUR_USD_PYTHON=$(abspath $(ORACLES_USD)/bin/python) cargo test --release --test usd_oracle -- --ignored
+	CENTAUR_USD_PYTHON="$(abspath $(ORACLES_USD)/bin/python)" cargo test --release --test usd_oracle -- --ignored
 
 # What tests compile, for software adapters and for GPUs, with subgroups and without.
 oracle-tint: ## kernels by Tint, the compiler of WGSL in Chrome (npm's webgpu, 130 MB; 2 minutes)
 	@rm -rf target/wgsl && mkdir -p target/wgsl target/oracles
 	cp tests/oracles/tint.mjs target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . webgpu@0.6.2
-	CENTAUR_WGSL=$(abspath target/wgsl) cargo test --release --quiet --lib -- render::gpu
+	CENTAUR_WGSL="$(abspath target/wgsl)" cargo test --release --quiet --lib -- render::gpu
 	node target/oracles/tint.mjs target/wgsl
 
 # What our scripts do in Blender itself, two versions of it as modules of Python 3.11 (2.4 GB); libraries of X, which `bpy` is linked to.
@@ -247,7 +248,7 @@ SPLATS ?= 1000000
 convert-times: system ## time and memory of conversions, beside splat-transform's (Node 20, GNU time; SPLATS=1000000)
 	@mkdir -p target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
-	CENTAUR_SPLAT_TRANSFORM=$(abspath target/oracles/node_modules/.bin/splat-transform) scripts/convert-times.sh $(SPLATS)
+	CENTAUR_SPLAT_TRANSFORM="$(abspath target/oracles/node_modules/.bin/splat-transform)" scripts/convert-times.sh $(SPLATS)
 
 # Needs nightly Rust and cargo-fuzz. A finding is left in fuzz/artifacts/. One thread, so that a run is repeatable; meshopt has two globals of one name.
 FUZZ_TARGETS ?= $(patsubst fuzz/fuzz_targets/%.rs,%,$(wildcard fuzz/fuzz_targets/*.rs))
