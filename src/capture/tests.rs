@@ -509,9 +509,32 @@ fn a_photograph_is_one_view_however_its_path_is_written() {
     write_transforms(folder.path(), 0.0);
     let file = folder.path().join("transforms.json");
     let text = std::fs::read_to_string(&file).unwrap();
-    for other in ["./0.png", ".//0.png", "././0.png"] {
+    for other in ["./0.png", ".//0.png", "././0.png", r".\\0.png"] {
         std::fs::write(&file, text.replace(r#""1.png""#, &format!("\"{other}\""))).unwrap();
         assert!(message(&file, &full()).contains("0.png twice"), "{}", message(&file, &full()));
+    }
+}
+
+#[test]
+fn paths_of_windows_are_read_everywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_transforms(folder.path(), 0.0);
+    std::fs::create_dir(at("images")).unwrap();
+    for name in ["0.png", "1.png"] {
+        std::fs::rename(at(name), at("images").join(name)).unwrap();
+    }
+    let text = std::fs::read_to_string(at("transforms.json")).unwrap();
+    let write = |before: &str| {
+        let text = text.replace(r#""file_path":""#, &format!(r#""file_path":"{before}"#));
+        std::fs::write(at("transforms.json"), text).unwrap();
+    };
+    write(r".\\images\\");
+    let names: Vec<_> = open(folder.path(), &full()).unwrap().views.into_iter().map(|view| view.name).collect();
+    assert_eq!(names, ["images/0.png", "images/1.png"]);
+    for outside in [r"..\\", r"images\\..\\..\\", r"\\images\\"] {
+        write(outside);
+        assert!(message(folder.path(), &full()).contains("expected a path inside the capture"), "{outside}");
     }
 }
 

@@ -132,11 +132,12 @@ pub(super) fn load(
     Ok(Listed { frames, list, points, points_file: clouds.into_iter().next().map(|(cloud, _)| cloud) })
 }
 
-/// `./train//r_0` is `train/r_0`.
+/// `./train//r_0` is `train/r_0`, and so is `.\train\r_0`, as programs write it on Windows.
 fn plain(name: &str) -> String {
-    let parts: Vec<&str> = name.split('/').filter(|part| !matches!(*part, "" | ".")).collect();
+    let is_separator = |c: char| matches!(c, '/' | '\\');
+    let parts: Vec<&str> = name.split(is_separator).filter(|part| !matches!(*part, "" | ".")).collect();
     // What begins at the root still does, and is refused for it.
-    let root = if name.starts_with('/') { "/" } else { "" };
+    let root = if name.starts_with(is_separator) { "/" } else { "" };
     format!("{root}{}", parts.join("/"))
 }
 
