@@ -154,11 +154,21 @@ fn devices_as_json_is_an_array_with_or_without_a_gpu() {
 fn inputs_that_are_not_there_or_not_scenes() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("notes.txt"), "not a scene").unwrap();
+    std::fs::write(folder.path().join("marked.gltf"), "\u{feff}{}").unwrap();
+    std::fs::write(folder.path().join("wide.usda"), b"\xff\xfe#\0u\0s\0d\0a\0").unwrap();
     for (args, expected) in [
         (&["inspect", "none.glb"][..], "error: none.glb: cannot read: No such file or directory"),
         (
             &["inspect", "notes.txt"],
             "error: notes.txt: byte 0: expected a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found other content",
+        ),
+        (
+            &["inspect", "marked.gltf"],
+            "error: marked.gltf: byte 0: expected a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found a byte order mark: save it as UTF-8 without",
+        ),
+        (
+            &["validate", "wide.usda"],
+            "error: wide.usda: byte 0: expected a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file, found text in UTF-16: save it as UTF-8 without a byte order mark",
         ),
         (&["eval", "none.glb", "capture"], "error: none.glb: cannot read: No such file or directory"),
         (&["render", "none.glb", "-o", "out"], "error: none.glb: cannot read: No such file or directory"),

@@ -255,6 +255,16 @@ pub(crate) fn shown(text: &[u8]) -> String {
     format!("`{}{cut}`", text.chars().take(MOST).flat_map(char::escape_debug).collect::<String>())
 }
 
+/// What a file is that begins like none that can be read. Editors of Windows put a mark before text, or write it in UTF-16: both look right there.
+pub(crate) fn unknown(start: &[u8]) -> &'static str {
+    match start {
+        [] => "an empty file",
+        [0xef, 0xbb, 0xbf, ..] => "a byte order mark: save it as UTF-8 without",
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => "text in UTF-16: save it as UTF-8 without a byte order mark",
+        _ => "other content",
+    }
+}
+
 /// The file, to be read piece by piece.
 pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatError> {
     let failed = |source| FormatError::Read { file: path.to_owned(), source };

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use glam::{DVec2, Vec2, Vec3};
 
-use super::error::{Fault, FormatError, Location, read_file};
+use super::error::{Fault, FormatError, Location, read_file, unknown};
 use super::gltf::{Asset, Motion, Poses, placements, triangles};
 use super::ply::table;
 use super::{has_extension, polygon};
@@ -48,7 +48,7 @@ pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
         drop(bytes);
         from_gltf(&Asset::open(path)?)
     } else {
-        Err(Fault::byte(0, "a .glb, .gltf, .obj or .ply mesh", "other content"))
+        Err(Fault::byte(0, "a .glb, .gltf, .obj or .ply mesh", unknown(&bytes)))
     };
     soup.and_then(Soup::finish).map_err(|fault| fault.in_file(path))
 }

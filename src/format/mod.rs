@@ -166,7 +166,6 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Gltf)
     } else {
         let expected = "a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file";
-        let found = if start.is_empty() { "an empty file" } else { "other content" };
-        Err(error::Fault::byte(0, expected, found).in_file(path))
+        Err(error::Fault::byte(0, expected, error::unknown(&start)).in_file(path))
     }
 }
