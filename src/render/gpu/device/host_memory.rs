@@ -1,31 +1,73 @@
 //! How much of the host's memory there is.
 
+use std::path::Path;
+
 /// Bytes of the host's memory that programs may still take, where the system says so.
 pub(super) fn host_memory() -> Option<u64> {
-    let read = |file: &str| std::fs::read_to_string(file).ok();
-    let free = available_bytes(&read("/proc/meminfo")?)?;
-    // Within the limits of all groups, those of containers and jobs among them, that the process is in.
-    let group =
-        read("/proc/self/cgroup").and_then(|text| Some(text.lines().find_map(|l| l.strip_prefix("0::/"))?.to_owned()));
-    let left_of = |group: &std::path::Path| {
-        let [max, current, stat] = ["max", "current", "stat"]
-            .map(|what| read(&format!("/sys/fs/cgroup/{}/memory.{what}", group.display())).unwrap_or_default());
-        left_of_group(&max, &current, &stat)
-    };
-    let groups = group.iter().flat_map(|group| std::path::Path::new(group).ancestors());
-    Some(groups.filter_map(left_of).fold(free, u64::min))
+    memory_of(Path::new("/"))
 }
 
-/// What a control group may still take by the files of Linux's second version of them, of which the kernel takes back what it keeps of files.
-/// `None` without a limit.
-fn left_of_group(max: &str, current: &str, stat: &str) -> Option<u64> {
-    let [max, current] = [max, current].map(|text| text.trim().parse::<u64>().ok());
+/// The same by the files of Linux below `root`.
+fn memory_of(root: &Path) -> Option<u64> {
+    let read = |file: &Path| std::fs::read_to_string(root.join(file)).ok();
+    let free = available_bytes(&read(Path::new("proc/meminfo"))?)?;
+    // Within the limits of all groups, those of containers and jobs among them, that the process is in.
+    let groups = read(Path::new("proc/self/cgroup")).unwrap_or_default();
+    let limits = groups.lines().filter_map(|line| {
+        let (files, group) = files_of(line)?;
+        let left_of = |group: &Path| {
+            let folder = Path::new(files.folder).join(group);
+            let text = |name: &str| read(&folder.join(name)).unwrap_or_default();
+            left_of_group(&text(files.limit), &text(files.used), &text("memory.stat"), files.cached)
+        };
+        Path::new(group).ancestors().filter_map(left_of).min()
+    });
+    Some(limits.fold(free, u64::min))
+}
+
+/// How a version of Linux's control groups calls what it says of memory.
+struct Files {
+    folder: &'static str,
+    limit: &'static str,
+    used: &'static str,
+    /// Of what is used, pages of files: lines of `memory.stat`.
+    cached: [&'static str; 2],
+}
+
+const V1: Files = Files {
+    folder: "sys/fs/cgroup/memory",
+    limit: "memory.limit_in_bytes",
+    used: "memory.usage_in_bytes",
+    cached: ["total_inactive_file", "total_active_file"],
+};
+
+const V2: Files = Files {
+    folder: "sys/fs/cgroup",
+    limit: "memory.max",
+    used: "memory.current",
+    cached: ["inactive_file", "active_file"],
+};
+
+/// The group that a line of `/proc/self/cgroup`, `ID:CONTROLLERS:/GROUP`, says for memory, as a relative path; the second version has one for
+/// all controllers.
+fn files_of(line: &str) -> Option<(Files, &str)> {
+    let (_, rest) = line.split_once(':')?;
+    let (controllers, group) = rest.split_once(":/")?;
+    match controllers {
+        "" => Some((V2, group)),
+        _ => controllers.split(',').any(|name| name == "memory").then_some((V1, group)),
+    }
+}
+
+/// What a group may still take, of which the kernel takes back what it keeps of files. `None` without a limit.
+fn left_of_group(limit: &str, used: &str, stat: &str, cached: [&str; 2]) -> Option<u64> {
+    let [limit, used] = [limit, used].map(|text| text.trim().parse::<u64>().ok());
     let kept = |name: &str| {
         let line = stat.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
         line.and_then(|n| n.trim().parse::<u64>().ok()).unwrap_or(0)
     };
-    let of_files = kept("inactive_file").saturating_add(kept("active_file"));
-    Some(max?.saturating_sub(current?.saturating_sub(of_files)))
+    let of_files = cached.into_iter().map(kept).fold(0, u64::saturating_add);
+    Some(limit?.saturating_sub(used?.saturating_sub(of_files)))
 }
 
 /// `MemAvailable` of Linux's `/proc/meminfo`.
@@ -49,11 +91,43 @@ mod tests {
     #[test]
     fn a_container_has_what_is_left_of_its_limit() {
         let stat = "anon 50\ninactive_file 300\nactive_file 100\ninactive_file_other 7\n";
-        assert_eq!(left_of_group("1000\n", "700\n", stat), Some(700));
-        assert_eq!(left_of_group("1000", "700", ""), Some(300));
-        assert_eq!(left_of_group("100", "700", stat), Some(0));
+        let left = |limit: &str, used: &str, stat: &str| left_of_group(limit, used, stat, V2.cached);
+        assert_eq!(left("1000\n", "700\n", stat), Some(700));
+        assert_eq!(left("1000", "700", ""), Some(300));
+        assert_eq!(left("100", "700", stat), Some(0));
         for (max, current) in [("max\n", "700"), ("", ""), ("1000", "")] {
-            assert_eq!(left_of_group(max, current, stat), None);
+            assert_eq!(left(max, current, stat), None);
         }
+    }
+
+    /// A system of 8 GiB free, and groups within groups as either version and both together have them.
+    #[test]
+    fn the_tightest_group_of_either_version_counts() {
+        let root = tempfile::tempdir().unwrap();
+        let write = |file: &str, text: &str| {
+            let file = root.path().join(file);
+            std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+            std::fs::write(file, text).unwrap();
+        };
+        let memory = |groups: &str| {
+            write("proc/self/cgroup", groups);
+            memory_of(root.path())
+        };
+        assert_eq!(memory_of(root.path()), None);
+        write("proc/meminfo", "MemAvailable: 8388608 kB\n");
+        assert_eq!(memory_of(root.path()), Some(8 << 30));
+        write("sys/fs/cgroup/memory/slurm/job_7/memory.limit_in_bytes", "3221225472\n");
+        write("sys/fs/cgroup/memory/slurm/job_7/memory.usage_in_bytes", "2147483648\n");
+        write("sys/fs/cgroup/memory/slurm/job_7/memory.stat", "inactive_file 1\ntotal_inactive_file 1073741824\n");
+        write("sys/fs/cgroup/memory/memory.limit_in_bytes", "9223372036854771712\n");
+        write("sys/fs/cgroup/memory/memory.usage_in_bytes", "4294967296\n");
+        assert_eq!(memory("5:cpu,cpuacct:/slurm\n4:memory:/slurm/job_7/step_0\n0::/\n"), Some(2 << 30));
+        assert_eq!(memory("4:hugetlb,memory:/\n"), Some(8 << 30));
+        write("sys/fs/cgroup/pod/memory.max", "1073741824\n");
+        write("sys/fs/cgroup/pod/memory.current", "0\n");
+        write("sys/fs/cgroup/pod/box/memory.max", "max\n");
+        write("sys/fs/cgroup/pod/box/memory.current", "0\n");
+        assert_eq!(memory("0::/pod/box\n"), Some(1 << 30));
+        assert_eq!(memory("5:cpu:/pod\n0::/\n"), Some(8 << 30));
     }
 }
