@@ -346,6 +346,17 @@ fn folders_that_take_no_files() {
     assert!(line.starts_with("error: /proc/scene.glb: cannot write: folder /proc: "), "{line}");
 }
 
+/// As where a container has more cores than it may have threads. Here their stacks find no room.
+#[cfg(target_os = "linux")]
+#[test]
+fn threads_that_cannot_be_started() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -v 500000; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_centaur"), "inspect", "scene.glb"]);
+    let line = failure(folder.path(), command.current_dir(folder.path()).env("RAYON_NUM_THREADS", "1000"));
+    assert!(line.starts_with("error: cannot start a thread for every core; RAYON_NUM_THREADS=4, say, "), "{line}");
+}
+
 #[test]
 fn adapters_that_do_not_exist() {
     let folder = folder_with_capture(3);

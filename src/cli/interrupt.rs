@@ -22,7 +22,8 @@ pub(super) fn handle() -> Result<()> {
     {
         use signal_hook::{consts::SIGTERM, iterator::Signals};
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle Ctrl-C")?;
-        std::thread::spawn(move || signals.forever().for_each(obey));
+        let thread = std::thread::Builder::new().spawn(move || signals.forever().for_each(obey));
+        thread.context("cannot handle Ctrl-C")?;
     }
     Ok(())
 }

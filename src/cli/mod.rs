@@ -23,7 +23,7 @@ use std::ffi::OsString;
 use std::io::{self, Write as _};
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::{Parser, Subcommand};
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
@@ -74,7 +74,10 @@ const WRONG_USAGE: u8 = 2;
 pub(crate) fn main() -> ExitCode {
     // What clap knows to be wrong usage ends here with exit code 2.
     let command = Cli::parse().command;
-    let result = names_for_json(std::env::args_os()).and_then(|()| interrupt::handle()).and_then(|()| command.run());
+    let result = names_for_json(std::env::args_os())
+        .and_then(|()| interrupt::handle())
+        .and_then(|()| start_threads())
+        .and_then(|()| command.run());
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) if output::is_read_enough(&e) => ExitCode::SUCCESS,
@@ -84,6 +87,13 @@ pub(crate) fn main() -> ExitCode {
             if usage::is_wrong(&e) { ExitCode::from(WRONG_USAGE) } else { ExitCode::FAILURE }
         }
     }
+}
+
+/// Now, since rayon panics where it cannot start them at their first use: containers may have more cores than they may have threads.
+fn start_threads() -> Result<()> {
+    rayon::ThreadPoolBuilder::new()
+        .build_global()
+        .context("cannot start a thread for every core; RAYON_NUM_THREADS=4, say, in the environment takes fewer")
 }
 
 /// JSON has no way to write a name that is not UTF-8, and that is better said before anything is done.
