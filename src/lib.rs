@@ -57,3 +57,4 @@ pub mod optimize;
 pub mod path;
 pub mod render;
 pub mod scene;
+mod base64;

@@ -7,14 +7,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
-const MAY_IMPORT: [(&str, &[&str]); 11] = [
+const MAY_IMPORT: [(&str, &[&str]); 12] = [
     ("atomic", &[]),
+    ("base64", &[]),
     ("scene", &[]),
     ("capture", &["atomic", "scene", "format"]),
     ("edit", &["scene"]),
-    ("format", &["atomic", "scene"]),
+    ("format", &["atomic", "base64", "scene"]),
     ("geometry", &["scene"]),
-    ("metrics", &["scene"]),
+    ("metrics", &["base64", "scene"]),
     ("path", &["scene"]),
     ("render", &["scene", "geometry"]),
     ("evaluate", &["scene", "capture", "metrics", "render"]),

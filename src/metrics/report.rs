@@ -9,6 +9,7 @@ use super::{
     Evaluation, Scores,
     plot::{self, Plot},
 };
+use crate::base64;
 
 /// What goes on the page.
 #[derive(Clone, Debug)]
@@ -92,7 +93,7 @@ pub fn html(report: &Report<'_>) -> String {
              src=\"data:image/jpeg;base64,{}\"><figcaption>{caption}</figcaption></figure>",
             picture.width,
             picture.height,
-            base64(&picture.jpeg),
+            base64::encode(&picture.jpeg),
             caption = escaped(&picture.caption),
         );
     }
@@ -148,35 +149,10 @@ figure{margin:0 0 1.2rem}img{max-width:100%;height:auto;display:block}
 figcaption,footer{color:var(--soft);font-size:.85rem}footer{margin-top:2rem}
 ";
 
-/// RFC 4648 base64 with padding.
-fn base64(bytes: &[u8]) -> String {
-    const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let byte = |i: usize| u32::from(chunk.get(i).copied().unwrap_or(0));
-        let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
-        for i in 0..4 {
-            let sextet = (bits >> (18 - 6 * i)) & 63;
-            out.push(if i > chunk.len() { '=' } else { char::from(ALPHABET[sextet as usize]) });
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::metrics::evaluation::tests::example;
-
-    #[test]
-    fn base64_of_rfc_4648() {
-        let cases =
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
-        for (text, code) in cases {
-            assert_eq!(base64(text.as_bytes()), code);
-        }
-        assert_eq!(base64(&[0xfb, 0xff, 0xfe]), "+//+");
-    }
 
     #[test]
     fn page_is_self_contained_and_escaped() {

@@ -9,7 +9,8 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use super::buffer::{self, Buffer};
-use super::{glb, uri};
+use super::glb;
+use crate::base64;
 use crate::format::blocks::{BLOCK_BYTES, in_waves};
 use crate::format::error::{Fault, FormatError};
 use crate::format::{atomic_write_with, has_extension};
@@ -126,7 +127,7 @@ fn written(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u64, Forma
         let (before, after) = around_content(&mut document);
         return atomic_write_with(path, |file| {
             file.write_all(before.as_bytes())?;
-            let mut encoder = uri::Base64::new(&mut *file);
+            let mut encoder = base64::Encoder::new(&mut *file);
             bin.write(&mut encoder)?;
             encoder.finish()?;
             file.write_all(after.as_bytes())

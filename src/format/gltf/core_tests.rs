@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::*;
+use crate::base64;
 use crate::format::{WriteOptions, activation, read_file, write_scene};
 use crate::scene::{Mesh, sh};
 
@@ -59,7 +60,7 @@ impl Builder {
 
     /// The file, with `rest` in place of what it has by default: one node with mesh 0.
     pub(super) fn file(&self, rest: &Value) -> Vec<u8> {
-        let text = format!("data:application/octet-stream;base64,{}", uri::encode_base64(&self.bytes));
+        let text = format!("data:application/octet-stream;base64,{}", base64::encode(&self.bytes));
         let mut document = json!({
             "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
             "bufferViews": self.views, "accessors": self.accessors,

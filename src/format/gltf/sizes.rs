@@ -137,7 +137,8 @@ mod tests {
 
     use serde_json::json;
 
-    use crate::format::gltf::uri::{encode_base64, resolve};
+    use crate::base64;
+    use crate::format::gltf::uri::resolve;
     use crate::format::gltf::write_glb;
     use crate::format::inspect;
     use crate::format::test_scenes::random_scene;
@@ -192,7 +193,7 @@ mod tests {
 
         // Images in the text, beside it, and nowhere.
         let picture = vec![7; 1000];
-        let uri = format!("data:image/png;base64,{}", encode_base64(&picture));
+        let uri = format!("data:image/png;base64,{}", base64::encode(&picture));
         std::fs::write(folder.path().join("a.png"), &picture).unwrap();
         let before = of_glb.iter().find(|(part, _)| *part == "images").unwrap().1;
         for image in [

@@ -10,6 +10,7 @@ use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
 use super::tests::{fuzzed_values, leaves};
 use super::*;
+use crate::base64;
 use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
 use crate::scene::PixelFilter;
@@ -243,7 +244,7 @@ fn cameras_and_the_rule_change_within_the_document() {
 
     let (mut json, _) = opened(&at("wide.glb"));
     json["scenes"][0]["extensions"][extension::HYBRID]["footprint"]["variance"] = json!(-1.0);
-    json["buffers"][0]["uri"] = json!(format!("data:;base64,{}", uri::encode_base64(&vec![0; 4096])));
+    json["buffers"][0]["uri"] = json!(format!("data:;base64,{}", base64::encode(&vec![0; 4096])));
     std::fs::write(at("damaged.gltf"), json.to_string()).unwrap();
     let error = read_file(&at("damaged.gltf"), &KEEP).unwrap_err().to_string();
     let place =

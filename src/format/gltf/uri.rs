@@ -1,11 +1,11 @@
 //! What a `uri` of glTF stands for: bytes in the document itself, or a file that must lie beside it.
 
 use std::collections::HashMap;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::buffer::Buffer;
+use crate::base64;
 
 /// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
 pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
@@ -42,7 +42,7 @@ pub(super) fn open_once(
     if let Some(data) = uri.strip_prefix("data:") {
         let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
         return encoded
-            .and_then(decode_base64)
+            .and_then(base64::decode)
             .map(Buffer::from)
             .ok_or_else(|| ("base64 after `;base64,`".to_owned(), "a data URI without it".to_owned()));
     }
@@ -113,86 +113,6 @@ fn percent_decode(uri: &str) -> Option<String> {
     String::from_utf8(bytes).ok()
 }
 
-fn decode_base64(text: &str) -> Option<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
-    let (mut bits, mut pending) = (0u32, 0);
-    for c in text.trim_end_matches('=').bytes() {
-        let value = match c {
-            b'A'..=b'Z' => c - b'A',
-            b'a'..=b'z' => c - b'a' + 26,
-            b'0'..=b'9' => c - b'0' + 52,
-            b'+' | b'-' => 62,
-            b'/' | b'_' => 63,
-            _ => return None,
-        };
-        bits = (bits << 6 | u32::from(value)) & 0xFF_FFFF;
-        pending += 6;
-        if pending >= 8 {
-            pending -= 8;
-            bytes.push((bits >> pending) as u8);
-        }
-    }
-    Some(bytes)
-}
-
-/// Writes what it is given in base64 (RFC 4648).
-pub(super) struct Base64<W> {
-    out: W,
-    /// One or two bytes that wait for their group.
-    rest: Vec<u8>,
-}
-
-impl<W: Write> Base64<W> {
-    pub(super) fn new(out: W) -> Self {
-        Self { out, rest: vec![] }
-    }
-
-    /// Pads the last group.
-    pub(super) fn finish(mut self) -> io::Result<()> {
-        self.out.write_all(&digits(&self.rest))
-    }
-}
-
-impl<W: Write> Write for Base64<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let missing = (3 - self.rest.len()) % 3;
-        let (first, others) = bytes.split_at(missing.min(bytes.len()));
-        self.rest.extend(first);
-        if self.rest.len() == 3 {
-            self.out.write_all(&digits(&self.rest))?;
-            self.rest.clear();
-        }
-        let whole = others.len() / 3 * 3;
-        for groups in others[..whole].chunks(3 << 12) {
-            self.out.write_all(&digits(groups))?;
-        }
-        self.rest.extend(&others[whole..]);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
-    }
-}
-
-/// Digits of groups of three bytes, the last of which may be short.
-fn digits(bytes: &[u8]) -> Vec<u8> {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = Vec::with_capacity(bytes.len().div_ceil(3) * 4);
-    for group in bytes.chunks(3) {
-        let word = group.iter().fold(0u32, |word, &b| word << 8 | u32::from(b)) << (8 * (3 - group.len()));
-        let digit = |i: usize| DIGITS[(word >> (18 - 6 * i) & 63) as usize];
-        text.extend((0..4).map(|i| if i <= group.len() { digit(i) } else { b'=' }));
-    }
-    text
-}
-
-/// `bytes` in base64.
-#[cfg(test)]
-pub(super) fn encode_base64(bytes: &[u8]) -> String {
-    String::from_utf8(digits(bytes)).expect("digits are ASCII")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,25 +135,6 @@ mod tests {
             std::os::unix::fs::symlink(folder.path().join("secret.bin"), inner.join("link.bin")).unwrap();
             let (expected, _) = resolve("link.bin", &inner).unwrap_err();
             assert_eq!(expected, "a path inside the folder of the file");
-        }
-    }
-
-    #[test]
-    fn base64_with_any_padding() {
-        for (text, bytes) in [("TWFu", "Man"), ("TWE=", "Ma"), ("TQ==", "M"), ("TQ", "M"), ("", "")] {
-            assert_eq!(decode_base64(text).unwrap(), bytes.as_bytes());
-            let encoded = encode_base64(bytes.as_bytes());
-            assert!(encoded == text || text == "TQ", "{encoded}");
-        }
-        assert!(decode_base64("T*==").is_none());
-        // However it is cut.
-        let bytes: Vec<u8> = (0..40_000u32).map(|i| (i * i % 251) as u8).collect();
-        for step in [1, 2, 3, 5, 7, 39_998, 40_000] {
-            let mut written = vec![];
-            let mut encoder = Base64::new(&mut written);
-            bytes.chunks(step).for_each(|part| encoder.write_all(part).unwrap());
-            encoder.finish().unwrap();
-            assert!(written == digits(&bytes) && decode_base64(&String::from_utf8(written).unwrap()).unwrap() == bytes);
         }
     }
 }
