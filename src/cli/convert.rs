@@ -156,7 +156,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let usual_near = Composition::default().near;
     let has_own_near = scene.scene.composition.near != usual_near;
     let mut edited = args.edits.apply(scene)?;
-    if !has_own_near && format::has_extension(files.output, &["ply", "sog", "spz", "splat", "ksplat"]) {
+    if !has_own_near && format::has_extension(files.output, format::SPLATS_ALONE) {
         // Whoever reads these takes the usual one in whatever unit: the scene has none of its own to lose by being scaled.
         edited.scene.composition.near = usual_near;
     }

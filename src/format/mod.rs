@@ -44,7 +44,9 @@ pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, writ
 pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use length::stored_bytes;
 pub use loss::{Loss, SplatError, WriteReport};
-pub use scene_file::{EXPORTABLE, ReadOptions, SceneFile, WRITABLE, WriteOptions, read_file, write_scene};
+pub use scene_file::{
+    EXPORTABLE, ReadOptions, SPLATS_ALONE, SceneFile, WRITABLE, WriteOptions, read_file, write_scene,
+};
 pub use validate::{Finding, Severity, Validation, validate};
 
 use crate::atomic;
