@@ -6,7 +6,7 @@ use glam::{DQuat, Quat, Vec3};
 use serde::Serialize;
 
 use super::activation;
-use super::record::Record;
+use super::splat_record::SplatRecord;
 use crate::scene::{Splats, sh};
 
 /// What a writer did.
@@ -91,7 +91,7 @@ impl Loss {
         assert_eq!(before.len(), after.len(), "the same splats before and after");
         let mut loss = Self::of_sh_degree(before.sh_degree(), after.sh_degree());
         for i in 0..before.len() {
-            loss.max_error.include(&Record::of(before, i), &Record::of(after, i));
+            loss.max_error.include(&SplatRecord::of(before, i), &SplatRecord::of(after, i));
         }
         loss
     }
@@ -159,7 +159,7 @@ impl SplatError {
     }
 
     /// Takes in the differences of one splat. Coefficients are compared where both have them.
-    pub(super) fn include(&mut self, before: &Record, after: &Record) {
+    pub(super) fn include(&mut self, before: &SplatRecord, after: &SplatRecord) {
         let widest = |a: [f32; 3], b: [f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
         let floored = |log_scale: Vec3| log_scale.max(Vec3::splat(LEAST_LOG_SCALE));
         *self = self.max(Self {

@@ -20,10 +20,10 @@ mod placed;
 pub mod ply;
 mod polygon;
 mod preview;
-mod record;
 mod scene_file;
 pub mod sog;
 pub mod splat;
+mod splat_record;
 pub mod spz;
 #[cfg(test)]
 pub(crate) mod test_scenes;

@@ -3,7 +3,7 @@
 use glam::DMat4;
 
 use super::error::Fault;
-pub(super) use crate::scene::placement::{Similarity, orthogonal, similarity, turned};
+pub(super) use crate::scene::placement::{Decomposed, orthogonal, similarity, turned};
 use crate::scene::{SplatArrays, Splats, placement};
 
 /// Moves splats to where a node puts them: means, scales, rotations and spherical harmonics.

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::error::Fault;
 use super::ply::Attribute;
-use super::record::Record;
+use super::splat_record::SplatRecord;
 use super::{
     FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, gltf, has_extension, kind,
     ksplat, mitsuba, ply, sog, splat, spz, usd,
@@ -212,7 +212,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
 /// What comes of storing scales and opacities instead of their logarithms and logits.
 fn of_linear_values(splats: &Splats) -> Loss {
     let error = |i: usize| {
-        let before = Record::of(splats, i);
+        let before = SplatRecord::of(splats, i);
         let mut after = before;
         after.log_scale = before.log_scale.to_array().map(|s| activation::log_scale(activation::scale(s)).0).into();
         after.opacity_logit = activation::logit(activation::opacity(before.opacity_logit)).0;

@@ -18,7 +18,7 @@ use glam::{Quat, Vec3};
 use super::blocks::{in_waves, read_in_blocks};
 use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::record::{Record, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
+use super::splat_record::{SplatRecord, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
 use super::{FormatError, activation, atomic_write_with};
 use crate::scene::{SplatArrays, Splats};
 
@@ -44,7 +44,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
         let encode_rows = |block: usize| {
             let (mut bytes, mut error) = (Vec::with_capacity(ROWS * BYTES), SplatError::default());
             for i in block * ROWS..splats.len().min((block + 1) * ROWS) {
-                let splat = Record::of(splats, i);
+                let splat = SplatRecord::of(splats, i);
                 let row = encode(&splat);
                 error.include(&splat, &decode(&row));
                 bytes.extend(row);
@@ -88,7 +88,7 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splat
     Ok((arrays.check().map_err(|e| Fault::from(e).of_element(byte))?, dropped))
 }
 
-fn encode(splat: &Record) -> [u8; BYTES] {
+fn encode(splat: &SplatRecord) -> [u8; BYTES] {
     let mut row = [0; BYTES];
     let scales = splat.log_scale.to_array().map(activation::scale);
     for (place, value) in row.as_chunks_mut::<4>().0.iter_mut().zip(splat.mean.to_array().into_iter().chain(scales)) {
@@ -102,14 +102,14 @@ fn encode(splat: &Record) -> [u8; BYTES] {
     row
 }
 
-fn decode(row: &[u8; BYTES]) -> Record {
+fn decode(row: &[u8; BYTES]) -> SplatRecord {
     let (words, _) = row.as_chunks::<4>();
     let float = |k: usize| f32::from_le_bytes(words[k]);
     let [w, x, y, z] = words[7].map(|b| f32::from(b) / 128.0 - 1.0);
     let [red, green, blue, alpha] = words[6];
     let mut sh = [[0.0; 3]; 16];
     sh[0] = dc_of_bytes([red, green, blue]);
-    Record {
+    SplatRecord {
         mean: Vec3::new(float(0), float(1), float(2)),
         rotation: Quat::from_xyzw(x, y, z, w),
         log_scale: Vec3::from([3, 4, 5].map(|k| activation::log_scale(float(k)).0)),

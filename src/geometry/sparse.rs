@@ -129,7 +129,7 @@ pub fn surface_from_points(
 /// maps do not tell its points apart, a part. Their indices ascend.
 #[must_use]
 pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
-    let (coarse, fine) = (Cells::across(CELLS, camera), Cells::across(FINE_CELLS, camera));
+    let (coarse, fine) = (Squares::across(CELLS, camera), Squares::across(FINE_CELLS, camera));
     let mut nearest = vec![f64::INFINITY; coarse.count()];
     let mut found = vec![];
     for (i, point) in (0u32..).zip(points) {
@@ -151,13 +151,13 @@ pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
 }
 
 /// Squares that a picture is divided into.
-struct Cells {
+struct Squares {
     side: f64,
     columns: usize,
     rows: usize,
 }
 
-impl Cells {
+impl Squares {
     /// So many along the longer side.
     fn across(count: f64, camera: &Camera) -> Self {
         let k = camera.intrinsics();

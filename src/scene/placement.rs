@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::{Atlas, SceneError, SplatArrays, Texture, sh};
 
-/// `scale · rotation` and a translation.
-pub(crate) struct Similarity {
+/// A similarity that does not mirror, taken apart: `scale · rotation` and a translation.
+pub(crate) struct Decomposed {
     pub(crate) scale: f64,
     pub(crate) rotation: DQuat,
     pub(crate) translation: DVec3,
@@ -16,12 +16,12 @@ pub(crate) struct Similarity {
 
 /// Takes a transform apart; `None` if it shears, mirrors or scales unevenly by more than 1e-4, about the noise of f32
 /// matrices multiplied along a node path.
-pub(crate) fn similarity(transform: DMat4) -> Option<Similarity> {
+pub(crate) fn similarity(transform: DMat4) -> Option<Decomposed> {
     let linear = DMat3::from_mat4(transform);
     let scale = linear.determinant().cbrt();
     let unit = linear * scale.recip();
     let is_rotation = scale > 0.0 && (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-4);
-    is_rotation.then(|| Similarity {
+    is_rotation.then(|| Decomposed {
         // Exactly 1, so that the frame change of our own files leaves every bit alone.
         scale: if (scale - 1.0).abs() < 1e-12 { 1.0 } else { scale },
         rotation: if unit == DMat3::IDENTITY { DQuat::IDENTITY } else { DQuat::from_mat3(&unit).normalize() },
@@ -32,7 +32,7 @@ pub(crate) fn similarity(transform: DMat4) -> Option<Similarity> {
 /// The orthogonal matrix next to the linear part of a transform, by which what is seen of things turns or is mirrored; `None` if
 /// that part has no inverse.
 pub(crate) fn orthogonal(transform: DMat4) -> Option<DMat3> {
-    if let Some(Similarity { rotation, .. }) = similarity(transform) {
+    if let Some(Decomposed { rotation, .. }) = similarity(transform) {
         return Some(DMat3::from_quat(rotation));
     }
     let linear = DMat3::from_mat4(transform);
@@ -54,7 +54,7 @@ pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DM
     let moved = |mean: &mut Vec3| *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
     splats.means[these.clone()].par_iter_mut().for_each(moved);
     let (rotations, log_scales) = (&mut splats.rotations[these.clone()], &mut splats.log_scales[these.clone()]);
-    if let Some(Similarity { scale, rotation, .. }) = similarity(transform) {
+    if let Some(Decomposed { scale, rotation, .. }) = similarity(transform) {
         rotations.par_iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
         log_scales.par_iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
     } else {

@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::extension::{EXTRAS, ExactCamera};
 use crate::format::DEFAULT_HEIGHT;
 use crate::format::cameras::short;
-use crate::format::placed::{Similarity, similarity};
+use crate::format::placed::{Decomposed, similarity};
 use crate::scene::{Camera, Intrinsics};
 
 /// What a camera at a node is called; `nth` of those that are read, from 0, if nobody says.
@@ -22,7 +22,7 @@ pub(super) fn read(
     transform: DMat4,
 ) -> Result<(Camera, Option<String>), String> {
     let camera = document.as_json().cameras.get(index).ok_or("no such camera")?;
-    let Similarity { rotation, translation, .. } =
+    let Decomposed { rotation, translation, .. } =
         similarity(transform).ok_or("its node shears, mirrors or stretches")?;
     let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();
     let pose = (to_camera, -(to_camera * translation));

@@ -8,7 +8,7 @@ use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SEC
 use crate::format::activation;
 use crate::format::blocks::read_in_blocks;
 use crate::format::error::{Fault, Location};
-use crate::format::record::{Record, dc_of_bytes, logit_of_byte};
+use crate::format::splat_record::{SplatRecord, dc_of_bytes, logit_of_byte};
 use crate::scene::{SplatArrays, Splats, sh};
 
 /// How the numbers of a splat are stored.
@@ -163,7 +163,7 @@ fn read_at(file: &mut (impl Read + Seek), range: Range<usize>) -> Result<Vec<u8>
 }
 
 /// `row` has [`Level::splat_bytes`].
-pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> Record {
+pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> SplatRecord {
     let (component, sh_component) = layout.level.component_bytes();
     let number = |k: usize| match layout.level {
         Level::Float => f32_at(row, 4 * k),
@@ -194,7 +194,7 @@ pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> Record 
             }
         });
     }
-    Record {
+    SplatRecord {
         mean,
         rotation: Quat::from_xyzw(x, y, z, w),
         log_scale: Vec3::from([3, 4, 5].map(|k| activation::log_scale(number(k)).0)),

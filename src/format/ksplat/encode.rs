@@ -9,7 +9,7 @@ use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SEC
 use crate::format::activation;
 use crate::format::blocks::in_waves;
 use crate::format::loss::{Loss, SplatError};
-use crate::format::record::{Record, color_bytes, opacity_byte, quantize};
+use crate::format::splat_record::{SplatRecord, color_bytes, opacity_byte, quantize};
 use crate::scene::{Splats, sh};
 
 /// Splats in a full bucket, as by the format's own writer.
@@ -137,7 +137,7 @@ fn encode_buckets(splats: &Splats, layout: &Layout, buckets: &[Bucket]) -> (Vec<
     let (mut bytes, mut error) = (vec![], SplatError::default());
     for bucket in buckets {
         for &i in &bucket.splats {
-            let splat = Record::of(splats, i as usize);
+            let splat = SplatRecord::of(splats, i as usize);
             let start = bytes.len();
             encode_splat(layout, bucket.center, &splat, &mut bytes);
             error.include(&splat, &decode_splat(layout, bucket.center, &bytes[start..]));
@@ -146,7 +146,7 @@ fn encode_buckets(splats: &Splats, layout: &Layout, buckets: &[Bucket]) -> (Vec<
     (bytes, error)
 }
 
-fn encode_splat(layout: &Layout, center: Vec3, splat: &Record, bytes: &mut Vec<u8>) {
+fn encode_splat(layout: &Layout, center: Vec3, splat: &SplatRecord, bytes: &mut Vec<u8>) {
     let number = |bytes: &mut Vec<u8>, v: f32| match layout.level {
         Level::Float => bytes.extend(v.to_le_bytes()),
         _ => bytes.extend(half(v).to_le_bytes()),

@@ -15,7 +15,7 @@ pub use self::attribute::Attribute;
 use self::table::{Column, Element, Header};
 use super::blocks::in_waves;
 use super::error::{Fault, FormatError, open_file, shown};
-use super::record::Record;
+use super::splat_record::SplatRecord;
 use super::{ReadOptions, activation, atomic_write_with};
 use crate::scene::{PixelFilter, SplatArrays, Splats, sh, smoothed_parameters};
 
@@ -213,7 +213,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
         let log_scale = Vec3::from(scales.map(v).map(finite_log_scale));
         let (log_scale, opacity_logit) =
             smoothed_parameters(log_scale, finite_logit(v(opacity)), filter.map_or(0.0, |column| v(column).abs()));
-        Record {
+        SplatRecord {
             mean: Vec3::from(means.map(v)),
             rotation: Quat::from_xyzw(x, y, z, w),
             log_scale,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::files::FileSet;
 use super::texels::Texels;
 use crate::format::error::Fault;
-use crate::format::record::{Record, logit_of_byte};
+use crate::format::splat_record::{SplatRecord, logit_of_byte};
 use crate::scene::{SplatArrays, Splats, sh};
 
 /// `meta.json` of both versions.
@@ -272,7 +272,7 @@ impl Decoder<'_> {
     }
 
     /// Splat `i`.
-    pub(super) fn record(&self, i: usize) -> Record {
+    pub(super) fn record(&self, i: usize) -> SplatRecord {
         let scheme = self.scheme;
         let (low, high, scale, color) = (self.lower.at(i), self.upper.at(i), self.scales.at(i), self.colors.at(i));
         let mean = |axis: usize| {
@@ -294,7 +294,7 @@ impl Decoder<'_> {
                 *coefficient = [r, g, b].map(|v| harmonics.table[usize::from(v)]);
             }
         }
-        Record {
+        SplatRecord {
             mean: Vec3::from([0, 1, 2].map(mean)),
             // The tags have been checked.
             rotation: rotation(self.rotations.at(i)).unwrap_or_default(),

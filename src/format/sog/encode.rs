@@ -9,7 +9,7 @@ use super::decode::{ENTRIES_PER_ROW, Field, Meta, Numbers, compress, rotation_te
 use super::palette::{Vectors, palette};
 use super::texels::{MAX_SIDE, Texels};
 use crate::format::error::Fault;
-use crate::format::record::opacity_byte;
+use crate::format::splat_record::opacity_byte;
 use crate::scene::{Splats, in_morton_order, sh};
 
 /// A SOG in memory.

@@ -11,7 +11,7 @@ use crate::atomic::folder_of;
 use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::length::file_bytes;
-use crate::format::record::Record;
+use crate::format::splat_record::SplatRecord;
 use crate::scene::{SplatArrays, Splats};
 
 pub(super) const INDEX: &str = "lod-meta.json";
@@ -94,7 +94,7 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     let mut arrays = SplatArrays::with_capacity(0, degree);
     for (splats, parts) in &sources {
         let indices = parts.iter().flat_map(|part| part.offset..part.offset + part.count);
-        indices.for_each(|i| arrays.push(&Record::of(splats, i)));
+        indices.for_each(|i| arrays.push(&SplatRecord::of(splats, i)));
     }
     let notes = (coarser > 0).then(|| {
         format!("the files of the finest level are missing for {coarser} part(s) of the scene; coarser ones are read")

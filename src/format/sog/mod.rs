@@ -24,7 +24,7 @@ use self::files::FileSet;
 use super::NotedSplats;
 use super::error::{Fault, FormatError};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::record::Record;
+use super::splat_record::SplatRecord;
 use crate::scene::Splats;
 
 /// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
@@ -96,7 +96,7 @@ pub fn write_with(path: &Path, splats: &Splats, antialiased: bool) -> Result<Wri
     let written = written.decoder(&encoded.images).map_err(|fault| fault.in_file(path))?;
     let errors = encoded.order.par_iter().enumerate().map(|(i, &source)| {
         let mut error = SplatError::default();
-        error.include(&Record::of(splats, source), &written.record(i));
+        error.include(&SplatRecord::of(splats, source), &written.record(i));
         error
     });
     let loss = Loss { max_error: errors.reduce(SplatError::default, SplatError::max), ..Loss::default() };

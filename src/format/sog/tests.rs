@@ -66,7 +66,7 @@ fn round_trip_within_the_stated_loss() {
         let order = encode::encode(&splats, false).map_err(|_| ()).unwrap().order;
         let mut loss = Loss::default();
         for (i, &source) in order.iter().enumerate() {
-            loss.max_error.include(&Record::of(&splats, source), &Record::of(&back, i));
+            loss.max_error.include(&SplatRecord::of(&splats, source), &SplatRecord::of(&back, i));
         }
         assert_eq!(loss, report.loss, "what a reader gets is what was measured");
         let e = report.loss.max_error;

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 
-use crate::format::record::Record;
+use crate::format::splat_record::SplatRecord;
 use crate::scene::sh;
 
 /// How the axes of a file become those of a scene: a quarter turn about x where the file has z up, then changes of sign.
@@ -47,9 +47,9 @@ impl Frame {
     }
 
     /// A splat in the file's axes, in those of the scene.
-    pub(super) fn to_scene(&self, splat: &Record) -> Record {
+    pub(super) fn to_scene(&self, splat: &SplatRecord) -> SplatRecord {
         let Some(turn) = &self.quarter_turn else { return self.signed(splat) };
-        let mut turned = Record {
+        let mut turned = SplatRecord {
             mean: Vec3::new(splat.mean.x, splat.mean.z, -splat.mean.y),
             rotation: Quat::from_rotation_x(-std::f32::consts::FRAC_PI_2) * splat.rotation,
             ..*splat
@@ -59,16 +59,16 @@ impl Frame {
     }
 
     /// Inverse of [`Self::to_scene`] for frames without a quarter turn, which are all that is written.
-    pub(super) fn to_file(&self, splat: &Record) -> Record {
+    pub(super) fn to_file(&self, splat: &SplatRecord) -> SplatRecord {
         self.signed(splat)
     }
 
     /// Changes of sign, S: a covariance R Λ Rᵀ becomes (S R S) Λ (S R S)ᵀ, and S R S is a rotation even where S mirrors.
-    fn signed(&self, splat: &Record) -> Record {
+    fn signed(&self, splat: &SplatRecord) -> SplatRecord {
         let (s, q) = (self.signs, splat.rotation);
         let mut sh = splat.sh;
         sh.iter_mut().zip(self.sh_signs).for_each(|(c, sign)| *c = c.map(|v| sign * v));
-        Record {
+        SplatRecord {
             mean: splat.mean * s,
             rotation: Quat::from_xyzw(q.x * s.y * s.z, q.y * s.x * s.z, q.z * s.x * s.y, q.w),
             sh,
@@ -103,7 +103,7 @@ mod tests {
             "RBU",
         ];
         let splats = random_splats(1, 3, 5);
-        let splat = Record::of(&splats, 0);
+        let splat = SplatRecord::of(&splats, 0);
         for (name, code) in names.iter().zip(1..) {
             let m = axes(name);
             let turned = Frame::from_code(code).unwrap().to_scene(&splat);
@@ -120,7 +120,7 @@ mod tests {
                 "{name}: {difference}"
             );
             for d in [DVec3::X, DVec3::new(0.36, -0.48, 0.8)] {
-                let seen = |s: &Record, d: DVec3| -> f64 {
+                let seen = |s: &SplatRecord, d: DVec3| -> f64 {
                     sh::basis(d.to_array()).iter().zip(s.sh).map(|(y, c)| y * f64::from(c[1])).sum()
                 };
                 let (before, after) = (seen(&splat, d), seen(&turned, m * d));

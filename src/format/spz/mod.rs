@@ -29,7 +29,7 @@ use self::frame::Frame;
 use super::blocks::in_waves;
 use super::error::{Fault, read_file};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::record::Record;
+use super::splat_record::SplatRecord;
 use super::{FormatError, NotedSplats, atomic_write_with};
 use crate::scene::{SplatArrays, Splats, sh};
 
@@ -136,7 +136,7 @@ fn pack(header: &Header, splats: &Splats, sh_bits: [u32; 2], block: usize) -> ([
     let (mut streams, mut error) = ([const { Vec::new() }; STREAMS], SplatError::default());
     let start = block * BLOCK;
     for i in start..splats.len().min(start + BLOCK) {
-        let splat = Record::of(splats, i);
+        let splat = SplatRecord::of(splats, i);
         packed::encode(header, sh_bits, &frame.to_file(&splat), &mut streams);
         let written = streams.each_ref().map(Vec::as_slice);
         error.include(&splat, &frame.to_scene(&packed::decode(header, written, i - start)));

@@ -3,7 +3,7 @@
 use glam::{Quat, Vec3};
 
 use super::container::{Header, STREAMS};
-use crate::format::record::{Record, logit_of_byte, opacity_byte};
+use crate::format::splat_record::{SplatRecord, logit_of_byte, opacity_byte};
 use crate::scene::sh;
 
 /// Factor of SH coefficient 0: wider than the display's range, for colours that the higher bands bring back into it.
@@ -26,7 +26,7 @@ pub(super) fn fractional_bits(means: &[Vec3]) -> u8 {
 }
 
 /// Splat `i` of streams that hold at least `i + 1`.
-pub(super) fn decode(header: &Header, streams: [&[u8]; STREAMS], i: usize) -> Record {
+pub(super) fn decode(header: &Header, streams: [&[u8]; STREAMS], i: usize) -> SplatRecord {
     let [means, opacities, colors, scales, rotations, bands] = streams;
     let three = |stream: &[u8]| [stream[3 * i], stream[3 * i + 1], stream[3 * i + 2]];
     let step = (-f64::from(header.fractional_bits)).exp2();
@@ -44,7 +44,7 @@ pub(super) fn decode(header: &Header, streams: [&[u8]; STREAMS], i: usize) -> Re
     for (coefficient, bytes) in sh[1..sh::coefficients(sh_degree)].iter_mut().zip(own.as_chunks::<3>().0) {
         *coefficient = bytes.map(|b| f32::from(b) / 128.0 - 1.0);
     }
-    Record {
+    SplatRecord {
         mean: Vec3::from(mean),
         rotation: match header.version {
             2 => decode_first_three(three(rotations)),
@@ -58,7 +58,7 @@ pub(super) fn decode(header: &Header, streams: [&[u8]; STREAMS], i: usize) -> Re
 }
 
 /// Appends a splat to the streams. `sh_bits` as in [`super::Options`].
-pub(super) fn encode(header: &Header, sh_bits: [u32; 2], splat: &Record, streams: &mut [Vec<u8>; STREAMS]) {
+pub(super) fn encode(header: &Header, sh_bits: [u32; 2], splat: &SplatRecord, streams: &mut [Vec<u8>; STREAMS]) {
     let [means, opacities, colors, scales, rotations, bands] = streams;
     for v in splat.mean.to_array() {
         let fixed = (f64::from(v) * f64::from(header.fractional_bits).exp2()).round().clamp(-MEAN_LIMIT, MEAN_LIMIT);

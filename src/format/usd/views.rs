@@ -5,7 +5,7 @@ use glam::{DMat3, DMat4, DVec3};
 use super::names;
 use super::stage::Stage;
 use crate::format::DEFAULT_HEIGHT;
-use crate::format::placed::{Similarity, similarity};
+use crate::format::placed::{Decomposed, similarity};
 use crate::scene::{Camera, Intrinsics};
 
 /// A camera in the world of `transform`, followed by `to_scene`, and what had to be assumed about it; on failure, the
@@ -20,7 +20,7 @@ pub(super) fn read(
         return Err("it is not a perspective camera".to_owned());
     }
     let placed = to_scene * transform;
-    let Similarity { rotation, translation, .. } =
+    let Decomposed { rotation, translation, .. } =
         similarity(placed).ok_or("its transform shears, mirrors or stretches")?;
     let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();
     let pose = (to_camera, -(to_camera * translation));

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::device::{Buffer, Frame, Gpu, GpuError};
 
 /// Photographs in RGBA8.
-pub(crate) struct Photographs {
+pub(crate) struct UploadedPhotographs {
     /// `[h·w]`: what the loss reads.
     pub(crate) shown: Buffer,
     kept: Kept,
@@ -20,7 +20,7 @@ struct Kept {
     room: u64,
 }
 
-impl Photographs {
+impl UploadedPhotographs {
     /// Of up to `pixels` pixels. None are kept.
     ///
     /// # Errors
@@ -74,8 +74,8 @@ mod tests {
     #[test]
     fn what_is_kept_is_sent_once() {
         let gpu = Gpu::open(None).unwrap();
-        let mut photographs = Photographs::new(&gpu, 16).unwrap();
-        let show = |photographs: &mut Photographs, value: u8, bytes: usize, number: Option<usize>| {
+        let mut photographs = UploadedPhotographs::new(&gpu, 16).unwrap();
+        let show = |photographs: &mut UploadedPhotographs, value: u8, bytes: usize, number: Option<usize>| {
             let mut frame = Frame::new(&gpu);
             photographs.show(&gpu, &mut frame, &vec![value; bytes], number);
             frame.submit();

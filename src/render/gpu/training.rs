@@ -9,7 +9,7 @@ use super::{
     loss::{Loss, LossValues, TruthAlpha},
     memory::with_headroom,
     mesh::MeshStage,
-    photographs::Photographs,
+    photographs::UploadedPhotographs,
     picture::Picture,
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
@@ -74,7 +74,7 @@ pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
     pub(super) pipeline: Pipeline,
     backward: Backward,
-    photographs: Photographs,
+    photographs: UploadedPhotographs,
     /// Of the largest pictures, (width, height), each once.
     sizes: Vec<(usize, usize)>,
     ssim_weight: f32,
@@ -117,7 +117,7 @@ impl<'g> Training<'g> {
         let mut sizes: Vec<_> = cameras.iter().map(size).collect();
         sizes.sort_unstable();
         sizes.dedup();
-        let photographs = Photographs::new(gpu, pipeline.pixels())?;
+        let photographs = UploadedPhotographs::new(gpu, pipeline.pixels())?;
         let loss = new_loss(gpu, (&pipeline, &backward), &photographs.shown, &sizes, ssim_weight, None)?;
         let (moments, moments_of) = (new_moments(gpu, &pipeline.front.splats)?, pipeline.front.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &backward, &moments)?;

@@ -21,7 +21,7 @@ use super::{degree_of_rest, rest_columns};
 use crate::format::blocks::in_waves;
 use crate::format::error::Fault;
 use crate::format::loss::{Loss, SplatError, WriteReport};
-use crate::format::record::{Record, logit_of_byte, opacity_byte, quantize};
+use crate::format::splat_record::{SplatRecord, logit_of_byte, opacity_byte, quantize};
 use crate::format::{FormatError, atomic_write_with};
 use crate::scene::{PixelFilter, SplatArrays, Splats, in_morton_order, sh};
 
@@ -189,7 +189,7 @@ pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>
             body.blocks(header, "sh", start, |(first, arrays), rows| {
                 let rows: Vec<&[u8]> = rows.collect();
                 arrays.extend(rows.len(), |i| {
-                    let mut splat = Record { sh_degree, ..record(*first + i) };
+                    let mut splat = SplatRecord { sh_degree, ..record(*first + i) };
                     for band in 0..bands {
                         let byte = |channel: usize| rest[channel * bands + band].f64(rows[i]) as u8;
                         splat.sh[1 + band] = [0, 1, 2].map(|channel| coefficient(byte(channel)));
@@ -214,8 +214,8 @@ struct EncodedChunk {
 }
 
 fn encode_chunk(splats: &Splats, indices: &[usize]) -> EncodedChunk {
-    let records: Vec<Record> = indices.iter().map(|&i| Record::of(splats, i)).collect();
-    let span = |value: fn(&Record) -> Vec3| {
+    let records: Vec<SplatRecord> = indices.iter().map(|&i| SplatRecord::of(splats, i)).collect();
+    let span = |value: fn(&SplatRecord) -> Vec3| {
         let values = || records.iter().map(value);
         [values().reduce(Vec3::min).unwrap_or_default(), values().reduce(Vec3::max).unwrap_or_default()]
     };
@@ -231,7 +231,7 @@ fn encode_chunk(splats: &Splats, indices: &[usize]) -> EncodedChunk {
     chunk.bounds.iter_mut().zip(ends).for_each(|(to, from)| *to = from);
     for splat in &records {
         let packed = encode(&bounds, splat);
-        let mut back = Record { sh_degree: splat.sh_degree, ..decode(&bounds, packed) };
+        let mut back = SplatRecord { sh_degree: splat.sh_degree, ..decode(&bounds, packed) };
         for channel in 0..3 {
             for (band, value) in splat.sh().iter().enumerate().skip(1) {
                 let byte = coefficient_byte(value[channel]);
@@ -245,15 +245,15 @@ fn encode_chunk(splats: &Splats, indices: &[usize]) -> EncodedChunk {
     chunk
 }
 
-fn log_scale(splat: &Record) -> Vec3 {
+fn log_scale(splat: &SplatRecord) -> Vec3 {
     splat.log_scale.max(Vec3::splat(LEAST_LOG_SCALE))
 }
 
-fn color(splat: &Record) -> Vec3 {
+fn color(splat: &SplatRecord) -> Vec3 {
     Vec3::from(sh::rgb_from_dc(splat.sh[0]))
 }
 
-fn encode(bounds: &Bounds, splat: &Record) -> [u32; 4] {
+fn encode(bounds: &Bounds, splat: &SplatRecord) -> [u32; 4] {
     let [x, y, z] = parts(splat.mean, bounds.mean);
     let [sx, sy, sz] = parts(log_scale(splat), bounds.log_scale);
     let [r, g, b] = parts(color(splat), bounds.color).map(|c| quantize(c, 255));
@@ -262,12 +262,12 @@ fn encode(bounds: &Bounds, splat: &Record) -> [u32; 4] {
     [pack(x, y, z), encode_rotation(splat.rotation), pack(sx, sy, sz), r << 24 | g << 16 | b << 8 | alpha]
 }
 
-fn decode(bounds: &Bounds, [position, rotation, scale, color]: [u32; 4]) -> Record {
+fn decode(bounds: &Bounds, [position, rotation, scale, color]: [u32; 4]) -> SplatRecord {
     let unpack = |v: u32| Vec3::new(unit(v >> 21, 2047), unit(v >> 11, 1023), unit(v, 2047));
     let rgb = Vec3::new(unit(color >> 24, 255), unit(color >> 16, 255), unit(color >> 8, 255));
     let mut sh = [[0.0; 3]; 16];
     sh[0] = sh::dc_from_rgb(between(bounds.color, rgb).to_array());
-    Record {
+    SplatRecord {
         mean: between(bounds.mean, unpack(position)),
         rotation: decode_rotation(rotation),
         log_scale: between(bounds.log_scale, unpack(scale)),

@@ -15,7 +15,7 @@ fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
 
 fn as_written(splats: &Splats) -> Splats {
     let mut arrays = SplatArrays::with_capacity(splats.len(), splats.sh_degree());
-    in_morton_order(splats).iter().for_each(|&i| arrays.push(&Record::of(splats, i)));
+    in_morton_order(splats).iter().for_each(|&i| arrays.push(&SplatRecord::of(splats, i)));
     arrays.check().unwrap()
 }
 

@@ -8,7 +8,7 @@ use crate::scene::{SplatArrays, Splats, sh};
 
 /// One splat in the parameters of [`Splats`]. The rotation need not be normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Record {
+pub(super) struct SplatRecord {
     pub(super) mean: Vec3,
     pub(super) rotation: Quat,
     pub(super) log_scale: Vec3,
@@ -18,7 +18,7 @@ pub(super) struct Record {
     pub(super) sh: [[f32; 3]; 16],
 }
 
-impl Record {
+impl SplatRecord {
     pub(super) fn of(splats: &Splats, i: usize) -> Self {
         let mut all = [[0.0; 3]; 16];
         let own = splats.sh_of(i);
@@ -52,7 +52,7 @@ impl Record {
 /// The arrays while they are read.
 impl SplatArrays {
     /// As [`Self::push`], unless [`Self::check`] would refuse it; true if it was taken.
-    pub(super) fn push_valid(&mut self, record: &Record) -> bool {
+    pub(super) fn push_valid(&mut self, record: &SplatRecord) -> bool {
         let valid = record.is_valid();
         if valid {
             self.push(record);
@@ -61,7 +61,7 @@ impl SplatArrays {
     }
 
     /// Coefficients that `record` does not have are 0.
-    pub(super) fn push(&mut self, record: &Record) {
+    pub(super) fn push(&mut self, record: &SplatRecord) {
         self.means.push(record.mean);
         self.rotations.push(record.rotation);
         self.log_scales.push(record.log_scale);
@@ -71,7 +71,7 @@ impl SplatArrays {
     }
 
     /// Appends `count` splats, made side by side from their numbers.
-    pub(super) fn extend(&mut self, count: usize, record: impl Fn(usize) -> Record + Sync) {
+    pub(super) fn extend(&mut self, count: usize, record: impl Fn(usize) -> SplatRecord + Sync) {
         // Room is made for some at a time, which are then still in the cache when they are filled.
         const ROOM: usize = 1 << 14;
         for start in (0..count).step_by(ROOM) {
@@ -79,7 +79,7 @@ impl SplatArrays {
         }
     }
 
-    fn extend_at_once(&mut self, count: usize, record: impl Fn(usize) -> Record + Sync) {
+    fn extend_at_once(&mut self, count: usize, record: impl Fn(usize) -> SplatRecord + Sync) {
         // Large against the cost of a task.
         const PART: usize = 1 << 10;
         let (first, k) = (self.means.len(), sh::coefficients(self.sh_degree));
