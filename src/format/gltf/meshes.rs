@@ -92,36 +92,74 @@ impl<'a> Meshes<'a> {
         notes: &mut Vec<String>,
     ) -> Result<bool, Fault> {
         let at = format!("/nodes/{}", node.index());
-        let material = primitive.material();
-        if !self.maps.contains_key(&material.index()) {
-            let maps = material::maps(self.asset, &material, self.space, notes)?;
-            self.count(&maps, &at)?;
-            if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
-                let name = material.index().map_or(String::new(), |i| format!("/materials/{i}: "));
-                notes.push(format!("{name}single-sided, but drawn from both sides"));
-            }
-            self.maps.insert(material.index(), maps);
-        }
-        let maps = &self.maps[&material.index()];
-        let read =
-            triangles::read((self.asset, self.motion), &mut self.poses, (node, transform), primitive, maps.uv.set)?;
-        let Some(Triangles { mut positions, mut triangles, uvs, mut rest_surface, is_mirrored }) = read else {
-            return Ok(false);
-        };
-        if triangles.is_empty() {
+        let uv_set = self.maps_of(&primitive.material(), &at, notes)?.uv.set;
+        let read = triangles::read((self.asset, self.motion), &mut self.poses, (node, transform), primitive, uv_set)?;
+        let Some(mut geometry) = read else { return Ok(false) };
+        if geometry.triangles.is_empty() {
             notes.push(format!("{at}: a mesh without triangles is left out"));
             return Ok(true);
         }
-        let mut group = Group { material: material.index(), ..Group::default() };
-        group.corner_uvs = match &uvs {
+        let look = self.look((node, transform), primitive, &geometry, notes)?;
+        let moves = self.poses.animates(&geometry.rest_surface, self.motion);
+        let id = (node.index(), primitive.index());
+        let undeformed = self.wanted.contains(&id).then(|| undeformed(&geometry));
+        if let Some(source) = surface_vertices(self.asset, node, primitive, &geometry.positions)? {
+            join_copies(&mut geometry, &source, moves);
+        }
+        let Triangles { positions, triangles, rest_surface, is_mirrored, .. } = geometry;
+        let own_atlas = look.atlas.as_ref().or(look.turn.map(|_| &self.maps[&look.material].atlas));
+        let bytes = positions.len() as u64 * 12
+            + triangles.len() as u64 * 36
+            + own_atlas.map_or(0, |a| a.floats() as u64 * 4)
+            + if moves { rest_surface.bytes() } else { 0 };
+        self.asset.spend(bytes, &at)?;
+        let corners = undeformed.is_some().then(|| triangles.clone());
+        let group = Group { positions, triangles, rest_surface: moves.then_some(rest_surface), ..look };
+        let (surface, first) = self.join(group).map_err(|fault| fault.under(&at))?;
+        if let (Some(stored), Some(corners)) = (undeformed, corners) {
+            let unmirrored = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
+            let corners = corners.into_iter().map(|t| unmirrored(t).map(|v| v + first)).collect();
+            self.bindable.insert(id, Bindable { surface, moves, corners, stored });
+        }
+        Ok(true)
+    }
+
+    /// The maps of a material, read when it is first met.
+    fn maps_of(&mut self, material: &gltf::Material<'_>, at: &str, notes: &mut Vec<String>) -> Result<&Maps, Fault> {
+        let index = material.index();
+        if !self.maps.contains_key(&index) {
+            let maps = material::maps(self.asset, material, self.space, notes)?;
+            self.count(&maps, at)?;
+            if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
+                let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
+                notes.push(format!("{name}single-sided, but drawn from both sides"));
+            }
+            self.maps.insert(index, maps);
+        }
+        Ok(&self.maps[&index])
+    }
+
+    /// A group that has its geometry to come: how the material shows the triangles of a primitive.
+    fn look(
+        &self,
+        (node, transform): (&gltf::Node<'_>, DMat4),
+        primitive: &gltf::Primitive<'_>,
+        Triangles { positions, triangles, uvs, .. }: &Triangles,
+        notes: &mut Vec<String>,
+    ) -> Result<Group, Fault> {
+        let at = format!("/nodes/{}", node.index());
+        let material = primitive.material().index();
+        let maps = &self.maps[&material];
+        let corner_uvs = match uvs {
             Some(uvs) => triangles.iter().map(|t| maps.uv.corners(t.map(|v| uvs[v as usize]))).collect(),
             None => vec![[Vec2::splat(0.5); 3]; triangles.len()],
         };
+        let mut group = Group { material, corner_uvs, ..Group::default() };
         if let Some(base) = &maps.base {
             let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
             let colors = vertex_color::read(self.asset, id, positions.len())?;
             if let Some(colors) = colors.filter(|colors| colors.iter().any(|c| *c != [1.0; 4])) {
-                group.atlas = colored(base, &maps.atlas, &colors, &triangles, &mut group.corner_uvs)
+                group.atlas = colored(base, &maps.atlas, &colors, triangles, &mut group.corner_uvs)
                     .map_err(|fault| fault.under(&at))?;
                 if group.atlas.is_none() {
                     notes.push(format!("{at}: colours of vertices beside a texture are left out"));
@@ -140,36 +178,7 @@ impl<'a> Meshes<'a> {
             })?;
             group.turn = Some(turn).filter(|turn| *turn != DMat3::IDENTITY);
         }
-        let moves = self.poses.animates(&rest_surface, self.motion);
-        let id = (node.index(), primitive.index());
-        let undeformed = self.wanted.contains(&id).then(|| undeformed(&rest_surface, &triangles, is_mirrored));
-        if let Some(source) = surface_vertices(self.asset, node, primitive, &positions)? {
-            // The surface's own vertices come back in their own order.
-            let count = source.iter().max().map_or(0, |&v| v as usize + 1);
-            let (mut own, mut copies) = (vec![Vec3::ZERO; count], vec![0; count]);
-            for (copy, (&v, &p)) in source.iter().zip(&positions).enumerate() {
-                (own[v as usize], copies[v as usize]) = (p, copy);
-            }
-            triangles.iter_mut().for_each(|t| *t = t.map(|v| source[v as usize]));
-            positions = own;
-            if moves {
-                rest_surface = rest_surface.gather(&copies);
-            }
-        }
-        let bytes = positions.len() as u64 * 12 + triangles.len() as u64 * 36;
-        let own_atlas = group.atlas.as_ref().or(group.turn.map(|_| &maps.atlas));
-        let bytes = bytes + own_atlas.map_or(0, |a| a.floats() as u64 * 4);
-        self.asset.spend(bytes + if moves { rest_surface.bytes() } else { 0 }, &at)?;
-        let corners = undeformed.is_some().then(|| triangles.clone());
-        (group.positions, group.triangles) = (positions, triangles);
-        group.rest_surface = moves.then_some(rest_surface);
-        let (surface, first) = self.join(group).map_err(|fault| fault.under(&at))?;
-        if let (Some(stored), Some(corners)) = (undeformed, corners) {
-            let unmirrored = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
-            let corners = corners.into_iter().map(|t| unmirrored(t).map(|v| v + first)).collect();
-            self.bindable.insert(id, Bindable { surface, moves, corners, stored });
-        }
-        Ok(true)
+        Ok(group)
     }
 
     /// Refuses maps that are many because many materials share an image.
@@ -237,12 +246,26 @@ impl<'a> Meshes<'a> {
 }
 
 /// Undeformed corners of triangles, in the order in which the file has them.
-fn undeformed(rest_surface: &RestSurface, triangles: &[[u32; 3]], is_mirrored: bool) -> Vec<[Vec3; 3]> {
-    let order = if is_mirrored { [0, 2, 1] } else { [0, 1, 2] };
+fn undeformed(Triangles { triangles, rest_surface, is_mirrored, .. }: &Triangles) -> Vec<[Vec3; 3]> {
+    let order = if *is_mirrored { [0, 2, 1] } else { [0, 1, 2] };
     triangles.iter().map(|t| order.map(|c| rest_surface.base[t[c] as usize])).collect()
 }
 
-/// Maps with the colours of vertices; `None` beside a texture, unless they all are the same.
+/// Takes the vertices of the surface, in their own order, for the copies at seams that `source` lists; those of its rest only where it `moves`.
+fn join_copies(geometry: &mut Triangles, source: &[u32], moves: bool) {
+    let count = source.iter().max().map_or(0, |&v| v as usize + 1);
+    let (mut own, mut copies) = (vec![Vec3::ZERO; count], vec![0; count]);
+    for (copy, (&v, &p)) in source.iter().zip(&geometry.positions).enumerate() {
+        (own[v as usize], copies[v as usize]) = (p, copy);
+    }
+    geometry.triangles.as_flattened_mut().iter_mut().for_each(|v| *v = source[*v as usize]);
+    geometry.positions = own;
+    if moves {
+        geometry.rest_surface = geometry.rest_surface.gather(&copies);
+    }
+}
+
+/// Maps with the colours of vertices; `None` beside a texture.
 fn colored(
     base: &BaseColour,
     plain: &Atlas,

@@ -34,24 +34,8 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
         image
     };
 
-    let transformed = |i: usize| splats.means()[i].to_array().map(|v| compress(f64::from(v)));
-    let (mut mins, mut maxs) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for i in 0..n {
-        let t = transformed(i);
-        mins = std::array::from_fn(|a| mins[a].min(t[a]));
-        maxs = std::array::from_fn(|a| maxs[a].max(t[a]));
-    }
-    if n == 0 {
-        (mins, maxs) = ([0.0; 3], [0.0; 3]);
-    }
-    let mean = |i: usize| {
-        let t = transformed(i);
-        std::array::from_fn::<_, 3, _>(|a| {
-            let span = (maxs[a] - mins[a]).max(f64::MIN_POSITIVE);
-            ((t[a] - mins[a]) / span * 65535.0).round() as u16
-        })
-    };
-    let mean_bytes = |i, byte: usize| mean(i).map(|v| v.to_le_bytes()[byte]);
+    let range = MeanRange::of(splats.means());
+    let mean_bytes = |i: usize, byte: usize| range.bits(splats.means()[i]).map(|v| v.to_le_bytes()[byte]);
     let opaque = |[r, g, b]: [u8; 3]| [r, g, b, 255];
 
     let scales = Codebook::of(splats.log_scales().iter().flat_map(Vec3::to_array).collect());
@@ -91,8 +75,8 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
         count: Some(n as u64),
         antialias,
         means: Field {
-            mins: Some(Numbers::Many(mins.to_vec())),
-            maxs: Some(Numbers::Many(maxs.to_vec())),
+            mins: Some(Numbers::Many(range.mins.to_vec())),
+            maxs: Some(Numbers::Many(range.maxs.to_vec())),
             files: files(&["means_l", "means_u"]),
             ..Field::default()
         },
@@ -102,6 +86,39 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
         sh_n: sh_n.map(|field| Field { files: files(&["shN_centroids", "shN_labels"]), ..field }),
     };
     Ok(Encoded { meta, images, order })
+}
+
+/// What 16 bits of a coordinate range over, after [`compress`].
+struct MeanRange {
+    mins: [f64; 3],
+    maxs: [f64; 3],
+}
+
+impl MeanRange {
+    fn of(means: &[Vec3]) -> Self {
+        if means.is_empty() {
+            return Self { mins: [0.0; 3], maxs: [0.0; 3] };
+        }
+        let (mut mins, mut maxs) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for mean in means {
+            let compressed = Self::compressed(*mean);
+            mins = std::array::from_fn(|a| mins[a].min(compressed[a]));
+            maxs = std::array::from_fn(|a| maxs[a].max(compressed[a]));
+        }
+        Self { mins, maxs }
+    }
+
+    fn compressed(mean: Vec3) -> [f64; 3] {
+        mean.to_array().map(|v| compress(f64::from(v)))
+    }
+
+    fn bits(&self, mean: Vec3) -> [u16; 3] {
+        let compressed = Self::compressed(mean);
+        std::array::from_fn(|a| {
+            let span = (self.maxs[a] - self.mins[a]).max(f64::MIN_POSITIVE);
+            ((compressed[a] - self.mins[a]) / span * 65535.0).round() as u16
+        })
+    }
 }
 
 /// Width and height in texels, multiples of 4 about as wide as high.

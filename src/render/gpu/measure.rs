@@ -11,6 +11,7 @@ use super::{
     training::{Step, Training},
     view::{Dropout, TILE},
 };
+use crate::geometry::median;
 use crate::scene::{Camera, HybridScene, sh};
 
 /// Steps between two waits of the host for a GPU, as `optimize::static_scene` waits for losses.
@@ -105,13 +106,41 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     let truth = vec![128; camera.intrinsics().pixels() * 4];
     let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
     training.keep_photographs(truth.len() as u64);
+    let step = unmoving(scene, camera, &truth);
+    // Compiled kernels, long enough lists.
+    training.step(&step)?;
+    while training.grow_if_short()? > 0 {
+        training.step(&step)?;
+    }
+    gpu.wait()?;
+    // A software adapter's steps are long enough for a wait to be nothing beside one.
+    let steps = if gpu.profile().is_cpu { 1 } else { STEPS_A_WAIT };
+    let mut walls = vec![];
+    for _ in 0..repeats.max(1) {
+        let start = Instant::now();
+        for _ in 0..steps {
+            training.step(&step)?;
+        }
+        gpu.wait()?;
+        walls.push(start.elapsed().as_secs_f64() / f64::from(steps));
+    }
+    let stages = kernels(&mut training, &step, repeats)?;
+    let (visible, pairs) = training.pipeline.front.lists.read_counts(gpu)?;
+    let evaluations = evaluations(gpu, &training, camera)?;
+    drop(training);
+    let frame_seconds = Renderer::new(gpu, scene, &[*camera])?.seconds_per_frame(camera, repeats.max(1) as u32)?;
+    Ok(StepTimes { stages, step_seconds: median(walls).unwrap_or(0.0), frame_seconds, pairs, evaluations, visible })
+}
+
+/// All that a step can do, at rates of 0: the next is the same again.
+fn unmoving<'a>(scene: &HybridScene, camera: &'a Camera, truth: &'a [u8]) -> Step<'a> {
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
-    let step = Step {
+    Step {
         vertices: None,
         exposure: None,
         pose: None,
         camera,
-        truth: &truth,
+        truth,
         kept_as: Some(0),
         truth_alpha: TruthAlpha::Ignore,
         background: scene.composition.background,
@@ -137,28 +166,15 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
             visited_only: false,
             holds_opacity: false,
         }),
-    };
-    // Compiled kernels, long enough lists.
-    training.step(&step)?;
-    while training.grow_if_short()? > 0 {
-        training.step(&step)?;
     }
-    gpu.wait()?;
-    // A software adapter's steps are long enough for a wait to be nothing beside one.
-    let steps = if gpu.profile().is_cpu { 1 } else { STEPS_A_WAIT };
-    let mut walls = vec![];
-    for _ in 0..repeats.max(1) {
-        let start = Instant::now();
-        for _ in 0..steps {
-            training.step(&step)?;
-        }
-        gpu.wait()?;
-        walls.push(start.elapsed().as_secs_f64() / f64::from(steps));
-    }
+}
+
+/// See [`StepTimes::stages`].
+fn kernels(training: &mut Training, step: &Step, repeats: usize) -> Result<Vec<StageTime>, GpuError> {
     training.profile();
     let mut kernels: Vec<(String, Vec<f64>)> = vec![];
     for _ in 0..repeats.max(1) {
-        training.step(&step)?;
+        training.step(step)?;
         let mut sums: Vec<(String, f64)> = vec![];
         for (kernel, seconds) in training.seconds()? {
             match sums.iter_mut().find(|s| s.0 == kernel) {
@@ -173,18 +189,8 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
             }
         }
     }
-    let (visible, pairs) = training.pipeline.front.lists.read_counts(gpu)?;
-    let evaluations = evaluations(gpu, &training, camera)?;
-    drop(training);
-    let frame_seconds = Renderer::new(gpu, scene, &[*camera])?.seconds_per_frame(camera, repeats.max(1) as u32)?;
-    Ok(StepTimes {
-        stages: kernels.into_iter().map(|(kernel, t)| StageTime { kernel, seconds: median(t) }).collect(),
-        step_seconds: median(walls),
-        frame_seconds,
-        pairs,
-        evaluations,
-        visible,
-    })
+    let stage = |(kernel, t)| StageTime { kernel, seconds: median(t).unwrap_or(0.0) };
+    Ok(kernels.into_iter().map(stage).collect())
 }
 
 /// See [`StepTimes::evaluations`].
@@ -213,9 +219,4 @@ pub fn training_peak(adapter: Option<&str>, scene: &HybridScene, camera: &Camera
     let gpu = Gpu::open(adapter)?;
     training_step(&gpu, scene, camera, 1)?;
     Ok(gpu.peak_bytes())
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
