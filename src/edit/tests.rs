@@ -247,6 +247,7 @@ fn degrees_are_cut_and_raised() {
     let raised = with_sh_degree(cut.clone(), 3);
     assert_eq!((&raised.sh_of(1)[..4], &raised.sh_of(1)[4..]), (cut.sh_of(1), &[[0.0; 3]; 12][..]));
     assert_eq!(with_sh_degree(Splats::empty(0), 7).sh_degree(), 3);
+    assert_eq!(cut.into_arrays().with_sh_degree(u32::MAX).check().unwrap(), raised);
 
     let (scene, _) = random_scene(3, 0, 1, 3, 1, OrderMode::Stable);
     let mesh = &scene.meshes[0];

@@ -178,9 +178,10 @@ impl SplatArrays {
         }
     }
 
-    /// The same of another SH degree: higher bands are dropped, or added as zeros.
+    /// The same of another SH degree, at most [`sh::MAX_DEGREE`]: higher bands are dropped, or added as zeros.
     #[must_use]
     pub fn with_sh_degree(mut self, degree: u32) -> Self {
+        let degree = degree.min(sh::MAX_DEGREE);
         let [before, after] = [self.sh_degree, degree].map(sh::coefficients);
         let rows = self.sh.len() / before;
         if after < before {
