@@ -4,6 +4,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 
 use super::activation;
+use crate::scene::color::to_byte;
 use crate::scene::{ColorSpace, Texture, sh};
 
 /// sRGB-encoded colour of a texel of a base map.
@@ -23,8 +24,4 @@ pub(super) fn png(size: &Texture, pixels: &[u8], kind: ExtendedColorType) -> Vec
         .write_image(pixels, size.width(), size.height(), kind)
         .expect("encoding into memory, with a buffer of the declared size, cannot fail");
     png
-}
-
-fn to_byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }

@@ -19,8 +19,10 @@ pub use evaluation::{Evaluation, Measured, Scores, ViewScore};
 pub use flip::flip;
 pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsRange, LpipsScore};
 pub use picture::side_by_side;
-pub use psnr::{psnr, quantised, to_byte, to_rgb8};
+pub use psnr::{psnr, quantised, to_rgb8};
 pub use ssim::{ssim_inria, ssim_reflect, ssim_valid};
+
+pub use crate::scene::color::to_byte;
 
 /// Two images that cannot be compared.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

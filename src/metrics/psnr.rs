@@ -1,6 +1,6 @@
 use image::{Rgb32FImage, RgbImage};
 
-use super::{MetricError, check_least, check_same_size};
+use super::{MetricError, check_least, check_same_size, to_byte};
 
 /// Peak signal-to-noise ratio in dB, −10·log₁₀ of the mean squared error over all pixels and channels (peak 1).
 /// Infinite for equal images, NaN if a value is NaN.
@@ -12,12 +12,6 @@ pub fn psnr(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricErro
     check_least("PSNR", 1, truth.dimensions())?;
     let squares: f64 = truth.iter().zip(render.iter()).map(|(&t, &r)| (f64::from(t) - f64::from(r)).powi(2)).sum();
     Ok(-10.0 * (squares / truth.as_raw().len() as f64).log10())
-}
-
-/// 8-bit value: clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.
-#[must_use]
-pub fn to_byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
 /// 8-bit image: values are clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.

@@ -1,5 +1,5 @@
-//! The sRGB transfer function (IEC 61966-2-1). Negative values, which only unclamped renders have, stay on its linear
-//! segment.
+//! Values as pictures hold them: sRGB-encoded (IEC 61966-2-1), in 8 bits. Negative values, which only unclamped renders have, stay on the linear
+//! segment of the transfer function.
 
 /// Linear light from an encoded value.
 #[must_use]
@@ -11,6 +11,12 @@ pub fn srgb_to_linear(c: f32) -> f32 {
 #[must_use]
 pub fn linear_to_srgb(c: f32) -> f32 {
     if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// 8-bit value: clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.
+#[must_use]
+pub fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
 #[cfg(test)]
