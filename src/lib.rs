@@ -2,18 +2,59 @@
 //! depth order.
 //!
 //! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `metrics`) → `scene` → `format`; [`evaluate`] tells how good it is.
-//! ARCHITECTURE.md has the map and the invariants.
+//! ARCHITECTURE.md has the map and the invariants. Types of [`glam`], [`image`] and [`serde_json`] are part of the interface: they are re-exported, so
+//! that versions agree.
 //!
-//! A scene from a file, rendered from one of the cameras that are in it:
+//! A scene from a file, rendered from one of the cameras that are in it, as a picture and as depths (camera-space z, world units):
 //!
 //! ```no_run
-//! use centaur::{format::{ReadOptions, read_file}, render::gpu::{Gpu, Renderer}};
+//! use centaur::{
+//!     format::{ReadOptions, read_file},
+//!     image,
+//!     render::{contract::ImageModel, gpu::{Gpu, LayeredRenderer, Renderer}},
+//! };
 //!
 //! let file = read_file("garden.glb".as_ref(), &ReadOptions::default())?;
 //! let (_, camera) = file.cameras.first().ok_or("no camera in it")?;
 //! let gpu = Gpu::open(None)?;
 //! let picture = Renderer::new(&gpu, &file.scene, &[*camera])?.render(camera)?;
-//! println!("{}×{}, first pixel {:?}", picture.width, picture.height, picture.rgb[0]);
+//! let bytes = picture.to_rgb8(file.scene.composition.color_space);
+//! image::save_buffer("garden.png", &bytes, picture.width, picture.height, image::ColorType::Rgb8)?;
+//! let parts = LayeredRenderer::new(&gpu, &file.scene, &[*camera], ImageModel::default())?.render(camera)?;
+//! println!("farthest: {}", parts.median_depth.iter().copied().fold(0.0, f32::max));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Splats from a file, changed and written as glTF. What a scene holds is valid, so that its arrays are taken out to be changed, and checked as
+//! they become splats again; [`edit`] has what is often done to them:
+//!
+//! ```no_run
+//! use centaur::{edit, format::{WriteOptions, read_scene, write_scene}, glam::{DMat3, DVec3}, scene::Splats};
+//!
+//! let mut scene = read_scene("scan.ply".as_ref())?;
+//! let splats = std::mem::replace(&mut scene.splats, Splats::empty(0));
+//! let kept = edit::not_below_opacity(&splats, 0.02);
+//! let mut arrays = edit::gather(splats, &kept).into_arrays();
+//! arrays.log_scales.iter_mut().for_each(|log_scale| *log_scale += 1.1_f32.ln());
+//! scene.splats = arrays.check()?;
+//! let scene = edit::Similarity::new(1.0, DMat3::from_rotation_y(0.5), DVec3::ZERO)?.scene(scene)?;
+//! let report = write_scene("scan.glb".as_ref(), &scene, &WriteOptions::default())?;
+//! println!("{} bytes; lost: {}", report.bytes, report.loss);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The frames of a glTF that moves ([`format::gltf::Source`]; `examples/write_hybrid.rs` makes a scene by hand):
+//!
+//! ```no_run
+//! use centaur::format::{DEFAULT_FPS, ReadOptions, frame_count, read_file};
+//!
+//! let file = read_file("head.glb".as_ref(), &ReadOptions::default())?;
+//! let source = file.source.as_ref().ok_or("not a glTF")?;
+//! let ([start, end], fps) = (source.range(), source.fps().unwrap_or(DEFAULT_FPS));
+//! for frame in 0..frame_count(start, end, fps).ok_or("too many frames")? {
+//!     let posed = source.at(&file.scene, start + frame as f64 / fps)?;
+//!     println!("{frame}: {} meshes, {} splats", posed.meshes.len(), posed.splats.len());
+//! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -47,6 +88,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test"))]
 
 pub mod atomic;
+mod base64;
 pub mod capture;
 pub mod edit;
 pub mod evaluate;
@@ -57,4 +99,5 @@ pub mod optimize;
 pub mod path;
 pub mod render;
 pub mod scene;
-mod base64;
+
+pub use {glam, image, serde_json};

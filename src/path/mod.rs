@@ -25,7 +25,7 @@ pub struct Shot {
     pub fov_y: Option<f64>,
 }
 
-/// A path around the point that the views look at.
+/// A path around the point that the views look at; lengths are in world units.
 #[derive(Clone, Copy, Debug)]
 pub struct Around {
     /// That point; `None`: the one nearest to all optical axes, by squared distance.
