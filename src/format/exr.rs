@@ -9,6 +9,7 @@ use exr::prelude::{
     WritableImage as _, f16,
 };
 
+use super::error::Fault;
 use super::{FormatError, atomic_write};
 use crate::scene::{ColorSpace, Intrinsics, Texture};
 
@@ -35,7 +36,7 @@ pub enum ExrCompression {
 /// One channel of a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// Its name: `R`, `splats.R`, `Z`.
+    /// Its name: `R`, `splats.R`, `Z`; of Latin-1 letters, as EXR has them.
     pub name: String,
     /// `[height·width]`, row-major from the top.
     pub values: Vec<f32>,
@@ -68,7 +69,7 @@ pub fn pixel_aspect(k: &Intrinsics) -> f32 {
 /// attribute `chromaticities` says Rec. 709. A header of an sRGB-encoded picture is needed since EXR is taken for linear.
 ///
 /// # Errors
-/// If the file cannot be written, or there is no pixel or no channel.
+/// If the file cannot be written, there is no pixel or no channel, or the name of one has letters beyond Latin-1 or is that of another.
 ///
 /// # Panics
 /// If a channel has another length than `width`·`height`.
@@ -80,15 +81,18 @@ pub fn write_exr(
 ) -> Result<(), FormatError> {
     let size = (width as usize, height as usize);
     let sampled = |channel: Channel| {
+        let name = Text::new_or_none(&channel.name)
+            .ok_or_else(|| Fault::whole("names of channels in Latin-1", format!("`{}`", channel.name)).in_file(path))?;
         assert_eq!(channel.values.len(), size.0 * size.1, "{}", channel.name);
         let samples = if header.samples == SampleType::Half && !channel.precise {
             FlatSamples::F16(channel.values.into_iter().map(f16::from_f32).collect())
         } else {
             FlatSamples::F32(channel.values)
         };
-        AnyChannel::new(channel.name.as_str(), samples)
+        Ok::<_, FormatError>(AnyChannel::new(name, samples))
     };
-    let channels = AnyChannels::sort(channels.into_iter().map(sampled).collect());
+    let channels = channels.into_iter().map(sampled).collect::<Result<_, FormatError>>()?;
+    let channels = AnyChannels::sort(channels);
     let text = |s: &str| AttributeValue::Text(Text::new_or_panic(s));
     let mut attributes =
         LayerAttributes { software_name: Some(Text::new_or_panic("centaur")), ..LayerAttributes::default() };
@@ -201,6 +205,19 @@ mod tests {
     fn aspect_is_width_over_height() {
         let k = Intrinsics { width: 50, height: 100, fx: 60.0, fy: 120.0, cx: 25.0, cy: 50.0 };
         assert_eq!(pixel_aspect(&k), 2.0);
+    }
+
+    #[test]
+    fn names_that_exr_cannot_hold_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        for (name, said) in [("深さ", "a.exr: expected names of channels in Latin-1, found `深さ`"), ("R", "a.exr")]
+        {
+            let mut channels = picture();
+            channels[1].name = name.to_owned();
+            let error = write_exr(&path, [5, 3], channels, &ExrHeader::default()).unwrap_err().to_string();
+            assert!(error.contains(said) && !path.exists(), "{error}");
+        }
     }
 
     #[test]
