@@ -58,6 +58,7 @@ fmt:
 
 clippy:
 	cargo clippy --release --all-targets -- -D warnings
+	cargo clippy --release --lib --no-default-features -- -D warnings
 
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps

@@ -40,12 +40,17 @@ const ONE_WAY: [&str; 12] = [
 ];
 
 /// What may be named only in some files: (text, where by path prefix, in words).
-const ONLY_IN: [(&str, &[&str], &str); 5] = [
+const ONLY_IN: [(&str, &[&str], &str); 9] = [
     ("wgpu::", &["render/gpu/device/"], "wgpu outside render/gpu/device"),
     ("print!", &["cli/", "main.rs"], "printing in the library"),
     ("println!", &["cli/", "main.rs"], "printing in the library"),
     ("process::exit", &["cli/", "main.rs"], "a process exit in the library"),
+    // What the feature `cli` brings.
+    ("anyhow::", &["cli/", "main.rs"], "anyhow in the library"),
     ("clap::", &["cli/", "main.rs"], "clap in the library"),
+    ("ctrlc::", &["cli/", "main.rs"], "ctrlc in the library"),
+    ("indicatif::", &["cli/", "main.rs"], "indicatif in the library"),
+    ("signal_hook::", &["cli/", "main.rs"], "signal-hook in the library"),
 ];
 
 /// Source without comments and without items for tests, whose last line is indented as their first.
