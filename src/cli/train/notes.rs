@@ -48,7 +48,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
     let large = (side > USUAL_SIDE).then(|| {
         format!(
             "has pictures of {side} pixels a side, as they are trained on: results are usually given for {USUAL_SIDE} \
-             (--max-side {USUAL_SIDE}) or --downscale"
+             (--max-side {USUAL_SIDE} or --downscale)"
         )
     });
     let finds_surface = args.mesh.is_none() && !args.no_mesh;
