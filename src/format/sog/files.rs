@@ -136,7 +136,14 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, Stri
     }
     let folder = folder.canonicalize().map_err(unreadable)?;
     let path = folder.join(name).canonicalize().map_err(unreadable)?;
-    if path.starts_with(&folder) { Ok(path) } else { Err(refused()) }
+    if !path.starts_with(&folder) {
+        return Err(refused());
+    }
+    // A pipe would never open.
+    if !path.is_file() {
+        return Err(("a file".to_owned(), format!("{}, which is none", shown(name.as_bytes()))));
+    }
+    Ok(path)
 }
 
 /// Writes all files; returns their length together.
