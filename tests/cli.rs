@@ -265,3 +265,34 @@ fn a_ply_of_something_else_is_inspected() {
     let line = common::failure(folder.path(), common::centaur(folder.path()).args(["inspect", "bad.ply"]));
     assert!(line.starts_with("error: bad.ply: byte "), "{line}");
 }
+
+/// Names in files, and of files, may be anything.
+#[test]
+fn names_cannot_move_the_cursor() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = r#"{ "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }], "extensionsUsed": ["A\u001b[2J\r\nB"],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0] }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }], "buffers": [{ "byteLength": 36, "uri": "a.bin" }] }"#;
+    let corners = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].map(f32::to_le_bytes);
+    std::fs::write(folder.path().join("a.bin"), corners.concat()).unwrap();
+    std::fs::write(folder.path().join("a.gltf"), document).unwrap();
+    let said = |args: &[&str]| {
+        let output = common::centaur(folder.path()).args(args).output().unwrap();
+        let text = String::from_utf8(output.stdout).unwrap() + &String::from_utf8(output.stderr).unwrap();
+        assert!(!text.contains(|c: char| c.is_control() && c != '\n'), "{args:?}: {text:?}");
+        text
+    };
+    let text = said(&["validate", "a.gltf"]);
+    assert!(text.contains(r"expected an object of `A\u{1b}[2J\r\nB`, found none"), "{text}");
+    let text = said(&["convert", "a.gltf", "a.usda"]);
+    assert!(text.contains(r"the extension A\u{1b}[2J\r\nB"), "{text}");
+    #[cfg(unix)]
+    {
+        std::fs::write(folder.path().join("a\u{1b}[2J.gltf"), document).unwrap();
+        std::fs::write(folder.path().join("b\u{1b}[2J.ply"), "").unwrap();
+        assert!(said(&["inspect", "b\u{1b}[2J.ply"]).starts_with(r"error: b\u{1b}[2J.ply: byte 0: expected "));
+        assert!(said(&["validate", "a\u{1b}[2J.gltf"]).contains("\na\\u{1b}[2J.gltf: glTF, "));
+        assert!(said(&["convert", "a\u{1b}[2J.gltf", "c\u{1b}[2J.usda"]).contains("\nc\\u{1b}[2J.usda: 0 splats"));
+    }
+}

@@ -6,7 +6,9 @@ use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
 use centaur::edit::{self, Similarity};
 use centaur::format::ply::Attribute;
-use centaur::format::{self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, gltf, spz};
+use centaur::format::{
+    self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, gltf, one_line, spz,
+};
 use centaur::scene::Composition;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -177,7 +179,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         bail!("{}: --strict: {note}", input.file.display());
     }
     bar.inc(1);
-    bar.set_message(format!("writing {}", files.output.display()));
+    bar.set_message(format!("writing {}", one_line(&files.output.display().to_string())));
     let mut report = write(args, files, &edited)?;
     // That of one input is not that of all.
     report.loss.record |= edited.record.is_none() && inputs.iter().any(|input| input.has_record);
@@ -211,7 +213,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
     let (mut document, mut record) = (None, None);
     for file in files {
-        bar.set_message(format!("reading {}", file.display()));
+        bar.set_message(format!("reading {}", one_line(&file.display().to_string())));
         let SceneFile { scene, cameras: own, mut notes, y_up, attributes: extra, dropped, source, record: own_record } =
             format::read_file(file, &options)?;
         if let Some(source) = source.as_ref().filter(|_| !one) {

@@ -24,6 +24,7 @@ use std::io::{self, Write as _};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, Result};
+use centaur::format;
 use clap::{Parser, Subcommand};
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
@@ -110,8 +111,9 @@ fn names_for_json(arguments: impl IntoIterator<Item = OsString>) -> Result<()> {
 fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
-        let cause =
-            output::without_codes(&cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ")).into_owned();
+        let cause = cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        // Names may be anything.
+        let cause = output::without_codes(&format::one_line(&cause)).into_owned();
         if line.is_empty() {
             line = cause;
         } else if !line.contains(&cause) {
@@ -176,5 +178,6 @@ mod tests {
         assert_eq!(one_line(&advice), "making the mesh: no surface; --no-mesh does without");
         let missing = anyhow::Error::new(io::Error::from_raw_os_error(2)).context("a.bin");
         assert!(!one_line(&missing).contains("os error"), "{}", one_line(&missing));
+        assert_eq!(one_line(&anyhow!("a\u{1b}[2J\nb.bin: no such file")), "a\\u{1b}[2J b.bin: no such file");
     }
 }

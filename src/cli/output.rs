@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::atomic::{self, folder_of};
+use centaur::format::one_line;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use indicatif::ProgressBar;
 
@@ -13,12 +14,13 @@ use super::shared::MessageArgs;
 
 /// Prints one JSON object on a line of stdout.
 pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
-    print(&serde_json::to_string(value)?)
+    write(format!("{}\n", without_codes(&serde_json::to_string(value)?)).as_bytes())
 }
 
-/// Prints `text` and a line end on stdout.
+/// Prints `text` and a line end on stdout. Names of files and in them may be anything: in each line what would move the cursor is escaped.
 pub(super) fn print(text: &str) -> Result<()> {
-    write(format!("{}\n", without_codes(text)).as_bytes())
+    let lines: Vec<Cow<'_, str>> = text.split('\n').map(one_line).collect();
+    write(format!("{}\n", without_codes(&lines.join("\n"))).as_bytes())
 }
 
 /// Writes `bytes` to stdout.
@@ -38,7 +40,7 @@ pub(super) fn is_read_enough(error: &anyhow::Error) -> bool {
 
 /// Prints a line on stderr that is no error; a reader that has gone away does not stop the command.
 pub(super) fn note(text: &str) {
-    let _ = writeln!(io::stderr(), "note: {}", without_codes(text));
+    let _ = writeln!(io::stderr(), "note: {}", without_codes(&one_line(text)));
 }
 
 /// Rust's I/O errors end in ` (os error 2)`, which tells a user nothing that the words before it do not.

@@ -238,8 +238,9 @@ fn pointer(path: &serde_path_to_error::Path) -> String {
     path.iter().map_while(token).collect()
 }
 
-/// Text in one line, what would move a cursor escaped: names and messages hold what files say.
-pub(crate) fn one_line(text: &str) -> Cow<'_, str> {
+/// Text in one line, what would move the cursor of a terminal escaped: names and messages hold what files say.
+#[must_use]
+pub fn one_line(text: &str) -> Cow<'_, str> {
     if !text.contains(char::is_control) {
         return text.into();
     }

@@ -6,6 +6,7 @@ use glam::{DQuat, Quat, Vec3};
 use serde::Serialize;
 
 use super::activation;
+use super::error::one_line;
 use super::splat_record::SplatRecord;
 use crate::scene::{Splats, sh};
 
@@ -140,7 +141,7 @@ impl fmt::Display for Loss {
         if parts.is_empty() {
             return write!(f, "nothing");
         }
-        write!(f, "{}", parts.join("; "))
+        write!(f, "{}", one_line(&parts.join("; ")))
     }
 }
 

@@ -38,7 +38,7 @@ pub use cameras::{
     CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, frame_count, picture_names, read_cameras, some_of,
     write_cameras, write_cameras_with_scene,
 };
-pub use error::{FormatError, Location};
+pub use error::{FormatError, Location, one_line};
 pub use exchange::{Sharing, sharing};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
 pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};

@@ -5,6 +5,7 @@ use std::fmt;
 use std::path::Path;
 
 use anyhow::{Result, bail};
+use centaur::format::one_line;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -281,7 +282,8 @@ impl fmt::Display for Table {
         for section in &self.variants {
             for row in &section.rows {
                 // A scene's name may be any that a folder has.
-                writeln!(f, "| {} | {} | {} |", section.variant, row.scene.replace('|', "\\|"), row.cells())?;
+                let scene = one_line(&row.scene).replace('|', "\\|");
+                writeln!(f, "| {} | {scene} | {} |", section.variant, row.cells())?;
             }
             if let Some(mean) = &section.mean {
                 writeln!(f, "| **{}** | **{}** | {} |", section.variant, mean.scene, mean.cells())?;

@@ -11,7 +11,7 @@ use std::sync::{Mutex, Once};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use centaur::format::atomic_write;
+use centaur::format::{atomic_write, one_line};
 use indicatif::ProgressStyle;
 use serde_json::Value;
 
@@ -53,16 +53,20 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
                 while !stop.load(Ordering::Relaxed) {
                     let next = queue.lock().map_or(None, |mut queue| queue.next());
                     let Some(&job) = next else { break };
-                    bar.set_message(job.name());
+                    bar.set_message(one_line(&job.name()).into_owned());
                     let start = Instant::now();
                     match train(job, known, &stop) {
                         Ok(Ended::Done) => {
-                            bar.println(format!("{}: {:.1} min", job.name(), start.elapsed().as_secs_f64() / 60.0));
+                            bar.println(format!(
+                                "{}: {:.1} min",
+                                one_line(&job.name()),
+                                start.elapsed().as_secs_f64() / 60.0
+                            ));
                         }
                         Ok(Ended::Interrupted) => interrupted.store(true, Ordering::Relaxed),
                         Ok(Ended::Elsewhere) => elsewhere.store(true, Ordering::Relaxed),
                         Err(reason) => {
-                            let line = format!("{}: {reason:#}", job.name());
+                            let line = one_line(&format!("{}: {reason:#}", job.name())).into_owned();
                             // A hidden bar says nothing.
                             if bar.is_hidden() {
                                 let _ = writeln!(io::stderr(), "{line}");

@@ -14,7 +14,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::error::{Fault, FormatError, Location, read_file};
+use super::error::{Fault, FormatError, Location, one_line, read_file};
 use super::{Kind, kind, read_scene};
 
 /// How bad a finding is.
@@ -194,7 +194,8 @@ impl fmt::Display for Finding {
             Severity::Error => "error",
             Severity::Warning => "warning",
         };
-        let Self { code, location, expected, found, .. } = self;
+        let Self { code, location, .. } = self;
+        let [expected, found] = [&self.expected, &self.found].map(|text| one_line(text));
         write!(f, "{severity} {code}: {location}expected {expected}, found {found}")
     }
 }
@@ -202,6 +203,6 @@ impl fmt::Display for Finding {
 impl fmt::Display for Validation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.findings.iter().try_for_each(|finding| writeln!(f, "{finding}"))?;
-        write!(f, "{}: {}, {} error(s), {} warning(s)", self.file, self.format, self.errors, self.warnings)
+        write!(f, "{}: {}, {} error(s), {} warning(s)", one_line(&self.file), self.format, self.errors, self.warnings)
     }
 }
