@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use image::imageops::{self, FilterType};
 use image::metadata::Orientation;
-use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Rgba, RgbaImage};
+use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Limits, Rgba, RgbaImage};
 
 use super::distortion::{Distortion, Lens};
 use super::{CaptureError, View, error};
-use crate::{format::MAX_PIXEL_RATIO, scene::Intrinsics};
+use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
+use crate::scene::Intrinsics;
 
 /// Of an image file, in which its size and EXIF usually are.
 const HEADER_BYTES: usize = 1 << 17;
@@ -126,8 +127,10 @@ fn decoder<'a>(bytes: &'a [u8], length: usize, path: &Path) -> Result<impl Image
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|e| image_error(path, bytes.len(), &e.into()))?;
-    // The pixel limit below is the tighter one; the default of 512 MiB refuses 16-bit panoramas.
-    reader.no_limits();
+    // Not of pixels, which have a limit below.
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(MAX_BESIDE_PIXELS);
+    reader.limits(limits);
     let decoder = reader.into_decoder().map_err(|e| image_error(path, bytes.len(), &e))?;
     let (w, h) = decoder.dimensions();
     if !Intrinsics::is_size(w, h) {
@@ -297,7 +300,7 @@ mod tests {
     use super::super::tests::write_capture;
     use super::super::{Downscale, LoadOptions, open};
     use super::*;
-    use crate::format::test_scenes::black_png;
+    use crate::format::test_scenes::{black_png, profiled_png};
     use image::RgbImage;
 
     /// A 16×8 JPEG with a bright top left quarter.
@@ -522,6 +525,18 @@ mod tests {
         let view = open(folder.path(), &LoadOptions::default()).unwrap().views.remove(0);
         std::fs::write(view.source.path(), png(&DynamicImage::new_rgb8(8, 4))).unwrap();
         assert!(decode(&view).unwrap_err().to_string().contains("expected 16×8, found 8×4"));
+    }
+
+    /// Of one that is too long the picture is read without it.
+    #[test]
+    fn colour_profiles_unpack_to_little() {
+        let profile = |bytes: usize| {
+            let png = profiled_png(bytes);
+            assert!(photo_of(&png, 1, 1, Downscale::Full).is_ok());
+            let mut decoder = decoder(&png, png.len(), Path::new("a.png")).unwrap();
+            decoder.icc_profile().unwrap().map(|profile| profile.len())
+        };
+        assert_eq!([1 << 20, 65 << 20].map(profile), [Some(1 << 20), None]);
     }
 
     proptest::proptest! {

@@ -14,6 +14,7 @@ mod inspect;
 pub mod ksplat;
 mod length;
 mod loss;
+mod map_budget;
 pub mod mesh_import;
 pub mod mitsuba;
 mod placed;
@@ -56,6 +57,9 @@ use crate::scene::{HybridScene, PixelFilter, Splats};
 /// palette's colours: 24,768. A progressive JPEG of one colour has about 1000 (one bit per 8×8 block). Memory is not reserved on the word of a
 /// header that claims more.
 pub(crate) const MAX_PIXEL_RATIO: u64 = 1 << 15;
+
+/// Bytes that an image may unpack to besides its pixels, as a colour profile, of which nothing is used; the `png` crate has the same by itself.
+pub(crate) const MAX_BESIDE_PIXELS: u64 = 64 << 20;
 
 /// Image height given to cameras that do not state one.
 const DEFAULT_HEIGHT: u32 = 1080;

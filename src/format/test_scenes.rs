@@ -86,21 +86,33 @@ pub(super) fn assert_same_loss(measured: &Loss, found: &Loss) {
 
 /// A PNG of 1 bit per pixel, as programs write masks: a thousandth of a byte each.
 pub(crate) fn black_png(width: u32, height: u32) -> Vec<u8> {
-    let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
-    let mut chunk = |kind: &[u8; 4], data: &[u8]| {
-        out.extend((data.len() as u32).to_be_bytes());
-        let named = [kind, data].concat();
-        let mut crc = flate2::Crc::new();
-        crc.update(&named);
-        out.extend(named);
-        out.extend(crc.sum().to_be_bytes());
-    };
     let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
-    chunk(b"IHDR", &[&size[..], &[1, 0, 0, 0, 0]].concat());
     let rows = vec![0; height as usize * (1 + width.div_ceil(8) as usize)];
+    let parts = [
+        png_chunk(b"IHDR", &[&size[..], &[1, 0, 0, 0, 0]].concat()),
+        png_chunk(b"IDAT", &deflated(&rows)),
+        png_chunk(b"IEND", &[]),
+    ];
+    [b"\x89PNG\r\n\x1a\n", &parts.concat()[..]].concat()
+}
+
+/// The same of one pixel, with a colour profile that unpacks to so many bytes.
+pub(crate) fn profiled_png(bytes: usize) -> Vec<u8> {
+    let mut png = black_png(1, 1);
+    // Behind the header.
+    png.splice(33..33, png_chunk(b"iCCP", &[b"a\0\0", &deflated(&vec![0; bytes])[..]].concat()));
+    png
+}
+
+fn png_chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
+    let named = [kind, data].concat();
+    let mut crc = flate2::Crc::new();
+    crc.update(&named);
+    [&(data.len() as u32).to_be_bytes(), &named[..], &crc.sum().to_be_bytes()].concat()
+}
+
+fn deflated(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::best());
-    std::io::Write::write_all(&mut encoder, &rows).unwrap();
-    chunk(b"IDAT", &encoder.finish().unwrap());
-    chunk(b"IEND", &[]);
-    out
+    std::io::Write::write_all(&mut encoder, bytes).unwrap();
+    encoder.finish().unwrap()
 }

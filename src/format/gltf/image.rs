@@ -1,6 +1,5 @@
 //! Decodes textures of a glTF file.
 
-use std::hash::{DefaultHasher, Hasher as _};
 use std::io::Cursor;
 
 use image::ImageDecoder as _;
@@ -8,8 +7,9 @@ use image::ImageDecoder as _;
 use super::extension::WEBP;
 use super::lift::Asset;
 use super::uri::resolve;
-use crate::format::MAX_PIXEL_RATIO;
 use crate::format::error::Fault;
+use crate::format::map_budget::{Identity, MapBudget, identity};
+use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
 use crate::scene::Texture;
 
 /// Texels as stored, 0..1, no transfer function undone; rows from the top.
@@ -19,8 +19,8 @@ pub(in crate::format) struct Texels {
     pub(in crate::format) rgba: Vec<[f32; 4]>,
     /// Whether it is a picture of colours in 8 bits, which come in sRGB where nothing is said.
     pub(in crate::format) is_srgb_by_custom: bool,
-    /// Hash and length of the file.
-    pub(super) encoded: (u64, u64),
+    /// The file.
+    pub(in crate::format) encoded: Identity,
 }
 
 impl Asset {
@@ -45,48 +45,50 @@ impl Asset {
     }
 }
 
+/// What is expected where a picture is.
+const IMAGE: &str = "a PNG, JPEG or WebP image";
+
 /// Decodes a PNG (8 or 16 bit), JPEG or `WebP`. On failure: what was expected, and what was found.
 pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, String)> {
-    let undecodable = |e: &dyn std::fmt::Display| ("a PNG, JPEG or WebP image".to_owned(), e.to_string());
-    let encoded_bytes = encoded.len() as u64;
-    let mut hasher = DefaultHasher::new();
-    hasher.write(&encoded);
-    let identity = (hasher.finish(), encoded_bytes);
+    let undecodable = |e: &dyn std::fmt::Display| (IMAGE.to_owned(), e.to_string());
+    let (encoded_bytes, identity) = (encoded.len() as u64, identity(&encoded));
     if encoded.starts_with(b"RIFF") {
-        return webp_texels(&encoded, identity).map_err(|e| undecodable(&*e));
+        return webp_texels(&encoded, identity);
     }
     let mut reader =
         image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(Texture::MAX_SIDE);
     limits.max_image_height = Some(Texture::MAX_SIDE);
-    // RGBA of 16 bits at the largest size, for the decoder itself.
-    limits.max_alloc = Some(u64::from(Texture::MAX_SIDE).pow(2) * 8);
+    limits.max_alloc = Some(MAX_BESIDE_PIXELS);
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(|e| undecodable(&e))?;
+    let (width, height) = decoder.dimensions();
     if decoder.total_bytes() / MAX_PIXEL_RATIO > encoded_bytes {
-        let (width, height) = decoder.dimensions();
         let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_PIXEL_RATIO);
         return Err((expected, format!("{encoded_bytes} bytes")));
     }
+    MapBudget::new(encoded_bytes).spend(4 * u64::from(width) * u64::from(height))?;
     let is_srgb_by_custom = matches!(decoder.color_type(), image::ColorType::Rgb8 | image::ColorType::Rgba8);
     let pixels = image::DynamicImage::from_decoder(decoder).map_err(|e| undecodable(&e))?.into_rgba32f();
     let rgba = pixels.pixels().map(|p| p.0).collect();
     Ok(Texels { width: pixels.width(), height: pixels.height(), rgba, is_srgb_by_custom, encoded: identity })
 }
 
-fn webp_texels(encoded: &[u8], identity: (u64, u64)) -> Result<Texels, Box<dyn std::error::Error>> {
+fn webp_texels(encoded: &[u8], identity: Identity) -> Result<Texels, (String, String)> {
     // WebP codes an image of one colour in next to no bits: up to this size any ratio is believed.
     const SMALL: usize = 1 << 24;
-    let mut decoder = image_webp::WebPDecoder::new(Cursor::new(encoded))?;
+    let undecodable = |e: image_webp::DecodingError| (IMAGE.to_owned(), e.to_string());
+    let mut decoder = image_webp::WebPDecoder::new(Cursor::new(encoded)).map_err(undecodable)?;
     let (width, height) = decoder.dimensions();
     let channels = if decoder.has_alpha() { 4 } else { 3 };
     let size = decoder.output_buffer_size().unwrap_or(usize::MAX);
     if size > SMALL && size as u64 / MAX_PIXEL_RATIO > encoded.len() as u64 {
-        return Err(format!("{width}×{height} pixels in {} bytes", encoded.len()).into());
+        return Err((IMAGE.to_owned(), format!("{width}×{height} pixels in {} bytes", encoded.len())));
     }
+    MapBudget::of(encoded).spend(4 * u64::from(width) * u64::from(height))?;
     let mut bytes = vec![0; size];
-    decoder.read_image(&mut bytes)?;
+    decoder.read_image(&mut bytes).map_err(undecodable)?;
     let rgba = bytes.chunks_exact(channels).map(|p| {
         let unit = |c: usize| p.get(c).map_or(1.0, |b| f32::from(*b) / 255.0);
         [0, 1, 2, 3].map(unit)
@@ -113,6 +115,13 @@ mod tests {
         let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
         let texels = asset.texels(0).map_err(|e| e.in_file(Path::new("f")).to_string()).unwrap();
         assert_eq!((texels.width, texels.rgba[0]), (2048, [0.0, 0.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn what_an_image_may_unpack_to_is_limited() {
+        // 33 MB of rows in some 30 kB would be 4 GB of floats.
+        let (expected, found) = decode(black_png(16384, 16384)).err().unwrap();
+        assert!(expected.starts_with("maps of at most ") && found == "4294967296 bytes", "{expected}, {found}");
     }
 
     #[test]

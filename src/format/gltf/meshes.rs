@@ -15,14 +15,10 @@ use super::triangles::{self, Triangles};
 use super::uv::Unrolling;
 use super::vertex_color;
 use crate::format::error::{Fault, from_value};
+use crate::format::map_budget::MapBudget;
 use crate::format::placed::{orthogonal, turned};
 use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
-
-/// Bytes of maps that a byte of images and buffers may become, above what any file may: four floats for each of the
-/// pixels, of which a PNG holds up to a thousand in a byte.
-const MAX_RATIO: u64 = 16384;
-const ALWAYS: u64 = 1 << 30;
 
 /// Meshes under construction.
 pub(super) struct Meshes<'a> {
@@ -34,9 +30,7 @@ pub(super) struct Meshes<'a> {
     bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
     maps: HashMap<Option<usize>, Maps>,
-    /// Bytes of all maps, and bytes of the different images that they come from.
-    map_bytes: u64,
-    images: HashMap<u64, u64>,
+    budget: MapBudget,
     groups: Vec<Group>,
     /// The group of a material, for primitives that may share it.
     shared: HashMap<Option<usize>, usize>,
@@ -77,8 +71,7 @@ impl<'a> Meshes<'a> {
             bindable: HashMap::new(),
             space,
             maps: HashMap::new(),
-            map_bytes: 0,
-            images: HashMap::new(),
+            budget: MapBudget::new(asset.buffer_bytes() as u64),
             groups: vec![],
             shared: HashMap::new(),
         })
@@ -129,7 +122,10 @@ impl<'a> Meshes<'a> {
         let index = material.index();
         if !self.maps.contains_key(&index) {
             let maps = material::maps(self.asset, material, self.space, notes)?;
-            self.count(&maps, at)?;
+            // Many materials may share an image.
+            maps.image.into_iter().for_each(|image| self.budget.include(image));
+            let counted = self.budget.spend(maps.atlas.floats() as u64);
+            counted.map_err(|(expected, found)| Fault::pointer(at, expected, found))?;
             if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
                 let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
                 notes.push(format!("{name}single-sided, but drawn from both sides"));
@@ -179,20 +175,6 @@ impl<'a> Meshes<'a> {
             group.turn = Some(turn).filter(|turn| *turn != DMat3::IDENTITY);
         }
         Ok(group)
-    }
-
-    /// Refuses maps that are many because many materials share an image.
-    fn count(&mut self, maps: &Maps, at: &str) -> Result<(), Fault> {
-        let stored = self.asset.buffer_bytes();
-        self.images.extend(maps.image);
-        self.map_bytes = self.map_bytes.saturating_add(4 * maps.atlas.floats() as u64);
-        let images: u64 = self.images.values().sum();
-        let most = ALWAYS.saturating_add(MAX_RATIO.saturating_mul(stored as u64 + images));
-        if self.map_bytes > most {
-            let expected = format!("maps of at most {most} bytes from images of this size");
-            return Err(Fault::pointer(at, expected, format!("{} bytes", self.map_bytes)));
-        }
-        Ok(())
     }
 
     /// Returns the group, and the first vertex in it.

@@ -5,6 +5,7 @@ use std::io::Cursor;
 use exr::prelude::{ReadChannels as _, ReadLayers as _};
 use image::ExtendedColorType;
 
+use crate::format::map_budget::{MapBudget, identity};
 use crate::format::{MAX_PIXEL_RATIO, preview};
 use crate::scene::{Atlas, ColorSpace, Texture};
 
@@ -39,8 +40,8 @@ pub(super) fn exr(map: &Texture) -> Result<Vec<u8>, String> {
     crate::format::exr::encode(map, 0, &channel_names(map.channels()))
 }
 
-/// A map of `exr`. That of bands has 9, 24 or 45 channels, as many as are named in order.
-pub(super) fn from_exr(file: &[u8], is_base: bool) -> Result<Texture, Mismatch> {
+/// A map of `exr`, of those in `budget`. That of bands has 9, 24 or 45 channels, as many as are named in order.
+pub(super) fn from_exr(file: &[u8], is_base: bool, budget: &mut MapBudget) -> Result<Texture, Mismatch> {
     let unreadable = |e: exr::error::Error| ("an EXR image".to_owned(), e.to_string());
     // Before anything is decoded, the header must not claim more than the file can hold.
     let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(file), true).map_err(unreadable)?;
@@ -54,6 +55,10 @@ pub(super) fn from_exr(file: &[u8], is_base: bool) -> Result<Texture, Mismatch> 
         let found = format!("{} of {width}×{height} in {} bytes", meta.headers.len(), file.len());
         return Err(("one EXR image that its file can hold".to_owned(), found));
     }
+    // One that alone is too large leaves their room to the others.
+    MapBudget::of(file).spend(samples)?;
+    budget.include(identity(file));
+    budget.spend(samples)?;
     let image = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()

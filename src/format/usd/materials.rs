@@ -13,6 +13,7 @@ use super::surfaces::Placed;
 use crate::format::activation;
 use crate::format::error::Fault;
 use crate::format::gltf::{Texels, Unrolling, UvMap, decode};
+use crate::format::map_budget::{Identity, MapBudget};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// What maps are read with.
@@ -23,6 +24,8 @@ pub(super) struct Materials<'a> {
     pub(super) space: ColorSpace,
     /// For pictures that repeat.
     pub(super) unrolling: Unrolling,
+    /// Of the maps of all meshes.
+    budget: MapBudget,
 }
 
 /// A value all over a surface: RGB, or one number three times.
@@ -32,6 +35,8 @@ struct Picture {
     texels: Vec<[f32; 3]>,
     /// `None` if it is the same everywhere.
     coordinates: Option<Coordinates>,
+    /// The file.
+    encoded: Option<Identity>,
 }
 
 /// Where on a picture a corner of a surface is.
@@ -94,7 +99,7 @@ const ST: &str = "st";
 
 impl Picture {
     fn constant(value: [f32; 3]) -> Self {
-        Self { width: 1, height: 1, texels: vec![value], coordinates: None }
+        Self { width: 1, height: 1, texels: vec![value], coordinates: None, encoded: None }
     }
 
     /// The texel in the place of texel (x, y) of a picture of another size.
@@ -108,7 +113,11 @@ impl Picture {
 const EMISSION: &str = "inputs:emissiveColor";
 const DIFFUSE: &str = "inputs:diffuseColor";
 
-impl Materials<'_> {
+impl<'a> Materials<'a> {
+    pub(super) fn new(place: &'a mut Place, space: ColorSpace) -> Self {
+        Self { place, space, unrolling: Unrolling::default(), budget: MapBudget::new(0) }
+    }
+
     /// The maps of a mesh, and how they lie on it.
     pub(super) fn atlas(
         &mut self,
@@ -133,7 +142,7 @@ impl Materials<'_> {
             let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| self.space.from_linear(rgb)));
             let alpha = stage.rows::<1>(mesh.prim, "primvars:displayOpacity")?.and_then(|a| a.first().copied());
             let opacity = Picture::constant(alpha.map_or([1.0; 3], |[a]| [a; 3]));
-            return Ok((joined(&color, &opacity)?, Coordinates::plain()));
+            return Ok((self.joined(&color, &opacity, &at)?, Coordinates::plain()));
         };
         let path = stage.path(shader);
         let is_picture = |name: &'static str| matches!(stage.input(shader, name), Some(Source::Output { .. }));
@@ -154,7 +163,7 @@ impl Materials<'_> {
         if color.coordinates.is_some() && opacity.coordinates.is_some() && color.coordinates != opacity.coordinates {
             notes.push(format!("{path}: its opacity lies where its colour does, not by coordinates of its own"));
         }
-        let atlas = joined(&color, &opacity)?;
+        let atlas = self.joined(&color, &opacity, &path)?;
         Ok((atlas, color.coordinates.or(opacity.coordinates).unwrap_or_else(Coordinates::plain)))
     }
 
@@ -167,7 +176,8 @@ impl Materials<'_> {
         };
         let mut read = |name: &str, path: &str| {
             let content = self.place.read(path);
-            content.and_then(|exr| maps::from_exr(&exr, name == names::BASE_MAP)).map_err(|e| fault(name, e))
+            let map = content.and_then(|exr| maps::from_exr(&exr, name == names::BASE_MAP, &mut self.budget));
+            map.map_err(|e| fault(name, e))
         };
         let mut atlas = || {
             let base = read(names::BASE_MAP, base)?;
@@ -175,6 +185,20 @@ impl Materials<'_> {
             Atlas::new(base, bands).map_err(|e| fault(names::BASE_MAP, (e.expected, e.found)))
         };
         Some(atlas())
+    }
+
+    /// Maps of degree 0, as large as the larger of both, of a prim at `at`.
+    fn joined(&mut self, color: &Picture, opacity: &Picture, at: &str) -> Result<Atlas, Fault> {
+        let size @ [width, height] = [color.width.max(opacity.width), color.height.max(opacity.height)];
+        let pixels = u64::from(width) * u64::from(height);
+        [color, opacity].iter().filter_map(|picture| picture.encoded).for_each(|image| self.budget.include(image));
+        self.budget.spend(4 * pixels).map_err(|(expected, found)| Fault::pointer(at, expected, found))?;
+        let texel = |i: u64| {
+            let (x, y) = ((i % u64::from(width)) as u32, (i / u64::from(width)) as u32);
+            let [r, g, b] = sh::dc_from_rgb(color.at(x, y, size));
+            [r, g, b, activation::logit(opacity.at(x, y, size)[0]).0]
+        };
+        Ok(Atlas::new(Texture::new(width, height, 4, (0..pixels).flat_map(texel).collect())?, None)?)
     }
 
     /// An input of a shader as it is shown: a colour in the space of blending, or a number.
@@ -209,7 +233,7 @@ impl Materials<'_> {
             _ => return Err(Fault::pointer(format!("{at}.inputs:file"), "the path of a picture", "none")),
         };
         let texels = self.place.read(file).and_then(decode);
-        let Texels { width, height, rgba, is_srgb_by_custom, .. } =
+        let Texels { width, height, rgba, is_srgb_by_custom, encoded: identity } =
             texels.map_err(|(expected, found)| Fault::pointer(format!("{at}.inputs:file"), expected, found))?;
         let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
             "r" => [0; 3],
@@ -241,13 +265,13 @@ impl Materials<'_> {
             height,
             texels: rgba.iter().map(value).collect(),
             coordinates: Some(Coordinates::of(stage, texture)),
+            encoded: Some(identity),
         })
     }
 }
 
 /// What keeps the maps that a mesh names from being read, its material being shown in their place.
-pub(super) fn check(stage: &Stage<'_>, mesh: usize, place: &mut Place) -> Option<Breach> {
-    let mut materials = Materials { place, space: ColorSpace::default(), unrolling: Unrolling::default() };
+pub(super) fn check(stage: &Stage<'_>, mesh: usize, materials: &mut Materials<'_>) -> Option<Breach> {
     let fault = materials.exact(stage, mesh)?.err()?;
     Some(Breach { code: "USD_MAP", is_error: true, fault })
 }
@@ -256,16 +280,4 @@ pub(super) fn check(stage: &Stage<'_>, mesh: usize, place: &mut Place) -> Option
 fn preview_surface(stage: &Stage<'_>, material: usize) -> Option<usize> {
     let Some(Source::Output { prim, .. }) = stage.input(material, "outputs:surface") else { return None };
     (stage.text(prim, "info:id") == Some("UsdPreviewSurface")).then_some(prim)
-}
-
-/// Maps of degree 0, as large as the larger of both.
-fn joined(color: &Picture, opacity: &Picture) -> Result<Atlas, Fault> {
-    let size @ [width, height] = [color.width.max(opacity.width), color.height.max(opacity.height)];
-    let texel = |i: u64| {
-        let (x, y) = ((i % u64::from(width)) as u32, (i / u64::from(width)) as u32);
-        let [r, g, b] = sh::dc_from_rgb(color.at(x, y, size));
-        [r, g, b, activation::logit(opacity.at(x, y, size)[0]).0]
-    };
-    let texels = (0..u64::from(width) * u64::from(height)).flat_map(texel).collect();
-    Ok(Atlas::new(Texture::new(width, height, 4, texels)?, None)?)
 }

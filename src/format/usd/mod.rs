@@ -46,12 +46,13 @@ mod xform;
 use std::path::Path;
 
 use self::document::{Layer, Specifier};
+use self::materials::Materials;
 use self::package::{Opened, Place, located};
 use self::stage::Stage;
 use super::cameras::{CameraFile, Sampling};
 use super::error::Fault;
 use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange, has_extension};
-use crate::scene::{Camera, HybridScene};
+use crate::scene::{Camera, ColorSpace, HybridScene};
 
 /// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to
 /// y up and metres. One layer is read; what would have to be composed of several is named in the notes.
@@ -85,11 +86,12 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
         Err(fault) => Some(fault),
         Ok(layer) => {
             let stage = Stage::new(&layer);
+            let mut materials = Materials::new(&mut place, ColorSpace::default());
             // Others than definitions leave parts to what they are over.
             for prim in (0..stage.prims.len()).filter(|&i| stage.prims[i].specifier == Specifier::Def) {
                 counts::check(&stage, prim, &mut found);
                 found.extend(extent::check(&stage, prim));
-                found.extend(materials::check(&stage, prim, &mut place));
+                found.extend(materials::check(&stage, prim, &mut materials));
             }
             to_scene::scene(&layer, &mut place).err()
         }

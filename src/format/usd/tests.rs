@@ -2,7 +2,8 @@ use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
 use super::*;
-use crate::format::test_scenes::{camera, random_scene};
+use crate::format::map_budget::MapBudget;
+use crate::format::test_scenes::{black_png, camera, random_scene};
 use crate::scene::{ColorSpace, Splats, sh};
 
 fn assert_close(a: &Splats, b: &Splats) {
@@ -524,6 +525,44 @@ fn what_cannot_be_taken_over_is_refused_in_one_line() {
     }
 }
 
+/// The maps of a material are as wide as one of its pictures and as high as the other.
+#[test]
+fn maps_that_files_of_this_size_do_not_justify_are_refused() {
+    let shader = |name: &str, file: &str| {
+        format!("def Shader \"{name}\" {{ token info:id = \"UsdUVTexture\" asset inputs:file = @{file}@ }}\n")
+    };
+    let (folder, path) = folder_with(&format!(
+        "def Mesh \"M\" {{
+            point3f[] points = [(0,0,0), (1,0,0), (0,1,0)]
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0,1,2]
+            rel material:binding = </L>
+        }}
+        def Material \"L\" {{
+            token outputs:surface.connect = </L/S.outputs:surface>
+            def Shader \"S\" {{
+                token info:id = \"UsdPreviewSurface\"
+                color3f inputs:diffuseColor.connect = </L/C.outputs:rgb>
+                float inputs:opacity.connect = </L/O.outputs:r>
+            }}
+            {}{}
+        }}",
+        shader("C", "wide.png"),
+        shader("O", "high.png")
+    ));
+    let put = |name: &str, width, height| std::fs::write(folder.path().join(name), black_png(width, height)).unwrap();
+    put("wide.png", 64, 1);
+    put("high.png", 1, 32);
+    assert_eq!(read(&path).unwrap().scene.meshes[0].atlas().base().texels().len(), 4 * 64 * 32);
+    put("wide.png", 16384, 1);
+    put("high.png", 1, 16384);
+    let message = read(&path).unwrap_err().to_string();
+    assert!(
+        message.contains("/L/S: expected maps of at most ") && message.ends_with("found 4294967296 bytes"),
+        "{message}"
+    );
+}
+
 #[test]
 fn paths_do_not_lead_out_of_folder_or_package() {
     let folder = tempfile::tempdir().unwrap();
@@ -571,8 +610,8 @@ proptest! {
         let mut bytes = maps::exr(random_scene(0, 1, 0, 1).meshes[0].atlas().base()).unwrap();
         let at = at % bytes.len();
         bytes[at] = byte;
-        let _ = maps::from_exr(&bytes, true);
+        let _ = maps::from_exr(&bytes, true, &mut MapBudget::new(0));
         bytes.truncate(cut % bytes.len());
-        let _ = maps::from_exr(&bytes, true);
+        let _ = maps::from_exr(&bytes, true, &mut MapBudget::new(0));
     }
 }

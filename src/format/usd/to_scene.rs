@@ -13,7 +13,6 @@ use super::{frame, names, splats, views, xform};
 use crate::format::SceneFile;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
-use crate::format::gltf::Unrolling;
 use crate::format::gltf::extension::parse_color_space;
 use crate::format::placed::{self, join};
 use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode, PixelFilter};
@@ -37,7 +36,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     let composition = composition(&stage, root, &mut notes)?;
     let is_ours = is_ours(&stage);
     let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
-    let mut materials = Materials { place, space: composition.color_space, unrolling: Unrolling::default() };
+    let mut materials = Materials::new(place, composition.color_space);
     let mut left_out = Counts::default();
     left_out.layer(layer);
     let (mut parts, mut meshes, mut cameras) = (vec![], vec![], vec![]);

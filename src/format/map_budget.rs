@@ -1,0 +1,81 @@
+//! How much memory the maps of a file may take: pictures of one colour are stored in next to nothing, and many surfaces may share one.
+
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hasher as _};
+
+/// Bytes of maps that a stored byte may become, above what any file may: four floats for each of the pixels, of which a PNG
+/// holds up to a thousand in a byte.
+const MAX_RATIO: u64 = 16384;
+const ALWAYS: u64 = 1 << 30;
+
+/// What was expected, and what was found.
+type Mismatch = (String, String);
+
+/// An encoded picture: hash and length.
+pub(super) type Identity = (u64, u64);
+
+/// That of a file.
+pub(super) fn identity(encoded: &[u8]) -> Identity {
+    let mut hasher = DefaultHasher::new();
+    hasher.write(encoded);
+    (hasher.finish(), encoded.len() as u64)
+}
+
+/// Bytes of maps so far, and what they come from.
+pub(super) struct MapBudget {
+    bytes: u64,
+    stored: u64,
+    images: HashMap<u64, u64>,
+}
+
+impl MapBudget {
+    /// `stored`: bytes besides pictures that maps come from.
+    pub(super) fn new(stored: u64) -> Self {
+        Self { bytes: 0, stored, images: HashMap::new() }
+    }
+
+    /// That of one picture alone.
+    pub(super) fn of(encoded: &[u8]) -> Self {
+        Self::new(encoded.len() as u64)
+    }
+
+    /// Takes in a picture that maps come from, however often, once.
+    pub(super) fn include(&mut self, image: Identity) {
+        self.images.extend([image]);
+    }
+
+    /// Counts a map of so many floats before it is made, or refuses it.
+    pub(super) fn spend(&mut self, floats: u64) -> Result<(), Mismatch> {
+        self.bytes = self.bytes.saturating_add(floats.saturating_mul(4));
+        let images: u64 = self.images.values().sum();
+        let most = ALWAYS.saturating_add(MAX_RATIO.saturating_mul(self.stored.saturating_add(images)));
+        if self.bytes <= most {
+            return Ok(());
+        }
+        Err((format!("maps of at most {most} bytes from images of this size"), format!("{} bytes", self.bytes)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_many_share_counts_once() {
+        let image = identity(&[7; 1000]);
+        let (mut own, mut shared) = (MapBudget::new(0), MapBudget::new(0));
+        let floats = (ALWAYS + 1000 * MAX_RATIO) / 4;
+        own.include(image);
+        own.spend(floats).unwrap();
+        own.include(identity(&[8; 1000]));
+        own.spend(1000 * MAX_RATIO / 4).unwrap();
+        for _ in 0..2 {
+            shared.include(image);
+        }
+        shared.spend(floats).unwrap();
+        let (expected, found) = shared.spend(1).unwrap_err();
+        assert_eq!(expected, "maps of at most 1090125824 bytes from images of this size");
+        assert_eq!(found, "1090125828 bytes");
+        assert!(MapBudget::of(&[]).spend(u64::MAX).is_err());
+    }
+}
