@@ -18,6 +18,7 @@ mod random;
 mod resolution;
 mod resume;
 mod schedule;
+mod size;
 mod static_scene;
 mod surface;
 

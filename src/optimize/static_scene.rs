@@ -17,7 +17,6 @@ mod photographs;
 mod plan;
 mod poses;
 mod selection;
-mod size;
 mod start;
 mod unseen;
 
@@ -41,10 +40,10 @@ use super::{
     log::Log,
     memory,
     resume::{Identity, Saved},
-    surface,
+    size, surface,
 };
 use crate::{
-    capture::{self, Capture},
+    capture::Capture,
     geometry::{ChartSpace, Contraction, MeshBvh, Shell},
     render::gpu::{
         Gpu, exposure::ExposureState, memory::most_splats, pose::PoseState, state::SplatState, training::Training,
@@ -210,11 +209,12 @@ impl<'a> Run<'a> {
         let photos = Photographs::open(capture, &train, sampled(&test))?;
         let cameras = capture.cameras();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
-        let extent = Some(capture::extent(&train_cameras) as f32).filter(|extent| *extent > 0.0).unwrap_or(1.0);
         let depth = size::median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
-        let unit = size::unit_of_length(f64::from(extent), depth) as f32;
+        let narrowness = size::narrowness(&train_cameras);
+        let extent = (narrowness * size::extent(&train_cameras, depth)) as f32;
+        let unit = size::unit_of_length(f64::from(extent), depth.map(|depth| narrowness * depth)) as f32;
         let distance = depth.map_or(extent, |depth| depth as f32);
-        let near = surface::near_plane(&train_cameras, NEAR);
+        let near = surface::near_plane(extent, NEAR);
         let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
         let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
         // Without a warm-up nothing would be judged.

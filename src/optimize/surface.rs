@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::{TrainError, TrainOptions};
+use super::{TrainError, TrainOptions, size};
 use crate::{
     capture::{self, Capture, Photo},
     geometry::{
@@ -79,10 +79,9 @@ impl MeshSource {
     }
 }
 
-/// Near plane for these cameras: as wanted, but no more than a twentieth of their extent.
-pub(super) fn near_plane(cameras: &[Camera], wanted: f32) -> f32 {
-    let extent = capture::extent(cameras) as f32;
-    if extent > 0.0 { wanted.min(0.05 * extent) } else { wanted.min(0.05) }
+/// Near plane of a scene of this extent ([`size::extent`]): as wanted, but no more than a twentieth of it.
+pub(super) fn near_plane(extent: f32, wanted: f32) -> f32 {
+    wanted.min(0.05 * extent)
 }
 
 /// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, `triangles` and `planar` as in
@@ -102,7 +101,9 @@ pub fn from_splats(
 ) -> Result<(Surface, SurfaceStats), TrainError> {
     let cameras = capture.cameras();
     let splats = &scene.splats;
-    let composition = Composition { near: near_plane(&cameras, scene.composition.near), ..scene.composition };
+    let all: Vec<usize> = (0..cameras.len()).collect();
+    let extent = size::extent(&cameras, size::median_depth(capture, &all)) as f32;
+    let composition = Composition { near: near_plane(extent, scene.composition.near), ..scene.composition };
     let scene = HybridScene { splats: splats.clone(), meshes: vec![], composition };
     let mut renderer = Renderer::new(gpu, &scene, &cameras)?;
     let points = whereabouts(capture, || Ok(splats.means().to_vec()))?;

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::{plan::Plan, *};
 use crate::{
-    capture::{Downscale, LoadOptions},
+    capture::{self, Downscale, LoadOptions},
     format::gltf,
     geometry::{self, Surface, TexelSight, Viewers},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
@@ -14,7 +14,7 @@ use crate::{
         gpu::{Renderer, state::SplatState},
         testing::largest,
     },
-    scene::{Atlas, Texture},
+    scene::{Atlas, Intrinsics, Texture},
 };
 
 mod choices;
@@ -73,6 +73,25 @@ fn units_follow_what_is_seen() {
     let train: Vec<usize> = (0..demo.views.len()).collect();
     let found = size::median_depth(&demo, &train).unwrap() / capture::extent(demo.views.iter().map(|v| &v.camera));
     assert!((0.7..1.2).contains(&found), "{found}");
+    // On a tripod, whose cameras have no extent: rates of means, λ and the near plane follow what they see, too.
+    let [there, turned] = [0, 1].map(|i| demo.views[i].camera);
+    let there_too =
+        Camera::new(*turned.intrinsics(), turned.rotation(), -(turned.rotation() * there.center())).unwrap();
+    for (cameras, depth, extent) in [
+        ([there, there_too], Some(4e-3), 4e-3),
+        ([there, there_too], None, 1.0),
+        ([there, turned], Some(4e-3), capture::extent(&[there, turned])),
+    ] {
+        assert_eq!(size::extent(&cameras, depth), extent);
+    }
+    // Through lenses ten times as long as where this begins, from ten times as far, things are as large.
+    let through = |times: f64| {
+        let k = *there.intrinsics();
+        let focal = times * f64::from(k.longer_side());
+        Camera::new(Intrinsics { fx: focal, fy: focal, ..k }, there.rotation(), there.translation()).unwrap()
+    };
+    let narrowness = [0.5, 5.0, 50.0].map(|times| size::narrowness(&[through(times)]));
+    assert!(narrowness[..2] == [1.0; 2] && (narrowness[2] - 0.1).abs() < 1e-12, "{narrowness:?}");
     demo.points.clear();
     assert_eq!(size::median_depth(&demo, &train), None);
 }
@@ -355,9 +374,10 @@ fn the_near_plane_is_near_in_small_scenes() {
     let smaller = |c: &Camera| Camera::new(*c.intrinsics(), c.rotation(), 0.02 * c.translation()).unwrap();
     let small: Vec<Camera> = cameras.iter().map(smaller).collect();
     let extent = capture::extent(&small) as f32;
-    assert_eq!(surface::near_plane(&cameras, 0.1), 0.1);
-    assert!(extent < 0.1 && surface::near_plane(&small, 0.1) == 0.05 * extent);
-    assert_eq!(surface::near_plane(&small[..1], 0.1), 0.05, "one camera says nothing of the size");
+    let near = |cameras: &[Camera]| surface::near_plane(size::extent(cameras, None) as f32, 0.1);
+    assert_eq!(near(&cameras), 0.1);
+    assert!(extent < 0.1 && near(&small) == 0.05 * extent);
+    assert_eq!(near(&small[..1]), 0.05, "one camera says nothing of the size");
 }
 
 /// A splat goes after training if the mesh hides all of it from all views, not if it stands out between the points that rays look at,

@@ -2,14 +2,36 @@
 
 use std::ops::RangeInclusive;
 
-use crate::{capture::Capture, geometry::median};
+use crate::{
+    capture::{self, Capture},
+    geometry::median,
+    scene::Camera,
+};
 
 /// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
 const USUAL_EXTENT: f64 = 5.0;
 /// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
 const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
+/// Tangent of half the angle of view of lenses, below which what they see is no longer about as large as it is far away.
+const NARROW: f64 = 0.1;
 /// Points of the pictures of all views, of which the median depth is taken, at most.
 const DEPTHS: usize = 1_000_000;
+
+/// [`capture::extent`] of cameras; where they are all in one place, how far away is what they see, and 1 if nothing tells.
+pub(super) fn extent(cameras: &[Camera], depth: Option<f64>) -> f64 {
+    let extent = capture::extent(cameras);
+    if extent > 0.0 { extent } else { depth.unwrap_or(1.0) }
+}
+
+/// How much smaller what cameras see is, beside how far away it is and how far they are apart, than through usual lenses: 1, and less through
+/// long ones, by the median of their angles of view along the longer side.
+pub(super) fn narrowness(cameras: &[Camera]) -> f64 {
+    let half_angle = |camera: &Camera| {
+        let k = camera.intrinsics();
+        (f64::from(k.width) / k.fx).max(f64::from(k.height) / k.fy) / 2.0
+    };
+    median(cameras.iter().map(half_angle).collect()).map_or(1.0, |tangent| (tangent / NARROW).min(1.0))
+}
 
 /// A capture's size in that of captures for which constants with a length in them were chosen: by the extent of its cameras, as far as this
 /// says how large what they see is.
