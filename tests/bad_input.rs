@@ -233,6 +233,41 @@ fn flags_of_a_mesh_beside_none_are_noted() {
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), "note: --mesh: --planar has no effect\n"));
 }
 
+/// In another unit or frame than the poses, as a rule.
+#[test]
+fn meshes_that_no_view_sees_are_refused() {
+    let folder = folder_with_capture(8);
+    std::fs::write(folder.path().join("mesh.obj"), "v 0 100 0\nv 1 100 0\nv 0 101 0\nf 1 2 3\n").unwrap();
+    let before = common::tree(folder.path());
+    let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
+    let ask = "is it in the frame and the unit of the poses?";
+    let expected = format!(
+        "note: mesh.obj: lies at hardly any of the capture's points: {ask}\n\
+         error: mesh.obj: expected a mesh that training views see, found none of it in any: {ask}\n"
+    );
+    assert_eq!((output.status.code(), stderr(&output)), (Some(1), expected));
+    assert_eq!(common::tree(folder.path()), before);
+}
+
+/// Cameras stand within it.
+#[test]
+fn meshes_in_another_unit_than_the_poses_are_noted() {
+    let folder = folder_with_capture(8);
+    let mesh = |unit: f32| {
+        let corner = |[x, y, z]: [f32; 3]| format!("v {} {} {}\n", unit * x, unit * y, unit * z);
+        let corners = [[0.4, 0.0, -0.3], [-0.4, 0.3, -0.3], [-0.4, -0.3, -0.3], [0.0, 0.0, 0.4]].map(corner);
+        std::fs::write(folder.path().join("mesh.obj"), corners.concat() + "f 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+            .unwrap();
+        let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{unit}: {}", stderr(&output));
+        stderr(&output)
+    };
+    assert_eq!([1.0, 0.5].map(mesh), ["", ""]);
+    let note =
+        "note: mesh.obj: lies at hardly any of the capture's points: is it in the frame and the unit of the poses?\n";
+    assert_eq!(mesh(100.0), note);
+}
+
 #[test]
 fn budgets_without_room_for_a_splat() {
     let folder = folder_with_capture(8);
@@ -315,7 +350,7 @@ fn surfaces_without_room_name_their_file() {
     std::fs::write(folder.path().join("apart.obj"), (0..200).map(apart).collect::<String>()).unwrap();
     let line = failure(folder.path(), &mut train(folder.path(), ["--mesh", "apart.obj", "--texture-size", "16"]));
     assert!(line.starts_with("error: apart.obj: making the mesh: unwrap: expected the 200 charts "), "{line}");
-    assert!(line.ends_with("; see --texture-size"), "{line}");
+    assert!(line.ends_with("; see --texture-size, and centaur mesh --mesh, which simplifies"), "{line}");
 
     edit(&folder.path().join("capture/sparse/0/points3D.txt"), |_| "1 0 0 0 1 2 3 0.1\n".to_owned());
     let line = failure(folder.path(), centaur(folder.path()).args(["mesh", "capture", "-o", "s.glb"]));

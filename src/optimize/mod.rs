@@ -66,6 +66,11 @@ pub enum TrainError {
     /// What cannot be done together.
     #[error("poses are refined by splats before there is a mesh: expected none to be given, found one")]
     PosesBesideMesh,
+    /// The mesh that is given lies where no photograph looks.
+    #[error(
+        "expected a mesh that training views see, found none of it in any: is it in the frame and the unit of the poses?"
+    )]
+    UnseenMesh,
     /// The budget has no room for the mesh and a splat.
     #[error("expected a budget of at least the {needed} floats that the mesh and one splat take, found {found}")]
     Budget {

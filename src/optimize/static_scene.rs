@@ -133,9 +133,9 @@ pub struct Session<'a> {
 /// Trains a static scene on the views of a capture that [`TrainOptions::split`] leaves for it.
 ///
 /// # Errors
-/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, which leaves
-/// no room in its atlas or none for a splat in the budget, a checkpoint cannot be read or written or is of another run, the adapter fails or
-/// has too little memory, or a parameter is no longer finite.
+/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, no view sees
+/// that mesh, it leaves no room in its atlas or none for a splat in the budget, a checkpoint cannot be read or written or is of another run, the
+/// adapter fails or has too little memory, or a parameter is no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
     mesh: MeshSource,

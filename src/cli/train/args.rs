@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use anyhow::{Result, bail, ensure};
 use centaur::capture::{self, Capture, LoadOptions, Split};
 use centaur::format::mesh_import;
-use centaur::geometry::Surface;
+use centaur::geometry::{MeshBvh, Surface};
 use centaur::optimize::{Background, Density, MeshSource, TrainOptions};
 use centaur::scene::OrderMode;
 use clap::ValueEnum;
+use glam::DVec3;
 
 use crate::cli::edits::positive;
 use crate::cli::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
@@ -398,9 +399,32 @@ impl Args {
         };
         let mesh = mesh_import::read(file)?;
         let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
-        let notes = mesh.notes.iter().map(|note| format!("{}: {note}", file.display())).collect();
+        let stray = misses_points(&surface, capture).then(|| {
+            "lies at hardly any of the capture's points: is it in the frame and the unit of the poses?".to_owned()
+        });
+        let notes = mesh.notes.into_iter().chain(stray).map(|note| format!("{}: {note}", file.display())).collect();
         Ok((MeshSource::Given { surface, corner_uvs: mesh.corner_uvs }, notes))
     }
+}
+
+/// A point is at a surface that is no farther from it than this part of the extent of the cameras …
+const AT_SURFACE: f64 = 0.1;
+/// … and a surface misses the points if no more than this part of so many of them is at it: of an object in a large scene there are few.
+const LEAST_AT_SURFACE: f64 = 0.002;
+const SOME_POINTS: usize = 2000;
+
+/// Whether a surface lies elsewhere than the capture's points, as one in another unit or frame does.
+fn misses_points(surface: &Surface, capture: &Capture) -> bool {
+    let reach = AT_SURFACE * capture::extent(&capture.cameras());
+    let step = capture.points.len().div_ceil(SOME_POINTS).max(1);
+    let points: Vec<DVec3> = capture.points.iter().step_by(step).map(|point| point.position).collect();
+    // Few points, or cameras in one place, say nothing of where a surface is.
+    if points.len() < 100 || reach == 0.0 {
+        return false;
+    }
+    let triangles = MeshBvh::new([(&surface.positions[..], &surface.triangles[..])]);
+    let is_at = |point: &&DVec3| triangles.closest_point(**point).is_some_and(|found| found.distance <= reach);
+    points.iter().filter(is_at).count() as f64 <= LEAST_AT_SURFACE * points.len() as f64
 }
 
 /// What a surface is made of.

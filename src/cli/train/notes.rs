@@ -135,7 +135,10 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
         (TrainError::Gpu(e), _) if e.is_lack_of_memory() => {
             anyhow!("{error}; see --max-splats, --texture-size and --downscale")
         }
-        (TrainError::Geometry(_), Some(mesh)) => anyhow!("{}: {error}; see --texture-size", mesh.display()),
+        (TrainError::Geometry(_), Some(mesh)) => {
+            anyhow!("{}: {error}; see --texture-size, and centaur mesh --mesh, which simplifies", mesh.display())
+        }
+        (TrainError::UnseenMesh, Some(mesh)) => anyhow!("{}: {error}", mesh.display()),
         (TrainError::Geometry(_), None) => {
             let capture = args.capture.display();
             anyhow!("{capture}: {error}; --no-mesh trains splats alone, --mesh FILE takes yours")

@@ -26,11 +26,17 @@ pub(super) struct MaskBits {
 impl Run<'_> {
     /// The mesh with those texels of charts and their rims transparent that enter nothing that the training views show: they would stay as they
     /// were made. What else is between charts stays so: nobody sees it, and mip levels mix it with the rims of what is seen.
+    ///
+    /// # Errors
+    /// If they see nothing of it, or a photograph cannot be read.
     pub(super) fn without_unseen(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
         let base = mesh.atlas().base();
         let [width, height] = [base.width() as usize, base.height() as usize];
         let halvings = (0..16).find(|n| width.max(height) >> n <= LONGEST_SIDE).unwrap_or(16);
         let sights = self.texel_visibility(&mesh, [width, height].map(|side| (side >> halvings).max(1)))?;
+        if !sights.texels.iter().any(|texel| matches!(texel, TexelSight::Seen(_))) {
+            return Err(TrainError::UnseenMesh);
+        }
         let coarsest = base.mip_levels().saturating_sub(1 + halvings);
         let reached = sights.reached(self.coarser(), coarsest as u8);
         let hidden = hidden(&sights, &reached, (RIM >> halvings).max(1));
