@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use image::imageops::{self, FilterType};
 use image::metadata::Orientation;
 use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Limits, Rgba, RgbaImage};
+use rayon::prelude::*;
 
 use super::distortion::{Distortion, Lens};
 use super::{CaptureError, View, error};
@@ -253,18 +254,59 @@ fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> R
 /// How far each pixel of a mask counts: as far as it is light and opaque, or, where there is but one level besides black, as of labels, wholly:
 /// COLMAP takes whatever is not black for white.
 fn weights(mask: DynamicImage) -> GrayImage {
-    // Labels of 16 bits would be 0 in 8.
-    let pixels = mask.into_luma_alpha16();
-    let levels = || pixels.pixels().map(|p| u32::from(p[0]) * u32::from(p[1]));
-    let mut shown = levels().filter(|level| *level > 0);
-    let most = match shown.next() {
-        Some(first) if shown.all(|level| level == first) => first,
-        _ => u32::from(u16::MAX).pow(2),
+    let (size, levels) = ((mask.width(), mask.height()), levels(mask));
+    let most = match lightest(&levels) {
+        Some((level, true)) => level,
+        _ => WHITE,
     };
     // Rounded.
     let weight = |level| ((255 * u64::from(level) + u64::from(most / 2)) / u64::from(most)) as u8;
-    let weights = levels().map(weight).collect();
-    GrayImage::from_raw(pixels.width(), pixels.height(), weights).expect("a weight per pixel")
+    let weights = levels.into_iter().map(weight).collect();
+    GrayImage::from_raw(size.0, size.1, weights).expect("a weight per pixel")
+}
+
+/// The level of a mask's pixel that is white and opaque.
+const WHITE: u32 = 65_535_u32.pow(2);
+
+/// How light and opaque each pixel of a mask is.
+fn levels(mask: DynamicImage) -> Vec<u32> {
+    // Labels of 16 bits would be 0 in 8.
+    mask.into_luma_alpha16().pixels().map(|p| u32::from(p[0]) * u32::from(p[1])).collect()
+}
+
+/// The highest level of a mask, and whether it is the only one besides black; `None` where all is black.
+fn lightest(levels: &[u32]) -> Option<(u32, bool)> {
+    let level = levels.iter().copied().max().filter(|level| *level > 0)?;
+    Some((level, levels.iter().all(|other| [0, level].contains(other))))
+}
+
+/// Masks that are looked at together.
+const MASKS_AT_ONCE: usize = 4;
+
+/// Error where masks are labels of several things, each of which would count as little as its number is, or leave nothing.
+pub(super) fn check_masks(masks: &[&Path]) -> Result<(), CaptureError> {
+    // The highest level of all, and a mask of several.
+    let mut found: (u32, Option<&Path>) = (0, None);
+    for some in masks.chunks(MASKS_AT_ONCE) {
+        let look = |path: &&Path| Ok(lightest(&levels(pixels(path)?.0)));
+        let lightest = some.par_iter().map(look).collect::<Result<Vec<_>, CaptureError>>()?;
+        for (&path, lightest) in some.iter().zip(lightest) {
+            let Some((level, is_one)) = lightest else { continue };
+            found = (found.0.max(level), found.1.or((!is_one).then_some(path)));
+        }
+        // As a rule the first is enough.
+        if found.0 >= WHITE / 2 {
+            return Ok(());
+        }
+    }
+    let of_255 = 255.0 * f64::from(found.0) / f64::from(WHITE);
+    let (path, found) = match (found, masks.first()) {
+        ((0, _), Some(first)) => (*first, "black alone, as in all masks".to_owned()),
+        ((_, Some(several)), _) => (several, format!("several levels, none in any mask above {of_255:.1} of 255")),
+        _ => return Ok(()),
+    };
+    let expected = "white, or a single level besides black, where a photograph counts";
+    Err(CaptureError::invalid(path, "mask", expected, found))
 }
 
 /// Bicubic (a = −½) with the support scaled by the factor, as Pillow does. Colours are
@@ -424,6 +466,34 @@ mod tests {
         let options = LoadOptions { masks: true, ..LoadOptions::default() };
         let photo = decode(&open(folder.path(), &options).unwrap().views[0]).unwrap();
         assert!(photo.rgba.chunks_exact(4).enumerate().all(|(i, p)| p[3] == if i % 16 < 5 { 255 } else { 0 }));
+    }
+
+    #[test]
+    fn masks_of_several_labels_or_of_nothing_are_refused() {
+        let folder = capture_of(&jpeg(), 16, 8);
+        std::fs::create_dir(folder.path().join("masks")).unwrap();
+        let labels = |levels: [u8; 2]| {
+            GrayImage::from_fn(16, 8, |x, _| image::Luma([[0, levels[0], levels[1]][x as usize / 6]]))
+        };
+        let options = LoadOptions { masks: true, ..LoadOptions::default() };
+        let opened = |first: [u8; 2], second: [u8; 2]| {
+            for (name, levels) in [("00.png", first), ("01.png", second)] {
+                labels(levels).save(folder.path().join("masks").join(name)).unwrap();
+            }
+            open(folder.path(), &options).map_err(|e| e.to_string())
+        };
+        let refused = opened([1, 1], [1, 2]).unwrap_err();
+        assert!(refused.contains("01.png: mask: expected white, or a single level besides black"), "{refused}");
+        assert!(refused.ends_with("found several levels, none in any mask above 2.0 of 255"), "{refused}");
+        let refused = opened([0, 0], [0, 0]).unwrap_err();
+        assert!(
+            refused.contains("00.png: mask: ") && refused.ends_with("found black alone, as in all masks"),
+            "{refused}"
+        );
+        // One label each; and shares, of which one view may see but the faintest.
+        for (first, second) in [([1, 1], [2, 2]), ([0, 0], [3, 3]), ([1, 2], [9, 255])] {
+            assert!(opened(first, second).is_ok(), "{first:?} {second:?}");
+        }
     }
 
     #[test]

@@ -107,8 +107,8 @@ pub struct LoadOptions {
     /// leading `images` in the paths.
     pub images: Option<String>,
     /// Apply `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a `transforms.json`:
-    /// white is the object, or the one level besides black if there is one only; what is transparent counts as black. With a
-    /// folder `masks`, or where one image has a mask, every image needs one.
+    /// white is the object, or the one level besides black if there is one only; what is transparent counts as black. Masks of several levels
+    /// need white in one of them at least. With a folder `masks`, or where one image has a mask, every image needs one.
     pub masks: bool,
     /// Leave points where they are, as if there were none: their file is not looked at.
     pub without_points: bool,
@@ -205,8 +205,9 @@ const COARSEST: f64 = 2.5e-4;
 /// the intrinsics follow the file.
 ///
 /// # Errors
-/// If a file is missing, truncated or malformed, a camera model cannot be undistorted, a pose is no rigid motion, a
-/// name leaves the capture's folder or occurs twice, cameras are too far from the origin for 32-bit floats, or there are fewer than two views.
+/// If a file is missing, truncated or malformed, masks are labels of several things or all black, a camera model cannot be undistorted, a pose is
+/// no rigid motion, a name leaves the capture's folder or occurs twice, cameras are too far from the origin for 32-bit floats, or there are fewer
+/// than two views.
 pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError> {
     let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if folder { path } else { folder_of(path) };

@@ -100,6 +100,7 @@ pub(super) fn assemble(
             let place = if folder.is_dir() { &folder } else { root };
             all_exist(place, "masks", frames.iter().map(|f| (Path::new(&f.name), f.mask.is_some())))?;
         }
+        images::check_masks(&masks().collect::<Vec<_>>())?;
     }
     frames.into_par_iter().map(|frame| view(frame, options)).collect()
 }
