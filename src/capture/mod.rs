@@ -48,6 +48,12 @@ impl Capture {
         self.views.iter().map(|view| view.camera).collect()
     }
 
+    /// Whether masks are applied to any of its photographs.
+    #[must_use]
+    pub fn has_masks(&self) -> bool {
+        self.views.iter().any(|view| view.source.mask().is_some())
+    }
+
     /// World positions of all points, rounded to f32, in their order.
     #[must_use]
     pub fn positions(&self) -> Vec<Vec3> {

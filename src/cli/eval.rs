@@ -79,9 +79,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let capture = args.loading.open(&args.capture)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     notes.extend(training.as_ref().and_then(Record::saw_all));
+    notes.extend(training.as_ref().and_then(|training| training.other_masks(&capture)));
     // Cameras of other programs may have no size of their own.
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
-    if args.loading.masks && capture.views.iter().all(|view| view.source.mask().is_none()) {
+    if args.loading.masks && !capture.has_masks() {
         notes.push(format!("{}: has no masks: nothing is masked", args.capture.display()));
     }
     if !args.messages.json {

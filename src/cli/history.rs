@@ -17,6 +17,9 @@ pub(super) struct Record {
     /// Sparse points of it that training began with.
     #[serde(default)]
     points: Option<usize>,
+    /// Whether its photographs had masks.
+    #[serde(default)]
+    masks: Option<bool>,
     /// `TrainOptions`, by their names.
     settings: Map<String, Value>,
     /// Name of the adapter that trained.
@@ -55,6 +58,7 @@ impl Record {
         Ok(Self {
             capture: capture.name.clone(),
             points: Some(capture.points.len()),
+            masks: Some(capture.has_masks()),
             settings: by_name(options)?,
             adapter: Some(adapter.to_owned()),
             seconds_per_iteration: trained.seconds_per_iteration,
@@ -83,6 +87,13 @@ impl Record {
         saw_all.then(|| "the scene was trained on all views, those that are scored among them".to_owned())
     }
 
+    /// Says so where masks were applied in one of training and scoring alone.
+    pub(super) fn other_masks(&self, capture: &Capture) -> Option<String> {
+        let trained = self.masks.filter(|masks| *masks != capture.has_masks())?;
+        let (then, now) = if trained { ("with masks", "without") } else { ("without masks", "with") };
+        Some(format!("the scene was trained {then}, and is scored {now}"))
+    }
+
     /// Options as rows of a table.
     pub(super) fn settings(&self) -> Vec<(String, String)> {
         let text = |name: &str, value: &Value| match value {
@@ -93,7 +104,11 @@ impl Record {
             other => other.to_string(),
         };
         let settings = self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(name, value)));
-        settings.chain(self.points.map(|n| ("points of the capture".to_owned(), n.to_string()))).collect()
+        let of_capture = [
+            self.points.map(|n| ("points of the capture".to_owned(), n.to_string())),
+            self.masks.map(|masks| ("masks".to_owned(), masks.to_string())),
+        ];
+        settings.chain(of_capture.into_iter().flatten()).collect()
     }
 
     /// The curves, one phase after the other. Splats rest, and are not seen, during the warm-up.

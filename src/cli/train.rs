@@ -194,7 +194,8 @@ fn print_json(
     let exposures: BTreeMap<&str, [f32; 12]> = trained.exposures.iter().map(|(name, e)| (&**name, *e)).collect();
     let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
     output::print_json(&serde_json::json!({
-        "outcome": "finished", "scene": args.output, "points": capture.points.len(), "seconds_per_iteration": trained.seconds_per_iteration,
+        "outcome": "finished", "scene": args.output, "points": capture.points.len(), "masks": capture.has_masks(),
+        "seconds_per_iteration": trained.seconds_per_iteration,
         "repeated_iterations": trained.repeated_iterations, "surface": trained.surface,
         "selection": trained.selection, "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
         "occluded_splats": trained.occluded_splats,

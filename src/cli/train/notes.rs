@@ -32,13 +32,12 @@ const USUAL_SIDE: u32 = 1600;
 
 /// Said before the training: a capture that lacks something is better mended than trained for hours.
 pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> Vec<String> {
-    let has_masks = capture.views.iter().any(|view| view.source.mask().is_some());
     let lacks = [
         (
             capture.points.is_empty() && !args.no_points,
             "has no points: splats begin at random places that its cameras look at",
         ),
-        (args.loading.masks && !has_masks, "has no masks: nothing is masked"),
+        (args.loading.masks && !capture.has_masks(), "has no masks: nothing is masked"),
         (!scores && !args.no_eval && !args.all_views, "holds no view out: nothing will be scored"),
         (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
     ];

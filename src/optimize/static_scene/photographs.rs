@@ -54,7 +54,7 @@ impl<'a> Photographs<'a> {
         let (views, cache) = (capture.views.as_slice(), PhotoCache::new(budget));
         let has_alpha = |&i: &usize| cache.get(&views[i]).map(|photo| photo.has_alpha);
         let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
-        let mut are_cut_out = views.iter().any(|view| view.source.mask().is_some());
+        let mut are_cut_out = capture.has_masks();
         // Few at once: while they are decoded they have their full size.
         for part in train.chunks(DECODED_AT_ONCE) {
             are_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
