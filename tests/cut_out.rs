@@ -1,4 +1,4 @@
-//! Photographs with masks, by the command line: what scenes of them say of their training.
+//! Photographs with masks or alpha, by the command line: what scenes of them say of their training, and what is behind what is transparent.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -6,8 +6,11 @@ mod common;
 
 use std::path::Path;
 
+use centaur::format::{WriteOptions, write_scene};
+use centaur::scene::{Composition, HybridScene, Splats};
 use common::{centaur, stderr, write_capture};
-use image::{GrayImage, Luma};
+use glam::{Quat, Vec3};
+use image::{GrayImage, Luma, Rgb, Rgba, RgbaImage};
 use serde_json::{Value, json};
 
 fn run(folder: &Path, line: &str) -> Value {
@@ -41,5 +44,37 @@ fn scenes_say_whether_they_were_trained_with_masks() {
             let row = format!("<th>masks<td>{}</tr>", !trained.is_empty());
             assert!(report.contains(&row), "{trained} {scored}");
         }
+    }
+}
+
+/// As of NeRF-synthetic, whose splats by other programs are for white and do not say so.
+#[test]
+fn splats_of_others_are_shown_and_scored_over_white_if_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    write_capture(&capture, 9, (48, 32));
+    // Black, and half transparent: 127/255 over white.
+    for view in 0..9 {
+        RgbaImage::from_pixel(48, 32, Rgba([0, 0, 0, 128]))
+            .save(capture.join(format!("images/{view:03}.png")))
+            .unwrap();
+    }
+    // Too transparent to be seen.
+    let (log_scales, logits) = (vec![Vec3::splat(-5.0)], vec![-20.0]);
+    let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], log_scales, logits, 0, vec![[0.0; 3]]).unwrap();
+    let unseen = HybridScene { splats, meshes: vec![], composition: Composition::default() };
+    write_scene(&folder.path().join("unseen.ply"), &unseen, &WriteOptions::default()).unwrap();
+    for (flag, level) in [("", 0_u8), (" --background black", 0), (" --background white", 255)] {
+        let scores = run(folder.path(), &format!("eval unseen.ply capture{flag}"));
+        let psnr = scores["psnr"].as_f64();
+        if level == 0 {
+            assert!(psnr.is_none_or(|psnr| psnr > 90.0), "{flag}: {psnr:?}");
+        } else {
+            assert!((psnr.unwrap() - -20.0 * (128.0_f64 / 255.0).log10()).abs() < 1e-3, "{flag}: {psnr:?}");
+        }
+        assert_eq!(scores["background"], Value::from(vec![f64::from(level / 255); 3]));
+        let rendered = run(folder.path(), &format!("render unseen.ply --cameras capture -o pictures{flag}"));
+        let picture = folder.path().join(rendered["pictures"][0].as_str().unwrap());
+        assert!(image::open(picture).unwrap().into_rgb8().pixels().all(|p| *p == Rgb([level; 3])), "{flag}");
     }
 }

@@ -17,7 +17,7 @@ use image::{ImageBuffer, PixelWithColorType};
 use super::history::Record;
 use super::output;
 use super::progress::Views;
-use super::shared::{self, AdapterArgs, CaptureArgs, MessageArgs};
+use super::shared::{self, AdapterArgs, Backdrop, CaptureArgs, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -41,6 +41,10 @@ pub(super) struct Args {
     /// Folder for report.html, metrics.json and a picture per view: photograph | render | error × 4
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    /// What is behind the scene, and behind photographs with alpha: files of splats do not say, and those of NeRF-synthetic are trained over white
+    /// as a rule [default: what the scene says, else black]
+    #[arg(long, value_enum)]
+    background: Option<Backdrop>,
     #[command(flatten)]
     lpips: LpipsArgs,
     #[command(flatten)]
@@ -73,9 +77,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let training = file.record.as_ref().and_then(Record::read);
     drop(file.source);
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
-    let (scene, turned) =
+    let (mut scene, turned) =
         shared::in_capture_frame(file.scene, file.y_up).with_context(|| args.scene.display().to_string())?;
     notes.extend(turned.map(|note| format!("{}: {note}", args.scene.display())));
+    if let Some(background) = args.background {
+        scene.composition.background = background.color();
+    }
     let capture = args.loading.open(&args.capture)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     notes.extend(training.as_ref().and_then(Record::saw_all));

@@ -12,7 +12,7 @@ use clap::ValueEnum;
 
 use super::output;
 use super::progress::Views;
-use super::shared::{self, AdapterArgs, AnimationArgs, CaptureArgs, MessageArgs, SamplingArgs};
+use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, CaptureArgs, MessageArgs, SamplingArgs};
 use super::{usage, video};
 
 const EXAMPLES: &str = "\
@@ -103,6 +103,9 @@ struct LookArgs {
     /// bright. Layers have alpha anyway.
     #[arg(long, conflicts_with_all = ["layers", "video"])]
     alpha: bool,
+    /// What is behind the scene [default: what its file says, else black]
+    #[arg(long, value_enum, conflicts_with_all = ["layers", "alpha"])]
+    background: Option<Backdrop>,
     /// Samples of EXR files; depths and counts are 32 bits in either [default: float]
     #[arg(long, value_enum)]
     exr_type: Option<ExrType>,
@@ -251,7 +254,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
     output::check_folder(&args.output)?;
     let options = ReadOptions { time: args.moment(), animations: &args.played.animations, ..ReadOptions::default() };
-    let file = read_file(&args.scene, &options)?;
+    let mut file = read_file(&args.scene, &options)?;
+    if let Some(background) = args.look.background {
+        file.scene.composition.background = background.color();
+    }
     let shot = args.shot(&file)?;
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &shot.cameras))?;
     let gpu = args.adapter.open()?;

@@ -27,6 +27,23 @@ impl Choice {
     }
 }
 
+/// What is behind a scene whose file does not say so, or in place of what it says. Both are the same in every colour space.
+#[derive(Clone, Copy, clap::ValueEnum)]
+pub(super) enum Backdrop {
+    Black,
+    White,
+}
+
+impl Backdrop {
+    /// As `background` of a composition.
+    pub(super) fn color(self) -> [f32; 3] {
+        match self {
+            Self::Black => [0.0; 3],
+            Self::White => [1.0; 3],
+        }
+    }
+}
+
 /// Which pictures of a capture are used, and at what size.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Capture")]

@@ -160,6 +160,8 @@ pub struct Evaluation {
     /// Times, bytes, adapter.
     #[serde(flatten)]
     pub measured: Measured,
+    /// Behind the scene, and behind photographs with alpha; RGB, sRGB-encoded.
+    pub background: [f32; 3],
     /// How scores were taken; empty without views.
     pub protocol: String,
     /// One score per held-out view.
@@ -183,6 +185,7 @@ impl Evaluation {
             texels: scene.meshes.iter().map(|m| atlas(m.atlas())).sum(),
             total_floats: scene.total_floats(),
             measured,
+            background: scene.composition.color_space.to_srgb(scene.composition.background),
             protocol: mean.map_or_else(String::new, |mean| mean.protocol()),
             views,
             left_out: vec![],
@@ -213,6 +216,7 @@ impl Evaluation {
             rows.push(("PSNR of floats", format!("{:.3} dB", mean.psnr_float)));
             rows.extend(mean.ssim_valid.map(|s| ("SSIM, inside only", format!("{s:.4}"))));
             rows.extend(mean.ssim_reflect.map(|s| ("SSIM, reflected", format!("{s:.4}"))));
+            rows.push(("background", self.background.map(|c| c.to_string()).join(" ")));
             rows.push(("protocol", self.protocol.clone()));
         }
         rows
@@ -298,6 +302,8 @@ pub(super) mod tests {
         let e = Evaluation { measured: Measured::default(), ..example() };
         assert!(!e.to_string().contains("bytes"), "what nobody has measured is no row: {e}");
         assert!(serde_json::to_value(e).unwrap()["file_bytes"].is_null());
+        assert_eq!(json["background"], serde_json::json!([0.0, 0.0, 0.0]));
+        assert!(text.lines().any(|line| line.split_whitespace().eq(["background", "0", "0", "0"])), "{text}");
         assert_eq!(json["psnr"].as_f64(), example().mean.map(|m| m.psnr));
         assert!(json["ssim_valid"].is_null() && json["ssim_reflect"].is_number(), "8 pixels high");
         let mut e = example();
