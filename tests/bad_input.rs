@@ -217,6 +217,20 @@ fn photographs_that_are_cut_off_leave_no_report() {
     assert!(line.starts_with("error: capture/images/000.png: "), "{line}");
 }
 
+/// As where structure from motion has made several models of it.
+#[test]
+fn photographs_that_a_capture_does_not_list_are_noted() {
+    let folder = folder_with_capture(8);
+    let images = folder.path().join("capture/images");
+    std::fs::write(images.join("list.txt"), "no photograph").unwrap();
+    let notes = || stderr(&train(folder.path(), ["--no-mesh", "--max-splats", "500"]).output().unwrap());
+    assert_eq!(notes(), "");
+    for name in ["100.png", "101.JPG"] {
+        std::fs::copy(images.join("000.png"), images.join(name)).unwrap();
+    }
+    assert_eq!(notes(), "note: capture: lists 8 of the 10 photographs: the others are left out\n");
+}
+
 /// Variants of a benchmark share them with hybrids.
 #[test]
 fn flags_of_a_mesh_beside_none_are_noted() {

@@ -58,7 +58,7 @@ pub(super) struct CaptureArgs {
     max_side: Option<u32>,
     /// Folder with the images, relative to the capture, such as `images_4` [default: images]
     #[arg(long, value_name = "FOLDER")]
-    images: Option<String>,
+    pub(super) images: Option<String>,
     /// Use only what masks leave white, or of any one level besides black, as labels have it: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or
     /// masks/IMG.jpg, or the `mask_path` of a transforms.json; with a masks/ folder, or where one photograph has a
     /// mask, all need one. Scores multiply photograph and render by the mask

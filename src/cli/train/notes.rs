@@ -1,9 +1,13 @@
 //! What a training says beside its numbers: before it begins, where it fails, and at its end.
 
+use std::collections::{BTreeSet, HashSet};
+use std::path::{Path, PathBuf};
+
 use anyhow::anyhow;
 use centaur::capture::{Capture, View};
 use centaur::optimize::{self, RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
+use image::ImageFormat;
 
 use super::args::{Args, DensityKind, SurfaceOf};
 
@@ -61,7 +65,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
     let idle = args.idle().map(|(beside, flags)| {
         format!("{beside}: {} {} no effect", flags.join(", "), if flags.len() == 1 { "has" } else { "have" })
     });
-    let of_capture = said.map(|(_, what)| what.to_owned()).chain(large);
+    let of_capture = said.map(|(_, what)| what.to_owned()).chain(not_listed(args, capture)).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
     let asks = args.max_splats.is_some_and(|asked| asked > most);
@@ -74,6 +78,22 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .chain(none_left)
         .chain(idle)
         .collect()
+}
+
+/// How many photographs there are beside its own that it does not list: structure from motion may have found a part of the poses, or several
+/// models.
+fn not_listed(args: &Args, capture: &Capture) -> Option<String> {
+    // Elsewhere there may be depths and normals among them, as in NeRF-synthetic.
+    let root = args.capture.join(args.loading.images.as_deref().unwrap_or("images"));
+    let listed: HashSet<&Path> = capture.views.iter().map(|view| view.source.path()).collect();
+    let folders: BTreeSet<&Path> = listed.iter().filter_map(|image| image.parent()).collect();
+    let entries = folders.iter().filter(|folder| folder.starts_with(&root)).filter_map(|folder| folder.read_dir().ok());
+    let files = entries.flatten().flatten().map(|entry| entry.path());
+    let (own, others): (Vec<PathBuf>, Vec<PathBuf>) = files
+        .filter(|file| ImageFormat::from_path(file).is_ok() && file.is_file())
+        .partition(|file| listed.contains(file.as_path()));
+    let (own, all) = (own.len(), own.len() + others.len());
+    (own < all).then(|| format!("lists {own} of the {all} photographs: the others are left out"))
 }
 
 /// Whether its views say that they are of different times.
