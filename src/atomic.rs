@@ -164,7 +164,10 @@ pub(crate) fn write_with(
     out.flush()?;
     drop(out);
     let bytes = temporary.as_file().metadata()?.len();
-    temporary.persist(path).map_err(|e| e.error)?;
+    // Windows replaces what a reader has open, as a scene that is written over itself is, for `rename` alone, not for `persist`.
+    let (file, temporary) = temporary.keep().map_err(|e| e.error)?;
+    drop(file);
+    fs::rename(&temporary, path).inspect_err(|_| drop(fs::remove_file(&temporary)))?;
     Ok(bytes)
 }
 
@@ -211,6 +214,22 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"newer");
         assert!(write(&folder.path().join("none/a.bin"), b"").is_err());
         assert!(write(folder.path(), b"").is_err());
+    }
+
+    #[test]
+    fn a_file_that_is_being_read_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        write(&path, b"old").unwrap();
+        let mut reader = File::open(&path).unwrap();
+        write(&path, b"newer").unwrap();
+        let mut held = vec![];
+        io::Read::read_to_end(&mut reader, &mut held).unwrap();
+        assert_eq!((&held[..], &fs::read(&path).unwrap()[..]), (&b"old"[..], &b"newer"[..]));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        // A rename that fails leaves nothing.
+        assert!(write(&folder.path().join("a".repeat(300)), b"").is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     /// Of what is listed by this test alone: others write meanwhile.
