@@ -51,7 +51,7 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
     let place = atomic::place_of(path).with_context(named)?;
     let staging = Staging::within(folder_of(&place)).with_context(named)?;
     let film = staging.path().join("film.mp4");
-    let mut messages = tempfile::tempfile().with_context(named)?;
+    let mut messages = tempfile::tempfile_in(staging.path()).with_context(named)?;
     let spawned = Command::new("ffmpeg")
         .args(arguments(fps))
         .arg(&film)
