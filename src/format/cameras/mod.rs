@@ -287,6 +287,14 @@ fn safe_stem(view: &str) -> String {
         .collect();
     match safe.trim_start_matches('.') {
         "" => "view".to_owned(),
+        name if is_device(name) => format!("_{name}"),
         name => name[..name.floor_char_boundary(MAX_STEM)].to_owned(),
     }
+}
+
+/// Whether Windows takes a file of this name for a device, whatever follows a dot in it.
+fn is_device(name: &str) -> bool {
+    let name = name.split('.').next().unwrap_or_default().to_ascii_lowercase();
+    let port = name.strip_prefix("com").or(name.strip_prefix("lpt"));
+    matches!(&name[..], "con" | "prn" | "aux" | "nul") || port.is_some_and(|n| matches!(n.as_bytes(), [b'0'..=b'9']))
 }

@@ -128,6 +128,10 @@ fn names_of_pictures_are_safe_and_unique() {
         ["", "_2"].map(|number| format!("{}{number}.png", "日".repeat(66))),
         "longer than files may be called"
     );
+    // Of devices of Windows.
+    let found = names(&["aux", "Nul.left.png", "com1", "com10", "console", "LPT9.1.jpg"]);
+    let expected = ["_aux", "_Nul.left", "_com1", "com10", "console", "_LPT9.1"];
+    assert_eq!(found, expected.map(|stem| format!("{stem}.png")));
     // They are the names in files of cameras, unless all cameras have names of pictures.
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (shot(1, 0.0)[0].1, shot(2, 0.0)[1].1);
