@@ -355,9 +355,10 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
 /// Reads `scenes.json`. Its names become those of files, and its folders lie within its own.
 fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
     let here = || list.display().to_string();
-    let Listed { scenes } =
-        serde_json::from_slice(&std::fs::read(list).with_context(|| format!("{}: cannot read", here()))?)
-            .with_context(here)?;
+    let text = std::fs::read(list).with_context(|| format!("{}: cannot read", here()))?;
+    // Editors of Windows put a mark before the first brace.
+    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
+    let Listed { scenes } = serde_json::from_slice(text).with_context(here)?;
     ensure!(!scenes.is_empty(), "{}: expected scenes, found none", here());
     for (name, scene) in &scenes {
         let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
@@ -516,7 +517,8 @@ mod tests {
         let both = error(r#"{"scenes": {"room": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
         let expected = "--protocol b: expected scenes.json without flags for the pictures of room, which it decides";
         assert_eq!(both, format!("{expected}, found `--downscale=2`"));
-        write(r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
+        // As editors of Windows write it.
+        write(&["\u{feff}", r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#].concat());
         assert_eq!(super::all(&args(folder.path(), &["--protocol", "b"])).unwrap()[0].scene_flags, ["--downscale=2"]);
     }
 
@@ -534,6 +536,8 @@ mod tests {
         assert!(error(&["--only", "x/garden-0"]).starts_with("--only x/garden-0: expected one of the 1 jobs"));
         assert!(error(&["--variant", "a", "--variant", "a=--no-mesh"]).contains("given twice"));
         assert_eq!(error(&["--seeds", "1,0,1"]), "--seeds: 1 given twice");
+        let list = ["centaur", "bench", "data", "-o", "out", "--list", "--json"];
+        assert!(Cli::try_parse_from(list).is_err(), "commands are no JSON");
         let flag = error(&["--", "--no-messh"]);
         assert!(flag.starts_with("flags of default/garden-0: ") && flag.contains("--no-messh"), "{flag}");
         let pictures = "expected no flag for the pictures, which it decides, found";

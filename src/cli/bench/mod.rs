@@ -74,7 +74,7 @@ pub(super) struct Args {
     #[arg(long, hide = true)]
     beside_others: bool,
     /// Print a command, quoted for a shell, for each job that is not done, and do none
-    #[arg(long, conflicts_with = "table")]
+    #[arg(long, conflicts_with_all = ["table", "json"])]
     list: bool,
     /// Make the table of what is done, and do nothing else
     #[arg(long)]
