@@ -1,5 +1,6 @@
 //! `centaur bench` on a small data set: done once, gone on with, listed for others.
 
+#![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod common;
@@ -40,7 +41,6 @@ fn said(output: &Output) -> (String, String) {
 }
 
 #[test]
-#[cfg(unix)]
 fn a_data_set_is_trained_once_and_tabled() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

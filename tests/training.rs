@@ -6,8 +6,10 @@ mod common;
 
 use std::cell::Cell;
 use std::fmt::Write as _;
+#[cfg(unix)]
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
+#[cfg(unix)]
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 

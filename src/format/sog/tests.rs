@@ -120,13 +120,10 @@ fn names_do_not_lead_out_of_the_folder() {
     std::fs::rename(inner.join("quats.webp"), folder.path().join("quats.webp")).unwrap();
     let meta = std::fs::read_to_string(&path).unwrap();
     let outside = folder.path().join("quats.webp");
-    let mut names = vec!["../quats.webp", "./../quats.webp", "..\\quats.webp", "..", "", outside.to_str().unwrap()];
+    let names = ["../quats.webp", "./../quats.webp", "..\\quats.webp", "..", "", outside.to_str().unwrap()];
     #[cfg(unix)]
-    {
-        std::os::unix::fs::symlink(&outside, inner.join("link.webp")).unwrap();
-        names.push("link.webp");
-    }
-    for name in names {
+    std::os::unix::fs::symlink(&outside, inner.join("link.webp")).unwrap();
+    for name in names.into_iter().chain(cfg!(unix).then_some("link.webp")) {
         let quoted = serde_json::to_string(name).unwrap();
         std::fs::write(&path, meta.replace("\"quats.webp\"", &quoted)).unwrap();
         let message = read(&path).unwrap_err().to_string();
