@@ -15,7 +15,7 @@ static FLAG: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
 /// From here on a signal ends the program as it would any other, but for what [`atomic::abandon_all`] does before. A hangup is left as it
 /// is: `nohup` has it ignored.
 pub(super) fn handle() -> Result<()> {
-    #[cfg(not(unix))]
+    #[cfg(windows)]
     ctrlc::set_handler(|| obey(SIGINT)).context("cannot handle Ctrl-C")?;
     // By one thread: of two signals the first is the one that asks.
     #[cfg(unix)]
