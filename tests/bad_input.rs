@@ -406,6 +406,44 @@ fn threads_that_cannot_be_started() {
     assert!(line.starts_with("error: cannot start a thread for every core; RAYON_NUM_THREADS=4, say, "), "{line}");
 }
 
+/// A triangle in each, of a document that names more of them than may be open.
+#[cfg(unix)]
+#[test]
+fn more_files_than_may_be_open() {
+    use std::fmt::Write as _;
+    let folder = tempfile::tempdir().unwrap();
+    let triangle: Vec<u8> =
+        [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v: &f32| v.to_le_bytes()).collect();
+    let [mut buffers, mut views, mut accessors, mut primitives] = [(); 4].map(|()| String::new());
+    for i in 0..100 {
+        std::fs::write(folder.path().join(format!("{i}.bin")), &triangle).unwrap();
+        let comma = if i > 0 { "," } else { "" };
+        write!(buffers, r#"{comma}{{"uri":"{i}.bin","byteLength":36}}"#).unwrap();
+        write!(views, r#"{comma}{{"buffer":{i},"byteLength":36}}"#).unwrap();
+        let bounds = r#""min":[0,0,0],"max":[1,1,0]"#;
+        write!(accessors, r#"{comma}{{"bufferView":{i},"componentType":5126,"count":3,"type":"VEC3",{bounds}}}"#)
+            .unwrap();
+        write!(primitives, r#"{comma}{{"attributes":{{"POSITION":{i}}}}}"#).unwrap();
+    }
+    let document = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitives}]}}],
+            "buffers":[{buffers}],"bufferViews":[{views}],"accessors":[{accessors}]}}"#
+    );
+    std::fs::write(folder.path().join("scene.gltf"), document).unwrap();
+    let mut command = Command::new("sh");
+    command.args([
+        "-c",
+        "ulimit -n 50; exec \"$0\" \"$@\"",
+        env!("CARGO_BIN_EXE_centaur"),
+        "inspect",
+        "scene.gltf",
+        "--json",
+    ]);
+    let output = command.current_dir(folder.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("\"triangles\":100"), "{output:?}");
+}
+
 #[test]
 fn adapters_that_do_not_exist() {
     let folder = folder_with_capture(3);
