@@ -58,7 +58,7 @@ pub(super) struct Args {
 /// The network that scores what eyes would.
 #[derive(clap::Args)]
 pub(super) struct LpipsArgs {
-    /// Also score LPIPS, by the weights of VGG-16 or `AlexNet` in this file; `python3 datasets-scripts/lpips_weights.py vgg FILE`
+    /// Also score LPIPS, by the weights of VGG-16 or AlexNet in this file; `python3 datasets-scripts/lpips_weights.py vgg FILE`
     /// downloads and writes it
     #[arg(long, value_name = "FILE.safetensors")]
     lpips_weights: Option<PathBuf>,
