@@ -3,7 +3,7 @@
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3};
 
 use super::device::{Buffer, Frame, Gpu, Timer};
-use super::mesh::MeshStage;
+use super::mesh::{BIN, MeshStage};
 use super::status::status_buffer;
 use super::texels::TexelStep;
 use super::view::{VIEW_WORDS, View};
@@ -319,18 +319,21 @@ fn a_short_pair_list_grows() {
     rig.check(&view, &meshes, "after growing");
 }
 
-/// A closed surface has no cracks: every pixel inside its outline is covered, whatever the adapter's rounding.
+/// A closed surface has no cracks: every pixel inside its outline is covered, whatever the adapter's rounding. More bins than are scanned
+/// at a time.
 #[test]
 fn a_dense_sphere_has_no_cracks() {
     let mut random = Random(4);
     let meshes = [sphere(200, 100, Vec3::new(0.0, 0.0, 2.0), 1.0, atlas(&mut random, 0, 16))];
-    let view = view(160, 160, DMat3::IDENTITY, 1, &meshes);
+    const SIDE: u32 = 280;
+    const { assert!(SIDE.div_ceil(BIN).pow(2) > 1024) };
+    let view = view(SIDE, SIDE, DMat3::IDENTITY, 1, &meshes);
     let rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, false);
     let (depths, _) = rig.layers(&view);
     let camera = &view.camera;
     let center = camera.to_camera(DVec3::new(0.0, 0.0, 2.0));
-    for (i, &z) in depths.iter().enumerate() {
-        let r = camera.ray(DVec2::new((i % 160) as f64 + 0.5, (i / 160) as f64 + 0.5)).normalize();
+    for (i, &z) in (0_u32..).zip(&depths) {
+        let r = camera.ray(DVec2::new(f64::from(i % SIDE) + 0.5, f64::from(i / SIDE) + 0.5)).normalize();
         let distance = (center - r * center.dot(r)).length();
         // Chords of the tessellation lie within 0.1 % of the radius.
         if distance < 0.998 {
