@@ -144,7 +144,8 @@ pub fn place_of(output: &Path) -> io::Result<PathBuf> {
 const PREFIX: &str = ".centaur-";
 
 /// Writes to `path` what `produce` makes, by way of a temporary file in the same folder, so that `path` holds either its former content or
-/// all of the new one. Returns the number of bytes written. Where `path` is a symbolic link to a file, that file is replaced.
+/// all of the new one, also after the system went down where it has former content. Returns the number of bytes written. Where `path` is a
+/// symbolic link to a file, that file is replaced.
 ///
 /// # Errors
 /// If the folder does not exist or cannot be written to, or `produce` fails.
@@ -164,6 +165,10 @@ pub(crate) fn write_with(
     out.flush()?;
     drop(out);
     let bytes = temporary.as_file().metadata()?.len();
+    // A system that goes down may have renamed, but not yet written: where nothing would be lost, that is not waited for.
+    if path.exists() {
+        temporary.as_file().sync_all()?;
+    }
     // Windows replaces what a reader has open, as a scene that is written over itself is, for `rename` alone, not for `persist`.
     let (file, temporary) = temporary.keep().map_err(|e| e.error)?;
     drop(file);
