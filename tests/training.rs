@@ -6,11 +6,11 @@ mod common;
 
 use std::cell::Cell;
 use std::fmt::Write as _;
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-#[cfg(unix)]
-use std::process::Stdio;
+#[cfg(target_os = "linux")]
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
@@ -318,10 +318,10 @@ fn a_seed_is_one_scene() {
     assert!(trained("c.glb", "1") == expected, "one thread");
 }
 
-/// Ctrl-C in a terminal is SIGINT.
-#[cfg(unix)]
+/// Ctrl-C in a terminal is SIGINT; one that goes away hangs up, by its shell and by itself, on all but what `nohup` runs.
+#[cfg(target_os = "linux")]
 #[test]
-fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
+fn signals_leave_a_checkpoint_that_resume_finishes() {
     let folder = tempfile::tempdir().unwrap();
     let demo = demo().display().to_string();
     let arguments = [
@@ -340,22 +340,30 @@ fn ctrl_c_leaves_a_checkpoint_that_resume_finishes() {
         "--no-eval",
         "--json",
     ];
-    let mut child =
-        common::centaur(folder.path()).args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    let line = lines.next().unwrap().unwrap();
-    assert!(line.starts_with(r#"{"progress":"#), "{line}");
-    common::send("INT", &child.id().to_string());
-    // Reports are read on, so that the child does not wait for a full pipe.
-    let last = lines.map(Result::unwrap).last();
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{last:?}");
-    let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(outcome["outcome"], "interrupted");
     let files = || -> Vec<_> {
         std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
     };
-    assert_eq!(files(), ["scene.glb.checkpoint"]);
+    // Under nohup a hangup is no first signal, else Ctrl-C as the second would end all.
+    let (nohup, hung_up) = ("trap '' HUP; exec \"$@\"", "exec \"$@\"");
+    for (shell, signals, resume) in [(nohup, ["HUP", "INT"], None), (hung_up, ["HUP", "HUP"], Some("--resume"))] {
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", "sh", "-c", shell, "sh", env!("CARGO_BIN_EXE_centaur")]);
+        command.current_dir(folder.path()).env("XDG_RUNTIME_DIR", std::env::temp_dir()).args(arguments).args(resume);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let line = lines.next().unwrap().unwrap();
+        assert!(line.starts_with(r#"{"progress":"#), "{line}");
+        for signal in signals {
+            common::send(signal, &child.id().to_string());
+        }
+        // Reports are read on, so that the child does not wait for a full pipe.
+        let last = lines.map(Result::unwrap).last();
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{signals:?} {last:?}");
+        let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(outcome["outcome"], "interrupted");
+        assert_eq!(files(), ["scene.glb.checkpoint"]);
+    }
 
     let output = common::centaur(folder.path()).args(arguments).arg("--resume").output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));

@@ -1,4 +1,4 @@
-//! Ctrl-C and, on Unix, terminations: a command that can stops by itself, any other leaves no temporary files behind.
+//! Ctrl-C and, on Unix, terminations and hangups: a command that can stops by itself, any other leaves no temporary files behind.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -6,14 +6,20 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context as _, Result};
 use centaur::atomic;
 
+/// Of a terminal that goes away, or a connection to it.
+const SIGHUP: i32 = 1;
 /// Of Ctrl-C, wherever there are signals.
 const SIGINT: i32 = 2;
 
-/// Of a command that stops by itself soon after this is set, which has not been asked to yet.
-static FLAG: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
+/// How to ask a command that stops by itself.
+struct Stop {
+    flag: Arc<AtomicBool>,
+    is_asked: bool,
+}
 
-/// From here on a signal ends the program as it would any other, but for what [`atomic::abandon_all`] does before. A hangup is left as it
-/// is: `nohup` has it ignored.
+static STOP: Mutex<Option<Stop>> = Mutex::new(None);
+
+/// From here on a signal ends the program as it would any other, but for what [`atomic::abandon_all`] does before.
 pub(super) fn handle() -> Result<()> {
     #[cfg(windows)]
     ctrlc::set_handler(|| obey(SIGINT)).context("cannot handle Ctrl-C")?;
@@ -22,23 +28,40 @@ pub(super) fn handle() -> Result<()> {
     {
         use signal_hook::{consts::SIGTERM, iterator::Signals};
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle Ctrl-C")?;
+        if !ignores_hangups() {
+            signals.add_signal(SIGHUP).context("cannot handle SIGHUP")?;
+        }
         let thread = std::thread::Builder::new().spawn(move || signals.forever().for_each(obey));
         thread.context("cannot handle Ctrl-C")?;
     }
     Ok(())
 }
 
+/// Whether `nohup` or a shell has hangups ignored, which then remains so: by Linux's word or, elsewhere, where no message goes to a terminal.
+#[cfg(unix)]
+fn ignores_hangups() -> bool {
+    use std::io::IsTerminal as _;
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    match mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()) {
+        Some(mask) => mask & (1 << (SIGHUP - 1)) != 0,
+        None => !std::io::stderr().is_terminal(),
+    }
+}
+
 /// A flag for the command to poll, which the next signal sets rather than end the program; the one after that ends it.
 pub(super) fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::default();
-    *FLAG.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&flag));
+    *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some(Stop { flag: Arc::clone(&flag), is_asked: false });
     flag
 }
 
 fn obey(signal: i32) {
-    let flag = FLAG.lock().unwrap_or_else(PoisonError::into_inner).take();
-    if let Some(flag) = flag {
-        return flag.store(true, Ordering::Relaxed);
+    if let Some(stop) = &mut *STOP.lock().unwrap_or_else(PoisonError::into_inner) {
+        // A terminal that goes away hangs up by itself and by its shell: that is no second wish.
+        if !std::mem::replace(&mut stop.is_asked, true) || signal == SIGHUP {
+            return stop.flag.store(true, Ordering::Relaxed);
+        }
     }
     atomic::abandon_all();
     // A shell that does one command after the other stops only where a signal has ended one.
