@@ -28,6 +28,8 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 /// Bytes of memory per byte of a file at most. 5 kB of SOG hold 40 splats of 140 bytes in images of 100 kB, 30 bytes of a
 /// PLY's header name a property in 100 bytes of memory.
 const MOST_PER_BYTE: usize = 40;
+/// Of photographs, which may be of one colour: 32,768 bytes for a stored one, twice where they become RGBA and once more where a lens bends them.
+const MOST_PER_BYTE_OF_PICTURES: usize = 12 << 15;
 /// Besides, for buffers, and for images of a size that small files may claim.
 const MOST_BESIDES: usize = 16 << 20;
 
@@ -42,9 +44,13 @@ fn folder() -> tempfile::TempDir {
 
 /// Reads the files in every way in which the program would; whether any was taken.
 fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
+    if reader == "photograph" {
+        fuzz::prepare_for_photograph(folder);
+    }
     for (name, content) in files {
         std::fs::write(folder.join(name), content).unwrap();
     }
+    let most_per_byte = if reader == "photograph" { MOST_PER_BYTE_OF_PICTURES } else { MOST_PER_BYTE };
     let path = folder.join(files[0].0);
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
@@ -55,6 +61,10 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
             let cameras = capture::cameras(folder, &options).map(drop).map_err(of_capture);
             // A path is no capture.
             (opened.is_ok() || cameras.is_ok(), vec![opened, cameras])
+        }
+        "photograph" => {
+            let read = fuzz::decode(folder).map_err(of_capture);
+            (read.is_ok(), vec![read])
         }
         "checkpoint" => {
             let read = Checkpoint::read(&path).map(drop).map_err(|e| e.to_string());
@@ -91,7 +101,7 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
     };
     let peak = MEMORY.peak_usage().saturating_sub(before);
     let size: usize = files.iter().map(|(_, content)| content.len()).sum();
-    assert!(peak <= MOST_PER_BYTE * size + MOST_BESIDES, "{reader}: {peak} bytes of memory for a file of {size}");
+    assert!(peak <= most_per_byte * size + MOST_BESIDES, "{reader}: {peak} bytes of memory for a file of {size}");
     for message in said.iter().filter_map(|read| read.as_ref().err()) {
         // Whatever stands in the file, the message is one line that names it.
         assert!(!message.contains(['\n', '\r']) && message.len() < 600, "{message:?}");
@@ -140,7 +150,8 @@ fn of_capture(e: CaptureError) -> String {
     let is_place = place.starts_with('/') || ["line ", "byte "].iter().any(|word| place.contains(word));
     // These are missing altogether.
     assert!(
-        is_place || ["capture", "cameras", "views", "COLMAP model", "image size"].contains(&&**place),
+        is_place
+            || ["capture", "cameras", "views", "COLMAP model", "image size", "mask size", "mask"].contains(&&**place),
         "nowhere: {e}"
     );
     e.to_string()
@@ -221,10 +232,8 @@ fn runner(cases: u32) -> TestRunner {
 #[test]
 fn damaged_files() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let folder = folder();
     for Sample { reader, files } in samples() {
-        let sub = tempfile::tempdir_in(folder.path()).unwrap();
-        std::fs::create_dir(sub.path().join("images")).unwrap();
+        let folder = folder();
         let strategy = (0..files.len(), proptest::collection::vec(damage(), 1..4));
         let mut runner = runner(300);
         let outcome = runner.run(&strategy, |(which, damages)| {
@@ -233,7 +242,7 @@ fn damaged_files() {
             if reader == "checkpoint" {
                 fuzz::mend_checksum(&mut damaged[which].1);
             }
-            read(sub.path(), reader, &damaged);
+            read(folder.path(), reader, &damaged);
             Ok(())
         });
         assert!(outcome.is_ok(), "{reader}: {}", outcome.unwrap_err());
@@ -377,6 +386,7 @@ fn fuzz_targets_take_the_samples() {
         let taken = match reader {
             "colmap_text" | "colmap_binary" | "transforms" => fuzz::capture(&names, &packed()),
             "gltf_and_bin" | "streamed_sog" => fuzz::scene_of_files(&names, &packed()),
+            "photograph" => fuzz::photograph(&names, &packed()),
             "checkpoint" => fuzz::checkpoint(bytes),
             "obj" | "mesh_ply" => fuzz::mesh(name, bytes),
             "glb" | "gltf" | "usda" | "usdc" | "usdz" => fuzz::scene_and_mesh(name, bytes),

@@ -5,6 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use centaur::capture::{self, CaptureError, Downscale, LoadOptions};
 use centaur::format::{self, ReadOptions, Sampling};
 use tempfile::TempDir;
 
@@ -25,19 +26,24 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
 }
 
 /// Puts files that stand one after the other, each but the last preceded by its length in two bytes, into a folder of their own.
-fn unpack(names: &[&str], bytes: &[u8]) -> Option<PathBuf> {
+fn unpack_anew(names: &[&str], bytes: &[u8]) -> Option<PathBuf> {
     let folder = folder().join(format!("with-{}", names[0]));
     std::fs::create_dir_all(&folder).expect("a folder in a temporary folder");
-    let (last, others) = names.split_last()?;
+    unpack(&folder, names, bytes).then_some(folder)
+}
+
+/// The same into this folder; `false` where a length is missing.
+fn unpack(folder: &Path, names: &[&str], bytes: &[u8]) -> bool {
+    let Some((last, others)) = names.split_last() else { return false };
     let mut rest = bytes;
     for name in others {
-        let (length, after) = rest.split_first_chunk()?;
+        let Some((length, after)) = rest.split_first_chunk() else { return false };
         let (own, after) = after.split_at(usize::from(u16::from_le_bytes(*length)).min(after.len()));
-        put(&folder, name, own);
+        put(folder, name, own);
         rest = after;
     }
-    put(&folder, last, rest);
-    Some(folder)
+    put(folder, last, rest);
+    true
 }
 
 fn read_scene(path: &Path) -> bool {
@@ -71,7 +77,7 @@ pub fn scene_and_mesh(name: &str, bytes: &[u8]) -> bool {
 
 /// As [`scene_and_mesh`], of several files, of which the first refers to the others.
 pub fn scene_of_files(names: &[&str], bytes: &[u8]) -> bool {
-    let Some(folder) = unpack(names, bytes) else { return false };
+    let Some(folder) = unpack_anew(names, bytes) else { return false };
     let path = folder.join(names[0]);
     let is_scene = read_scene(&path);
     format::mesh_import::read(&path).is_ok() || is_scene
@@ -82,7 +88,7 @@ const PHOTOGRAPH: &[u8] = b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\
 
 /// A capture of photographs `a.png` and `b.png`.
 pub fn capture(names: &[&str], bytes: &[u8]) -> bool {
-    let Some(folder) = unpack(names, bytes) else { return false };
+    let Some(folder) = unpack_anew(names, bytes) else { return false };
     let images = folder.join("images");
     if !images.is_dir() {
         std::fs::create_dir(&images).expect("a folder in a temporary folder");
@@ -90,9 +96,38 @@ pub fn capture(names: &[&str], bytes: &[u8]) -> bool {
             put(&images, name, PHOTOGRAPH);
         }
     }
-    let opened = centaur::capture::open(&folder, &Default::default()).is_ok();
+    let opened = capture::open(&folder, &LoadOptions::default()).is_ok();
     // A path is no capture.
-    centaur::capture::cameras(&folder, &Default::default()).is_ok() || opened
+    capture::cameras(&folder, &LoadOptions::default()).is_ok() || opened
+}
+
+/// Of a photograph `a.png` of any size, and one of 1×1.
+const TWO_FRAMES: &str = r#"{"camera_angle_x":0.7,"k1":0.01,"frames":[
+{"file_path":"images/a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},
+{"file_path":"images/b.png","transform_matrix":[[0,0,1,4],[0,1,0,0],[-1,0,0,0],[0,0,0,1]]}]}"#;
+
+/// What a photograph shows, with its mask and without, and made smaller.
+pub fn decode(folder: &Path) -> Result<(), CaptureError> {
+    let decoded = |options: &LoadOptions| capture::decode(&capture::open(folder, options)?.views[0]).map(drop);
+    let alone = decoded(&LoadOptions { downscale: Downscale::Factor(2), ..LoadOptions::default() });
+    decoded(&LoadOptions { masks: true, ..LoadOptions::default() }).and(alone)
+}
+
+/// Makes a folder the capture of that, but for `images/a.png` and `masks/a.png`.
+pub fn prepare_for_photograph(folder: &Path) {
+    for sub in ["images", "masks"] {
+        let sub = folder.join(sub);
+        std::fs::create_dir_all(&sub).expect("a folder in a temporary folder");
+        put(&sub, "b.png", PHOTOGRAPH);
+    }
+    put(folder, "transforms.json", TWO_FRAMES.as_bytes());
+}
+
+/// The mask of a photograph, preceded by its length in two bytes, and the photograph.
+pub fn photograph(names: &[&str], bytes: &[u8]) -> bool {
+    let capture = folder().join("photograph");
+    prepare_for_photograph(&capture);
+    unpack(&capture, names, bytes) && decode(&capture).is_ok()
 }
 
 /// Gives a checkpoint the checksum that belongs to it: of others that is all that is said.

@@ -4,6 +4,7 @@
 
 mod moving;
 
+use std::io::Cursor;
 use std::path::Path;
 
 use centaur::format::{self, CameraFile, ReadOptions, WriteOptions, ksplat, sog, spz};
@@ -11,6 +12,7 @@ use centaur::optimize::checkpoint::Checkpoint;
 use centaur::render::gpu::state::SplatState;
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
+use image::{ImageFormat, Rgb, RgbImage};
 
 /// What one call of a reader reads.
 pub(crate) struct Sample {
@@ -122,6 +124,12 @@ pub(crate) fn samples() -> Vec<Sample> {
     add("colmap_binary", colmap_binary());
     add("transforms", vec![("transforms.json", TRANSFORMS.into())]);
     add("transforms", vec![("transforms.json", CAMERA_PATH.into())]);
+    for (mask, photograph) in [(ImageFormat::Png, ImageFormat::Jpeg), (ImageFormat::Jpeg, ImageFormat::Png)] {
+        add(
+            "photograph",
+            vec![("masks/a.png", picture(mask, [255; 3])), ("images/a.png", picture(photograph, [9, 90, 200]))],
+        );
+    }
     let checkpoint = Checkpoint {
         splats: SplatState::from_splats(&self::scene(3, 1).splats),
         indices: [("corners".to_owned(), vec![0, 1, 2])].into(),
@@ -130,6 +138,15 @@ pub(crate) fn samples() -> Vec<Sample> {
     let bytes = written(folder.path(), "scene.checkpoint", |path| checkpoint.write(path));
     add("checkpoint", vec![("scene.checkpoint", bytes)]);
     samples
+}
+
+/// Of 16×8 pixels, black but for a square of some colour.
+fn picture(format: ImageFormat, color: [u8; 3]) -> Vec<u8> {
+    let shown = |x: u32, y: u32| if x < 8 && y > 1 { color } else { [0; 3] };
+    let mut bytes = Cursor::new(vec![]);
+    let picture = RgbImage::from_fn(16, 8, |x, y| Rgb(shown(x, y)));
+    picture.write_to(&mut bytes, format).expect("a picture in memory");
+    bytes.into_inner()
 }
 
 /// The same document in one file.
