@@ -19,7 +19,9 @@ value() { # flag, value where it is not given
     echo "$found"
 }
 iterations=$(value --iterations 30000)
-joint=$((iterations - $(value --surface-iterations $((iterations / 2)))))
+before=$((iterations / 7 > 400 ? iterations / 7 : 400))
+before=$((before < iterations / 2 ? before : iterations / 2))
+joint=$((iterations - $(value --surface-iterations "$before")))
 joint=$((joint > 0 ? joint : 0))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")
 centaur=(cargo run --release --quiet --)

@@ -50,9 +50,9 @@ pub struct TrainOptions {
     pub iterations: u32,
     /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
     pub warmup: u32,
-    /// Of `iterations`, those on splats alone before a surface is made of them: 15,000, when INRIA's density control
-    /// ends; it and AbsGS' go on for half of the rest, MCMC's to 5/6 of the run as without a mesh. Unused with a given mesh or
-    /// without one. If not fewer than `iterations`, splats and maps are never trained together.
+    /// Of `iterations`, those on splats alone before there is a surface, which they judge: a seventh, at least 400, at most half, and half
+    /// where poses are refined, as they are in it alone. Density control goes on for half of the rest, MCMC's to 5/6 of the run as
+    /// without a mesh. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained together.
     pub surface_iterations: Option<u32>,
     /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
     /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).
@@ -199,7 +199,11 @@ impl TrainOptions {
     /// Iterations on splats alone before a surface is made, if the run makes one.
     #[must_use]
     pub fn surface_phase_iterations(&self) -> u32 {
-        self.surface_iterations.unwrap_or(self.iterations / 2).min(self.iterations)
+        // Half of a long run leaves splats too little time beside the mesh, and less than this of a short one no judge
+        // (`docs/experiments.md`). Poses are refined in it alone.
+        let least = if self.refine_poses { u32::MAX } else { 400 };
+        let usual = (self.iterations / 7).max(least).min(self.iterations / 2);
+        self.surface_iterations.unwrap_or(usual).min(self.iterations)
     }
 
     /// Iterations of a phase, of a run that makes its surface itself or does not.
@@ -284,6 +288,18 @@ mod tests {
         {
             assert!(enough.validate().is_ok());
         }
+    }
+
+    #[test]
+    fn splats_are_alone_for_a_seventh_of_long_runs_and_half_of_short_ones() {
+        let before = |iterations, surface_iterations| {
+            TrainOptions { iterations, surface_iterations, ..TrainOptions::default() }.surface_phase_iterations()
+        };
+        let usual = [0, 1, 100, 1400, 7000, 30_000, u32::MAX].map(|iterations| before(iterations, None));
+        assert_eq!(usual, [0, 0, 50, 400, 1000, 4285, u32::MAX / 7]);
+        let refines = TrainOptions { iterations: 30_000, refine_poses: true, ..TrainOptions::default() };
+        assert_eq!(refines.surface_phase_iterations(), 15_000);
+        assert_eq!([before(100, Some(70)), before(100, Some(700))], [70, 100]);
     }
 
     #[test]
