@@ -10,7 +10,8 @@ scenes=target/ablations
 mkdir -p $scenes
 . scripts/link-captures.sh
 read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600 --warmup 600 --max-side 356 --max-floats 1000000}"
-# Warm-ups in the proportion to joint iterations that 3,000 and 9,000 have to 30,000; by default half of the iterations are before the surface.
+# Warm-ups in the proportion to joint iterations that 3,000 and 9,000 have to 30,000; by default a seventh of the iterations is before the surface,
+# at least 400 and at most half, and half where the program has it so.
 value() { # flag, value where it is not given
     local found=$2 i
     for ((i = 0; i < ${#flags[@]}; i++)); do
@@ -21,6 +22,7 @@ value() { # flag, value where it is not given
 iterations=$(value --iterations 30000)
 before=$((iterations / 7 > 400 ? iterations / 7 : 400))
 before=$((before < iterations / 2 ? before : iterations / 2))
+case " ${flags[*]} " in *" --refine-poses "* | *" --density inria "* | *" --density absgs "*) before=$((iterations / 2)) ;; esac
 joint=$((iterations - $(value --surface-iterations "$before")))
 joint=$((joint > 0 ? joint : 0))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")

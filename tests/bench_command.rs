@@ -261,12 +261,12 @@ fn is_free(lock: &Path) -> bool {
     std::fs::OpenOptions::new().write(true).open(lock).unwrap().try_lock().is_ok()
 }
 
-/// Whether the process has come to handle hangups, the signal of number 1.
+/// Whether the process has come to stop by itself when it is asked to: a thread of it waits for the end of stdin.
 #[cfg(target_os = "linux")]
-fn handles_hangups(process: &str) -> bool {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
-    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-    caught.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 1 == 1)
+fn can_be_asked(process: &str) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten();
+    let mut names = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("comm")).ok());
+    names.any(|name| name.trim() == "end of stdin")
 }
 
 /// Neither an interruption that only this process gets, nor a hangup that all get, nor its end leaves a training behind, and no two train the same.
@@ -292,7 +292,7 @@ fn no_training_is_left_behind_or_done_twice() {
         let training = trainings(folder.path()).pop().unwrap();
         match signal {
             "HUP" => {
-                wait_for("a training that handles hangups", || handles_hangups(&training));
+                wait_for("a training that can be asked to stop", || can_be_asked(&training));
                 common::send("HUP", &training);
             }
             "KILL" => common::send("STOP", &training),

@@ -28,7 +28,8 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 /// Bytes of memory per byte of a file at most. 5 kB of SOG hold 40 splats of 140 bytes in images of 100 kB, 30 bytes of a
 /// PLY's header name a property in 100 bytes of memory.
 const MOST_PER_BYTE: usize = 40;
-/// Of photographs, which may be of one colour: 32,768 bytes for a stored one, twice where they become RGBA and once more where a lens bends them.
+/// Of photographs, which may be grey and of one colour: 32,768 bytes for a stored one, four times that as RGBA, as much again through a lens,
+/// and what a mask and a smaller picture take.
 const MOST_PER_BYTE_OF_PICTURES: usize = 12 << 15;
 /// Besides, for buffers, and for images of a size that small files may claim.
 const MOST_BESIDES: usize = 16 << 20;
@@ -63,8 +64,8 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
             (opened.is_ok() || cameras.is_ok(), vec![opened, cameras])
         }
         "photograph" => {
-            let read = fuzz::decode(folder).map_err(of_capture);
-            (read.is_ok(), vec![read])
+            let read = fuzz::decode(folder).map(|read| read.map_err(of_capture));
+            (read.iter().any(Result::is_ok), read.into())
         }
         "checkpoint" => {
             let read = Checkpoint::read(&path).map(drop).map_err(|e| e.to_string());

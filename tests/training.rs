@@ -343,21 +343,28 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     let files = || -> Vec<_> {
         std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
     };
-    // Under nohup a hangup is no first signal, else Ctrl-C as the second would end all.
+    // Under nohup it goes on after a hangup; else the shell's, the terminal's and whoever ends the session are one wish.
     let (nohup, hung_up) = ("trap '' HUP; exec \"$@\"", "exec \"$@\"");
-    for (shell, signals, resume) in [(nohup, ["HUP", "INT"], None), (hung_up, ["HUP", "HUP"], Some("--resume"))] {
+    for (shell, signals, resume) in
+        [(nohup, &["HUP", "INT"][..], None), (hung_up, &["HUP", "HUP", "TERM"], Some("--resume"))]
+    {
         let mut command = Command::new("env");
         command.args(["--default-signal=HUP", "sh", "-c", shell, "sh", env!("CARGO_BIN_EXE_centaur")]);
         command.current_dir(folder.path()).env("XDG_RUNTIME_DIR", std::env::temp_dir()).args(arguments).args(resume);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-        let line = lines.next().unwrap().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+        let line = lines.next().unwrap();
         assert!(line.starts_with(r#"{"progress":"#), "{line}");
-        for signal in signals {
+        for &signal in signals {
             common::send(signal, &child.id().to_string());
+            if shell == nohup && signal == "HUP" {
+                // What has been asked to stop says no more than that it does.
+                assert_eq!(lines.by_ref().take(5).count(), 5);
+                assert_eq!(child.try_wait().unwrap(), None);
+            }
         }
         // Reports are read on, so that the child does not wait for a full pipe.
-        let last = lines.map(Result::unwrap).last();
+        let last = lines.last();
         let output = child.wait_with_output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{signals:?} {last:?}");
         let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();

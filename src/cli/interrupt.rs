@@ -58,8 +58,8 @@ pub(super) fn stop_flag() -> Arc<AtomicBool> {
 
 fn obey(signal: i32) {
     if let Some(stop) = &mut *STOP.lock().unwrap_or_else(PoisonError::into_inner) {
-        // A terminal that goes away hangs up by itself and by its shell: that is no second wish.
-        if !std::mem::replace(&mut stop.is_asked, true) || signal == SIGHUP {
+        // A terminal that goes away hangs up by itself and by its shell, and whoever ends a session terminates what is left: no second wish.
+        if signal == SIGHUP || !std::mem::replace(&mut stop.is_asked, true) {
             return stop.flag.store(true, Ordering::Relaxed);
         }
     }

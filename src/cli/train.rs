@@ -109,15 +109,17 @@ fn train(
 fn stop_flag(args: &Args) -> Result<Arc<AtomicBool>> {
     let stop = interrupt::stop_flag();
     if args.stop_at_eof {
-        // A terminal that goes away hangs up on all: where that ends whoever holds the other end, it is heard of by that.
+        // A terminal that goes away hangs up on all: where that ends whoever holds the other end, it is heard of by that. (`interrupt` may
+        // have taken hangups for ignored.)
         #[cfg(unix)]
         signal_hook::flag::register(signal_hook::consts::SIGHUP, Arc::default()).context("cannot handle SIGHUP")?;
         let flag = Arc::clone(&stop);
-        std::thread::spawn(move || {
+        let thread = std::thread::Builder::new().name("end of stdin".into()).spawn(move || {
             // However it ends.
             let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
             flag.store(true, Ordering::Relaxed);
         });
+        thread.context("cannot wait for the end of stdin")?;
     }
     Ok(stop)
 }

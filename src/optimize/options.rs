@@ -50,9 +50,9 @@ pub struct TrainOptions {
     pub iterations: u32,
     /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
     pub warmup: u32,
-    /// Of `iterations`, those on splats alone before there is a surface, which they judge: a seventh, at least 400, at most half, and half
-    /// where poses are refined, as they are in it alone. Density control goes on for half of the rest, MCMC's to 5/6 of the run as
-    /// without a mesh. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained together.
+    /// Of `iterations`, those on splats alone before there is a surface, which they judge: with MCMC a seventh, at least 400, at most half;
+    /// half where poses are refined, as they are in it alone, and with INRIA's and AbsGS' density control, which then goes on for half
+    /// of the rest. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained together.
     pub surface_iterations: Option<u32>,
     /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
     /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).
@@ -199,10 +199,10 @@ impl TrainOptions {
     /// Iterations on splats alone before a surface is made, if the run makes one.
     #[must_use]
     pub fn surface_phase_iterations(&self) -> u32 {
-        // Half of a long run leaves splats too little time beside the mesh, and less than this of a short one no judge
-        // (`docs/experiments.md`). Poses are refined in it alone.
-        let least = if self.refine_poses { u32::MAX } else { 400 };
-        let usual = (self.iterations / 7).max(least).min(self.iterations / 2);
+        // Half of a long run leaves splats too little time beside the mesh, and less than 400 iterations no judge (`docs/experiments.md`).
+        let half = self.iterations / 2;
+        let is_short = self.density == Density::Mcmc && !self.refine_poses;
+        let usual = if is_short { (self.iterations / 7).max(400).min(half) } else { half };
         self.surface_iterations.unwrap_or(usual).min(self.iterations)
     }
 
@@ -297,8 +297,10 @@ mod tests {
         };
         let usual = [0, 1, 100, 1400, 7000, 30_000, u32::MAX].map(|iterations| before(iterations, None));
         assert_eq!(usual, [0, 0, 50, 400, 1000, 4285, u32::MAX / 7]);
-        let refines = TrainOptions { iterations: 30_000, refine_poses: true, ..TrainOptions::default() };
-        assert_eq!(refines.surface_phase_iterations(), 15_000);
+        let d = TrainOptions::default;
+        for half in [TrainOptions { refine_poses: true, ..d() }, TrainOptions { density: Density::Inria, ..d() }] {
+            assert_eq!(half.surface_phase_iterations(), half.iterations / 2);
+        }
         assert_eq!([before(100, Some(70)), before(100, Some(700))], [70, 100]);
     }
 

@@ -93,7 +93,7 @@ impl Schedule {
         Self { opacity_reset_until: at.saturating_sub(recovery), ..self }
     }
 
-    /// The same where splats are handed over to a mesh after iteration `at`: density control, which ended with the splats' own
+    /// The same where splats are handed over to a mesh after iteration `at`: density control, which may have ended with the splats' own
     /// run, goes on for the first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing
     /// changes where it goes on longer.
     #[must_use]

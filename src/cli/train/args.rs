@@ -152,7 +152,7 @@ pub(in crate::cli) struct Args {
     #[arg(long, value_enum, value_name = "splats|points", conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
     pub(super) surface: Option<SurfaceOf>,
     /// Of --iterations, those on splats alone before there is a surface, with which it is compared; the rest trains splats and
-    /// mesh together [default: a seventh, at least 400, at most half; with --refine-poses half]
+    /// mesh together [default: a seventh, at least 400, at most half; half with --refine-poses and with --density inria or absgs]
     #[arg(long, value_name = "N", help_heading = MESH)]
     pub(super) surface_iterations: Option<u32>,
     /// Triangles that a surface made from the capture is simplified to (ours); more are left of one of many pieces or holes, which all stay
