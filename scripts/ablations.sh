@@ -22,7 +22,7 @@ value() { # flag, value where it is not given
 iterations=$(value --iterations 30000)
 before=$((iterations / 7 > 400 ? iterations / 7 : 400))
 before=$((before < iterations / 2 ? before : iterations / 2))
-case " ${flags[*]} " in *" --refine-poses "* | *" --density inria "* | *" --density absgs "*) before=$((iterations / 2)) ;; esac
+if [[ " ${flags[*]} " == *" --refine-poses "* || $(value --density mcmc) != mcmc ]]; then before=$((iterations / 2)); fi
 joint=$((iterations - $(value --surface-iterations "$before")))
 joint=$((joint > 0 ? joint : 0))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")

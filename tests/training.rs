@@ -336,7 +336,7 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
         "--budget-mb",
         "0.236",
         "--iterations",
-        "200",
+        "400",
         "--no-eval",
         "--json",
     ];

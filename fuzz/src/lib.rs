@@ -26,7 +26,7 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
 }
 
 /// Puts files that stand one after the other, each but the last preceded by its length in two bytes, into a folder of their own.
-fn unpack_anew(names: &[&str], bytes: &[u8]) -> Option<PathBuf> {
+fn unpacked(names: &[&str], bytes: &[u8]) -> Option<PathBuf> {
     let folder = folder().join(format!("with-{}", names[0]));
     std::fs::create_dir_all(&folder).expect("a folder in a temporary folder");
     unpack(&folder, names, bytes).then_some(folder)
@@ -77,7 +77,7 @@ pub fn scene_and_mesh(name: &str, bytes: &[u8]) -> bool {
 
 /// As [`scene_and_mesh`], of several files, of which the first refers to the others.
 pub fn scene_of_files(names: &[&str], bytes: &[u8]) -> bool {
-    let Some(folder) = unpack_anew(names, bytes) else { return false };
+    let Some(folder) = unpacked(names, bytes) else { return false };
     let path = folder.join(names[0]);
     let is_scene = read_scene(&path);
     format::mesh_import::read(&path).is_ok() || is_scene
@@ -88,7 +88,7 @@ const PHOTOGRAPH: &[u8] = b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\
 
 /// A capture of photographs `a.png` and `b.png`.
 pub fn capture(names: &[&str], bytes: &[u8]) -> bool {
-    let Some(folder) = unpack_anew(names, bytes) else { return false };
+    let Some(folder) = unpacked(names, bytes) else { return false };
     let images = folder.join("images");
     if !images.is_dir() {
         std::fs::create_dir(&images).expect("a folder in a temporary folder");

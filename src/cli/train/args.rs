@@ -26,9 +26,9 @@ Examples:
 /// Train a hybrid scene from a folder of posed photographs
 ///
 /// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
-/// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and a terminal that
-/// goes away, stop after the current iteration and leave a checkpoint for --resume, or after the current view and leave the scene without
-/// scores; a second Ctrl-C stops at once.
+/// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and on Unix a
+/// terminal that goes away, stop after the current iteration and leave a checkpoint for --resume, or after the current view and leave the
+/// scene without scores; a second Ctrl-C stops at once.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
