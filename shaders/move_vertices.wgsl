@@ -19,7 +19,7 @@ struct Step {
 }
 
 @group(0) @binding(0) var<uniform> step: Step;
-@group(0) @binding(1) var<storage, read> gradient: array<i32>;          // [V, 2], along the normal, in fixed point
+@group(0) @binding(1) var<storage, read> gradient: array<u32>;          // [V, 2], along the normal, in fixed point
 @group(0) @binding(2) var<storage, read_write> moments: array<vec2f>;   // [V]
 @group(0) @binding(3) var<storage, read_write> steps: array<vec4f>;     // [V]: Adam's; two iterates; unused
 @group(0) @binding(4) var<storage, read> first: array<u32>;             // [V + 1]
@@ -36,7 +36,7 @@ fn start(
 ) {
     let v = group_index(group) * 256u + thread;
     if v >= step.n_vertices { return; }
-    let g = fixed_unit(peaks[1]) * (f32(VERTEX_CARRY) * f32(gradient[2u * v + 1u]) + f32(gradient[2u * v]));
+    let g = fixed_unit(peaks[1]) * wide_sum(gradient[2u * v], gradient[2u * v + 1u]);
     if status.is_short != 0u {
         steps[v] = vec4f(0.0);
         return;

@@ -1,5 +1,5 @@
 // One thread per pixel and layer: adds what uv_backward found of the fragment to its triangle's vertices. Three to six atomic additions of
-// integers per fragment; 68 bytes read.
+// integers per fragment, three where sums keep their sign; 68 bytes read.
 
 //#import shared/view.wgsl
 //#import shared/fixed_point.wgsl
@@ -9,7 +9,7 @@
 @group(0) @binding(2) var<storage, read> layer_gradient: array<vec4f>;  // [L, h, w]: of the triangle's vertices
 @group(0) @binding(3) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]; w: vertex
 @group(0) @binding(4) var<storage, read> peaks: array<u32>;             // of maps; largest of layer_gradient
-@group(0) @binding(5) var<storage, read_write> vertex_gradient: array<atomic<i32>>;   // [V, 2], see fixed_point.wgsl
+@group(0) @binding(5) var<storage, read_write> vertex_gradient: array<atomic<u32>>;   // [V, 2], see fixed_point.wgsl
 
 @compute @workgroup_size(256)
 fn backward(
@@ -24,8 +24,11 @@ fn backward(
     for (var k = 0u; k < 3u; k += 1u) {
         let vertex = corner_normals[3u * triangle + k].w;
         let units = i32(round(g[k]));
-        let carried = (units + VERTEX_CARRY / 2) >> VERTEX_CARRY_BITS;
-        atomicAdd(&vertex_gradient[2u * vertex], units - carried * VERTEX_CARRY);
-        if carried != 0 { atomicAdd(&vertex_gradient[2u * vertex + 1u], carried); }
+        if units == 0 { continue; }
+        // 64 bits in two words: the high one gets the sign of the term and the carry of the low one, which often cancel.
+        let low = bitcast<u32>(units);
+        let before = atomicAdd(&vertex_gradient[2u * vertex], low);
+        let high = u32(before + low < before) - u32(units < 0);
+        if high != 0u { atomicAdd(&vertex_gradient[2u * vertex + 1u], high); }
     }
 }

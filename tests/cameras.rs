@@ -286,13 +286,19 @@ fn what_makes_no_path_is_one_line() {
     write_capture(&at("capture"), 9, (32, 24));
     write_ball(&at("ball.glb"), Composition::default());
     run(folder.path(), &["cameras", "orbit", "capture", "-o", "orbit.glb", "--frames", "2"]);
+    // Over a path as often as one likes.
+    run(folder.path(), &["cameras", "orbit", "capture", "-o", "orbit.glb", "--frames", "2"]);
     // One camera in a file, and one of another size.
     let one = r#"{ "w": 8, "h": 6, "fl_x": 8, "frames": [{ "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }"#;
     std::fs::write(at("one.json"), one).unwrap();
     let two =
         one.replace("}] }", "}, { \"w\": 9, \"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }");
     std::fs::write(at("two.json"), two).unwrap();
-    let cases: [(&[&str], &str); 10] = [
+    let cases: [(&[&str], &str); 11] = [
+        (
+            &["cameras", "orbit", "capture", "-o", "ball.glb"],
+            "ball.glb: holds a scene, which would be lost: expected another file",
+        ),
         (
             &["cameras", "orbit", "one.json", "-o", "a.glb"],
             "one.json: the views' optical axes do not meet in a point: state what to look at as the focus (--focus X,Y,Z)",

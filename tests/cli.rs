@@ -69,8 +69,8 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
             "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
         ),
         (
-            &["render", "a.glb", "-o", "a", "--masks"],
-            "--images and --masks are of photographs: say --cameras CAPTURE, or leave them away",
+            &["render", "a.glb", "-o", "a", "--images", "images_4"],
+            "--images is of photographs: say --cameras CAPTURE, or leave it away",
         ),
         (
             &["convert", "a.ply", "a.glb", "--spz-version", "3"],

@@ -551,3 +551,16 @@ fn invalid_splats_are_refused_or_dropped() {
     assert_eq!(left.attributes[0].values(), [1.0, 2.0, 4.0]);
     assert_eq!(as_json(folder.path(), "a.ply b.ply --drop-invalid")["inputs"][0]["dropped"].as_u64(), Some(2));
 }
+
+/// As clusters set it: no end without a word that leaves half a file.
+#[cfg(unix)]
+#[test]
+fn a_limit_on_the_size_of_files_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(&folder.path().join("a.ply"), &splats(200, 3)).unwrap();
+    let line = format!("ulimit -f 8; exec {} convert a.ply b.ply", env!("CARGO_BIN_EXE_centaur"));
+    let output = std::process::Command::new("sh").args(["-c", &line]).current_dir(folder.path()).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), said.as_str()), (Some(1), "error: b.ply: cannot write: File too large\n"));
+    assert_eq!(common::tree(folder.path()).len(), 1, "nothing is left");
+}

@@ -19,9 +19,9 @@ fn run(folder: &Path, line: &str) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// With other masks than in training scores are of something else.
+/// With other masks than in training scores are of something else, and so they are from other places.
 #[test]
-fn scenes_say_whether_they_were_trained_with_masks() {
+fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
     let folder = tempfile::tempdir().unwrap();
     let capture = folder.path().join("capture");
     write_capture(&capture, 9, (48, 32));
@@ -44,6 +44,11 @@ fn scenes_say_whether_they_were_trained_with_masks() {
             let row = format!("<th>masks<td>{}</tr>", !trained.is_empty());
             assert!(report.contains(&row), "{trained} {scored}");
         }
+    }
+    for moved in ["--rotate 0,30,0", "--scale 2"] {
+        run(folder.path(), &format!("convert scene.glb moved.glb {moved}"));
+        let note = run(folder.path(), "eval moved.glb capture --masks")["notes"][0].clone();
+        assert!(note.as_str().is_some_and(|note| note.contains("it was moved")), "{moved}: {note}");
     }
 }
 

@@ -4,17 +4,22 @@
 // texel of the bands, which are a quarter as wide, has 16 times the pixels: its terms are in units that are 8 times as large. Where more pixels see
 // one texel than that leaves room for, before a wall in a coarse map or where all corners of a triangle have one place there, units are larger
 // by as much (`gradient_peak.wgsl`). A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
-// one way: its sums are in two words, of which the second counts VERTEX_CARRY units and the first what is left, from −VERTEX_CARRY/2 on.
+// one way: its sums have 64 bits, in two words, the low one first, and hold 2⁴³ terms of any size.
 
 const FIXED_ONE: f32 = 1048576.0;
 const BAND_UNIT: f32 = 8.0;
-const VERTEX_CARRY_BITS: u32 = 12u;
-const VERTEX_CARRY: i32 = 1 << VERTEX_CARRY_BITS;
 
 // Units per 1, by the bits of the largest term.
 fn fixed_scale(peak: u32) -> f32 {
     let largest = bitcast<f32>(peak);
     return select(FIXED_ONE / largest, 0.0, largest < 1e-30);
+}
+
+// A sum of 64 bits. By its magnitude: of a small negative one the words are large, and would cancel.
+fn wide_sum(low: u32, high: u32) -> f32 {
+    if (high >> 31u) == 0u { return 4294967296.0 * f32(high) + f32(low); }
+    let below = ~low + 1u;
+    return -(4294967296.0 * f32(~high + u32(below == 0u)) + f32(below));
 }
 
 // 1 per unit; not finite where the largest term was not.

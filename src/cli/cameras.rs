@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use centaur::capture::LoadOptions;
 use centaur::format::{
-    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, gltf, has_extension, write_cameras,
+    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, gltf, has_extension, inspect, write_cameras,
     write_cameras_with_scene,
 };
 use centaur::path::{self, Around, PathError, Shot, Spline};
@@ -214,8 +214,20 @@ impl FileArgs {
             } else {
                 spared?;
             }
+            self.spare_scene()?;
         }
         read_cameras(&self.source, sampling, &LoadOptions::default())
+    }
+
+    /// Refuses to write cameras alone over a scene: what was trained for hours has the name that a path of it might get.
+    fn spare_scene(&self) -> Result<()> {
+        let can_be_one = gltf::is_named(&self.output) || has_extension(&self.output, &["usda"]);
+        // What cannot be read is none.
+        let there = Some(&self.output).filter(|file| can_be_one && file.is_file()).and_then(|file| inspect(file).ok());
+        if there.is_some_and(|there| there.splats.is_some() || !there.meshes.is_empty()) {
+            bail!("{}: holds a scene, which would be lost: expected another file", self.output.display());
+        }
+        Ok(())
     }
 
     /// `make` is given the cameras of the source, and where notes go.

@@ -308,7 +308,9 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         }
         other => other,
     })?;
-    let extension = output.extension().unwrap_or_default().to_string_lossy();
+    let name = output.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let is_of = |extension: &&&str| name.ends_with(&format!(".{extension}"));
+    let extension = [format::EXPORTABLE, format::WRITABLE].concat().iter().find(is_of).map_or("file", |e| *e);
     if edited.scene.splats.is_empty() && report.loss.meshes > 0 {
         bail!("{}: expected splats for a .{extension}, found meshes alone", output.display());
     }

@@ -38,8 +38,8 @@ pub(super) struct EditArgs {
     /// Remove what lies in this box
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = cuboid, allow_hyphen_values = true, help_heading = CROP)]
     remove_box: Vec<Volume>,
-    /// Remove what lies in this ball. All four may be repeated. A splat lies where its mean does, a triangle where its
-    /// centroid does
+    /// Remove what lies in this ball. All four may be repeated: what is left lies in all that keep and in none that remove. A splat lies where
+    /// its mean does, a triangle where its centroid does
     #[arg(long, value_name = "X,Y,Z,R", value_parser = sphere, allow_hyphen_values = true, help_heading = CROP)]
     remove_sphere: Vec<Volume>,
 
@@ -118,6 +118,7 @@ impl EditArgs {
         }
         if self.no_cameras {
             edited.cameras.clear();
+            edited.source.iter_mut().for_each(Source::forget_cameras);
         }
         if let Some(degree) = self.sh_degree {
             let HybridScene { splats, meshes, composition } = edited.scene;

@@ -12,6 +12,7 @@ use centaur::metrics::{
 };
 use centaur::render::gpu::Gpu;
 use centaur::scene::{Camera, HybridScene};
+use glam::{DQuat, DVec3};
 use image::{ImageBuffer, PixelWithColorType};
 
 use super::history::Record;
@@ -89,6 +90,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     notes.extend(training.as_ref().and_then(|training| training.other_masks(&capture)));
     // Cameras of other programs may have no size of their own.
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
+    notes.extend(training.as_ref().filter(|_| !file.y_up).and_then(|_| other_places(&file.cameras, &capture)));
     if args.loading.masks && !capture.has_masks() {
         notes.push(format!("{}: has no masks: nothing is masked", args.capture.display()));
     }
@@ -140,6 +142,25 @@ fn other_size(trained_on: &[(String, Camera)], capture: &Capture) -> Option<Stri
         "pictures are {width}×{height}, those that the scene was trained on {w}×{h}: for its scores at that size give the same \
          --downscale, --max-side or --images"
     ))
+}
+
+/// Where the scene has most cameras of the capture's names farther from those than poses are refined, by a tenth of how far they spread or by 10°:
+/// it was moved, or the capture has other poses.
+fn other_places(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
+    let pairs: Vec<(&Camera, &Camera)> = (capture.views.iter())
+        .filter_map(|view| Some((&view.camera, &trained_on.iter().find(|(name, _)| *name == view.name)?.1)))
+        .collect();
+    let mean = pairs.iter().map(|(own, _)| own.center()).sum::<DVec3>() / pairs.len().max(1) as f64;
+    let spread = pairs.iter().map(|(own, _)| own.center().distance(mean)).fold(0.0, f64::max);
+    let is_elsewhere = |(own, theirs): &&(&Camera, &Camera)| {
+        let turned = DQuat::from_mat3(&(own.rotation() * theirs.rotation().transpose())).angle_between(DQuat::IDENTITY);
+        turned.to_degrees() > 10.0 || spread > 0.0 && own.center().distance(theirs.center()) > 0.1 * spread
+    };
+    let elsewhere = pairs.iter().filter(is_elsewhere).count();
+    (2 * elsewhere > pairs.len()).then(|| {
+        "the scene has cameras of these names at other places: it was moved, or the capture's poses are others"
+            .to_owned()
+    })
 }
 
 /// What `evaluate` is told besides scene and capture.

@@ -26,7 +26,9 @@ pub(super) fn handle() -> Result<()> {
     // By one thread: of two signals the first is the one that asks.
     #[cfg(unix)]
     {
-        use signal_hook::{consts::SIGTERM, iterator::Signals};
+        use signal_hook::{consts, consts::SIGTERM, iterator::Signals};
+        // Beyond `ulimit -f` to write is an error then, as on a full disk, and no end without a word.
+        signal_hook::flag::register(consts::SIGXFSZ, Arc::default()).context("cannot handle SIGXFSZ")?;
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle Ctrl-C")?;
         if !ignores_hangups() {
             signals.add_signal(SIGHUP).context("cannot handle SIGHUP")?;

@@ -12,7 +12,7 @@ use clap::ValueEnum;
 
 use super::output;
 use super::progress::Views;
-use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, CaptureArgs, MessageArgs, SamplingArgs};
+use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, MessageArgs, PictureArgs, SamplingArgs};
 use super::{usage, video};
 
 const EXAMPLES: &str = "\
@@ -78,7 +78,7 @@ pub(super) struct Args {
     #[command(flatten)]
     adapter: AdapterArgs,
     #[command(flatten)]
-    loading: CaptureArgs,
+    loading: PictureArgs,
     #[command(flatten)]
     messages: MessageArgs,
 }
@@ -181,8 +181,8 @@ impl Args {
             "--layers writes EXR files: leave --format png away",
         )?;
         usage::demand(
-            !(self.is_embedded() && self.loading.asks_for_photographs()),
-            "--images and --masks are of photographs: say --cameras CAPTURE, or leave them away",
+            !(self.is_embedded() && self.loading.images.is_some()),
+            "--images is of photographs: say --cameras CAPTURE, or leave it away",
         )?;
         usage::demand(
             look.model == Model::Ray || look.sh_direction == Direction::Mean,

@@ -44,21 +44,12 @@ impl Backdrop {
     }
 }
 
-/// Which pictures of a capture are used, and at what size.
+/// Which pictures of a capture are used, at what size, and what of them.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Capture")]
 pub(super) struct CaptureArgs {
-    /// Divide both sides of the photographs, or of what is rendered, by this (bicubic, antialiased)
-    ///
-    /// Mip-NeRF 360 tables use 4 outdoors and 2 indoors.
-    #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
-    downscale: Option<u32>,
-    /// Shrink photographs, or what is rendered, whose longer side has more pixels than this
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=i64::from(Intrinsics::MAX_PICTURE_SIDE)))]
-    max_side: Option<u32>,
-    /// Folder with the images, relative to the capture, such as `images_4` [default: images]
-    #[arg(long, value_name = "FOLDER")]
-    pub(super) images: Option<String>,
+    #[command(flatten)]
+    pub(super) pictures: PictureArgs,
     /// Use only what masks leave white, or of any one level besides black, as labels have it: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or
     /// masks/IMG.jpg, or the `mask_path` of a transforms.json; with a masks/ folder, or where one photograph has a
     /// mask, all need one. Scores multiply photograph and render by the mask
@@ -71,18 +62,36 @@ impl CaptureArgs {
         Ok(capture::open(path, &self.options())?)
     }
 
-    /// Whether something is said of photographs, which only a capture has.
-    pub(super) fn asks_for_photographs(&self) -> bool {
-        self.images.is_some() || self.masks
+    pub(super) fn options(&self) -> LoadOptions {
+        LoadOptions { masks: self.masks, ..self.pictures.options() }
     }
+}
 
+/// Which pictures of a capture are used, and at what size.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Capture")]
+pub(super) struct PictureArgs {
+    /// Divide both sides of the photographs, or of what is rendered, by this (bicubic, antialiased)
+    ///
+    /// Mip-NeRF 360 tables use 4 outdoors and 2 indoors.
+    #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
+    downscale: Option<u32>,
+    /// Shrink photographs, or what is rendered, whose longer side has more pixels than this
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=i64::from(Intrinsics::MAX_PICTURE_SIDE)))]
+    max_side: Option<u32>,
+    /// Folder with the images, relative to the capture, such as `images_4` [default: images]
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) images: Option<String>,
+}
+
+impl PictureArgs {
     pub(super) fn options(&self) -> LoadOptions {
         let downscale = match (self.downscale, self.max_side) {
             (Some(n), _) => Downscale::Factor(n),
             (None, Some(n)) => Downscale::MaxSide(n),
             (None, None) => Downscale::Full,
         };
-        LoadOptions { downscale, images: self.images.clone(), masks: self.masks, ..LoadOptions::default() }
+        LoadOptions { downscale, images: self.images.clone(), ..LoadOptions::default() }
     }
 
     /// Cameras of a scene that has been read from a glTF at `path`.

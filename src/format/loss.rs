@@ -25,7 +25,7 @@ pub struct WriteReport {
 
 /// What a reader of the written file cannot get back. Measured on what was written, not derived from the format.
 ///
-/// `Display` gives one line: the parts that are lost, separated by `; `, or `nothing`.
+/// `Display` gives one line: the parts that are lost, separated by `; `, or `nothing`; rounding is nothing, see [`Loss::is_rounding`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Loss {
     /// Number of meshes left out.
@@ -76,11 +76,7 @@ impl Loss {
     /// logit, a quaternion normalised once more. How it was made is no part of it.
     #[must_use]
     pub fn is_rounding(&self) -> bool {
-        let e = &self.max_error;
-        let unrounded = SplatError { rotation: 0.0, log_scale: 0.0, opacity: 0.0, ..*e };
-        // Half a unit in the last place of a logarithm of 87 is 4e-6, of an opacity 3e-8; of a quaternion 1e-5°.
-        let rounded = e.rotation <= 1e-4 && e.log_scale <= 1e-5 && e.opacity <= 1e-6;
-        rounded && Self { max_error: unrounded, record: false, ..self.clone() }.is_none()
+        Self { max_error: self.max_error.beyond_rounding(), record: false, ..self.clone() }.is_none()
     }
 
     /// That of splats which are written as `after`, splat by splat in the same order.
@@ -124,7 +120,7 @@ impl fmt::Display for Loss {
         if let Some([before, after]) = self.sh_degree {
             parts.push(format!("SH bands above degree {after} of {before}"));
         }
-        let e = &self.max_error;
+        let e = self.max_error.beyond_rounding();
         let errors = [
             (e.mean, "mean", ""),
             (e.rotation, "rotation", "°"),
@@ -146,6 +142,18 @@ impl fmt::Display for Loss {
 }
 
 impl SplatError {
+    /// Without what comes of storing a scale or an opacity instead of its logarithm or logit, or of normalising a quaternion once more.
+    fn beyond_rounding(self) -> Self {
+        // Half a unit in the last place of a logarithm of 87 is 4e-6, of an opacity 3e-8; of a quaternion 1e-5°.
+        let beyond = |error: f32, rounding: f32| if error <= rounding { 0.0 } else { error };
+        Self {
+            rotation: beyond(self.rotation, 1e-4),
+            log_scale: beyond(self.log_scale, 1e-5),
+            opacity: beyond(self.opacity, 1e-6),
+            ..self
+        }
+    }
+
     /// Takes the larger of both, attribute by attribute.
     #[must_use]
     pub fn max(self, other: Self) -> Self {

@@ -84,7 +84,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
 /// models.
 fn not_listed(args: &Args, capture: &Capture) -> Option<String> {
     // Elsewhere there may be depths and normals among them, as in NeRF-synthetic.
-    let root = args.capture.join(args.loading.images.as_deref().unwrap_or("images"));
+    let root = args.capture.join(args.loading.pictures.images.as_deref().unwrap_or("images"));
     let listed: HashSet<&Path> = capture.views.iter().map(|view| view.source.path()).collect();
     let folders: BTreeSet<&Path> = listed.iter().filter_map(|image| image.parent()).collect();
     let entries = folders.iter().filter(|folder| folder.starts_with(&root)).filter_map(|folder| folder.read_dir().ok());

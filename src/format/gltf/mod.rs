@@ -53,7 +53,7 @@ pub use motion::Clip;
 pub(super) use motion::Motion;
 pub(super) use pose::Poses;
 pub(super) use read::scene as scene_of;
-pub use remainder::Remnant;
+pub use remainder::{Remnant, Role};
 pub(super) use sizes::{Sizes, sizes};
 pub use source::Source;
 pub(super) use transform::placements;
@@ -159,7 +159,10 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneF
         keep &= moving.is_still();
         moving = moving.stopped(time);
     }
-    let source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
+    let mut source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
+    if options.time.is_some() {
+        source.forget(|role| role != Role::Rests);
+    }
     Ok(SceneFile { record: source.extras().cloned(), source: Some(source), ..file })
 }
 

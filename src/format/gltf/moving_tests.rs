@@ -447,8 +447,8 @@ fn a_pose_is_no_document() {
     let out = file.path.with_file_name("out.glb");
     let options = WriteOptions { cameras: &posed.cameras, source: Some(source), ..WriteOptions::default() };
     let report = write_scene(&out, &posed.scene, &options).unwrap();
-    let lost = report.loss.to_string();
-    assert!(lost.contains("1 animation") && lost.contains("bindings of splats"), "{lost}");
+    // Who asks for a pose has no use for what moves it.
+    assert!(report.loss.is_rounding(), "{}", report.loss);
     let back = read(&out).unwrap();
     assert!(!back.source.unwrap().moves());
     assert_eq!(back.scene.splats.means().len(), 2);

@@ -19,13 +19,24 @@ const ANIMATION_POINTER: &str = "KHR_animation_pointer";
 pub struct Remnant {
     /// In words: `2 animations`.
     pub what: String,
-    /// Whether it has to do with motion.
-    pub moves: bool,
+    /// What it has to do with motion.
+    pub role: Role,
+}
+
+/// What something has to do with motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// It moves what it finds: animations.
+    Moves,
+    /// It says how something follows: skins, morph targets, bindings.
+    Follows,
+    /// Nothing.
+    Rests,
 }
 
 impl Remnant {
     fn still(what: String) -> Self {
-        Self { what, moves: false }
+        Self { what, role: Role::Rests }
     }
 }
 
@@ -38,19 +49,19 @@ impl fmt::Display for Remnant {
 /// Everything that a scene written anew would lack. `is_ours`: whether its tree of nodes is the one we write.
 pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     let mut found = vec![];
-    let mut count = |n: usize, what: &str, moves: bool| {
+    let mut count = |n: usize, what: &str, role: Role| {
         if n > 0 {
-            found.push(Remnant { what: format!("{n} {what}{}", if n == 1 { "" } else { "s" }), moves });
+            found.push(Remnant { what: format!("{n} {what}{}", if n == 1 { "" } else { "s" }), role });
         }
     };
     let list = |key: &str| root.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    count(list("animations").len(), "animation", true);
-    count(list("skins").len(), "skin", true);
-    count(list("scenes").len().saturating_sub(1), "further scene", false);
+    count(list("animations").len(), "animation", Role::Moves);
+    count(list("skins").len(), "skin", Role::Follows);
+    count(list("scenes").len().saturating_sub(1), "further scene", Role::Rests);
     let primitives = || list("meshes").iter().flat_map(|m| items(m.get("primitives")));
-    count(primitives().map(|p| items(p.get("targets")).len()).max().unwrap_or(0), "morph target", true);
+    count(primitives().map(|p| items(p.get("targets")).len()).max().unwrap_or(0), "morph target", Role::Follows);
     let is_orthographic = |c: &&Value| c.get("type").and_then(Value::as_str) == Some("orthographic");
-    count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera", false);
+    count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera", Role::Rests);
     let nodes = list("nodes");
     // Nodes that were put above a scene to move it become part of its coordinates.
     let has_children =
@@ -59,10 +70,10 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant::still(format!("the tree of {} nodes", nodes.len())));
     }
     if primitives().any(|p| khr_extension(p, HYBRID)) {
-        found.push(Remnant { what: "bindings of splats".to_owned(), moves: true });
+        found.push(Remnant { what: "bindings of splats".to_owned(), role: Role::Follows });
     }
     if extension_of(root, HYBRID).is_some() {
-        found.push(Remnant { what: "deformation fields".to_owned(), moves: true });
+        found.push(Remnant { what: "deformation fields".to_owned(), role: Role::Follows });
     }
     let others: BTreeSet<&str> = primitives().flat_map(other_attributes).collect();
     if !others.is_empty() {
@@ -70,7 +81,8 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant::still(format!("the attributes {}", names.join(", "))));
     }
     for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
-        found.push(Remnant { what: format!("the extension {name}"), moves: name == ANIMATION_POINTER });
+        let role = if name == ANIMATION_POINTER { Role::Moves } else { Role::Rests };
+        found.push(Remnant { what: format!("the extension {name}"), role });
     }
     let of_parts = ["nodes", "meshes", "materials", "cameras", "accessors", "textures", "images"];
     if of_parts.iter().any(|key| list(key).iter().any(has_extras)) || primitives().any(has_extras) {

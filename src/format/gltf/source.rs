@@ -15,7 +15,7 @@ use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract, extension_of};
 use super::lift::Asset;
 use super::motion::Clip;
 use super::moving::Moving;
-use super::remainder::{Remnant, remainder};
+use super::remainder::{Remnant, Role, remainder};
 use super::transform::{FLIP, is_ours};
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
@@ -156,10 +156,22 @@ impl Source {
         &self.remainder
     }
 
+    /// Leaves out of [`Source::remainder`] what has such a role: it is not wanted.
+    pub(super) fn forget(&mut self, is_of: impl Fn(Role) -> bool) {
+        self.remainder.retain(|part| !is_of(part.role));
+    }
+
+    /// Animations that move cameras alone are nothing to lose where cameras are not wanted.
+    pub fn forget_cameras(&mut self) {
+        if !self.moves() {
+            self.forget(|role| role == Role::Moves);
+        }
+    }
+
     /// What of [`Source::remainder`] has to do with motion, in a document that moves.
     pub(in crate::format) fn motion(&self) -> Vec<String> {
         let count = self.root.get("animations").and_then(Value::as_array).map_or(0, Vec::len);
-        self.remainder.iter().filter(|part| count > 0 && part.moves).map(ToString::to_string).collect()
+        self.remainder.iter().filter(|part| count > 0 && part.role != Role::Rests).map(ToString::to_string).collect()
     }
 
     /// Follows a scene that was read from this document and has been moved by `by`, column vectors, to become `scene` with

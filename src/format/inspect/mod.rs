@@ -12,7 +12,7 @@ use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::{file_bytes, stored_bytes};
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, has_extension, kind, ply, read_file, usd};
-use crate::scene::{Camera, Composition, HALF_TURN, HybridScene, Mesh, Splats};
+use crate::scene::{Camera, Composition, HALF_TURN, HybridScene, Mesh, PixelFilter, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -37,6 +37,8 @@ pub struct Summary {
     pub optics: Option<CameraSummary>,
     /// How it is blended; `None` where the format cannot say.
     pub composition: Option<CompositionSummary>,
+    /// How splats are widened in files that say no more of blending than that: as they state it, or as they are taken.
+    pub pixel_filter: Option<PixelFilter>,
     /// The tree of a glTF.
     pub document: Option<gltf::Document>,
     /// The tables of a PLY.
@@ -178,13 +180,19 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 warnings,
                 tables,
                 bytes_by_part,
+                pixel_filter: is_of_splats.then_some(scene.composition.pixel_filter),
                 ..summary(path, bytes, &scene, false)
             })
         }
         kind => {
             let file = read_file(path, &ReadOptions::default())?;
             let bytes = stored_bytes(path)?;
-            Ok(Summary { format: kind.name(), warnings: file.notes, ..summary(path, bytes, &file.scene, file.y_up) })
+            Ok(Summary {
+                format: kind.name(),
+                warnings: file.notes,
+                pixel_filter: Some(file.scene.composition.pixel_filter),
+                ..summary(path, bytes, &file.scene, file.y_up)
+            })
         }
     }
 }
@@ -202,6 +210,7 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene, y_up: bool) -> Summary 
         cameras: 0,
         optics: None,
         composition: None,
+        pixel_filter: None,
         document: None,
         tables: vec![],
         extensions_used: vec![],

@@ -6,6 +6,7 @@ use std::fmt;
 use super::{CameraSummary, Summary};
 use crate::format::error::one_line;
 use crate::format::gltf;
+use crate::scene::PixelFilter;
 
 /// Nodes printed at most, and properties of a table; `--json` has all.
 const MAX_NODES: usize = 100;
@@ -94,6 +95,10 @@ fn tree(f: &mut fmt::Formatter<'_>, document: &gltf::Document) -> fmt::Result {
     Ok(())
 }
 
+fn widened(by: PixelFilter) -> String {
+    format!("pixel filter {} px²{}", by.variance, if by.normalized { ", normalised (anti-aliased)" } else { "" })
+}
+
 fn span([low, high]: [[f32; 3]; 2]) -> String {
     format!("[{:.3} {:.3} {:.3}] to [{:.3} {:.3} {:.3}]", low[0], low[1], low[2], high[0], high[1], high[2])
 }
@@ -124,8 +129,11 @@ impl fmt::Display for Summary {
             let lambda = c.lambda.map_or("infinite".to_owned(), |l| l.to_string());
             write!(f, "\n├ composition: {}, λ {lambda}, {} layer(s), {}", c.mode, c.layers, c.color_space)?;
             write!(f, ", near {}, background {:?}", c.near, c.background)?;
-            let normalized = if c.filter_normalized { ", normalised (anti-aliased)" } else { "" };
-            write!(f, ", pixel filter {} px²{normalized}", c.filter_variance)?;
+            let filter = PixelFilter { variance: c.filter_variance, normalized: c.filter_normalized };
+            write!(f, ", {}", widened(filter))?;
+        }
+        if let Some(filter) = self.pixel_filter {
+            write!(f, "\n├ drawn with: {}", widened(filter))?;
         }
         if self.cameras > 0 {
             write!(f, "\n├ cameras: {}", self.cameras)?;

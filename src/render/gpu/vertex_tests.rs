@@ -16,9 +16,15 @@ const CELLS: u32 = 12;
 
 /// Looks at the origin from `azimuth` at 0.7 rad above the plane z = 0.
 fn camera(azimuth: f64) -> Camera {
+    camera_at(2.2, azimuth)
+}
+
+/// Of what is about 2.2 wide at the origin.
+fn camera_at(distance: f64, azimuth: f64) -> Camera {
     let size = f64::from(SIDE);
-    let intrinsics = Intrinsics { width: SIDE, height: SIDE, fx: size, fy: size, cx: 0.5 * size, cy: 0.5 * size };
-    let eye = 2.2 * DVec3::new(azimuth.cos() * 0.7_f64.cos(), azimuth.sin() * 0.7_f64.cos(), 0.7_f64.sin());
+    let focal = size * distance / 2.2;
+    let intrinsics = Intrinsics { width: SIDE, height: SIDE, fx: focal, fy: focal, cx: 0.5 * size, cy: 0.5 * size };
+    let eye = distance * DVec3::new(azimuth.cos() * 0.7_f64.cos(), azimuth.sin() * 0.7_f64.cos(), 0.7_f64.sin());
     let forward = -eye.normalize();
     let right = forward.cross(DVec3::Z).normalize();
     let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
@@ -110,22 +116,26 @@ fn a_bent_sheet_flattens_to_its_photographs() {
     assert_eq!(state.moments.len(), 2 * scene.meshes[0].positions().len());
 }
 
-/// A square of two triangles, brighter to one side, over all of a picture, is pulled one way by each of its pixels: sums of half a million of
-/// them are those of a few thousand, by a mean over the pixels.
+/// A wall that is brighter to one side, over all of a picture, is pulled one way by each of its pixels: its vertex in the middle by the sum of
+/// two million of them as by that of hundreds of thousands, both means over the pixels. One texel is far steeper: what pulls most of all is `FIXED_ONE`
+/// units, and each of the others some 1,400, which two million add up to more than 32 bits hold.
 #[test]
-fn a_wall_of_two_triangles_is_pulled_as_far_in_large_pictures() {
+fn a_wall_is_pulled_as_far_in_large_pictures() {
+    const STEEP: f32 = 15.0;
     let gpu = Gpu::open(None).unwrap();
-    let corners = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.0));
-    let uv = |v: u32| 0.5 + corners[v as usize].truncate() / 18.0;
-    let triangles = vec![[0, 1, 2], [0, 2, 3]];
-    let ramp = (0..64 * 64).flat_map(|i| [(i % 64) as f32 / 64.0, 0.0, 0.0, 6.0]).collect();
+    let corners = [[0.0, 0.0], [-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]];
+    let corners = corners.map(|[x, y]| Vec3::new(x, y, 0.0));
+    let uv = |v: u32| 0.5 + corners[v as usize].truncate() / 16.0;
+    let triangles = vec![[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]];
+    let red = |i: u32| if i == 64 * 33 + 33 { STEEP } else { (i % 64) as f32 / 64.0 };
+    let ramp = (0..64 * 64).flat_map(|i| [red(i), 0.0, 0.0, 6.0]).collect();
     let atlas = Atlas::new(Texture::new(64, 64, 4, ramp).unwrap(), None).unwrap();
     let uvs = triangles.iter().map(|t: &[u32; 3]| t.map(uv)).collect();
     let mesh = Mesh::new(corners.to_vec(), triangles, uvs, atlas).unwrap();
     let composition = Composition { layers: 1, ..Composition::default() };
     let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition };
     let pulled = |side: u32| {
-        let camera = camera(0.0).resized(side, side);
+        let camera = camera_at(100.0, 0.0).resized(side, side);
         let mut training = Training::new(&gpu, &scene, &[camera], 0.0).unwrap();
         training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 0.01)).unwrap();
         let truth = vec![0; 4 * (side * side) as usize];
@@ -136,10 +146,10 @@ fn a_wall_of_two_triangles_is_pulled_as_far_in_large_pictures() {
         }
         training.pipeline.front.mesh.as_ref().unwrap().read_vertex_gradient(&gpu).unwrap()
     };
-    let (few, many) = (pulled(64), pulled(1024));
+    let (few, many) = (pulled(800), pulled(1600));
     let largest = few.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
-    assert!(largest > 0.0);
+    assert!(largest > 0.0 && few[0].abs() == largest, "{few:?}");
     for (few, many) in few.iter().zip(&many) {
-        assert!((few - many).abs() < 0.05 * largest, "{few} {many}");
+        assert!((few - many).abs() < 0.1 * largest, "{few} {many}");
     }
 }

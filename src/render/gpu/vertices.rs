@@ -15,9 +15,6 @@ use super::texels::{PEAK_FRAGMENTS, peak_kernel};
 use crate::geometry::{self, Rings};
 use crate::scene::Mesh;
 
-/// As in `shared/fixed_point.wgsl`.
-#[cfg(test)]
-const VERTEX_CARRY: f32 = 4096.0;
 /// Pairs of Jacobi iterations: with a smoothness of 8 the remaining error of the slowest local mode is (8/9)¹⁶ ≈ 0.15.
 const DIFFUSIONS: usize = 8;
 
@@ -162,8 +159,9 @@ impl Vertices {
     #[cfg(test)]
     pub(crate) fn read_gradient(&self, gpu: &Gpu, peaks: &Buffer) -> Result<Vec<f32>, GpuError> {
         let unit = gpu.read::<f32>(peaks, PEAKS)?[1] / FIXED_ONE;
-        let sums = gpu.read::<[i32; 2]>(&self.gradient, self.count)?;
-        Ok(sums.into_iter().map(|[rest, carried]| unit * (VERTEX_CARRY * carried as f32 + rest as f32)).collect())
+        let sums = gpu.read::<[u32; 2]>(&self.gradient, self.count)?;
+        let sum = |[low, high]: [u32; 2]| (u64::from(high) << 32 | u64::from(low)).cast_signed();
+        Ok(sums.into_iter().map(|words| unit * sum(words) as f32).collect())
     }
 
     /// What a checkpoint needs. Waits.

@@ -84,7 +84,8 @@ pub enum GpuError {
 }
 
 /// How to get by with less memory.
-pub(super) const LESS: &str = "fewer splats, smaller maps or smaller images need less";
+pub(super) const LESS: &str =
+    "smaller images, fewer mesh layers, smaller maps or fewer splats need less, whichever it holds";
 
 impl GpuError {
     /// Whether a smaller scene or smaller images would help.
