@@ -41,25 +41,11 @@ pub(super) fn check(
         gpu.ensure_bindable("the mesh layers of an image", 16 * (hybrid.layers as u64 + 1) * pixels)?;
     }
     gpu.ensure_bindable("the loss of an image", 48 * pixels)?;
-    let (what, bytes) = needed(&hybrid, source.is_found(), texture_size);
+    let (what, bytes) = needed(&hybrid, texture_size);
     gpu.ensure_free(&what, bytes)?;
     let photographs = cameras.iter().map(area).fold(0_u64, |sum, pixels| sum.saturating_add(4 * pixels)).min(MOST_KEPT);
     let with_room = bytes.saturating_add(bytes / 2).saturating_add(photographs);
     Ok(if gpu.ensure_free("photographs", with_room).is_ok() { photographs } else { 0 })
-}
-
-/// Error if these splats cannot be rendered alone beside what is there.
-///
-/// # Errors
-/// As [`check`].
-pub(super) fn check_alone(
-    gpu: &Gpu,
-    options: &TrainOptions,
-    cameras: &[Camera],
-    splats: usize,
-) -> Result<(), TrainError> {
-    let alone = training_bytes(&size(options, cameras, &MeshSource::None, splats, 0));
-    Ok(gpu.ensure_free("the splats alone", alone.total())?)
 }
 
 /// The run when it is largest.
@@ -94,15 +80,9 @@ fn size(
     }
 }
 
-/// What the memory is for, and the bytes at the time when most of them are in use.
-fn needed(hybrid: &TrainingSize, hands_over: bool, texture_size: u32) -> (String, u64) {
-    let mut bytes = training_bytes(hybrid);
-    if hands_over {
-        // When the splats of the surface phase are handed over, they are rendered alone beside the hybrid.
-        let alone = training_bytes(&TrainingSize { layers: 0, ..*hybrid });
-        bytes.splats = bytes.splats.saturating_add(alone.splats);
-        bytes.images = bytes.images.saturating_add(alone.images);
-    }
+/// What the memory is for, and how much it is.
+fn needed(hybrid: &TrainingSize, texture_size: u32) -> (String, u64) {
+    let bytes = training_bytes(hybrid);
     let mib = |bytes: u64| bytes >> 20;
     let TrainingSize { splats, sh_degree, layers, width, height, .. } = *hybrid;
     let mesh = match layers {
@@ -160,12 +140,10 @@ mod tests {
     #[test]
     fn the_message_names_every_part() {
         let (options, cameras) = (TrainOptions::default(), [camera(1920, 1080), camera(80, 1200)]);
-        let of = |source: &MeshSource| {
-            needed(&size(&options, &cameras, source, 1_000_000, 2048), *source == MeshSource::Splats, 2048)
-        };
+        let of = |source: &MeshSource| needed(&size(&options, &cameras, source, 1_000_000, 2048), 2048);
         let (what, hybrid) = of(&MeshSource::Splats);
-        let expected = "training (1000000 splats of SH degree 3: 4343 MiB, the mesh with maps of 2048² texels 415 MiB, \
-                        images of 1920×1080: 682 MiB)";
+        let expected = "training (1000000 splats of SH degree 3: 2174 MiB, the mesh with maps of 2048² texels 415 MiB, \
+                        images of 1920×1080: 468 MiB)";
         assert_eq!(what, expected);
         let (what, alone) = of(&MeshSource::None);
         assert!(alone < hybrid && !what.contains("mesh"), "{what}");
@@ -175,7 +153,7 @@ mod tests {
     fn any_number_of_triangles_has_a_size() {
         let options = TrainOptions { triangles: usize::MAX, ..TrainOptions::default() };
         let hybrid = size(&options, &[camera(64, 64)], &MeshSource::Splats, 1, 64);
-        assert_eq!((hybrid.triangles, needed(&hybrid, true, 64).1), (usize::MAX, u64::MAX));
+        assert_eq!((hybrid.triangles, needed(&hybrid, 64).1), (usize::MAX, u64::MAX));
     }
 
     #[test]

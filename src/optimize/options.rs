@@ -46,7 +46,7 @@ pub struct TrainOptions {
     /// Which views are trained on, and which are held out for scores: every eighth is (3DGS).
     pub split: Split,
     /// Iterations of the splats: 30,000 (3DGS), the surface's included. The times of schedules shrink with it below
-    /// 30,000; above, the decay of the means' rate alone stretches.
+    /// 30,000; above, rates that fall over the run stretch, and the time before a surface with what follows it.
     pub iterations: u32,
     /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
     pub warmup: u32,

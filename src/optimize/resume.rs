@@ -26,10 +26,7 @@ pub(super) struct Saved {
     pub(super) phase: Phase,
     /// Iterations done in this phase.
     pub(super) iteration: u32,
-    /// What the meshes were made of.
-    pub(super) surface: Option<SurfaceOrigin>,
-    /// What became of their triangles, once it is known.
-    pub(super) selection: Option<Selection>,
+    pub(super) found: Found,
     pub(super) meshes: Vec<Mesh>,
     splats: SplatState,
     statistics: Vec<f32>,
@@ -42,6 +39,17 @@ pub(super) struct Saved {
     /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
     lists: [usize; 2],
     pub(super) past: Past,
+}
+
+/// What is known of how the mesh came to be.
+#[derive(Clone, Default, serde::Serialize, serde::Deserialize)]
+pub(super) struct Found {
+    /// What it was made of.
+    pub(super) surface: Option<SurfaceOrigin>,
+    /// Why there is none, where making one failed.
+    pub(super) no_surface: Option<String>,
+    /// What became of its triangles, once it is known.
+    pub(super) selection: Option<Selection>,
 }
 
 /// What must be the same in a run that goes on from a checkpoint.
@@ -60,7 +68,7 @@ impl Saved {
         training: &Training,
         scene: &HybridScene,
         (phase, iteration): (Phase, u32),
-        (surface, selection): (Option<SurfaceOrigin>, Option<Selection>),
+        found: Found,
         poses: Option<&PoseState>,
         epoch: &EpochWeight,
         past: Past,
@@ -71,8 +79,7 @@ impl Saved {
         Ok(Self {
             phase,
             iteration,
-            surface,
-            selection,
+            found,
             meshes: training.read_meshes(&scene.meshes)?,
             vertices: training.read_vertex_state()?,
             exposures: training.read_exposures()?,
@@ -121,8 +128,7 @@ impl Saved {
             "input": run.input,
             "phase": self.phase,
             "iteration": self.iteration,
-            "surface": self.surface,
-            "selection": self.selection,
+            "found": self.found,
             "lists": self.lists,
         });
         let mut file = Checkpoint { meta, splats: self.splats, ..Checkpoint::default() };
@@ -156,8 +162,7 @@ impl Saved {
             past: Past::from_words(&take_words("log", file)?).ok_or_else(|| damaged("log"))?,
             phase: field(file, "phase")?,
             iteration: field(file, "iteration")?,
-            surface: field(file, "surface")?,
-            selection: field(file, "selection")?,
+            found: field(file, "found")?,
             lists: field(file, "lists")?,
             splats: std::mem::take(&mut file.splats),
         })

@@ -42,8 +42,9 @@ pub(super) struct Schedule {
     pub(super) opacity_reset_from: u32,
     /// Opacities are reset before this iteration: any, or while a surface that is made of the splats can wait for them to be opaque again.
     pub(super) opacity_reset_until: u32,
-    /// Splats are pruned for their size after this iteration: 3000.
-    pub(super) prune_large_from: u32,
+    /// Splats are pruned for their size after this iteration, that of the first opacity reset, if at all: before it a large one may be the best
+    /// explanation of a background.
+    pub(super) prune_large_from: Option<u32>,
     /// Iterations between two SH degrees: 1000, at least 100.
     pub(super) sh_interval: u32,
     /// One opacity reset more, at `densify_from`: what is white over a white background would stay for ever.
@@ -59,15 +60,16 @@ impl Schedule {
             u32::try_from(scaled).unwrap_or(t).max(floor)
         };
         let densify_interval = (iterations / 30).clamp(20, 100);
+        let opacity_reset_interval = (iterations >= 3000).then(|| of_full(3000, 1000));
         Self {
             iterations,
             densify_from: of_full(500, densify_interval),
             densify_until: of_full(15_000, 0),
             densify_interval,
-            opacity_reset_interval: (iterations >= 3000).then(|| of_full(3000, 1000)),
+            opacity_reset_interval,
             opacity_reset_from: 0,
             opacity_reset_until: u32::MAX,
-            prune_large_from: of_full(3000, densify_interval),
+            prune_large_from: opacity_reset_interval,
             sh_interval: of_full(1000, 100),
             white_background: false,
         }
@@ -77,7 +79,8 @@ impl Schedule {
     #[must_use]
     pub(super) fn for_mcmc(self) -> Self {
         let until = u64::from(self.densify_until) * 25 / 15;
-        Self { densify_until: u32::try_from(until).unwrap_or(u32::MAX), opacity_reset_interval: None, ..self }
+        let densify_until = u32::try_from(until).unwrap_or(u32::MAX);
+        Self { densify_until, opacity_reset_interval: None, prune_large_from: None, ..self }
     }
 
     /// The same with INRIA's additional reset for white backgrounds (none where there are no resets).
@@ -90,7 +93,12 @@ impl Schedule {
     #[must_use]
     pub(super) fn before_surface(self, at: u32) -> Self {
         let recovery = self.opacity_reset_interval.unwrap_or(0) / 2;
-        Self { opacity_reset_until: at.saturating_sub(recovery), ..self }
+        let until = at.saturating_sub(recovery);
+        Self {
+            opacity_reset_until: until,
+            prune_large_from: self.prune_large_from.filter(|first| *first < until),
+            ..self
+        }
     }
 
     /// The same where splats are handed over to a mesh after iteration `at`: density control, which may have ended with the splats' own
@@ -104,6 +112,10 @@ impl Schedule {
             densify_from: if again { at.saturating_add(self.densify_from) } else { self.densify_from },
             densify_until: half.max(self.densify_until),
             opacity_reset_from: at,
+            prune_large_from: self.opacity_reset_interval.map(|interval| {
+                let was_reset = interval < self.before_surface(at).opacity_reset_until;
+                if was_reset { interval } else { (at / interval + 1).saturating_mul(interval) }
+            }),
             // It was for the beginning.
             white_background: false,
             ..self
@@ -140,7 +152,7 @@ impl Schedule {
     /// True if the density step after `t` iterations prunes splats for their size.
     #[must_use]
     pub(super) fn prunes_large(&self, t: u32) -> bool {
-        t > self.prune_large_from
+        self.prune_large_from.is_some_and(|from| t > from)
     }
 
     /// True if an opacity reset follows `t` iterations.
@@ -389,7 +401,7 @@ mod tests {
                 opacity_reset_interval: Some(3000),
                 opacity_reset_from: 0,
                 opacity_reset_until: u32::MAX,
-                prune_large_from: 3000,
+                prune_large_from: Some(3000),
                 sh_interval: 1000,
                 white_background: false,
             }
@@ -407,6 +419,10 @@ mod tests {
         assert_eq!([999, 1000, 2999, 3000, 30_000].map(|t| s.sh_degree(t, 3)), [0, 1, 2, 3, 3]);
         assert_eq!(s.sh_degree(30_000, 1), 1);
         assert!(!s.prunes_large(3000) && s.prunes_large(3001));
+        // Not before opacities have been reset: in the first half of 6,000 a surface leaves room for one reset, in that of 3,000 for none.
+        let [after, instead] = [3000, 1500].map(|at| Schedule::new(2 * at).handed_over(at).prune_large_from);
+        assert_eq!((after, instead), (Some(1000), Some(2000)));
+        assert_eq!((Schedule::new(2999).prune_large_from, s.for_mcmc().prune_large_from), (None, None));
         let mcmc = s.for_mcmc();
         assert_eq!((mcmc.densify_until, mcmc.opacity_reset_interval), (25_000, None));
         assert!(resets(mcmc.with_white_background()).is_empty());

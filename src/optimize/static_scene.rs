@@ -39,7 +39,7 @@ use super::{
     finite, initialize,
     log::Log,
     memory,
-    resume::{Identity, Saved},
+    resume::{Found, Identity, Saved},
     size, surface,
 };
 use crate::{
@@ -180,16 +180,6 @@ struct Run<'a> {
     poses: Option<PoseState>,
 }
 
-/// What is known of how the mesh came to be.
-#[derive(Default)]
-struct Found {
-    /// What it was made of.
-    surface: Option<SurfaceOrigin>,
-    /// Why there is none, where making one failed.
-    no_surface: Option<String>,
-    selection: Option<Selection>,
-}
-
 impl<'a> Run<'a> {
     fn new(
         capture: &'a Capture,
@@ -261,7 +251,7 @@ impl<'a> Run<'a> {
             self.budget.splats_beside(&[]),
             self.budget.texture_size(),
         )?;
-        (self.found.surface, self.found.selection) = saved.as_ref().map_or((None, None), |s| (s.surface, s.selection));
+        self.found = saved.as_ref().map(|saved| saved.found.clone()).unwrap_or_default();
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
             && let Some(poses) = saved.poses.clone()

@@ -3,29 +3,26 @@
 use super::{Run, photographs::squared_error};
 use crate::{
     optimize::TrainError,
-    render::gpu::training::Training,
-    scene::{Camera, HybridScene},
+    render::gpu::training::{Show, Training},
+    scene::Camera,
 };
 
 impl<'a> Run<'a> {
-    /// Renders mesh and splats each alone from `views` and hands on, per view, the two trainings, the camera and at every
-    /// pixel the squared errors of mesh and splats (and a zero, for `Training::gather`).
+    /// Renders splats and mesh each alone from `views` and hands on, per view, the training, which has rendered the mesh last, the camera and
+    /// at every pixel the squared errors of mesh and splats (and a zero, for `Training::gather`).
     pub(super) fn compare(
         &self,
         training: &mut Training<'a>,
         views: &[usize],
-        mut use_view: impl FnMut(&mut Training<'a>, &mut Training<'a>, &Camera, &[[f32; 3]]) -> Result<(), TrainError>,
+        mut use_view: impl FnMut(&mut Training<'a>, &Camera, &[[f32; 3]]) -> Result<(), TrainError>,
     ) -> Result<(), TrainError> {
-        let splats = training.read_splats()?.to_splats()?;
-        let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
-        let background = scene.composition.background;
-        let mut splats_only = self.training(&scene)?;
+        let background = self.composition().background;
         for &i in views {
             let camera = &self.cameras[i];
             let photo = self.photos.whole(&self.capture.views[i])?;
             let behind = self.exposed(i, background);
-            let mesh = training.render(camera, background, false)?.rgb;
-            let splats = splats_only.render(camera, background, true)?.rgb;
+            let splats = training.render(camera, background, Show::SplatsAlone)?.rgb;
+            let mesh = training.render(camera, background, Show::MeshesAlone)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
                 .map(|(p, (mesh, splats))| {
                     let [mesh, splats] = [mesh, splats].map(|rgb| self.exposed(i, *rgb));
@@ -33,7 +30,7 @@ impl<'a> Run<'a> {
                     [squared_error(&photo, p, mesh, behind), squared_error(&photo, p, splats, behind), 0.0]
                 })
                 .collect();
-            use_view(training, &mut splats_only, camera, &errors)?;
+            use_view(training, camera, &errors)?;
         }
         Ok(())
     }

@@ -1,7 +1,13 @@
 //! Back from a mesh to the splats that it does not make superfluous.
 
 use super::{Run, arrangement};
-use crate::{optimize::TrainError, render::gpu::training::Training};
+use crate::{
+    optimize::TrainError,
+    render::gpu::training::{Show, Training},
+};
+
+/// Splats of which one stays at least, however good the mesh is: density control can copy what there is, and nothing else.
+const KEEPS_ONE_OF: usize = 100;
 
 impl<'a> Run<'a> {
     /// Keeps those splats of the surface phase that explain the photographs better than the mesh does, which has the smooth
@@ -11,16 +17,19 @@ impl<'a> Run<'a> {
     pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
         let mut splats = arrangement(training)?;
         let mut advantage = vec![0.0_f64; splats.len()];
-        self.compare(training, &self.train, |_, splats_only, camera, errors| {
-            for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(splats_only.gather(camera, errors)?) {
+        self.compare(training, &self.train, |training, camera, errors| {
+            let gathered = training.gather(camera, errors, Show::SplatsAlone)?;
+            for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(gathered) {
                 *sum += f64::from(mesh) - f64::from(splats);
             }
             Ok(())
         })?;
-        let mut ranked = advantage.clone();
-        ranked.sort_by(|a, b| b.total_cmp(a));
-        let least = ranked.get(max_splats).copied().unwrap_or(0.0).max(0.0);
-        let keep: Vec<bool> = advantage.iter().map(|&a| a > least).collect();
+        let mut ranked: Vec<usize> = (0..splats.len()).collect();
+        ranked.sort_by(|&a, &b| advantage[b].total_cmp(&advantage[a]));
+        let better = advantage.iter().filter(|a| **a > 0.0).count();
+        let count = better.max(splats.len().div_ceil(KEEPS_ONE_OF)).min(max_splats);
+        let mut keep = vec![false; splats.len()];
+        ranked.iter().take(count).for_each(|&i| keep[i] = true);
         splats.retain(&keep);
         training.rearrange(splats.geometry(), splats.sources())?;
         training.smooth();

@@ -5,9 +5,9 @@ use glam::DVec2;
 use super::{Run, unseen::MaskBits};
 use crate::{
     geometry::{self, Viewers},
-    optimize::{TrainError, memory},
-    render::gpu::training::Training,
-    scene::{HybridScene, Mesh, Splats, gather},
+    optimize::TrainError,
+    render::gpu::training::{Show, Training},
+    scene::{Mesh, Splats, gather},
 };
 
 /// Part of what a splat would show of itself without the mesh that it shows at most beside it.
@@ -37,31 +37,20 @@ impl Run<'_> {
         if !occluded.contains(&true) {
             return Ok(splats);
         }
-        let scene = HybridScene { splats, meshes: vec![], composition: self.composition() };
-        let (beside, alone) = match self.beside_and_alone(training, &scene, &shown) {
-            // What stays costs little, what has been trained much.
-            Err(TrainError::Gpu(e)) if e.is_lack_of_memory() => return Ok(scene.splats),
-            weights => weights?,
-        };
+        let mut weights = |show| self.blend_weights(training, &shown, show);
+        let (beside, alone) = (weights(Show::All)?, weights(Show::SplatsAlone)?);
         let is_seen = |i: &usize| !occluded[*i] || beside[*i] > SHOWN * alone[*i];
         let seen: Vec<usize> = (0..occluded.len()).filter(is_seen).collect();
-        Ok(gather(scene.splats, &seen))
-    }
-
-    /// [`Self::blend_weights`] of what is trained, and of its splats without a mesh.
-    fn beside_and_alone(
-        &self,
-        training: &mut Training,
-        splats: &HybridScene,
-        shown: &[Option<MaskBits>],
-    ) -> Result<(Vec<f64>, Vec<f64>), TrainError> {
-        memory::check_alone(self.session.gpu, self.options, &self.cameras, splats.splats.len())?;
-        let beside = self.blend_weights(training, shown)?;
-        Ok((beside, self.blend_weights(&mut self.training(splats)?, shown)?))
+        Ok(gather(splats, &seen))
     }
 
     /// Σ of the blend weights of every splat `[N]` over all pixels that the training views show.
-    fn blend_weights(&self, training: &mut Training, shown: &[Option<MaskBits>]) -> Result<Vec<f64>, TrainError> {
+    fn blend_weights(
+        &self,
+        training: &mut Training,
+        shown: &[Option<MaskBits>],
+        show: Show,
+    ) -> Result<Vec<f64>, TrainError> {
         let mut sums = vec![];
         for (camera, shown) in self.train_cameras.iter().zip(shown) {
             let (width, height) = (camera.intrinsics().width as usize, camera.intrinsics().height as usize);
@@ -70,7 +59,7 @@ impl Run<'_> {
                 shown.as_ref().is_none_or(|shown| shown.holds(at))
             };
             let values: Vec<[f32; 3]> = (0..width * height).map(|p| [f32::from(u8::from(is_shown(p))); 3]).collect();
-            let weights = training.gather(camera, &values)?;
+            let weights = training.gather(camera, &values, show)?;
             sums.resize(weights.len(), 0.0);
             sums.iter_mut().zip(weights).for_each(|(sum, [weight, ..])| *sum += f64::from(weight));
         }

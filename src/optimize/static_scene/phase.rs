@@ -21,7 +21,7 @@ use crate::{
         adam::AdamStep,
         exposure::ExposureStep,
         texels::TexelStep,
-        training::{Step, Training},
+        training::{Show, Step, Training},
         vertices::VertexState,
         view::Dropout,
     },
@@ -30,6 +30,8 @@ use crate::{
 
 /// Iterations between looks at the loss: each waits for the GPU.
 const REPORT_EVERY: u32 = 10;
+/// Iterations of a phase that are each looked at for lists that were too short, or as many as there are views.
+const LOOKS_AT_FIRST: u32 = 300;
 /// Iterations between measurements of how far splats are smoothed, and of the last ones in which that stays (Mip-Splatting).
 const SMOOTH_EVERY: u32 = 100;
 /// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (INRIA 3DGS): a
@@ -123,7 +125,7 @@ impl Run<'_> {
                 self.report(training, plan, done)?;
             }
             if saves && let Some(path) = self.session.checkpoints.file() {
-                let found = (self.found.surface, self.found.selection);
+                let found = self.found.clone();
                 let past = self.log.past.clone();
                 let saved = Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?;
                 let written = saved.write(path, &self.identity);
@@ -150,13 +152,13 @@ impl Run<'_> {
     }
 
     /// Whether it is found out after so many iterations if lists were too short for the last ones, besides when the host waits for them
-    /// anyway: often at first, where it costs little, and before anything happens between steps.
+    /// anyway: often at first, where it costs little and most are too short, and before anything happens between steps.
     fn looks_after(&self, plan: &Plan, done: u32) -> bool {
         let epoch_length = self.train.len() as u32;
         let age = plan.clock + done;
         let changes = plan.schedule.densifies_after(age) || plan.schedule.resets_opacity_after(age);
         let between = changes || is_due(age, SMOOTH_EVERY) || is_due(age, epoch_length);
-        self.session.gpu.profile().is_cpu || done <= epoch_length || between
+        self.session.gpu.profile().is_cpu || done <= epoch_length.min(LOOKS_AT_FIRST) || between
     }
 
     /// What happens between steps, each at its own interval: density control, smoothing, and exposures and poses about their means.
@@ -221,7 +223,9 @@ impl Run<'_> {
         });
         let texels = plan.has_mesh.then(|| {
             let is_joint = plan.phase == Phase::Joint;
-            let warm = schedule::texel_rate(o.warmup, o.dense_texels);
+            // Where the usual warm-up would leave it: a short one is no reason to keep maps noisy to the end.
+            let warm = if is_joint { TrainOptions::warmup_of(o.iterations) } else { o.warmup };
+            let warm = schedule::texel_rate(warm, o.dense_texels);
             let base_rate = if is_joint { schedule::joint_texel_rate(warm, t, plan.iterations) } else { warm };
             TexelStep {
                 // Maps that were laid out anew have no moments from the warm-up.
@@ -319,11 +323,12 @@ impl Run<'_> {
     /// Mean PSNR over up to four held-out views, over the scene's background.
     fn held_out_psnr(&self, training: &mut Training, phase: Phase) -> Result<Option<f64>, TrainError> {
         let composition = self.composition();
+        let show = if phase == Phase::Warmup { Show::MeshesAlone } else { Show::All };
         let mut scores = vec![];
         for i in sampled(&self.test) {
             let view = &self.capture.views[i];
             let photo = self.photos.whole(view)?;
-            let picture = training.render(&view.camera, composition.background, phase != Phase::Warmup)?;
+            let picture = training.render(&view.camera, composition.background, show)?;
             let comparison = Comparison::new(&photo, &picture, &composition);
             if !comparison.is_empty {
                 // Photographs are as large as their cameras say.

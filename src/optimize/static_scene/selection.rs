@@ -104,7 +104,7 @@ impl<'a> Run<'a> {
         let mut scores = vec![Score::default(); mesh.triangles().len()];
         let mut last_view = vec![0; scores.len()];
         let (mut view, mut seen) = (0, 0.0);
-        self.compare(training, judges, |training, _, camera, errors| {
+        self.compare(training, judges, |training, camera, errors| {
             view += 1;
             // What a mask leaves out has no error.
             seen += errors.iter().filter(|e| e[0] + e[1] > 0.0).count() as f64;

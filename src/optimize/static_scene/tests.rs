@@ -11,7 +11,7 @@ use crate::{
     geometry::{self, Surface, TexelSight, Viewers},
     optimize::{checkpoint::Checkpoint, resolution::ResolutionSchedule, schedule::Schedule},
     render::{
-        gpu::{Renderer, state::SplatState},
+        gpu::{Renderer, state::SplatState, training::Show},
         testing::largest,
     },
     scene::{Atlas, Intrinsics, Texture},
@@ -177,7 +177,7 @@ fn rays_reach_what_the_renderer_shows() {
             let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
             let (mut pixels, mut off_center, mut missed) = (0, 0, 0);
             for camera in run.train_cameras.clone() {
-                training.render(&camera, [0.0; 3], false).unwrap();
+                training.render(&camera, [0.0; 3], Show::MeshesAlone).unwrap();
                 let width = camera.intrinsics().width;
                 for (pixel, front) in (0u32..).zip(training.front_triangles(&camera).unwrap()) {
                     let at = DVec2::new(f64::from(pixel % width), f64::from(pixel / width)) + 0.5;
@@ -624,7 +624,7 @@ fn file_shows_what_trainer_showed(options: &TrainOptions) {
         let read = gltf::read(&path).unwrap().scene;
         let mut renderer = Renderer::new(run.session.gpu, &read, &run.cameras).unwrap();
         for camera in run.cameras.clone().iter().step_by(6) {
-            let before = training.render(camera, scene.composition.background, true).unwrap();
+            let before = training.render(camera, scene.composition.background, Show::All).unwrap();
             let after = renderer.render(camera).unwrap();
             let pairs = before.rgb.as_flattened().iter().zip(after.rgb.as_flattened());
             let worst = largest(pairs.map(|(a, b)| f64::from((a - b).abs())));

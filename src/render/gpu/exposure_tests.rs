@@ -7,7 +7,7 @@ use super::{
     adam::{AdamStep, SplatRates},
     exposure::{ExposureState, ExposureStep, FLOATS},
     loss::{LossValues, TruthAlpha, tests::defined},
-    training::{Step, Training},
+    training::{Show, Step, Training},
     view::Dropout,
 };
 use crate::{
@@ -128,7 +128,7 @@ fn gradients_are_those_of_the_exposed_picture() {
 fn assert_gradients(ssim_weight: f32) {
     let (gpu, truth, state) = (Gpu::open(None).unwrap(), truth(), exposures());
     let mut trained = training(&gpu, &scene((0, 0), 0.0), ssim_weight);
-    let picture = trained.render(&camera(), [0.1, 0.2, 0.3], true).unwrap().rgb;
+    let picture = trained.render(&camera(), [0.1, 0.2, 0.3], Show::All).unwrap().rgb;
     trained.expose(&state).unwrap();
     step(&mut trained, &truth, Some(ExposureStep { view: 1, rate: 1e-2 }));
     let (found, expected) = (trained.loss().unwrap(), values(&state, &picture, &truth));
@@ -166,7 +166,7 @@ fn assert_gradients(ssim_weight: f32) {
         for channel in 0..3 {
             let at = |h: f32| {
                 let mut moved = training(&gpu, &scene((splat, channel), h), ssim_weight);
-                let picture = moved.render(&camera(), [0.1, 0.2, 0.3], true).unwrap().rgb;
+                let picture = moved.render(&camera(), [0.1, 0.2, 0.3], Show::All).unwrap().rgb;
                 loss(values(&state, &picture, &truth), ssim_weight)
             };
             let numeric = (at(0.05) - at(-0.05)) / 0.1;

@@ -69,6 +69,24 @@ pub(crate) struct Step<'a> {
     pub(crate) pose: Option<PoseStep>,
 }
 
+/// What of a scene is rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Show {
+    All,
+    MeshesAlone,
+    SplatsAlone,
+}
+
+impl Show {
+    fn of(self, view: View) -> View {
+        match self {
+            Self::All => view,
+            Self::MeshesAlone => View { n_splats: 0, ..view },
+            Self::SplatsAlone => View { n_triangles: 0, ..view },
+        }
+    }
+}
+
 /// Buffers and kernels of a training run.
 pub(crate) struct Training<'g> {
     gpu: &'g Gpu,
@@ -280,13 +298,10 @@ impl<'g> Training<'g> {
     }
 
     /// Renders a view with what is trained so far. Waits.
-    pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], splats: bool) -> Result<Picture, GpuError> {
+    pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], show: Show) -> Result<Picture, GpuError> {
         self.pipeline.front.composition.background = background;
         loop {
-            let mut view = self.prepare(camera)?;
-            if !splats {
-                view.n_splats = 0;
-            }
+            let view = show.of(self.prepare(camera)?);
             let mut frame = Frame::new(self.gpu);
             self.pipeline.record(self.gpu, &mut frame, &view);
             frame.submit();
@@ -298,10 +313,15 @@ impl<'g> Training<'g> {
 
     /// Sums a picture over the footprint of every splat: Σ w·`values` (3) and Σ w, where w is the splat's blend weight
     /// at a pixel. `values` is `[h·w]`; the result `[N]`. Waits.
-    pub(crate) fn gather(&mut self, camera: &Camera, values: &[[f32; 3]]) -> Result<Vec<[f32; 4]>, GpuError> {
+    pub(crate) fn gather(
+        &mut self,
+        camera: &Camera,
+        values: &[[f32; 3]],
+        show: Show,
+    ) -> Result<Vec<[f32; 4]>, GpuError> {
         let padded: Vec<[f32; 4]> = values.iter().map(|v| [v[0], v[1], v[2], 0.0]).collect();
         loop {
-            let view = self.prepare(camera)?;
+            let view = show.of(self.prepare(camera)?);
             self.gpu.write(&self.backward.image_gradient, 0, &padded);
             let mut frame = Frame::new(self.gpu);
             self.pipeline.record(self.gpu, &mut frame, &view);

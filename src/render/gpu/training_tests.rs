@@ -11,7 +11,7 @@ use super::{
     splats::GEOMETRY,
     state::{OPACITY, SplatState, logit, sigmoid},
     texels::TexelStep,
-    training::{Step, Training},
+    training::{Show, Step, Training},
     vertices::{VertexState, VertexStep},
     view::Dropout,
 };
@@ -107,7 +107,7 @@ fn a_step_learns_of_nearness_as_its_weight_says() {
         let (mut scene, camera) = testing::smooth_scene(1, 2, OrderMode::Stable);
         scene.composition.background = [0.0; 3];
         let new = || Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
-        let picture = new().render(&camera, [0.0; 3], true).unwrap().rgb;
+        let picture = new().render(&camera, [0.0; 3], Show::All).unwrap().rgb;
         // Off by up to 8/255, so that pixels count for all between full and a fifth.
         let off = |i: usize, v: f32| ((v * 255.0).round() as u8).saturating_add(2 * (i % 5) as u8);
         let truth: Vec<u8> =
@@ -342,6 +342,32 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
     }
 }
 
+/// What a training of splats without the mesh shows, or of the mesh without splats, in every order and with any layers; pictures to the last bit.
+#[test]
+fn each_is_shown_alone_as_where_there_is_nothing_else() {
+    let gpu = Gpu::open(None).unwrap();
+    for (seed, mode) in [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct].into_iter().enumerate() {
+        let (scene, camera) = testing::random_scene(seed as u64, 300, 2, 1, 1 + seed as u32, mode);
+        let values = vec![[0.5, 2.0, 0.0]; camera.intrinsics().pixels()];
+        let of = |scene: &HybridScene, show| {
+            let mut training = Training::new(&gpu, scene, &[camera], 0.2).unwrap();
+            // Layers of another picture are not left there.
+            training.render(&camera, [0.0; 3], Show::All).unwrap();
+            let picture = training.render(&camera, [0.1, 0.2, 0.3], show).unwrap();
+            (picture.rgb, training.gather(&camera, &values, show).unwrap())
+        };
+        let without_meshes = HybridScene { meshes: vec![], ..scene.clone() };
+        let (alone, expected) = (of(&scene, Show::SplatsAlone), of(&without_meshes, Show::All));
+        assert!(alone.0 == expected.0 && alone.0 != of(&scene, Show::All).0, "{mode:?}");
+        // Kernels with and without layers may round differently.
+        let mut pairs = alone.1.as_flattened().iter().zip(expected.1.as_flattened());
+        assert!(pairs.all(|(a, b)| (a - b).abs() <= 1e-6 * (1.0 + b.abs())), "{mode:?}");
+        let without_splats = HybridScene { splats: Splats::empty(scene.splats.sh_degree()), ..scene.clone() };
+        let (alone, expected) = (of(&scene, Show::MeshesAlone), of(&without_splats, Show::All));
+        assert!(alone.0 == expected.0 && alone.0 != of(&scene, Show::All).0, "{mode:?}");
+    }
+}
+
 /// Also of splats that another view has seen.
 #[test]
 fn a_view_gathers_nothing_of_what_it_does_not_see() {
@@ -349,8 +375,8 @@ fn a_view_gathers_nothing_of_what_it_does_not_see() {
     let away = camera(-3.0);
     let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
     let values = vec![[1.0; 3]; (SIDE * SIDE) as usize];
-    assert!(training.gather(&near, &values).unwrap().iter().any(|sums| sums[3] > 1.0));
-    assert_eq!(training.gather(&away, &values).unwrap(), [[0.0; 4]; 3]);
+    assert!(training.gather(&near, &values, Show::All).unwrap().iter().any(|sums| sums[3] > 1.0));
+    assert_eq!(training.gather(&away, &values, Show::All).unwrap(), [[0.0; 4]; 3]);
 }
 
 /// The gradients that were there are overwritten by what is moved, and that by the gradients of the next step: also those of splats that

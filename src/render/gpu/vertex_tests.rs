@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3, Vec2, Vec3};
 use super::{
     Gpu,
     loss::TruthAlpha,
-    training::{Step, Training},
+    training::{Show, Step, Training},
     vertices::{VertexState, VertexStep},
     view::Dropout,
 };
@@ -88,7 +88,7 @@ fn a_bent_sheet_flattens_to_its_photographs() {
     let mut flat = Training::new(&gpu, &sheet(|_, _| 0.0), &cameras, 0.2).unwrap();
     let photographs: Vec<Vec<u8>> = (cameras.iter())
         .map(|c| {
-            let picture = flat.render(c, [0.0; 3], false).unwrap();
+            let picture = flat.render(c, [0.0; 3], Show::MeshesAlone).unwrap();
             let byte = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
             picture.rgb.iter().flat_map(|p| [byte(&p[0]), byte(&p[1]), byte(&p[2]), 255]).collect()
         })
