@@ -99,7 +99,11 @@ impl CaptureError {
     /// JSON that is no such thing, or not what it should be.
     pub(super) fn json(path: &Path, expected: &str, error: &serde_json::Error) -> Self {
         let place = format!("line {} column {}", error.line(), error.column());
-        Self::invalid(path, place, expected, error.to_string())
+        let why = error.to_string();
+        let why = why.split(" at line ").next().unwrap_or_default();
+        // The parser's words for what it cannot begin to read, such as NaN, which JSON has no way to write, say what it wanted.
+        let found = if error.is_syntax() { format!("no JSON: {why}") } else { why.to_owned() };
+        Self::invalid(path, place, expected, found)
     }
 
     /// A value that `scene` refuses, found at `place` of `path`.

@@ -14,9 +14,10 @@ use crate::{
 /// A triangle stays if around it the squared error of the maps alone is no larger than this times that of the splats
 /// alone. Maps need no view dependence to be perfect: splats are added to them.
 const WORST_RATIO: f64 = 2.5;
-/// Part of a budget that maps may take where they cover all of the pictures. With all of it (maryrose69, 0.15 M floats) too
-/// few splats are left for what maps do not show: .4 dB less than with this or with half of it.
+/// Part of a budget that maps may take of what they cover of the pictures …
 const MAPS_SHARE: f64 = 0.75;
+/// … and of all: with more, too few splats are left for what maps do not show (`docs/experiments.md`).
+const MOST_FOR_MAPS: f64 = 0.3;
 /// Pixels of the smallest connected piece: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
 /// Share of an atlas that charts cover, for choosing its size.
@@ -71,12 +72,12 @@ impl<'a> Run<'a> {
         // Of all maps but the smallest, see `surface::band_side`.
         let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(surface::BAND_TEXEL.pow(2));
         let per_texel = 4.0 + mesh.atlas().bands().map_or(0.0, of_bands);
-        // With a budget, maps get a part of it in proportion to what they cover of the pictures: where splats are spread
+        // With a budget, maps get a part of it in proportion to what they cover of the pictures, up to a limit: where splats are spread
         // thinly, so are texels.
         let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
         let share = (covered / seen.max(1.0)).min(1.0);
-        let affordable =
-            self.options.max_floats.map_or(f64::INFINITY, |floats| floats as f64 * MAPS_SHARE * share / per_texel);
+        let part = (MAPS_SHARE * share).min(MOST_FOR_MAPS);
+        let affordable = self.options.max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
         let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
         // Multiples of 32 have mips as far as gutters separate charts.
         let largest = mesh.atlas().base().width();
