@@ -15,7 +15,7 @@ Examples:
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Print one JSON array of adapters instead of a table
+    /// Print one JSON array of adapters instead of a table; an empty one, and no error, where there are none
     #[arg(long)]
     json: bool,
 }
