@@ -150,6 +150,15 @@ fn a_path_is_not_made_of_the_one_before() {
     };
     let first = spline("a.glb", "b.gltf");
     assert_eq!(spline("b.gltf", "c.glb"), first);
+    // What moves cameras alone is no loss where they are not wanted, what moves more may be.
+    let strict = ["convert", "b.gltf", "b.usda", "--no-cameras", "--strict"];
+    run(folder.path(), &strict);
+    let document = std::fs::read_to_string(at("b.gltf")).unwrap();
+    let pointing = document.replace("extensionsUsed\":[", "extensionsUsed\":[\"KHR_animation_pointer\",");
+    assert_ne!(pointing.matches("KHR_animation_pointer").count(), 0, "{document}");
+    std::fs::write(at("b.gltf"), pointing).unwrap();
+    assert!(failure(folder.path(), centaur(folder.path()).args(strict)).contains("KHR_animation_pointer"));
+    std::fs::write(at("b.gltf"), document).unwrap();
 
     let mut late: serde_json::Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
     let first = 5.0 + 1.0 / 24.0f32;

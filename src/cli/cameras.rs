@@ -3,8 +3,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use centaur::capture::LoadOptions;
 use centaur::format::{
-    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, WRITABLE_CAMERAS, gltf, has_extension, inspect, write_cameras,
-    write_cameras_with_scene,
+    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, Summary, WRITABLE_CAMERAS, gltf, has_extension, inspect,
+    write_cameras, write_cameras_with_scene,
 };
 use centaur::path::{self, Around, PathError, Shot, Spline};
 use centaur::scene::{Camera, Intrinsics};
@@ -224,7 +224,12 @@ impl FileArgs {
         let can_be_one = gltf::is_named(&self.output) || has_extension(&self.output, &["usda"]);
         // What cannot be read is none.
         let there = Some(&self.output).filter(|file| can_be_one && file.is_file()).and_then(|file| inspect(file).ok());
-        if there.is_some_and(|there| there.splats.is_some() || !there.meshes.is_empty()) {
+        // Meshes of the document also where they cannot be read as a scene.
+        let has_meshes = |there: &Summary| {
+            let counted = there.document.as_ref().and_then(|document| document.counts.get("meshes"));
+            there.splats.is_some() || !there.meshes.is_empty() || counted.is_some_and(|count| *count > 0)
+        };
+        if there.as_ref().is_some_and(has_meshes) {
             bail!("{}: holds a scene, which would be lost: expected another file", self.output.display());
         }
         Ok(())

@@ -418,7 +418,7 @@ fn described(o: &Outcome<'_>) -> String {
         lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
     }
     let noted = o.inputs.iter().any(|input| !input.notes.is_empty());
-    let also = if noted && *o.loss == Loss::default() { " but what the notes say" } else { "" };
+    let also = if noted && o.loss.to_string() == Loss::default().to_string() { " but what the notes say" } else { "" };
     lines.push(format!("lost: {}{also}", o.loss));
     lines.extend(o.notes.iter().map(|note| format!("note: {}: {note}", o.output.display())));
     let mut parts = vec![format!("{} of SH degree {}", counted(o.splats, "splat"), o.sh_degree)];

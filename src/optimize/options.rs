@@ -110,7 +110,7 @@ pub struct TrainOptions {
     /// Side of the DC + opacity atlas, texels; that of the higher bands is a quarter. By default the power of two from
     /// one and a half times the longer side of the images on, within 128 to 2048: all views together see more than one. A surface
     /// made from the capture has it in the warm-up and is then laid out anew, about two texels per pixel and no larger; of a budget of floats it gets
-    /// three quarters of what it covers of the pictures, three tenths at most.
+    /// three quarters of what it covers of the pictures, some three tenths at most.
     pub texture_size: Option<u32>,
     /// SH degree of the mesh: 2 (HERA does not say).
     pub band_degree: u32,

@@ -101,6 +101,16 @@ impl Schedule {
         }
     }
 
+    /// The same where [`Self::before_surface`] has left resets out until iteration `at`.
+    #[must_use]
+    pub(super) fn after_surface(self, at: u32) -> Self {
+        let first = |interval: u32| {
+            let was_reset = interval < self.before_surface(at).opacity_reset_until;
+            if was_reset { interval } else { (at / interval + 1).saturating_mul(interval) }
+        };
+        Self { prune_large_from: self.opacity_reset_interval.map(first), ..self }
+    }
+
     /// The same where splats are handed over to a mesh after iteration `at`: density control, which may have ended with the splats' own
     /// run, goes on for the first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing
     /// changes where it goes on longer.
@@ -112,13 +122,9 @@ impl Schedule {
             densify_from: if again { at.saturating_add(self.densify_from) } else { self.densify_from },
             densify_until: half.max(self.densify_until),
             opacity_reset_from: at,
-            prune_large_from: self.opacity_reset_interval.map(|interval| {
-                let was_reset = interval < self.before_surface(at).opacity_reset_until;
-                if was_reset { interval } else { (at / interval + 1).saturating_mul(interval) }
-            }),
             // It was for the beginning.
             white_background: false,
-            ..self
+            ..self.after_surface(at)
         }
     }
 
@@ -242,7 +248,7 @@ pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
     (PAPER_TEXEL_RATE * reach * shorter).min(0.07) as f32
 }
 
-/// Rate of texels after `t` iterations of the joint phase: from `warm`, where the warm-up left it, to three tenths of that, its logarithm
+/// Rate of texels after `t` iterations of the joint phase: from `warm`, that of the warm-up, to three tenths of that, its logarithm
 /// linear in t, but not below the paper's 5e-4.
 #[must_use]
 pub(super) fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {

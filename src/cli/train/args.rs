@@ -166,7 +166,7 @@ pub(in crate::cli) struct Args {
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
     pub(super) shell: Choice,
     /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
-    /// get about two texels per pixel, and three tenths of --max-floats or --budget-mb at most; that of view dependence has a quarter [default: the power of
+    /// get about two texels per pixel, and some three tenths of --max-floats or --budget-mb at most; that of view dependence has a quarter [default: the power of
     /// two from one and a half times the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
     /// (--mesh, --warmup 0): they take half of the budget at most, as far as charts have room
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]

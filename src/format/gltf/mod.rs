@@ -161,7 +161,7 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneF
     }
     let mut source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
     if options.time.is_some() {
-        source.forget(|role| role != Role::Rests);
+        source.forget(|role| matches!(role, Role::Moves | Role::Follows));
     }
     Ok(SceneFile { record: source.extras().cloned(), source: Some(source), ..file })
 }

@@ -30,6 +30,8 @@ pub enum Role {
     Moves,
     /// It says how something follows: skins, morph targets, bindings.
     Follows,
+    /// It is motion that is not played here: what animations move that is no node, deformation fields.
+    Unplayed,
     /// Nothing.
     Rests,
 }
@@ -73,7 +75,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant { what: "bindings of splats".to_owned(), role: Role::Follows });
     }
     if extension_of(root, HYBRID).is_some() {
-        found.push(Remnant { what: "deformation fields".to_owned(), role: Role::Follows });
+        found.push(Remnant { what: "deformation fields".to_owned(), role: Role::Unplayed });
     }
     let others: BTreeSet<&str> = primitives().flat_map(other_attributes).collect();
     if !others.is_empty() {
@@ -81,7 +83,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant::still(format!("the attributes {}", names.join(", "))));
     }
     for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
-        let role = if name == ANIMATION_POINTER { Role::Moves } else { Role::Rests };
+        let role = if name == ANIMATION_POINTER { Role::Unplayed } else { Role::Rests };
         found.push(Remnant { what: format!("the extension {name}"), role });
     }
     let of_parts = ["nodes", "meshes", "materials", "cameras", "accessors", "textures", "images"];

@@ -163,7 +163,7 @@ impl Source {
 
     /// Animations that move cameras alone are nothing to lose where cameras are not wanted.
     pub fn forget_cameras(&mut self) {
-        if !self.moves() {
+        if !self.moves() && self.remainder.iter().all(|part| part.role != Role::Unplayed) {
             self.forget(|role| role == Role::Moves);
         }
     }

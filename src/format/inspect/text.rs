@@ -119,7 +119,7 @@ impl fmt::Display for Summary {
         }
         for m in &self.meshes {
             let [w, h] = m.base_texels;
-            write!(f, "\n├ mesh: {} vertices (seams not counted), {} triangles, {}", m.vertices, m.triangles, span(m.bounds))?;
+            write!(f, "\n├ mesh: {} vertices, {} triangles, {}", m.vertices, m.triangles, span(m.bounds))?;
             write!(f, "\n│   maps: {w}×{h}, SH degree {}", m.sh_degree)?;
             if let Some([w, h]) = m.band_texels {
                 write!(f, " at {w}×{h}")?;

@@ -16,16 +16,17 @@ impl<'a> Run<'a> {
     /// How far views tell what remains is measured anew.
     pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
         let mut splats = arrangement(training)?;
-        let mut advantage = vec![0.0_f64; splats.len()];
+        let (mut advantage, mut seen) = (vec![0.0_f64; splats.len()], vec![false; splats.len()]);
         self.compare(training, &self.train, |training, camera, errors| {
             let gathered = training.gather(camera, errors, Show::SplatsAlone)?;
-            for (sum, [mesh, splats, ..]) in advantage.iter_mut().zip(gathered) {
+            for ((sum, seen), [mesh, splats, _, weight]) in advantage.iter_mut().zip(&mut seen).zip(gathered) {
                 *sum += f64::from(mesh) - f64::from(splats);
+                *seen |= weight > 0.0;
             }
             Ok(())
         })?;
         let mut ranked: Vec<usize> = (0..splats.len()).collect();
-        ranked.sort_by(|&a, &b| advantage[b].total_cmp(&advantage[a]));
+        ranked.sort_by(|&a, &b| seen[b].cmp(&seen[a]).then(advantage[b].total_cmp(&advantage[a])));
         let better = advantage.iter().filter(|a| **a > 0.0).count();
         let count = better.max(splats.len().div_ceil(KEEPS_ONE_OF)).min(max_splats);
         let mut keep = vec![false; splats.len()];

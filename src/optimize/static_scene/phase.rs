@@ -223,8 +223,9 @@ impl Run<'_> {
         });
         let texels = plan.has_mesh.then(|| {
             let is_joint = plan.phase == Phase::Joint;
-            // Where the usual warm-up would leave it: a short one is no reason to keep maps noisy to the end.
-            let warm = if is_joint { TrainOptions::warmup_of(o.iterations) } else { o.warmup };
+            // As after the usual warm-up, or a longer one: a short one is no reason to keep maps noisy to the end.
+            let usual = if is_joint { TrainOptions::warmup_of(o.iterations) } else { 0 };
+            let warm = o.warmup.max(usual);
             let warm = schedule::texel_rate(warm, o.dense_texels);
             let base_rate = if is_joint { schedule::joint_texel_rate(warm, t, plan.iterations) } else { warm };
             TexelStep {

@@ -36,6 +36,9 @@ impl Run<'_> {
         if phase == Phase::Surface {
             schedule = schedule.before_surface(before);
         }
+        if is_second_part {
+            schedule = schedule.after_surface(before);
+        }
         // Where nothing of the mesh was kept, nothing was handed over.
         if is_second_part && has_mesh {
             schedule = schedule.handed_over(before);

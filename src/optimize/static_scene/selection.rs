@@ -16,7 +16,7 @@ use crate::{
 const WORST_RATIO: f64 = 2.5;
 /// Part of a budget that maps may take of what they cover of the pictures …
 const MAPS_SHARE: f64 = 0.75;
-/// … and of all: with more, too few splats are left for what maps do not show (`docs/experiments.md`).
+/// … and of all, but for rounding to multiples of 32 and the room that charts need: with more, too few splats are left for what maps do not show (`docs/experiments.md`).
 const MOST_FOR_MAPS: f64 = 0.3;
 /// Pixels of the smallest connected piece: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
