@@ -144,8 +144,8 @@ fn other_size(trained_on: &[(String, Camera)], capture: &Capture) -> Option<Stri
     ))
 }
 
-/// Where the scene has most cameras of the capture's names farther from those than poses are refined, by a tenth of how far they spread or by 10°:
-/// it was moved, or the capture has other poses.
+/// Where the scene has most cameras of the capture's names a tenth of how far these spread from where they are, or 10° from how they are turned:
+/// it was moved, or the capture has other poses. Poses that training has refined are nearer, as a rule.
 fn other_places(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
     let pairs: Vec<(&Camera, &Camera)> = (capture.views.iter())
         .filter_map(|view| Some((&view.camera, &trained_on.iter().find(|(name, _)| *name == view.name)?.1)))

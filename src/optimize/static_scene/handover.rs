@@ -25,15 +25,43 @@ impl<'a> Run<'a> {
             }
             Ok(())
         })?;
-        let mut ranked: Vec<usize> = (0..splats.len()).collect();
-        ranked.sort_by(|&a, &b| seen[b].cmp(&seen[a]).then(advantage[b].total_cmp(&advantage[a])));
-        let better = advantage.iter().filter(|a| **a > 0.0).count();
-        let count = better.max(splats.len().div_ceil(KEEPS_ONE_OF)).min(max_splats);
-        let mut keep = vec![false; splats.len()];
-        ranked.iter().take(count).for_each(|&i| keep[i] = true);
-        splats.retain(&keep);
+        splats.retain(&kept(&advantage, &seen, max_splats));
         training.rearrange(splats.geometry(), splats.sources())?;
         training.smooth();
         Ok(())
+    }
+}
+
+/// Which splats stay, `[N]`, by how much better than the mesh each is, and whether any view sees it: those that are better, the best first, and
+/// one of [`KEEPS_ONE_OF`] at least, but no more than `max_splats`. Of what nobody sees density control would make nothing.
+fn kept(advantage: &[f64], seen: &[bool], max_splats: usize) -> Vec<bool> {
+    let mut ranked: Vec<usize> = (0..advantage.len()).collect();
+    ranked.sort_by(|&a, &b| seen[b].cmp(&seen[a]).then(advantage[b].total_cmp(&advantage[a])));
+    let better = advantage.iter().filter(|a| **a > 0.0).count();
+    let count = better.max(advantage.len().div_ceil(KEEPS_ONE_OF)).min(max_splats);
+    let mut keep = vec![false; advantage.len()];
+    ranked.iter().take(count).for_each(|&i| keep[i] = true);
+    keep
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_better_stays_and_something_in_any_case() {
+        let kept = |advantage: &[f64], most| {
+            // What has neither gained nor lost is not seen.
+            let seen: Vec<bool> = advantage.iter().map(|a| *a != 0.0).collect();
+            let keep = super::kept(advantage, &seen, most);
+            (0..keep.len()).filter(|&i| keep[i]).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(&[-1.0, 2.0, 0.0, 3.0, 1.0], 9), [1, 3, 4]);
+        assert_eq!(kept(&[-1.0, 2.0, 0.0, 3.0, 1.0], 2), [1, 3]);
+        // A mesh that is better than all leaves the best of those that are seen.
+        let mut worse = vec![-2.0; 150];
+        (worse[7], worse[9], worse[11]) = (-0.5, 0.0, -0.25);
+        assert_eq!((kept(&worse, 150), kept(&worse, 1), kept(&worse, 0)), (vec![7, 11], vec![11], vec![]));
+        assert!(kept(&[], 9).is_empty());
     }
 }

@@ -37,11 +37,8 @@ impl Run<'_> {
             schedule = schedule.before_surface(before);
         }
         if is_second_part {
-            schedule = schedule.after_surface(before);
-        }
-        // Where nothing of the mesh was kept, nothing was handed over.
-        if is_second_part && has_mesh {
-            schedule = schedule.handed_over(before);
+            // Where nothing of the mesh was kept, nothing was handed over.
+            schedule = if has_mesh { schedule.handed_over(before) } else { schedule.after_surface(before) };
         }
         // A surface is made of splats, and maps are warmed up, at full size.
         let half = o.iterations / 2;
