@@ -46,8 +46,6 @@ fn kept(advantage: &[f64], seen: &[bool], max_splats: usize) -> Vec<bool> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
     #[test]
     fn what_is_better_stays_and_something_in_any_case() {
         let kept = |advantage: &[f64], most| {
