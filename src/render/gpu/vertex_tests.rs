@@ -150,6 +150,7 @@ fn a_wall_is_pulled_as_far_in_large_pictures() {
     let largest = few.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
     assert!(largest > 0.0 && few[0].abs() == largest, "{few:?}");
     for (few, many) in few.iter().zip(&many) {
+        // The two flanks of the steep texel cancel but for a column of pixels, 1/180 of it, which is 7 % of all; a word that wraps is 100 % and more.
         assert!((few - many).abs() < 0.1 * largest, "{few} {many}");
     }
 }
