@@ -223,11 +223,7 @@ impl Run<'_> {
         });
         let texels = plan.has_mesh.then(|| {
             let is_joint = plan.phase == Phase::Joint;
-            // As after the usual warm-up, or a longer one: a short one is no reason to keep maps noisy to the end.
-            let usual = if is_joint { TrainOptions::warmup_of(o.iterations) } else { 0 };
-            let warm = o.warmup.max(usual);
-            let warm = schedule::texel_rate(warm, o.dense_texels);
-            let base_rate = if is_joint { schedule::joint_texel_rate(warm, t, plan.iterations) } else { warm };
+            let base_rate = texel_rate(o, is_joint.then_some((t, plan.iterations)));
             TexelStep {
                 // Maps that were laid out anew have no moments from the warm-up.
                 number: if is_joint && !self.finds_surface() { o.warmup + t + 1 } else { t + 1 },
@@ -338,6 +334,14 @@ impl Run<'_> {
         }
         Ok((!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64))
     }
+}
+
+/// Learning rate of texels in a warm-up or, where `joint` is (t, n), after t of the n iterations of the phase after it: there as after the
+/// usual warm-up or a longer one, as a short one is no reason to keep maps noisy to the end.
+pub(super) fn texel_rate(options: &TrainOptions, joint: Option<(u32, u32)>) -> f32 {
+    let usual = if joint.is_some() { TrainOptions::warmup_of(options.iterations) } else { 0 };
+    let warm = schedule::texel_rate(options.warmup.max(usual), options.dense_texels);
+    joint.map_or(warm, |(t, iterations)| schedule::joint_texel_rate(warm, t, iterations))
 }
 
 /// Whether something that happens after every `every` iterations (0: never) happens now.

@@ -69,19 +69,9 @@ impl<'a> Run<'a> {
             return Ok((None, selection));
         }
         let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
-        // Of all maps but the smallest, see `surface::band_side`.
-        let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(surface::BAND_TEXEL.pow(2));
-        let per_texel = 4.0 + mesh.atlas().bands().map_or(0.0, of_bands);
-        // With a budget, maps get a part of it in proportion to what they cover of the pictures, up to a limit: where splats are spread
-        // thinly, so are texels.
         let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
         let share = (covered / seen.max(1.0)).min(1.0);
-        let part = (MAPS_SHARE * share).min(MOST_FOR_MAPS);
-        let affordable = self.options.max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
-        let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
-        // Multiples of 32 have mips as far as gutters separate charts.
-        let largest = mesh.atlas().base().width();
-        let size = ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest);
+        let size = side_for(pixels, share, mesh.atlas(), self.options.max_floats);
         let charts_in = self.charts_in(training)?;
         Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size)?, selection))
     }
@@ -126,6 +116,20 @@ impl Score {
     fn pixels_per_view(&self) -> f64 {
         self.pixels / f64::from(self.views.max(1))
     }
+}
+
+/// Texels of a side of new maps, a multiple of 32 so that they have mips as far as gutters separate charts: for triangles of this many
+/// `pixels`, as far as a budget has room. With one, maps get a part of it in proportion to the `share` that they cover of the pictures, up to
+/// a limit: where splats are spread thinly, so are texels. At least 64 and at most as many as the maps of before have.
+fn side_for(pixels: f64, share: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
+    // Of all maps but the smallest, see `surface::band_side`.
+    let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(surface::BAND_TEXEL.pow(2));
+    let per_texel = 4.0 + before.bands().map_or(0.0, of_bands);
+    let part = (MAPS_SHARE * share).min(MOST_FOR_MAPS);
+    let affordable = max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
+    let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
+    let largest = before.base().width();
+    ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest)
 }
 
 /// Judging views that have to see each triangle: two, but one where the triangle of the median pixel is seen by three or fewer. In a room
@@ -271,6 +275,24 @@ mod tests {
         // Nor does the shell of the rest.
         assert_eq!((least(&few, &[(9, 500.0)], true), least(&[(5, 9.0)], &[(1, 500.0)], true)), (Some(1), Some(2)));
         assert_eq!((least(&[], &[(1, 9.0)], true), least(&[], &[], true)), (None, None));
+    }
+
+    #[test]
+    fn maps_get_a_part_of_a_budget_and_never_most_of_it() {
+        let atlas = |side, bands: Option<u32>| {
+            let bands = bands.map(|side| Texture::zeros(side, side, 9));
+            Atlas::new(Texture::zeros(side, side, 4), bands).unwrap()
+        };
+        let (plain, floats) = (atlas(512, None), Some(300_000));
+        // All of the pictures: .3 of 300,000 floats, four to a texel, are 150² texels; a fifth: .15 are 106².
+        assert_eq!([1.0, 0.2].map(|share| side_for(1e6, share, &plain, floats)), [160, 96]);
+        // A band of nine floats to 16 texels of colour takes from the same part: 140².
+        assert_eq!(side_for(1e6, 1.0, &atlas(512, Some(128)), floats), 128);
+        // Where there is room, two texels to a pixel, of which charts cover three fifths: 20,000 are 258² texels.
+        assert_eq!((side_for(2e4, 1.0, &plain, None), side_for(2e4, 1.0, &plain, Some(10_000_000))), (256, 256));
+        // Neither more than there were nor too few for charts.
+        assert_eq!((side_for(1e9, 1.0, &plain, None), side_for(0.0, 0.0, &plain, floats)), (512, 64));
+        assert_eq!(side_for(1.0, 1.0, &atlas(32, None), floats), 32);
     }
 
     #[test]

@@ -333,6 +333,25 @@ fn without_a_surface_splats_are_trained_alone() {
     }
 }
 
+/// Also where it was stopped since.
+#[test]
+fn a_resumed_run_says_why_it_has_no_surface() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
+    let options = TrainOptions { iterations: 40, surface_iterations: Some(10), max_splats: Some(5), ..options() };
+    let run = |resume: bool| {
+        let stop = AtomicBool::new(false);
+        let progress = &mut |p: &Progress| stop.store(!resume && p.phase == Phase::Joint, Ordering::Relaxed);
+        let checkpoints = checkpoints(&folder.path().join("checkpoint"), resume);
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress };
+        let trained = train(&capture, MeshSource::Splats, &options, session).unwrap();
+        (trained.outcome, trained.no_surface.unwrap())
+    };
+    let [(stopped, why), (finished, why_then)] = [false, true].map(run);
+    assert_eq!((stopped, finished), (Outcome::Interrupted, Outcome::Finished));
+    assert!(why.contains("surface") && why == why_then, "{why:?} {why_then:?}");
+}
+
 /// Nor do maps that have no room for its charts end the run.
 #[test]
 fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {

@@ -42,6 +42,19 @@ fn which_parameters_a_step_moves_is_a_choice() {
     }
 }
 
+/// A short warm-up has long steps, and the phase after it those of the usual one; a longer one has shorter steps throughout.
+#[test]
+fn a_short_warm_up_leaves_the_rates_after_it() {
+    let rates = |warmup: u32| {
+        let options = TrainOptions { iterations: 7000, warmup, ..options() };
+        [None, Some((0, 6000)), Some((6000, 6000))].map(|joint| phase::texel_rate(&options, joint))
+    };
+    let usual = TrainOptions::warmup_of(7000);
+    let [short, as_usual, long] = [100, usual, 2 * usual].map(rates);
+    assert!(short[0] > 3.0 * as_usual[0] && short[1..] == as_usual[1..], "{short:?} {as_usual:?}");
+    assert!((0..3).all(|k| long[k] < as_usual[k]) && as_usual[1] == as_usual[0], "{long:?} {as_usual:?}");
+}
+
 /// Also between the looks at the loss, which come every ten iterations.
 #[test]
 fn held_out_views_are_looked_at_as_often_as_asked() {
