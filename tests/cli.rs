@@ -53,6 +53,14 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
             "--surface points: expected points, found --no-points",
         ),
         (
+            &["train", "c", "-o", "a.glb", "--max-floats", "58"],
+            "--max-floats: expected at least the 59 of a splat of degree 3, found 58",
+        ),
+        (
+            &["train", "c", "-o", "a.glb", "--budget-mb", "0.00005", "--sh-degree", "0"],
+            "--budget-mb: expected at least the 0.000056 of a splat of degree 0, found 0.00005",
+        ),
+        (
             &["render", "a.glb", "-o", "a", "--layers", "--format", "png"],
             "--layers writes EXR files: leave --format png away",
         ),

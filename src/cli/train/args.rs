@@ -7,7 +7,7 @@ use centaur::capture::{self, Capture, LoadOptions, Split};
 use centaur::format::mesh_import;
 use centaur::geometry::{MeshBvh, Surface};
 use centaur::optimize::{Background, Density, MeshSource, TrainOptions};
-use centaur::scene::OrderMode;
+use centaur::scene::{OrderMode, Splats};
 use clap::ValueEnum;
 use glam::DVec3;
 
@@ -361,6 +361,13 @@ impl Args {
         }
         let of_points = matches!(self.surface, Some(SurfaceOf::Points));
         usage::demand(!(of_points && self.no_points), "--surface points: expected points, found --no-points")?;
+        let (least, of) = (Splats::floats_each(self.sh_degree), format!("of a splat of degree {}", self.sh_degree));
+        if let Some(floats) = self.options().max_floats.filter(|floats| *floats < least) {
+            return Err(usage::wrong(match self.budget_mb {
+                Some(mb) => format!("--budget-mb: expected at least the {} {of}, found {mb}", 4e-6 * least as f64),
+                None => format!("--max-floats: expected at least the {least} {of}, found {floats}"),
+            }));
+        }
         let checkpoint = self.checkpoint();
         ensure!(!self.resume || checkpoint.is_file(), "{}: expected a checkpoint, found none", checkpoint.display());
         Ok(())
