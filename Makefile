@@ -160,7 +160,7 @@ bench-slurm: ## `centaur bench` as an array of Slurm, two nodes on this machine 
 	@export PATH=$$PATH:/usr/sbin; for daemon in slurmctld slurmd munged; do command -v $$daemon >/dev/null || { scripts/install.sh slurm-wlm munge; break; }; done
 	cargo build --release --quiet
 	@rm -rf target/bench-slurm && mkdir -p target/bench-slurm
-	$(PYTHON) tests/oracles/check_bench_slurm.py target/release/centaur demo target/bench-slurm
+	$(PYTHON) tests/oracles/check_bench_slurm.py "$$(scripts/program.sh)" demo target/bench-slurm
 
 oracle-colmap: $(ORACLES)/installed ## COLMAP's camera models by pycolmap
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py

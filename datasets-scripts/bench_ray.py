@@ -32,7 +32,7 @@ def open_jobs(program, options):
     if listed.returncode:
         raise SystemExit(listed.returncode)
     # A line begins with the program's own path, which other nodes may have elsewhere, and `bench`.
-    return [[*program, "bench", "--quiet", *shlex.split(line)[2:]] for line in listed.stdout.splitlines()]
+    return [[*program, "bench", "--quiet", *shlex.split(line)[2:]] for line in listed.stdout.split("\n") if line]
 
 
 def with_option(options, option):

@@ -9,7 +9,7 @@ theirs=${CENTAUR_SPLAT_TRANSFORM:?names the program splat-transform; make conver
 ours=${CENTAUR:-}
 if [ -z "$ours" ]; then
     cargo build --release --quiet
-    ours=$(cargo metadata --format-version 1 --no-deps | sed 's/.*"target_directory":"\([^"]*\)".*/\1/')/release/centaur
+    ours=$(scripts/program.sh)
 fi
 export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-/tmp}
 folder=$(mktemp -d "${TMPDIR:-/tmp}/centaur-convert.XXXXXX")

@@ -30,7 +30,11 @@ def results(folder, variants=VARIANTS):
         for file in sorted((folder / variant).glob("*.json")):
             result = json.loads(file.read_text())
             if "job" in result:
-                scenes.setdefault(result["job"]["scene"], {v: [] for v in variants})[variant].append({**result["evaluation"], "seed": result["job"]["seed"]})
+                job, evaluation = result["job"], {**result["evaluation"], "seed": result["job"]["seed"]}
+                # Jobs that shared a machine took longer by it.
+                if job.get("at_a_time") != 1:
+                    evaluation.pop("seconds_per_iteration", None)
+                scenes.setdefault(job["scene"], {v: [] for v in variants})[variant].append(evaluation)
     return scenes
 
 

@@ -10,6 +10,8 @@ iterations=${SCALES_ITERATIONS:-1000}
 out=${SCALES_OUT:-out/scales}/$floats-$iterations
 [ -n "${SCALES_CENTAUR:-}" ] || cargo build --release --quiet
 centaur() { if [ -n "${SCALES_CENTAUR:-}" ]; then "$SCALES_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+# A training that is stopped ends well, which a shell takes for the end of that command alone.
+trap 'exit 130' INT
 
 hybrid=(--surface-iterations $((iterations * 6 / 10)) --warmup $((iterations * 6 / 10)) --layers 1 --triangles 6000 --texture-size 512)
 mkdir -p "$out"
@@ -26,7 +28,12 @@ for name in "$@"; do
             flags=(--no-mesh)
             [ $kind = splats ] || flags=("${hybrid[@]}")
             [ $filters = none ] || flags+=(--antialias)
+            [ ! -f "$scene.glb.checkpoint" ] || flags+=(--resume)
             [ -f "$scene.glb" ] || centaur train "$capture" -o "$scene.glb" --downscale 4 --iterations "$iterations" --max-floats "$floats" "${flags[@]}"
+            if [ ! -f "$scene.glb" ]; then
+                echo "$name: stopped; the same command goes on" >&2
+                exit 1
+            fi
             for size in 8 4 2 1; do
                 [ ! -f "$scene-$size.json" ] || continue
                 # Written whole or not at all.

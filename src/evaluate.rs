@@ -171,6 +171,9 @@ pub struct Comparison {
 
 impl Comparison {
     /// Of a photograph and what a scene of this composition shows of it.
+    ///
+    /// # Panics
+    /// If the photograph says that it has more pixels than it has.
     #[must_use]
     pub fn new(photo: &Photo, picture: &Picture, composition: &Composition) -> Self {
         let space = composition.color_space;

@@ -80,9 +80,10 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert_eq!(std::fs::read_to_string(at("out/table.md")).unwrap(), table);
     assert_eq!(at("out/splats/two-0.glb").metadata().unwrap().modified().unwrap(), written, "it was trained again");
     assert!(at("out/hybrid/one-0/report.html").is_file());
-    assert_eq!(said(&bench(folder.path(), &["--list"], COARSE)).0, "");
+    let done = bench(folder.path(), &["--list"], COARSE);
+    assert!(done.status.success() && said(&done).0.is_empty(), "{:?}", said(&done));
 
-    for own in ["-o s.glb", "--seed=7"] {
+    for own in ["-o s.glb", "-os.glb", "--seed=7"] {
         let mut command = centaur(folder.path());
         let output = command.args(["bench", "scenes", "-o", "new", "--"]).args(own.split(' ')).output().unwrap();
         let message = said(&output).1;

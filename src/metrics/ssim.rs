@@ -22,7 +22,8 @@ pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
     ssim(truth, render, Border::Zero)
 }
 
-/// SSIM over windows that lie inside the image only (MATLAB, scikit-image, `NerfBaselines`).
+/// SSIM over windows that lie inside the image only: as Wang's `ssim.m`, which some call MATLAB's, without its scaling down, scikit-image
+/// with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`, and `NerfBaselines`.
 ///
 /// # Errors
 /// If the sizes differ or a side is shorter than the window of 11 pixels.

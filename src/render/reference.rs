@@ -89,8 +89,9 @@ pub struct Projected {
 }
 
 /// The mesh layers of every pixel, row-major: nearest first, at most as many as the scene's composition keeps.
+#[cfg(test)]
 #[must_use]
-pub fn mesh_layers(scene: &HybridScene, camera: &Camera) -> Vec<Vec<Fragment>> {
+pub(crate) fn mesh_layers(scene: &HybridScene, camera: &Camera) -> Vec<Vec<Fragment>> {
     View::new(scene, camera, &Parameters::of(scene)).layers
 }
 

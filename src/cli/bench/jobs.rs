@@ -54,9 +54,11 @@ pub(super) fn chooses_pictures(word: &str) -> bool {
     is_one_of(word, &OF_PROTOCOL)
 }
 
-/// Whether a word is one of these flags, with its value or before it.
+/// Whether a word is one of these flags, with its value or before it. That of a short one may follow without a sign.
 fn is_one_of(word: &str, flags: &[&str]) -> bool {
-    word.split('=').next().is_some_and(|name| flags.contains(&name))
+    let short = if word.starts_with("--") { None } else { word.get(..2) };
+    let long = word.split('=').next();
+    [short, long].into_iter().flatten().any(|name| flags.contains(&name))
 }
 
 /// The flags of a scene that those of the command and the variant leave: none of its size if they say one, which goes with no other.
@@ -338,6 +340,10 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
         match name.to_str() {
             // Of programs that keep something there.
             Some(name) if name.starts_with('.') => {}
+            // Jobs are listed one to a line.
+            Some(name) if name.contains(char::is_control) => {
+                output::note(&format!("{name:?}: left out: its name holds a control character"));
+            }
             Some(name) => {
                 found.insert(name.to_owned(), Scene { capture: name.into(), flags: vec![] });
             }
@@ -414,6 +420,14 @@ mod tests {
         }
         std::fs::create_dir(folder.path().join("notes")).unwrap();
         folder
+    }
+
+    /// Elsewhere no file has such a name.
+    #[cfg(unix)]
+    #[test]
+    fn names_fit_a_line() {
+        let folder = dataset(&["a b's", "a\nb", "a\u{c}b", ".kept"]);
+        assert_eq!(scenes(folder.path()).unwrap().into_keys().collect::<Vec<_>>(), ["a b's"]);
     }
 
     #[test]

@@ -85,7 +85,7 @@ static KNOWN: [Known; 5] = [
         scenes: &OF_MIPNERF360,
         pictures: Pictures::Of(Protocol::B),
         longer_side: OF_EITHER_PROTOCOL,
-        note: "the nine scenes of Mip-NeRF 360 as the papers of Mip-Splatting and HERA print them; LPIPS by VGG of colours 0…1",
+        note: "the nine scenes of Mip-NeRF 360 as the paper of HERA prints them; LPIPS by VGG of colours 0…1",
         normalized: false,
         means: &[
             other_pictures("Mip-NeRF 360", [27.57, 0.793, 0.234]),

@@ -81,7 +81,8 @@ pub(in crate::cli) struct Args {
     /// threads there are and wherever it was resumed
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION)]
     pub(super) seed: u64,
-    /// Save a checkpoint after every N iterations and at the end of each phase; 0 for none but that of Ctrl-C
+    /// Save a checkpoint after every N iterations and at the end of each phase; 0 for none but that of Ctrl-C while it trains,
+    /// so that what is stopped while it is scored begins anew
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
           help_heading = OPTIMISATION)]
     pub(super) checkpoint_every: u32,

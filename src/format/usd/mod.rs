@@ -127,13 +127,14 @@ fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
 /// Everything else that is optimised comes back bit for bit.
 ///
 /// # Errors
-/// If a file cannot be written, or a `.usdz` would hold a file of more than 4 GiB.
+/// If a file cannot be written, a `.usdz` would hold a file of more than 4 GiB, or the composition is not valid.
 pub fn write(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
     record: Option<&serde_json::Value>,
 ) -> Result<(u64, Vec<String>), FormatError> {
+    scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
     let is_package = has_extension(path, &["usdz"]);
     let prefix = if is_package { String::new() } else { format!("{}_", exchange::stem(path, ".usda")) };
     let failed = |reason| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };

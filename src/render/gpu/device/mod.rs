@@ -52,7 +52,7 @@ impl Gpu {
     ///
     /// # Errors
     /// As [`Gpu::open`].
-    pub fn open_restricted(wanted: Option<&str>, subgroups: bool) -> Result<Self, GpuError> {
+    pub(crate) fn open_restricted(wanted: Option<&str>, subgroups: bool) -> Result<Self, GpuError> {
         let all = adapters();
         let adapter = &all[choose(wanted, &summaries(&all))?];
         let info = adapter.get_info();
