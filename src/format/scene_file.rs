@@ -144,7 +144,12 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
             let (bytes, loss) = match options.source {
                 Some(source) => {
                     let (bytes, stands) = gltf::write_over(path, scene, options.cameras, source)?;
-                    (bytes, if stands { Loss::default() } else { dropping(source, of_linear_values(splats)) })
+                    let loss = if stands {
+                        Loss { document: source.unfound(), ..Loss::default() }
+                    } else {
+                        dropping(source, of_linear_values(splats))
+                    };
+                    (bytes, loss)
                 }
                 None => {
                     let bytes = gltf::write_glb(path, scene, options.cameras, options.record.cloned())?;
@@ -157,7 +162,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
         "usda" | "usdz" => {
             let (bytes, beside) = usd::write(path, scene, options.cameras, options.record)?;
             let loss = Loss { attributes: names(options.attributes), ..of_linear_values(splats) };
-            let loss = options.source.map_or(loss.clone(), |source| dropping(source, loss));
+            let loss = options.source.map_or(loss.clone(), |source| dropping_all(source, loss));
             return Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() });
         }
         "xml" | "py" if extension == "xml" || name.ends_with(blender::SUFFIX) => {
@@ -234,12 +239,18 @@ fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, stated_filter:
     let composition = !scene.meshes.is_empty() || !plain;
     let record = options.record.is_some();
     let loss = Loss { meshes: scene.meshes.len(), cameras: options.cameras.len(), composition, record, ..loss };
-    options.source.map_or(loss.clone(), |source| dropping(source, loss))
+    options.source.map_or(loss.clone(), |source| dropping_all(source, loss))
 }
 
 /// What was in the document and is not in the scene goes with the document.
 fn dropping(source: &gltf::Source, loss: Loss) -> Loss {
     Loss { document: source.remainder().iter().map(ToString::to_string).collect(), ..loss }
+}
+
+/// As [`dropping`], with what only another glTF can hold.
+fn dropping_all(source: &gltf::Source, loss: Loss) -> Loss {
+    let loss = dropping(source, loss);
+    Loss { document: [loss.document, source.of_the_file()].concat(), ..loss }
 }
 
 fn names(attributes: &[Attribute]) -> Vec<String> {

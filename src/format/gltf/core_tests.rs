@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 
+use super::extension::HYBRID;
 use super::*;
 use crate::base64;
 use crate::format::{WriteOptions, activation, read_file, write_scene};
@@ -534,6 +535,23 @@ fn cameras_with_and_without_perspective() {
     assert_eq!((name.as_str(), k.width, k.height), ("wide", 2160, 1080));
     assert!((2.0 * (540.0 / k.fy).atan() - 1.0).abs() < 1e-6);
     assert!(file.notes.iter().any(|n| n.contains("camera left out: it is orthographic")), "{:?}", file.notes);
+}
+
+/// The near plane of a hybrid is asked of all cameras; `gltf` panics over one that is not what it says.
+#[test]
+fn a_camera_without_what_its_type_names_is_left_out() {
+    let (b, attributes) = triangle();
+    let file = b
+        .read(json!({
+            "extensionsUsed": [HYBRID],
+            "scenes": [{ "nodes": [0, 1], "extensions": { HYBRID: { "colorSpace": "srgb_rec709_display" } } }],
+            "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+            "nodes": [{ "mesh": 0 }, { "camera": 0 }],
+            "cameras": [{ "type": "perspective", "orthographic": { "xmag": 1, "ymag": 1, "zfar": 10, "znear": 0.1 } }],
+        }))
+        .unwrap();
+    assert!(file.cameras.is_empty() && file.scene.composition.near == Composition::default().near);
+    assert!(file.notes.iter().any(|n| n.contains("camera left out")), "{:?}", file.notes);
 }
 
 #[test]

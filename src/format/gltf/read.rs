@@ -131,11 +131,10 @@ pub(super) fn cameras(
 
 /// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras otherwise.
 fn least_near(document: &gltf::Document) -> f32 {
-    let znear = |camera: gltf::Camera<'_>| match camera.projection() {
-        gltf::camera::Projection::Perspective(p) if p.znear() > 0.0 && p.znear().is_finite() => Some(p.znear()),
-        _ => None,
-    };
-    document.cameras().filter_map(znear).reduce(f32::min).unwrap_or(Composition::default().near)
+    // As JSON: the crate panics where what `type` names is not there.
+    let perspectives = document.as_json().cameras.iter().filter_map(|camera| camera.perspective.as_ref());
+    let nears = perspectives.map(|p| p.znear).filter(|znear| *znear > 0.0 && znear.is_finite());
+    nears.reduce(f32::min).unwrap_or(Composition::default().near)
 }
 
 /// The scene's contract; without one, defaults in the colour space of the first splat primitive.

@@ -133,7 +133,7 @@ fn is_taken_over(name: &str) -> bool {
 }
 
 /// Whether it has extras besides our own, which are written anew.
-fn has_extras(object: &Value) -> bool {
+pub(super) fn has_extras(object: &Value) -> bool {
     match object.get("extras") {
         None => false,
         Some(Value::Object(extras)) => extras.keys().any(|key| key != EXTRAS),

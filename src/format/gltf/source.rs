@@ -15,11 +15,11 @@ use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract, extension_of};
 use super::lift::Asset;
 use super::motion::Clip;
 use super::moving::Moving;
-use super::remainder::{Remnant, Role, remainder};
+use super::remainder::{Remnant, Role, has_extras, remainder};
 use super::transform::{FLIP, is_ours};
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
-use crate::format::error::FormatError;
+use crate::format::error::{FormatError, one_line};
 use crate::format::placed::similarity;
 use crate::scene::{Camera, Composition, HybridScene, SceneError};
 
@@ -59,6 +59,8 @@ struct Content {
     buffers: Vec<Buffer>,
     /// Images outside buffers, by index.
     images: HashMap<usize, Vec<u8>>,
+    /// `uri`s of those that are not there.
+    unfound: Vec<String>,
 }
 
 impl Source {
@@ -76,9 +78,18 @@ impl Source {
         let content = keep.then(|| {
             let listed = root.get("images").and_then(Value::as_array).into_iter().flatten().enumerate();
             // What cannot be found stays a reference.
-            let images =
-                listed.filter_map(|(i, image)| Some((i, uri::resolve(image.get("uri")?.as_str()?, &folder).ok()?)));
-            Content { images: images.collect(), buffers }
+            let (mut images, mut unfound) = (HashMap::new(), vec![]);
+            for (i, uri) in listed.filter_map(|(i, image)| Some((i, image.get("uri")?.as_str()?))) {
+                match uri::resolve(uri, &folder) {
+                    Ok(bytes) => {
+                        images.insert(i, bytes);
+                    }
+                    Err(_) => unfound.push(one_line(uri).into_owned()),
+                }
+            }
+            unfound.sort_unstable();
+            unfound.dedup();
+            Content { images, unfound, buffers }
         });
         Self {
             root,
@@ -154,6 +165,21 @@ impl Source {
     #[must_use]
     pub fn remainder(&self) -> &[Remnant] {
         &self.remainder
+    }
+
+    /// What concerns the file as a whole, and goes into another glTF where the document does not stand: in words.
+    pub(in crate::format) fn of_the_file(&self) -> Vec<String> {
+        let at = |path: &str| self.root.pointer(path);
+        let scene = format!("/scenes/{}", self.scene());
+        let has_extras = ["/asset", "", &scene].into_iter().filter_map(at).any(has_extras);
+        let parts = [(at("/asset/copyright").is_some(), "the copyright"), (has_extras, "extras of the file")];
+        parts.into_iter().filter(|part| part.0).map(|part| part.1.to_owned()).collect()
+    }
+
+    /// Pictures that the document names and that were not found, in words: a document that is written again names them still.
+    pub(in crate::format) fn unfound(&self) -> Vec<String> {
+        let unfound = self.content.iter().flat_map(|content| &content.unfound);
+        unfound.map(|uri| format!("the picture `{uri}`, which was not found")).collect()
     }
 
     /// Leaves out of [`Source::remainder`] what has such a role: it is not wanted.
@@ -271,7 +297,7 @@ impl Source {
             object.as_object_mut().map(|o| o.remove(key));
         }
         merge(object, &new);
-        if !root.get("extensionsUsed").and_then(Value::as_array).is_some_and(|used| used.iter().any(|n| n == HYBRID)) {
+        if !lists(root, "extensionsUsed", HYBRID) {
             push(root, "extensionsUsed", json!(HYBRID));
         }
     }
@@ -348,12 +374,15 @@ impl Content {
             buffers.push(whole);
         }
         // A plain form of compressed views that lies in a file of its own is not taken along: then they are required.
-        let mut left = false;
-        for placeholder in &mut placeholders {
-            left |= placeholder.as_object_mut().and_then(|buffer| buffer.remove("uri")).is_some();
-        }
-        if left {
-            meshopt::NAMES.iter().for_each(|name| require(root, name));
+        for placeholder in placeholders.iter_mut().filter(|buffer| buffer.get("uri").is_some()) {
+            placeholder.as_object_mut().map(|buffer| buffer.remove("uri"));
+            for name in meshopt::NAMES {
+                if lists(root, "extensionsUsed", name) {
+                    require(root, name);
+                    // Only a buffer that says so may lack a file.
+                    object_at(object_at(placeholder, "extensions"), name)["fallback"] = json!(true);
+                }
+            }
         }
         buffers.append(&mut placeholders);
         if !buffers.is_empty() {
@@ -363,12 +392,14 @@ impl Content {
     }
 }
 
+/// Whether a list of the document has that name.
+fn lists(root: &Value, key: &str, name: &str) -> bool {
+    root.get(key).and_then(Value::as_array).is_some_and(|list| list.iter().any(|n| n == name))
+}
+
 /// Adds a used extension to those that are required.
 fn require(root: &mut Value, name: &str) {
-    let lists = |root: &Value, key: &str| {
-        root.get(key).and_then(Value::as_array).is_some_and(|list| list.iter().any(|n| n == name))
-    };
-    if lists(root, "extensionsUsed") && !lists(root, "extensionsRequired") {
+    if lists(root, "extensionsUsed", name) && !lists(root, "extensionsRequired", name) {
         push(root, "extensionsRequired", json!(name));
     }
 }
@@ -395,7 +426,8 @@ fn move_view(view: &mut Value, places: &[(usize, usize)]) {
     let offset = view.get("byteOffset").and_then(Value::as_u64).unwrap_or(0);
     view["buffer"] = json!(buffer);
     if start > 0 {
-        view["byteOffset"] = json!(start as u64 + offset);
+        // Nobody has looked at views that nothing refers to.
+        view["byteOffset"] = json!((start as u64).saturating_add(offset));
     }
 }
 

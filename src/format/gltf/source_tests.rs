@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
+use super::extension::EXTRAS;
 use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::base64;
@@ -195,9 +196,10 @@ fn a_changed_scene_is_written_anew_and_what_is_dropped_is_named() {
         "the extension EXT_unknown",
         "extras",
     ];
-    for name in ["out.glb", "out.ply"] {
+    // What is of the file goes into another glTF.
+    for (name, of_the_file) in [("out.glb", &[][..]), ("out.ply", &["the copyright", "extras of the file"])] {
         let report = write_scene(&at(name), &scene, &options).unwrap();
-        assert_eq!(report.loss.document, dropped);
+        assert_eq!(report.loss.document, [&dropped[..], of_the_file].concat());
         assert!(
             !report.loss.is_rounding() && report.loss.to_string().contains("1 animation; 1 skin"),
             "{}",
@@ -275,7 +277,8 @@ fn files_beside_the_document_are_taken_in() {
     let mut source = file.source.unwrap();
     source.follow(turned(), &file.scene, &[]);
     let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
-    assert!(write_scene(&out, &file.scene, &options).unwrap().loss.is_none());
+    let loss = write_scene(&out, &file.scene, &options).unwrap().loss;
+    assert_eq!(loss.to_string(), "the picture `missing.png`, which was not found");
     let (json, buffers) = opened(&out);
     assert_eq!(buffers.len(), 1);
     assert_eq!(json["images"][1]["uri"], "missing.png", "what is not there stays a reference");
@@ -316,6 +319,109 @@ fn without_its_bytes_a_document_does_not_stand() {
     let (file, moving) = read::scene_and_motion(&asset, &[]).map_err(|_| ()).unwrap();
     let source = Source::new(asset, &file.scene, &file.cameras, moving, false);
     assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
+}
+
+/// A triangle whose material names that picture.
+fn pictured(uri: &str) -> (Builder, Value) {
+    let (b, attributes) = triangle();
+    let document = json!({
+        "asset": { "version": "2.0" },
+        "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+        "materials": [{ "normalTexture": { "index": 0 } }],
+        "textures": [{ "source": 0 }], "images": [{ "uri": uri }],
+    });
+    (b, document)
+}
+
+/// What a copy elsewhere lacks is said, also where the picture is there but outside of the folder.
+#[test]
+fn pictures_that_were_not_found_are_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("in");
+    std::fs::create_dir(&inner).unwrap();
+    std::fs::write(folder.path().join("n.png"), "which nobody decodes").unwrap();
+    for uri in ["../n.png", "none.png"] {
+        let (b, document) = pictured(uri);
+        std::fs::write(inner.join("a.gltf"), b.file(&document)).unwrap();
+        let file = read_file(&inner.join("a.gltf"), &KEEP).unwrap();
+        let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+        let report = write_scene(&inner.join("b.glb"), &file.scene, &options).unwrap();
+        assert_eq!(report.loss.document, [format!("the picture `{uri}`, which was not found")]);
+        assert_eq!(opened(&inner.join("b.glb")).0["images"][0]["uri"], uri);
+    }
+}
+
+/// Another glTF takes them over, other formats do not.
+#[test]
+fn the_copyright_and_extras_of_the_file_are_lost_elsewhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, attributes) = triangle();
+    let document = |asset: Value, scene: Value| {
+        json!({
+            "asset": asset, "scenes": [scene], "nodes": [{ "mesh": 0 }],
+            "meshes": [{ "primitives": [{ "attributes": attributes.clone() }] }],
+        })
+    };
+    let lost = |document: &Value, name: &str| {
+        std::fs::write(at("a.gltf"), b.file(document)).unwrap();
+        let file = read_file(&at("a.gltf"), &KEEP).unwrap();
+        let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
+        write_scene(&at(name), &file.scene, &options).unwrap().loss.document
+    };
+    let ours = json!({ "version": "2.0", "extras": { EXTRAS: { "psnr": 30.5 } } });
+    assert_eq!(lost(&document(ours, json!({ "nodes": [0] })), "b.usda"), Vec::<String>::new());
+    let theirs = json!({ "version": "2.0", "copyright": "us" });
+    let theirs = document(theirs, json!({ "nodes": [0], "extras": { "of": "scene" } }));
+    assert_eq!(lost(&theirs, "b.usda"), ["the copyright", "extras of the file"]);
+    assert_eq!(lost(&theirs, "b.ply"), ["the copyright", "extras of the file"]);
+    assert_eq!(lost(&theirs, "b.glb"), Vec::<String>::new());
+}
+
+/// Nothing looks at a view that nothing refers to, until buffers become one.
+#[test]
+fn a_view_that_begins_beyond_all_numbers_is_written_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, document) = rich();
+    let mut document: Value = serde_json::from_slice(&b.file(&document)).unwrap();
+    let data = |bytes: &[u8]| format!("data:application/octet-stream;base64,{}", base64::encode(bytes));
+    let mut add = |key: &str, value: Value| document[key].as_array_mut().unwrap().push(value);
+    add("buffers", json!({ "byteLength": 4, "uri": data(b"abcd") }));
+    add("bufferViews", json!({ "buffer": 1, "byteOffset": u64::MAX, "byteLength": 1 }));
+    std::fs::write(at("a.gltf"), document.to_string()).unwrap();
+    let file = read_file(&at("a.gltf"), &KEEP).unwrap();
+    let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+    let mut source = file.source.clone().unwrap();
+    source.follow(turned(), &file.scene, &file.cameras);
+    let options = WriteOptions { source: Some(&source), ..options };
+    write_scene(&at("b.glb"), &file.scene, &options).unwrap();
+    assert_eq!(read_file(&at("b.glb"), &KEEP).unwrap().scene, file.scene);
+}
+
+/// The plain form of compressed views is not taken along; a buffer without a file has to say why.
+#[test]
+fn a_plain_form_that_is_left_out_says_that_it_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let compressed = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/meshopt/khr_float.glb");
+    let (mut document, buffers) = opened(&compressed);
+    let data = format!("data:application/octet-stream;base64,{}", base64::encode(&buffers[0]));
+    document["buffers"][0]["uri"] = json!(data);
+    let length = document["buffers"][1]["byteLength"].as_u64().unwrap() as usize;
+    std::fs::write(at("plain.bin"), vec![0; length]).unwrap();
+    document["buffers"][1] = json!({ "byteLength": length, "uri": "plain.bin" });
+    document["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
+    std::fs::write(at("a.gltf"), document.to_string()).unwrap();
+    let file = read_file(&at("a.gltf"), &KEEP).unwrap();
+    let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+    write_scene(&at("b.glb"), &file.scene, &options).unwrap();
+    let (written, _) = opened(&at("b.glb"));
+    let expected = json!({ "byteLength": length, "extensions": { "KHR_meshopt_compression": { "fallback": true } } });
+    assert_eq!(written["buffers"][1], expected);
+    assert_eq!(written["extensionsRequired"], json!(["KHR_mesh_quantization", "KHR_meshopt_compression"]));
+    assert_eq!(crate::format::validate(&at("b.glb")).unwrap().findings, []);
 }
 
 /// Reads, describes and writes what may be damaged.

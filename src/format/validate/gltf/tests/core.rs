@@ -17,6 +17,7 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_LENGTH", "/nodes/0/rotation", |f| f.json["nodes"][0]["rotation"] = json!([0, 0, 1])),
     ("SCHEMA_RANGE", "/cameras/0/perspective/znear", |f| f.json["cameras"][0]["perspective"]["znear"] = json!(0)),
     ("SCHEMA_UNIQUE", "/skins/0/joints", |f| f.json["skins"][0]["joints"] = json!([0, 0])),
+    ("SCHEMA_CHOICE", "/cameras/0", |f| f.json["cameras"][0]["type"] = json!("orthographic")),
     ("SCHEMA_CHOICE", "/images/0", |f| f.json["images"][0]["uri"] = json!("a.png")),
     // References.
     ("INDEX_RANGE", "/scene", |f| f.json["scene"] = json!(9)),
