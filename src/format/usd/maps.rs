@@ -47,7 +47,8 @@ pub(super) fn from_exr(file: &[u8], is_base: bool, budget: &mut MapBudget) -> Re
     let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(file), true).map_err(unreadable)?;
     let header = meta.headers.first().ok_or_else(|| ("an EXR image".to_owned(), "none in the file".to_owned()))?;
     let (width, height) = (header.layer_size.x(), header.layer_size.y());
-    let samples = width as u64 * height as u64 * header.channels.list.len() as u64;
+    // A window may be so large that there is no number of its samples.
+    let samples = [height, header.channels.list.len()].iter().fold(width as u64, |n, &m| n.saturating_mul(m as u64));
     if meta.headers.len() > 1
         || width.max(height) > Texture::MAX_SIDE as usize
         || samples / MAX_PIXEL_RATIO > file.len() as u64

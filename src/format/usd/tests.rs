@@ -588,6 +588,32 @@ fn paths_do_not_lead_out_of_folder_or_package() {
     assert!(error.contains("expected a file of the package, found `../a_mesh_0_color.png`"), "{error}");
 }
 
+/// Of a window that EXR allows and more channels than four, no 64 bits hold the number of samples.
+#[test]
+fn maps_of_any_window_are_refused_in_one_line() {
+    let mut bytes = [20_000_630, 2].map(u32::to_le_bytes).concat();
+    let mut attribute = |name: &str, kind: &str, value: &[u8]| {
+        let length = (value.len() as u32).to_le_bytes();
+        bytes.extend([name.as_bytes(), &[0], kind.as_bytes(), &[0], &length, value].concat());
+    };
+    // 32-bit floats of every pixel, eight times.
+    let channel = |name: char| [&[name as u8, 0][..], &[2_i32, 0, 1, 1].map(i32::to_le_bytes).concat()].concat();
+    attribute("channels", "chlist", &[('a'..='h').flat_map(channel).collect(), vec![0]].concat());
+    attribute("compression", "compression", &[3]);
+    let (least, most) = (-(1 << 30) + 2, (1 << 30) - 3);
+    let window = [least, least, most, most].map(i32::to_le_bytes).concat();
+    attribute("dataWindow", "box2i", &window);
+    attribute("displayWindow", "box2i", &window);
+    attribute("lineOrder", "lineOrder", &[0]);
+    attribute("pixelAspectRatio", "float", &1_f32.to_le_bytes());
+    attribute("screenWindowCenter", "v2f", &[0; 8]);
+    attribute("screenWindowWidth", "float", &1_f32.to_le_bytes());
+    bytes.push(0);
+    let (expected, found) = maps::from_exr(&bytes, false, &mut MapBudget::new(0)).unwrap_err();
+    assert_eq!(expected, "one EXR image that its file can hold");
+    assert_eq!(found, format!("1 of 2147483644×2147483644 in {} bytes", bytes.len()));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
