@@ -56,6 +56,12 @@ pub(super) fn from_exr(file: &[u8], is_base: bool, budget: &mut MapBudget) -> Re
         let found = format!("{} of {width}×{height} in {} bytes", meta.headers.len(), file.len());
         return Err(("one EXR image that its file can hold".to_owned(), found));
     }
+    // Others beside those of a degree are not asked for.
+    let names = channel_names(if is_base { 4 } else { (header.channels.list.len() / 3 * 3) as u32 });
+    if !is_base && ![9, 24, 45].contains(&names.len()) {
+        let found = header.channels.list.len().to_string();
+        return Err(("9, 24 or 45 channels, of the SH bands above the first".to_owned(), found));
+    }
     // One that alone is too large leaves their room to the others.
     MapBudget::of(file).spend(samples)?;
     budget.include(identity(file));
@@ -69,7 +75,6 @@ pub(super) fn from_exr(file: &[u8], is_base: bool, budget: &mut MapBudget) -> Re
         .from_buffered(Cursor::new(file))
         .map_err(unreadable)?;
     let planes = &image.layer_data.channel_data.list;
-    let names = if is_base { channel_names(4) } else { channel_names(planes.len() as u32) };
     let mut texels = vec![0.0; width * height * names.len()];
     for (c, name) in names.iter().enumerate() {
         let plane = planes.iter().find(|p| p.name.eq(name.as_str()));

@@ -182,7 +182,7 @@ impl<'a> Materials<'a> {
         let mut atlas = || {
             let base = read(names::BASE_MAP, base)?;
             let bands = bands.map(|path| read(names::BANDS_MAP, path)).transpose()?;
-            Atlas::new(base, bands).map_err(|e| fault(names::BASE_MAP, (e.expected, e.found)))
+            Atlas::new(base, bands).map_err(|e| fault(names::BANDS_MAP, (e.expected, e.found)))
         };
         Some(atlas())
     }

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::format::map_budget::MapBudget;
 use crate::format::test_scenes::{black_png, camera, random_scene};
-use crate::scene::{ColorSpace, Splats, sh};
+use crate::scene::{ColorSpace, Splats, Texture, sh};
 
 fn assert_close(a: &Splats, b: &Splats) {
     assert_eq!((a.means(), a.sh_degree(), a.sh()), (b.means(), b.sh_degree(), b.sh()));
@@ -454,6 +454,26 @@ def Mesh "M" {
     assert_eq!((blue.corner_uvs()[1], red.corner_uvs()[1]), ([Vec2::new(0.2, 1.0); 3], [Vec2::new(0.1, 1.0); 3]));
     let color = |mesh: &crate::scene::Mesh| sh::rgb_from_dc(mesh.atlas().base().texels()[..3].try_into().unwrap());
     assert_eq!([color(blue), color(red)].map(|rgb| rgb.map(f32::round)), [[0., 0., 1.], [1., 0., 0.]]);
+}
+
+/// Maps of bands with as many channels as no degree has, beside a map that is fine.
+#[test]
+fn a_map_of_bands_is_named_by_its_channels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usda");
+    let mut scenes = (0..9).map(|seed| random_scene(0, 1, 1, seed));
+    let scene = scenes.find(|scene| scene.meshes[0].atlas().bands().is_some()).unwrap();
+    write(&path, &scene, &[], None).unwrap();
+    for channels in [1, 2, 4, 5, 12] {
+        let names: Vec<String> = (0..channels).map(|i| format!("c{i:02}")).collect();
+        let map = Texture::new(1, 1, channels, vec![0.0; channels as usize]).unwrap();
+        let file = crate::format::exr::encode(&map, 0, &names).unwrap();
+        std::fs::write(folder.path().join("a_mesh_0_bands.exr"), file).unwrap();
+        let expected = "9, 24 or 45 channels, of the SH bands above the first";
+        let message = format!("those of the material are shown: expected {expected}, found {channels}");
+        let notes = read(&path).unwrap().notes;
+        assert_eq!(notes[0], format!("/Scene/mesh_0.centaur:bandsMap: the maps are lost, {message}"));
+    }
 }
 
 #[test]
