@@ -20,11 +20,15 @@ use crate::format::error::Fault;
 /// What a file begins with.
 pub(in crate::format::usd) const MAGIC: &[u8] = b"PXR-USDC";
 
-/// Numbers of 8 bytes that what is made of a file of so many bytes may take, all its values together. Compressed, an array of equal numbers takes a
-/// thousandth of this, but nobody's whole file is made of those.
+/// Numbers of 8 bytes that what is made of a file of so many bytes may take, its tables and all its values together. Compressed, an array of equal
+/// numbers takes a thousandth of this, but nobody's whole file is made of those: the barest of prims takes 8 bytes of it, and one of
+/// forty properties that are as in all others one byte for each.
 fn most_values(bytes: usize) -> usize {
-    (1 << 16) + bytes.saturating_mul(32)
+    (1 << 16) + bytes.saturating_mul(64)
 }
+
+/// Bytes of the shortest text: the least that memory is given out by.
+const LEAST_TEXT: usize = 32;
 
 /// Ends a set of fields.
 const END: u32 = u32::MAX;
@@ -43,7 +47,7 @@ struct Crate<'a> {
     /// Indices of fields, sets ended by [`END`].
     sets: Vec<u32>,
     paths: Vec<PathNode>,
-    /// Numbers of 8 bytes that values may still take.
+    /// Numbers of 8 bytes that tables and values may still take.
     budget: usize,
 }
 
@@ -75,35 +79,29 @@ pub(super) fn parse(file: &[u8]) -> Result<Layer, Fault> {
         file,
         version,
         fields_at: fields.at(),
-        tokens: read_tokens(tokens, file).map_err(|fault| fault.or_at_byte(tokens_at))?,
+        tokens: vec![],
         strings: vec![],
         fields: vec![],
         sets: vec![],
         paths: vec![],
         budget: most_values(file.len()),
     };
+    of.tokens = of.read_tokens(tokens).map_err(|fault| fault.or_at_byte(tokens_at))?;
     let mut strings = sections.open("STRINGS")?;
     let count = strings.count(4)?;
     of.strings = strings.indices(count)?;
-    of.fields = read_fields(fields, file)?;
+    of.fields = of.read_fields(fields)?;
     let mut sets = sections.open("FIELDSETS")?;
-    let count = counted(&mut sets, file)?;
+    let count = of.counted(&mut sets, size_of::<u32>())?;
     of.sets = sets.integers(count)?.into_iter().map(|i| i as u32).collect();
     let paths = sections.open("PATHS")?;
     let paths_at = paths.at();
     of.paths = of.read_paths(paths).map_err(|fault| fault.or_at_byte(paths_at))?;
     let mut specs = sections.open("SPECS")?;
     let specs_at = specs.at();
-    let count = counted(&mut specs, file)?;
+    let count = of.counted(&mut specs, size_of::<[i32; 3]>())?;
     let [paths, sets, kinds] = [specs.integers(count)?, specs.integers(count)?, specs.integers(count)?];
     of.layer(&paths, &sets, &kinds).map_err(|fault| fault.or_at_byte(specs_at))
-}
-
-/// A count of things that may be compressed.
-fn counted(cursor: &mut Cursor<'_>, file: &[u8]) -> Result<usize, Fault> {
-    let (count, most) = (cursor.u64()?, most_values(file.len()));
-    let fitting = usize::try_from(count).ok().filter(|&c| c <= most);
-    fitting.ok_or_else(|| cursor.fault(format!("a count of {most} or less"), count.to_string()))
 }
 
 struct Sections<'a> {
@@ -126,39 +124,50 @@ impl<'a> Sections<'a> {
     }
 }
 
-fn read_tokens(mut section: Cursor<'_>, file: &[u8]) -> Result<Vec<String>, Fault> {
-    let count = counted(&mut section, file)?;
-    let length = section.u64()?;
-    let size = section.count(1)?;
-    let malformed = || Fault::whole("a section TOKENS of zero-ended UTF-8", "something else");
-    let length = usize::try_from(length).map_err(|_| malformed())?;
-    let text = decompress(section.take(size)?, length).ok_or_else(malformed)?;
-    let text = String::from_utf8(text).map_err(|_| malformed())?;
-    let tokens: Vec<String> = text.split_terminator('\0').take(count + 1).map(str::to_owned).collect();
-    if tokens.len() != count {
-        return Err(Fault::whole(format!("{count} tokens"), tokens.len().to_string()));
-    }
-    Ok(tokens)
-}
-
-fn read_fields(mut section: Cursor<'_>, file: &[u8]) -> Result<Vec<(u32, Rep)>, Fault> {
-    let count = counted(&mut section, file)?;
-    let names = section.integers(count)?;
-    let size = section.count(1)?;
-    let reps = decompress(section.take(size)?, count.saturating_mul(8)).unwrap_or_default();
-    let reps = reps.as_chunks::<8>().0;
-    if reps.len() != count {
-        return Err(section.fault(format!("{count} compressed values"), reps.len().to_string()));
-    }
-    Ok(names.into_iter().zip(reps).map(|(name, rep)| (name as u32, Rep(u64::from_le_bytes(*rep)))).collect())
-}
-
 impl<'a> Crate<'a> {
+    fn read_tokens(&mut self, mut section: Cursor<'_>) -> Result<Vec<String>, Fault> {
+        let count = self.counted(&mut section, size_of::<String>() + LEAST_TEXT)?;
+        let length = section.u64()?;
+        let size = section.count(1)?;
+        let malformed = || Fault::whole("a section TOKENS of zero-ended UTF-8", "something else");
+        let length = usize::try_from(length).map_err(|_| malformed())?;
+        let text = decompress(section.take(size)?, length).ok_or_else(malformed)?;
+        self.spend(text.len() / 8)?;
+        let text = String::from_utf8(text).map_err(|_| malformed())?;
+        let tokens: Vec<String> = text.split_terminator('\0').take(count + 1).map(str::to_owned).collect();
+        if tokens.len() != count {
+            return Err(Fault::whole(format!("{count} tokens"), tokens.len().to_string()));
+        }
+        Ok(tokens)
+    }
+
+    fn read_fields(&mut self, mut section: Cursor<'_>) -> Result<Vec<(u32, Rep)>, Fault> {
+        let count = self.counted(&mut section, size_of::<(u32, Rep)>())?;
+        let names = section.integers(count)?;
+        let size = section.count(1)?;
+        let reps = decompress(section.take(size)?, count.saturating_mul(8)).unwrap_or_default();
+        let reps = reps.as_chunks::<8>().0;
+        if reps.len() != count {
+            return Err(section.fault(format!("{count} compressed values"), reps.len().to_string()));
+        }
+        Ok(names.into_iter().zip(reps).map(|(name, rep)| (name as u32, Rep(u64::from_le_bytes(*rep)))).collect())
+    }
+
+    /// A count of things that may be compressed, each of which becomes so many bytes: taken note of.
+    fn counted(&mut self, cursor: &mut Cursor<'_>, bytes: usize) -> Result<usize, Fault> {
+        let (count, most) = (cursor.u64()?, self.budget.saturating_mul(8) / bytes);
+        let Some(fitting) = usize::try_from(count).ok().filter(|&c| c <= most) else {
+            return Err(cursor.fault(format!("a count of {most} or less"), count.to_string()));
+        };
+        self.budget -= fitting * bytes / 8;
+        Ok(fitting)
+    }
+
     fn at(&self, offset: u64) -> Result<Cursor<'a>, Fault> {
         Cursor::new(self.file, offset)
     }
 
-    /// Takes note of what values take that are made. Many fields can name one long array or text.
+    /// Takes note of what is made. Many fields can name one long array or text.
     fn spend(&mut self, numbers: usize) -> Result<(), Fault> {
         self.budget = self.left_after(numbers)?;
         Ok(())

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
+use super::cursor::Cursor;
 use super::tree::nodes;
 use super::values::Rep;
 use super::{Crate, END, PathNode, most_values, parse};
@@ -95,6 +96,28 @@ fn paths_that_are_no_tree_are_refused() {
     }
 }
 
+/// Compressed, a million of equal entries take little; what is made of them does not.
+#[test]
+fn tables_that_a_file_of_this_size_does_not_justify_are_refused() {
+    let counts = [60_000_u64, 60_000].map(u64::to_le_bytes).concat();
+    let cursor = || Cursor::new(&counts, 0).unwrap();
+    let mut of = Crate {
+        file: &counts,
+        version: [0, 8],
+        fields_at: 0,
+        tokens: vec![],
+        strings: vec![],
+        fields: vec![],
+        sets: vec![],
+        paths: vec![],
+        budget: most_values(counts.len()),
+    };
+    for fault in [of.read_paths(cursor()).err(), of.read_tokens(cursor()).err(), of.read_fields(cursor()).err()] {
+        let message = fault.unwrap().in_file(Path::new("f")).to_string();
+        assert!(message.contains(" a count of ") && message.ends_with(" or less, found 60000"), "{message}");
+    }
+}
+
 #[test]
 fn many_names_of_one_long_text_are_refused() {
     const COUNT: u64 = 1000;
@@ -138,7 +161,12 @@ fn many_names_of_one_long_text_are_refused() {
         file.path(199).map(|path| path.len())
     };
     assert_eq!((fields(9).unwrap(), prims(9).unwrap(), path(9).unwrap()), ((1, 1000), (1, 0), 1990));
-    for error in [fields(100_000).err(), prims(100_000).err(), path(100_000).err()] {
+    let many_paths = || {
+        let mut file = of(9);
+        file.paths = vec![PathNode::default(); 60_000];
+        file.layer(&[], &[], &[])
+    };
+    for error in [fields(100_000).err(), prims(100_000).err(), path(100_000).err(), many_paths().err()] {
         let error = error.unwrap().in_file(Path::new("f")).to_string();
         assert!(error.ends_with("values, found more"), "{error}");
     }

@@ -2,7 +2,7 @@
 
 use super::cursor::Cursor;
 use super::values::Rep;
-use super::{Crate, END, PathNode, counted};
+use super::{Crate, END, PathNode};
 use crate::format::error::Fault;
 use crate::format::usd::document::{Field, Layer, Prim, Property, PropertyKind, Specifier, Value, Variant};
 
@@ -68,16 +68,18 @@ pub(super) fn nodes(total: usize, [places, elements, jumps]: &[Vec<i32>; 3]) -> 
 impl Crate<'_> {
     /// The tree of paths: for each in depth-first order its place in the list, its last element, and whether what follows
     /// is a child, a sibling, or a child with a sibling further on.
-    pub(super) fn read_paths(&self, mut section: Cursor<'_>) -> Result<Vec<PathNode>, Fault> {
-        let (total, count) = (counted(&mut section, self.file)?, counted(&mut section, self.file)?);
+    pub(super) fn read_paths(&mut self, mut section: Cursor<'_>) -> Result<Vec<PathNode>, Fault> {
+        let total = section.u64()?;
+        let count = self.counted(&mut section, size_of::<[i32; 3]>() + size_of::<PathNode>())?;
         let entries = [section.integers(count)?, section.integers(count)?, section.integers(count)?];
-        nodes(total.min(count.saturating_add(1)), &entries)
+        nodes(total.min(count as u64 + 1) as usize, &entries)
             .ok_or_else(|| Fault::whole("a tree of paths", "entries that are none"))
     }
 
     /// The document of specs: of each its path, its set of fields and its kind.
     pub(super) fn layer(&mut self, paths: &[i32], sets: &[i32], kinds: &[i32]) -> Result<Layer, Fault> {
         let mut layer = Layer::default();
+        self.spend(self.paths.len() * (size_of::<Option<Spec>>() + size_of::<Vec<String>>()) / 8)?;
         let mut specs: Vec<Option<Spec>> = vec![];
         specs.resize_with(self.paths.len(), || None);
         // Names of children in order, by path.
@@ -148,9 +150,13 @@ impl Crate<'_> {
             }
             let &(name, rep) = self.fields.get(index as usize).ok_or_else(outside)?;
             let name = self.name(name)?;
+            at += 1;
+            // These have specs of their own.
+            if name == "properties" {
+                continue;
+            }
             let content = self.content(&name, rep).map_err(|fault| fault.or_at_byte(self.fields_at))?;
             fields.extend(content.map(|content| (name, content)));
-            at += 1;
         }
     }
 }
@@ -188,7 +194,7 @@ fn prim(name: String, fields: Vec<(String, Content)>) -> Prim {
                 prim.specifier = Specifier::ALL.get(*n as usize).copied().unwrap_or(Specifier::Over);
             }
             ("typeName", Value::Text(name)) => prim.type_name.clone_from(name),
-            ("primChildren" | "properties", _) => {}
+            ("primChildren", _) => {}
             _ => prim.metadata.push(field),
         }
     }
