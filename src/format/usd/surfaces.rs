@@ -25,6 +25,8 @@ struct Polygons {
     points: Vec<Vec3>,
     counts: Vec<u32>,
     corners: Vec<u32>,
+    /// Whether a face is a hole, which is not drawn.
+    holes: Vec<bool>,
 }
 
 /// One mesh per material of its faces; what has no triangle is left out.
@@ -35,11 +37,11 @@ pub(super) fn read(
     notes: &mut Vec<String>,
 ) -> Result<Vec<Mesh>, Fault> {
     let (prim, at) = (placed.prim, stage.path(placed.prim));
-    let mut polygons = polygons(stage, prim)?;
+    let mut polygons = polygons(stage, prim, notes)?;
     if stage.text(prim, "subdivisionScheme").unwrap_or("catmullClark") != "none" {
         notes.push(format!("{at}: a subdivision surface is taken as its control mesh"));
     }
-    if polygons.counts.iter().all(|&count| count < 3) {
+    if polygons.counts.iter().zip(&polygons.holes).all(|(&count, &is_hole)| count < 3 || is_hole) {
         notes.push(format!("{at}: a mesh without triangles is left out"));
         return Ok(vec![]);
     }
@@ -106,7 +108,7 @@ struct Part {
     faces: Vec<Face>,
 }
 
-/// Faces by material: that of the whole, and those of its `GeomSubset`s.
+/// Faces that are no holes by material: that of the whole, and those of its `GeomSubset`s.
 fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<Part>, Fault> {
     let mut of_face = vec![placed.material; polygons.counts.len()];
     for child in stage.prims[placed.prim].children.iter().filter(|child| child.type_name == "GeomSubset") {
@@ -123,13 +125,16 @@ fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<
     let mut places: HashMap<Option<usize>, usize> = HashMap::new();
     let mut first = 0;
     for (index, (material, &count)) in of_face.into_iter().zip(&polygons.counts).enumerate() {
-        let count = count as usize;
+        let (here, count) = (first, count as usize);
+        first += count;
+        if polygons.holes[index] {
+            continue;
+        }
         let place = *places.entry(material).or_insert_with(|| {
             parts.push(Part { material, faces: vec![] });
             parts.len() - 1
         });
-        parts[place].faces.push(Face { index, first, count });
-        first += count;
+        parts[place].faces.push(Face { index, first: here, count });
     }
     Ok(parts)
 }
@@ -148,7 +153,7 @@ fn used(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
 }
 
 /// Checked: counts and corners agree, and corners are points.
-fn polygons(stage: &Stage<'_>, prim: usize) -> Result<Polygons, Fault> {
+fn polygons(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<Polygons, Fault> {
     let points: Vec<Vec3> = stage.rows::<3>(prim, "points")?.unwrap_or_default().into_iter().map(Vec3::from).collect();
     let counts = stage.indices(prim, "faceVertexCounts")?.unwrap_or_default();
     let corners = stage.indices(prim, "faceVertexIndices")?.unwrap_or_default();
@@ -162,7 +167,18 @@ fn polygons(stage: &Stage<'_>, prim: usize) -> Result<Polygons, Fault> {
         let expected = format!("indices below {}", points.len());
         return Err(Fault::pointer(at("faceVertexIndices"), expected, outside.to_string()));
     }
-    Ok(Polygons { points, counts, corners })
+    let mut holes = vec![false; counts.len()];
+    let (named, mut astray) = (stage.indices(prim, "holeIndices")?.unwrap_or_default(), 0);
+    for &face in &named {
+        match holes.get_mut(face as usize) {
+            Some(is_hole) => *is_hole = true,
+            None => astray += 1,
+        }
+    }
+    if astray > 0 {
+        notes.push(format!("{}: {astray} of {} are no faces, not used", at("holeIndices"), named.len()));
+    }
+    Ok(Polygons { points, counts, corners, holes })
 }
 
 /// UVs of corners.

@@ -456,6 +456,37 @@ def Mesh "M" {
     assert_eq!([color(blue), color(red)].map(|rgb| rgb.map(f32::round)), [[0., 0., 1.], [1., 0., 0.]]);
 }
 
+/// Of the second face, and of one that is not there.
+#[test]
+fn holes_are_no_faces() {
+    let mesh = |holes: &str| {
+        read_text(&format!(
+            r#"( metersPerUnit = 1 )
+def Mesh "M" {{
+    int[] faceVertexCounts = [3, 4, 3]
+    int[] faceVertexIndices = [0, 1, 2, 0, 2, 3, 4, 5, 4, 3]
+    int[] holeIndices = {holes}
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0), (4, 0, 0), (5, 0, 0)]
+    texCoord2f[] primvars:st = [(0, 0), (0.1, 0), (0.2, 0)] ( interpolation = "uniform" )
+    uniform token subdivisionScheme = "none"
+    def GeomSubset "A" {{ int[] indices = [1] rel material:binding = </Red> }}
+}}
+def Material "Red" {{}}
+"#
+        ))
+    };
+    let file = mesh("[1, 3]");
+    let [mesh_of_two] = &file.scene.meshes[..] else { panic!("{}", file.scene.meshes.len()) };
+    assert_eq!(mesh_of_two.triangles(), [[0, 1, 2], [5, 4, 3]]);
+    assert_eq!(mesh_of_two.corner_uvs()[1], [Vec2::new(0.2, 1.0); 3]);
+    assert_eq!(file.notes[0], "/M.holeIndices: 1 of 2 are no faces, not used");
+    let none = mesh("[2, 1, 0]");
+    assert_eq!(
+        (none.scene.meshes.len(), &none.notes[..]),
+        (0, &["/M: a mesh without triangles is left out".to_owned()][..])
+    );
+}
+
 /// Maps of bands with as many channels as no degree has, beside a map that is fine.
 #[test]
 fn a_map_of_bands_is_named_by_its_channels() {
