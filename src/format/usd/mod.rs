@@ -22,6 +22,7 @@ mod binary;
 mod counts;
 mod document;
 mod extent;
+mod foreign;
 mod frame;
 mod from_scene;
 mod lex;

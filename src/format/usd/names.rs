@@ -12,6 +12,9 @@ pub(super) const LOOKS: &str = "Looks";
 /// In `customLayerData`: how the scene was made, as JSON.
 pub(super) const RECORD: &str = "centaur";
 
+/// What the names of our attributes begin with.
+pub(super) const PREFIX: &str = "centaur:";
+
 /// On the default prim: `capture` if the file is a capture's world turned by [`super::frame`].
 pub(super) const FRAME: &str = "centaur:frame";
 pub(super) const CAPTURE: &str = "capture";

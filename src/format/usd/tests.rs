@@ -88,7 +88,7 @@ fn the_record_of_the_training_is_kept() {
     }
     let text = |entry: &str| read_text(&format!("(\n customLayerData = {{\n {entry}\n }}\n metersPerUnit = 1\n)\n"));
     let other = text("string other = \"1\"");
-    assert!(other.record.is_none() && other.notes.is_empty());
+    assert_eq!((other.record, &other.notes[..]), (None, &["1 entry of customLayerData left out".to_owned()][..]));
     let broken = text("string centaur = \"{\"");
     assert_eq!(
         (broken.record, &broken.notes[0][..]),
@@ -310,6 +310,7 @@ fn the_record_of_the_training_is_read_from_binary_too() {
     for name in ["record.usda", "record.usdc"] {
         let file = read(&at(name)).unwrap();
         assert_eq!(file.record, Some(serde_json::json!({ "iterations": 7 })), "{name}");
+        assert_eq!(file.notes.last().unwrap(), "3 entries of customLayerData left out", "{name}");
     }
 }
 
@@ -484,6 +485,34 @@ def Material "Red" {{}}
     assert_eq!(
         (none.scene.meshes.len(), &none.notes[..]),
         (0, &["/M: a mesh without triangles is left out".to_owned()][..])
+    );
+}
+
+/// Not what we write, nor what programs sign every file of theirs with.
+#[test]
+fn what_others_added_is_named() {
+    let text = |own: &str, custom: &str| {
+        read_text(&format!(
+            "( customLayerData = {{ string creator = \"b\" dictionary cameraSettings = {{ int a = 1 }} {own} }} metersPerUnit = 1 )
+            def \"W\" ( customData = {{ dictionary Blender = {{ bool generated = 1 }} {own} }} ) {{
+                custom string userProperties:blender:object_name = \"W\"
+                custom token centaur:later = \"a\"
+                custom point3h[] positionsh = []
+                custom double3 xformOp:translate = (1, 2, 3)
+                {custom}
+            }}
+            def \"V\" {{ token info = \"a\" ( customData = {{ {own} }} ) }}"
+        ))
+        .notes
+    };
+    assert_eq!(text("", ""), Vec::<String>::new());
+    assert_eq!(
+        text("int a = 1 float2 b = (1, 2)", "custom rel other custom float userProperties:weight = 2"),
+        [
+            "2 entries of customLayerData left out",
+            "1 prim with custom properties left out",
+            "2 prims with customData left out",
+        ]
     );
 }
 

@@ -9,7 +9,7 @@ use super::materials::Materials;
 use super::package::Place;
 use super::stage::Stage;
 use super::surfaces::{self, Placed};
-use super::{frame, names, splats, views, xform};
+use super::{foreign, frame, names, splats, views, xform};
 use crate::format::SceneFile;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
@@ -220,6 +220,11 @@ impl Counts {
         if layer.field("subLayers").is_some() {
             self.0.insert("sublayers not read".to_owned(), 0);
         }
+        match foreign::entries(&layer.metadata, "customLayerData") {
+            0 => {}
+            1 => drop(self.0.insert("1 entry of customLayerData left out".to_owned(), 0)),
+            n => drop(self.0.insert(format!("{n} entries of customLayerData left out"), 0)),
+        }
     }
 
     fn prim(&mut self, prim: &Prim) {
@@ -230,6 +235,13 @@ impl Counts {
         }
         if !prim.variants.is_empty() {
             self.add("with variants, none of which is chosen");
+        }
+        let mut metadata = std::iter::once(&prim.metadata).chain(prim.properties.iter().map(|p| &p.metadata));
+        if metadata.any(|metadata| foreign::entries(metadata, "customData") > 0) {
+            self.add("with customData left out");
+        }
+        if prim.properties.iter().any(|p| p.custom && foreign::is_property(&p.name)) {
+            self.add("with custom properties left out");
         }
         let is_animated =
             |kind: &PropertyKind| matches!(kind, PropertyKind::Attribute { samples, .. } if samples.len() > 1);

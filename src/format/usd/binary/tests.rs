@@ -9,7 +9,7 @@ use super::tree::nodes;
 use super::values::Rep;
 use super::{Crate, END, PathNode, most_values, parse};
 use crate::format::error::Fault;
-use crate::format::usd::document::{Layer, Prim, PropertyKind, Value};
+use crate::format::usd::document::{Layer, Prim, PropertyKind, Value, field};
 
 const TEXT: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/usd/types.usda"));
 const BINARY: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/usd/types.usdc"));
@@ -39,6 +39,7 @@ fn assert_same(text: &Prim, binary: &Prim) {
     for property in &text.properties {
         let name = &property.name;
         let other = binary.property(name).unwrap_or_else(|| panic!("{name} is missing"));
+        assert_eq!(property.custom, other.custom, "{name}");
         assert_eq!(text.target(name), binary.target(name), "{name}");
         assert_eq!(text.connection(name), binary.connection(name), "{name}");
         if let (PropertyKind::Attribute { type_name, .. }, PropertyKind::Attribute { type_name: theirs, .. }) =
@@ -48,6 +49,11 @@ fn assert_same(text: &Prim, binary: &Prim) {
             assert_eq!(text.value(name).map(|v| stored(type_name, v)), binary.value(name).cloned(), "{name}");
         }
     }
+    let keys = |prim: &Prim| match field(&prim.metadata, "customData") {
+        Some(Value::Dictionary(entries)) => entries.iter().map(|entry| entry.key.clone()).collect(),
+        _ => vec![],
+    };
+    assert_eq!(keys(text), keys(binary));
     text.children.iter().zip(&binary.children).for_each(|(a, b)| assert_same(a, b));
 }
 

@@ -214,7 +214,8 @@ fn property(name: String, is_attribute: bool, fields: Vec<(String, Content)>) ->
     for (name, content) in fields {
         match (name.as_str(), content) {
             ("timeSamples", Content::Samples(samples)) => times = samples,
-            (_, Content::Samples(_)) | ("variability" | "custom", _) => {}
+            (_, Content::Samples(_)) | ("variability", _) => {}
+            ("custom", Content::Value(value)) => property.custom = value.as_number() == Some(1.0),
             ("typeName", Content::Value(Value::Text(name))) => type_name = name,
             ("default", Content::Value(value)) => default = Some(value),
             ("connectionPaths" | "targetPaths", Content::Value(Value::List(paths))) => {

@@ -135,7 +135,7 @@ impl Crate<'_> {
                 let indices = cursor.indices(count)?;
                 self.list(&indices, |c, i| c.token(i).map(Value::Text))?
             }
-            (31, false) => Value::Dictionary(if rep.is_inlined() { vec![] } else { self.texts(rep)? }),
+            (31, false) => Value::Dictionary(if rep.is_inlined() { vec![] } else { self.entries(rep)? }),
             // Specifier, variability: numbers of their own.
             (42 | 44, false) => Value::Number(f64::from(rep.inlined()[0])),
             // References, variants, payloads: that they are there is enough.
@@ -145,8 +145,8 @@ impl Crate<'_> {
         }))
     }
 
-    /// The texts of a dictionary: all that is asked of any, and dictionaries could hold themselves.
-    fn texts(&mut self, rep: Rep) -> Result<Vec<Entry>, Fault> {
+    /// The entries of a dictionary. Only texts have values: those of others nobody asks for, and dictionaries could hold themselves.
+    fn entries(&mut self, rep: Rep) -> Result<Vec<Entry>, Fault> {
         let mut cursor = self.at(rep.payload())?;
         // An index, an offset, and a value where that leads.
         let count = cursor.count(20)?;
@@ -155,14 +155,12 @@ impl Crate<'_> {
             let key = u32::from_le_bytes(*cursor.chunk()?);
             cursor.follow()?;
             let value = Rep(cursor.u64()?);
-            self.spend(1)?;
-            if !(10..=11).contains(&value.kind()) || value.is_array() {
-                continue;
-            }
             self.spend(2 * PER_VALUE)?;
-            let (key, value) = (self.string(key)?, self.value(value)?);
+            let key = self.string(key)?;
             self.spend(key.len() / 8)?;
-            entries.extend(value.map(|value| Entry { type_name: "string".to_owned(), key, value }));
+            let is_text = (10..=11).contains(&value.kind()) && !value.is_array();
+            let (type_name, value) = if is_text { ("string", self.value(value)?) } else { ("", None) };
+            entries.push(Entry { type_name: type_name.to_owned(), key, value: value.unwrap_or(Value::Blocked) });
         }
         Ok(entries)
     }
