@@ -10,6 +10,7 @@ mod error;
 mod exchange;
 mod exr;
 pub mod gltf;
+mod inside;
 mod inspect;
 pub mod ksplat;
 mod length;

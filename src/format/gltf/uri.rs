@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::buffer::Buffer;
 use crate::base64;
+use crate::format::inside::inside;
 
 /// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
 pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
@@ -46,27 +47,8 @@ pub(super) fn open_once(
             .map(Buffer::from)
             .ok_or_else(|| ("base64 after `;base64,`".to_owned(), "a data URI without it".to_owned()));
     }
-    let shown = || format!("`{uri}`");
-    let inside = || "a path inside the folder of the file".to_owned();
-    let name = percent_decode(uri).ok_or_else(|| ("a percent-encoded path".to_owned(), shown()))?;
-    let escapes = name.contains([':', '\\'])
-        || Path::new(&name)
-            .components()
-            .any(|c| !matches!(c, std::path::Component::Normal(_) | std::path::Component::CurDir));
-    if escapes {
-        return Err((inside(), shown()));
-    }
-    let real = |path: &Path| path.canonicalize().map_err(|e| ("a readable file".to_owned(), format!("`{name}` ({e})")));
-    let base = real(if folder.as_os_str().is_empty() { Path::new(".") } else { folder })?;
-    let file = real(&base.join(&name))?;
-    // A symbolic link could still lead out.
-    if !file.starts_with(&base) {
-        return Err((inside(), shown()));
-    }
-    // A pipe would never end.
-    if !file.is_file() {
-        return Err(("a file".to_owned(), format!("`{name}`, which is none")));
-    }
+    let name = percent_decode(uri).ok_or_else(|| ("a percent-encoded path".to_owned(), format!("`{uri}`")))?;
+    let file = inside(folder, &name)?;
     if let Some(known) = known.get(&file) {
         return Ok(known.clone());
     }

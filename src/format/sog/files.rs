@@ -12,7 +12,8 @@ use super::decode::Meta;
 use super::encode::Encoded;
 use crate::atomic::folder_of;
 use crate::format::archive::write_zip;
-use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
+use crate::format::error::{Fault, FormatError, from_json, read_file};
+use crate::format::inside::inside;
 use crate::format::{atomic_write, atomic_write_with};
 
 pub(super) const META: &str = "meta.json";
@@ -124,26 +125,6 @@ pub(super) fn is_folder(path: &Path) -> bool {
 fn folder_bytes(folder: &Path) -> u64 {
     let entries = folder.read_dir().into_iter().flatten().filter_map(Result::ok);
     entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
-}
-
-/// The path of a file in `folder` or below it; neither names nor symbolic links may lead out.
-pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, String)> {
-    let refused = || ("a path inside the folder".to_owned(), shown(name.as_bytes()));
-    let unreadable = |e: std::io::Error| ("a readable file".to_owned(), format!("{} ({e})", shown(name.as_bytes())));
-    let plain = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
-    if !plain || name.is_empty() || name.contains(['\\', ':']) {
-        return Err(refused());
-    }
-    let folder = folder.canonicalize().map_err(unreadable)?;
-    let path = folder.join(name).canonicalize().map_err(unreadable)?;
-    if !path.starts_with(&folder) {
-        return Err(refused());
-    }
-    // A pipe would never open.
-    if !path.is_file() {
-        return Err(("a file".to_owned(), format!("{}, which is none", shown(name.as_bytes()))));
-    }
-    Ok(path)
 }
 
 /// Writes all files; returns their length together.

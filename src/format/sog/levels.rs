@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::files::{FileSet, inside};
+use super::files::FileSet;
 use crate::atomic::folder_of;
 use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
+use crate::format::inside::inside;
 use crate::format::length::file_bytes;
 use crate::format::splat_record::SplatRecord;
 use crate::scene::{SplatArrays, Splats};

@@ -129,6 +129,10 @@ fn names_do_not_lead_out_of_the_folder() {
         let message = read(&path).unwrap_err().to_string();
         assert!(message.contains("/quats/files/0: expected a path inside the folder"), "{message}");
     }
+    // By another name of the same file.
+    std::fs::copy(&outside, inner.join("quats.webp")).unwrap();
+    std::fs::write(&path, meta.replace("\"quats.webp\"", "\"./quats.webp\"")).unwrap();
+    assert_eq!(read(&path).unwrap().len(), 9);
     // As little of a file as a pipe, of which nobody would ever write the other end.
     std::fs::create_dir(inner.join("none")).unwrap();
     std::fs::write(&path, meta.replace("\"quats.webp\"", "\"none\"")).unwrap();
