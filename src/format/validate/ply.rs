@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use super::{Findings, Offenders};
+use super::{Findings, Offenders, Severity};
 use crate::format::error::Location;
 use crate::format::ply::parse_splats;
 use crate::format::ply::table::{self, Body, Header};
@@ -10,6 +10,17 @@ use crate::scene::sh;
 
 /// Logits beyond which opacities in f32 are 0 or 1.
 const SATURATED: f64 = 20.0;
+
+/// Properties of every splat.
+const REQUIRED: [&str; 14] = [
+    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
+    "rot_3",
+];
+
+/// Whether a splat is made of the property, be it one of every splat, of higher bands, or the filter of Mip-Splatting.
+fn is_parameter(name: &str) -> bool {
+    REQUIRED.contains(&name) || name == "filter_3D" || name.starts_with("f_rest_")
+}
 
 /// Checks a PLY in the INRIA layout, or a packed one. Any other (points, meshes) is held to its header and length alone.
 pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
@@ -41,9 +52,7 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         let expected = "splats in the INRIA or the packed layout";
         return findings.warning("PLY_CONTENT", declared(), expected, "a PLY of something else");
     }
-    let required = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0"];
-    let required = required.into_iter().chain(["rot_1", "rot_2", "rot_3"]);
-    let missing: Vec<&str> = required.filter(|name| vertex.scalar(name).is_none()).collect();
+    let missing: Vec<&str> = REQUIRED.into_iter().filter(|name| vertex.scalar(name).is_none()).collect();
     if !missing.is_empty() {
         return findings.error("PLY_PROPERTY_MISSING", declared(), missing.join(", "), "none of these");
     }
@@ -106,10 +115,11 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
         findings.fault("PLY_ROWS", fault);
     }
     let n = row_number;
-    for (offenders, at) in not_finite {
-        if let Some(found) = offenders.summary(n) {
-            findings.error("PLY_NOT_FINITE", Location::Byte(at as u64), "finite numbers", found);
-        }
+    for ((_, name), (offenders, at)) in names.iter().zip(not_finite) {
+        let Some(found) = offenders.summary(n) else { continue };
+        // PLY allows any number; what is beside the splat, as normals and labels, can be of use without it.
+        let severity = if is_parameter(name) { Severity::Error } else { Severity::Warning };
+        findings.add(severity, "PLY_NOT_FINITE", Location::Byte(at as u64), "finite numbers".to_owned(), found);
     }
     if let Some(found) = zero.0.summary(n) {
         findings.error("PLY_ROTATION_ZERO", Location::Byte(zero.1 as u64), "quaternions other than 0", found);
@@ -137,7 +147,7 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::{Finding, Severity};
+    use super::super::Finding;
     use super::*;
     use crate::format::test_scenes::random_splats;
 
@@ -183,6 +193,17 @@ mod tests {
             [("PLY_NOT_FINITE", Error)]
         );
         assert_eq!(codes(|_, row| row[11] = f32::INFINITY), [("PLY_NOT_FINITE", Error)]);
+        // Of a normal, and of others by their names.
+        assert_eq!(codes(|_, row| row[4] = f32::NAN), [("PLY_NOT_FINITE", Warning)]);
+        let mut file = written(1);
+        let body = file.len() - COLUMNS * 4;
+        file[body + 12..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
+        let named = |name: &str| {
+            let header = std::str::from_utf8(&file[..body]).unwrap().replace(" nx\n", &format!(" {name}\n"));
+            let found = findings(&[header.as_bytes(), &file[body..]].concat());
+            found.iter().find(|f| f.code == "PLY_NOT_FINITE").map(|f| f.severity)
+        };
+        assert_eq!(["label", "filter_3D", "f_rest_0"].map(named), [Warning, Error, Error].map(Some));
         assert_eq!(
             codes(|i, row| if i == 7 {
                 row[13..].fill(0.0);
