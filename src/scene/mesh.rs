@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3};
 
 use super::{SceneError, check_finite, check_len, sh};
@@ -5,12 +7,14 @@ use super::{SceneError, check_finite, check_len, sh};
 /// A row-major image of `channels` floats per texel, first row at the top.
 ///
 /// Texel (i, j) has its centre at UV ((i+½)/width, (j+½)/height); UV (0, 0) is the top-left corner, as in glTF.
+///
+/// Copies share their texels, so that many meshes may show one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Texture {
     width: u32,
     height: u32,
     channels: u32,
-    texels: Vec<f32>,
+    texels: Arc<Vec<f32>>,
 }
 
 impl Texture {
@@ -28,7 +32,7 @@ impl Texture {
         }
         check_len("texels", texels.len(), width as usize * height as usize * channels as usize)?;
         check_finite("texels", &texels, channels.max(1) as usize)?;
-        Ok(Self { width, height, channels, texels })
+        Ok(Self { width, height, channels, texels: Arc::new(texels) })
     }
 
     /// A texture of zeros, its sides by [`Self::nearest_side`].
@@ -36,7 +40,7 @@ impl Texture {
     pub fn zeros(width: u32, height: u32, channels: u32) -> Self {
         let [width, height] = [width, height].map(Self::nearest_side);
         let texels = vec![0.0; width as usize * height as usize * channels as usize];
-        Self { width, height, channels, texels }
+        Self { width, height, channels, texels: Arc::new(texels) }
     }
 
     /// `side`, or the nearest that a texture may have: 1 to [`Self::MAX_SIDE`].

@@ -8,6 +8,7 @@ use super::core_tests::{Builder, near, triangle};
 use super::extension::{HYBRID, KHR_SPLATS};
 use super::*;
 use crate::edit::Similarity;
+use crate::format::test_scenes::black_png;
 use crate::format::{WriteOptions, inspect, read_file, write_scene};
 
 /// A file on disk, as everything here is read by path.
@@ -97,6 +98,29 @@ fn nodes_carry_meshes_by_every_interpolation() {
         (1, Some("nod"), [0.0, 4.0], 3)
     );
     assert!(summary.to_string().contains("├ animation: nod, 4.000 s, 3 channels"), "{summary}");
+}
+
+/// Rigid parts of one texture, each a mesh of its own, take its texels once.
+#[test]
+fn what_moves_shares_its_maps() {
+    let (mut b, attributes) = triangle();
+    let slide = b.floats(&[[0.0f32, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+    let clip = animation(&mut b, &[(0, "translation", &[0.0, 1.0], slide, "LINEAR")]);
+    let image = b.view(&black_png(4, 4));
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+        "nodes": [{ "children": [1, 2, 3] }, { "mesh": 0 }, { "mesh": 0 }, { "mesh": 0 }],
+        "materials": [{ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } }],
+        "textures": [{ "source": 0 }],
+        "images": [{ "bufferView": image, "mimeType": "image/png" }],
+        "animations": [clip],
+    });
+    let file = File::new(&b, &document);
+    for scene in [file.rest().scene, file.at(0.5).scene] {
+        let texels: Vec<&[f32]> = scene.meshes.iter().map(|mesh| mesh.atlas().base().texels()).collect();
+        assert_eq!((texels.len(), texels[0].len()), (3, 64));
+        assert!(texels.iter().all(|of_mesh| std::ptr::eq(*of_mesh, texels[0])));
+    }
 }
 
 #[test]
