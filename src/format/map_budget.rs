@@ -5,8 +5,8 @@ use std::hash::{DefaultHasher, Hasher as _};
 
 /// Bytes of maps that a stored byte may become, above what any file may: four floats for each of the pixels, of which a PNG
 /// holds up to a thousand in a byte.
-const MAX_RATIO: u64 = 16384;
-const ALWAYS: u64 = 1 << 30;
+pub(super) const MAX_RATIO: u64 = 16384;
+pub(super) const ALWAYS: u64 = 1 << 30;
 
 /// What was expected, and what was found.
 type Mismatch = (String, String);

@@ -8,8 +8,10 @@ use serde_json::{Value, json};
 use super::extension::HYBRID;
 use super::*;
 use crate::base64;
+use crate::format::map_budget::{self, MapBudget};
+use crate::format::test_scenes::black_png;
 use crate::format::{WriteOptions, activation, read_file, write_scene};
-use crate::scene::{Mesh, sh};
+use crate::scene::{ColorSpace, Mesh, sh};
 
 /// A document whose accessors are made of the given arrays, one buffer view each.
 #[derive(Default)]
@@ -216,6 +218,40 @@ fn texel_sources_are_transformed_and_repeat() {
         malformed.contains("/coefficients/1/texture/extensions/KHR_texture_transform/offset/1: expected"),
         "{malformed}"
     );
+}
+
+/// One picture may stand for all coefficients, each of which takes as much as it does.
+#[test]
+fn maps_are_counted_coefficient_by_coefficient() {
+    let (mut b, attributes) = triangle();
+    let png = black_png(256, 256);
+    let view = b.view(&png);
+    let radiance = json!({
+        "colorSpace": "srgb_rec709_display",
+        "sphericalHarmonics": { "degree": 1, "coefficients": vec![json!({ "texture": { "index": 0 } }); 4] },
+    });
+    let file = b.file(&json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+        "materials": [{ "extensions": { "EXT_gaussian_splatting_hybrid": radiance } }],
+        "textures": [{ "source": 0 }], "images": [{ "bufferView": view, "mimeType": "image/png" }],
+    }));
+    let asset = Asset::parse(&file, PathBuf::new()).map_err(|_| ()).unwrap();
+    let (floats, most) = (256 * 256, (map_budget::ALWAYS + map_budget::MAX_RATIO * png.len() as u64) / 4);
+    for (room, fault) in [
+        (13, None),
+        (12, Some("/EXT_gaussian_splatting_hybrid: expected maps of at most ")),
+        (8, Some("/sphericalHarmonics/coefficients/2: expected maps of at most ")),
+    ] {
+        let mut budget = MapBudget::new(0);
+        budget.spend(most - room * floats).unwrap();
+        let material = asset.document.materials().next().unwrap();
+        let maps = material::maps(&asset, &material, ColorSpace::default(), &mut budget, &mut vec![]);
+        let message = maps.map(|maps| maps.atlas.floats()).map_err(|fault| fault.in_file(Path::new("f")).to_string());
+        match fault {
+            None => assert_eq!(message, Ok(13 * 256 * 256)),
+            Some(fault) => assert!(message.as_ref().unwrap_err().contains(fault), "{message:?}"),
+        }
+    }
 }
 
 #[test]

@@ -10,14 +10,13 @@ use super::lift::Asset;
 use super::uv::UvMap;
 use crate::format::activation;
 use crate::format::error::{Fault, from_value};
+use crate::format::map_budget::MapBudget;
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// A material as maps.
 pub(super) struct Maps {
     pub(super) atlas: Atlas,
     pub(super) uv: UvMap,
-    /// Hash and length of the image, if it is one.
-    pub(super) image: Option<(u64, u64)>,
     /// How colours of vertices come in; `None` if the maps say everything.
     pub(super) base: Option<BaseColour>,
 }
@@ -47,11 +46,12 @@ impl BaseColour {
     }
 }
 
-/// Reads the maps of `material`, to be blended in `space`.
+/// Reads the maps of `material`, to be blended in `space`; counts them before they are made.
 pub(super) fn maps(
     asset: &Asset,
     material: &gltf::Material<'_>,
     space: ColorSpace,
+    budget: &mut MapBudget,
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
     let at = material.index().map_or("the default material".to_owned(), |i| format!("/materials/{i}"));
@@ -63,13 +63,13 @@ pub(super) fn maps(
             return Err(Fault::pointer(at, "the colour space of the scene", format!("`{}`", radiance.color_space)));
         }
         if let Some(harmonics) = &radiance.spherical_harmonics {
-            return exact(asset, &radiance, harmonics, &at, notes);
+            return exact(asset, &radiance, harmonics, &at, budget, notes);
         }
         if radiance.opacity.is_some() {
             notes.push(format!("{at}/opacity: not read without sphericalHarmonics; the core material's is taken"));
         }
     }
-    base_colour(asset, material, space, &at, notes)
+    base_colour(asset, material, space, &at, budget, notes)
 }
 
 /// Where all texel sources of a material lie: over the same coordinates, as those of `like`.
@@ -94,12 +94,18 @@ impl Coordinates<'_> {
     }
 }
 
+/// Counts so many floats of maps at `at`.
+fn spend(budget: &mut MapBudget, floats: usize, at: &str) -> Result<(), Fault> {
+    budget.spend(floats as u64).map_err(|(expected, found)| Fault::pointer(at, expected, found))
+}
+
 /// The maps of the extension.
 fn exact(
     asset: &Asset,
     radiance: &Radiance,
     harmonics: &ShField,
     at: &str,
+    budget: &mut MapBudget,
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
     let at_sh = format!("{at}/sphericalHarmonics");
@@ -119,15 +125,13 @@ fn exact(
     for (i, source) in harmonics.coefficients.iter().enumerate() {
         let at = format!("{at_sh}/coefficients/{i}");
         borders_differ |= coordinates.check(source, &at)?;
-        planes.push(plane::<3>(asset, source, &at)?);
+        planes.push(plane::<3>(asset, source, &at, budget)?);
     }
     let dc = &planes[0];
-    let mut logits =
-        Plane { width: dc.width, height: dc.height, values: vec![[activation::logit(1.0).0]; dc.values.len()] };
-    if let Some(field) = &radiance.opacity {
+    let logits = if let Some(field) = &radiance.opacity {
         let at = format!("{at}/opacity");
         borders_differ |= coordinates.check(&field.source, &at)?;
-        logits = plane::<1>(asset, &field.source, &at)?;
+        let mut logits = plane::<1>(asset, &field.source, &at, budget)?;
         match field.activation.as_str() {
             "logistic" => {}
             "none" => logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0),
@@ -137,7 +141,11 @@ fn exact(
             let found = format!("{}×{}", logits.width, logits.height);
             return Err(Fault::pointer(at, format!("the size of coefficient 0, {}×{}", dc.width, dc.height), found));
         }
-    }
+        logits
+    } else {
+        spend(budget, dc.values.len(), at)?;
+        Plane { width: dc.width, height: dc.height, values: vec![[activation::logit(1.0).0]; dc.values.len()] }
+    };
     let texels = dc.values.iter().zip(&logits.values).flat_map(|(c, l)| [c[0], c[1], c[2], l[0]]).collect();
     let refused = |e| Fault::from(e).under(&at_sh);
     let base = Texture::new(dc.width, dc.height, 4, texels).map_err(refused)?;
@@ -156,7 +164,7 @@ fn exact(
     if borders_differ {
         notes.push(format!("{at}: all maps go on beyond their borders as that of coefficient 0 does"));
     }
-    Ok(Maps { atlas: Atlas::new(base, bands).map_err(refused)?, uv, image: None, base: None })
+    Ok(Maps { atlas: Atlas::new(base, bands).map_err(refused)?, uv, base: None })
 }
 
 struct Plane<const N: usize> {
@@ -166,7 +174,12 @@ struct Plane<const N: usize> {
 }
 
 /// Values of a texel source with `N` (1 or 3) components: `offset + scale·texel`.
-fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Result<Plane<N>, Fault> {
+fn plane<const N: usize>(
+    asset: &Asset,
+    source: &TexelSource,
+    at: &str,
+    budget: &mut MapBudget,
+) -> Result<Plane<N>, Fault> {
     let mut plane = match (source.accessor, &source.texture, source.width, source.height) {
         (Some(accessor), None, Some(width), Some(height)) => {
             let values = asset.floats::<N>(accessor)?;
@@ -174,14 +187,17 @@ fn plane<const N: usize>(asset: &Asset, source: &TexelSource, at: &str) -> Resul
                 let found = format!("an accessor of {} elements", values.len());
                 return Err(Fault::pointer(at, format!("{width}×{height} texels"), found));
             }
+            spend(budget, N * values.len(), at)?;
             Plane { width, height, values }
         }
         (None, Some(texture), ..) => {
-            let Texels { width, height, rgba, .. } = asset.texels(texture.index)?;
+            let Texels { width, height, rgba, encoded, .. } = asset.texels(texture.index)?;
             let first = if N == 1 { source.channel as usize } else { 0 };
             if first > 3 {
                 return Err(Fault::pointer(format!("{at}/channel"), "0 to 3", first.to_string()));
             }
+            budget.include(encoded);
+            spend(budget, N * rgba.len(), at)?;
             let values = rgba.iter().map(|t| std::array::from_fn(|c| t[first + c])).collect();
             Plane { width, height, values }
         }
@@ -241,6 +257,7 @@ fn base_colour(
     material: &gltf::Material<'_>,
     space: ColorSpace,
     at: &str,
+    budget: &mut MapBudget,
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
     let emission = emission(material);
@@ -275,11 +292,13 @@ fn base_colour(
         space,
         is_textured: picture.is_some(),
     };
-    let is_textured = base.is_textured;
+    // Many materials may share an image.
+    picture.iter().for_each(|(texels, _)| budget.include(texels.encoded));
     let (texels, uv) = picture.unwrap_or_else(|| {
         let white = Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) };
         (white, UvMap::plain(0))
     });
+    spend(budget, 4 * texels.rgba.len(), at)?;
     let values = texels.rgba.iter().flat_map(|t| {
         let [r, g, b, a] = *t;
         let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
@@ -289,5 +308,5 @@ fn base_colour(
     let atlas = atlas.map_err(|e| Fault::from(e).under(at))?;
     // Colours of vertices do not change what is emitted.
     let of_vertices = emission.is_none().then_some(base);
-    Ok(Maps { atlas, uv, image: is_textured.then_some(texels.encoded), base: of_vertices })
+    Ok(Maps { atlas, uv, base: of_vertices })
 }

@@ -85,7 +85,7 @@ impl<'a> Meshes<'a> {
         notes: &mut Vec<String>,
     ) -> Result<bool, Fault> {
         let at = format!("/nodes/{}", node.index());
-        let uv_set = self.maps_of(&primitive.material(), &at, notes)?.uv.set;
+        let uv_set = self.maps_of(&primitive.material(), notes)?.uv.set;
         let read = triangles::read((self.asset, self.motion), &mut self.poses, (node, transform), primitive, uv_set)?;
         let Some(mut geometry) = read else { return Ok(false) };
         if geometry.triangles.is_empty() {
@@ -118,14 +118,10 @@ impl<'a> Meshes<'a> {
     }
 
     /// The maps of a material, read when it is first met.
-    fn maps_of(&mut self, material: &gltf::Material<'_>, at: &str, notes: &mut Vec<String>) -> Result<&Maps, Fault> {
+    fn maps_of(&mut self, material: &gltf::Material<'_>, notes: &mut Vec<String>) -> Result<&Maps, Fault> {
         let index = material.index();
         if !self.maps.contains_key(&index) {
-            let maps = material::maps(self.asset, material, self.space, notes)?;
-            // Many materials may share an image.
-            maps.image.into_iter().for_each(|image| self.budget.include(image));
-            let counted = self.budget.spend(maps.atlas.floats() as u64);
-            counted.map_err(|(expected, found)| Fault::pointer(at, expected, found))?;
+            let maps = material::maps(self.asset, material, self.space, &mut self.budget, notes)?;
             if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
                 let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
                 notes.push(format!("{name}single-sided, but drawn from both sides"));
