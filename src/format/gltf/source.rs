@@ -1,6 +1,6 @@
 //! The document behind a scene, kept to be written again.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::Arc;
@@ -57,8 +57,8 @@ pub struct Source {
 #[derive(Clone, Debug)]
 struct Content {
     buffers: Vec<Buffer>,
-    /// Images outside buffers, by index.
-    images: HashMap<usize, Vec<u8>>,
+    /// Images outside buffers, by index; those of one file share it.
+    images: BTreeMap<usize, Arc<Vec<u8>>>,
     /// `uri`s of those that are not there.
     unfound: Vec<String>,
 }
@@ -76,11 +76,12 @@ impl Source {
         let remainder = remainder(&asset.root, is_ours);
         let Asset { root, buffers, folder, .. } = asset;
         let content = keep.then(|| {
-            let listed = root.get("images").and_then(Value::as_array).into_iter().flatten().enumerate();
+            let (listed, mut loaded) = (root.get("images").and_then(Value::as_array), uri::Loaded::default());
             // What cannot be found stays a reference.
-            let (mut images, mut unfound) = (HashMap::new(), vec![]);
+            let (mut images, mut unfound) = (BTreeMap::new(), vec![]);
+            let listed = listed.into_iter().flatten().enumerate();
             for (i, uri) in listed.filter_map(|(i, image)| Some((i, image.get("uri")?.as_str()?))) {
-                match uri::resolve(uri, &folder) {
+                match loaded.resolve(uri, &folder) {
                     Ok(bytes) => {
                         images.insert(i, bytes);
                     }
@@ -350,11 +351,12 @@ impl Content {
                 }
             }
         }
-        let mut images: Vec<_> = self.images.iter().collect();
-        images.sort_unstable_by_key(|(i, _)| **i);
-        for (&i, content) in images {
-            let view = json!({ "buffer": 0, "byteOffset": bin.push(content.as_slice()), "byteLength": content.len() });
-            let index = push(root, "bufferViews", view);
+        let mut views = HashMap::new();
+        for (&i, content) in &self.images {
+            let index = *views.entry(Arc::as_ptr(content)).or_insert_with(|| {
+                let start = bin.push(content.as_slice());
+                push(root, "bufferViews", json!({ "buffer": 0, "byteOffset": start, "byteLength": content.len() }))
+            });
             let image = &mut root["images"][i];
             let uri = image.as_object_mut().and_then(|o| o.remove("uri"));
             image["bufferView"] = json!(index);

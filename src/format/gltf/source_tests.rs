@@ -12,7 +12,7 @@ use super::extension::EXTRAS;
 use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::base64;
-use crate::format::test_scenes::{camera, random_scene};
+use crate::format::test_scenes::{black_png, camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
 use crate::scene::PixelFilter;
 
@@ -291,6 +291,26 @@ fn files_beside_the_document_are_taken_in() {
     let start = view["byteOffset"].as_u64().unwrap() as usize;
     assert_eq!(buffers[0][start..start + picture.len()], picture);
     assert_eq!(read(&out).unwrap().scene.meshes, file.scene.meshes);
+}
+
+#[test]
+fn a_picture_that_many_images_name_is_taken_in_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, attributes) = triangle();
+    let picture = black_png(64, 64);
+    std::fs::write(at("a.png"), &picture).unwrap();
+    let images: Vec<Value> = ["a.png", "./a.png", "%61.png"].iter().map(|uri| json!({ "uri": uri })).collect();
+    let document = json!({ "meshes": [{ "primitives": [{ "attributes": attributes }] }], "images": images });
+    std::fs::write(at("in.gltf"), b.file(&document)).unwrap();
+    let file = read_file(&at("in.gltf"), &KEEP).unwrap();
+    let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
+    write_scene(&at("out.glb"), &file.scene, &options).unwrap();
+    let (json, buffers) = opened(&at("out.glb"));
+    let images = json["images"].as_array().unwrap();
+    assert!(images.len() == 3 && images.iter().all(|image| image["bufferView"] == images[0]["bufferView"]), "{json}");
+    assert_eq!(json["bufferViews"].as_array().unwrap().len(), b.views.len() + 1);
+    assert_eq!(buffers[0].windows(picture.len()).filter(|bytes| **bytes == picture).count(), 1);
 }
 
 #[test]
