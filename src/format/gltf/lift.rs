@@ -132,7 +132,7 @@ impl Asset {
         let buffer_bytes = buffers.iter().filter(|buffer| starts.insert(buffer.place())).map(Buffer::len).sum();
         let view_bytes = plain_views.values().map(Vec::len).sum();
         Ok(Self {
-            most: ((buffer_bytes + view_bytes + json_bytes) as u64).saturating_mul(MAX_RATIO).saturating_add(ALWAYS),
+            most: ((buffer_bytes + json_bytes) as u64).saturating_mul(MAX_RATIO).saturating_add(ALWAYS),
             document,
             root,
             attributes,

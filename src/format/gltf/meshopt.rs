@@ -1,5 +1,7 @@
 //! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views whose bytes are stored compressed.
 
+use std::collections::HashMap;
+
 use meshopt::{
     decode_filter_color, decode_filter_exp, decode_filter_oct, decode_filter_quat, decode_index_buffer,
     decode_index_sequence, decode_vertex_buffer,
@@ -36,17 +38,25 @@ pub(super) fn of_view(view: &Value) -> Option<(&'static str, &Value)> {
     NAMES.into_iter().find_map(|name| Some((name, extension_of(view, name)?)))
 }
 
-/// Decompresses every compressed view of the document, given its buffers by index: (view, bytes).
+/// Decompresses every compressed view of the document, given its buffers by index: (view, bytes). Many views may be of the same
+/// bytes: all of them together are bounded as one is.
 pub(in crate::format) fn decompress<'b>(
     root: &Value,
     buffer: impl Fn(usize) -> Option<&'b [u8]>,
 ) -> impl Iterator<Item = Result<(usize, Vec<u8>), Fault>> {
-    let views = root.get("bufferViews").and_then(Value::as_array).into_iter().flatten().enumerate();
-    views.filter_map(move |(i, view)| {
+    let views = root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
+    let mut starts = HashMap::new();
+    let sources = views.clone().filter_map(|view| of_view(view)?.1.get("buffer")?.as_u64());
+    for bytes in sources.filter_map(|i| buffer(i as usize)) {
+        let length = starts.entry(bytes.as_ptr()).or_default();
+        *length = bytes.len().max(*length);
+    }
+    let mut total = Total { stored: starts.into_values().sum(), bytes: 0 };
+    views.enumerate().filter_map(move |(i, view)| {
         let (name, value) = of_view(view)?;
         let at = format!("/bufferViews/{i}/extensions/{name}");
         let decoded = from_value::<Compressed>(value, &at, &format!("an object of {name}"))
-            .and_then(|compressed| compressed.decode(buffer(compressed.buffer).unwrap_or_default(), &at));
+            .and_then(|compressed| compressed.decode(buffer(compressed.buffer).unwrap_or_default(), &mut total, &at));
         Some(decoded.and_then(|bytes| {
             let declared = view.get("byteLength").and_then(Value::as_u64).unwrap_or(0);
             if bytes.len() as u64 == declared {
@@ -58,8 +68,29 @@ pub(in crate::format) fn decompress<'b>(
     })
 }
 
+/// What the views of a document become.
+struct Total {
+    /// Bytes of their buffers, those in the same place counted once.
+    stored: usize,
+    /// Decompressed, so far.
+    bytes: usize,
+}
+
+impl Total {
+    /// Counts bytes before they are decompressed, or refuses them.
+    fn spend(&mut self, bytes: usize, at: &str) -> Result<(), Fault> {
+        self.bytes = self.bytes.saturating_add(bytes);
+        if self.bytes / MAX_RATIO <= self.stored {
+            return Ok(());
+        }
+        let most = self.stored.saturating_mul(MAX_RATIO);
+        let expected = format!("at most {most} bytes from all {} compressed ones", self.stored);
+        Err(Fault::pointer(format!("{at}/count"), expected, "more, by repeated use"))
+    }
+}
+
 impl Compressed {
-    fn decode(&self, buffer: &[u8], at: &str) -> Result<Vec<u8>, Fault> {
+    fn decode(&self, buffer: &[u8], total: &mut Total, at: &str) -> Result<Vec<u8>, Fault> {
         let end = self.byte_offset.checked_add(self.byte_length);
         let stored = end.and_then(|end| buffer.get(self.byte_offset..end)).ok_or_else(|| {
             let expected = format!("{} bytes at offset {}", self.byte_length, self.byte_offset);
@@ -91,6 +122,7 @@ impl Compressed {
         if self.mode == "TRIANGLES" && !count.is_multiple_of(3) {
             return Err(Fault::pointer(format!("{at}/count"), "a multiple of 3", count.to_string()));
         }
+        total.spend(stride * count, at)?;
         let damaged = |e: meshopt::Error| {
             Fault::pointer(at, format!("{count} elements of mode {}", self.mode), format!("damaged data ({e})"))
         };
@@ -260,6 +292,24 @@ mod tests {
         let color: Vec<f32> =
             color.as_chunks::<2>().0.iter().map(|b| f32::from(u16::from_le_bytes(*b)) / 65535.0).collect();
         near(&color, rgba.as_flattened(), 0.002);
+    }
+
+    #[test]
+    fn views_of_the_same_bytes_are_bounded_together() {
+        // Nearly as short as it may be: all vertices are alike.
+        let stored = encode_vertex_buffer(&vec![[0u8; 4]; 1 << 16]).unwrap();
+        let compressed = json!({
+            "buffer": 0, "byteLength": stored.len(), "byteStride": 4, "count": 1 << 16, "mode": "ATTRIBUTES",
+        });
+        let view = json!({ "buffer": 0, "byteLength": 1 << 18, "extensions": { NAMES[0]: compressed } });
+        let fit = (stored.len() + 1) * MAX_RATIO / (1 << 18);
+        let root = json!({ "bufferViews": vec![view; fit + 2] });
+        let views: Vec<_> = decompress(&root, |_| Some(&stored)).collect();
+        let held = views.iter().take_while(|view| view.is_ok()).count();
+        assert!((1..=fit).contains(&held), "{held} of {fit}");
+        let message = views.into_iter().last().unwrap().unwrap_err().in_file(Path::new("f")).to_string();
+        let at = format!("f: /bufferViews/{}/extensions/EXT_meshopt_compression/count: expected at most ", fit + 1);
+        assert!(message.starts_with(&at) && message.ends_with("found more, by repeated use"), "{message}");
     }
 
     #[test]
