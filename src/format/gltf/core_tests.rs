@@ -520,6 +520,28 @@ fn repeated_use_of_a_mesh_is_bounded() {
     assert!(message.contains("bytes of arrays from a file of this size, found more, by repeated use"), "{message}");
 }
 
+/// Primitives of a mesh at many nodes are many more than the file has of either.
+#[test]
+fn primitives_at_many_nodes_say_the_same_once() {
+    let (b, attributes) = triangle();
+    let at_nodes = |nodes: usize, primitives: usize, part: &Value| {
+        json!({
+            "meshes": [{ "primitives": vec![part; primitives] }],
+            "nodes": vec![json!({ "mesh": 0 }); nodes], "scenes": [{ "nodes": (0..nodes).collect::<Vec<_>>() }],
+        })
+    };
+    let lines = json!({ "attributes": attributes, "mode": 1 });
+    let notes = b.read(at_nodes(3, 40, &lines)).unwrap().notes;
+    let said =
+        |node: usize| format!("/nodes/{node}: a primitive that is neither triangles nor splats is left out (40 times)");
+    assert_eq!(notes[notes.len() - 3..], [said(0), said(1), said(2)]);
+    assert!(notes.len() < 6, "{notes:?}");
+
+    let asset = Asset::parse(&b.file(&at_nodes(1600, 1600, &lines)), PathBuf::new()).map_err(|_| ()).unwrap();
+    let message = describe(&asset).unwrap_err().in_file(Path::new("f")).to_string();
+    assert!(message.contains("bytes of arrays from a file of this size, found more, by repeated use"), "{message}");
+}
+
 #[test]
 fn a_file_that_many_buffers_name_is_there_once() {
     let folder = tempfile::tempdir().unwrap();

@@ -20,6 +20,9 @@ use crate::format::placed::{orthogonal, turned};
 use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
 
+/// Bytes that a mesh takes besides its arrays.
+const BYTES_OF_MESH: u64 = 1024;
+
 /// Meshes under construction.
 pub(super) struct Meshes<'a> {
     asset: &'a Asset,
@@ -101,10 +104,12 @@ impl<'a> Meshes<'a> {
         }
         let Triangles { positions, triangles, rest_surface, is_mirrored, .. } = geometry;
         let own_atlas = look.atlas.as_ref().or(look.turn.map(|_| &self.maps[&look.material].atlas));
+        let is_alone = moves || own_atlas.is_some();
         let bytes = positions.len() as u64 * 12
             + triangles.len() as u64 * 36
             + own_atlas.map_or(0, |a| a.floats() as u64 * 4)
-            + if moves { rest_surface.bytes() } else { 0 };
+            + if moves { rest_surface.bytes() } else { 0 }
+            + if is_alone { BYTES_OF_MESH } else { 0 };
         self.asset.spend(bytes, &at)?;
         let corners = undeformed.is_some().then(|| triangles.clone());
         let group = Group { positions, triangles, rest_surface: moves.then_some(rest_surface), ..look };

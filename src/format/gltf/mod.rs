@@ -22,6 +22,7 @@ mod motion;
 pub(super) mod moving;
 #[cfg(test)]
 mod moving_tests;
+mod notes;
 mod pose;
 mod read;
 mod remainder;

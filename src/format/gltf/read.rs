@@ -5,11 +5,14 @@ use std::ops::Range;
 use glam::DMat4;
 use serde_json::Value;
 
-use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SceneContract, SplatExtension, parse_color_space};
+use super::extension::{
+    BindingObject, HYBRID, KHR_SPLATS, SceneContract, SplatExtension, extension_of, parse_color_space,
+};
 use super::lift::Asset;
 use super::meshes::{Finished, Meshes};
 use super::motion::Motion;
 use super::moving::Moving;
+use super::notes::Notes;
 use super::transform::{is_ours, placements};
 use super::{binding, camera, splats};
 use crate::format::SceneFile;
@@ -29,7 +32,7 @@ pub(super) type Cameras = Vec<(String, Camera)>;
 /// A scene as it rests, and what moves it: these of its animations, see [`super::super::ReadOptions::animations`].
 pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(SceneFile, Moving), Fault> {
     asset.check_required()?;
-    let mut notes = vec![];
+    let (mut said, mut notes) = (Notes::default(), vec![]);
     let composition = composition(asset)?;
     let space = composition.color_space;
     let motion = Motion::chosen(asset, animations)?;
@@ -41,26 +44,30 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
         let at_node = format!("/nodes/{}", node.index());
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
             let mesh = node.mesh().map_or(0, |m| m.index());
-            if let Some(khr) = primitive.extension_value(KHR_SPLATS) {
-                let id = (mesh, primitive.index());
+            let id = (mesh, primitive.index());
+            if let Some(khr) = extension_of(&asset.root["meshes"][id.0]["primitives"][id.1], KHR_SPLATS) {
                 let part = splats::read(asset, id, &primitive, khr, (node.index(), *transform), space, &mut notes)?;
                 asset.spend(bytes_of(&part), &at_node)?;
                 let these = count..count + part.means.len();
                 count = these.end;
-                let object = binding::object(khr, id)?;
-                hung.push(Hung { splats: these, node: node.index(), transform: *transform, object });
+                hung.push(Hung { splats: these, node: node.index(), transform: *transform, id, khr });
                 parts.push((format!("/meshes/{mesh}/primitives/{}", id.1), part));
             } else if !meshes.add((node, *transform), &primitive, &mut notes)? {
                 notes.push(format!("{at_node}: a primitive that is neither triangles nor splats is left out"));
             }
+            said.take(&mut notes);
         }
     }
     let mut read = meshes.finish(&mut notes)?;
-    let follows = |hung: Hung| hung.follows(asset, &mut read, &mut notes);
-    let mut attached: Vec<AttachedSplats> = hung.into_iter().filter_map(follows).collect();
+    let mut attached: Vec<AttachedSplats> = vec![];
+    for hung in hung {
+        attached.extend(hung.follows(asset, &mut read, &mut notes)?);
+        said.take(&mut notes);
+    }
     let Finished { meshes, mut rest_surfaces, mut poses, .. } = read;
     poses.compact(&mut rest_surfaces, &mut attached);
     let cameras = cameras(&asset.document, &placed, &mut notes);
+    said.take(&mut notes);
     let scene = HybridScene { splats: join(parts)?, meshes, composition };
     let moves = !attached.is_empty() || rest_surfaces.iter().any(Option::is_some);
     let rig = if moves {
@@ -70,21 +77,30 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     };
     let moving = Moving::new(asset.document.clone(), motion, rig.map(|rig| (poses, rig)));
     let y_up = !is_ours(&asset.document);
+    let notes = said.into_lines();
     Ok((SceneFile { scene, cameras, notes, y_up, attributes: vec![], dropped: 0, source: None, record: None }, moving))
 }
 
 /// Splats of a primitive at a node.
-struct Hung {
+struct Hung<'a> {
     splats: Range<usize>,
     node: usize,
     transform: DMat4,
-    object: Option<(String, SplatExtension)>,
+    /// Of mesh, in mesh, and its `KHR_gaussian_splatting`.
+    id: (usize, usize),
+    khr: &'a Value,
 }
 
-impl Hung {
+impl Hung<'_> {
     /// What they follow; `None` if they keep still.
-    fn follows(self, asset: &Asset, read: &mut Finished, notes: &mut Vec<String>) -> Option<AttachedSplats> {
-        let Self { splats, node, transform, object } = self;
+    fn follows(
+        self,
+        asset: &Asset,
+        read: &mut Finished,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<AttachedSplats>, Fault> {
+        let Self { splats, node, transform, id, khr } = self;
+        let object = binding::object(khr, id)?;
         let moves = read.poses.moves(node);
         if let Some((at, SplatExtension { binding: Some(object), .. })) = &object {
             let to = read.bindable.get(&(object.node, object.primitive));
@@ -97,16 +113,21 @@ impl Hung {
                 let binding = binding::read(asset, object, splats.len(), to, read.poses.bone(node), transform)?;
                 Ok((to.moves || moves).then_some(binding))
             }) {
-                Ok(binding) => return Some(AttachedSplats { splats, anchor: Anchor::Triangles(binding?) }),
+                Ok(binding) => {
+                    return Ok(binding.map(|binding| AttachedSplats { splats, anchor: Anchor::Triangles(binding) }));
+                }
                 Err(reason) => notes.push(format!("{at}/binding: ignored: {reason}")),
             }
         }
-        moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)) })
+        Ok(moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)) }))
     }
 }
 
+/// Bytes that a part takes besides its splats: what it is called, where it is, what it hangs on.
+const BYTES_OF_PART: u64 = 512;
+
 fn bytes_of(part: &SplatArrays) -> u64 {
-    part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64)
+    BYTES_OF_PART + part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64)
 }
 
 pub(super) fn cameras(

@@ -70,7 +70,10 @@ pub struct Primitive {
     pub morph_targets: usize,
 }
 
-/// Describes a document. Fails where the tree is none.
+/// Bytes that the description of a primitive takes, in memory and as text.
+const BYTES_OF_PRIMITIVE: u64 = 512;
+
+/// Describes a document. Fails where the tree is none, and where a mesh is at so many nodes that its primitives are out of proportion.
 pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let mut nodes: Vec<Node> = vec![];
     let mut depths: HashMap<usize, usize> = HashMap::new();
@@ -84,6 +87,12 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
             primitives().filter_map(|(_, p)| declared_bounds(&p)).flat_map(|b| moved(b, to_capture * transform));
         let bounds = corners
             .fold(None, |all: Option<[DVec3; 2]>, p| Some(all.map_or([p, p], |[low, high]| [low.min(p), high.max(p)])));
+        let described = primitives().map(|(mesh, p)| {
+            let primitive = describe(asset, mesh, &p);
+            let text = primitive.color_space.as_ref().map_or(0, String::len) as u64;
+            asset.spend(BYTES_OF_PRIMITIVE + text, &format!("/nodes/{}", node.index()))?;
+            Ok(primitive)
+        });
         nodes.push(Node {
             index: node.index(),
             depth,
@@ -91,7 +100,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
             camera: node.camera().map(|c| c.index()),
             skin: node.skin().map(|s| s.index()),
             mesh: node.mesh().map(|m| m.index()),
-            primitives: primitives().map(|(mesh, p)| describe(asset, mesh, &p)).collect(),
+            primitives: described.collect::<Result<_, Fault>>()?,
             bounds: bounds.filter(|[low, high]| low.is_finite() && high.is_finite()).map(|b| b.map(|p| p.to_array())),
         });
     }
