@@ -55,9 +55,16 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
             check_scene(root, contract, &at, findings);
         }
     }
+    let mut shown_by: HashMap<usize, Vec<(String, &Value)>> = HashMap::new();
+    for (at, primitive) in primitives(root) {
+        if let Some(material) = index(primitive, "material") {
+            shown_by.entry(material).or_default().push((at, primitive));
+        }
+    }
     for (i, (at, material)) in objects(root, "materials", "").enumerate() {
         if let Some((at_radiance, radiance)) = extension(material, HYBRID, &at) {
-            check_material(document, (i, material), radiance, &at_radiance, findings);
+            let shown = shown_by.get(&i).map_or(&[][..], Vec::as_slice);
+            check_material(document, (i, material, shown), radiance, &at_radiance, findings);
         }
     }
     for (at, primitive) in primitives(root) {
@@ -103,9 +110,12 @@ fn check_scene(root: &Value, contract: &Value, at: &str, findings: &mut Findings
     }
 }
 
+/// Primitives, each with its JSON pointer.
+type Primitives<'a> = [(String, &'a Value)];
+
 fn check_material(
     document: &Document<'_>,
-    (i, material): (usize, &Value),
+    (i, material, shown): (usize, &Value, &Primitives<'_>),
     radiance: &Value,
     at: &str,
     findings: &mut Findings,
@@ -113,7 +123,7 @@ fn check_material(
     check_token(radiance, "colorSpace", &ColorSpace::ALL.map(ColorSpace::name), "HYBRID_TOKEN", at, findings);
     if let Some(opacity) = radiance.get("opacity") {
         check_token(opacity, "activation", &["none", "logistic"], "HYBRID_TOKEN", &format!("{at}/opacity"), findings);
-        check_texels(document, (i, opacity), 1, &format!("{at}/opacity"), findings);
+        check_texels(document, (opacity, shown), 1, &format!("{at}/opacity"), findings);
         let mode = material.get("alphaMode").and_then(Value::as_str).unwrap_or("OPAQUE");
         if mode != "BLEND" {
             let expected = "alphaMode BLEND, so that other viewers blend as well";
@@ -129,7 +139,7 @@ fn check_material(
         findings.error("HYBRID_SH_COUNT", format!("{at}/coefficients"), expected, stored);
     }
     for (at, source) in objects(harmonics, "coefficients", &at) {
-        check_texels(document, (i, source), 3, &at, findings);
+        check_texels(document, (source, shown), 3, &at, findings);
     }
     check_sizes(radiance.get("opacity"), harmonics, &at, findings);
     check_coordinates(radiance.get("opacity"), harmonics, &at, findings);
@@ -191,10 +201,10 @@ fn check_sizes(opacity: Option<&Value>, harmonics: &Value, at: &str, findings: &
     }
 }
 
-/// A texel source with `channels` values per texel, used by material `material`.
+/// A texel source with `channels` values per texel, of a material of these primitives.
 fn check_texels(
     document: &Document<'_>,
-    (material, source): (usize, &Value),
+    (source, shown): (&Value, &Primitives<'_>),
     channels: usize,
     at: &str,
     findings: &mut Findings,
@@ -224,14 +234,16 @@ fn check_texels(
             findings.error("HYBRID_TEXEL_RANGE", format!("{at}/{key}"), format!("1 or {channels} numbers"), length);
         }
     }
-    let set = Coordinates::of(source).set;
-    for (at_primitive, primitive) in primitives(document.root) {
-        let uses = index(primitive, "material") == Some(material);
-        let name = format!("TEXCOORD_{set}");
-        if uses && primitive.get("attributes").is_some_and(|a| a.get(&name).is_none()) {
-            let found = format!("none in {at_primitive}");
-            findings.error("HYBRID_TEXCOORD", at, format!("{name} in every primitive of the material"), found);
+    let name = format!("TEXCOORD_{}", Coordinates::of(source).set);
+    let mut lacking = Offenders::default();
+    for (at_primitive, primitive) in shown {
+        if primitive.get("attributes").is_some_and(|a| a.get(&name).is_none()) {
+            lacking.note(|| at_primitive.clone());
         }
+    }
+    if let Some(found) = lacking.summary(shown.len()) {
+        let expected = format!("{name} in every primitive of the material");
+        findings.error("HYBRID_TEXCOORD", at, expected, format!("none in {found}"));
     }
 }
 

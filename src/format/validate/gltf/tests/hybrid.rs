@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::{File, HYBRID, KHR, Planted, SPLATS, SURFACE, U16, U32, binding, primitive};
+use super::{File, HYBRID, KHR, Planted, SPLATS, SURFACE, U16, U32, binding, everything, primitive};
 
 fn contract(file: &mut File) -> &mut Value {
     &mut file.json["scenes"][0]["extensions"][HYBRID]
@@ -211,3 +211,16 @@ pub(super) const PLANTED: &[Planted] = &[
         field(f)["heads"]["translation"][0]["weights"] = bias;
     }),
 ];
+
+#[test]
+fn a_source_that_many_primitives_lack_coordinates_for_is_one_finding() {
+    let mut file = everything();
+    hybrid_material(&mut file)["opacity"]["texCoord"] = json!(1);
+    let one = primitive(&mut file, SURFACE).clone();
+    for _ in 1..40 {
+        file.json["meshes"][SURFACE]["primitives"].as_array_mut().unwrap().push(one.clone());
+    }
+    let found: Vec<_> = file.findings().into_iter().filter(|finding| finding.code == "HYBRID_TEXCOORD").collect();
+    let expected = "none in 40 of 40, the first: /meshes/0/primitives/0";
+    assert!(found.len() == 1 && found[0].found == expected, "{found:?}");
+}
