@@ -464,34 +464,37 @@ fn merge(object: &mut Value, new: &Value) {
     }
 }
 
+/// Hashes of the parts of an array, megabytes each: on all cores.
+fn part_hashes(bytes: &[u8]) -> Vec<u64> {
+    let hash = |chunk: &[u8]| {
+        let mut hasher = DefaultHasher::new();
+        hasher.write(chunk);
+        hasher.finish()
+    };
+    bytes.par_chunks(1 << 20).map(hash).collect()
+}
+
 /// A hash of all arrays of a scene.
 fn fingerprint(scene: &HybridScene) -> u64 {
     let mut hasher = DefaultHasher::new();
-    let mut add = |bytes: &[u8]| {
-        // Megabytes each: on all cores.
-        let parts: Vec<u64> = bytes
-            .par_chunks(1 << 20)
-            .map(|chunk| {
-                let mut hasher = DefaultHasher::new();
-                hasher.write(chunk);
-                hasher.finish()
-            })
-            .collect();
-        (bytes.len(), parts).hash(&mut hasher);
-    };
+    let mut add = |bytes: &[u8]| (bytes.len(), part_hashes(bytes)).hash(&mut hasher);
     let s = &scene.splats;
     add(bytemuck::cast_slice(s.means()));
     add(bytemuck::cast_slice(s.rotations()));
     add(bytemuck::cast_slice(s.log_scales()));
     add(bytemuck::cast_slice(s.opacity_logits()));
     add(bytemuck::cast_slice(s.sh()));
+    // Texels that many meshes share are hashed once.
+    let mut known = HashMap::new();
     for mesh in &scene.meshes {
         add(bytemuck::cast_slice(mesh.positions()));
         add(bytemuck::cast_slice(mesh.triangles()));
         add(bytemuck::cast_slice::<Vec2, u8>(mesh.corner_uvs().as_flattened()));
         for texture in [Some(mesh.atlas().base()), mesh.atlas().bands()].into_iter().flatten() {
+            let texels = texture.texels();
+            let hashes = known.entry(texels.as_ptr()).or_insert_with(|| part_hashes(bytemuck::cast_slice(texels)));
             add(bytemuck::cast_slice(&[texture.width(), texture.height()]));
-            add(bytemuck::cast_slice(texture.texels()));
+            add(bytemuck::cast_slice(hashes));
         }
     }
     hasher.finish()
