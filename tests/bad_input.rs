@@ -285,8 +285,8 @@ fn meshes_in_another_unit_than_the_poses_are_noted() {
 #[test]
 fn budgets_without_room_for_a_splat() {
     let folder = folder_with_capture(8);
-    let line = failure(folder.path(), &mut train(folder.path(), ["--no-mesh", "--max-floats", "10"]));
-    assert_eq!(line, "error: options: max_floats: expected at least the 59 of a splat of degree 3, found 10");
+    let line = common::wrong_usage(folder.path(), &mut train(folder.path(), ["--no-mesh", "--max-floats", "10"]));
+    assert_eq!(line, "error: --max-floats: expected at least the 59 of a splat of degree 3, found 10");
 }
 
 #[test]

@@ -139,7 +139,7 @@ mod tests {
         let lines = Texture::new(64, 64, 1, lines).unwrap();
         let all = square(Vec2::ZERO, Vec2::ONE);
         // Also turned and mirrored.
-        let turned: Vec<[Vec2; 3]> = all.iter().map(|t| t.map(|uv| uv.yx())).collect();
+        let turned: Vec<[Vec2; 3]> = all.iter().map(|t| t.map(Vec2::yx)).collect();
         for to in [&all, &turned] {
             let fewer = transfer(&lines, &all, to, 16, 0).unwrap();
             assert!(fewer.texels().iter().all(|t| (t - 0.25).abs() < 1e-3), "{:?}", &fewer.texels()[..16]);
