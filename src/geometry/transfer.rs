@@ -1,15 +1,12 @@
 //! The content of a texture for the same triangles laid out anew.
 
-use glam::{Mat2, Vec2};
+use glam::Vec2;
 
 use super::raster::texels_in;
 use crate::scene::{SceneError, Texture};
 
-/// Most samples along a side of a texel: a map of 2048² in one of 128² has 16 of its texels there.
-const MOST_TAPS: f32 = 16.0;
-
 /// Redraws `texture`, laid out by `from` (`[F]` UVs of corners), for the same triangles laid out by `to` in a square of
-/// `size` texels. Where its texels are smaller, those that a new one covers are averaged. Texels outside all triangles take the mean of drawn neighbours, `gutter` texels far; beyond they are 0.
+/// `size` texels. Texels outside all triangles take the mean of drawn neighbours, `gutter` texels far; beyond they are 0.
 ///
 /// # Errors
 /// If `size` is not that of a texture, or sums of texels overflow.
@@ -25,20 +22,12 @@ pub fn transfer(
     let side = Texture::nearest_side(size) as usize;
     let mut redrawn = vec![0.0; side * side * channels];
     let mut drawn = vec![false; side * side];
-    let mut taken = vec![0.0; channels];
     for (from, to) in from.iter().zip(to) {
-        let steps = per_texel(from, to, side as f32);
-        let n = taps_along(steps, texture);
         texels_in(to, [side; 2], 0..side, |x, y, weights| {
             let [wa, wb, wc] = weights.as_vec3().to_array();
-            let center = wa * from[0] + wb * from[1] + wc * from[2];
-            let at = &mut redrawn[(y * side + x) * channels..][..channels];
-            at.fill(0.0);
-            for tap in 0..n * n {
-                let within = Vec2::new((tap % n) as f32, (tap / n) as f32) + 0.5;
-                sample(texture, center + steps * (within / n as f32 - 0.5), &mut taken);
-                at.iter_mut().zip(&taken).for_each(|(sum, value)| *sum += value / (n * n) as f32);
-            }
+            let uv = wa * from[0] + wb * from[1] + wc * from[2];
+            let at = (y * side + x) * channels;
+            sample(texture, uv, &mut redrawn[at..at + channels]);
             drawn[y * side + x] = true;
         });
     }
@@ -46,21 +35,6 @@ pub fn transfer(
         dilate(&mut redrawn, &mut drawn, channels, side);
     }
     Texture::new(size, size, texture.channels(), redrawn)
-}
-
-/// How far UVs of `from` go with a texel along x and along y (columns) of a square of `side` that `to` lies in; nowhere for what has no area.
-fn per_texel(from: &[Vec2; 3], to: &[Vec2; 3], side: f32) -> Mat2 {
-    let edges = |corners: &[Vec2; 3]| Mat2::from_cols(corners[1] - corners[0], corners[2] - corners[0]);
-    let drawn = side * edges(to);
-    let steps = edges(from) * drawn.inverse();
-    if drawn.determinant() != 0.0 && steps.is_finite() { steps } else { Mat2::ZERO }
-}
-
-/// Samples along a side of a texel that is drawn, as many as it has texels of the texture along a side: fewer would leave some out.
-fn taps_along(steps: Mat2, texture: &Texture) -> usize {
-    let texels = steps.determinant().abs() * (texture.width() * texture.height()) as f32;
-    // A thousandth over a whole number is rounding.
-    (texels.sqrt() - 1e-3).ceil().clamp(1.0, MOST_TAPS) as usize
 }
 
 /// Bilinear, clamped at the border.
@@ -108,8 +82,6 @@ fn dilate(texels: &mut [f32], drawn: &mut [bool], channels: usize, side: usize) 
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec2Swizzles as _;
-
     use super::*;
     use crate::render::testing::largest;
 
@@ -130,23 +102,6 @@ mod tests {
         let same = transfer(&ramp(), &all, &all, 32, 0).unwrap();
         let error = largest(same.texels().iter().zip(ramp().texels()).map(|(a, b)| f64::from((a - b).abs())));
         assert!(error < 1e-4, "{error}");
-    }
-
-    /// Single samples would take one line of four for all, or none.
-    #[test]
-    fn texels_of_smaller_ones_are_their_mean() {
-        let lines = (0..64 * 64).map(|i| if i % 4 == 0 { 1.0 } else { 0.0 }).collect();
-        let lines = Texture::new(64, 64, 1, lines).unwrap();
-        let all = square(Vec2::ZERO, Vec2::ONE);
-        // Also turned and mirrored.
-        let turned: Vec<[Vec2; 3]> = all.iter().map(|t| t.map(Vec2::yx)).collect();
-        for to in [&all, &turned] {
-            let fewer = transfer(&lines, &all, to, 16, 0).unwrap();
-            assert!(fewer.texels().iter().all(|t| (t - 0.25).abs() < 1e-3), "{:?}", &fewer.texels()[..16]);
-        }
-        // A triangle without area takes one sample, whatever it is laid out in.
-        let none = [[Vec2::splat(0.5); 3]; 2];
-        assert!(transfer(&lines, &none, &all, 16, 0).unwrap().texels().iter().all(|t| t.is_finite()));
     }
 
     #[test]
