@@ -286,6 +286,28 @@ fn films_show_the_pictures() {
         let (same, next) = (difference(frame, frame), difference(frame, (frame + 1) % frames));
         assert!(same < 1.0 && next > 2.0 * same, "frame {frame}: {same} from its picture, {next} from the next");
     }
+
+    // Pixels that are twice as wide as high are shown so, and those of two shapes make no film.
+    let frame = |name: &str, fl_y: u32| {
+        serde_json::json!({
+            "file_path": name, "w": 64, "h": 48, "fl_x": 30, "fl_y": fl_y,
+            "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]],
+        })
+    };
+    let render = ["render", "ball.ply", "--cameras", "wide.json", "-o", "wide", "--video", "wide.mp4"];
+    let write = |frames: &[serde_json::Value]| {
+        std::fs::write(folder.path().join("wide.json"), serde_json::json!({ "frames": frames }).to_string()).unwrap();
+    };
+    write(&[frame("a.png", 60), frame("b.png", 30)]);
+    let line = failure(folder.path(), centaur(folder.path()).args(render));
+    assert_eq!(
+        line,
+        "error: --video: expected pixels of one shape, found 2 times as wide as high and 1 of b.png; other cameras may help"
+    );
+    write(&[frame("a.png", 60), frame("b.png", 60)]);
+    run(folder.path(), &render);
+    let entries = ["-v", "error", "-show_entries", "stream=sample_aspect_ratio", "-of", "csv=p=0", "wide.mp4"];
+    assert_eq!(String::from_utf8(stdout_of("ffprobe", &entries)).unwrap().trim(), "2:1");
 }
 
 #[test]

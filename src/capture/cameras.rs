@@ -110,12 +110,12 @@ fn at_least_one(found: Cameras, list: &Path) -> Result<Cameras, CaptureError> {
     Ok(found)
 }
 
-/// Frames a second that a file states.
+/// Frames a second that a file states. Times of frames at other rates are no keys of an animation, and no film.
 fn rate(found: f64, file: &Path) -> Result<f64, CaptureError> {
-    if found > 0.0 && found.is_finite() {
+    if (0.001..=1000.0).contains(&found) {
         return Ok(found);
     }
-    Err(CaptureError::invalid(file, "/fps", "a positive number", found.to_string()))
+    Err(CaptureError::invalid(file, "/fps", "a number from 0.001 to 1000", format!("{found:?}")))
 }
 
 fn is_json(path: &Path) -> bool {
@@ -260,8 +260,11 @@ mod tests {
             let error = cameras(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
             assert!(error.contains(&format!("transforms_test.json: {said}")), "{error}");
         }
-        let still = error(&format!(r#"{{ "fps": 0, "w": 4, "h": 4, "fl_x": 3, "frames": {frames} }}"#));
-        assert!(still.ends_with("/fps: expected a positive number, found 0"), "{still}");
+        for (fps, found) in [("0", "0.0"), ("1e300", "1e300")] {
+            let message = error(&format!(r#"{{ "fps": {fps}, "w": 4, "h": 4, "fl_x": 3, "frames": {frames} }}"#));
+            let expected = format!("/fps: expected a number from 0.001 to 1000, found {found}");
+            assert!(message.ends_with(&expected), "{message}");
+        }
     }
 
     #[test]

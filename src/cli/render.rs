@@ -266,7 +266,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let _folder = output::Folder::make(&args.output)?;
     draw(&gpu, &file, &shot, &pictures, args)?;
     let fps = shot.fps.unwrap_or(DEFAULT_FPS);
-    args.video.as_deref().map_or(Ok(()), |path| video::write(path, &pictures, fps))?;
+    let aspect = shot.cameras.first().map_or(1.0, |(_, camera)| video::aspect(camera));
+    args.video.as_deref().map_or(Ok(()), |path| video::write(path, &pictures, fps, aspect))?;
     // Of the scene; of cameras in the same file both say the same.
     let is_said = |note: &&String| args.is_embedded() && shot.notes.contains(note);
     let notes: Vec<&String> = file.notes.iter().filter(|note| !is_said(note)).collect();

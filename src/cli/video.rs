@@ -7,7 +7,16 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
+use centaur::format::pixel_aspect;
 use centaur::scene::Camera;
+
+/// How much wider or narrower than high pixels may be and still count as square: focal lengths of captures differ by a thousandth.
+const SQUARE: f32 = 0.005;
+
+/// Width over height of the pixels of a camera's picture.
+pub(super) fn aspect(camera: &Camera) -> f32 {
+    pixel_aspect(camera.intrinsics())
+}
 
 /// Refuses what cannot become a film before it is rendered. It may lie among the `pictures`, in a folder that is yet to be made.
 pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) -> Result<()> {
@@ -29,6 +38,15 @@ pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) 
             other.1
         );
     }
+    if let Some(aspect) = cameras.first().map(|(_, camera)| aspect(camera))
+        && let Some((name, camera)) =
+            cameras.iter().find(|(_, camera)| (self::aspect(camera) / aspect - 1.0).abs() > SQUARE)
+    {
+        let other = self::aspect(camera);
+        bail!(
+            "--video: expected pixels of one shape, found {aspect} times as wide as high and {other} of {name}; other cameras may help"
+        );
+    }
     let asked = Command::new("ffmpeg")
         .arg("-version")
         .stdin(Stdio::null())
@@ -45,15 +63,15 @@ pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) 
     Ok(())
 }
 
-/// Makes an H.264 film of PNG files in their order, `fps` a second. It is there whole or not at all.
-pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
+/// Makes an H.264 film of PNG files in their order, `fps` a second, of pixels so many times as wide as high. It is there whole or not at all.
+pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) -> Result<()> {
     let named = || format!("{}: cannot write", path.display());
     let place = atomic::place_of(path).with_context(named)?;
     let staging = Staging::within(folder_of(&place)).with_context(named)?;
     let film = staging.path().join("film.mp4");
     let mut messages = tempfile::tempfile_in(staging.path()).with_context(named)?;
     let spawned = Command::new("ffmpeg")
-        .args(arguments(fps))
+        .args(arguments(fps, aspect))
         .arg(&film)
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
@@ -82,15 +100,17 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64) -> Result<()> {
 }
 
 /// Everything but the output. 4:2:0 needs even sides, which a row or column of black makes; colours are those of HD video.
-fn arguments(fps: f64) -> Vec<String> {
-    let filter = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p";
+fn arguments(fps: f64, aspect: f32) -> Vec<String> {
+    let aspect = if (aspect - 1.0).abs() > SQUARE { aspect } else { 1.0 };
+    let even = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p";
+    let filter = format!("{even},setsar={aspect}");
     let fps = fps.to_string();
     let arguments = [
         ["-loglevel", "error"],
         ["-f", "png_pipe"],
         ["-framerate", &fps],
         ["-i", "-"],
-        ["-vf", filter],
+        ["-vf", &filter],
         ["-c:v", "libx264"],
         ["-crf", "18"],
         ["-pix_fmt", "yuv420p"],

@@ -22,6 +22,10 @@ const CHORDS: usize = 256;
 /// Distance of centres that are one, relative to that from the origin.
 const ROUNDING: f64 = 1e-12;
 
+/// Keys are one where distance and angle between them, each relative to its mean, are less than this together: the velocity at both would be
+/// that between them, next to nothing, and the path a corner there.
+const ONE_KEY: f64 = 1e-3;
+
 /// A segment turns in place if its length is less than this part of what its angle counts for.
 const IN_PLACE: f64 = 0.01;
 
@@ -58,6 +62,9 @@ fn pick(views: &[Camera], options: &Spline) -> Vec<Camera> {
     (0..count).map(|i| views[(i * last + spans / 2) / spans]).collect()
 }
 
+/// A centre and a camera→world rotation.
+type Key = (DVec3, DQuat);
+
 /// Keys in order, without repetitions.
 struct Keys {
     positions: Vec<DVec3>,
@@ -70,9 +77,9 @@ struct Keys {
 
 impl Keys {
     fn new(views: &[Camera], closed: bool) -> Result<Self, PathError> {
-        let mut keys: Vec<(DVec3, DQuat)> = vec![];
+        let mut keys: Vec<Key> = vec![];
         let pose = |view: &Camera| (view.center(), DQuat::from_mat3(&view.rotation().transpose()).normalize());
-        let is_same = |a: &(DVec3, DQuat), b: &(DVec3, DQuat)| a.0 == b.0 && angle(a.1, b.1) < 1e-9;
+        let is_same = |a: &Key, b: &Key| a.0 == b.0 && angle(a.1, b.1) < 1e-9;
         // Centres are computed: one place may have several roundings.
         let rounding = ROUNDING * views.iter().map(|view| view.center().length()).fold(0.0, f64::max);
         for mut key in views.iter().map(pose) {
@@ -83,7 +90,14 @@ impl Keys {
                 keys.push(key);
             }
         }
-        while closed && keys.len() > 1 && is_same(&keys[0], &keys[keys.len() - 1]) {
+        let apart: [fn(&Key, &Key) -> f64; 2] = [|a, b| a.0.distance(b.0), |a, b| angle(a.1, b.1)];
+        let means = apart.map(|of| keys.windows(2).map(|w| of(&w[0], &w[1])).sum::<f64>() / keys.len() as f64);
+        let is_near = |a: &Key, b: &Key| {
+            let relative = |(of, mean): (&fn(&Key, &Key) -> f64, f64)| if mean > 0.0 { of(a, b) / mean } else { 0.0 };
+            apart.iter().zip(means).map(relative).sum::<f64>() < ONE_KEY
+        };
+        keys.dedup_by(|key, last| is_near(last, key));
+        while closed && keys.len() > 1 && is_near(&keys[0], &keys[keys.len() - 1]) {
             keys.pop();
         }
         if keys.len() < 2 {

@@ -160,6 +160,30 @@ fn a_spline_is_smooth_evenly_paced_and_goes_through_its_keys() {
     assert!((0..4).all(|i| some[i].center().abs_diff_eq(ring[2 * i].center(), 1e-6)));
 }
 
+/// A shot whose last frame is its first but for rounding, or that rests somewhere, goes round as if it did not.
+#[test]
+fn keys_that_are_nearly_one_make_no_corner() {
+    let closed = Spline { keys: None, closed: true };
+    let largest = |found: &[Camera]| {
+        let steps: Vec<DVec3> = found.windows(2).map(|w| (w[1].center() - w[0].center()).normalize()).collect();
+        steps.windows(2).map(|w| w[0].angle_between(w[1])).fold(0.0, f64::max)
+    };
+    let clean = ring();
+    let near = |of: &Camera, by: f64| {
+        let center = of.center() + DVec3::new(by, 0.0, by);
+        view(center, FOCUS, UP)
+    };
+    for by in [1e-15, 1e-9, 1e-5] {
+        let (mut seam, mut rest) = (clean.clone(), clean.clone());
+        seam.push(near(&clean[0], by));
+        rest.insert(4, near(&clean[3], by));
+        for views in [&clean, &seam, &rest] {
+            let found = spline(views, &closed, &frames(240)).unwrap();
+            assert!(largest(&found) < 2.5_f64.to_radians(), "{by:e}: {}°", largest(&found).to_degrees());
+        }
+    }
+}
+
 #[test]
 fn a_turn_in_place_takes_its_time() {
     let look = |angle: f64| view(DVec3::ONE, DVec3::ONE + DVec3::new(angle.sin(), 0.0, angle.cos()), UP);
