@@ -94,6 +94,20 @@ fn pictures_do_not_replace_photographs() {
         let line = refused(folder.path(), args);
         assert!(line.ends_with("other/images: holds photographs of the capture: expected another folder"), "{line}");
     }
+    // Those of several cameras lie a folder deeper.
+    let rig = folder.path().join("rig");
+    write_capture(&rig, 9, (16, 12));
+    std::fs::rename(rig.join("images"), rig.join("left")).unwrap();
+    std::fs::create_dir(rig.join("images")).unwrap();
+    std::fs::rename(rig.join("left"), rig.join("images/left")).unwrap();
+    let list = rig.join("sparse/0/images.txt");
+    let names = (0..9).fold(std::fs::read_to_string(&list).unwrap(), |text, i| {
+        text.replace(&format!(" {i:03}.png"), &format!(" left/{i:03}.png"))
+    });
+    std::fs::write(&list, names).unwrap();
+    run(folder.path(), "cameras orbit capture -o orbit.json --frames 2");
+    let line = refused(folder.path(), "render splats.ply --cameras orbit.json -o rig/images/left");
+    assert!(line.ends_with("rig/images/left: holds photographs of the capture: expected another folder"), "{line}");
     // Cameras that are in the scene's own file do not say where photographs are.
     run(folder.path(), "train capture -o s.glb --ply s.ply --no-mesh --iterations 1 --max-splats 50 --no-eval");
     let line = refused(folder.path(), "render s.glb -o capture/images");

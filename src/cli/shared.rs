@@ -193,7 +193,8 @@ pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &Loa
         spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))?;
     }
     let known = path.canonicalize().ok();
-    for place in folder.ancestors().take(2).filter(|place| Some(*place) != known.as_deref()) {
+    // Photographs of several cameras lie in folders of their own within that for photographs.
+    for place in folder.ancestors().take(6).filter(|place| Some(*place) != known.as_deref()) {
         // What cannot be read is none.
         if let Ok(own) = capture::cameras(place, &LoadOptions::default()) {
             spare_images(pictures, own.images.iter().map(PathBuf::as_path))?;

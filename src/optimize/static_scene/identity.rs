@@ -24,7 +24,10 @@ pub(super) fn input(capture: &Capture, source: &MeshSource) -> Value {
             [c.rotation().to_cols_array().as_slice(), &c.translation().to_array(), &[k.fx, k.fy, k.cx, k.cy]].concat();
         digest(numbers.into_iter())
     };
-    let views: Vec<_> = capture.views.iter().map(|v| (&v.name, size(&v.camera), posed(&v.camera), files(v))).collect();
+    // What it is to a run: seen or kept for scores, and straightened by which lens.
+    let role = |v: &View| (v.source.held_out(), format!("{:?}", v.source.lens().distortion));
+    let view = |v: &View| serde_json::json!([v.name, size(&v.camera), posed(&v.camera), files(v), role(v)]);
+    let views: Vec<Value> = capture.views.iter().map(view).collect();
     let points = digest(capture.points.iter().flat_map(|p| p.position.to_array()));
     let mesh = match source {
         MeshSource::None => "none".to_owned(),
@@ -45,4 +48,36 @@ pub(super) fn input(capture: &Capture, source: &MeshSource) -> Value {
 fn digest(numbers: impl Iterator<Item = f64>) -> u64 {
     let bytes = numbers.flat_map(|number| number.to_bits().to_le_bytes());
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::LoadOptions;
+
+    /// Scores of a run that goes on with another split would be of views that it has learnt from.
+    #[test]
+    fn runs_are_told_by_their_split_and_lens() {
+        let folder = tempfile::tempdir().unwrap();
+        let frame = |name: &str, x: f64| {
+            image::RgbImage::new(4, 4).save(folder.path().join(name)).unwrap();
+            serde_json::json!({
+                "file_path": name, "transform_matrix": [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]],
+            })
+        };
+        let frames = [frame("a.png", 0.0), frame("b.png", 1.0)];
+        let of = |test: &str, k1: f64| {
+            let json = serde_json::json!({
+                "w": 4, "h": 4, "fl_x": 8, "k1": k1, "frames": frames, "test_filenames": [test],
+                "train_filenames": [if test == "a.png" { "b.png" } else { "a.png" }],
+            });
+            std::fs::write(folder.path().join("transforms.json"), json.to_string()).unwrap();
+            let options = LoadOptions { without_points: true, ..LoadOptions::default() };
+            input(&crate::capture::open(folder.path(), &options).unwrap(), &MeshSource::None)
+        };
+        let usual = of("a.png", 0.01);
+        assert_eq!(of("a.png", 0.01), usual);
+        // Both lenses leave pictures of one size and pinhole.
+        assert!(of("b.png", 0.01) != usual && of("a.png", 0.02) != usual);
+    }
 }
