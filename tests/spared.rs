@@ -94,6 +94,17 @@ fn pictures_do_not_replace_photographs() {
         let line = refused(folder.path(), args);
         assert!(line.ends_with("other/images: holds photographs of the capture: expected another folder"), "{line}");
     }
+    // Masks are found by the names that renders have.
+    std::fs::create_dir_all(other.join("masks/left")).unwrap();
+    for args in [
+        "render splats.ply --cameras other -o other/masks",
+        "render splats.ply --cameras other -o other/masks/left",
+        "eval splats.ply other -o other/masks",
+        "train other -o s.glb --no-mesh --iterations 1 --report other/masks",
+    ] {
+        let line = refused(folder.path(), args);
+        assert!(line.ends_with(": holds masks of the capture: expected another folder"), "{line}");
+    }
     // Those of several cameras lie a folder deeper.
     let rig = folder.path().join("rig");
     write_capture(&rig, 9, (16, 12));
@@ -130,8 +141,12 @@ fn splats_do_not_replace_the_points_that_they_begin_with() {
     let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n\
                   property uchar green\nproperty uchar blue\nend_header\n0 0 0 9 9 9\n0 0.1 0 9 9 9\n";
     std::fs::write(at("capture/images/points.ply"), points).unwrap();
-    let line = refused(folder.path(), "train capture/images -o s.glb --ply capture/images/points.ply --iterations 1");
-    assert!(line.ends_with("points.ply, which would be lost"), "{line}");
+    // Also where nobody wants them.
+    for without in ["", " --no-points"] {
+        let train = "train capture/images -o s.glb --ply capture/images/points.ply --iterations 1 --no-mesh";
+        let line = refused(folder.path(), &format!("{train}{without}"));
+        assert!(line.ends_with("points.ply, which would be lost"), "{line}");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Posed cameras alone, with or without the photographs: what is rendered from, not what is learned from.
 
 use std::cmp::Ordering;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -110,12 +111,16 @@ fn at_least_one(found: Cameras, list: &Path) -> Result<Cameras, CaptureError> {
     Ok(found)
 }
 
-/// Frames a second that a file states. Times of frames at other rates are no keys of an animation, and no film.
+/// Frames a second that there may be: times at other rates are no keys of an animation, and no film.
+pub const FRAME_RATES: RangeInclusive<f64> = 0.001..=1000.0;
+
+/// Frames a second that a file states.
 fn rate(found: f64, file: &Path) -> Result<f64, CaptureError> {
-    if (0.001..=1000.0).contains(&found) {
+    if FRAME_RATES.contains(&found) {
         return Ok(found);
     }
-    Err(CaptureError::invalid(file, "/fps", "a number from 0.001 to 1000", format!("{found:?}")))
+    let expected = format!("a number from {} to {}", FRAME_RATES.start(), FRAME_RATES.end());
+    Err(CaptureError::invalid(file, "/fps", expected, format!("{found:?}")))
 }
 
 fn is_json(path: &Path) -> bool {

@@ -51,8 +51,8 @@ pub(super) fn load(
         colmap_text::images(&error::read_text(&images_file)?, &images_file)?
     };
     // As `transforms.json` need not name any.
-    let points_file = Some(points_file).filter(|file| wants_points && file.exists());
-    let PointRecords { points, tracks } = match &points_file {
+    let points_files = Vec::from_iter(Some(points_file).filter(|file| file.exists()));
+    let PointRecords { points, tracks } = match points_files.first().filter(|_| wants_points) {
         None => PointRecords::default(),
         Some(file) if is_binary(file) => colmap_binary::points(&error::read(file)?, file)?,
         Some(file) => colmap_text::points(&error::read_text(file)?, file)?,
@@ -76,7 +76,7 @@ pub(super) fn load(
             }
         }
     }
-    Ok(Listed { frames, list: images_file, points, points_file })
+    Ok(Listed { frames, list: images_file, points, points_files })
 }
 
 fn is_binary(file: &Path) -> bool {
@@ -99,8 +99,9 @@ fn frames(
             return Err(CaptureError::invalid(path, place, "a camera of the cameras file", found));
         };
         let [w, x, y, z] = image.rotation;
-        let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
-        if !rotation.is_finite() {
+        let rotation = DQuat::from_xyzw(x, y, z, w);
+        // The length of large numbers is infinite, and what it divides nothing.
+        if !(rotation.length() > 0.0 && rotation.length().is_finite()) {
             let found = format!("{:?}", image.rotation);
             return Err(CaptureError::invalid(path, place, "a unit quaternion", found));
         }
@@ -112,7 +113,7 @@ fn frames(
             mask: None,
             lens: *lens,
             has_size: true,
-            rotation: DMat3::from_quat(rotation),
+            rotation: DMat3::from_quat(rotation.normalize()),
             translation: DVec3::from(image.translation),
             held_out: None,
             time: None,

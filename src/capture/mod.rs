@@ -18,7 +18,7 @@ mod views;
 use std::path::{Path, PathBuf};
 
 pub use cache::PhotoCache;
-pub use cameras::{Cameras, cameras};
+pub use cameras::{Cameras, FRAME_RATES, cameras};
 pub use distortion::{Distortion, Lens};
 pub use error::CaptureError;
 pub use images::{ImageSource, Photo, decode};
@@ -37,8 +37,8 @@ pub struct Capture {
     pub views: Vec<View>,
     /// Sparse points in world space, finite; empty if the capture has none.
     pub points: Vec<Point>,
-    /// The file that the points are of, the first where there are several; `None` if the capture names none or they are not wanted.
-    pub points_file: Option<PathBuf>,
+    /// The files that points are of, also where these are not wanted; none if the capture names none.
+    pub points_files: Vec<PathBuf>,
 }
 
 impl Capture {
@@ -68,7 +68,7 @@ struct Listed {
     list: PathBuf,
     points: Vec<Point>,
     /// As in [`Capture`].
-    points_file: Option<PathBuf>,
+    points_files: Vec<PathBuf>,
 }
 
 /// One posed photograph.
@@ -223,7 +223,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
-    let Listed { frames, list, points, points_file } = if !folder {
+    let Listed { frames, list, points, points_files } = if !folder {
         transforms::load(root, &[(path.into(), None)], options)?
     } else if let Some(model) = colmap::find_model(path) {
         colmap::load(path, &model, (options, !options.without_points))?
@@ -239,7 +239,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     near_origin(&views, &list)?;
     let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
     let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Capture { name, views, points, points_file })
+    Ok(Capture { name, views, points, points_files })
 }
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is

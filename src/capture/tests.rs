@@ -146,6 +146,54 @@ fn downscale_and_other_folders_keep_the_field_of_view() {
     assert_eq!(Downscale::Factor(4).size(4946, 14), (1236, 4));
 }
 
+/// Lengths in pixels are of the photographs that a file names, not of the smaller ones that are taken in their place.
+#[test]
+fn other_folders_keep_the_field_of_view_of_files_without_a_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let frame = |i: usize| {
+        for (images, scale) in [("images", 2), ("images_2", 1)] {
+            std::fs::create_dir_all(root.join(images)).unwrap();
+            RgbImage::new(20 * scale, 10 * scale).save(root.join(format!("{images}/{i}.png"))).unwrap();
+        }
+        let x = i as f64;
+        serde_json::json!({
+            "file_path": format!("images/{i}.png"), "transform_matrix": [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]],
+        })
+    };
+    let frames = [0, 1].map(frame);
+    let write = |mut file: serde_json::Value| {
+        file["frames"] = serde_json::json!(frames);
+        std::fs::write(root.join("transforms.json"), file.to_string()).unwrap();
+    };
+    let options = LoadOptions { images: Some("images_2".into()), ..full() };
+    let read = || open(root, &options).map(|capture| *capture.views[0].camera.intrinsics());
+    let expected = Intrinsics { width: 20, height: 10, fx: 25.0, fy: 25.0, cx: 9.0, cy: 5.0 };
+    let in_pixels = serde_json::json!({ "fl_x": 50, "cx": 18 });
+    write(in_pixels.clone());
+    assert_eq!(read().unwrap(), expected);
+    std::fs::remove_dir_all(root.join("images")).unwrap();
+    assert!(message(root, &options).contains("expected w and h beside fl_x"), "{}", message(root, &options));
+    // Angles are of any size.
+    write(serde_json::json!({ "camera_angle_x": 2.0 * (10.0_f64 / 25.0).atan() }));
+    assert!((read().unwrap().fx - 25.0).abs() < 1e-9);
+}
+
+#[test]
+fn frames_without_a_suffix_have_masks_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for name in ["v.png", "a.png", "b.JPG.png"] {
+        std::fs::write(at(name), []).unwrap();
+    }
+    let mask = |name: &str| views::find_mask(folder.path(), name);
+    assert_eq!([mask("v.000"), mask("v.001")], [None, None]);
+    assert_eq!(
+        [mask("a.jpg"), mask("images/a.png"), mask("b.JPG")],
+        ["a.png", "a.png", "b.JPG.png"].map(|n| Some(at(n)))
+    );
+}
+
 #[test]
 fn every_eighth_view_is_held_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -213,6 +261,10 @@ fn broken_captures_are_refused_in_one_line() {
     let mut nan = images_bin(&names(["00.png", "01.png", "02.png"]));
     nan[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
     assert!(refused("images.bin", nan).contains("quaternion"));
+    // Its length is infinite, and what that divides nothing.
+    let mut large = images_bin(&names(["00.png", "01.png", "02.png"]));
+    large[12..20].copy_from_slice(&1e200_f64.to_le_bytes());
+    assert!(refused("images.bin", large).contains("quaternion"));
     let mut nan = points_bin(2);
     nan[16..24].copy_from_slice(&f64::NAN.to_le_bytes());
     assert!(refused("points3D.bin", nan).contains("point at byte 8: expected finite"));
@@ -222,7 +274,7 @@ fn broken_captures_are_refused_in_one_line() {
     assert!(open(root, &full()).unwrap().points.is_empty(), "whether points are needed is not for the reader to say");
     std::fs::remove_file(sparse.join("points3D.bin")).unwrap();
     let without = open(root, &full()).unwrap();
-    assert!(without.points.is_empty() && without.points_file.is_none(), "a model need not come with points");
+    assert!(without.points.is_empty() && without.points_files.is_empty(), "a model need not come with points");
     std::fs::rename(sparse.join("images.bin"), sparse.join("frames.bin")).unwrap();
     assert!(message(root, &full()).contains("frames only"));
 }

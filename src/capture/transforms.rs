@@ -124,12 +124,12 @@ pub(super) fn load(
     // Files of one capture may name the same.
     clouds.dedup();
     let mut points = vec![];
-    for (cloud, y_up) in &clouds {
+    for (cloud, y_up) in clouds.iter().filter(|_| !options.without_points) {
         let turn = if *y_up { HALF_TURN } else { DVec3::ONE };
         points.extend(ply::read_points(cloud)?.into_iter().map(|(p, rgb)| Point { position: turn * p, rgb }));
     }
     let list = files.first().map_or_else(PathBuf::new, |(path, _)| path.clone());
-    Ok(Listed { frames, list, points, points_file: clouds.into_iter().next().map(|(cloud, _)| cloud) })
+    Ok(Listed { frames, list, points, points_files: clouds.into_iter().map(|(cloud, _)| cloud).collect() })
 }
 
 /// `./train//r_0` is `train/r_0`, and so is `.\train\r_0`, as programs write it on Windows.
@@ -172,11 +172,11 @@ pub(super) fn parse(
         .map(|(i, fields)| {
             let name = plain(&fields.file_path);
             let at = format!("/frames/{i}");
-            let image = match (inside(path, &format!("{at}/file_path"), &name), photographs) {
-                (Ok(name), _) => find_image(root, name, options),
+            let (image, whole) = match (inside(path, &format!("{at}/file_path"), &name), photographs) {
+                (Ok(name), _) => (find_image(root, name, options.images.as_deref()), find_image(root, name, None)),
                 (Err(e), true) => return Err(e),
                 // The name is only a name.
-                (Err(_), false) => PathBuf::new(),
+                (Err(_), false) => (PathBuf::new(), PathBuf::new()),
             };
             let mask = match &fields.mask_path {
                 Some(mask) if photographs => Some(root.join(inside(path, &format!("{at}/mask_path"), &plain(mask))?)),
@@ -188,7 +188,7 @@ pub(super) fn parse(
             })?;
             let has = |side: fn(&LensFields) -> Option<f64>| side(&fields.lens).or(side(&file.lens)).is_some();
             Ok(Frame {
-                lens: lens(&fields.lens, &file.lens, path, &at, &image)?,
+                lens: lens(&fields.lens, &file.lens, path, &at, (&image, &whole))?,
                 has_size: has(|l| l.w) && has(|l| l.h),
                 held_out: held_out.or_else(|| own_split.then(|| tested.contains(&name))),
                 time: number(&fields.time).or(number(&fields.timestep_index)),
@@ -210,17 +210,20 @@ pub(super) fn parse(
         return Err(CaptureError::invalid(path, format!("{}/file_path", first.at), expected, &first.name));
     }
     let points = match &file.ply_file_path {
-        Some(name) if photographs && !options.without_points => {
-            Some(root.join(inside(path, "/ply_file_path", &plain(name))?))
-        }
+        Some(name) if photographs => match inside(path, "/ply_file_path", &plain(name)) {
+            Ok(inner) => Some(root.join(inner)),
+            // Nobody looks for them.
+            Err(_) if options.without_points => None,
+            Err(e) => return Err(e),
+        },
         _ => None,
     };
     Ok(Parsed { frames, fps: file.fps, y_up: file.centaur.and_then(|ours| ours.y_up).unwrap_or_default(), points })
 }
 
 /// The file of an image: another folder for `images` if asked for, a suffix if the name has none.
-fn find_image(root: &Path, name: &Path, options: &LoadOptions) -> PathBuf {
-    let path = match (&options.images, name.strip_prefix("images")) {
+fn find_image(root: &Path, name: &Path, images: Option<&str>) -> PathBuf {
+    let path = match (images, name.strip_prefix("images")) {
         (Some(folder), Ok(rest)) => root.join(folder).join(rest),
         _ => root.join(name),
     };
@@ -267,14 +270,27 @@ fn focal_lengths(
     Ok(x.or(y).zip(y.or(x)))
 }
 
-/// The lens of a frame, with the file's values where the frame has none of its own.
-fn lens(frame: &LensFields, file: &LensFields, path: &Path, at: &str, image: &Path) -> Result<Lens, CaptureError> {
+/// The lens of a frame, with the file's values where the frame has none of its own: for its image `whole`, in place of which a smaller one
+/// may be asked for.
+fn lens(
+    frame: &LensFields,
+    file: &LensFields,
+    path: &Path,
+    at: &str,
+    (image, whole): (&Path, &Path),
+) -> Result<Lens, CaptureError> {
     let value = |field: fn(&LensFields) -> Option<f64>| field(frame).or_else(|| field(file));
     let (width, height) = match (value(|l| l.w), value(|l| l.h)) {
         // A float cast saturates; sizes that are no sizes fail the aspect check against the image.
         (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
         // Missing images are reported all at once, later: any size will do.
         _ if !image.is_file() => (1, 1),
+        _ if whole.is_file() => images::header(whole)?.stored().1,
+        // Angles are of any size, lengths in pixels of that of the whole image alone.
+        _ if value(|l| l.fl_x).or(value(|l| l.fl_y)).or(value(|l| l.cx)).or(value(|l| l.cy)).is_some() => {
+            let expected = "w and h beside fl_x, as the photographs that these are of are not there";
+            return Err(CaptureError::invalid(path, at, expected, "neither"));
+        }
         _ => images::header(image)?.stored().1,
     };
     let (w, h) = (f64::from(width), f64::from(height));

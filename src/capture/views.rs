@@ -127,12 +127,12 @@ fn all_exist<'a>(
     }
 }
 
-/// The mask of an image by COLMAP's rule (`<name>.png`), or with another or the same suffix.
-fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
+/// The mask of an image by COLMAP's rule (`<name>.png`), or with another or the same suffix, if it has one: `frame.001` has none.
+pub(super) fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
     let name = name.strip_prefix("images/").unwrap_or(name);
-    [folder.join(format!("{name}.png")), folder.join(name).with_extension("png"), folder.join(name)]
-        .into_iter()
-        .find(|path| path.is_file())
+    let path = folder.join(name);
+    let other = image::ImageFormat::from_path(&path).is_ok().then(|| path.with_extension("png"));
+    [Some(folder.join(format!("{name}.png"))), other, Some(path)].into_iter().flatten().find(|path| path.is_file())
 }
 
 /// Looks at the image's header and settles size, orientation and camera.

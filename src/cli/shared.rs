@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
-use centaur::capture::{self, Cameras, Capture, Downscale, LoadOptions};
+use centaur::capture::{self, Cameras, Capture, Downscale, FRAME_RATES, LoadOptions};
 use centaur::edit::Similarity;
 use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
@@ -139,7 +139,8 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
 /// Frames a second.
 pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
-    rate.filter(|n| (0.001..=1000.0).contains(n)).ok_or_else(|| "expected a number from 0.001 to 1000".to_owned())
+    let expected = || format!("expected a number from {} to {}", FRAME_RATES.start(), FRAME_RATES.end());
+    rate.filter(|rate| FRAME_RATES.contains(rate)).ok_or_else(expected)
 }
 
 /// A scene as `read_file` found it in the frame of captures, as `centaur convert` puts it there, and what there is to say of it.
@@ -213,12 +214,21 @@ pub(super) fn spare_images<'a>(pictures: &[PathBuf], images: impl Iterator<Item 
     // As the capture names them: a photograph may be a link to one elsewhere.
     let names: HashSet<&Path> = images.filter(|image| image.exists()).filter_map(Path::parent).collect();
     let folders: HashSet<PathBuf> = names.into_iter().filter_map(|folder| folder.canonicalize().ok()).collect();
-    let mut parents = pictures.iter().filter_map(|picture| picture.parent());
-    let among = parents.find(|folder| folder.canonicalize().is_ok_and(|folder| folders.contains(&folder)));
-    match among {
-        Some(folder) => bail!("{}: holds photographs of the capture: expected another folder", folder.display()),
-        None => Ok(()),
+    // Beside the folder for photographs, which may be in folders of their own in there; masks are called as renders are.
+    let masks = folders.iter().flat_map(|folder| folder.ancestors().take(4).map(|place| place.join("masks")));
+    let masks: HashSet<PathBuf> = masks.filter_map(|folder| folder.canonicalize().ok()).collect();
+    for folder in pictures.iter().filter_map(|picture| picture.parent()) {
+        let Ok(place) = folder.canonicalize() else { continue };
+        let what = if folders.contains(&place) {
+            "photographs"
+        } else if place.ancestors().any(|place| masks.contains(place)) {
+            "masks"
+        } else {
+            continue;
+        };
+        bail!("{}: holds {what} of the capture: expected another folder", folder.display());
     }
+    Ok(())
 }
 
 fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions) -> CameraFile {

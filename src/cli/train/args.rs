@@ -377,9 +377,10 @@ impl Args {
     pub(super) fn open(&self) -> Result<Capture> {
         let options = LoadOptions { without_points: self.no_points, ..self.loading.options() };
         let capture = capture::open(&self.capture, &options)?;
-        self.ply.as_deref().map_or(Ok(()), |ply| output::spare(ply, capture.points_file.as_deref()))?;
-        match &capture.points_file {
-            Some(file) if capture.points.is_empty() => bail!(
+        let files = capture.points_files.iter().map(PathBuf::as_path);
+        self.ply.as_deref().map_or(Ok(()), |ply| output::spare(ply, files))?;
+        match capture.points_files.first() {
+            Some(file) if capture.points.is_empty() && !self.no_points => bail!(
                 "{}: expected points, found none; --no-points begins with splats at random places that the cameras look at",
                 file.display()
             ),
