@@ -214,9 +214,10 @@ pub(super) fn spare_images<'a>(pictures: &[PathBuf], images: impl Iterator<Item 
     // As the capture names them: a photograph may be a link to one elsewhere.
     let names: HashSet<&Path> = images.filter(|image| image.exists()).filter_map(Path::parent).collect();
     let folders: HashSet<PathBuf> = names.into_iter().filter_map(|folder| folder.canonicalize().ok()).collect();
-    // Beside the folder for photographs, which may be in folders of their own in there; masks are called as renders are.
-    let masks = folders.iter().flat_map(|folder| folder.ancestors().take(4).map(|place| place.join("masks")));
-    let masks: HashSet<PathBuf> = masks.filter_map(|folder| folder.canonicalize().ok()).collect();
+    // Of the capture around them, which may have them in folders of folders; masks are called as renders are.
+    let around =
+        folders.iter().flat_map(|folder| folder.ancestors().take(4).filter(|place| capture::is_capture(place)));
+    let masks: HashSet<PathBuf> = around.filter_map(|place| place.join("masks").canonicalize().ok()).collect();
     for folder in pictures.iter().filter_map(|picture| picture.parent()) {
         let Ok(place) = folder.canonicalize() else { continue };
         let what = if folders.contains(&place) {

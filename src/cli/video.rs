@@ -38,13 +38,12 @@ pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) 
             other.1
         );
     }
-    if let Some(aspect) = cameras.first().map(|(_, camera)| aspect(camera))
-        && let Some((name, camera)) =
-            cameras.iter().find(|(_, camera)| (self::aspect(camera) / aspect - 1.0).abs() > SQUARE)
+    let mut aspects = cameras.iter().map(|(name, camera)| (name, aspect(camera)));
+    if let Some((_, first)) = aspects.next()
+        && let Some((name, other)) = aspects.find(|(_, other)| (other / first - 1.0).abs() > SQUARE)
     {
-        let other = self::aspect(camera);
         bail!(
-            "--video: expected pixels of one shape, found {aspect} times as wide as high and {other} of {name}; other cameras may help"
+            "--video: expected pixels of one shape, found {first} times as wide as high and {other} of {name}; other cameras may help"
         );
     }
     let asked = Command::new("ffmpeg")
