@@ -1,4 +1,6 @@
 """What the script for Blender makes of its options, where there is no Blender."""
+import contextlib
+import io
 import pathlib
 import re
 import unittest
@@ -30,6 +32,21 @@ class Cameras(unittest.TestCase):
         with self.assertRaises(module["ScriptError"]) as caught:
             check("x\n")
         self.assertEqual(str(caught.exception), "--camera: expected 0 to 5, a name (a\\nb, c, d, e, f, …), `all` or `path`, found x\\n")
+
+class Frames(unittest.TestCase):
+    def test_frames_are_those_that_blender_has(self):
+        module = script(["a", "b", "c"])
+        for text in ("1", "1048574", "all"):
+            module["check"](module["parse"](["--frame", text, "--camera", "a"] if text != "all" else ["--frame", text]))
+        for text in ("0", "-1", "\u00b2", "1048575", "9" * 30, "1.5"):
+            said = io.StringIO()
+            with contextlib.redirect_stderr(said), self.assertRaises(SystemExit):
+                module["parse"]([f"--frame={text}"])
+            self.assertIn(f"--frame: expected a number from 1 to 1048574, or `all`, found {text}", said.getvalue())
+        check = lambda frames: module["check"](module["parse"](["--path", str(frames)]))
+        check(524286)
+        with self.assertRaises(module["ScriptError"]):
+            check(524287)
 
 
 if __name__ == "__main__":

@@ -140,6 +140,38 @@ pub fn place_of(output: &Path) -> io::Result<PathBuf> {
     Ok(linked.unwrap_or_else(|| output.to_owned()))
 }
 
+/// Renames each of `files`, of which the first is in `staging`, to the second, in their order, over what is there: all of them, or none where
+/// one cannot be, which is the error's.
+///
+/// # Errors
+/// If a place is a folder, or cannot be written to.
+pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result<(), (&'a Path, io::Error)> {
+    let _undisturbed = undisturbed();
+    let mut former = vec![];
+    for (i, (file, place)) in files.iter().enumerate() {
+        let kept = staging.path().join(format!("{PREFIX}former-{i}"));
+        let keep = || -> io::Result<Option<PathBuf>> {
+            if !place.exists() {
+                return Ok(None);
+            }
+            // Both names are of one content until the new one comes over the other; not all file systems have that.
+            fs::hard_link(place, &kept).or_else(|_| fs::copy(place, &kept).map(drop))?;
+            Ok(Some(kept))
+        };
+        match keep().and_then(|kept| fs::rename(file, place).map(|()| kept)) {
+            Ok(kept) => former.push((*place, kept)),
+            Err(error) => {
+                for (place, kept) in former.into_iter().rev() {
+                    // Whoever is told of the first failure knows what may have failed after it.
+                    let _ = kept.map_or_else(|| fs::remove_file(place), |kept| fs::rename(kept, place));
+                }
+                return Err((place, error));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Of the names of temporary files and folders.
 const PREFIX: &str = ".centaur-";
 
@@ -235,6 +267,29 @@ mod tests {
         // A rename that fails leaves nothing.
         assert!(write(&folder.path().join("a".repeat(300)), b"").is_err());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn of_several_files_all_are_replaced_or_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let [a, b, c, d] = ["a", "b", "c", "d"].map(at);
+        let replace = |places: &[&Path]| {
+            let staging = Staging::within(folder.path()).unwrap();
+            let staged: Vec<PathBuf> = (0..places.len()).map(|i| staging.path().join(i.to_string())).collect();
+            for file in &staged {
+                write(file, b"new").unwrap();
+            }
+            let files: Vec<(&Path, &Path)> = staged.iter().map(PathBuf::as_path).zip(places.iter().copied()).collect();
+            replace_all(&staging, &files).map_err(|(file, _)| file.to_owned())
+        };
+        write(&a, b"old").unwrap();
+        fs::create_dir(&c).unwrap();
+        assert_eq!(replace(&[&a, &b, &c, &d]).unwrap_err(), c);
+        assert_eq!((fs::read(&a).unwrap(), b.exists(), c.is_dir(), d.exists()), (b"old".to_vec(), false, true, false));
+        replace(&[&a, &b]).unwrap();
+        assert_eq!([fs::read(&a).unwrap(), fs::read(&b).unwrap()], [b"new", b"new"]);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3, "nothing is left of it");
     }
 
     /// Of what is listed by this test alone: others write meanwhile.

@@ -229,6 +229,24 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
         std::fs::copy(images.join("000.png"), images.join(name)).unwrap();
     }
     assert_eq!(notes(), "note: capture: lists 8 of the 10 photographs: the others are left out\n");
+    // Beside the model, a file of two of them that looks the other way.
+    let frame = |i: u32| {
+        format!(
+            r#"{{"file_path":"images/{i:03}.png","transform_matrix":[[1,0,0,{i}],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]}}"#
+        )
+    };
+    let json = format!(r#"{{"fl_x":32,"frames":[{},{}]}}"#, frame(0), frame(1));
+    std::fs::write(folder.path().join("capture/transforms.json"), json).unwrap();
+    let note = "note: capture: has a COLMAP model, which is taken, and transforms.json: name that file in place of the folder to take it\n";
+    assert!(notes().starts_with(note), "{}", notes());
+    let more = ["--no-mesh", "--max-splats", "500", "--all-views", "--iterations", "2"];
+    let mut of_file = centaur(folder.path());
+    of_file.args(["train", "capture/transforms.json", "-o", "t.glb", "--quiet"]).args(more);
+    let said = stderr(&of_file.output().unwrap());
+    assert!(
+        said.contains("note: capture/transforms.json: lists 2 of the 10 photographs: the others are left out\n"),
+        "{said}"
+    );
 }
 
 /// Variants of a benchmark share them with hybrids.

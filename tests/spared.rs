@@ -179,6 +179,29 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     assert!(line.starts_with("error: g.blend.py: would replace ") && line.ends_with(expected), "{line}");
 }
 
+/// An output that is there need not be an export of this program.
+#[test]
+fn outputs_of_others_do_not_give_their_neighbours_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_splats(&at("g.ply"), 5);
+    write_splats(&at("h_splats.ply"), 9);
+    std::fs::write(at("h.xml"), "<scene version='3.0.0'/>\n").unwrap();
+    let line = refused(folder.path(), "convert g.ply h.xml");
+    assert!(
+        line.ends_with("h_splats.ply, which is there already; another name or a folder of its own keeps both"),
+        "{line}"
+    );
+    // Of another version, or changed by hand, under a name that all scenes have for it.
+    std::fs::write(at("hybrid_rf.py"), "# other\n").unwrap();
+    let line = refused(folder.path(), "convert g.ply i.xml");
+    assert!(line.ends_with("hybrid_rf.py, which is there already; a folder of its own keeps both"), "{line}");
+    // Nothing is put beside a scene that cannot be put there.
+    std::fs::remove_file(at("hybrid_rf.py")).unwrap();
+    std::fs::create_dir(at("hybrid_rf.py")).unwrap();
+    refused(folder.path(), "convert g.ply i.xml");
+}
+
 /// Blanks become `_` in names of files beside an export.
 #[test]
 fn exports_that_share_files_are_told_of() {

@@ -201,7 +201,7 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
 /// Reads, turns, masks, undistorts and downscales the picture of a view.
 ///
 /// # Errors
-/// If the image or its mask cannot be read, is truncated, or has changed its size since [`super::open`].
+/// If the image or its mask cannot be read, is truncated, or has changed its size since [`super::open`], or its lens leaves nothing of it.
 pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     let source = &view.source;
     let (width, height) = (source.lens.intrinsics.width, source.lens.intrinsics.height);
@@ -223,6 +223,12 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     let mut masked = source.mask.is_some();
     if source.lens.distortion != Distortion::None {
         let (pinhole, outside) = source.lens.rectify(&rgba);
+        let shows = |rgba: &[u8]| rgba.iter().skip(3).step_by(4).any(|alpha| *alpha > 0);
+        if shows(&rgba) && !shows(&pinhole) {
+            let expected = "one with a pinhole image";
+            let found = "none of the photograph in it";
+            return Err(CaptureError::invalid(&source.image, "lens distortion", expected, found));
+        }
         masked |= outside && !has_alpha;
         rgba = RgbaImage::from_raw(width, height, pinhole).expect("rectify keeps the size");
     }
@@ -339,7 +345,7 @@ fn resize(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::write_capture;
+    use super::super::tests::{cameras_bin, write_capture};
     use super::super::{Downscale, LoadOptions, open};
     use super::*;
     use crate::format::test_scenes::{black_png, profiled_png};
@@ -425,6 +431,24 @@ mod tests {
             assert!(pixels.clone().all(|p| (p[0] > 125) == (p[3] > 125)), "{width}×{height}");
             assert_eq!(pixels.filter(|p| p[3] > 125).count(), 32, "{width}×{height}");
         }
+    }
+
+    #[test]
+    fn lenses_that_leave_nothing_of_a_photograph_are_refused() {
+        let (folder, (w, h)) = (capture_of(&png(&DynamicImage::new_rgb8(16, 8)), 16, 8), (16.0, 8.0));
+        let with = |k: f64| {
+            let cameras = cameras_bin(2, 16, 8, &[w, w / 2.0, h / 2.0, k]);
+            std::fs::write(folder.path().join("sparse/0/cameras.bin"), cameras).unwrap();
+            decode(&open(folder.path(), &LoadOptions::default()).unwrap().views[0])
+        };
+        assert!(with(-0.1).is_ok());
+        let said = with(-1e6).unwrap_err().to_string();
+        assert!(
+            said.ends_with(
+                "00.png: lens distortion: expected one with a pinhole image, found none of the photograph in it"
+            ),
+            "{said}"
+        );
     }
 
     /// Columns 0 to 4 of 16 are of the first colour.

@@ -39,6 +39,8 @@ pub struct Capture {
     pub points: Vec<Point>,
     /// The files that points are of, also where these are not wanted; none if the capture names none.
     pub points_files: Vec<PathBuf>,
+    /// Lists of views beside the one that was read, where the capture is a folder with several.
+    pub passed_over: Vec<PathBuf>,
 }
 
 impl Capture {
@@ -223,9 +225,11 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
+    let mut passed_over = vec![];
     let Listed { frames, list, points, points_files } = if !folder {
         transforms::load(root, &[(path.into(), None)], options)?
     } else if let Some(model) = colmap::find_model(path) {
+        passed_over.extend(transforms::find(path).into_iter().map(|(file, _)| file));
         colmap::load(path, &model, (options, !options.without_points))?
     } else {
         let files = transforms::find(path);
@@ -239,7 +243,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     near_origin(&views, &list)?;
     let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
     let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Capture { name, views, points, points_files })
+    Ok(Capture { name, views, points, points_files, passed_over })
 }
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is

@@ -617,7 +617,10 @@ fn what_lies_beside_transforms_does_not_hide_them() {
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
         std::fs::rename(root.join("sparse/0").join(file), root.join(file)).unwrap();
     }
-    assert_eq!(open(root, &full()).unwrap().views.len(), 3);
+    let capture = open(root, &full()).unwrap();
+    assert_eq!((capture.views.len(), capture.passed_over), (3, vec![root.join("transforms.json")]));
+    let named = open(&root.join("transforms.json"), &full()).unwrap();
+    assert_eq!((named.views.len(), named.passed_over), (2, vec![]));
 }
 
 #[test]

@@ -1,5 +1,5 @@
-use std::fs::File;
-use std::io::{self, BufRead as _, BufReader};
+mod placing;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -319,84 +319,8 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         let loss = Loss { record: false, ..report.loss };
         bail!("{}: --strict: a .{extension} would lose {loss}", output.display());
     }
-    // Pictures of a .usda come first: a file that names them must not be there before they are.
-    let entries = staging.path().read_dir().with_context(named)?;
-    let files: Vec<PathBuf> = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>().with_context(named)?;
-    let beside = |file: &Path| folder.join(file.file_name().unwrap_or_default());
-    let companions: Vec<(&PathBuf, PathBuf)> =
-        (files.iter().filter(|file| **file != staged)).map(|file| (file, beside(file))).collect();
-    for (file, place) in &companions {
-        spare_foreign(output, file, place, inputs)?;
-    }
-    let mut shown =
-        format::sharing(&place.with_file_name(output.file_name().unwrap_or_default())).with_context(named)?;
-    let mut changed = None;
-    // Plug-ins are of the program, and no part of a scene.
-    let of_scene = |file: &Path| !shown.is_empty() && file.extension().is_none_or(|e| e != "py");
-    for (file, place) in companions.iter().filter(|(file, _)| of_scene(file)) {
-        if place.exists() && !is_equal(file, place).with_context(named)? {
-            changed = Some(place);
-        }
-    }
-    if changed.is_none() {
-        shown.clear();
-    }
-    if let (Some(file), Some(other)) = (changed, shown.iter().find(|other| !other.is_of_one_name)) {
-        bail!(
-            "{}: would replace {}, which {} shows; another name or a folder of its own keeps both",
-            output.display(),
-            file.display(),
-            other.path.display()
-        );
-    }
-    for (file, place) in &companions {
-        std::fs::rename(file, place).with_context(|| format!("{}: cannot write", place.display()))?;
-    }
-    std::fs::rename(&staged, &place).with_context(named)?;
-    for other in shown {
-        report.notes.push(format!("{} shows files that this has replaced: write it anew, too", other.path.display()));
-    }
+    report.notes.extend(placing::place(&staging, output, &place, inputs)?);
     Ok(report)
-}
-
-/// Whether two files have one content.
-fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
-    if a.metadata()?.len() != b.metadata()?.len() {
-        return Ok(false);
-    }
-    let [mut a, mut b] = [BufReader::new(File::open(a)?), BufReader::new(File::open(b)?)];
-    loop {
-        let (left, right) = (a.fill_buf()?, b.fill_buf()?);
-        let length = left.len().min(right.len());
-        if length == 0 || left[..length] != right[..length] {
-            return Ok(left.is_empty() && right.is_empty());
-        }
-        a.consume(length);
-        b.consume(length);
-    }
-}
-
-/// Refuses to write `place` beside `output` over what nobody has named: an input, or, where there is no output yet that it may be of,
-/// another file than `new`, which is to be there.
-fn spare_foreign(output: &Path, new: &Path, place: &Path, inputs: &[PathBuf]) -> Result<()> {
-    let is_foreign = || -> io::Result<bool> {
-        if output.exists() || !place.exists() {
-            return Ok(false);
-        }
-        Ok(!is_equal(new, place)?)
-    };
-    let what = if output::spare(place, inputs.iter().map(PathBuf::as_path)).is_err() {
-        "is read"
-    } else if is_foreign().with_context(|| place.display().to_string())? {
-        "is there already"
-    } else {
-        return Ok(());
-    };
-    bail!(
-        "{}: would replace {}, which {what}; another name or a folder of its own keeps both",
-        output.display(),
-        place.display()
-    )
 }
 
 fn described(o: &Outcome<'_>) -> String {

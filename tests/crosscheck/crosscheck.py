@@ -191,7 +191,7 @@ def compare(row, ours, theirs, background, gate, edges, layers):
     at_least = lambda f, gate: meets(f["psnr"], gate) or (f["above_1e-2"] <= edges and meets(f["rest"], gate))
     row |= figures(over(ours[""], background), over(theirs[""], background)) | {"gate": gate}
     row["alpha"] = figures(ours[""][..., 3:], theirs[""][..., 3:])
-    row["passes"] = at_least(row, gate)
+    row["passes"] = at_least(row, gate) and at_least(row["alpha"], gate)
     if layers:
         row["layers"] = {name: figures(ours[name], theirs[name]) for name in layers}
         row["sum_error"] = float(np.abs(theirs["splats"] + theirs["mesh"] - theirs[""])[..., :3].max())
@@ -209,6 +209,8 @@ def check(scene, arguments, out):
     background = np.array(contract_of(asset).get("background", [0, 0, 0]), float)
     splats = ray_model.splats_of(asset)
     count = 0 if splats is None else len(splats[0])
+    if cameras == 0:
+        sys.exit(f"crosscheck.py: {scene}: no cameras to compare it from")
     kind = "meshes" if count == 0 else "few" if count <= FEW else "many"
     out.mkdir(parents=True, exist_ok=True)
     centaur = arguments.centaur

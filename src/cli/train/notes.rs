@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
+use centaur::atomic::folder_of;
 use centaur::capture::{Capture, View};
 use centaur::optimize::{self, RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
@@ -65,7 +66,8 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
     let idle = args.idle().map(|(beside, flags)| {
         format!("{beside}: {} {} no effect", flags.join(", "), if flags.len() == 1 { "has" } else { "have" })
     });
-    let of_capture = said.map(|(_, what)| what.to_owned()).chain(not_listed(args, capture)).chain(large);
+    let of_capture = said.map(|(_, what)| what.to_owned());
+    let of_capture = of_capture.chain(passed_over(capture)).chain(not_listed(args, capture)).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
     let asks = args.max_splats.is_some_and(|asked| asked > most);
@@ -80,11 +82,18 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .collect()
 }
 
+/// What else lists views in the folder, such as nerfstudio's file beside the model it was made of: that may have a split, masks and times.
+fn passed_over(capture: &Capture) -> Option<String> {
+    let other = capture.passed_over.first()?.file_name()?.display();
+    Some(format!("has a COLMAP model, which is taken, and {other}: name that file in place of the folder to take it"))
+}
+
 /// How many photographs there are beside its own that it does not list: structure from motion may have found a part of the poses, or several
 /// models.
 fn not_listed(args: &Args, capture: &Capture) -> Option<String> {
     // Elsewhere there may be depths and normals among them, as in NeRF-synthetic.
-    let root = args.capture.join(args.loading.pictures.images.as_deref().unwrap_or("images"));
+    let folder = if args.capture.is_dir() { &args.capture } else { folder_of(&args.capture) };
+    let root = folder.join(args.loading.pictures.images.as_deref().unwrap_or("images"));
     let listed: HashSet<&Path> = capture.views.iter().map(|view| view.source.path()).collect();
     let folders: BTreeSet<&Path> = listed.iter().filter_map(|image| image.parent()).collect();
     let entries = folders.iter().filter(|folder| folder.starts_with(&root)).filter_map(|folder| folder.read_dir().ok());

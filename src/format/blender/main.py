@@ -67,8 +67,8 @@ def parse(arguments):
     options = parser.parse_args(arguments)
     if options.path is not None and options.path < 1:
         parser.error("--path: expected at least 1 frame")
-    if options.frame != "all" and not (options.frame.isdigit() and int(options.frame) > 0):
-        parser.error(f"--frame: expected a number from 1, or `all`, found {options.frame}")
+    if options.frame != "all" and not (is_number(options.frame) and 1 <= int(options.frame) <= LAST_FRAME):
+        parser.error(f"--frame: expected a number from 1 to {LAST_FRAME}, or `all`, found {printable(options.frame)}")
     if options.render and not options.render.lower().endswith((".exr", ".png")):
         parser.error(f"--render: expected a name that ends in .exr or .png, found {options.render}")
     if options.save and not options.save.lower().endswith(".blend"):
@@ -162,6 +162,8 @@ def check(options):
     for path in filter(None, (options.save, options.render)):
         writable(path)
     count = len(SCENE["cameras"])
+    if options.path and options.path * (count - 1) >= LAST_FRAME:
+        raise ScriptError(f"--path: expected at most {LAST_FRAME} frames through {count} cameras, found {options.path} from one to the next")
     if is_path(options):
         if not options.path or count < 2:
             raise ScriptError("--camera path: expected --path and two cameras or more")
@@ -175,6 +177,12 @@ def check(options):
 
 
 SOME = 5  # names of cameras that a message lists
+LAST_FRAME = 1048574  # that Blender has
+
+
+def is_number(text):
+    """Whether it is one of a camera or a frame, of digits alone."""
+    return text.isascii() and text.isdigit() and len(text) < 10
 
 
 def printable(text):
@@ -190,7 +198,7 @@ def is_path(options):
 def camera_index(text):
     """Index of the camera of this number, or else of this name; of several the first. None if there is none."""
     names = [camera["name"] for camera in SCENE["cameras"]]
-    number = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else len(names)
+    number = int(text) if is_number(text) else len(names)
     if number < len(names) and text == str(number):
         return number
     if text in names:

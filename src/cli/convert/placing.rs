@@ -1,0 +1,142 @@
+//! What was written beside an output comes to its place, over nothing that is another's.
+
+use std::fs::File;
+use std::io::{self, BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use centaur::atomic::{self, Staging, folder_of};
+use centaur::format::{self, Sharing};
+
+use crate::cli::output;
+
+/// A file that belongs beside the output.
+struct Companion {
+    staged: PathBuf,
+    place: PathBuf,
+}
+
+impl Companion {
+    /// Plug-ins are of the program, and no part of a scene.
+    fn is_plugin(&self) -> bool {
+        format::has_extension(&self.place, &["py"])
+    }
+
+    /// How to keep what is there.
+    fn other_ways(&self) -> &'static str {
+        if self.is_plugin() {
+            "a folder of its own keeps both"
+        } else {
+            "another name or a folder of its own keeps both"
+        }
+    }
+
+    /// Whether another file has its place.
+    fn replaces(&self) -> io::Result<bool> {
+        Ok(self.place.exists() && !is_equal(&self.staged, &self.place)?)
+    }
+}
+
+/// Moves all files of `staging` to the folder of `place`, which `output` leads to and is the place of the one of its name: all of them or
+/// none. What is to be said of it.
+pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[PathBuf]) -> Result<Vec<String>> {
+    let named = || format!("{}: cannot write", output.display());
+    let name = output.file_name().unwrap_or_default();
+    let mut companions = vec![];
+    for entry in staging.path().read_dir().with_context(named)? {
+        let staged = entry.with_context(named)?.path();
+        if staged.file_name() != Some(name) {
+            let place = folder_of(place).join(staged.file_name().unwrap_or_default());
+            companions.push(Companion { staged, place });
+        }
+    }
+    spare_foreign(output, &companions, inputs)?;
+    let shown = showing(output, &place.with_file_name(name), &companions)?;
+    // A file that names others must not be there before they are.
+    let all = companions.iter().map(|file| (&*file.staged, &*file.place));
+    let staged = staging.path().join(name);
+    let files: Vec<(&Path, &Path)> = all.chain([(&*staged, place)]).collect();
+    atomic::replace_all(staging, &files)
+        .map_err(|(file, error)| anyhow::Error::from(error).context(format!("{}: cannot write", file.display())))?;
+    let note =
+        |other: Sharing| format!("{} shows files that this has replaced: write it anew, too", other.path.display());
+    Ok(shown.into_iter().map(note).collect())
+}
+
+/// Refuses to write over what nobody has named: an input, or another's file where the output is not the one it belongs to.
+fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) -> Result<()> {
+    let is_own = names_one_of(output, companions).with_context(|| output.display().to_string())?;
+    for file in companions {
+        let is_foreign = !is_own && file.replaces().with_context(|| file.place.display().to_string())?;
+        let what = if output::spare(&file.place, inputs.iter().map(PathBuf::as_path)).is_err() {
+            "is read"
+        } else if is_foreign {
+            "is there already"
+        } else {
+            continue;
+        };
+        bail!("{}: would replace {}, which {what}; {}", output.display(), file.place.display(), file.other_ways());
+    }
+    Ok(())
+}
+
+/// Whether the output is there, with one of these beside it, as its text says; what is no text may always.
+fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
+    if !output.exists() {
+        return Ok(false);
+    }
+    let mut lines = BufReader::new(File::open(output)?).lines();
+    let own: Vec<&str> = (companions.iter().filter(|file| !file.is_plugin()))
+        .filter_map(|file| file.place.file_name()?.to_str())
+        .collect();
+    let found = lines.find_map(|line| match line {
+        Ok(line) => own.iter().any(|name| line.contains(name)).then_some(true),
+        Err(_) => Some(true),
+    });
+    Ok(found.unwrap_or(false))
+}
+
+/// Other exports that show companions of `output` as they were, and whose names differ as little as what they are for; an error for
+/// others.
+fn showing(output: &Path, beside: &Path, companions: &[Companion]) -> Result<Vec<Sharing>> {
+    let named = || format!("{}: cannot write", output.display());
+    let shown = format::sharing(beside).with_context(named)?;
+    if shown.is_empty() {
+        return Ok(shown);
+    }
+    let mut changed = None;
+    for file in companions.iter().filter(|file| !file.is_plugin()) {
+        if file.replaces().with_context(named)? {
+            changed = Some(file);
+        }
+    }
+    let Some(file) = changed else { return Ok(vec![]) };
+    if let Some(other) = shown.iter().find(|other| !other.is_of_one_name) {
+        bail!(
+            "{}: would replace {}, which {} shows; {}",
+            output.display(),
+            file.place.display(),
+            other.path.display(),
+            file.other_ways()
+        );
+    }
+    Ok(shown)
+}
+
+/// Whether two files have one content.
+fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
+    let [of_a, of_b] = [a.metadata()?, b.metadata()?];
+    if of_a.len() != of_b.len() || of_a.is_file() != of_b.is_file() {
+        return Ok(false);
+    }
+    let [mut a, mut b] = [BufReader::new(File::open(a)?), BufReader::new(File::open(b)?)];
+    loop {
+        let (left, right) = (a.fill_buf()?, b.fill_buf()?);
+        let length = left.len().min(right.len());
+        if length == 0 || left[..length] != right[..length] {
+            return Ok(left.is_empty() && right.is_empty());
+        }
+        a.consume(length);
+        b.consume(length);
+    }
+}
