@@ -13,13 +13,14 @@
 const NOWHERE: vec2u = vec2u(1u, 0u);   // first bin (1, 0), last bin (0, 0): empty
 
 fn position(i: u32) -> vec3f {
-    return to_camera(view, vec3f(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]));
+    return vec3f(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]);
 }
 
-// +1 if edge a→b is walked in its canonical direction. Both triangles of an edge evaluate it in that direction and
-// multiply by this sign, so they agree exactly on which side a pixel is, whatever the adapter's rounding.
-fn direction(a: u32, b: u32) -> f32 {
-    return select(-1.0, 1.0, a < b);
+// +1 if edge a→b is walked in its canonical direction, by position: vertices may be copies, as along seams and hard edges. Both triangles of
+// an edge evaluate it in that direction and multiply by this sign, so they agree exactly on which side a pixel is, whatever the adapter's rounding.
+fn direction(a: vec3f, b: vec3f) -> f32 {
+    let is_before = select(select(a.z < b.z, a.y < b.y, a.y != b.y), a.x < b.x, a.x != b.x);
+    return select(-1.0, 1.0, is_before);
 }
 
 struct Box {
@@ -53,13 +54,14 @@ fn setup(
     let i = group_index(group) * 256u + thread;
     if i >= view.n_triangles { return; }
     let t = triangles[i];
-    let a = position(t.x);
-    let b = position(t.y);
-    let c = position(t.z);
+    let world = array(position(t.x), position(t.y), position(t.z));
+    let a = to_camera(view, world[0]);
+    let b = to_camera(view, world[1]);
+    let c = to_camera(view, world[2]);
     // The sign of corner k belongs to the edge opposite to it.
-    corners[3u * i] = vec4f(a, direction(t.y, t.z));
-    corners[3u * i + 1u] = vec4f(b, direction(t.z, t.x));
-    corners[3u * i + 2u] = vec4f(c, direction(t.x, t.y));
+    corners[3u * i] = vec4f(a, direction(world[1], world[2]));
+    corners[3u * i + 1u] = vec4f(b, direction(world[2], world[0]));
+    corners[3u * i + 2u] = vec4f(c, direction(world[0], world[1]));
 
     boxes[i] = NOWHERE;
     if max(a.z, max(b.z, c.z)) <= view.near { return; }

@@ -161,7 +161,7 @@ impl<'a> Evaluator<'a> {
 pub struct Comparison {
     /// The photograph, in \[0, 1\].
     pub truth: Rgb32FImage,
-    /// The render, not clamped.
+    /// The render as it is shown, in \[0, 1\]: brighter than white is white, also before a mask multiplies it.
     pub render: Rgb32FImage,
     /// A mask multiplied both.
     pub masked: bool,
@@ -188,7 +188,7 @@ impl Comparison {
         for (p, (render, rgb)) in render.pixels_mut().zip(&picture.rgb).enumerate() {
             // Those of other sizes have no score.
             let mask = if are_alike { expected(photo, p, background).1 } else { 1.0 };
-            *render = Rgb(space.to_srgb(*rgb).map(|c| c * mask));
+            *render = Rgb(space.to_srgb(*rgb).map(|c| c.clamp(0.0, 1.0) * mask));
         }
         let is_empty = photo.masked && photo.rgba.chunks_exact(4).all(|rgba| rgba[3] == 0);
         Self { truth, render, masked: photo.masked, is_empty }
@@ -251,6 +251,16 @@ mod tests {
         // Half is level 128: 127 from white in four channels, 128 from black in two.
         let squares = (4.0 * 127.0_f64.powi(2) + 2.0 * 128.0_f64.powi(2)) / 255.0_f64.powi(2);
         assert!((plain.psnr().unwrap() - -10.0 * (squares / 6.0).log10()).abs() < 1e-5, "{}", plain.psnr().unwrap());
+    }
+
+    /// Half of a mask on what is brighter than white is half of white.
+    #[test]
+    fn renders_are_clamped_before_masks_multiply_them() {
+        let white = Photo { rgba: vec![255, 255, 255, 255, 255, 255, 255, 128], ..photo(true) };
+        let both = Comparison::new(&white, &grey(1.6, 2), &Composition::default());
+        assert_eq!(both.truth, both.render);
+        let score = both.score("a.jpg", None).unwrap().scores;
+        assert!(score.psnr.is_infinite() && score.psnr_float.is_infinite() && score.flip == 0.0, "{score:?}");
     }
 
     #[test]

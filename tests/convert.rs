@@ -282,19 +282,22 @@ fn several_inputs_become_one_scene() {
         Composition { pixel_filter: centaur::scene::PixelFilter::MIP, background: [1.0; 3], ..Composition::default() };
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: mip };
     format::write_scene(&folder.path().join("m.glb"), &scene, &WriteOptions::default()).unwrap();
-    let said = convert(folder.path(), "a.ply m.glb b.glb");
+    let said = convert(folder.path(), "a.ply m.glb -o b.glb");
     assert!(said.starts_with("note: m.glb: left out on joining: its own pixel filter and background\n"), "{said}");
-    let line = failure(folder.path(), "a.ply m.glb b.glb --strict");
+    let line = failure(folder.path(), "a.ply m.glb -o b.glb --strict");
     assert!(line.contains("pixel filter"), "{line}");
-    assert!(!convert(folder.path(), "m.glb m.glb b.glb").contains("left out"));
+    assert!(!convert(folder.path(), "m.glb m.glb -o b.glb").contains("left out"));
+    // As `*.glb` names them, the last is no output.
+    let line = failure(folder.path(), "a.ply m.glb b.glb");
+    assert_eq!(line, "error: b.glb: is there already: -o b.glb replaces it");
     // A .ply says nothing of a background that could be left out.
-    let said = convert(folder.path(), "m.glb a.ply b.glb");
+    let said = convert(folder.path(), "m.glb a.ply -o b.glb");
     assert!(said.starts_with("note: a.ply: left out on joining: its own pixel filter\n"), "{said}");
 
     let linear = Composition { color_space: centaur::scene::ColorSpace::LinearDisplay, ..Composition::default() };
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: linear };
     format::write_scene(&folder.path().join("l.glb"), &scene, &WriteOptions::default()).unwrap();
-    let line = failure(folder.path(), "h.glb l.glb b.glb");
+    let line = failure(folder.path(), "h.glb l.glb -o b.glb");
     assert!(line.starts_with("error: joining the inputs: ") && line.contains("LinearDisplay"), "{line}");
 }
 
@@ -515,7 +518,7 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
         "a.ply b.ply --axes RUB:LDF --remove-sphere 0,0,0,0 --remove-box -4,-4,-4,-3,-3,-3 --morton",
     );
     assert_eq!(labels("b.ply"), Some(vec![8.0, 7.0, 6.0, 5.0, 2.0, 1.0]));
-    convert(folder.path(), "a.ply a.ply b.ply");
+    convert(folder.path(), "a.ply a.ply -o b.ply");
     assert_eq!(labels("b.ply").map(|l| l.len()), Some(18));
 
     // A mesh has no splats that could lack it.
@@ -523,11 +526,11 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
     let mut scene = format::read_scene(&folder.path().join("h.glb")).unwrap();
     scene.splats = Splats::empty(0);
     format::write_scene(&folder.path().join("mesh.glb"), &scene, &WriteOptions::default()).unwrap();
-    convert(folder.path(), "a.ply mesh.glb b.ply");
+    convert(folder.path(), "a.ply mesh.glb -o b.ply");
     assert_eq!(labels("b.ply").map(|l| l.len()), Some(9));
 
     ply::write(&folder.path().join("plain.ply"), &splats(2, 0)).unwrap();
-    let said = convert(folder.path(), "a.ply plain.ply b.ply");
+    let said = convert(folder.path(), "a.ply plain.ply -o b.ply");
     assert!(said.starts_with("note: a.ply: attribute label: left out, not in all inputs\n"), "{said}");
     assert_eq!(labels("b.ply"), None);
     let line = failure(folder.path(), "a.ply c.glb --strict");

@@ -278,6 +278,11 @@ fn all_views_are_trained_on_if_asked_for() {
     };
     let (is_null, split, says, without) = scored("");
     assert!(!is_null && split == "every8th" && !says);
+    // Without the first the second is held out, which was trained on.
+    write(&frames[1..]);
+    let notes = run("eval scene.glb capture --quiet --json")["notes"].to_string();
+    assert!(notes.contains("trained on 1 of the 1 views that are scored"), "{notes}");
+    write(&frames);
     let (is_null, split, says, with) = scored(" --all-views");
     assert!(is_null && split == "all" && says);
     assert!(with > without + 1.0, "{with} dB, {without} dB where it is held out");

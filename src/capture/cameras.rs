@@ -24,6 +24,8 @@ pub struct Cameras {
     pub y_up: bool,
     /// Their photographs, as far as the capture names any; they need not exist.
     pub images: Vec<PathBuf>,
+    /// As those of [`super::Capture`].
+    pub passed_over: Vec<PathBuf>,
 }
 
 /// `camera_path.json` of nerfstudio's viewer.
@@ -66,8 +68,10 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
         views::inside(path, "--images", images)?;
     }
     let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
+    let mut passed_over = vec![];
     let (mut frames, fps, y_up, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
         let Listed { frames, list, .. } = colmap::load(path, &model, (options, false))?;
+        passed_over.extend(files.into_iter().map(|(file, _)| file));
         (frames, None, false, list)
     } else {
         let Some((first, _)) = files.first() else {
@@ -96,7 +100,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     let images = frames.iter().map(|frame| frame.image.clone()).collect();
     let mut cameras = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
     cameras.sort_by(|a, b| natural(&a.0, &b.0));
-    at_least_one(Cameras { cameras, fps, y_up, images }, &list)
+    at_least_one(Cameras { cameras, fps, y_up, images, passed_over }, &list)
 }
 
 fn at_least_one(found: Cameras, list: &Path) -> Result<Cameras, CaptureError> {
@@ -185,7 +189,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
     };
     let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
     let cameras = file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?;
-    at_least_one(Cameras { cameras, fps, y_up: false, images: vec![] }, path)
+    at_least_one(Cameras { cameras, fps, y_up: false, images: vec![], passed_over: vec![] }, path)
 }
 
 /// Order of names in which `frame_2` is before `frame_10`.

@@ -50,8 +50,8 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, override_usage = USAGE)]
 pub(super) struct Args {
-    /// Scenes to read, told apart by content, and where -o does not name it the file to write; several scenes are joined into one, at
-    /// the highest SH degree among them
+    /// Scenes to read, told apart by content, and where -o does not name it the file to write, which must be new where several are read; these
+    /// are joined into one, at the highest SH degree among them
     #[arg(required = true, num_args = 1.., value_name = "FILE")]
     files: Vec<PathBuf>,
     /// File to write; all others are read then
@@ -124,6 +124,10 @@ impl Args {
             return Ok(Files { inputs: &self.files, output });
         }
         match self.files.split_last() {
+            // As shells make it of `*.ply`: the last of the files is one of them, and would be lost.
+            Some((output, [_, _, ..])) if output.exists() => {
+                bail!("{}: is there already: -o {} replaces it", output.display(), output.display())
+            }
             Some((output, inputs)) if !inputs.is_empty() => {
                 let checked = writable(output.clone()).map_err(|e| usage::wrong(format!("{}: {e}", output.display())));
                 checked.map(|_| Files { inputs, output })

@@ -1,3 +1,4 @@
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -86,9 +87,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let capture = args.loading.open(&args.capture)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
-    notes.extend(training.as_ref().and_then(Record::saw_all));
+    let passed_over = shared::passed_over(&capture.passed_over);
+    notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
+    notes.extend(training.as_ref().and_then(|training| saw(training, &file.cameras, &capture)));
     notes.extend(training.as_ref().and_then(|training| training.other_masks(&capture)));
     // Cameras of other programs may have no size of their own.
+    notes.extend(training.as_ref().and_then(|_| other_names(&file.cameras, &capture)));
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
     notes.extend(training.as_ref().filter(|_| !file.y_up).and_then(|_| other_places(&file.cameras, &capture)));
     if args.loading.masks && !capture.has_masks() {
@@ -128,6 +132,20 @@ struct Noted<'a> {
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     notes: &'a [String],
+}
+
+/// Where the scene has learnt from views that are scored.
+fn saw(training: &Record, trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
+    let known: HashSet<&str> = trained_on.iter().map(|(name, _)| name.as_str()).collect();
+    let scored = held_out(capture).unwrap_or_default();
+    training.saw(&known, scored.iter().map(|view| view.name.as_str()))
+}
+
+/// Where the scene has cameras, but none of the capture's names: nothing tells then whether these are the views that it was trained on, nor where.
+fn other_names(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
+    let known: HashSet<&str> = trained_on.iter().map(|(name, _)| name.as_str()).collect();
+    let is_none = !known.is_empty() && !capture.views.iter().any(|view| known.contains(view.name.as_str()));
+    is_none.then(|| "the scene knows none of the capture's views by name: it may be of other poses, or have seen those that are scored".to_owned())
 }
 
 /// Where pictures are of another size than those that the scene was trained on, if it says so.

@@ -1,5 +1,7 @@
 //! How a scene was trained, kept in its file: for reports, at once and later.
 
+use std::collections::HashSet;
+
 use centaur::capture::Capture;
 use centaur::metrics::plot::Plot;
 use centaur::optimize::{Phase, Progress, TrainOptions, Trained};
@@ -20,6 +22,9 @@ pub(super) struct Record {
     /// Whether its photographs had masks.
     #[serde(default)]
     masks: Option<bool>,
+    /// Names of the views that were not trained on.
+    #[serde(default)]
+    held_out: Option<Vec<String>>,
     /// `TrainOptions`, by their names.
     settings: Map<String, Value>,
     /// Name of the adapter that trained.
@@ -59,6 +64,9 @@ impl Record {
             capture: capture.name.clone(),
             points: Some(capture.points.len()),
             masks: Some(capture.has_masks()),
+            held_out: Some(
+                options.split.split(&capture.views).1.iter().map(|&i| capture.views[i].name.clone()).collect(),
+            ),
             settings: by_name(options)?,
             adapter: Some(adapter.to_owned()),
             seconds_per_iteration: trained.seconds_per_iteration,
@@ -81,10 +89,21 @@ impl Record {
         })
     }
 
-    /// Says so where no view was held out: scores are of what training has seen.
-    pub(super) fn saw_all(&self) -> Option<String> {
-        let saw_all = self.settings.get("split").is_some_and(|split| split == "all");
-        saw_all.then(|| "the scene was trained on all views, those that are scored among them".to_owned())
+    /// Says so where views that are scored were trained on, `known` being those of the capture as it was: none was held out, or others were,
+    /// since every eighth of another list is another.
+    pub(super) fn saw<'a>(&self, known: &HashSet<&str>, scored: impl IntoIterator<Item = &'a str>) -> Option<String> {
+        if self.settings.get("split").is_some_and(|split| split == "all") {
+            return Some("the scene was trained on all views, those that are scored among them".to_owned());
+        }
+        let held_out: HashSet<&str> = self.held_out.as_ref()?.iter().map(String::as_str).collect();
+        let (mut count, mut seen) = (0, 0);
+        for name in scored {
+            count += 1;
+            seen += usize::from(known.contains(name) && !held_out.contains(name));
+        }
+        (seen > 0).then(|| {
+            format!("the scene was trained on {seen} of the {count} views that are scored: the capture lists others than it did, or holds others out")
+        })
     }
 
     /// Says so where masks were applied in one of training and scoring alone.
@@ -230,6 +249,18 @@ mod tests {
         let value = |lambda: f32, name: &str| rows(lambda).into_iter().find(|row| row.0 == name).unwrap().1;
         assert_eq!([0.01, f32::INFINITY].map(|lambda| value(lambda, "lambda")), ["0.01", "inf"]);
         assert_eq!(["ssim weight", "max floats"].map(|name| value(0.01, name)), ["0.2", "default"]);
+    }
+
+    #[test]
+    fn views_that_were_trained_on_are_told() {
+        let known = HashSet::from(["0", "1", "8", "9"]);
+        let saw = |record: &Record, scored: &[&str]| record.saw(&known, scored.iter().copied());
+        let own = Record { held_out: Some(vec!["0".to_owned(), "8".to_owned()]), ..record(&[]) };
+        assert_eq!((saw(&own, &["0", "8"]), saw(&own, &["new"])), (None, None));
+        let said = saw(&own, &["1", "8", "9"]).unwrap();
+        assert!(said.starts_with("the scene was trained on 2 of the 3 views that are scored: "), "{said}");
+        // Older files do not say.
+        assert_eq!(saw(&record(&[]), &["1"]), None);
     }
 
     #[test]

@@ -158,7 +158,7 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     if !(is_json || path.is_dir()) {
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
-    let Cameras { mut cameras, fps: stated, y_up, .. } = capture::cameras(path, options)?;
+    let Cameras { mut cameras, fps: stated, y_up, passed_over: others, .. } = capture::cameras(path, options)?;
     let fps = sampling.fps.or(stated);
     // Only a path states a rate, whichever it is read at. A frame of it has the time of its place in the whole, also where it is the only one
     // wanted; photographs, and other stills, have none.
@@ -174,13 +174,20 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
         retain_rows(&mut cameras, &wanted);
         retain_rows(&mut times, &wanted);
     }
-    Ok(CameraFile { cameras, fps, y_up, times, notes: vec![] })
+    Ok(CameraFile { cameras, fps, y_up, times, notes: passed_over(&others).into_iter().collect() })
 }
 
 /// Keeps the rows that are wanted; of none, none.
 fn retain_rows<T>(rows: &mut Vec<T>, wanted: &[bool]) {
     let mut wanted = wanted.iter();
     rows.retain(|_| wanted.next().is_some_and(|&is| is));
+}
+
+/// What else lists views in the folder of a capture, such as nerfstudio's file beside the model it was made of, which may have a split, masks and
+/// times, and is in a world of its own.
+pub(super) fn passed_over(others: &[PathBuf]) -> Option<String> {
+    let other = others.first()?.file_name()?.display();
+    Some(format!("has a COLMAP model, which is taken, and {other}: name that file in place of the folder to take it"))
 }
 
 /// Refuses to write `pictures`, all in one folder, among photographs of the capture, a folder or `.json`, that the cameras of `path` come from, or of

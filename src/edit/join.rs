@@ -27,7 +27,8 @@ pub fn with_mesh_sh_degree(mesh: Mesh, degree: u32) -> Mesh {
 }
 
 /// All scenes as one: splats one after the other, at the highest SH degree among them, and all meshes. It is blended by
-/// the rule of the first scene with a mesh, else of the first, from the nearest near plane among them on.
+/// the rule of the first scene with a mesh, else of the first, by the pixel filter of the first with splats, from the nearest near plane
+/// among them on.
 ///
 /// # Errors
 /// If the scenes blend in different colour spaces: colours of one would be wrong in the other.
@@ -35,6 +36,9 @@ pub fn join(scenes: Vec<HybridScene>) -> Result<HybridScene, SceneError> {
     let degree = scenes.iter().map(|s| s.splats.sh_degree()).max().unwrap_or(0);
     let rule = scenes.iter().find(|s| !s.meshes.is_empty()).or(scenes.first());
     let mut composition = rule.map(|s| s.composition).unwrap_or_default();
+    if let Some(with_splats) = scenes.iter().find(|s| !s.splats.is_empty()) {
+        composition.pixel_filter = with_splats.composition.pixel_filter;
+    }
     composition.near = scenes.iter().map(|s| s.composition.near).fold(composition.near, f32::min);
     let mut all = SplatArrays { sh_degree: degree, ..SplatArrays::default() };
     let mut meshes = vec![];

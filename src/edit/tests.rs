@@ -7,7 +7,9 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 use crate::render::reference::{Image, Margin, render, render_with_margins};
 use crate::render::testing::{largest, random_scene, smooth_scene};
-use crate::scene::{Atlas, Camera, ColorSpace, Composition, HybridScene, Mesh, OrderMode, Splats, Texture, sh};
+use crate::scene::{
+    Atlas, Camera, ColorSpace, Composition, HybridScene, Mesh, OrderMode, PixelFilter, Splats, Texture, sh,
+};
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
 
@@ -275,6 +277,16 @@ fn scenes_join_at_the_highest_degree_and_by_the_rule_of_the_first_mesh() {
     close.composition.near = 0.01;
     let from_there = Composition { near: 0.01, ..hybrid.composition };
     assert_eq!(join(vec![plain.clone(), hybrid.clone(), close]).unwrap().composition, from_there);
+    // A mesh without splats has no pixel filter of its own.
+    let mut mip = plain.clone();
+    mip.composition.pixel_filter = PixelFilter::MIP;
+    let mesh_alone = HybridScene { splats: Splats::empty(0), ..hybrid.clone() };
+    for scenes in [[mip.clone(), mesh_alone.clone()], [mesh_alone, mip]] {
+        assert_eq!(
+            join(scenes.to_vec()).unwrap().composition,
+            Composition { pixel_filter: PixelFilter::MIP, ..hybrid.composition }
+        );
+    }
     assert_eq!(joined.splats.means()[2..7], *hybrid.splats.means());
     assert_eq!(joined.splats.sh_of(9)[..9], *other.splats.sh_of(2));
     assert_eq!(join(vec![plain.clone()]).unwrap(), plain);

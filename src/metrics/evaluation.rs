@@ -11,7 +11,7 @@ use crate::scene::HybridScene;
 pub struct Scores {
     /// dB, on 8-bit-quantised images. Infinite (null in JSON) where they are equal.
     pub psnr: f64,
-    /// dB, on images as they were rendered.
+    /// dB, on images before they are quantised.
     pub psnr_float: f64,
     /// INRIA's convention (zeros beyond the image), on 8-bit-quantised images.
     pub ssim_inria: f64,

@@ -11,6 +11,7 @@ use centaur::render::gpu::Gpu;
 use image::ImageFormat;
 
 use super::args::{Args, DensityKind, SurfaceOf};
+use crate::cli::shared;
 
 pub(super) fn in_words(surface: SurfaceOrigin) -> &'static str {
     match surface {
@@ -67,7 +68,8 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         format!("{beside}: {} {} no effect", flags.join(", "), if flags.len() == 1 { "has" } else { "have" })
     });
     let of_capture = said.map(|(_, what)| what.to_owned());
-    let of_capture = of_capture.chain(passed_over(capture)).chain(not_listed(args, capture)).chain(large);
+    let of_capture =
+        of_capture.chain(shared::passed_over(&capture.passed_over)).chain(not_listed(args, capture)).chain(large);
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
     let asks = args.max_splats.is_some_and(|asked| asked > most);
@@ -80,12 +82,6 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .chain(none_left)
         .chain(idle)
         .collect()
-}
-
-/// What else lists views in the folder, such as nerfstudio's file beside the model it was made of: that may have a split, masks and times.
-fn passed_over(capture: &Capture) -> Option<String> {
-    let other = capture.passed_over.first()?.file_name()?.display();
-    Some(format!("has a COLMAP model, which is taken, and {other}: name that file in place of the folder to take it"))
 }
 
 /// How many photographs there are beside its own that it does not list: structure from motion may have found a part of the poses, or several

@@ -6,6 +6,7 @@ use super::{
     adam,
     backward::Backward,
     device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups},
+    loss::TruthAlpha,
     per_view::{PerView, PerViewBuffers},
     pipeline::Pipeline,
     view::View,
@@ -93,8 +94,8 @@ impl Exposures {
         })
     }
 
-    /// Binds the buffers of a pipeline and its way back.
-    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
+    /// Binds the buffers of a pipeline and its way back, and the photograph, as the loss has it.
+    pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward, truth: &Buffer) {
         let [first, second] = &self.views.moments;
         let buffers = [
             &pipeline.front.view,
@@ -106,16 +107,19 @@ impl Exposures {
             second,
             &self.partial,
             &backward.status,
+            truth,
         ];
         self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
     /// Appends to a frame what takes the gradient of the loss to that of the picture, and a step of the view's exposure.
-    pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep) {
+    /// `alpha` is what that of the photograph means.
+    pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep, alpha: TruthAlpha) {
         let Some([pull, update]) = &self.stages else { return };
         let [first, second] = self.views.count(step.view, step.rate != 0.0);
         let n = groups(view.pixels(), PIXELS);
-        let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, 0, 0, 0];
+        let is_composite = f32::from(u8::from(alpha == TruthAlpha::Composite)).to_bits();
+        let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, is_composite, 0, 0];
         gpu.write(&self.uniform, 0, &words);
         frame.dispatch(pull, n);
         frame.dispatch(update, 1);

@@ -18,6 +18,7 @@ use crate::{
 /// No multiple of a workgroup's pixels.
 const SIZE: [u32; 2] = [70, 61];
 const SPLATS: usize = 6;
+const BACKGROUND: [f32; 3] = [0.1, 0.2, 0.3];
 const RATES: SplatRates =
     SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
 
@@ -84,7 +85,7 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
             truth,
             kept_as: None,
             truth_alpha,
-            background: [0.1, 0.2, 0.3],
+            background: BACKGROUND,
             sh_degree: 0,
             band_degree: 0,
             dropout: Dropout::default(),
@@ -98,7 +99,7 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
         .unwrap();
 }
 
-/// Of an exposed picture and the truth.
+/// Of an exposed picture and the truth, which is over the background as it is exposed.
 fn values(state: &ExposureState, picture: &[[f32; 3]], truth: &[u8]) -> LossValues {
     let e: Vec<f64> = state.of(1).map(f64::from).to_vec();
     let exposed = |rgb: &[f32; 3], c: usize| {
@@ -106,7 +107,10 @@ fn values(state: &ExposureState, picture: &[[f32; 3]], truth: &[u8]) -> LossValu
         e[4 * c] * r + e[4 * c + 1] * g + e[4 * c + 2] * b + e[4 * c + 3]
     };
     let channels = [0, 1, 2].map(|c| {
-        let true_values = truth.iter().skip(c).step_by(4).map(|v| f64::from(*v) / 255.0);
+        let true_values = truth.chunks(4).map(|rgba| {
+            let alpha = f64::from(rgba[3]) / 255.0;
+            alpha * f64::from(rgba[c]) / 255.0 + (1.0 - alpha) * exposed(&BACKGROUND, c)
+        });
         (picture.iter().map(|rgb| exposed(rgb, c)).collect::<Vec<_>>(), true_values.collect::<Vec<_>>())
     });
     defined(SIZE.map(|side| side as usize), channels.each_ref().map(|(x, y)| [&x[..], &y[..]]))
@@ -120,18 +124,26 @@ fn loss(values: LossValues, ssim_weight: f32) -> f64 {
 /// With SSIM, too, whose windows are of what is exposed.
 #[test]
 fn gradients_are_those_of_the_exposed_picture() {
-    assert_gradients(0.0);
-    assert_gradients(0.2);
+    assert_gradients(0.0, &truth());
+    assert_gradients(0.2, &truth());
+}
+
+/// What is behind a photograph with alpha is exposed with it. Of alphas by which no difference changes its sign near the pictures here.
+#[test]
+fn gradients_are_those_of_a_photograph_over_the_exposed_background() {
+    let is_there = |p: usize| if p.is_multiple_of(3) { 0 } else { 230 };
+    let cut_out: Vec<u8> = truth().chunks(4).enumerate().flat_map(|(p, c)| [c[0], c[1], c[2], is_there(p)]).collect();
+    assert_gradients(0.0, &cut_out);
 }
 
 /// Compares the gradients of a step with central differences of the definition.
-fn assert_gradients(ssim_weight: f32) {
-    let (gpu, truth, state) = (Gpu::open(None).unwrap(), truth(), exposures());
+fn assert_gradients(ssim_weight: f32, truth: &[u8]) {
+    let (gpu, state) = (Gpu::open(None).unwrap(), exposures());
     let mut trained = training(&gpu, &scene((0, 0), 0.0), ssim_weight);
-    let picture = trained.render(&camera(), [0.1, 0.2, 0.3], Show::All).unwrap().rgb;
+    let picture = trained.render(&camera(), BACKGROUND, Show::All).unwrap().rgb;
     trained.expose(&state).unwrap();
-    step(&mut trained, &truth, Some(ExposureStep { view: 1, rate: 1e-2 }));
-    let (found, expected) = (trained.loss().unwrap(), values(&state, &picture, &truth));
+    step_on(&mut trained, (truth, TruthAlpha::Composite), Some(ExposureStep { view: 1, rate: 1e-2 }));
+    let (found, expected) = (trained.loss().unwrap(), values(&state, &picture, truth));
     assert!(
         (found.l1 - expected.l1).abs() < 1e-6 && (found.ssim - expected.ssim).abs() < 1e-5,
         "{found:?} {expected:?}"
@@ -145,7 +157,7 @@ fn assert_gradients(ssim_weight: f32) {
         let at = |h: f32| {
             let mut moved = state.clone();
             moved.values[FLOATS + i] += h;
-            (loss(values(&moved, &picture, &truth), ssim_weight), f64::from(moved.values[FLOATS + i]))
+            (loss(values(&moved, &picture, truth), ssim_weight), f64::from(moved.values[FLOATS + i]))
         };
         let ((a, to_a), (b, to_b)) = (at(1e-4), at(-1e-4));
         let (numeric, found) = ((a - b) / (to_a - to_b), f64::from(10.0 * after.moments[0][FLOATS + i]));
@@ -166,8 +178,8 @@ fn assert_gradients(ssim_weight: f32) {
         for channel in 0..3 {
             let at = |h: f32| {
                 let mut moved = training(&gpu, &scene((splat, channel), h), ssim_weight);
-                let picture = moved.render(&camera(), [0.1, 0.2, 0.3], Show::All).unwrap().rgb;
-                loss(values(&state, &picture, &truth), ssim_weight)
+                let picture = moved.render(&camera(), BACKGROUND, Show::All).unwrap().rgb;
+                loss(values(&state, &picture, truth), ssim_weight)
             };
             let numeric = (at(0.05) - at(-0.05)) / 0.1;
             let found = f64::from(10.0 * found[3 * splat + channel]);

@@ -188,8 +188,8 @@ impl<'g> Training<'g> {
         let exposure = self.exposures.as_mut().zip(step.exposure);
         self.loss.set_truth(self.gpu, step.truth_alpha, exposure.as_ref().map_or(0, |(_, step)| step.view));
         self.loss.record(&mut frame);
-        if let Some((exposures, step)) = exposure {
-            exposures.record(self.gpu, &mut frame, &view, &step);
+        if let Some((exposures, exposed)) = exposure {
+            exposures.record(self.gpu, &mut frame, &view, &exposed, step.truth_alpha);
         }
         self.backward.record(&mut frame, &self.pipeline, &view);
         if let (Some(_), Some(mesh)) = (&step.vertices, &self.pipeline.front.mesh) {
@@ -566,7 +566,7 @@ impl<'g> Training<'g> {
         let exposures = self.exposures.as_ref().map(|exposures| &exposures.views.values);
         self.loss = new_loss(gpu, (pipeline, backward), &photographs.shown, sizes, *ssim_weight, exposures)?;
         if let Some(exposures) = &mut self.exposures {
-            exposures.bind(self.gpu, &self.pipeline, &self.backward);
+            exposures.bind(self.gpu, &self.pipeline, &self.backward, &self.photographs.shown);
         }
         Ok(())
     }

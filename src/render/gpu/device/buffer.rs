@@ -84,7 +84,7 @@ impl Gpu {
         }
         probes.iter().for_each(wgpu::Buffer::destroy);
         drop(probes);
-        let _ = self.device.poll(wgpu::PollType::Poll);
+        let _ = self.polled(|| self.device.poll(wgpu::PollType::Poll));
         found
     }
 

@@ -9,6 +9,7 @@ mod kernel;
 
 use std::{
     collections::HashMap,
+    panic::{AssertUnwindSafe, catch_unwind},
     sync::{Arc, Mutex, PoisonError, atomic::Ordering},
 };
 
@@ -190,12 +191,17 @@ impl Gpu {
     /// # Errors
     /// If the device was lost.
     pub(crate) fn wait(&self) -> Result<(), GpuError> {
-        // wgpu panics when it is asked to wait for a device that is lost.
         self.check()?;
-        self.device
-            .poll(wgpu::PollType::wait_indefinitely())
-            .map(|_| ())
-            .map_err(|e| GpuError::Failed { adapter: self.adapter.clone(), reason: e.to_string() })
+        self.polled(|| self.device.poll(wgpu::PollType::wait_indefinitely())).map(drop)
+    }
+
+    /// What a call of `poll` says. wgpu panics where it finds a device lost meanwhile, of which it has said why by then, as a rule.
+    fn polled<T>(&self, poll: impl FnOnce() -> Result<T, wgpu::PollError>) -> Result<T, GpuError> {
+        let failed = |reason: String| GpuError::Failed { adapter: self.adapter.clone(), reason };
+        match catch_unwind(AssertUnwindSafe(poll)) {
+            Ok(status) => status.map_err(|e| failed(e.to_string())),
+            Err(_) => Err(self.check().err().unwrap_or_else(|| failed("the device was lost".to_owned()))),
+        }
     }
 
     /// The defines that every kernel gets from the adapter.
@@ -219,6 +225,16 @@ mod tests {
         assert!(error.is_lack_of_memory());
         let text = error.to_string();
         assert!(text.starts_with("training needs 1099511627776 MiB of memory, but ") && text.contains(LESS), "{text}");
+    }
+
+    #[test]
+    fn a_device_that_is_lost_while_it_is_waited_for_is_an_error() {
+        let gpu = Gpu::open(None).unwrap();
+        let lost = || -> Result<(), wgpu::PollError> { std::panic::resume_unwind(Box::new("as wgpu does")) };
+        let said = || gpu.polled(lost).unwrap_err().to_string();
+        assert!(said().contains("the device was lost"), "{}", said());
+        *gpu.failure.lock().unwrap() = Some(Failure::Other("unplugged".to_owned()));
+        assert!(said().contains("unplugged"), "{}", said());
     }
 
     #[test]
