@@ -120,7 +120,10 @@ fn a_data_set_is_trained_once_and_tabled() {
             "{",
             "no result of a training; delete it to do that job anew: EOF while parsing an object at line 1 column 1\n",
         ),
-        (&elsewhere, "expected a result of scenes/one, found that of other cameras: give -o another folder\n"),
+        (
+            &elsewhere,
+            "expected a result of scenes/one, found that of other cameras, photographs, masks or points: give -o another folder\n",
+        ),
     ] {
         std::fs::write(&place, text).unwrap();
         assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));

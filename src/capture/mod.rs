@@ -183,18 +183,32 @@ pub fn is_capture(folder: &Path) -> bool {
     colmap::find_model(folder).is_some() || !transforms::find(folder).is_empty()
 }
 
-/// A checksum of the files in which the capture at `folder` has its cameras, by which it is told from others; `None` if there are none.
+/// A checksum of the files in which the capture at `folder` has its cameras, and of the sizes of its photographs, masks and points, by which it
+/// is told from others; `None` if there are none.
 ///
 /// # Errors
-/// If one of them cannot be read.
+/// If one of the former cannot be read.
 pub fn fingerprint(folder: &Path) -> Result<Option<u32>, CaptureError> {
-    let files = match colmap::find_model(folder) {
-        Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(&model, stem)).to_vec(),
+    let model = colmap::find_model(folder);
+    let files = match &model {
+        Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(model, stem)).to_vec(),
         None => transforms::find(folder).into_iter().map(|(file, _)| file).collect(),
     };
     let mut sum = flate2::Crc::new();
     for file in &files {
         sum.update(&error::read(file)?);
+    }
+    // What is wrong with it is told where it is opened.
+    let mut beside = cameras(folder, &LoadOptions::default()).map_or_else(|_| vec![], |found| found.images);
+    let mask = |image: &PathBuf| views::find_mask(&folder.join("masks"), image.strip_prefix(folder).ok()?.to_str()?);
+    let masks: Vec<PathBuf> = beside.iter().filter_map(mask).collect();
+    beside.extend(masks);
+    beside.extend(model.map(|model| colmap::file_of(&model, "points3D")));
+    beside.sort();
+    for (file, data) in beside.iter().filter_map(|file| Some((file, file.metadata().ok()?))) {
+        let name = file.strip_prefix(folder).unwrap_or(file);
+        sum.update(name.as_os_str().as_encoded_bytes());
+        sum.update(&data.len().to_le_bytes());
     }
     Ok((!files.is_empty()).then(|| sum.sum()))
 }

@@ -623,6 +623,37 @@ fn what_lies_beside_transforms_does_not_hide_them() {
     assert_eq!((named.views.len(), named.passed_over), (2, vec![]));
 }
 
+/// Of a copy as of the capture itself, until a photograph, a mask or the points are others.
+#[test]
+fn fingerprints_are_of_photographs_masks_and_points_too() {
+    let print = |change: &dyn Fn(&Path)| {
+        let folder = tempfile::tempdir().unwrap();
+        write_capture(folder.path(), 3, 20, 10);
+        change(folder.path());
+        fingerprint(folder.path()).unwrap()
+    };
+    let whole = print(&|_| ());
+    assert!(whole.is_some() && whole == print(&|_| ()));
+    let black = |width| GrayImage::new(width, 10);
+    let changes: [&dyn Fn(&Path); 4] = [
+        &|root| black(20).save(root.join("images/01.png")).unwrap(),
+        &|root| {
+            std::fs::create_dir(root.join("masks")).unwrap();
+            black(20).save(root.join("masks/01.png")).unwrap();
+        },
+        &|root| {
+            std::fs::create_dir(root.join("masks")).unwrap();
+            black(40).save(root.join("masks/01.png.png")).unwrap();
+        },
+        &|root| std::fs::write(root.join("sparse/0/points3D.bin"), points_bin(4)).unwrap(),
+    ];
+    let mut found: Vec<Option<u32>> = changes.iter().map(|change| print(*change)).chain([whole]).collect();
+    found.sort_unstable();
+    found.dedup();
+    assert_eq!(found.len(), 5);
+    assert_eq!(fingerprint(tempfile::tempdir().unwrap().path()).unwrap(), None);
+}
+
 #[test]
 fn masks_that_frames_name_are_missed_where_they_should_be() {
     let folder = tempfile::tempdir().unwrap();

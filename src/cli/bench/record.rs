@@ -108,7 +108,7 @@ pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
             let capture = job.capture.display();
             ensure!(
                 found.zip(made.capture).is_none_or(|(expected, found)| expected == found),
-                "{file}: expected a result of {capture}, found that of other cameras: give -o another folder"
+                "{file}: expected a result of {capture}, found that of other cameras, photographs, masks or points: give -o another folder"
             );
         }
         // A variant's own size takes the place of its scenes'.
