@@ -43,12 +43,14 @@ fn correct() {
     let turn = poses[2u * step.view].xyz;
     let shift = poses[2u * step.view + 1u].xyz;
     let w = transpose(mat3x4f(view.row_x, view.row_y, view.row_z));
-    let moved = w[3] - shift.x * w[0] - shift.y * w[1] - shift.z * w[2];
-    let rows = transpose(mat4x3f(turned(turn, w[0]), turned(turn, w[1]), turned(turn, w[2]), turned(turn, moved)));
-    view.row_x = rows[0];
-    view.row_y = rows[1];
-    view.row_z = rows[2];
-    view.center += shift;
+    let rows = transpose(mat3x3f(turned(turn, w[0]), turned(turn, w[1]), turned(turn, w[2])));
+    let center = view.center + shift;
+    // With what the sum is short of.
+    let short = w[3] + (shift - (center - view.center));
+    view.row_x = vec4f(rows[0], short.x);
+    view.row_y = vec4f(rows[1], short.y);
+    view.row_z = vec4f(rows[2], short.z);
+    view.center = center;
 }
 
 @compute @workgroup_size(256)

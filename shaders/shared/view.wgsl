@@ -4,7 +4,7 @@
 //#import shared/group_index.wgsl
 
 struct View {
-    row_x: vec4f,                       // world→camera, rows of [R|t]
+    row_x: vec4f,                       // rows of R, world→camera; last, x, y and z of what `center` is short of the centre
     row_y: vec4f,
     row_z: vec4f,
     center: vec3f,                      // camera centre, world
@@ -28,9 +28,11 @@ struct View {
     dropout: f32,                       // part of the splats that are left out, the others being that much more opaque
 }
 
+// By the difference from the centre, which is exact where both are far from the origin and near each other: R·p + t would be the difference of
+// numbers as large as that distance.
 fn to_camera(v: View, p: vec3f) -> vec3f {
-    let h = vec4f(p, 1.0);
-    return vec3f(dot(v.row_x, h), dot(v.row_y, h), dot(v.row_z, h));
+    let d = p - v.center - vec3f(v.row_x.w, v.row_y.w, v.row_z.w);
+    return vec3f(dot(v.row_x.xyz, d), dot(v.row_y.xyz, d), dot(v.row_z.xyz, d));
 }
 
 // Pixel of one of a tile's TILE² threads; beyond the image where that ends within the tile, or there is no such tile.

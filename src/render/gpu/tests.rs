@@ -1,6 +1,6 @@
 //! The GPU pipeline against the f64 reference: images, gradients, limits.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -18,7 +18,7 @@ use crate::{
         reference::{self, Image, Margin, Parameters},
         testing,
     },
-    scene::{Atlas, Camera, Composition, HybridScene, OrderMode, PixelFilter, SplatArrays, Texture, sh},
+    scene::{Atlas, Camera, Composition, HybridScene, Mesh, OrderMode, PixelFilter, SplatArrays, Texture, sh},
 };
 
 /// Renders on the GPU; with a cotangent also returns the gradients of every splat parameter.
@@ -264,6 +264,30 @@ fn depths_are_ordered_far_from_a_tiny_near_plane() {
     let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
     let (mean, most, _) = compare(&found, &scene, &camera);
     assert!(mean < MEAN && most < MOST, "mean {mean:e}, max {most:e}");
+}
+
+/// As those of models in the coordinates of the earth are, a thousand times as far as they are large.
+#[test]
+fn scenes_far_from_the_origin_equal_the_reference() {
+    let gpu = Gpu::open(None).unwrap();
+    let offset = DVec3::new(8192.3, -4096.7, 5000.1);
+    for seed in 0..3 {
+        let (scene, camera) = testing::random_scene(seed, 500, 1, 1, 2, OrderMode::SurfaceConsistent);
+        let moved = |p: Vec3| (p.as_dvec3() + offset).as_vec3();
+        let mut arrays = scene.splats.into_arrays();
+        arrays.means.iter_mut().for_each(|mean| *mean = moved(*mean));
+        let meshes = scene.meshes.iter().map(|mesh| {
+            let positions = mesh.positions().iter().copied().map(moved).collect();
+            Mesh::new(positions, mesh.triangles().to_vec(), mesh.corner_uvs().to_vec(), mesh.atlas().clone()).unwrap()
+        });
+        let meshes = meshes.collect();
+        let scene = HybridScene { splats: arrays.check().unwrap(), meshes, composition: scene.composition };
+        let translation = camera.translation() - camera.rotation() * offset;
+        let camera = Camera::new(*camera.intrinsics(), camera.rotation(), translation).unwrap();
+        let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
+        let (mean, most, _) = compare(&found, &scene, &camera);
+        assert!(mean < MEAN && most < MOST, "scene {seed}: mean {mean:e}, max {most:e}");
+    }
 }
 
 /// Relative error of a whole class: ‖found − expected‖ / ‖expected‖.

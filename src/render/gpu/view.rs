@@ -104,11 +104,12 @@ impl View {
     /// The uniform's words, in the order of the WGSL struct.
     pub(crate) fn words(&self) -> [u32; VIEW_WORDS] {
         let (k, c, d) = (self.camera.intrinsics(), &self.composition, self.dropout);
-        let (r, t) = (self.camera.rotation().as_mat3(), self.camera.translation().as_vec3());
+        let r = self.camera.rotation().as_mat3();
         let center: Vec3 = self.camera.center().as_vec3();
+        let short = (self.camera.center() - center.as_dvec3()).as_vec3();
         let mut words = Vec::with_capacity(VIEW_WORDS);
-        for (row, t) in [(r.row(0), t.x), (r.row(1), t.y), (r.row(2), t.z)] {
-            words.extend([row.x, row.y, row.z, t].map(f32::to_bits));
+        for (row, short) in [(r.row(0), short.x), (r.row(1), short.y), (r.row(2), short.z)] {
+            words.extend([row.x, row.y, row.z, short].map(f32::to_bits));
         }
         words.extend([center.x, center.y, center.z, self.disparity_weight / self.pixels() as f32].map(f32::to_bits));
         words.extend([k.fx, k.fy, k.cx, k.cy].map(|v| (v as f32).to_bits()));
