@@ -43,6 +43,24 @@ def mean(values):
     return sum(values) / len(values) if values else None
 
 
+def paired(runs, name):
+    """Runs of seeds that all variants have, since seeds may differ by as much as variants do; what has no partner is said."""
+    by_seed = {v: {e["seed"]: e for e in of} for v, of in runs.items()}
+    common = set.intersection(*map(set, by_seed.values()))
+    for v, of in by_seed.items():
+        if alone := sorted(of.keys() - common):
+            print(f"{name}: left out, {v} alone has seed {', '.join(map(str, alone))}", file=sys.stderr)
+    return {v: [of[seed] for seed in sorted(common)] for v, of in by_seed.items()}
+
+
+def means(runs, name, value):
+    """Per variant, of paired runs: where there is a difference, of pairs that both have the value."""
+    pairs = list(zip(*([value(e) for e in runs[v]] for v in VARIANTS)))
+    if name not in SIZES:
+        pairs = [pair for pair in pairs if None not in pair]
+    return tuple(mean([pair[i] for pair in pairs]) for i in range(len(VARIANTS)))
+
+
 def written(value, digits, sign=""):
     return "–" if value is None else f"{value:{sign},.{digits}f}"
 
@@ -64,22 +82,22 @@ def table(folders):
     for name, _, _ in COLUMNS:
         head += [f"{name}: hybrid", "splats alone"] + ([] if name in SIZES else ["difference"])
     lines = [head, ["---"] * 3 + ["---:"] * (len(head) - 3)]
-    budgets = {folder.name: results(folder) for folder in folders}
+    budgets = {}
+    for folder in folders:
+        scenes = {scene: paired(runs, f"{folder.name}, {scene}") for scene, runs in results(folder).items()}
+        budgets[folder.name] = {scene: runs for scene, runs in scenes.items() if all(runs.values())}
     for scene in sorted({s for scenes in budgets.values() for s in scenes}):
         for budget, scenes in budgets.items():
             if scene in scenes:
                 runs = scenes[scene]
-                pairs = [tuple(mean([value(e) for e in runs[v]]) for v in VARIANTS) for _, value, _ in COLUMNS]
-                counts = [len(runs[v]) for v in VARIANTS]
-                seeds = str(counts[0]) if counts[0] == counts[1] else "/".join(map(str, counts))
-                lines.append([scene, budget, seeds] + cells(pairs))
+                pairs = [means(runs, name, value) for name, value, _ in COLUMNS]
+                lines.append([scene, budget, str(len(runs[VARIANTS[0]]))] + cells(pairs))
     for budget, scenes in budgets.items():
-        whole = [runs for runs in scenes.values() if all(runs.values())]
         # Of FLIP and LPIPS, only if every capture has it.
-        per_scene = lambda value, v: [mean([value(e) for e in runs[v]]) for runs in whole]
-        pairs = [tuple(None if None in (all_of := per_scene(value, v)) else mean(all_of) for v in VARIANTS) for _, value, _ in COLUMNS]
-        if whole:
-            lines.append([f"**mean of {len(whole)}**", budget, ""] + cells(pairs))
+        of_scenes = [zip(*(means(runs, name, value) for runs in scenes.values())) for name, value, _ in COLUMNS]
+        pairs = [tuple(None if None in all_of else mean(all_of) for all_of in column) for column in of_scenes]
+        if scenes:
+            lines.append([f"**mean of {len(scenes)}**", budget, ""] + cells(pairs))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -90,7 +108,7 @@ def caption(folders):
     by = f" by {' and '.join(nets)}" if nets else ""
     return (
         f"Held-out views, 8-bit; SSIM as INRIA computes it, FLIP, and LPIPS{by} of pictures in 0…1, as INRIA's script has it "
-        "(lower is better); differences: hybrid less splats alone.\n"
+        "(lower is better); differences: hybrid less splats alone, over the seeds that both have.\n"
     )
 
 

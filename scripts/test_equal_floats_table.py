@@ -1,5 +1,7 @@
 """The table of equal_floats_table: python3 -m unittest discover -s scripts"""
 
+import contextlib
+import io
 import json
 import sys
 import tempfile
@@ -48,17 +50,43 @@ class Table(unittest.TestCase):
         for row in self.rows()[2:]:
             self.assertEqual(row[-2:], ["–", "0.500"])
 
-    def test_what_is_missing_is_not_in_the_mean(self):
+    def said(self):
+        """Rows, and what is said of others."""
+        said = io.StringIO()
+        with contextlib.redirect_stderr(said):
+            rows = self.rows()
+        return rows, said.getvalue()
+
+    def test_what_has_no_partner_is_left_out_and_said(self):
         self.put("hybrid", "demo", 0, 26.0, 3000)
         self.put("splats", "demo", 0, 25.0, 6000)
         self.put("splats", "skull", 0, 20.0, 6000)
-        _, _, demo, skull, mean = self.rows()
-        self.assertEqual(skull[2:6], ["0/1", "–", "20.00", "–"])
-        self.assertEqual(skull[17], "–")
+        (_, _, demo, mean), said = self.said()
+        self.assertEqual(said, "400000, skull: left out, splats alone has seed 0\n")
         self.assertEqual(demo[9:15], ["–"] * 6, "neither FLIP nor LPIPS")
         self.assertIn("and LPIPS of pictures", caption([self.folder]))
         self.assertEqual(mean[0], "**mean of 1**")
         self.assertEqual(mean[3:6], demo[3:6])
+
+    def test_differences_are_of_equal_seeds(self):
+        for seed, psnr in enumerate((25.0, 27.0, 29.0)):
+            self.put("hybrid", "demo", seed, psnr, 3000, 0.2 + seed / 10)
+        self.put("splats", "demo", 0, 25.0, 6000)
+        (_, _, demo, mean), said = self.said()
+        self.assertEqual(said, "400000, demo: left out, hybrid alone has seed 1, 2\n")
+        self.assertEqual(demo[2:6], ["1", "25.00", "25.00", "+0.00"])
+        self.assertEqual(mean[3:], demo[3:])
+        # Neither of scores that only some seeds have.
+        self.put("splats", "demo", 2, 28.0, 6000, 0.5)
+        (_, _, demo, _), said = self.said()
+        self.assertEqual(demo[2:6], ["2", "27.00", "26.50", "+0.50"])
+        self.assertEqual(demo[12:15], ["0.400", "0.500", "-0.100"])
+
+    def test_runs_without_any_partner_are_no_table(self):
+        self.put("hybrid", "demo", 1, 26.0, 3000)
+        self.put("splats", "demo", 0, 25.0, 6000)
+        rows, said = self.said()
+        self.assertEqual((len(rows), said.count("left out")), (2, 2))
 
 
 if __name__ == "__main__":
