@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use image::{ImageError, RgbImage, codecs::jpeg::JpegEncoder};
+use image::{ImageError, RgbImage, codecs::jpeg::JpegEncoder, imageops};
 
 use super::markup::escaped;
 use super::{
@@ -26,25 +26,42 @@ pub struct Report<'a> {
     pub pictures: &'a [Picture],
 }
 
-/// A captioned picture, kept as JPEG.
+/// A captioned picture, kept as JPEG of at most [`MOST_SIDE`] pixels a side.
 #[derive(Clone, Debug)]
 pub struct Picture {
     caption: String,
     width: u32,
     height: u32,
+    /// What it was, if it was larger.
+    shrunk_from: Option<(u32, u32)>,
     jpeg: Vec<u8>,
 }
 
 impl Picture {
-    /// Encodes `image`, see [`super::side_by_side`].
+    /// Encodes `image`, see [`super::side_by_side`], scaled down to at most [`MOST_SIDE`] pixels a side.
     ///
     /// # Errors
-    /// If it is empty or a side exceeds JPEG's 65535 pixels.
+    /// If it is empty.
     pub fn new(caption: impl Into<String>, image: &RgbImage) -> Result<Self, ImageError> {
         let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode_image(image)?;
-        Ok(Self { caption: caption.into(), width: image.width(), height: image.height(), jpeg })
+        let shrunk = shrunk(image);
+        let embedded = shrunk.as_ref().unwrap_or(image);
+        JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode_image(embedded)?;
+        let (width, height) = embedded.dimensions();
+        Ok(Self { caption: caption.into(), width, height, shrunk_from: shrunk.map(|_| image.dimensions()), jpeg })
     }
+}
+
+/// Pixels a side of embedded pictures: three photographs of 2048 beside each other, more than four times as wide as the page. JPEG ends
+/// at 65,535, which three of 21,843 exceed.
+pub const MOST_SIDE: u32 = 6144;
+
+/// A smaller one in its place, if it needs that. Averaged in integers: a resampling in floats takes gigabytes for the largest.
+fn shrunk(image: &RgbImage) -> Option<RgbImage> {
+    let (width, height) = image.dimensions();
+    let longer = u64::from(width.max(height));
+    let scaled = |side: u32| (u64::from(side) * u64::from(MOST_SIDE)).div_ceil(longer) as u32;
+    (longer > u64::from(MOST_SIDE)).then(|| imageops::thumbnail(image, scaled(width), scaled(height)))
 }
 
 /// JPEG quality of embedded pictures: no visible loss at a tenth of PNG's bytes. The lossless ones are files.
@@ -87,13 +104,15 @@ pub fn html(report: &Report<'_>) -> String {
         out += "<h2>Photograph, render, absolute error × 4</h2>\n";
     }
     for picture in report.pictures {
+        let whole = picture.shrunk_from.map(|(w, h)| format!("; here smaller than its file of {w}×{h} pixels"));
         let _ = writeln!(
             out,
             "<figure><img alt=\"{caption}\" loading=\"lazy\" width=\"{}\" height=\"{}\" \
-             src=\"data:image/jpeg;base64,{}\"><figcaption>{caption}</figcaption></figure>",
+             src=\"data:image/jpeg;base64,{}\"><figcaption>{caption}{}</figcaption></figure>",
             picture.width,
             picture.height,
             base64::encode(&picture.jpeg),
+            whole.unwrap_or_default(),
             caption = escaped(&picture.caption),
         );
     }
@@ -186,6 +205,29 @@ mod tests {
 
     #[test]
     fn an_empty_picture_is_an_error() {
-        assert!(Picture::new("", &RgbImage::new(0, 0)).is_err());
+        for (width, height) in [(0, 0), (0, 70_000)] {
+            assert!(Picture::new("", &RgbImage::new(width, height)).is_err());
+        }
+    }
+
+    /// The sheet of photographs of 22,000 pixels is wider than a JPEG can be.
+    #[test]
+    fn pictures_that_are_too_large_for_a_page_are_shrunk() {
+        let sheet = RgbImage::from_fn(66_008, 20, |x, _| image::Rgb([if x < 33_004 { 200 } else { 40 }; 3]));
+        let picture = Picture::new("wide.jpg", &sheet).unwrap();
+        assert_eq!((picture.width, picture.height), (MOST_SIDE, 2));
+        let seen = image::load_from_memory(&picture.jpeg).unwrap().to_rgb8();
+        assert_eq!(seen.dimensions(), (MOST_SIDE, 2));
+        let level = |x: u32| i32::from(seen.get_pixel(x, 1).0[0]);
+        assert!((level(1000) - 200).abs() < 4 && (level(5000) - 40).abs() < 4, "{} {}", level(1000), level(5000));
+        let narrow = Picture::new("", &RgbImage::new(1, 70_000)).unwrap();
+        assert_eq!((narrow.width, narrow.height), (1, MOST_SIDE));
+        let same = Picture::new("small.jpg", &RgbImage::new(MOST_SIDE, 1)).unwrap();
+        assert_eq!((same.width, same.height), (MOST_SIDE, 1));
+        let evaluation = example();
+        let page =
+            html(&Report { title: "", evaluation: &evaluation, settings: &[], plots: &[], pictures: &[picture, same] });
+        assert!(page.contains("wide.jpg; here smaller than its file of 66008×20 pixels</figcaption>"));
+        assert!(page.contains("small.jpg</figcaption>"));
     }
 }
