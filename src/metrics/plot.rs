@@ -127,14 +127,20 @@ fn ticks(low: f64, high: f64) -> Vec<f64> {
     (0..12).map(|k| (first + f64::from(k)) * step).take_while(|t| *t <= high).collect()
 }
 
-/// Logarithms of 1, 2 and 5 times powers of ten in `low..=high` (themselves logarithms), thinned over many decades.
+/// Logarithms of 1, 2 and 5 times powers of ten in `low..=high` (themselves logarithms), thinned over many decades. Where fewer than two of
+/// them are there, of round numbers as a linear axis has them.
 fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     if high - low > 3.0 {
         return ticks(low, high).into_iter().filter(|t| t.fract() == 0.0).collect();
     }
     let marks = |d: i32| [1.0_f64, 2.0, 5.0].map(|m| f64::from(d) + m.log10());
     let decades = low.floor() as i32..=high.ceil() as i32;
-    decades.flat_map(marks).filter(|t| (low..=high).contains(t)).collect()
+    let found: Vec<f64> = decades.flat_map(marks).filter(|t| (low..=high).contains(t)).collect();
+    if found.len() < 2 {
+        ticks(10_f64.powf(low), 10_f64.powf(high)).into_iter().map(f64::log10).collect()
+    } else {
+        found
+    }
 }
 
 /// `12000` as `12k`, `0.05` as `0.05`, at most four significant digits.
@@ -162,6 +168,9 @@ mod tests {
         }
         assert_eq!(ticks(0.0, 30_000.0), [0.0, 10_000.0, 20_000.0, 30_000.0]);
         assert_eq!(log_ticks(-2.0, -1.0).len(), 4);
+        let labels: Vec<String> =
+            log_ticks(0.055_f64.log10(), 0.095_f64.log10()).iter().map(|t| short(10_f64.powf(*t))).collect();
+        assert_eq!(labels, ["0.06", "0.07", "0.08", "0.09"]);
     }
 
     #[test]
@@ -174,6 +183,11 @@ mod tests {
             (false, vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, f64::INFINITY), (3.0, 1.0)]),
             (false, vec![(0.0, -1e308), (1.0, 1e308)]),
             (true, vec![(0.0, 1e-300), (1.0, 1e300)]),
+            // Between two marks of a logarithmic axis, and around one.
+            (true, vec![(0.0, 0.055), (1.0, 0.095)]),
+            (true, vec![(0.0, 0.0301), (1.0, 0.0299)]),
+            (true, vec![(0.0, 0.95), (1.0, 1.05)]),
+            (true, vec![(0.0, 0.021), (1.0, 0.099)]),
             (true, many),
         ] {
             let parts = vec![(0.5, "c < d".to_owned()), (f64::NAN, String::new()), (1e300, String::new())];
@@ -187,6 +201,8 @@ mod tests {
                     && text.contains("c &lt; d"),
                 "{text}"
             );
+            // Of the vertical axis, and the name of the horizontal one.
+            assert!(text.matches("text-anchor=\"end\"").count() > 2, "{text}");
             assert!(text.len() < 20_000, "{} bytes", text.len());
         }
     }
