@@ -82,13 +82,18 @@ impl Scores {
         columns
     }
 
-    /// How they were taken; belongs next to every table.
-    fn protocol(&self) -> String {
+    /// How those of `views` were taken; belongs next to every table.
+    fn protocol(&self, views: &[ViewScore]) -> String {
         let lpips = self.lpips.map_or("n/a (--lpips-weights)".to_owned(), |l| {
             format!("v0.1 {}, colours −1…1 (0…1: INRIA's script)", l.net.name())
         });
+        let masked = match views.iter().filter(|v| v.masked).count() {
+            0 => "",
+            n if n == views.len() => " photographs and renders multiplied by masks;",
+            _ => " photographs and renders multiplied by masks where views have them;",
+        };
         format!(
-            "held-out views: the capture's own, else every 8th by file name; 8-bit quantised; PSNR per image, then mean; \
+            "held-out views: the capture's own, else every 8th by file name;{masked} 8-bit quantised; PSNR per image, then mean; \
              SSIM INRIA (zero-padded 11×11 Gaussian, mean over channels); FLIP at 67 pixels per degree; LPIPS {lpips}"
         )
     }
@@ -186,7 +191,7 @@ impl Evaluation {
             total_floats: scene.total_floats(),
             measured,
             background: scene.composition.color_space.to_srgb(scene.composition.background),
-            protocol: mean.map_or_else(String::new, |mean| mean.protocol()),
+            protocol: mean.map_or_else(String::new, |mean| mean.protocol(&views)),
             views,
             left_out: vec![],
         }
@@ -314,6 +319,20 @@ pub(super) mod tests {
         for part in ["LPIPS VGG −1…1  LPIPS VGG 0…1", "0.2500         0.1250", "LPIPS v0.1 VGG"] {
             assert!(text.contains(part), "{text}");
         }
+    }
+
+    #[test]
+    fn protocol_tells_of_masks() {
+        let scene = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
+        let protocol = |masked: [bool; 2]| {
+            let mut views = example().views;
+            views.iter_mut().zip(masked).for_each(|(view, masked)| view.masked = masked);
+            Evaluation::new(&scene, views, Measured::default()).protocol
+        };
+        let said = "photographs and renders multiplied by masks";
+        assert!(!protocol([false; 2]).contains(said));
+        assert!(protocol([true; 2]).contains(&format!("; {said}; 8-bit")));
+        assert!(protocol([true, false]).contains(&format!("; {said} where views have them; 8-bit")));
     }
 
     #[test]

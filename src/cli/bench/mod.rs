@@ -39,7 +39,8 @@ Elsewhere, with the same DATASET, OUT, variants and flags as the first runner's:
 /// OUT/table.md has all results in OUT and their means over the scenes that every variant has, beside published rows where these are
 /// those of a known set: Mip-NeRF 360 by either protocol; train and truck of Tanks and Temples, or drjohnson and playroom of Deep Blending,
 /// with pictures as they come; Barn, Caterpillar, Ignatius, train and truck at that size, which may be the five of HERA's paper. The latter
-/// three not by protocol a, whose SSIM is another. What the rows are of is said below them.
+/// three not by protocol a, whose SSIM is another. What the rows are of is said below them. Scenes that were scored with masks are marked:
+/// they have no mean together with others, and no published rows beside them.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {

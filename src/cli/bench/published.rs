@@ -160,10 +160,12 @@ static KNOWN: [Known; 5] = [
 ];
 
 /// What is known of exactly these scenes, in pictures of these longer sides. `resized`: flags choose their pictures or the size of these.
+/// `masked`: masks multiplied some, as those of no other.
 pub(super) fn of(
     scenes: &BTreeSet<String>,
     protocol: Option<Protocol>,
     resized: bool,
+    masked: bool,
     longer_sides: &BTreeSet<u64>,
 ) -> Option<&'static Known> {
     KNOWN.iter().find(|known| {
@@ -175,6 +177,7 @@ pub(super) fn of(
         };
         let are_so_long = longer_sides.iter().all(|side| known.longer_side.contains(side));
         is_so
+            && !masked
             && are_so_long
             && scenes.len() == known.scenes.len()
             && known.scenes.iter().all(|name| scenes.contains(*name))
@@ -187,14 +190,16 @@ mod tests {
 
     #[test]
     fn five_scenes_of_tanks_and_temples_stand_beside_heras() {
-        let rows = |names: &[&str], side: u64| {
+        let of_masks = |names: &[&str], side: u64, masked: bool| {
             let scenes = names.iter().map(|name| (*name).to_owned()).collect();
             // The larger three are scaled down by a flag of their own.
-            of(&scenes, None, names.len() > 2, &BTreeSet::from([side])).map(|known| known.means.len())
+            of(&scenes, None, names.len() > 2, masked, &BTreeSet::from([side])).map(|known| known.means.len())
         };
+        let rows = |names: &[&str], side: u64| of_masks(names, side, false);
         assert_eq!(rows(&["Barn", "Caterpillar", "Ignatius", "train", "truck"], 979), Some(5));
         assert_eq!(rows(&["Barn", "Caterpillar", "Ignatius", "train", "truck"], 1957), None);
         assert_eq!(rows(&["train", "truck"], 980), Some(16));
         assert_eq!(rows(&["Barn", "train"], 979), None);
+        assert_eq!(of_masks(&["Barn", "Caterpillar", "Ignatius", "train", "truck"], 979, true), None);
     }
 }

@@ -19,6 +19,7 @@ struct Row {
     scene: String,
     /// Runs that it is the mean of.
     runs: usize,
+    masked: Masked,
     psnr: Option<f64>,
     /// Of windows inside the picture under protocol A, as `NerfBaselines` has it; else INRIA's.
     ssim: Option<f64>,
@@ -31,6 +32,16 @@ struct Row {
     seconds_per_iteration: Option<f64>,
     /// None of jobs that shared the machine, or may have.
     fps: Option<f64>,
+}
+
+/// Which views were scored with photograph and render multiplied by a mask. Scores of one kind do not compare with those of another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Masked {
+    #[default]
+    None,
+    Some,
+    All,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -123,7 +134,8 @@ impl Table {
         let resizes = |made: &Made| made.scene_flags.iter().chain(&made.flags).any(|flag| jobs::chooses_pictures(flag));
         let resized = done.iter().any(|record| resizes(&record.made));
         let sides: BTreeSet<u64> = done.iter().flat_map(longer_sides).collect();
-        let known = published::of(&common, protocol, resized, &sides);
+        let masked = done.iter().any(|record| Masked::of(record) != Masked::None);
+        let known = published::of(&common, protocol, resized, masked, &sides);
         let has_vgg =
             variants.iter().any(|v| v.mean.as_ref().and_then(|m| m.lpips.as_ref()).is_some_and(|l| l.net == "vgg"));
         let word = |record: &Record, name: &str| record.result["evaluation"][name].as_str().map(str::to_owned);
@@ -176,6 +188,27 @@ impl Section {
     }
 }
 
+impl Masked {
+    /// As far as the result says.
+    fn of(record: &Record) -> Self {
+        let views = record.result["evaluation"]["views"].as_array().map_or(&[][..], Vec::as_slice);
+        match views.iter().filter(|view| view["masked"] == true).count() {
+            0 => Self::None,
+            n if n == views.len() => Self::All,
+            _ => Self::Some,
+        }
+    }
+
+    /// After a scene's name.
+    fn mark(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::Some => ", partly masked",
+            Self::All => ", masked",
+        }
+    }
+}
+
 impl Row {
     fn of(record: &Record) -> Self {
         let e = &record.result["evaluation"];
@@ -191,6 +224,7 @@ impl Row {
         Self {
             scene: record.made.scene.clone(),
             runs: 1,
+            masked: Masked::of(record),
             psnr: number("psnr"),
             ssim: number(if record.made.protocol == Some(Protocol::A) { "ssim_valid" } else { "ssim_inria" }),
             flip: number("flip"),
@@ -203,22 +237,26 @@ impl Row {
         }
     }
 
-    /// Of numbers that all rows have, and of distances by one network.
+    /// Of numbers that all rows have, of scores of the same kind of [`Masked`], and of distances by one network.
     fn mean(scene: &str, rows: &[Self]) -> Self {
         let mean = |value: &dyn Fn(&Self) -> Option<f64>| {
             rows.iter().map(value).sum::<Option<f64>>().filter(|_| !rows.is_empty()).map(|sum| sum / rows.len() as f64)
         };
+        let masked = rows.first().map_or(Masked::None, |row| row.masked);
+        let is_alike = rows.iter().all(|row| row.masked == masked);
+        let score = |value: &dyn Fn(&Self) -> Option<f64>| mean(value).filter(|_| is_alike);
         let net = rows.first().and_then(|row| Some(row.lpips.as_ref()?.net.clone()));
         let is_same = |row: &Self| row.lpips.as_ref().map(|l| &l.net) == net.as_ref();
         let net = net.as_ref().filter(|_| rows.iter().all(is_same)).cloned();
         let distances =
-            mean(&|r| Some(r.lpips.as_ref()?.normalized)).zip(mean(&|r| Some(r.lpips.as_ref()?.unnormalized)));
+            score(&|r| Some(r.lpips.as_ref()?.normalized)).zip(score(&|r| Some(r.lpips.as_ref()?.unnormalized)));
         Self {
             scene: scene.to_owned(),
             runs: rows.iter().map(|row| row.runs).sum(),
-            psnr: mean(&|r| r.psnr),
-            ssim: mean(&|r| r.ssim),
-            flip: mean(&|r| r.flip),
+            masked: if is_alike { masked } else { Masked::Some },
+            psnr: score(&|r| r.psnr),
+            ssim: score(&|r| r.ssim),
+            flip: score(&|r| r.flip),
             lpips: net.zip(distances).map(|(net, (normalized, unnormalized))| Lpips { net, normalized, unnormalized }),
             splats: mean(&|r| r.splats),
             total_floats: mean(&|r| r.total_floats),
@@ -283,10 +321,11 @@ impl fmt::Display for Table {
             for row in &section.rows {
                 // A scene's name may be any that a folder has.
                 let scene = one_line(&row.scene).replace('|', "\\|");
-                writeln!(f, "| {} | {scene} | {} |", section.variant, row.cells())?;
+                writeln!(f, "| {} | {scene}{} | {} |", section.variant, row.masked.mark(), row.cells())?;
             }
             if let Some(mean) = &section.mean {
-                writeln!(f, "| **{}** | **{}** | {} |", section.variant, mean.scene, mean.cells())?;
+                let name = [&mean.scene, mean.masked.mark()].concat();
+                writeln!(f, "| **{}** | **{name}** | {} |", section.variant, mean.cells())?;
             }
         }
         let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| v.to_string());
@@ -301,6 +340,13 @@ impl fmt::Display for Table {
                 p.method,
                 p.psnr,
                 number(p.ssim)
+            )?;
+        }
+        if self.variants.iter().flat_map(|section| &section.rows).any(|row| row.masked != Masked::None) {
+            writeln!(
+                f,
+                "\nMasked rows: photographs and renders are multiplied by masks; of partly masked ones, those of views that have one. Such scores do not compare \
+                 with others: there is no mean over both, and no published row beside them."
             )?;
         }
         if let Some(note) = self.published_note {
@@ -461,6 +507,53 @@ mod tests {
         assert!(table(&records).published.is_empty());
         records.truncate(2);
         assert_eq!(table(&records).published.len(), 16);
+    }
+
+    #[test]
+    fn scores_with_masks_stand_alone() {
+        let masked = |views: &[bool]| -> Value { views.iter().map(|masked| json!({ "masked": masked })).collect() };
+        let mut records = vec![];
+        for (scene, psnr, views) in [("demo", 25.0, [false; 2]), ("cup", 30.0, [true; 2]), ("jar", 28.0, [true, false])]
+        {
+            let mut record = record("a", scene, 0, psnr);
+            record.result["evaluation"]["views"] = masked(&views);
+            records.push(record);
+        }
+        let text = table(&records).to_string();
+        for part in [
+            "| a | demo | 1 | 25.00 |",
+            "| a | cup, masked | 1 | 30.00 |",
+            "| a | jar, partly masked | 1 | 28.00 |",
+            // What masks do not touch has a mean.
+            "| **a** | **mean, partly masked** | 3 | – | – | – | – | – | – | 1000 |",
+            "\nMasked rows: photographs and renders are multiplied by masks",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let json = serde_json::to_value(table(&records)).unwrap();
+        let of = |i: usize| json["variants"][0]["rows"][i]["masked"].clone();
+        assert_eq!((of(0), of(1), of(2)), (json!("all"), json!("none"), json!("some")));
+        let cup = table(&records[1..2]).to_string();
+        assert!(cup.contains("| **a** | **mean, masked** | 1 | 30.00 |"), "{cup}");
+        let demo = table(&records[..1]).to_string();
+        assert!(demo.contains("| **a** | **mean** | 1 | 25.00 |") && !demo.contains("asked"), "{demo}");
+    }
+
+    /// Of the photographs that others score, and of the same size.
+    #[test]
+    fn scores_with_masks_meet_no_published_rows() {
+        let with = |masked: bool| {
+            let mut records: Vec<Record> = ["Barn", "Caterpillar", "Ignatius", "train", "truck"]
+                .iter()
+                .map(|scene| record("a", scene, 0, 24.0))
+                .collect();
+            for r in &mut records {
+                r.made.protocol = None;
+                r.result["evaluation"]["views"] = json!([{ "size": [980, 545], "masked": masked }]);
+            }
+            table(&records).published.len()
+        };
+        assert_eq!((with(false), with(true)), (5, 0));
     }
 
     /// As `fetch_captures.py tandt` lists them.
