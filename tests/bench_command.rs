@@ -8,9 +8,7 @@ mod common;
 use std::path::Path;
 #[cfg(target_os = "linux")]
 use std::path::PathBuf;
-#[cfg(target_os = "linux")]
-use std::process::Stdio;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 #[cfg(target_os = "linux")]
 use centaur::optimize::checkpoint::Checkpoint;
@@ -182,6 +180,32 @@ fn jobs_that_ran_beside_others_before_have_no_times() {
         let result: serde_json::Value = serde_json::from_slice(&result).unwrap();
         assert_eq!(result["job"]["at_a_time"], at_a_time, "{scene}");
     }
+}
+
+/// What was stopped does not go on with other flags, and says how it begins anew.
+#[test]
+fn a_stopped_job_with_other_flags_names_a_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("scenes")).unwrap();
+    std::fs::create_dir_all(at("out/default")).unwrap();
+    std::os::unix::fs::symlink(Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), at("scenes/one")).unwrap();
+    let flags = ["--no-mesh", "--max-side", "32", "--max-splats", "200", "--iterations"];
+    let mut begun = centaur(folder.path());
+    begun.args(["train", "scenes/one", "-o", "out/default/one-0.glb", "--stop-at-eof"]).args(flags).arg("9");
+    let begun = begun.stdin(Stdio::null()).output().unwrap();
+    assert!(said(&begun).0.starts_with("stopped; saved "), "{:?}", said(&begun));
+    let bench = || {
+        let mut command = centaur(folder.path());
+        command.args(["bench", "scenes", "-o", "out", "--quiet", "--"]).args(flags).arg("4").output().unwrap()
+    };
+    let refused = bench();
+    let expected = "default/one-0: out/default/one-0.glb.checkpoint: expected a checkpoint of a run with the same options, but iterations was \
+                    9 and is 4: delete that file to do the job anew, or give the variant another name (exit status: 1)";
+    assert_eq!(said(&refused).1.lines().next(), Some(expected));
+    std::fs::remove_file(at("out/default/one-0.glb.checkpoint")).unwrap();
+    let done = bench();
+    assert!(done.status.success(), "{:?}", said(&done));
 }
 
 /// `bench.sbatch` in each task of an array, with what Slurm sets; `--list` in place of trainings.

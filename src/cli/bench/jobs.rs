@@ -223,9 +223,14 @@ impl Job {
         self.scene_flags.iter().chain(&self.flags)
     }
 
-    /// Whether there is a checkpoint to go on from.
+    /// Where it goes on from.
+    pub(super) fn checkpoint(&self) -> PathBuf {
+        self.result.with_extension("glb.checkpoint")
+    }
+
+    /// Whether there is one.
     pub(super) fn is_begun(&self) -> bool {
-        self.result.with_extension("glb.checkpoint").is_file()
+        self.checkpoint().is_file()
     }
 
     /// Arguments with which this program trains. Those that every job has come last, where nothing replaces them.

@@ -124,7 +124,8 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     // The time of its iterations is of all its runs.
     let line = |at_a_time: usize| format!("{AT_A_TIME}{at_a_time}\n");
     let was_so = || std::fs::read_to_string(&path).is_ok_and(|lock| lock.starts_with(&line(at_a_time)));
-    let at_a_time = if job.is_begun() && !was_so() { 0 } else { at_a_time };
+    let is_begun = job.is_begun();
+    let at_a_time = if is_begun && !was_so() { 0 } else { at_a_time };
     let mut command = Command::new(this_program()?);
     // As lists of processes show it.
     #[cfg(unix)]
@@ -154,8 +155,9 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         let messages = if cfg!(unix) { std::fs::read(&path).unwrap_or_default() } else { output.stderr };
         let messages = String::from_utf8_lossy(&messages);
         let mut lines = messages.lines().filter(|line| !line.trim().is_empty() && !line.starts_with(AT_A_TIME));
-        let last = lines.next_back().unwrap_or("no message");
-        bail!("{} ({})", last.trim_start_matches("error: "), output.status);
+        let last = lines.next_back().unwrap_or("no message").trim_start_matches("error: ");
+        let advice = if is_begun { advice(last, &job.checkpoint()) } else { "" };
+        bail!("{last}{advice} ({})", output.status);
     }
     let mut result: Value = serde_json::from_slice(&output.stdout).context("a training printed no JSON")?;
     if result["outcome"] != "finished" {
@@ -166,6 +168,12 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     // Whoever still has it open looks for the result first.
     let _ = std::fs::remove_file(path);
     Ok(Ended::Done)
+}
+
+/// What to do where a training does not go on from its checkpoint, such as after a change of the flags: as a job it always tries to.
+fn advice(reason: &str, checkpoint: &Path) -> &'static str {
+    let is_refused = reason.strip_prefix(&*checkpoint.to_string_lossy()).is_some_and(|why| why.contains(": expected "));
+    if is_refused { ": delete that file to do the job anew, or give the variant another name" } else { "" }
 }
 
 /// Also where another has taken its place, as one that is installed meanwhile: all jobs are done by one program.
