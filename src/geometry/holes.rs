@@ -7,7 +7,7 @@ use spade::{
     AngleLimit, ConstrainedDelaunayTriangulation, HasPosition, Point2, RefinementParameters, Triangulation as _,
 };
 
-use super::surface::Surface;
+use super::{quantile::median, surface::Surface};
 
 /// A hole with more edges around it is not closed: of an iso-surface about 13 voxels across.
 const MOST_EDGES: usize = 40;
@@ -58,7 +58,8 @@ pub(super) fn without_holes(mut surface: Surface) -> (Surface, usize) {
     let edges = boundaries(&surface);
     let small = |edge: &&Edge| edge.vertices.len() <= MOST_EDGES;
     let holes: Vec<Hole> = edges.iter().filter(small).filter_map(|edge| Hole::new(&surface.positions, edge)).collect();
-    let grid = Grid::new(&surface, holes.iter().map(|hole| hole.reach).sum::<f64>() / holes.len().max(1) as f64);
+    // Not the mean: a single large one would make cells that hold all there is.
+    let grid = Grid::new(&surface, median(holes.iter().map(|hole| hole.reach).collect()).unwrap_or(0.0));
     let empty = holes.into_iter().filter(|hole| !grid.near(hole.center, hole.reach).any(|v| hole.holds(&surface, v)));
     let empty: Vec<Hole> = empty.collect();
     let closed = empty.iter().filter(|hole| hole.fill(&mut surface)).count();

@@ -26,6 +26,8 @@ const ROUNDS: usize = 16;
 /// The heights of a plane are this many tolerances at most, as the root of their mean square: what is cut out of something larger
 /// that is round fills the tolerance evenly, and has 0.45 to 0.58 of it.
 const ROUGHEST: f64 = 0.35;
+/// So many refused regions a vertex is part of at most: bumps of what is rough all refit to the same plane, and each would grow all over it.
+const MOST_REFUSALS: u8 = 4;
 /// What is beside a plane joins it over so many edges if it is within the tolerance and up to 60° inclined to it: single bumps, and
 /// rounded edges between two planes. Over twice the tolerance, rims and what stands on the plane were flattened along.
 const CLOSING_PASSES: usize = 4;
@@ -83,7 +85,7 @@ pub(super) fn flatten(
     let mut surface = compact(without_broken(surface));
     let keep_none = vec![false; surface.positions.len()];
     let sheet = Sheet::new(&surface, voxel, contraction);
-    let (planes, mut of_vertex) = sheet.planes();
+    let (planes, mut of_vertex) = sheet.planes(&mut Search::new(sheet.positions.len()));
     if planes.is_empty() {
         return (surface, keep_none, PlanarStats::default());
     }
@@ -103,6 +105,27 @@ pub(super) fn flatten(
     let left = mesh.triangles.iter().zip(&mesh.gone).filter_map(|(t, gone)| (!gone).then_some(*t));
     surface.triangles = left.collect();
     (surface, keep, PlanarStats { planes: planes.len(), before, after })
+}
+
+/// What growing regions have come past.
+struct Search {
+    /// By vertex, the last that did.
+    passed: Vec<u32>,
+    number: u32,
+    /// By vertex, regions that were no planes.
+    refusals: Vec<u8>,
+    /// Vertices of all regions.
+    visits: usize,
+}
+
+impl Search {
+    fn new(vertices: usize) -> Self {
+        Self { passed: vec![0; vertices], number: 0, refusals: vec![0; vertices], visits: 0 }
+    }
+
+    fn refuse(&mut self, region: &[usize]) {
+        region.iter().for_each(|&v| self.refusals[v] = self.refusals[v].saturating_add(1));
+    }
 }
 
 /// A surface with what growing planes asks of it. Lengths are in voxels.
@@ -150,13 +173,12 @@ impl Sheet {
         plane.height(self.positions[v]) * self.scale(v, plane.normal)
     }
 
-    /// All planes, and which one each vertex is in.
-    fn planes(&self) -> (Vec<Plane>, Vec<u32>) {
+    /// All planes, and which one each vertex is in. The cost is linear in the vertices: none is in more than [`MOST_REFUSALS`] regions and a plane,
+    /// of [`ROUNDS`] each.
+    fn planes(&self, search: &mut Search) -> (Vec<Plane>, Vec<u32>) {
         let count = self.positions.len();
         let (mut planes, mut of_vertex) = (vec![], vec![NONE; count]);
         let mut tried = vec![false; count];
-        // The last search that came past a vertex.
-        let mut passed = (vec![0_u32; count], 0);
         let mut seeds: Vec<usize> = (0..count).filter(|&v| self.directions[v].length() > LEAST_COSINE).collect();
         seeds.sort_by(|&a, &b| self.directions[b].length_squared().total_cmp(&self.directions[a].length_squared()));
         for seed in seeds {
@@ -165,14 +187,16 @@ impl Sheet {
             }
             let normal = self.directions[seed].normalize();
             let mut plane = Plane { normal, offset: normal.dot(self.positions[seed]) };
-            let mut region = self.grown(seed, &plane, SEED_REACH, &of_vertex, &mut passed);
+            let mut region = self.grown(seed, &plane, SEED_REACH, &of_vertex, search);
             region.iter().for_each(|&v| tried[v] = true);
+            let mut widest = vec![];
             for _ in 0..ROUNDS {
                 let Some(fitted) = self.fitted(&plane, &region) else { break };
                 plane = fitted;
-                let size = region.len();
-                region = self.grown(seed, &plane, f64::INFINITY, &of_vertex, &mut passed);
-                if region.len() <= size {
+                let before =
+                    std::mem::replace(&mut region, self.grown(seed, &plane, f64::INFINITY, &of_vertex, search));
+                if region.len() <= before.len() {
+                    widest = before;
                     break;
                 }
             }
@@ -185,6 +209,8 @@ impl Sheet {
             if area >= LEAST_AREA && is_flat {
                 region.iter().for_each(|&v| of_vertex[v] = planes.len() as u32);
                 planes.push(plane);
+            } else {
+                search.refuse(if widest.len() > region.len() { &widest } else { &region });
             }
         }
         (planes, of_vertex)
@@ -197,26 +223,24 @@ impl Sheet {
     }
 
     /// Vertices near a plane that are connected to the seed and in no other, the seed first.
-    fn grown(
-        &self,
-        seed: usize,
-        plane: &Plane,
-        reach: f64,
-        of_vertex: &[u32],
-        (passed, search): &mut (Vec<u32>, u32),
-    ) -> Vec<usize> {
-        *search += 1;
-        passed[seed] = *search;
+    fn grown(&self, seed: usize, plane: &Plane, reach: f64, of_vertex: &[u32], search: &mut Search) -> Vec<usize> {
+        search.number += 1;
+        search.passed[seed] = search.number;
         let (mut region, mut next) = (vec![seed], 0);
+        let Search { passed, number, refusals, visits } = search;
         let belongs = |v: usize| {
-            of_vertex[v] == NONE && self.belongs(v, plane) && self.places[v].distance(self.places[seed]) <= reach
+            of_vertex[v] == NONE
+                && refusals[v] < MOST_REFUSALS
+                && self.belongs(v, plane)
+                && self.places[v].distance(self.places[seed]) <= reach
         };
         while let Some(&v) = region.get(next) {
             next += 1;
+            *visits += 1;
             for &n in self.rings.around(v) {
                 let n = n as usize;
-                if passed[n] != *search {
-                    passed[n] = *search;
+                if passed[n] != *number {
+                    passed[n] = *number;
                     if belongs(n) {
                         region.push(n);
                     }

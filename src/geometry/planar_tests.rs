@@ -56,6 +56,27 @@ fn mean(values: &[f32]) -> f32 {
     values.iter().sum::<f32>() / values.len() as f32
 }
 
+/// Gravel: all bumps of it refit to the plane between them, which is too rough to be one.
+#[test]
+fn what_is_rough_is_searched_in_time_linear_in_its_vertices() {
+    let visits = |side: u32| {
+        let height = |x: u32, y: u32| {
+            let wave = |v: u32| (f64::from(v) * std::f64::consts::TAU / 24.0).sin();
+            (1.3 * wave(x) * wave(y)) as f32
+        };
+        let positions = (0..side).flat_map(|y| (0..side).map(move |x| Vec3::new(x as f32, y as f32, height(x, y))));
+        let squares = (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| y * side + x));
+        let triangles = squares.flat_map(|a| [[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]);
+        let surface = Surface { positions: positions.collect(), triangles: triangles.collect() };
+        let mut search = Search::new(surface.positions.len());
+        let (planes, _) = Sheet::new(&surface, 1.0, None).planes(&mut search);
+        assert!(planes.is_empty(), "{} planes", planes.len());
+        search.visits
+    };
+    let (few, many) = (visits(60), visits(240));
+    assert!(many < 24 * few, "{many} visits, {few} of a sixteenth of the vertices");
+}
+
 #[test]
 fn a_noisy_cube_gets_six_flat_sides() {
     let noisy = cube(40, 0.25);

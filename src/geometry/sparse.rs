@@ -92,10 +92,11 @@ pub fn surface_from_points(
             sees => sees.iter().copied().filter(|&i| (i as usize) < points.len()).collect(),
         })
         .collect();
-    let lifted = |constraints: &[[u32; 2]]| -> Vec<Vec<[u32; 3]>> {
-        views.par_iter().zip(&seen).map(|(view, seen)| lift(&view.camera, points, seen, constraints)).collect()
+    let lifted = |constraints: &[Vec<[u32; 2]>]| -> Vec<Vec<[u32; 3]>> {
+        let each = views.par_iter().zip(&seen).zip(constraints);
+        each.map(|((view, seen), constraints)| lift(&view.camera, points, seen, constraints)).collect()
     };
-    let first = without_hiding(views, points, &seen, &lifted(&[]));
+    let first = without_hiding(views, points, &seen, &lifted(&vec![vec![]; views.len()]));
     let lifted = lifted(&agreed(points.len(), &seen, &first));
     let clear = without_hiding(views, points, &seen, &lifted);
     let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
@@ -203,9 +204,9 @@ impl HasPosition for Seen {
     }
 }
 
-/// Edges of triangles that most of the views have which see both ends, [`LEAST_AGREEING`] at least: first those that more have.
-/// What few views have comes of points that the others lack.
-fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<[u32; 2]> {
+/// For each view, of the edges between points that it sees, those of triangles that most of the views have which see both ends,
+/// [`LEAST_AGREEING`] at least: first those that more have. What few views have comes of points that the others lack.
+fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<Vec<[u32; 2]>> {
     let mut found: HashMap<[u32; 2], u32> = HashMap::new();
     for triangles in triangles {
         let edges: HashSet<[u32; 2]> = triangles
@@ -221,16 +222,20 @@ fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<
     }
     let both = |[a, b]: [u32; 2]| {
         let (a, b) = (&by[a as usize], &by[b as usize]);
-        a.iter().filter(|view| b.binary_search(view).is_ok()).count() as u32
+        a.iter().copied().filter(|view| b.binary_search(view).is_ok())
     };
     let mut edges: Vec<([u32; 2], u32)> =
-        found.into_iter().filter(|&(edge, n)| n >= LEAST_AGREEING && 2 * n > both(edge)).collect();
+        found.into_iter().filter(|&(edge, n)| n >= LEAST_AGREEING && 2 * n > both(edge).count() as u32).collect();
     edges.sort_unstable_by_key(|&(edge, n)| (std::cmp::Reverse(n), edge));
-    edges.into_iter().map(|(edge, _)| edge).collect()
+    let mut of_view = vec![vec![]; seen.len()];
+    for (edge, _) in edges {
+        both(edge).for_each(|view| of_view[view as usize].push(edge));
+    }
+    of_view
 }
 
 /// Delaunay triangles of what a camera sees, without those that cannot be a surface. They have those of the edges `constraints`
-/// that are between points it sees, but for edges that cross earlier ones.
+/// whose ends are in its picture, but for edges that cross earlier ones.
 fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]) -> Vec<[u32; 3]> {
     let project = |&i: &u32| project(camera, points[i as usize]).map(|(pixel, _)| Seen { pixel, point: i });
     let seen = seen.iter().filter_map(project).collect();
@@ -419,7 +424,13 @@ mod tests {
         let (long, short) = (lift(&[[0, 1]]), lift(&[]));
         let agreed = |[n_long, n_short]: [usize; 2], seen: usize| {
             let triangles = [vec![long.clone(); n_long], vec![short.clone(); n_short]].concat();
-            agreed(4, &vec![vec![0, 1, 2, 3]; seen], &triangles)
+            // And one more view, which sees but three of them.
+            let all = agreed(4, &[vec![vec![0, 1, 2, 3]; seen], vec![vec![0, 2, 3]]].concat(), &triangles);
+            let (few, whole) = all.split_last().unwrap();
+            assert!(whole.iter().all(|edges| *edges == whole[0]));
+            let seen_by_few = whole[0].iter().copied().filter(|edge| !edge.contains(&1));
+            assert_eq!(*few, seen_by_few.collect::<Vec<_>>());
+            whole[0].clone()
         };
         let rim = [[0, 2], [0, 3], [1, 2], [1, 3]];
         assert_eq!(agreed([5, 4], 9), [&rim[..], &[[0, 1]]].concat());

@@ -83,14 +83,14 @@ fn smoothed_frame(
         let geometry: Vec<f32> = gpu.read(&b.splats.geometry, n * 12).unwrap();
         for (i, g) in geometry.chunks_exact(12).enumerate() {
             let g: Vec<f64> = g.iter().copied().map(f64::from).collect();
-            out.means[i] = glam::DVec3::new(g[0], g[1], g[2]);
+            out.means[i] = DVec3::new(g[0], g[1], g[2]);
             out.opacity_logits[i] = g[3];
             out.rotations[i] = [g[4], g[5], g[6], g[7]];
-            out.log_scales[i] = glam::DVec3::new(g[8], g[9], g[10]);
+            out.log_scales[i] = DVec3::new(g[8], g[9], g[10]);
         }
         let sh: Vec<f32> = gpu.read(&b.splats.sh, n * 3 * terms).unwrap();
         for (i, c) in sh.chunks_exact(3).enumerate() {
-            out.sh[i] = glam::DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
+            out.sh[i] = DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]));
         }
         let texels = pipeline.front.mesh.as_ref().map_or(vec![], |m| m.read_gradients(gpu).unwrap());
         for (i, (base, bands)) in texels.into_iter().enumerate() {
@@ -303,7 +303,7 @@ fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64
 /// Relative errors of all parameter classes that the scene has.
 fn class_errors(found: &Parameters, expected: &Parameters) -> Vec<(&'static str, f64)> {
     let texels = |t: &[Vec<f64>]| t.iter().flatten().copied().collect::<Vec<_>>();
-    let flat = |v: &[glam::DVec3]| v.iter().flat_map(glam::DVec3::to_array).collect::<Vec<_>>();
+    let flat = |v: &[DVec3]| v.iter().flat_map(DVec3::to_array).collect::<Vec<_>>();
     let classes = |p: &Parameters| {
         [
             ("means", flat(&p.means)),
