@@ -290,6 +290,10 @@ fn several_inputs_become_one_scene() {
     // As `*.glb` names them, the last is no output.
     let line = failure(folder.path(), "a.ply m.glb b.glb");
     assert_eq!(line, "error: b.glb: is there already: -o b.glb replaces it");
+    // What cannot be written is told before that.
+    let line =
+        common::wrong_usage(folder.path(), common::centaur(folder.path()).args(["convert", "a.ply", "m.glb", "."]));
+    assert!(!line.contains("replaces"), "{line}");
     // A .ply says nothing of a background that could be left out.
     let said = convert(folder.path(), "m.glb a.ply -o b.glb");
     assert!(said.starts_with("note: a.ply: left out on joining: its own pixel filter\n"), "{said}");

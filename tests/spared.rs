@@ -173,6 +173,13 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     for args in ["convert g.ply g.xml", "convert g.ply g.xml --scale 2", "convert g.ply g.xml"] {
         run(folder.path(), args);
     }
+    // Also where its name comes late, across what is read at once.
+    let text = std::fs::read_to_string(at("g.xml")).unwrap();
+    let begin = text.find("g_splats.ply").unwrap();
+    let late = format!("<!--{}-->", " ".repeat((1 << 20) - begin - 7 - 4));
+    std::fs::write(at("g.xml"), [&late, &text[..]].concat()).unwrap();
+    run(folder.path(), "convert g.ply g.xml --scale 3");
+    run(folder.path(), "convert g.ply g.xml");
     // The plugin that several scenes share is the same.
     run(folder.path(), "convert g.ply other.xml");
     let line = refused(folder.path(), "convert g.ply g.blend.py --scale 3");

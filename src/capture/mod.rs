@@ -189,21 +189,23 @@ pub fn is_capture(folder: &Path) -> bool {
 /// # Errors
 /// If one of the former cannot be read.
 pub fn fingerprint(folder: &Path) -> Result<Option<u32>, CaptureError> {
-    let model = colmap::find_model(folder);
-    let files = match &model {
-        Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(model, stem)).to_vec(),
+    let files = match colmap::find_model(folder) {
+        Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(&model, stem)).to_vec(),
         None => transforms::find(folder).into_iter().map(|(file, _)| file).collect(),
     };
     let mut sum = flate2::Crc::new();
     for file in &files {
         sum.update(&error::read(file)?);
     }
+    let mut beside = vec![];
     // What is wrong with it is told where it is opened.
-    let mut beside = cameras(folder, &LoadOptions::default()).map_or_else(|_| vec![], |found| found.images);
-    let mask = |image: &PathBuf| views::find_mask(&folder.join("masks"), image.strip_prefix(folder).ok()?.to_str()?);
-    let masks: Vec<PathBuf> = beside.iter().filter_map(mask).collect();
-    beside.extend(masks);
-    beside.extend(model.map(|model| colmap::file_of(&model, "points3D")));
+    if let Ok((listed, _)) = listed(folder, folder, &LoadOptions { without_points: true, ..LoadOptions::default() }) {
+        beside.extend(listed.points_files);
+        for frame in listed.frames {
+            beside.extend(frame.mask.or_else(|| views::find_mask(&folder.join("masks"), &frame.name)));
+            beside.push(frame.image);
+        }
+    }
     beside.sort();
     for (file, data) in beside.iter().filter_map(|file| Some((file, file.metadata().ok()?))) {
         let name = file.strip_prefix(folder).unwrap_or(file);
@@ -239,25 +241,29 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
-    let mut passed_over = vec![];
-    let Listed { frames, list, points, points_files } = if !folder {
-        transforms::load(root, &[(path.into(), None)], options)?
-    } else if let Some(model) = colmap::find_model(path) {
-        passed_over.extend(transforms::find(path).into_iter().map(|(file, _)| file));
-        colmap::load(path, &model, (options, !options.without_points))?
-    } else {
-        let files = transforms::find(path);
-        if files.is_empty() {
-            let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
-            return Err(CaptureError::invalid(path, "capture", expected, "neither"));
-        }
-        transforms::load(path, &files, options)?
-    };
+    let (Listed { frames, list, points, points_files }, passed_over) = listed(path, root, options)?;
     let views = views::assemble(frames, &list, root, options)?;
     near_origin(&views, &list)?;
     let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
     let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Capture { name, views, points, points_files, passed_over })
+}
+
+/// What the list of the capture at `path` says, in the folder `root`, and the files that are passed over for it.
+fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Vec<PathBuf>), CaptureError> {
+    if path != root {
+        return Ok((transforms::load(root, &[(path.into(), None)], options)?, vec![]));
+    }
+    let files = transforms::find(root);
+    if let Some(model) = colmap::find_model(root) {
+        let listed = colmap::load(root, &model, (options, !options.without_points))?;
+        return Ok((listed, files.into_iter().map(|(file, _)| file).collect()));
+    }
+    if files.is_empty() {
+        let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
+        return Err(CaptureError::invalid(path, "capture", expected, "neither"));
+    }
+    Ok((transforms::load(root, &files, options)?, vec![]))
 }
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is

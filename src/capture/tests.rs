@@ -652,6 +652,15 @@ fn fingerprints_are_of_photographs_masks_and_points_too() {
     found.dedup();
     assert_eq!(found.len(), 5);
     assert_eq!(fingerprint(tempfile::tempdir().unwrap().path()).unwrap(), None);
+    // A mask that frames name.
+    let print = |side: u32| {
+        let folder = tempfile::tempdir().unwrap();
+        write_transforms(folder.path(), 0.0);
+        std::fs::create_dir(folder.path().join("cut")).unwrap();
+        GrayImage::new(side, 8).save(folder.path().join("cut/out.png")).unwrap();
+        fingerprint(folder.path()).unwrap()
+    };
+    assert!(print(8) == print(8) && print(8) != print(800));
 }
 
 #[test]

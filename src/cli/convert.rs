@@ -124,13 +124,12 @@ impl Args {
             return Ok(Files { inputs: &self.files, output });
         }
         match self.files.split_last() {
-            // As shells make it of `*.ply`: the last of the files is one of them, and would be lost.
-            Some((output, [_, _, ..])) if output.exists() => {
-                bail!("{}: is there already: -o {} replaces it", output.display(), output.display())
-            }
             Some((output, inputs)) if !inputs.is_empty() => {
-                let checked = writable(output.clone()).map_err(|e| usage::wrong(format!("{}: {e}", output.display())));
-                checked.map(|_| Files { inputs, output })
+                writable(output.clone()).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
+                // As shells make it of `*.ply`: the last of the files is one of them, and would be lost.
+                let is_new = inputs.len() == 1 || !output.is_file();
+                ensure!(is_new, "{}: is there already: -o {} replaces it", output.display(), output.display());
+                Ok(Files { inputs, output })
             }
             _ => Err(usage::wrong("expected files to read and one to write, found one; --help says more")),
         }

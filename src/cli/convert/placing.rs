@@ -1,7 +1,7 @@
 //! What was written beside an output comes to its place, over nothing that is another's.
 
 use std::fs::File;
-use std::io::{self, BufRead as _, BufReader};
+use std::io::{self, BufRead as _, BufReader, Read as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
@@ -80,20 +80,24 @@ fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) ->
     Ok(())
 }
 
-/// Whether the output is there, with one of these beside it, as its text says; what is no text may always.
+/// Whether the output is there, with one of these beside it, as its text says.
 fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
-    if !output.exists() {
+    let own = companions.iter().filter(|file| !file.is_plugin());
+    let own: Vec<&[u8]> = own.filter_map(|file| Some(file.place.file_name()?.as_encoded_bytes())).collect();
+    let Some(longest) = own.iter().map(|name| name.len()).max().filter(|_| output.exists()) else {
         return Ok(false);
+    };
+    let (mut file, mut text) = (File::open(output)?, vec![]);
+    loop {
+        // A name may lie across what is read at once.
+        text.drain(..text.len().saturating_sub(longest));
+        if (&mut file).take(1 << 20).read_to_end(&mut text)? == 0 {
+            return Ok(false);
+        }
+        if own.iter().any(|name| text.windows(name.len()).any(|part| part == *name)) {
+            return Ok(true);
+        }
     }
-    let mut lines = BufReader::new(File::open(output)?).lines();
-    let own: Vec<&str> = (companions.iter().filter(|file| !file.is_plugin()))
-        .filter_map(|file| file.place.file_name()?.to_str())
-        .collect();
-    let found = lines.find_map(|line| match line {
-        Ok(line) => own.iter().any(|name| line.contains(name)).then_some(true),
-        Err(_) => Some(true),
-    });
-    Ok(found.unwrap_or(false))
 }
 
 /// Other exports that show companions of `output` as they were, and whose names differ as little as what they are for; an error for
