@@ -264,7 +264,8 @@ impl Fusion {
         keys.par_sort_unstable();
         keys.dedup();
         if (self.blocks.len() + keys.len()).saturating_mul(VOLUME * size_of::<Voxel>()) > o.max_bytes {
-            return Err(GeometryError::FusionMemory { limit_mib: o.max_bytes >> 20, views: self.views });
+            let resolution = ((o.bounds.1 - o.bounds.0).max_element() / o.voxel).round() as u32;
+            return Err(GeometryError::FusionMemory { limit_mib: o.max_bytes >> 20, views: self.views, resolution });
         }
         for key in keys {
             self.slots.insert(key, self.blocks.len() as u32);

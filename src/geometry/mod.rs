@@ -61,14 +61,16 @@ pub enum GeometryError {
     },
     /// The fused volume would exceed its memory limit.
     #[error(
-        "fusion: expected the surface to fit in {limit_mib} MiB of voxels, found more after {views} views; \
-         use a larger voxel or tighter bounds"
+        "fusion: expected the surface to fit in {limit_mib} MiB of voxels, found more after {views} views with {resolution} voxels \
+         along the longest side"
     )]
     FusionMemory {
         /// [`FusionOptions::max_bytes`] in MiB.
         limit_mib: usize,
         /// Views fused when the limit was reached.
         views: usize,
+        /// Voxels along the longest side of [`FusionOptions::bounds`].
+        resolution: u32,
     },
     /// Nothing is left of the surface.
     #[error("surface: expected triangles after {step}, found none; {hint}")]
@@ -81,7 +83,7 @@ pub enum GeometryError {
     /// The charts do not fit, however small.
     #[error(
         "unwrap: expected the {charts} charts to fit in an atlas of {atlas_size}×{atlas_size} texels, found no room \
-         even with gutters of 1 texel; use a larger atlas or fewer, better connected triangles"
+         even with gutters of 1 texel"
     )]
     AtlasTooSmall {
         /// Number of charts.

@@ -88,7 +88,7 @@ pub fn surface_from_fusion(
     let simplified = simplify(&flat, &keep, options.target_triangles);
     stats.simplified = simplified.triangles.len();
     if stats.simplified == 0 {
-        return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
+        return Err(GeometryError::EmptySurface { step: "simplification", hint: "too few triangles were asked for" });
     }
     Ok((fusion.expanded(simplified), stats))
 }

@@ -175,7 +175,11 @@ fn memory_follows_the_surface_and_has_a_limit() {
     assert!(growth < 5.0, "{growth}");
     let mut limited = Fusion::new(FusionOptions { max_bytes: 100_000, ..coarse.options }).unwrap();
     let depth = depth_map(&cameras[0], unit_sphere);
-    assert!(matches!(limited.integrate(&cameras[0], &depth), Err(GeometryError::FusionMemory { views: 0, .. })));
+    let bounds = limited.options.bounds;
+    let resolution = ((bounds.1 - bounds.0).max_element() / 0.04).round() as u32;
+    let error = limited.integrate(&cameras[0], &depth).unwrap_err();
+    assert_eq!(error, GeometryError::FusionMemory { limit_mib: 0, views: 0, resolution });
+    assert!(error.to_string().ends_with(&format!("with {resolution} voxels along the longest side")), "{error}");
     assert_eq!(limited.bytes(), 0);
 }
 

@@ -30,7 +30,7 @@ pub fn tidy(surface: Surface, target_triangles: usize) -> Result<(Surface, Surfa
     let simplified = simplify(&closed, &[], target_triangles);
     stats.simplified = simplified.triangles.len();
     if stats.simplified == 0 {
-        return Err(GeometryError::EmptySurface { step: "simplification", hint: "target_triangles is too small" });
+        return Err(GeometryError::EmptySurface { step: "simplification", hint: "too few triangles were asked for" });
     }
     Ok((simplified, stats))
 }
