@@ -2,8 +2,8 @@
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
-// With w = P·t·α the pair's weight, p = ∂L/∂power and d = pixel − mean, every splat needs these sums over pixels:
-//     Σp, Σp·dx, Σp·dy, Σp·dx², Σp·dx·dy, Σp·dy², Σw·g (rgb), Σw
+// With w = P·t·α the pair's weight, p = ∂L/∂power, dx columns from the mean and y rows from where that column has most of the splat, every splat needs these sums over pixels:
+//     Σp, Σp·dx, Σp·y, Σp·dx², Σp·dx·y, Σp·y², Σw·g (rgb), Σw
 // and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
 // c and g have a fourth channel: of a splat its disparity 1/z, and by how much the loss grows with that of a pixel, Σw/z, which keeps what
 // costs nothing where it is, dark before the dark, from hanging in the air. Depths count as given there, and layers of the mesh are not pulled.
@@ -37,7 +37,7 @@ const BATCH: u32 = 64u;
 
 var<workgroup> batch_number: array<u32, BATCH>;
 var<workgroup> batch_center: array<vec4f, BATCH>;
-var<workgroup> batch_conic: array<vec4f, BATCH>;
+var<workgroup> batch_squares: array<vec4f, BATCH>;
 var<workgroup> batch_color: array<vec4f, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
@@ -229,8 +229,8 @@ fn main(
             let i = pair.x;
             batch_number[s] = pair.y;
             batch_center[s] = projected[3u * i];
-            batch_conic[s] = projected[3u * i + 1u];
-            batch_color[s] = vec4f(projected[3u * i + 2u].xyz, 1.0 / batch_center[s].z);
+            batch_squares[s] = projected[3u * i + 1u];
+            batch_color[s] = projected[3u * i + 2u];
 //#for l in 0..LAYERS
             batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
 //#end
@@ -281,10 +281,11 @@ fn main(
                 var total = vec3f(0.0);
                 if subgroupAny(is_seen) {
 //#for m in 0..2
-                    var sum_p$m = vec3f(0.0);     // p·(1, dy, dy²)
+                    let dx$m = px - center$m.x;
+                    var sum_p$m = vec3f(0.0);     // p·(1, y, y²)
                     var sum_w$m = vec4f(0.0);     // w·(g, 1)
 //#if ABSOLUTE
-                    var sum_pull$m = vec2f(0.0);  // |p·Qd|
+                    var sum_pull$m = vec2f(0.0);  // |p·Σ'⁻¹d|
 //#end
 //#for j in 0..PER_THREAD
 //#for b in 0..BUCKETS
@@ -297,12 +298,9 @@ fn main(
                         let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw$m_$j > ALPHA_CAP);
                         t[$j][$b] *= 1.0 - alpha;
                         let p = before[$j][$b] * alpha * slope;
-                        sum_p$m += p * vec3f(1.0, dy$m_$j, dy$m_$j * dy$m_$j);
+                        sum_p$m += p * vec3f(1.0, y$m_$j, y$m_$j * y$m_$j);
 //#if ABSOLUTE
-                        sum_pull$m += abs(p * vec2f(
-                            conic$m.x * dx$m + conic$m.y * dy$m_$j,
-                            conic$m.y * dx$m + conic$m.z * dy$m_$j,
-                        ));
+                        sum_pull$m += abs(p * pull(squares$m, dx$m, y$m_$j));
 //#end
                         sum_w$m += before[$j][$b] * w * vec4f(g$j.xyz, 1.0);
                     }
@@ -329,22 +327,22 @@ fn main(
 //#end
         for (; s < end_of_$p; s++) {
             let center = batch_center[s];
-            let conic = batch_conic[s];
+            let squares = batch_squares[s].xyz;
             let value = batch_color[s];
             let dx = px - center.x;
-            let along = gaussian_column(conic.xyz, dx);
+            let column = gaussian_column(center.xy, squares, px);
 //#for l in 0..LAYERS
             let threshold$l = batch_threshold[s * LAYERS + $lu];
 //#end
-            var sum_p = vec3f(0.0);     // p·(1, dy, dy²)
+            var sum_p = vec3f(0.0);     // p·(1, y, y²)
             var sum_w = vec4f(0.0);     // w·(g, 1)
 //#if ABSOLUTE
-            var sum_pull = vec2f(0.0);  // |p·Qd|
+            var sum_pull = vec2f(0.0);  // |p·Σ'⁻¹d|
 //#end
 //#for j in 0..PER_THREAD
             {
-                let dy = py$j - center.y;
-                let raw = alpha_at(along, center.w, dy);
+                let y = py$j - column.row;
+                let raw = alpha_at(column, center.w, y);
                 let alpha = min(ALPHA_CAP, raw);
                 if alpha >= ALPHA_CUT {
                     var bucket = $pu % BUCKETS;
@@ -360,9 +358,9 @@ fn main(
                         let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw > ALPHA_CAP);
                         t[$j][$b] *= 1.0 - alpha;
                         let p = before[$j][$b] * alpha * slope;
-                        sum_p += p * vec3f(1.0, dy, dy * dy);
+                        sum_p += p * vec3f(1.0, y, y * y);
 //#if ABSOLUTE
-                        sum_pull += abs(p * vec2f(conic.x * dx + conic.y * dy, conic.y * dx + conic.z * dy));
+                        sum_pull += abs(p * pull(squares, dx, y));
 //#end
                         sum_w += before[$j][$b] * w * vec4f(g$j.xyz, 1.0);
                     }

@@ -39,8 +39,8 @@ fn main(
     for (var k = range.x; k < range.y; k++) {
         let i = pair_splats[k];
         let a = projected[3u * i];
-        let d = pixel - a.xy;
-        let alpha = min(ALPHA_CAP, alpha_at(gaussian_column(projected[3u * i + 1u].xyz, d.x), a.w, d.y));
+        let column = gaussian_column(a.xy, projected[3u * i + 1u].xyz, pixel.x);
+        let alpha = min(ALPHA_CAP, alpha_at(column, a.w, pixel.y - column.row));
         if alpha < ALPHA_CUT { continue; }
         t *= 1.0 - alpha;
         if t < 0.5 {

@@ -30,7 +30,7 @@ alias Blended = vec3f;                  // rgb
 const BATCH: u32 = 128u;
 
 var<workgroup> batch_center: array<vec4f, BATCH>;       // centre, depth, opacity
-var<workgroup> batch_conic: array<vec4f, BATCH>;
+var<workgroup> batch_squares: array<vec4f, BATCH>;
 var<workgroup> batch_color: array<Blended, BATCH>;
 //#if LAYERS
 var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
@@ -152,9 +152,9 @@ fn main(
         for (var s = thread; s < min(BATCH, range.y - start); s += THREADS) {
             let i = pair_splats[start + s];
             batch_center[s] = projected[3u * i];
-            batch_conic[s] = projected[3u * i + 1u];
+            batch_squares[s] = projected[3u * i + 1u];
 //#if SAVE
-            batch_color[s] = vec4f(projected[3u * i + 2u].xyz, 1.0 / batch_center[s].z);
+            batch_color[s] = projected[3u * i + 2u];
 //#else
             batch_color[s] = projected[3u * i + 2u].xyz;
 //#end
@@ -193,7 +193,7 @@ fn main(
 //#if 1<AT_ONCE
                 let alpha = min(ALPHA_CAP, raw$m_$j);
 //#else
-                let alpha = min(ALPHA_CAP, alpha_at(column$m, center$m.w, py$j - center$m.y));
+                let alpha = min(ALPHA_CAP, alpha_at(column$m, center$m.w, py$j - column$m.row));
 //#end
                 if alpha >= ALPHA_CUT {
                     var bucket = $pu % BUCKETS;

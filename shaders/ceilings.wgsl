@@ -6,14 +6,14 @@
 
 // The arithmetic of the blend with no memory: LOOPS splat·pixel evaluations per thread, one pixel each. Every parameter
 // of the splat differs from one iteration to the next, as in a list of splats, so that no term can be moved out of the
-// loop; colours and conic entries take turns, which costs next to nothing, the others drift.
+// loop; colours and squares take turns, which costs next to nothing, the others drift.
 @compute @workgroup_size(256)
 fn evaluate(@builtin(global_invocation_id) id: vec3u) {
     let pixel = vec2f(f32(id.x & 15u), f32((id.x >> 4u) & 15u)) + 0.5;
     // Unknown to the compiler, 0 in fact.
     let unknown = source[0];
     var center = vec2f(7.5, 8.1) + unknown;
-    var conic = vec3f(0.02, 0.001, 0.03) + unknown;
+    var squares = vec3f(0.02, 0.05, 0.03) + unknown;
     // So faint that hundreds of splats leave some transmittance, so flat that the tile's corners are above the cut.
     var opacity = 0.02 + unknown;
     var rgb = vec3f(0.3, 0.2, 0.1) + unknown;
@@ -21,14 +21,14 @@ fn evaluate(@builtin(global_invocation_id) id: vec3u) {
     var color = vec3f(0.0);
     var t = 1.0;
     for (var i = 0u; i < LOOPS; i++) {
-        let d = pixel - center;
-        let alpha = min(ALPHA_CAP, alpha_at(gaussian_column(conic, d.x), opacity, d.y));
+        let column = gaussian_column(center, squares, pixel.x);
+        let alpha = min(ALPHA_CAP, alpha_at(column, opacity, pixel.y - column.row));
         if alpha >= ALPHA_CUT {
             color += t * alpha * rgb;
             t *= 1.0 - alpha;
         }
         center += drift;
-        conic = vec3f(conic.z, conic.y + drift, conic.x);
+        squares = vec3f(squares.z, squares.y + drift, squares.x);
         opacity += drift;
         rgb = rgb.yzx;
     }

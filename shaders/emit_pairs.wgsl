@@ -44,7 +44,7 @@ fn main(
     if k >= counts[COUNT_VISIBLE] { return; }
     let i = splats[k];
     let a = projected[3u * i];
-    let e = ellipse(a.xy, projected[3u * i + 1u].xyz, projected[3u * i + 2u].w, a.w);
+    let e = ellipse(a.xy, projected[3u * i + 1u].xyz, a.w);
     var at = offsets[k];
     let end = min(saturating_add(at, tile_count[i]), view.pair_capacity);
     let rows = row_span(e, view.tiles);

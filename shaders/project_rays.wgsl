@@ -13,8 +13,7 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(2) var<storage, read> sh: array<f32>;
-// 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [conic, radius], [colour, det
-// of the conic's inverse].
+// 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [squares, radius], [colour, 0].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible: array<u32>;
@@ -22,7 +21,7 @@
 @group(0) @binding(6) var<storage, read_write> rays: array<vec4f>;
 
 const ROUNDING: f32 = 1e-4;             // relative; bounds are widened by it
-const SHARP: f32 = 1e-4;                // px²: added to the ellipse, so that one seen edge-on has a conic
+const SHARP: f32 = 1e-4;                // px²: added to the ellipse, so that one seen edge-on has an inverse
 
 @compute @workgroup_size(256)
 fn main(
@@ -66,8 +65,8 @@ fn main(
         center = 0.5 * vec2f(view.size);
     }
     // Of the outline at the level that `ellipse` takes it at, which is not widened.
-    let conic = bare * vec3f(outline.z, -outline.y, outline.x) / det;
-    let e = ellipse(center, conic, det / (bare * bare), g.opacity);
+    let squares = vec3f(bare, outline.y, 0.0) / outline.x + vec3f(0.0, 0.0, bare * outline.x / det);
+    let e = ellipse(center, squares, g.opacity);
     let rows = row_span(e, view.tiles);
     var count = 0u;
     for (var row = rows.x; row < rows.y; row++) {
@@ -97,8 +96,8 @@ fn main(
 //#end
     let least = max(t.z - (1.0 + ROUNDING) * sqrt(depth_variance) - ROUNDING * t.z, view.near);
     projected[3u * i] = vec4f(center, least, g.opacity);
-    projected[3u * i + 1u] = vec4f(conic, max(e.extent.x, e.extent.y));
-    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), e.det);
+    projected[3u * i + 1u] = vec4f(squares, max(e.extent.x, e.extent.y));
+    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 0.0);
     tile_count[i] = count;
     visible[i] = 1u;
 }

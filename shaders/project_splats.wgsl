@@ -11,7 +11,7 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(2) var<storage, read> sh: array<f32>;
-// 3 per splat: [centre, depth, opacity], [conic, radius], [colour, det of the conic's inverse].
+// 3 per splat: [centre, depth, opacity], [squares, radius], [colour, disparity].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible: array<u32>;
@@ -37,7 +37,7 @@ fn main(
     if !(p.t.z > view.near) || !(p.opacity >= ALPHA_CUT) { return; }
     // Without a filter one that is seen edge-on has no area; what follows overflows there.
     if !(p.det > 1e-20) { return; }
-    let e = ellipse(p.center, p.conic, p.det, p.opacity);
+    let e = ellipse(p.center, p.squares, p.opacity);
     if !(max(e.extent.x, e.extent.y) < 1e6) || !(max(abs(p.center.x), abs(p.center.y)) < 1e7) { return; }
     let rows = row_span(e, view.tiles);
     var count = 0u;
@@ -57,8 +57,8 @@ fn main(
     }
 //#end
     projected[3u * i] = vec4f(p.center, p.t.z, p.opacity);
-    projected[3u * i + 1u] = vec4f(p.conic, max(e.extent.x, e.extent.y));
-    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), p.det);
+    projected[3u * i + 1u] = vec4f(p.squares, max(e.extent.x, e.extent.y));
+    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 1.0 / p.t.z);
     tile_count[i] = count;
     visible[i] = 1u;
 }

@@ -4,6 +4,7 @@
 // which Mesa's software adapter would make coroutines for minutes.
 //#import shared/view.wgsl
 //#import shared/projection.wgsl
+//#import shared/blend.wgsl
 //#import shared/sh.wgsl
 //#import shared/sh_gradient.wgsl
 //#import shared/status.wgsl
@@ -57,7 +58,7 @@ fn main(
 
     let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
     let p = project(view, g);
-    let q = p.conic;
+    let q = p.squares;
 
     // Colour: clamped channels pass nothing.
     let offset = g.mean - view.center;
@@ -100,20 +101,17 @@ fn main(
 //#end
     var g_mean = (g_direction - direction * dot(direction, g_direction)) / distance;
 
-    // Screen mean: ∂power/∂u = Qδ. Screen covariance, with H = ½Σp·δδᵀ: G_Σ = Q·H·Q = R·Q.
-    let g_uv = vec2f(q.x * sd.x + q.y * sd.y, q.y * sd.x + q.z * sd.y);
-    let h = 0.5 * sdd;
-    let r0 = vec2f(q.x * h.x + q.y * h.y, q.x * h.y + q.y * h.z);
-    let r1 = vec2f(q.y * h.x + q.z * h.y, q.y * h.y + q.z * h.z);
-
-    // Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm: the derivative by n is 2·G_Σ·n = 2·R·(Q·n), and Q·n without
-    // differences of products, of which a needle's agree in all of their digits.
+    // Offsets δ = L·(dx, y) and Q = Σ'⁻¹ = L⁻ᵀ·D·L⁻¹, with L = [1, 0; q.y, 1] and D = diag(q.x, q.z). Screen mean: ∂power/∂u = Qδ.
+    let g_uv = pull(q, sd.x, sd.y);
+    // Screen covariance: G_Σ = Q·(½Σp·δδᵀ)·Q. Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm: the derivative by n is
+    // 2·G_Σ·n = L⁻ᵀ·(D·Σp·(dx, y)(dx, y)ᵀ)·(Lᵀ·Q·n), where Lᵀ·Q·n = (q.x·n0, a1) if a = Q·n. That without differences of products,
+    // of which a needle's agree in all of their digits.
     let across = cross(p.n0, p.n1);
     let k = view.filter_variance;
     let a0 = (cross(p.n1, across) + k * p.n0) / p.det;
     let a1 = (cross(across, p.n0) + k * p.n1) / p.det;
-    var g_n0 = 2.0 * (r0.x * a0 + r0.y * a1);
-    var g_n1 = 2.0 * (r1.x * a0 + r1.y * a1);
+    var g_n1 = q.z * (sdd.y * q.x * p.n0 + sdd.z * a1);
+    var g_n0 = q.x * (sdd.x * q.x * p.n0 + sdd.y * a1) - q.y * g_n1;
     // power = ln(alpha/opacity), so that sp is the derivative by the logarithm of the opacity and of all its factors. That
     // of the pixel filter is |n0 × n1| / √det Σ'.
     if view.filter_normalized != 0u {
@@ -168,9 +166,9 @@ fn main(
     if status.is_short != 0u { return; }
     let old = statistics[i];
     let norm = length(0.5 * vec2f(view.size) * g_uv);
-    var pull = 0.0;
+    var pulled = 0.0;
 //#if ABSOLUTE
-    pull = length(0.5 * vec2f(view.size) * vec2f(moments[at + 10u], moments[at + 11u]));
+    pulled = length(0.5 * vec2f(view.size) * vec2f(moments[at + 10u], moments[at + 11u]));
 //#end
-    statistics[i] = old + vec4f(norm, 1.0, weight, pull);
+    statistics[i] = old + vec4f(norm, 1.0, weight, pulled);
 }

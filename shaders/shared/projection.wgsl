@@ -37,7 +37,7 @@ struct Projection {
     n0: vec3f,                          // rows of M·R·diag(scale): Σ2 is their Gram matrix
     n1: vec3f,
     det: f32,                           // of Σ' = Σ2 + filter, px⁴
-    conic: vec3f,                       // Σ' inverted: xx, xy, yy
+    squares: vec3f,                     // of Σ' inverted, see blend.wgsl
     center: vec2f,                      // pixels
     opacity: f32,                       // times what the pixel filter leaves of it
 }
@@ -63,8 +63,8 @@ fn project(v: View, g: Gaussian) -> Projection {
     let across = cross(n0, n1);
     let area2 = dot(across, across);
     let det = area2 + k * (xx + yy) + k * k;
-    let conic = vec3f(yy + k, -xy, xx + k) / det;
+    let squares = vec3f(1.0, xy, 0.0) / (xx + k) + vec3f(0.0, 0.0, (xx + k) / det);
     var opacity = g.opacity;
     if v.filter_normalized != 0u { opacity *= sqrt(area2 / det); }
-    return Projection(t, clamped, inside, m0, m1, n0, n1, det, conic, v.focal * slope + v.principal, opacity);
+    return Projection(t, clamped, inside, m0, m1, n0, n1, det, squares, v.focal * slope + v.principal, opacity);
 }

@@ -1,5 +1,5 @@
-// $COUNT splats of a batch, from `s` to before $END, at the PER_THREAD pixels of a thread: of splat m from `s` on `center$m`, `conic$m`, `dx$m`, `column$m`,
-// `threshold$m_$l`, and, of more than one, at pixel j `dy$m_$j` and `raw$m_$j`, its alpha before it is capped, 0 where there is none. Of all at once and
+// $COUNT splats of a batch, from `s` to before $END, at the PER_THREAD pixels of a thread: of splat m from `s` on `center$m`, `squares$m`, `column$m`,
+// `threshold$m_$l`, and, of more than one, at pixel j `y$m_$j` and `raw$m_$j`, its alpha before it is capped, 0 where there is none. Of all at once and
 // without branches: what a thread waits for in one it does of the others.
 //#for m in 0..$COUNT
 //#if $m<1
@@ -8,16 +8,15 @@ let at$m = s;
 let at$m = min(s + $mu, $END - 1u);
 //#end
 let center$m = batch_center[at$m];
-let conic$m = batch_conic[at$m];
-let dx$m = px - center$m.x;
-let column$m = gaussian_column(conic$m.xyz, dx$m);
+let squares$m = batch_squares[at$m].xyz;
+let column$m = gaussian_column(center$m.xy, squares$m, px);
 //#for l in 0..LAYERS
 let threshold$m_$l = batch_threshold[at$m * LAYERS + $lu];
 //#end
 //#if 1<$COUNT
 //#for j in 0..PER_THREAD
-let dy$m_$j = py$j - center$m.y;
-let raw$m_$j = select(0.0, alpha_at(column$m, center$m.w, dy$m_$j), s + $mu < $END);
+let y$m_$j = py$j - column$m.row;
+let raw$m_$j = select(0.0, alpha_at(column$m, center$m.w, y$m_$j), s + $mu < $END);
 //#end
 //#end
 //#end

@@ -1,19 +1,19 @@
 // Which tiles a splat touches, exactly: those that hold a pixel centre where its alpha can reach ALPHA_CUT, i.e.
-// inside the ellipse δᵀQδ ≤ 2·ln(255·opacity), as in gsplat. Evaluated a tile row at a time.
+// inside the ellipse δᵀΣ'⁻¹δ ≤ 2·ln(255·opacity), as in gsplat. Evaluated a tile row at a time.
 
 const TILE_EPSILON: f32 = 0.01;         // px; keeps rounding from dropping a tile
 
 struct Ellipse {
     center: vec2f,
-    conic: vec3f,
-    det: f32,                           // of the conic's inverse: that of the conic itself cancels for needles
+    squares: vec3f,                     // of Σ' inverted, see blend.wgsl
     level: f32,                         // 2·ln(255·opacity)
     extent: vec2f,                      // half width and height of the bounding box
 }
 
-fn ellipse(center: vec2f, conic: vec3f, det: f32, opacity: f32) -> Ellipse {
+fn ellipse(center: vec2f, squares: vec3f, opacity: f32) -> Ellipse {
     let level = 2.0 * log(max(255.0 * opacity, 1.0));
-    return Ellipse(center, conic, det, level, sqrt(level * vec2f(conic.z, conic.x) * det));
+    let variance = 1.0 / squares.xz;    // along x, and along a column
+    return Ellipse(center, squares, level, sqrt(level * vec2f(variance.x, variance.y + squares.y * squares.y * variance.x)));
 }
 
 // First and one-past-last tile whose pixel centres meet [low, high], within 0..count.
@@ -34,8 +34,8 @@ fn column_span(e: Ellipse, row: u32, tiles: vec2u) -> vec2u {
     let top = max(f32(row * TILE) + 0.5 - e.center.y - TILE_EPSILON, -e.extent.y);
     let bottom = min(f32(row * TILE + TILE) - 0.5 - e.center.y + TILE_EPSILON, e.extent.y);
     if top > bottom { return vec2u(0u); }
-    // The ellipse's right-most point lies at dy = −b/c·dx; if outside the row, the nearer edge has the extreme.
-    let tilt = -e.conic.y / e.conic.z * e.extent.x;
+    // The ellipse's right-most point lies on the line of its columns' peaks; if outside the row, the nearer edge has the extreme.
+    let tilt = e.squares.y * e.extent.x;
     let right = edge(e, clamp(tilt, top, bottom), 1.0);
     let left = edge(e, clamp(-tilt, top, bottom), -1.0);
     return tile_span(e.center.x + left, e.center.x + right, tiles.x);
@@ -43,6 +43,7 @@ fn column_span(e: Ellipse, row: u32, tiles: vec2u) -> vec2u {
 
 // Horizontal offset of the ellipse at vertical offset dy, on the side of `sign`.
 fn edge(e: Ellipse, dy: f32, sign: f32) -> f32 {
-    let root = e.conic.x * e.level - dy * dy / e.det;
-    return (-e.conic.y * dy + sign * sqrt(max(root, 0.0))) / e.conic.x;
+    let q = e.squares;
+    let root = q.x * q.z * (e.extent.y - dy) * (e.extent.y + dy);
+    return (q.y * q.z * dy + sign * sqrt(max(root, 0.0))) / (q.x + q.y * q.y * q.z);
 }

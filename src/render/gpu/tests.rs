@@ -1,6 +1,8 @@
 //! The GPU pipeline against the f64 reference: images, gradients, limits.
 
-use glam::{DVec3, Vec3};
+use std::f64::consts::PI;
+
+use glam::{DMat3, DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -18,7 +20,9 @@ use crate::{
         reference::{self, Image, Margin, Parameters},
         testing,
     },
-    scene::{Atlas, Camera, Composition, HybridScene, Mesh, OrderMode, PixelFilter, SplatArrays, Texture, sh},
+    scene::{
+        Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, PixelFilter, SplatArrays, Texture, sh,
+    },
 };
 
 /// Renders on the GPU; with a cotangent also returns the gradients of every splat parameter.
@@ -290,6 +294,42 @@ fn scenes_far_from_the_origin_equal_the_reference() {
     }
 }
 
+/// Needles of up to some thousand pixels that pass a small part of a large picture, far from their centres.
+#[test]
+fn needles_are_those_of_the_reference_far_from_their_centres() {
+    let gpu = Gpu::open(None).unwrap();
+    let intrinsics = Intrinsics { width: 64, height: 48, fx: 2000.0, fy: 2000.0, cx: 1500.3, cy: 1100.6 };
+    let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let depth = 2.0;
+    // Where the ray of the picture's middle is at that depth.
+    let middle =
+        depth * DVec3::new((32.0 - intrinsics.cx) / intrinsics.fx, (24.0 - intrinsics.cy) / intrinsics.fy, 1.0);
+    for deviation in [300.0, 1000.0, 2000.0] {
+        let mut splats = SplatArrays::default();
+        for i in 0..12 {
+            let turn = 0.13 + f64::from(i) * PI / 12.0;
+            let across = f64::from(i % 5 - 2) * 4.0 / intrinsics.fx * depth;
+            let along = [-2.0, -1.0, 1.0, 1.7][i as usize % 4] * deviation / intrinsics.fx * depth;
+            let axes = DMat3::from_rotation_z(turn);
+            splats.means.push((middle + axes * DVec3::new(along, across, 1e-5 * f64::from(i))).as_vec3());
+            splats.rotations.push(Quat::from_rotation_z(turn as f32));
+            let long = deviation / intrinsics.fx * depth;
+            splats.log_scales.push(Vec3::new(long.ln() as f32, -9.0, -9.0));
+            splats.opacity_logits.push(1.0);
+            splats.sh.push([0.2 * i as f32, 1.0, -0.1 * i as f32]);
+        }
+        let splats = splats.check().unwrap();
+        let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
+        let cotangent = random_cotangent(&camera, 3);
+        let (found, gradient) = gpu_frame(&gpu, &scene, &camera, Some(&cotangent));
+        let (mean, most, _) = compare(&found, &scene, &camera);
+        let errors = class_errors(&gradient.unwrap(), &reference::backward(&scene, &camera, &cotangent));
+        eprintln!("{deviation} px: mean {mean:.1e}, max {most:.1e}, {errors:?}");
+        assert!(mean < MEAN && most < MOST, "{deviation} px: mean {mean:e}, max {most:e}");
+        assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "{deviation} px: {errors:?}");
+    }
+}
+
 /// Relative error of a whole class: ‖found − expected‖ / ‖expected‖.
 fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64>) -> f64 {
     let (mut difference, mut norm) = (0.0, 0.0);
@@ -417,8 +457,8 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
             let projected: Vec<f32> = gpu.read(&plain.0.front.lists.projected, 12 * n).unwrap();
             for (i, sum) in expected.iter_mut().enumerate() {
                 let (m, q) = (&moments[10 * i..], &projected[12 * i + 4..]);
-                sum[0] += f64::from(q[0] * m[1] + q[1] * m[2]).abs();
-                sum[1] += f64::from(q[1] * m[1] + q[2] * m[2]).abs();
+                sum[0] += f64::from(q[0] * m[1] - q[1] * q[2] * m[2]).abs();
+                sum[1] += f64::from(q[2] * m[2]).abs();
             }
         }
         let all = frame(&mut plain, None);
