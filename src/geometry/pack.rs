@@ -40,8 +40,9 @@ impl Place {
     }
 }
 
-/// Turns a chart so that its bounding rectangle is small and upright, with the low corner at the origin.
-pub(super) fn straighten(chart: &mut Chart) {
+/// Turns a chart so that its bounding rectangle is small and upright, with the low corner at the origin. Of a triangle that is longer than `longest`, and
+/// no cut makes shorter, lengths shrink to that: one sliver does not take their texels from all others.
+pub(super) fn straighten(chart: &mut Chart, longest: f64) {
     let bounds = |angle: f64| {
         let turn = DVec2::from_angle(angle);
         let points = chart.corners.iter().flatten().map(|&p| turn.rotate(p));
@@ -57,10 +58,11 @@ pub(super) fn straighten(chart: &mut Chart) {
     if high.x - low.x > high.y - low.y {
         best += std::f64::consts::FRAC_PI_2;
     }
-    let (low, turn) = (bounds(best).0, DVec2::from_angle(best));
+    let ((low, high), turn) = (bounds(best), DVec2::from_angle(best));
+    let shrink = DVec2::new(1.0, (longest / (high.y - low.y)).min(1.0));
     for p in chart.corners.iter_mut().flatten() {
         // The maximum guards against a rounding below zero.
-        *p = (turn.rotate(*p) - low).max(DVec2::ZERO);
+        *p = (turn.rotate(*p) - low).max(DVec2::ZERO) * shrink;
     }
 }
 

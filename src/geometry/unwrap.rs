@@ -96,8 +96,9 @@ pub fn unwrap(
     let side = f64::from(atlas_size);
     // Packings cover some 60 % of the atlas.
     let texel = (area / 0.6).sqrt() / side;
-    let mut charts = charts::cut(corners, texel, 0.9 * side * texel);
-    charts.par_iter_mut().for_each(pack::straighten);
+    let longest = 0.9 * side * texel;
+    let mut charts = charts::cut(corners, texel, longest);
+    charts.par_iter_mut().for_each(|chart| pack::straighten(chart, longest));
     let packing = loop {
         let packing = pack::pack(&charts, area, atlas_size as usize)
             .ok_or(GeometryError::AtlasTooSmall { charts: charts.len(), atlas_size })?;
@@ -107,7 +108,7 @@ pub fn unwrap(
         if split.is_empty() {
             break packing;
         }
-        split.iter_mut().for_each(pack::straighten);
+        split.iter_mut().for_each(|chart| pack::straighten(chart, longest));
         charts.extend(split);
     };
 
@@ -267,6 +268,22 @@ mod tests {
         let stats = check(&Surface { positions, triangles }, 256);
         assert_eq!(stats.charts, 1);
         assert!((stats.min_density - 1.0).abs() < 1e-6 && stats.coverage > 0.9, "{stats:?}");
+    }
+
+    #[test]
+    fn one_sliver_takes_no_texels_from_others() {
+        let mut positions: Vec<Vec3> = (0..400).map(|i| Vec3::new((i % 20) as f32, 3.0, (i / 20) as f32)).collect();
+        let mut triangles: Vec<_> =
+            (0..380u32).filter(|i| i % 20 != 19).flat_map(|i| [[i, i + 20, i + 1], [i + 1, i + 20, i + 21]]).collect();
+        positions.extend([Vec3::ZERO, Vec3::X * 1e6, Vec3::new(1e6, 1e-4, 0.0)]);
+        triangles.push([400, 401, 402]);
+        let stats = check(&Surface { positions, triangles }, 256);
+        assert!(stats.charts == 2 && stats.coverage > 0.5, "{stats:?}");
+        // Also where it is all there is, or has no area.
+        for width in [1e-4, 0.0] {
+            let positions = vec![Vec3::ZERO, Vec3::X * 1e6, Vec3::new(1e6, width, 0.0)];
+            check(&Surface { positions, triangles: vec![[0, 1, 2]] }, 64);
+        }
     }
 
     #[test]
