@@ -2,7 +2,8 @@
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
-// With w = P·t·α the pair's weight, p = ∂L/∂power, dx columns from the mean and y rows from where that column has most of the splat, every splat needs these sums over pixels:
+// With w = P·t·α the pair's weight, p = ∂L/∂power, and pixels dx columns from the mean and y rows from where their column has most of the
+// splat, every splat needs these sums over pixels:
 //     Σp, Σp·dx, Σp·y, Σp·dx², Σp·dx·y, Σp·y², Σw·g (rgb), Σw
 // and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
 // c and g have a fourth channel: of a splat its disparity 1/z, and by how much the loss grows with that of a pixel, Σw/z, which keeps what

@@ -2,9 +2,9 @@
 
 const EMPTY_DEPTH: f32 = 3.4028234e38;  // of a pixel without a mesh layer: no threshold exceeds it
 
-// A splat's Gaussian is exp(−½ (squares.x·dx² + squares.z·(dy − squares.y·dx)²)) at an offset (dx, dy) from its centre: Σ'⁻¹ as a sum of squares, of which
-// nothing cancels. In dx², dx·dy and dy² the terms of a needle of a thousand pixels do in all digits that f32 has.
-// Along a column of pixels its logarithm is x − yy·y², y rows from where that column has most of it.
+// At an offset (dx, dy) from its centre a splat's Gaussian is exp(−½ (squares.x·dx² + squares.z·(dy − squares.y·dx)²)): Σ'⁻¹ as a sum of
+// squares, of which nothing cancels. In dx², dx·dy and dy² the terms of a needle of hundreds of pixels do in all digits that f32 has.
+// Its logarithm, `power` in other comments, is x − yy·y² along a column of pixels, y rows from where that column has most of the splat.
 struct GaussianColumn {
     x: f32,
     row: f32,
@@ -21,7 +21,7 @@ fn alpha_at(c: GaussianColumn, opacity: f32, y: f32) -> f32 {
     return opacity * exp(c.x - c.yy * y * y);
 }
 
-// Σ'⁻¹ times an offset of dx columns from the centre, and of y rows from where that column has most: what pulls at the centre, by the logarithm.
+// Σ'⁻¹ times the offset of dx columns from the centre and y rows from where that column has most: ∂power/∂centre.
 fn pull(squares: vec3f, dx: f32, y: f32) -> vec2f {
     let down = squares.z * y;
     return vec2f(squares.x * dx - squares.y * down, down);
