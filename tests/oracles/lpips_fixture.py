@@ -1,4 +1,4 @@
-"""LPIPS by its own package, layer by layer: the fixture of tests/lpips_oracle.rs.
+"""LPIPS by its own package, layer by layer: the fixture of tests/integration/lpips_oracle.rs.
 
   lpips_fixture.py FOLDER VGG.safetensors ALEX.safetensors
       writes FOLDER/{random,published}-{vgg,alex}.safetensors (weights, by datasets-scripts/lpips_weights.py) and .json:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""OpenUSD's own view of what Centaur writes, and files of OpenUSD for Centaur to read. Called by tests/usd_oracle.rs.
+"""OpenUSD's own view of what Centaur writes, and files of OpenUSD for Centaur to read. Called by tests/integration/usd_oracle.rs.
 
     usd_check.py check FILE EXPECTED.json     # opens FILE, compares values, runs ComplianceChecker and VG.035
     usd_check.py write FILE SPLATS.json       # writes splats below moved prims, prints where they are as JSON

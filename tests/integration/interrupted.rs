@@ -1,16 +1,12 @@
 //! What Ctrl-C and terminations leave behind: files that are whole, under the names that they had or were to get.
 
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::io::{BufRead as _, BufReader};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
+use crate::common;
 use centaur::format::ply;
 use centaur::scene::Splats;
 use glam::{Quat, Vec3};

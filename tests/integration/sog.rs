@@ -1,17 +1,14 @@
 //! SOG files of `PlayCanvas`, of both versions, against what their own program (splat-transform 2.7.1, to PLY) makes of
 //! them. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+use std::path::PathBuf;
 
-use std::path::{Path, PathBuf};
-
+use crate::common;
 use centaur::format::{NotedSplats, read_scene, sog};
 use centaur::scene::Splats;
 
 fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("CENTAUR_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    root.join("splats_playcanvas").join(path)
+    common::data("splats_playcanvas").join(path)
 }
 
 /// Mean, log-scale, coefficient 0, logit and rotation (w x y z): the first fourteen columns of a PLY.

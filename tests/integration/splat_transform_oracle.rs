@@ -1,8 +1,6 @@
 //! What is written here against what `PlayCanvas`' splat-transform reads from it, and the other way round.
 //! `CENTAUR_SPLAT_TRANSFORM` names the program (npm: @playcanvas/splat-transform).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -1,9 +1,7 @@
 //! What tests of the program share: a tiny capture, and the program run as a user would.
 
-#![allow(clippy::unwrap_used, dead_code, reason = "a failed unwrap is a failed test; not every test uses everything")]
-
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use glam::{DMat3, DQuat, DVec3};
@@ -15,6 +13,14 @@ pub(crate) fn centaur(folder: &Path) -> Command {
     // Mesa complains on stderr where this is not set.
     command.current_dir(folder).env("XDG_RUNTIME_DIR", std::env::temp_dir());
     command
+}
+
+/// A file or folder of the shared data, which `CENTAUR_DATA` names.
+pub(crate) fn data(path: &str) -> PathBuf {
+    let root = std::env::var_os("CENTAUR_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    // Programs run elsewhere.
+    std::path::absolute(root.join(path)).unwrap()
 }
 
 /// Sends a signal to a process, by the shell's own `kill`: the program is missing on small systems.

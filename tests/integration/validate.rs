@@ -1,16 +1,7 @@
 //! Validation of files that nobody of this project made. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-use std::path::{Path, PathBuf};
-
+use crate::common::data;
 use centaur::format::{Severity, Validation, validate};
-
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("CENTAUR_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    root.join(path)
-}
 
 fn errors(validation: &Validation) -> Vec<String> {
     let errors = validation.findings.iter().filter(|f| f.severity == Severity::Error);

@@ -1,14 +1,10 @@
 //! What nobody has named as an output is not written over.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 
+use crate::common::{self, centaur, stderr, write_capture};
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::{Composition, HybridScene, Splats};
-use common::{centaur, stderr, write_capture};
 use glam::{Quat, Vec3};
 
 /// Runs a command that must succeed; what it prints.

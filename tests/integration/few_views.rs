@@ -1,14 +1,8 @@
 //! A real capture of 15 views (`CENTAUR_DATA`, else `../shared/data`), of which 13 are trained on: splats that fit those alone would show
 //! in the others.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test; figures are printed")]
-
-mod common;
-
-use std::path::PathBuf;
-
+use crate::common::{centaur, data, stderr};
 use centaur::format::read_scene;
-use common::{centaur, stderr};
 
 /// Of every held-out view, in dB. After 20 iterations the views have 22.6 and 23.0; when this was written, after 250, hybrid and
 /// splats alone had 27.0 to 28.5.
@@ -17,8 +11,7 @@ const LEAST_PSNR: f64 = 25.0;
 #[test]
 #[ignore = "needs shared data"]
 fn fifteen_views_do_not_explode() {
-    let data = std::env::var_os("CENTAUR_DATA").map_or_else(|| "../shared/data".into(), PathBuf::from);
-    let capture = std::path::absolute(data.join("capture_banana16")).unwrap();
+    let capture = data("capture_banana16");
     let folder = tempfile::tempdir().unwrap();
     let coarse = "--max-side 128 --iterations 250 --surface-iterations 125 --warmup 80 --max-splats 4000 --triangles 2000 --texture-size 128 \
                   --layers 1 --json --quiet";

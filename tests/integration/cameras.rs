@@ -1,16 +1,12 @@
 //! `centaur cameras`, and `centaur render` from what it writes, as a user runs them.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 
+use crate::common::{centaur, failure, stderr, write_capture};
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::color::linear_to_srgb;
 use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
-use common::{centaur, failure, stderr, write_capture};
 use glam::{DMat3, DVec3, Quat, Vec3};
 
 fn run(folder: &Path, args: &[&str]) -> String {

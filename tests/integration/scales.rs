@@ -1,13 +1,9 @@
 //! Scenes seen from nearer and farther than the photographs that they were trained on: held-out views of the demo at half to four times that
 //! size, against its photographs.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test; figures are printed")]
-
-mod common;
-
 use std::path::Path;
 
-use common::{centaur, stderr};
+use crate::common::{centaur, stderr};
 
 /// Factors by which the demo's photographs are made smaller: ×½, ×1, ×2 and ×4 of the size that is trained on.
 const SIZES: [u32; 4] = [8, 4, 2, 1];

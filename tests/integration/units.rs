@@ -1,7 +1,5 @@
 //! Poses are in any unit of length, and so are scenes.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test; figures are printed")]
-
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 

@@ -1,9 +1,6 @@
 //! The first splats of real captures (`CENTAUR_DATA`, else `../shared/data`).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-use std::path::PathBuf;
-
+use crate::common::data;
 use centaur::{
     capture::{self, Capture, LoadOptions},
     optimize::initialize::{Initial, from_cameras, from_points},
@@ -12,8 +9,7 @@ use centaur::{
 use glam::Vec3;
 
 fn open(name: &str) -> Capture {
-    let data = std::env::var_os("CENTAUR_DATA").map_or_else(|| "../shared/data".into(), PathBuf::from);
-    capture::open(&data.join(name), &LoadOptions::default()).unwrap()
+    capture::open(&data(name), &LoadOptions::default()).unwrap()
 }
 
 const CAPTURES: [&str; 3] = ["capture_banana16", "capture_maryrose69", "capture_skull66"];

@@ -1,23 +1,14 @@
 //! glTF of other programs: compressed meshes, Khronos' samples through a round trip, Khronos' schema.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+use std::path::Path;
 
-mod common;
-
-use std::path::{Path, PathBuf};
-
+use crate::common::{self, data};
 use centaur::format::{ReadOptions, SceneFile, WriteOptions, gltf, inspect, read_file, validate, write_scene};
 use centaur::scene::{Composition, HybridScene, Splats};
 use glam::{Quat, Vec3};
 use serde_json::{Value, json};
 
 const KEEP: ReadOptions<'_> = ReadOptions { drop_invalid: false, keep_document: true, time: None, animations: &[] };
-
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("CENTAUR_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    root.join(path)
-}
 
 /// The JSON of a `.glb` or `.gltf`.
 fn json_of(path: &Path) -> Value {

@@ -1,15 +1,11 @@
 //! `centaur convert` as a user meets it: what is kept, what is lost and said so, what is refused.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 
+use crate::common::{self, stderr};
 use centaur::edit::{self, Similarity};
 use centaur::format::{self, WriteOptions, gltf, ply};
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
-use common::stderr;
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 /// `n` splats that all differ, along the diagonal from (0, 0, 0) to (n−1, n−1, n−1).

@@ -1,9 +1,6 @@
 //! The reference against images of gsplat: the two cases of Brush's test data (`oracle_brush` of the shared data).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-use std::path::PathBuf;
-
+use crate::common::data;
 use centaur::render::reference;
 use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 use glam::{DMat3, DVec3, Quat, Vec3};
@@ -21,8 +18,7 @@ fn rows<const N: usize>(values: &[f32]) -> impl Iterator<Item = [f32; N]> {
 
 /// Largest difference of colour or alpha from the case's image.
 fn error_of(case: &str) -> f64 {
-    let data = std::env::var_os("CENTAUR_DATA").map_or_else(|| "../shared/data".into(), PathBuf::from);
-    let path = data.join("oracle_brush/crates/brush-bench-test/test_cases").join(case);
+    let path = data("oracle_brush/crates/brush-bench-test/test_cases").join(case);
     let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let file = SafeTensors::deserialize(&bytes).unwrap();
 

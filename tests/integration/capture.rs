@@ -1,15 +1,14 @@
 //! The readers on real captures (`CENTAUR_DATA`, else `../shared/data`).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use crate::common::data;
 use centaur::capture::{Distortion, Downscale, LoadOptions, PhotoCache, Split, decode, extent, open};
 use glam::{DVec2, DVec3};
 
 fn shared(name: &str) -> PathBuf {
-    let folder = std::env::var_os("CENTAUR_DATA").map_or_else(|| "../shared/data".into(), PathBuf::from).join(name);
+    let folder = data(name);
     assert!(folder.is_dir(), "{} is missing", folder.display());
     folder
 }

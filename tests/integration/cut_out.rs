@@ -1,14 +1,10 @@
 //! Photographs with masks or alpha, by the command line: what scenes of them say of their training, and what is behind what is transparent.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 
+use crate::common::{centaur, stderr, write_capture};
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::{Composition, HybridScene, Splats};
-use common::{centaur, stderr, write_capture};
 use glam::{Quat, Vec3};
 use image::{GrayImage, Luma, Rgb, Rgba, RgbaImage};
 use serde_json::{Value, json};

@@ -1,9 +1,5 @@
 //! Training that is stopped and goes on, in the library and by Ctrl-C, on the small capture of the repository.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::cell::Cell;
 use std::fmt::Write as _;
 #[cfg(unix)]
@@ -13,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::common;
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
 use centaur::format::mesh_import;
 use centaur::geometry::Surface;

@@ -1,13 +1,9 @@
 //! Scenes that move, as a user meets them: inspected, converted at a time, rendered while they move.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 
+use crate::common::{self, stderr};
 use centaur::format::gltf;
-use common::stderr;
 use glam::Vec3;
 use serde_json::{Value, json};
 

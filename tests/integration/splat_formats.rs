@@ -1,18 +1,9 @@
 //! Codecs of splats on files of other programs. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-use std::path::{Path, PathBuf};
-
+use crate::common::data;
 use centaur::format::{Loss, NotedSplats, ksplat, ply, splat, spz};
 use centaur::scene::{Splats, sh};
 use glam::Vec3;
-
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("CENTAUR_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    root.join(path)
-}
 
 #[test]
 #[ignore = "needs shared data"]

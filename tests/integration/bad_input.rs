@@ -1,21 +1,17 @@
 //! Captures, meshes, adapters and checkpoints that are not as they should be: one line that names the file and what
 //! was expected, exit code 1, nothing left behind.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
+use crate::common::{self, centaur, failure, stderr, write_capture};
 use centaur::capture::{self, LoadOptions};
 use centaur::format::{WriteOptions, gltf, write_scene};
 use centaur::optimize::checkpoint::Checkpoint;
 use centaur::optimize::{self, MeshSource, Outcome, Session, TrainOptions};
 use centaur::render::gpu::Gpu;
 use centaur::scene::{Composition, HybridScene, Splats};
-use common::{centaur, failure, stderr, write_capture};
 use glam::{Quat, Vec3};
 
 /// A run of a second or two.

@@ -1,16 +1,8 @@
 //! SSIM against published values of picture pairs that nobody here made (`shared/data/oracle_ssim_*`).
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-use std::path::PathBuf;
-
+use crate::common::data;
 use centaur::metrics::ssim_valid;
 use image::{Rgb, Rgb32FImage};
-
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("CENTAUR_DATA").map_or_else(|| "../shared/data".into(), PathBuf::from);
-    root.join(path)
-}
 
 /// 512×512 photograph with noise of σ = 20, window as in Wang et al. 2004, valid region.
 #[test]

@@ -1,13 +1,9 @@
 //! The command as a user meets it: exit codes, one clear line for every mistake, nothing left behind.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 use std::process::Output;
 
-use common::stderr;
+use crate::common::{self, stderr};
 
 fn centaur(args: &[&str]) -> Output {
     common::centaur(Path::new(".")).args(args).output().unwrap()

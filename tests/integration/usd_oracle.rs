@@ -1,8 +1,6 @@
 //! What is written here against what OpenUSD finds in it, and the other way round. `CENTAUR_USD_PYTHON` names a Python with
 //! tests/oracles/requirements-usd.txt.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use std::path::Path;
 use std::process::Command;
 

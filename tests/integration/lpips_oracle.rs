@@ -1,9 +1,6 @@
 //! LPIPS against the package of its authors with random and with the published weights, at every depth: `make oracle-lpips` writes the fixture and
 //! names its folder in `CENTAUR_LPIPS_FIXTURE`.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-#![allow(clippy::print_stdout, reason = "the figures of a comparison")]
-
 use std::path::Path;
 
 use centaur::metrics::{Lpips, LpipsRange};

@@ -1,16 +1,12 @@
 //! `centaur bench` on a small data set: done once, gone on with, listed for others.
 
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
-mod common;
-
 use std::path::Path;
 #[cfg(target_os = "linux")]
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 
 #[cfg(target_os = "linux")]
+use crate::common;
 use centaur::optimize::checkpoint::Checkpoint;
 
 const COARSE: &str = "--max-side 48 --iterations 20 --surface-iterations 10 --warmup 10 --triangles 500 --texture-size 64 --max-splats 2000";

@@ -1,8 +1,6 @@
 //! The reference and the GPU against images and gradients of gsplat's torch reference on its garden data, which
 //! `tests/oracles/gsplat_oracle.py` computes in f64 and stores as a fixture (its layout stands there).
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a failed unwrap is a failed test; figures are shown")]
-
 use std::path::PathBuf;
 
 use centaur::render::gpu::{Gpu, Renderer};

@@ -1,0 +1,41 @@
+//! The library on files of others, and the program as its users call it. One binary, since each is linked by itself; what counts the memory
+//! of its process has one of its own, beside this folder.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a failed unwrap is a failed test; figures are printed"
+)]
+
+mod common;
+
+mod architecture;
+mod bad_input;
+#[cfg(unix)]
+mod bench_command;
+mod cameras;
+mod capture;
+mod cli;
+mod convert;
+mod cut_out;
+mod few_views;
+mod format;
+mod gltf;
+mod gsplat_oracle;
+mod initial_splats;
+#[cfg(unix)]
+mod interrupted;
+mod lpips_oracle;
+mod moving;
+mod oracle_brush;
+mod scales;
+mod sog;
+mod spared;
+mod splat_formats;
+mod splat_transform_oracle;
+mod ssim_oracles;
+mod training;
+mod units;
+mod usd_oracle;
+mod validate;
