@@ -1,13 +1,14 @@
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use centaur::capture::{Capture, View};
+use centaur::capture::{Capture, View, decode};
 use centaur::format::{ReadOptions, gltf, mesh_import, read_file};
 use centaur::geometry::{
     self, Ball, ChartSpace, Contraction, MeshBvh, SparseStats, Surface, SurfaceDistance, SurfaceStats, UnwrapStats,
     Viewers,
 };
-use centaur::optimize::{SurfaceOrigin, TrainOptions, surface_from_points, surface_from_splats};
+use centaur::optimize::{SurfaceOrigin, TrainOptions, point_views, surface_from_points, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
 
 use glam::{DVec3, Vec3};
@@ -233,9 +234,10 @@ fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Resul
         args.capture.display()
     );
     let all: Vec<usize> = (0..capture.views.len()).collect();
-    let (surface, steps, origin) =
-        surface_from_points(capture, &capture.cameras(), &all, args.triangles, args.planar.is_auto())
-            .with_context(|| args.capture.display().to_string())?;
+    let photo_of = |view: &View| capture.has_masks().then(|| decode(view).map(Arc::new)).transpose();
+    let views = point_views(capture, &capture.cameras(), &all, photo_of)?;
+    let (surface, steps, origin) = surface_from_points(capture, &views, args.triangles, args.planar.is_auto())
+        .with_context(|| args.capture.display().to_string())?;
     let SparseStats { views, guessed, lifted, clear, .. } = steps;
     if !args.messages.json && !args.messages.quiet {
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;

@@ -26,7 +26,9 @@ pub use crate::render::gpu::memory::most_splats;
 pub use log::{Progress, Selection};
 pub use options::{Background, Density, Phase, TrainOptions};
 pub use static_scene::{Checkpoints, Outcome, RefinedPose, Session, Trained, train};
-pub use surface::{MeshSource, SurfaceOrigin, from_points as surface_from_points, from_splats as surface_from_splats};
+pub use surface::{
+    MeshSource, SurfaceOrigin, from_points as surface_from_points, from_splats as surface_from_splats, point_views,
+};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
 

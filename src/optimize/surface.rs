@@ -1,10 +1,13 @@
 //! A mesh for the hybrid: from splats by way of their depth maps, or from geometry that the user has.
 
-use glam::{Vec2, Vec3};
+use std::sync::Arc;
+
+use glam::{DVec2, Vec2, Vec3};
+use rayon::prelude::*;
 
 use super::{TrainError, TrainOptions, size};
 use crate::{
-    capture::{self, Capture, Photo},
+    capture::{self, Capture, CaptureError, Photo, View},
     geometry::{
         self, Contraction, Fusion, FusionOptions, GeometryError, PointView, SparseStats, Surface, SurfaceOptions,
         SurfaceStats, UnwrappedMesh,
@@ -25,6 +28,8 @@ const TRUNCATION: f64 = 4.0;
 /// Points that the median view must be known to see for a surface of points by default: some too few for its triangles to be
 /// more than guesses. Structure from motion finds hundreds.
 const LEAST_SEEN: usize = 100;
+/// Alpha of a photograph, which may be a mask, from which on surfaces are made of what it shows.
+const LEAST_ALPHA: u8 = 128;
 /// Triangles of the least connected piece of the iso-surface: some 10×10 voxels.
 const LEAST_FACES: usize = 150;
 
@@ -115,24 +120,45 @@ pub fn from_splats(
     })
 }
 
-/// A surface of the points that these views of a capture see, by the `cameras` of all its views; `triangles` and `planar` as in
-/// [`geometry::surface_from_points`].
+/// What these views of a capture see of its points, by the `cameras` of all its views: what its list says, and of that what photographs show
+/// where `photo_of` has one that leaves something out. A view of which nothing is left then is none.
 ///
 /// # Errors
-/// As there.
+/// If a photograph cannot be read.
 ///
 /// # Panics
 /// If a view has no camera.
-pub fn from_points(
+pub fn point_views(
     capture: &Capture,
     cameras: &[Camera],
     views: &[usize],
+    photo_of: impl Fn(&View) -> Result<Option<Arc<Photo>>, CaptureError> + Sync,
+) -> Result<Vec<PointView>, CaptureError> {
+    let points = capture.positions();
+    let of_view = |&i: &usize| {
+        let (camera, view) = (cameras[i], &capture.views[i]);
+        let mut sees = view.sees.clone();
+        if let Some(photo) = photo_of(view)? {
+            let at = |point: &Vec3| camera.in_picture(camera.to_camera(point.as_dvec3()));
+            sees.retain(|&p| points.get(p as usize).and_then(at).is_some_and(|at| shows(&photo, at)));
+        }
+        // An empty list would say that nobody knows what it sees.
+        Ok((view.sees.is_empty() || !sees.is_empty()).then_some(PointView { camera, sees }))
+    };
+    views.par_iter().filter_map(|i| of_view(i).transpose()).collect()
+}
+
+/// A surface of the points that these views of a capture see; `triangles` and `planar` as in [`geometry::surface_from_points`].
+///
+/// # Errors
+/// As there.
+pub fn from_points(
+    capture: &Capture,
+    views: &[PointView],
     triangles: usize,
     planar: bool,
 ) -> Result<(Surface, SparseStats, SurfaceOrigin), GeometryError> {
-    let view = |&i: &usize| PointView { camera: cameras[i], sees: capture.views[i].sees.clone() };
-    let views: Vec<PointView> = views.iter().map(view).collect();
-    let (surface, stats) = geometry::surface_from_points(&views, &capture.positions(), triangles, planar)?;
+    let (surface, stats) = geometry::surface_from_points(views, &capture.positions(), triangles, planar)?;
     let origin = if stats.is_guess() { SurfaceOrigin::GuessedPoints } else { SurfaceOrigin::Points };
     Ok((surface, stats, origin))
 }
@@ -149,8 +175,14 @@ pub(super) fn whereabouts(
 pub(super) fn clear_unseen(depth: &mut [f32], photo: &Photo) {
     if photo.masked || photo.has_alpha {
         let pixels = depth.iter_mut().zip(photo.rgba.chunks_exact(4));
-        pixels.filter(|(_, rgba)| rgba[3] < 128).for_each(|(depth, _)| *depth = 0.0);
+        pixels.filter(|(_, rgba)| rgba[3] < LEAST_ALPHA).for_each(|(depth, _)| *depth = 0.0);
     }
+}
+
+/// Whether a photograph's mask or alpha leaves in what is there.
+fn shows(photo: &Photo, at: DVec2) -> bool {
+    let pixel = at.y as usize * photo.width as usize + at.x as usize;
+    !(photo.masked || photo.has_alpha) || photo.rgba.get(4 * pixel + 3).is_some_and(|alpha| *alpha >= LEAST_ALPHA)
 }
 
 /// Fuses median depths of the training views, in voxels of some pixels at the focus; in contracted space where `points` ([`whereabouts`]) say

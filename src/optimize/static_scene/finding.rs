@@ -2,6 +2,7 @@
 
 use super::Run;
 use crate::{
+    capture::View,
     geometry::{GeometryError, Surface},
     optimize::{SurfaceOrigin, TrainError, surface},
     render::gpu::training::Training,
@@ -13,7 +14,10 @@ impl Run<'_> {
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
         let planar = self.options.planar;
         if of_points {
-            match surface::from_points(self.capture, &self.cameras, &self.train, self.options.triangles, planar) {
+            let photos = &self.photos;
+            let photo_of = |view: &View| photos.are_cut_out.then(|| photos.whole(view)).transpose();
+            let views = surface::point_views(self.capture, &self.cameras, &self.train, photo_of)?;
+            match surface::from_points(self.capture, &views, self.options.triangles, planar) {
                 Ok((surface, _, origin)) => {
                     self.found.surface = Some(origin);
                     return self.textured(training, surface);

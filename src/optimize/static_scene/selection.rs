@@ -97,9 +97,12 @@ impl<'a> Run<'a> {
         let (mut view, mut seen) = (0, 0.0);
         self.compare(training, judges, |training, camera, errors| {
             view += 1;
-            // What a mask leaves out has no error.
-            seen += errors.iter().filter(|e| e[0] + e[1] > 0.0).count() as f64;
             for (front, error) in training.front_triangles(camera)?.into_iter().zip(errors) {
+                // What a mask leaves out has no error, and what nothing else shows counts as unseen: nothing would teach its texels.
+                if error[0] + error[1] == 0.0 {
+                    continue;
+                }
+                seen += 1.0;
                 let Some(face) = (front as usize).checked_sub(1) else { continue };
                 let score = &mut scores[face];
                 score.errors = [0, 1].map(|k| score.errors[k] + f64::from(error[k]));

@@ -1,6 +1,9 @@
 //! Photographs with alpha, of uneven brightness, and with poses that are a little off.
 
+use std::sync::Arc;
+
 use super::*;
+use crate::capture::View;
 
 /// The demo, with its photographs changed: by name from 0.
 fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
@@ -74,6 +77,56 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
         let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
         assert_eq!((run.photos.are_cut_out, run.shell.is_none()), (is_cut_out, is_cut_out), "{k1} {opacity}");
     }
+}
+
+/// Of what masks leave out nothing would teach the colours of a mesh: it is not made of points there, nor kept where no judging view shows it.
+#[test]
+fn a_surface_is_of_what_masks_leave() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let whole = changed(folder.path(), |_, _| {});
+    let along =
+        |axis: usize| geometry::median(whole.points.iter().map(|point| point.position[axis]).collect()).unwrap();
+    let middle = DVec3::new(along(0), along(1), along(2));
+    // Training views that judge, as they are counted without those held out.
+    let judges = |i: usize| i % 8 != 0 && (i - i / 8 - 1) % 4 == 2;
+    std::fs::create_dir(folder.path().join("masks")).unwrap();
+    for (i, view) in whole.views.iter().enumerate() {
+        let camera = view.camera.resized(224, 168);
+        let center = camera.project(camera.to_camera(middle));
+        // Discs, but judges show no more than a corner.
+        let mask = image::GrayImage::from_fn(224, 168, |x, y| {
+            let is_in_disc = center.distance(DVec2::new(f64::from(x), f64::from(y))) < 0.2 * 224.0;
+            image::Luma([255 * u8::from(if judges(i) { x + y < 8 } else { is_in_disc })])
+        });
+        let name = Path::new(&view.name).file_name().unwrap();
+        mask.save(folder.path().join("masks").join(name).with_extension("png")).unwrap();
+    }
+    let load = LoadOptions { downscale: Downscale::MaxSide(64), masks: true, ..LoadOptions::default() };
+    let mut capture = capture::open(folder.path(), &load).unwrap();
+    let points = capture.positions();
+    // The demo does not say.
+    capture.views.iter_mut().for_each(|view| view.sees = geometry::visible_points(&view.camera, &points));
+    let (cameras, all) = (capture.cameras(), Vec::from_iter(0..capture.views.len()));
+    let photo_of = |view: &View| capture::decode(view).map(|photo| Some(Arc::new(photo)));
+    let views = surface::point_views(&capture, &cameras, &all, photo_of).unwrap();
+    for view in &views {
+        let at = |p: DVec3| view.camera.project(view.camera.to_camera(p));
+        let far = view.sees.iter().map(|&p| at(points[p as usize].as_dvec3())).filter(|p| p.x + p.y > 5.0);
+        // Discs, and a pixel around them.
+        assert!(far.map(|p| p.distance(at(middle))).all(|distance| distance < 0.2 * 64.0 + 1.0));
+    }
+    let [seen, listed] = [
+        views.iter().map(|view| view.sees.len()).sum::<usize>(),
+        capture.views.iter().map(|view| view.sees.len()).sum(),
+    ];
+    assert!(views.len() < all.len() && seen > 1000 && 2 * seen < listed, "{} views, {seen} of {listed}", views.len());
+
+    let stop = AtomicBool::new(false);
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
+    let trained = train(&capture, MeshSource::Points, &TrainOptions { layers: 1, ..options() }, session).unwrap();
+    let selection = trained.selection.unwrap();
+    assert!(selection.triangles > 500 && selection.unseen as f64 > 0.98 * selection.triangles as f64, "{selection:?}");
+    assert_eq!(trained.scene.meshes, []);
 }
 
 #[test]
