@@ -5,8 +5,8 @@ use anyhow::{Context as _, Result, anyhow, ensure};
 use centaur::capture::{Capture, View, decode};
 use centaur::format::{ReadOptions, gltf, mesh_import, read_file};
 use centaur::geometry::{
-    self, Ball, ChartSpace, Contraction, MeshBvh, SparseStats, Surface, SurfaceDistance, SurfaceStats, UnwrapStats,
-    Viewers,
+    self, Ball, ChartSpace, Contraction, MeshBvh, SparseStats, Surface, SurfaceDistance, SurfaceStats, Tidying,
+    UnwrapStats, Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, point_views, surface_from_points, surface_from_splats};
 use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
@@ -20,23 +20,23 @@ use super::shared::{self, AdapterArgs, CaptureArgs, Choice, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
-  centaur mesh splats.glb captures/garden --downscale 4 -o surface.glb
-  centaur mesh captures/garden -o coarse.glb
-  centaur mesh captures/garden --mesh scan.obj --triangles 50000 -o scan.glb
-  centaur train captures/garden --mesh surface.glb -o garden.glb --downscale 4";
+  centaur mesh splats.glb captures/mipnerf360/garden --downscale 4 -o surface.glb
+  centaur mesh captures/mipnerf360/garden -o coarse.glb
+  centaur mesh captures/mipnerf360/garden --mesh scan.obj --triangles 50000 -o scan.glb
+  centaur train captures/mipnerf360/garden --mesh surface.glb -o garden.glb --downscale 4";
 
-/// Make a surface from trained splats, a coarse one from a capture's points alone, or one of a mesh that you have
+/// Make a surface for `centaur train --mesh`: from trained splats, coarsely from a capture's points, or of a mesh of yours
 ///
 /// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
 /// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
-/// takes the result as it is. Without a mesh of yours it makes such a surface by itself, from the training views alone, and besides moves
+/// takes the result as it is. Without --mesh `centaur train` makes such a surface by itself, from the training views alone, and besides moves
 /// its vertices, drops triangles that splats explain better, and puts a shell around it.
 ///
 /// Without SPLATS, in seconds: the points that structure from motion found in each view are triangulated, triangles
 /// that hide what other views see are dropped, and the rest is fused.
 ///
 /// With --mesh nothing is fused: vertices at the same place are welded, broken triangles and crumbs dropped, small holes closed, and what is
-/// left is simplified and cut into charts. (`centaur train --mesh` takes any mesh as it is, with its own texture coordinates.)
+/// left is simplified and cut into charts. Of a model rather than a scan, keep windows and small things with --holes off --crumbs off. (`centaur train --mesh` takes any mesh as it is, with its own texture coordinates.)
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, allow_missing_positional = true)]
 pub(super) struct Args {
@@ -57,6 +57,12 @@ pub(super) struct Args {
     /// Whether flat regions are found, made flat and meshed anew with few triangles
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto)]
     planar: Choice,
+    /// Of MESH, whether holes of up to 40 edges in a flat surface are closed
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, requires = "mesh")]
+    holes: Choice,
+    /// Of MESH, whether pieces are dropped that have fewer than 50 triangles and less than a hundredth of the largest one's area
+    #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, requires = "mesh")]
+    crumbs: Choice,
     /// Side of the atlas in texels for which charts and gutters are laid out
     #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     texture_size: u32,
@@ -178,7 +184,7 @@ impl Made {
         let steps = &self.steps;
         if self.origin == SurfaceOrigin::Given {
             return format!(
-                "triangles: {} read, {} whole and no crumbs ({} holes closed), {} after simplification",
+                "triangles: {} read, {} kept ({} holes closed), {} after simplification",
                 steps.extracted, steps.cleaned, steps.holes, steps.simplified
             );
         }
@@ -207,7 +213,9 @@ fn read(file: &Path) -> Result<Surface> {
 }
 
 fn from_mesh(file: &Path, args: &Args) -> Result<Made> {
-    let (surface, steps) = geometry::tidy(read(file)?, args.triangles)
+    let tidying =
+        Tidying { triangles: args.triangles, drops_crumbs: args.crumbs.is_auto(), closes_holes: args.holes.is_auto() };
+    let (surface, steps) = geometry::tidy(read(file)?, tidying)
         .with_context(|| format!("{}: expected a mesh to make a surface of", file.display()))?;
     Ok(Made { surface, steps, origin: SurfaceOrigin::Given })
 }

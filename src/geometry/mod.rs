@@ -40,7 +40,7 @@ pub use shell::Shell;
 pub use smooth::{Rings, vertex_normals};
 pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};
 pub use surface::{Surface, compact, components};
-pub use tidy::tidy;
+pub use tidy::{Tidying, tidy};
 pub use transfer::transfer;
 pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, unwrap};
 pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};

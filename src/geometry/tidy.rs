@@ -10,24 +10,35 @@ const CRUMB_FACES: usize = 50;
 /// ... and less than this part of the area of the largest: a box has twelve triangles.
 const CRUMB_AREA: f64 = 0.01;
 
-/// Welds vertices at the same place, drops broken triangles and crumbs, closes small holes and simplifies
-/// to at most about `target_triangles`. The statistics call what came in extracted. The cost is linear.
+/// What [`tidy`] does to a surface besides.
+#[derive(Clone, Copy, Debug)]
+pub struct Tidying {
+    /// At most about so many triangles are left.
+    pub triangles: usize,
+    /// Small pieces go: a scan has crumbs. Of a model, what stands on a large ground may be as small.
+    pub drops_crumbs: bool,
+    /// Holes with few edges are closed: a scan has gaps. Windows of a model that has few triangles are such holes, too.
+    pub closes_holes: bool,
+}
+
+/// Welds vertices at the same place, drops broken triangles and, as far as it is asked for, crumbs, closes small holes and simplifies.
+/// The statistics call what came in extracted. The cost is linear.
 ///
 /// # Errors
 /// If no triangle is left; the message names the step.
-pub fn tidy(surface: Surface, target_triangles: usize) -> Result<(Surface, SurfaceStats), GeometryError> {
+pub fn tidy(surface: Surface, tidying: Tidying) -> Result<(Surface, SurfaceStats), GeometryError> {
     let mut stats = SurfaceStats { extracted: surface.triangles.len(), ..SurfaceStats::default() };
-    let whole = without_broken(welded(surface));
-    let kept = without_crumbs(whole);
+    let whole = compact(without_broken(welded(surface)));
+    let kept = if tidying.drops_crumbs { without_crumbs(whole) } else { whole };
     stats.cleaned = kept.triangles.len();
     if stats.cleaned == 0 {
         let hint = "no triangle has an area, finite corners and indices in range";
         return Err(GeometryError::EmptySurface { step: "cleaning", hint });
     }
     let closed;
-    (closed, stats.holes) = without_holes(kept);
+    (closed, stats.holes) = if tidying.closes_holes { without_holes(kept) } else { (kept, 0) };
     stats.even = closed.triangles.len();
-    let simplified = simplify(&closed, &[], target_triangles);
+    let simplified = simplify(&closed, &[], tidying.triangles);
     stats.simplified = simplified.triangles.len();
     if stats.simplified == 0 {
         return Err(GeometryError::EmptySurface { step: "simplification", hint: "too few triangles were asked for" });
@@ -69,6 +80,8 @@ mod tests {
 
     use super::*;
 
+    const ALL: Tidying = Tidying { triangles: 10_000, drops_crumbs: true, closes_holes: true };
+
     /// `n`² squares of two triangles each, without those that `leaves_out`, every triangle with corners of its own.
     fn sheet(n: u32, leaves_out: impl Fn(u32, u32) -> bool) -> Surface {
         let mut surface = Surface::default();
@@ -91,11 +104,13 @@ mod tests {
         soup.positions.extend([[2.0, 0.0, 0.0], [2.01, 0.0, 0.0], [2.0, 0.01, 0.0], [f32::NAN; 3]].map(Vec3::from));
         soup.triangles.extend([[first, first + 1, first + 2], [0, 1, first + 3]]);
         soup.triangles.extend(broken);
-        let (tidied, stats) = tidy(soup.clone(), 10_000).unwrap();
+        let (tidied, stats) = tidy(soup.clone(), ALL).unwrap();
         assert_eq!((stats.extracted, stats.cleaned, stats.holes), (whole + 4, whole, 1));
         assert!(tidied.triangles.len() > whole && stats.simplified == tidied.triangles.len());
         assert!(tidied.positions.len() < 21 * 21 + 5 && tidied.positions.iter().all(|p| p.is_finite() && p.x <= 1.0));
-        assert!(tidy(soup, 100).unwrap().0.triangles.len() <= 100);
+        assert!(tidy(soup.clone(), Tidying { triangles: 100, ..ALL }).unwrap().0.triangles.len() <= 100);
+        let (_, stats) = tidy(soup, Tidying { drops_crumbs: false, closes_holes: false, ..ALL }).unwrap();
+        assert_eq!((stats.cleaned, stats.holes, stats.simplified), (whole + 1, 0, whole + 1));
     }
 
     #[test]
@@ -104,7 +119,7 @@ mod tests {
         let first = two.positions.len() as u32;
         two.positions.extend(sheet(1, |_, _| false).positions.iter().map(|p| *p + Vec3::X * 3.0));
         two.triangles.extend([[first, first + 1, first + 2], [first + 3, first + 4, first + 5]]);
-        assert_eq!(tidy(two, 10_000).unwrap().1.simplified, 4);
+        assert_eq!(tidy(two, ALL).unwrap().1.simplified, 4);
         // Nor are a hundred and fifty pieces that are all alike.
         let mut many = Surface::default();
         for i in 0..150_u32 {
@@ -112,9 +127,9 @@ mod tests {
             many.positions.extend(square.positions.iter().map(|p| *p + Vec3::X * 2.0 * i as f32));
             many.triangles.extend(square.triangles.iter().map(|t| t.map(|v| v + 6 * i)));
         }
-        assert_eq!(tidy(many, 10_000).unwrap().1.cleaned, 300);
+        assert_eq!(tidy(many, ALL).unwrap().1.cleaned, 300);
         let nothing = Surface { positions: vec![Vec3::ZERO; 3], triangles: vec![[0, 1, 2]] };
-        assert!(matches!(tidy(nothing, 10_000), Err(GeometryError::EmptySurface { step: "cleaning", .. })));
-        assert!(tidy(Surface::default(), 10_000).is_err());
+        assert!(matches!(tidy(nothing, ALL), Err(GeometryError::EmptySurface { step: "cleaning", .. })));
+        assert!(tidy(Surface::default(), ALL).is_err());
     }
 }
