@@ -8,8 +8,9 @@ use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use super::transforms::{self, Found};
 use super::views::{self, Frame};
-use super::{CaptureError, Listed, LoadOptions, colmap, error, transforms};
+use super::{CaptureError, Listed, LoadOptions, colmap, error};
 use crate::scene::{Camera, Intrinsics};
 
 /// Cameras in the order in which they are shown.
@@ -67,19 +68,19 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
-    let files = if is_folder { transforms::find(path) } else { vec![(path.into(), None)] };
-    let mut passed_over = vec![];
-    let (mut frames, fps, y_up, list) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder) {
+    let found =
+        if is_folder { transforms::find(path) } else { Found { files: vec![(path.into(), None)], ..Found::default() } };
+    let (mut frames, fps, y_up, list, passed_over) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder)
+    {
         let Listed { frames, list, .. } = colmap::load(path, &model, (options, false))?;
-        passed_over.extend(files.into_iter().map(|(file, _)| file));
-        (frames, None, false, list)
+        (frames, None, false, list, found.all())
     } else {
-        let Some((first, _)) = files.first() else {
+        let Some((first, _)) = found.files.first() else {
             let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
         let (mut frames, mut fps, mut y_up) = (vec![], None, None);
-        for (file, held_out) in &files {
+        for (file, held_out) in &found.files {
             let text = error::read_text(file)?;
             if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
                 return camera_path(&text, file, options);
@@ -92,7 +93,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
             let turns = *y_up.get_or_insert(read.y_up) != read.y_up;
             frames.extend(read.frames.into_iter().map(|frame| if turns { frame.turned() } else { frame }));
         }
-        (frames, fps, y_up.unwrap_or_default(), first.clone())
+        (frames, fps, y_up.unwrap_or_default(), first.clone(), found.passed_over)
     };
     for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
         frame.name = format!("frame_{i:05}");

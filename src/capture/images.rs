@@ -107,8 +107,17 @@ impl Header {
     }
 }
 
+/// The first of several ways to turn a picture by which it has this size, or else this aspect ratio: of one that is nearly square, both ways do.
+pub(super) fn fitting<const N: usize>(
+    ways: [(Orientation, (u32, u32)); N],
+    size: (u32, u32),
+) -> Option<(Orientation, (u32, u32))> {
+    let of_size = ways.into_iter().find(|way| way.1 == size);
+    of_size.or_else(|| ways.into_iter().find(|way| same_aspect(way.1, size)))
+}
+
 /// Whether two sizes have the same aspect ratio to 1 %: resized pictures are rounded to whole pixels.
-pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
+fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
     let ratio = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
     (ratio(a) / ratio(b) - 1.0).abs() <= 0.01
 }
@@ -245,7 +254,7 @@ fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> R
     let stored = header.stored();
     let turned = [header.upright(), stored, Header { orientation, ..header }.upright()];
     let ways = if orientation == Orientation::NoTransforms { [stored, turned[0], stored] } else { turned };
-    let Some((turn, size)) = ways.into_iter().find(|way| same_aspect(way.1, (width, height))) else {
+    let Some((turn, size)) = fitting(ways, (width, height)) else {
         let (expected, (w, h)) = (format!("the aspect ratio of its image, {width}×{height}"), ways[0].1);
         return Err(CaptureError::invalid(path, "mask size", expected, format!("{w}×{h}")));
     };

@@ -180,18 +180,18 @@ impl Split {
 /// Whether [`open`] finds a capture in this folder: a COLMAP model or a `transforms*.json`.
 #[must_use]
 pub fn is_capture(folder: &Path) -> bool {
-    colmap::find_model(folder).is_some() || !transforms::find(folder).is_empty()
+    colmap::find_model(folder).is_some() || !transforms::find(folder).files.is_empty()
 }
 
-/// A checksum of the files in which the capture at `folder` has its cameras, and of the sizes of its photographs, masks and points, by which it
-/// is told from others; `None` if there are none.
+/// A checksum of the files in which the capture at `folder` has its cameras, and of the sizes of its photographs (those in the folder `images`, see
+/// [`LoadOptions::images`]), masks and points, by which it is told from others; `None` if there are none.
 ///
 /// # Errors
 /// If one of the former cannot be read.
-pub fn fingerprint(folder: &Path) -> Result<Option<u32>, CaptureError> {
+pub fn fingerprint(folder: &Path, images: Option<&str>) -> Result<Option<u32>, CaptureError> {
     let files = match colmap::find_model(folder) {
         Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(&model, stem)).to_vec(),
-        None => transforms::find(folder).into_iter().map(|(file, _)| file).collect(),
+        None => transforms::find(folder).files.into_iter().map(|(file, _)| file).collect(),
     };
     let mut sum = flate2::Crc::new();
     for file in &files {
@@ -199,7 +199,8 @@ pub fn fingerprint(folder: &Path) -> Result<Option<u32>, CaptureError> {
     }
     let mut beside = vec![];
     // What is wrong with it is told where it is opened.
-    if let Ok((listed, _)) = listed(folder, folder, &LoadOptions { without_points: true, ..LoadOptions::default() }) {
+    let options = LoadOptions { without_points: true, images: images.map(str::to_owned), ..LoadOptions::default() };
+    if let Ok((listed, _)) = listed(folder, folder, &options) {
         beside.extend(listed.points_files);
         for frame in listed.frames {
             beside.extend(frame.mask.or_else(|| views::find_mask(&folder.join("masks"), &frame.name)));
@@ -222,7 +223,7 @@ const COARSEST: f64 = 2.5e-4;
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
 /// `colmap/sparse/0` or the folder itself, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
-/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic). Points of a `transforms.json` are those of its
+/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic), or one of the two, which is no split. Points of a `transforms.json` are those of its
 /// `ply_file_path` (nerfstudio), if it has one, without a word on who sees them.
 ///
 /// Image files may be larger or smaller than their camera says (`images_4`) if the aspect ratio agrees within 1 %;
@@ -254,16 +255,16 @@ fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Ve
     if path != root {
         return Ok((transforms::load(root, &[(path.into(), None)], options)?, vec![]));
     }
-    let files = transforms::find(root);
+    let found = transforms::find(root);
     if let Some(model) = colmap::find_model(root) {
         let listed = colmap::load(root, &model, (options, !options.without_points))?;
-        return Ok((listed, files.into_iter().map(|(file, _)| file).collect()));
+        return Ok((listed, found.all()));
     }
-    if files.is_empty() {
+    if found.files.is_empty() {
         let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
         return Err(CaptureError::invalid(path, "capture", expected, "neither"));
     }
-    Ok((transforms::load(root, &files, options)?, vec![]))
+    Ok((transforms::load(root, &found.files, options)?, found.passed_over))
 }
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is

@@ -623,6 +623,29 @@ fn what_lies_beside_transforms_does_not_hide_them() {
     assert_eq!((named.views.len(), named.passed_over), (2, vec![]));
 }
 
+/// Of two files, and not of one: of that every eighth view is held out, as where it is named.
+#[test]
+fn a_split_is_of_two_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    let at = |name: &str| root.join(name);
+    for name in ["transforms_train.json", "transforms_test.json"] {
+        std::fs::rename(at("transforms.json"), at(name)).unwrap();
+        let capture = open(root, &full()).unwrap();
+        assert_eq!(Split::Every8th.split(&capture.views), (vec![1], vec![0]), "{name}");
+        assert_eq!(capture.views[0].source.held_out(), None);
+        std::fs::rename(at(name), at("transforms.json")).unwrap();
+    }
+    // Beside one of all frames they are passed over.
+    for name in ["transforms_train.json", "transforms_test.json"] {
+        std::fs::copy(at("transforms.json"), at(name)).unwrap();
+    }
+    let both = ["transforms_train.json", "transforms_test.json"].map(at).to_vec();
+    assert_eq!(open(root, &full()).unwrap().passed_over, both);
+    assert_eq!(cameras(root, &full()).unwrap().passed_over, both);
+}
+
 /// Of a copy as of the capture itself, until a photograph, a mask or the points are others.
 #[test]
 fn fingerprints_are_of_photographs_masks_and_points_too() {
@@ -630,7 +653,7 @@ fn fingerprints_are_of_photographs_masks_and_points_too() {
         let folder = tempfile::tempdir().unwrap();
         write_capture(folder.path(), 3, 20, 10);
         change(folder.path());
-        fingerprint(folder.path()).unwrap()
+        fingerprint(folder.path(), None).unwrap()
     };
     let whole = print(&|_| ());
     assert!(whole.is_some() && whole == print(&|_| ()));
@@ -651,16 +674,24 @@ fn fingerprints_are_of_photographs_masks_and_points_too() {
     found.sort_unstable();
     found.dedup();
     assert_eq!(found.len(), 5);
-    assert_eq!(fingerprint(tempfile::tempdir().unwrap().path()).unwrap(), None);
+    assert_eq!(fingerprint(tempfile::tempdir().unwrap().path(), None).unwrap(), None);
     // A mask that frames name.
     let print = |side: u32| {
         let folder = tempfile::tempdir().unwrap();
         write_transforms(folder.path(), 0.0);
         std::fs::create_dir(folder.path().join("cut")).unwrap();
         GrayImage::new(side, 8).save(folder.path().join("cut/out.png")).unwrap();
-        fingerprint(folder.path()).unwrap()
+        fingerprint(folder.path(), None).unwrap()
     };
     assert!(print(8) == print(8) && print(8) != print(800));
+    // Photographs in another folder, which alone are trained on.
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(folder.path(), 3, 20, 10);
+    let [images, smaller] = ["images", "images_2"].map(|name| folder.path().join(name));
+    std::fs::rename(images, &smaller).unwrap();
+    let before = fingerprint(folder.path(), Some("images_2")).unwrap();
+    black(40).save(smaller.join("01.png")).unwrap();
+    assert!(fingerprint(folder.path(), Some("images_2")).unwrap() != before);
 }
 
 #[test]

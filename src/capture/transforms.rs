@@ -85,17 +85,33 @@ fn number(value: &Option<Value>) -> Option<f64> {
     value.as_f64().or_else(|| value.as_str()?.trim().parse().ok())
 }
 
-/// The files of a folder, each with its part in the split.
-pub(super) fn find(folder: &Path) -> Vec<(PathBuf, Option<bool>)> {
+/// The files of a folder.
+#[derive(Default)]
+pub(super) struct Found {
+    /// Those that are its capture, each with its part in the split if there are two.
+    pub(super) files: Vec<(PathBuf, Option<bool>)>,
+    /// Those of a split, beside one of all frames.
+    pub(super) passed_over: Vec<PathBuf>,
+}
+
+impl Found {
+    /// All of them, where something else comes first.
+    pub(super) fn all(self) -> Vec<PathBuf> {
+        self.files.into_iter().map(|(file, _)| file).chain(self.passed_over).collect()
+    }
+}
+
+/// Finds them.
+pub(super) fn find(folder: &Path) -> Found {
+    let of_split = ["transforms_train.json", "transforms_test.json"].map(|name| folder.join(name));
     let one = folder.join("transforms.json");
     if one.is_file() {
-        return vec![(one, None)];
+        let passed_over = of_split.into_iter().filter(|file| file.is_file()).collect();
+        return Found { files: vec![(one, None)], passed_over };
     }
-    [("transforms_train.json", false), ("transforms_test.json", true)]
-        .map(|(name, held_out)| (folder.join(name), Some(held_out)))
-        .into_iter()
-        .filter(|(path, _)| path.is_file())
-        .collect()
+    let has_both = of_split.iter().all(|file| file.is_file());
+    let parts = of_split.into_iter().zip([false, true]).filter(|(file, _)| file.is_file());
+    Found { files: parts.map(|(file, held_out)| (file, has_both.then_some(held_out))).collect(), passed_over: vec![] }
 }
 
 /// What one file's text says.

@@ -144,14 +144,12 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
     let header = images::header(&image)?;
     // COLMAP, nerfstudio and instant-ngp read pictures as they are stored, so that poses are of those, whatever EXIF says; of pictures that
     // were turned before, by a program that left the note, only the upright one fits.
-    let (orientation, (width, height)) = [header.stored(), header.upright()]
-        .into_iter()
-        .find(|&(_, size)| images::same_aspect(size, declared))
-        .ok_or_else(|| {
-            let (_, (w, h)) = header.stored();
-            let expected = format!("the aspect ratio of its camera, {}×{}", declared.0, declared.1);
-            CaptureError::invalid(&image, "image size", expected, format!("{w}×{h}"))
-        })?;
+    let ways = [header.stored(), header.upright()];
+    let (orientation, (width, height)) = images::fitting(ways, declared).ok_or_else(|| {
+        let (_, (w, h)) = header.stored();
+        let expected = format!("the aspect ratio of its camera, {}×{}", declared.0, declared.1);
+        CaptureError::invalid(&image, "image size", expected, format!("{w}×{h}"))
+    })?;
     let lens = lens.resized(width, height);
     let camera =
         Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(&list, &place, e))?;

@@ -50,9 +50,9 @@ impl Backdrop {
 pub(super) struct CaptureArgs {
     #[command(flatten)]
     pub(super) pictures: PictureArgs,
-    /// Use only what masks leave white, or of any one level besides black, as labels have it: of images/IMG.jpg, masks/IMG.jpg.png, masks/IMG.png or
-    /// masks/IMG.jpg, or the `mask_path` of a transforms.json; with a masks/ folder, or where one photograph has a
-    /// mask, all need one. Scores multiply photograph and render by the mask
+    /// Use only what masks leave white (in images of labels: the one level besides black). Of images/IMG.jpg that is masks/IMG.jpg.png,
+    /// masks/IMG.png or masks/IMG.jpg, or the `mask_path` of a transforms.json. With a masks/ folder, or where one photograph has a mask, all
+    /// need one. Scores multiply photograph and render by the mask
     #[arg(long)]
     pub(super) masks: bool,
 }
@@ -71,12 +71,12 @@ impl CaptureArgs {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Capture")]
 pub(super) struct PictureArgs {
-    /// Divide both sides of the photographs, or of what is rendered, by this (bicubic, antialiased)
+    /// Divide both sides of the photographs, or of what is rendered, by this, 1 to 64 (bicubic, antialiased); not with --max-side
     ///
     /// Mip-NeRF 360 tables use 4 outdoors and 2 indoors.
     #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
     downscale: Option<u32>,
-    /// Shrink photographs, or what is rendered, whose longer side has more pixels than this
+    /// Shrink photographs, or what is rendered, whose longer side has more pixels than this, 16 or more
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=i64::from(Intrinsics::MAX_PICTURE_SIDE)))]
     max_side: Option<u32>,
     /// Folder with the images, relative to the capture, such as `images_4` [default: images]
@@ -111,8 +111,8 @@ pub(super) struct SamplingArgs {
     /// Only the camera of this name [default: those that move, else all]
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
-    /// Frames a second: at which cameras that move are read, and their pictures or those of stills make a film. Stills, such as a capture's
-    /// photographs, have no time by it [default: what the file states, else 30]
+    /// Frames a second, of cameras that move and of films. Stills, such as a capture's photographs, get no times by it [default: what the
+    /// file states, else 30]
     #[arg(long, value_name = "N", value_parser = frame_rate)]
     fps: Option<f64>,
 }
@@ -183,11 +183,17 @@ fn retain_rows<T>(rows: &mut Vec<T>, wanted: &[bool]) {
     rows.retain(|_| wanted.next().is_some_and(|&is| is));
 }
 
-/// What else lists views in the folder of a capture, such as nerfstudio's file beside the model it was made of, which may have a split, masks and
-/// times, and is in a world of its own.
+/// What else lists views in the folder of a capture: nerfstudio's file beside the model it was made of, which may have a split, masks and
+/// times, and is in a world of its own, or files of a split beside one of all frames.
 pub(super) fn passed_over(others: &[PathBuf]) -> Option<String> {
-    let other = others.first()?.file_name()?.display();
-    Some(format!("has a COLMAP model, which is taken, and {other}: name that file in place of the folder to take it"))
+    let first = others.first()?;
+    let name = first.file_name()?.display();
+    let one = first.with_file_name("transforms.json");
+    Some(if *first != one && one.is_file() {
+        format!("has transforms.json, which is taken, and {name}: move the former away to take the split")
+    } else {
+        format!("has a COLMAP model, which is taken, and {name}: name that file in place of the folder to take it")
+    })
 }
 
 /// Refuses to write `pictures`, all in one folder, among photographs of the capture, a folder or `.json`, that the cameras of `path` come from, or of
@@ -255,7 +261,7 @@ pub(super) struct MessageArgs {
     /// No progress: no bar, and no lines of JSON on stderr
     #[arg(short, long)]
     pub(super) quiet: bool,
-    /// Print one JSON object on stdout at the end; the progress of train, eval, render and mesh becomes JSON lines on stderr
+    /// Print one JSON object on stdout at the end; progress, where there is any, becomes JSON lines on stderr
     #[arg(long)]
     pub(super) json: bool,
 }

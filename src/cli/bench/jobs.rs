@@ -268,7 +268,17 @@ impl Job {
 
     /// See [`capture::fingerprint`]. What cannot be read is told by the training.
     pub(super) fn fingerprint(&self) -> Option<u32> {
-        capture::fingerprint(&self.capture).ok().flatten()
+        capture::fingerprint(&self.capture, self.images().as_deref()).ok().flatten()
+    }
+
+    /// The folder of photographs that flags name.
+    pub(super) fn images(&self) -> Option<String> {
+        let size = self.protocol.map_or(vec![], |protocol| size_of(&self.scene, protocol));
+        let flags: Vec<&str> = size.iter().chain(self.given()).map(String::as_str).collect();
+        let apart = flags.windows(2).filter(|pair| pair[0] == "--images").map(|pair| pair[1]);
+        let joined = flags.iter().filter_map(|flag| flag.strip_prefix("--images="));
+        // One that is given again replaces the former; nobody writes it both ways.
+        apart.chain(joined).last().map(str::to_owned)
     }
 
     /// For the result, without the capture's fingerprint.

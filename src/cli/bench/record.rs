@@ -104,7 +104,7 @@ pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
             );
         }
         if let Some((_, job)) = jobs.iter().find(|(job, _)| job.scene == made.scene) {
-            let found = captures.entry(&made.scene).or_insert_with(|| job.fingerprint());
+            let found = captures.entry((&made.scene, job.images())).or_insert_with(|| job.fingerprint());
             let capture = job.capture.display();
             ensure!(
                 found.zip(made.capture).is_none_or(|(expected, found)| expected == found),
