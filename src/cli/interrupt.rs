@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use centaur::atomic;
@@ -11,10 +12,14 @@ const SIGHUP: i32 = 1;
 /// Of Ctrl-C, wherever there are signals.
 const SIGINT: i32 = 2;
 
+/// The same signal so soon again is the same wish: `timeout` sends two, one to its child and one to the group that this is in.
+const ONE_WISH: Duration = Duration::from_millis(300);
+
 /// How to ask a command that stops by itself.
 struct Stop {
     flag: Arc<AtomicBool>,
-    is_asked: bool,
+    /// By which signal it was asked first, and when.
+    asked: Option<(i32, Instant)>,
 }
 
 static STOP: Mutex<Option<Stop>> = Mutex::new(None);
@@ -54,14 +59,15 @@ fn ignores_hangups() -> bool {
 /// A flag for the command to poll, which the next signal sets rather than end the program; the one after that ends it.
 pub(super) fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::default();
-    *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some(Stop { flag: Arc::clone(&flag), is_asked: false });
+    *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some(Stop { flag: Arc::clone(&flag), asked: None });
     flag
 }
 
 fn obey(signal: i32) {
     if let Some(stop) = &mut *STOP.lock().unwrap_or_else(PoisonError::into_inner) {
         // A terminal that goes away hangs up by itself and by its shell, and whoever ends a session terminates what is left: no second wish.
-        if signal == SIGHUP || !std::mem::replace(&mut stop.is_asked, true) {
+        let is_one_wish = |&mut (by, at): &mut (i32, Instant)| signal == by && at.elapsed() < ONE_WISH;
+        if signal == SIGHUP || is_one_wish(stop.asked.get_or_insert_with(|| (signal, Instant::now()))) {
             return stop.flag.store(true, Ordering::Relaxed);
         }
     }

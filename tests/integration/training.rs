@@ -345,9 +345,10 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     let files = || -> Vec<_> {
         std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
     };
-    // Under nohup it goes on after a hangup; else the shell's, the terminal's and whoever ends the session are one wish.
+    // Under nohup it goes on after a hangup; else the shell's, the terminal's and whoever ends the session are one wish, and so are the two
+    // of `timeout`.
     let (nohup, hung_up) = ("trap '' HUP; exec \"$@\"", "exec \"$@\"");
-    let mut runs = vec![(nohup, &["HUP", "INT"][..], None)];
+    let mut runs = vec![(nohup, &["HUP", "INT"][..], None), (hung_up, &["TERM", "TERM"], Some("--resume"))];
     if cfg!(target_os = "linux") {
         // Elsewhere hangups are heeded where stderr is a terminal.
         runs.push((hung_up, &["HUP", "HUP", "TERM"], Some("--resume")));
