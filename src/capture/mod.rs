@@ -216,7 +216,7 @@ pub fn fingerprint(folder: &Path, images: Option<&str>) -> Result<Option<u32>, C
     Ok((!files.is_empty()).then(|| sum.sum()))
 }
 
-/// Distance of neighbouring coordinates as a part of [`extent`], at most: a quarter of a pixel of pictures of a thousand.
+/// Distance of neighbouring coordinates as a part of a scene's size, at most: a quarter of a pixel of pictures of a thousand.
 const COARSEST: f64 = 2.5e-4;
 
 /// Reads the capture at `path`, a folder or a `transforms*.json`.
@@ -244,7 +244,7 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     }
     let (Listed { frames, list, points, points_files }, passed_over) = listed(path, root, options)?;
     let views = views::assemble(frames, &list, root, options)?;
-    near_origin(&views, &list)?;
+    near_origin(&views, &points, &list)?;
     let absolute = root.canonicalize().unwrap_or_else(|_| root.into());
     let name = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Capture { name, views, points, points_files, passed_over })
@@ -269,10 +269,15 @@ fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Ve
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is
 /// made of, are too coarse for it.
-fn near_origin(views: &[View], list: &Path) -> Result<(), CaptureError> {
-    let extent = extent(views.iter().map(|view| &view.camera));
-    let distance = views.iter().map(|view| view.camera.center().abs().max_element()).fold(0.0, f64::max);
+fn near_origin(views: &[View], points: &[Point], list: &Path) -> Result<(), CaptureError> {
+    let centers: Vec<_> = views.iter().map(|view| view.camera.center()).collect();
+    let distance = centers.iter().map(|center| center.abs().max_element()).fold(0.0, f64::max);
     let step = distance * f64::from(f32::EPSILON);
+    // Of cameras in one place the points say how large it is.
+    let mut away: Vec<f64> = points.iter().map(|point| point.position.distance(centers[0])).collect();
+    let middle = away.len() / 2;
+    let median = if away.is_empty() { 0.0 } else { *away.select_nth_unstable_by(middle, f64::total_cmp).1 };
+    let extent = extent(views.iter().map(|view| &view.camera)).max(median);
     if extent == 0.0 || step <= COARSEST * extent {
         return Ok(());
     }

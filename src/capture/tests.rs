@@ -715,6 +715,17 @@ fn scenes_too_far_away_for_floats_are_refused() {
     write_transforms(root, 5e6);
     let far = message(root, &full());
     assert!(far.contains("coordinates of 5000001, where they are 6.0e-1 apart, in a scene of 0.550"), "{far}");
+    // Of cameras in one place points say how large it is.
+    write_transforms(root, 0.0);
+    let mut views = open(root, &full()).unwrap().views;
+    let center = DVec3::new(5e5, 4e6, 0.0);
+    for view in &mut views {
+        let rotation = view.camera.rotation();
+        view.camera = Camera::new(*view.camera.intrinsics(), rotation, -(rotation * center)).unwrap();
+    }
+    let is_fine =
+        |away: f64| near_origin(&views, &[Point { position: center + DVec3::X * away, rgb: [0; 3] }], root).is_ok();
+    assert!(near_origin(&views, &[], root).is_ok() && is_fine(5000.0) && !is_fine(50.0));
 }
 
 /// As far as rounding tells.

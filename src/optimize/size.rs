@@ -12,6 +12,8 @@ use crate::{
 const USUAL_EXTENT: f64 = 5.0;
 /// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
 const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
+/// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a pixel of a thousand.
+const ONE_PLACE: f64 = 1e-3;
 /// Tangent of half the angle of view of lenses, below which what they see is no longer about as large as it is far away.
 const NARROW: f64 = 0.1;
 /// Points of the pictures of all views, of which the median depth is taken, at most.
@@ -20,7 +22,7 @@ const DEPTHS: usize = 1_000_000;
 /// [`capture::extent`] of cameras; where they are all in one place, how far away is what they see, and 1 if nothing tells.
 pub(super) fn extent(cameras: &[Camera], depth: Option<f64>) -> f64 {
     let extent = capture::extent(cameras);
-    if extent > 0.0 { extent } else { depth.unwrap_or(1.0) }
+    if extent > ONE_PLACE * depth.unwrap_or(0.0) { extent } else { depth.unwrap_or(1.0) }
 }
 
 /// How much smaller what cameras see is, beside how far away it is and how far they are apart, than through usual lenses: 1, and less through

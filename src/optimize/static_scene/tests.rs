@@ -77,8 +77,12 @@ fn units_follow_what_is_seen() {
     let [there, turned] = [0, 1].map(|i| demo.views[i].camera);
     let there_too =
         Camera::new(*turned.intrinsics(), turned.rotation(), -(turned.rotation() * there.center())).unwrap();
+    // Nor have they where they differ by less than a pixel.
+    let hand = DVec3::splat(1e-6);
+    let beside = Camera::new(*there.intrinsics(), there.rotation(), there.translation() + hand).unwrap();
     for (cameras, depth, extent) in [
         ([there, there_too], Some(4e-3), 4e-3),
+        ([there, beside], Some(4.0), 4.0),
         ([there, there_too], None, 1.0),
         ([there, turned], Some(4e-3), capture::extent(&[there, turned])),
     ] {

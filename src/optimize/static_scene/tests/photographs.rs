@@ -88,7 +88,7 @@ fn a_surface_is_of_what_masks_leave() {
         |axis: usize| geometry::median(whole.points.iter().map(|point| point.position[axis]).collect()).unwrap();
     let middle = DVec3::new(along(0), along(1), along(2));
     // Training views that judge, as they are counted without those held out.
-    let judges = |i: usize| i % 8 != 0 && (i - i / 8 - 1) % 4 == 2;
+    let judges = |i: usize| !i.is_multiple_of(8) && (i - i / 8 - 1) % 4 == 2;
     std::fs::create_dir(folder.path().join("masks")).unwrap();
     for (i, view) in whole.views.iter().enumerate() {
         let camera = view.camera.resized(224, 168);
