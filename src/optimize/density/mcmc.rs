@@ -48,7 +48,7 @@ pub(in crate::optimize) struct McmcOptions {
     /// Splats of at most this opacity, as they are seen, are dead, and no copy gets less before it is smoothed: 0.005.
     pub(in crate::optimize) min_opacity: f32,
     /// Splats after a step over splats before it: 1.05, or more in runs with few steps, see [`Self::arriving_in`].
-    pub(in crate::optimize) growth: f32,
+    pub(in crate::optimize) growth: f64,
     /// The number of splats that is grown to.
     pub(in crate::optimize) max_splats: usize,
     /// Splats whose blend weight, summed over an epoch, stays below this are dead too, and get no copies while it does, if set: 1e-3 for
@@ -79,7 +79,7 @@ impl McmcOptions {
     #[must_use]
     pub(in crate::optimize) fn arriving_in(self, steps: u32, splats: usize) -> Self {
         let needed = (self.max_splats as f64 / splats.max(1) as f64).powf(1.0 / f64::from(steps.max(1)));
-        Self { growth: self.growth.max(needed.min(MOST_GROWTH) as f32), ..self }
+        Self { growth: self.growth.max(needed.min(MOST_GROWTH)), ..self }
     }
 }
 
@@ -156,7 +156,7 @@ pub(in crate::optimize) fn relocate_and_add(
     set_apart(splats, sources.iter().copied().zip(dead.iter().copied()));
 
     // Few grow, too.
-    let grown = ((n as f64 * f64::from(options.growth)).round() as usize).max(n + usize::from(options.growth > 1.0));
+    let grown = ((n as f64 * options.growth).round() as usize).max(n + usize::from(options.growth > 1.0));
     let target = grown.min(options.max_splats);
     let added = sample(&scores, target.saturating_sub(n), &mut rng);
     share(splats, &mut scores, &added, options.min_opacity);

@@ -134,7 +134,8 @@ impl Run<'_> {
                     written?;
                 }
             }
-            if stop && done < plan.iterations {
+            // After the last iteration of all there is nothing to stop.
+            if stop && (done < plan.iterations || plan.phase != Phase::Joint) {
                 return Ok(Outcome::Interrupted);
             }
         }
