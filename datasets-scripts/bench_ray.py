@@ -1,7 +1,7 @@
 """Runs the jobs of `centaur bench` on a Ray cluster, one task each, and makes the table.
 
   pip install ray
-  python bench_ray.py [--address ADDRESS] [--gpus 1] [--cpus 2] DATASET -o OUT [options of centaur bench]
+  python3 bench_ray.py [--address ADDRESS] [--gpus 1] [--cpus 2] DATASET -o OUT [options of centaur bench]
 
 All nodes must see DATASET and OUT under the same paths and have `centaur` (or what --program says). A task that is lost with its
 node is started again and goes on from its checkpoint; jobs that are done are not done again. On nodes of several GPUs a job has the one

@@ -1,7 +1,7 @@
-//! **Centaur**: hybrid scenes of textured, semi-transparent meshes and 3D Gaussian splats, blended in one stable
+//! **Centaur**: hybrid scenes of textured, semi-transparent meshes and 3D Gaussian splats, blended in one
 //! depth order.
 //!
-//! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `metrics`) → `scene` → `format`; [`evaluate`] tells how good it is.
+//! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `evaluate`) → `scene` → `format`; [`evaluate`] tells how good it is.
 //! ARCHITECTURE.md has the map and the invariants. Types of [`glam`], [`image`] and [`serde_json`] are part of the interface: they are re-exported, so
 //! that versions agree.
 //!

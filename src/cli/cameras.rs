@@ -19,7 +19,7 @@ use super::usage;
 const EXAMPLES: &str = "\
 Examples:
   centaur cameras orbit garden.glb -o orbit.json --frames 240 --size 1280x720
-  centaur cameras spline captures/garden -o flight.glb --keys 8 --closed
+  centaur cameras spline captures/mipnerf360/garden -o flight.glb --keys 8 --closed
   centaur cameras lemniscate garden.glb -o eight.usda --radius-scale 0.5
   centaur cameras convert blender.glb -o shot.json --fps 24
   centaur cameras orbit garden.glb -o garden-orbit.glb --with-scene
@@ -147,10 +147,11 @@ struct AroundArgs {
     /// What to look at, in the world of SOURCE [default: the point nearest to the cameras' optical axes]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     focus: Option<DVec3>,
-    /// Radius of the circle, half the width of the figure of eight [default: from the cameras]
+    /// Orbit: radius of the circle; lemniscate: half the width of the figure of eight [default: from the cameras]
     #[arg(long, value_name = "R", value_parser = positive, allow_hyphen_values = true)]
     radius: Option<f64>,
-    /// Height of the circle above the focus; half that of the figure of eight [default: from the cameras; a third of its width]
+    /// Orbit: height of the circle above the focus [default: from the cameras]; lemniscate: half the height of the figure of eight
+    /// [default: a third of the radius]
     #[arg(long, value_name = "H", value_parser = number, allow_hyphen_values = true)]
     height: Option<f64>,
     /// Factor of the radius

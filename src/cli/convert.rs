@@ -24,7 +24,7 @@ Examples:
   centaur convert garden.glb splats.ply --no-mesh --no-cameras --strict
   centaur convert table.ply chair.glb room.glb
   centaur convert garden.glb garden.usdz
-  mkdir mitsuba && centaur convert garden.glb mitsuba/garden.xml
+  mkdir -p mitsuba && centaur convert garden.glb mitsuba/garden.xml
   centaur convert garden.glb garden.blend.py
   centaur convert head.glb mitsuba/smile.xml --time 1.5
   centaur convert fox.glb fox.blend.py --animation Run
@@ -38,8 +38,8 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 /// Convert scenes between formats, and move, crop, thin or join them
 ///
 /// The output's format is that of its extension; an .xml is for Mitsuba, a .blend.py is a script that builds the scene in
-/// Blender. What it cannot hold is named; --strict refuses to lose it. What options remove is no loss. Differences that come
-/// of rounding to 32 bits are none either.
+/// Blender. Lines that begin with `lost:` name what it cannot hold; --strict makes that an error. What options remove, and what 32 bits
+/// round, is no loss; that a format has no record of the training is said, and no error.
 ///
 /// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
 /// unknown extensions, as long as its scene is whole: moving it without mirroring and --no-cameras leave it so, other edits and

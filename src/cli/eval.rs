@@ -23,8 +23,8 @@ use super::shared::{self, AdapterArgs, Backdrop, CaptureArgs, MessageArgs};
 
 const EXAMPLES: &str = "\
 Examples:
-  centaur eval garden.glb captures/garden --downscale 4
-  centaur eval garden.glb captures/garden --downscale 4 -o garden-scores --json";
+  centaur eval garden.glb captures/mipnerf360/garden --downscale 4
+  centaur eval garden.glb captures/mipnerf360/garden --downscale 4 -o garden-scores --json";
 
 /// Score a scene on the held-out photographs of its capture
 ///

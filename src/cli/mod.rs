@@ -27,12 +27,19 @@ use anyhow::{Context as _, Result};
 use centaur::format;
 use clap::{Parser, Subcommand};
 
+const FIRST_STEPS: &str = "\
+First steps:
+  centaur devices                                       # is the GPU found?
+  centaur train CAPTURE -o scene.glb --report report    # photographs to scene, with scores
+  centaur render scene.glb -o frames                    # pictures
+  centaur convert scene.glb scene.ply --no-mesh         # splats for other programs
+
+Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (one line on stderr), 2 wrong usage.";
+
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
 #[derive(Parser)]
 #[command(name = "centaur", bin_name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
-#[command(
-    after_help = "Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (one line on stderr), 2 wrong usage."
-)]
+#[command(after_help = FIRST_STEPS)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

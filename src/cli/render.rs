@@ -18,7 +18,7 @@ use super::{usage, video};
 const EXAMPLES: &str = "\
 Examples:
   centaur render garden.glb -o frames
-  centaur render garden.glb --cameras captures/garden --downscale 4 -o frames
+  centaur render garden.glb --cameras captures/mipnerf360/garden --downscale 4 -o frames
   centaur render garden.glb --cameras shot/transforms.json --format exr -o frames
   centaur render garden.glb --cameras orbit.glb -o frames --video orbit.mp4
   centaur render garden.glb --cameras blender.usdc --camera Shot3 --fps 24 -o frames

@@ -20,15 +20,17 @@ use super::shared::MessageArgs;
 
 const EXAMPLES: &str = "\
 Examples:
-  centaur bench data/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh
-  centaur bench data/mipnerf360 -o m360-7k --scenes garden,room --jobs 2 -- --iterations 7000
-  centaur bench data/mipnerf360 -o m360 --table
+  centaur bench captures/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh
+  centaur bench captures/mipnerf360 -o m360-7k --scenes garden,room --jobs 2 -- --iterations 7000
+  centaur bench captures/mipnerf360 -o m360 --table
 
-Elsewhere, with the same DATASET, OUT, variants and flags as the first runner's:
-  CENTAUR_ADAPTER='#1' centaur bench data/mipnerf360 -o m360 --shard 1/2  # second of 2 GPUs
-  sbatch --array=0-8 datasets-scripts/bench.sbatch data/mipnerf360 -o m360  # Slurm
-  centaur bench data/mipnerf360 -o m360 --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
-  python datasets-scripts/bench_ray.py data/mipnerf360 -o m360  # Ray";
+By several runners, of which each is told the same, here as $JOBS:
+  JOBS=\"captures/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh\"
+  CENTAUR_ADAPTER='#0' centaur bench $JOBS --shard 0/2  # first of 2 GPUs
+  CENTAUR_ADAPTER='#1' centaur bench $JOBS --shard 1/2  # the other, at the same time
+  sbatch --array=0-17 datasets-scripts/bench.sbatch $JOBS  # Slurm, with centaur in the PATH
+  python3 datasets-scripts/bench_ray.py $JOBS  # Ray, with centaur in the PATH
+  centaur bench $JOBS --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c";
 
 /// Train and score every capture of a data set, and put the results beside published ones
 ///

@@ -17,18 +17,20 @@ use crate::cli::{eval, output, usage};
 
 const EXAMPLES: &str = "\
 Examples:
-  centaur train captures/garden -o garden.glb --downscale 4 --report garden-report
+  centaur train captures/mipnerf360/garden -o garden.glb --downscale 4 --report garden-report
   centaur train captures/tankard -o tankard.glb --masks --max-splats 200000
-  centaur train captures/garden -o splats.glb --no-mesh
-  centaur train captures/garden -o garden.glb --mesh scan.obj --layers 2
-  centaur train captures/garden -o garden.glb --downscale 4 --resume";
+  centaur train captures/mipnerf360/garden -o splats.glb --no-mesh
+  centaur train captures/mipnerf360/garden -o garden.glb --mesh scan.obj --layers 2
+  centaur train captures/mipnerf360/garden -o garden.glb --downscale 4 --resume";
 
 /// Train a hybrid scene from a folder of posed photographs
 ///
-/// CAPTURE is a COLMAP model (sparse/0, .bin or .txt, with images/) or a folder with transforms*.json. Every 8th
+/// CAPTURE is a folder with images/ and a COLMAP model (sparse/0, sparse, colmap/sparse/0 or the folder itself; .bin or .txt), or with
+/// transforms*.json. Splats are trained alone first; then a mesh is made and judged, and both are trained together. Every 8th
 /// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and on Unix a
 /// terminal that goes away, stop after the current iteration and leave a checkpoint for --resume, or after the current view and leave the
-/// scene without scores; a second Ctrl-C stops at once.
+/// scene without scores; a second Ctrl-C stops at once. Defaults are those of HERA ("the paper": Cai et al., CVPR 2025) or of 3DGS where
+/// they are not called ours or not in the paper.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
@@ -65,8 +67,8 @@ pub(in crate::cli) struct Args {
     /// How splats are added and removed
     #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
     pub(super) density: DensityKind,
-    /// Most splats there may be, which MCMC comes to if this is given; also limited by the largest buffer that the adapter binds. Without
-    /// it, and without a number of floats, MCMC adds 5 % a step, up to 1000000
+    /// Most splats there may be [default: 1000000, with every --density]; MCMC grows to this many if it is given. Also limited by
+    /// the largest buffer that the adapter binds
     #[arg(long, value_name = "N", value_parser = output::at_least_one, help_heading = OPTIMISATION)]
     pub(super) max_splats: Option<usize>,
     /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
@@ -119,8 +121,9 @@ pub(in crate::cli) struct Args {
     /// opaque: against learning few views by heart (Park et al. 2025) [default: 0.2 up to 12 training views, falling to 0 at 20]
     #[arg(long, value_name = "0..0.9", value_parser = dropout, help_heading = OPTIMISATION)]
     pub(super) dropout: Option<f32>,
-    /// Weight in the loss of how near pixels are on the mean that show their photograph (expected disparity, times the median depth of what
-    /// views see): keeps splats that photographs say nothing of out of the air before surfaces. 0.01 where held-out views show dark fog
+    /// Weight in the loss of what is close to the camera: the mean expected disparity of pixels that already match their photograph, times
+    /// the median depth of what views see. Removes dark fog and floaters from air that no photograph looks at: try 0.01 where held-out views
+    /// show them; 0 is off
     #[arg(long, value_name = "WEIGHT", default_value_t = TrainOptions::default().disparity_weight, value_parser = finite_not_negative,
           help_heading = OPTIMISATION)]
     pub(super) disparity_weight: f32,
@@ -166,10 +169,10 @@ pub(in crate::cli) struct Args {
     /// photographs have alpha or masks or there is no warm-up; its triangles are kept where they are worth it, as all are (not in the paper)
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
     pub(super) shell: Choice,
-    /// Side of the map of colour and opacity in texels, at most for a surface made from the capture, whose kept triangles
-    /// get about two texels per pixel, and some three tenths of --max-floats or --budget-mb at most; that of view dependence has a quarter [default: the power of
-    /// two from one and a half times the longer image side on, 128 to 2048]. With --max-floats or --budget-mb less where maps stay as they are laid out first
-    /// (--mesh, --warmup 0): they take half of the budget at most, as far as charts have room
+    /// Side of the map of colour and opacity in texels; the map of view dependence has a quarter of it [default: 1.5 times the longer image
+    /// side, rounded up to a power of two, 128 to 2048]. For a surface made from the capture it is the most: kept triangles get about two
+    /// texels per pixel, and all maps together some three tenths of --max-floats or --budget-mb. Where maps stay as they are first laid out
+    /// (--mesh, --warmup 0) they take half of such a budget at most, as far as charts have room
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     pub(super) texture_size: Option<u32>,
     /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)
@@ -185,7 +188,7 @@ pub(in crate::cli) struct Args {
     #[arg(long, value_name = "LAMBDA", default_value_t = TrainOptions::default().lambda, value_parser = not_negative,
           allow_hyphen_values = true, help_heading = COMPOSITION)]
     pub(super) lambda: f32,
-    /// Mesh layers kept per pixel: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few)
+    /// Mesh layers kept per pixel, the nearest ones: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
           help_heading = COMPOSITION)]
     pub(super) layers: u32,
@@ -215,11 +218,11 @@ pub(super) enum DensityKind {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum Mode {
-    /// One decision per splat and layer; a splat whose mean is outside the picture is behind (HERA)
+    /// A splat is before or behind a layer as a whole, by the depth where its mean projects; behind where that is outside the picture (HERA)
     Stable,
-    /// As stable where the pixel shows the surface that was decided on, as direct elsewhere
+    /// As stable for pixels of the surface that the splat was compared with; other pixels compare depths by themselves
     SurfaceConsistent,
-    /// Per pixel; the order flickers
+    /// Every pixel compares depths by itself; the order flickers as the camera moves
     Direct,
 }
 

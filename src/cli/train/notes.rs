@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use centaur::atomic::folder_of;
-use centaur::capture::{Capture, View};
+use centaur::capture::Capture;
 use centaur::optimize::{self, RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
 use image::ImageFormat;
@@ -33,8 +33,8 @@ pub(super) fn moved(trained: &Trained) -> Option<String> {
     Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
 }
 
-/// To this INRIA 3DGS scales larger photographs down unless told otherwise (`utils/camera_utils.py`).
-const USUAL_SIDE: u32 = 1600;
+/// To this INRIA 3DGS scales wider photographs down unless told otherwise (`utils/camera_utils.py`).
+const USUAL_WIDTH: u32 = 1600;
 
 /// Said before the training: a capture that lacks something is better mended than trained for hours.
 pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> Vec<String> {
@@ -48,12 +48,11 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
-    let longest = |view: &View| view.camera.intrinsics().longer_side();
-    let side = capture.views.iter().map(longest).max().unwrap_or(0);
-    let large = (side > USUAL_SIDE).then(|| {
+    let width = capture.views.iter().map(|view| view.camera.intrinsics().width).max().unwrap_or(0);
+    let large = (width > USUAL_WIDTH).then(|| {
         format!(
-            "has pictures of {side} pixels a side, as they are trained on: results are usually given for {USUAL_SIDE} \
-             (--max-side {USUAL_SIDE} or --downscale)"
+            "has pictures {width} pixels wide, as they are trained on: results are usually given for {USUAL_WIDTH} \
+             (--max-side {USUAL_WIDTH} or --downscale)"
         )
     });
     let finds_surface = args.mesh.is_none() && !args.no_mesh;

@@ -35,11 +35,11 @@ Several samples per pixel: raise Samples and set Pixel Filter to Blackman-Harris
 """
 EXAMPLES = """\
 examples:
-  python NAME.blend.py --save scene.blend
-  python NAME.blend.py --render out.exr --camera 3 --construction cap --layers
-  python NAME.blend.py --render out.png --camera IMG_0042.jpg
-  python NAME.blend.py --render frames/out.png --frame all
-  python NAME.blend.py --path 24 --camera path --render frames/out.png
+  python3 NAME.blend.py --save scene.blend
+  python3 NAME.blend.py --render out.exr --camera 3 --construction cap --layers
+  python3 NAME.blend.py --render out.png --camera IMG_0042.jpg
+  python3 NAME.blend.py --render frames/out.png --frame all
+  python3 NAME.blend.py --path 24 --camera path --render frames/out.png
   blender --background --python NAME.blend.py -- --save scene.blend"""
 
 

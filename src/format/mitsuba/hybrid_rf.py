@@ -1,6 +1,6 @@
 """Renders what `centaur convert SCENE scene.xml` wrote, in Mitsuba 3 (3.9 or later).
 
-    python hybrid_rf.py scene.xml -o picture.exr [--camera 0|NAME] [--output linear|blending] [--sh-direction mean|ray]
+    python3 hybrid_rf.py scene.xml -o picture.exr [--camera 0|NAME] [--output linear|blending] [--sh-direction mean|ray]
 
 or, in a program of one's own, once a variant is set (`llvm_ad_rgb` or `cuda_ad_rgb`):
 
