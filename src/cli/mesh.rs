@@ -184,12 +184,12 @@ impl Made {
         let steps = &self.steps;
         if self.origin == SurfaceOrigin::Given {
             return format!(
-                "triangles: {} read, {} kept ({} holes closed), {} after simplification",
+                "triangles: {} read, {} kept (holes closed: {}), {} after simplification",
                 steps.extracted, steps.cleaned, steps.holes, steps.simplified
             );
         }
         format!(
-            "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping ({} holes closed), {} not rough, {} after simplification\n\
+            "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping (holes closed: {}), {} not rough, {} after simplification\n\
              planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}",
             steps.views,
             if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },

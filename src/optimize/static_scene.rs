@@ -12,6 +12,7 @@ mod finding;
 mod handover;
 mod identity;
 mod occluded;
+mod origin;
 mod phase;
 mod photographs;
 mod plan;
@@ -32,7 +33,7 @@ use std::{
 
 use glam::Vec3;
 
-use self::{budget::Budget, photographs::Photographs};
+use self::{budget::Budget, origin::Origin, photographs::Photographs};
 use super::{
     Background, Density, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions,
     arrangement::Arrangement,
@@ -143,7 +144,15 @@ pub fn train<'a>(
     session: Session<'a>,
 ) -> Result<Trained, TrainError> {
     options.validate().map_err(TrainError::Options)?;
-    Run::new(capture, options, &mesh, session)?.all(mesh)
+    let Some(origin) = Origin::of(capture)? else {
+        return Run::new(capture, options, &mesh, session)?.all(mesh);
+    };
+    let (capture, mesh) = (origin.capture(capture)?, origin.mesh(mesh));
+    // Written anew, since it may not outlive this capture.
+    let Session { gpu, checkpoints, stop, progress } = session;
+    let session = Session { gpu, checkpoints, stop, progress };
+    let trained = Run::new(&capture, options, &mesh, session)?.all(mesh)?;
+    origin.trained(trained)
 }
 
 struct Run<'a> {

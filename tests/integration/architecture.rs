@@ -17,7 +17,7 @@ const MAY_IMPORT: [(&str, &[&str]); 12] = [
     ("path", &["scene"]),
     ("render", &["scene", "geometry"]),
     ("evaluate", &["scene", "capture", "metrics", "render"]),
-    ("optimize", &["atomic", "scene", "capture", "evaluate", "geometry", "render"]),
+    ("optimize", &["atomic", "scene", "capture", "edit", "evaluate", "geometry", "render"]),
 ];
 
 /// Directories below `src` in which no file imports one that imports it, be it by way of others. What a directory holds besides, and what

@@ -1,28 +1,34 @@
-//! Poses are in any unit of length, and so are scenes.
+//! Poses are in any unit of length and anywhere, and so are scenes.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
-use centaur::optimize::{Checkpoints, MeshSource, Session, TrainOptions, train};
+use centaur::edit::Similarity;
+use centaur::evaluate::evaluate;
+use centaur::optimize::{Checkpoints, MeshSource, Session, TrainOptions, Trained, train};
 use centaur::render::gpu::Gpu;
-use centaur::scene::Camera;
+use glam::{DMat3, DVec3};
 
 /// The demo in another unit: this many of it are one of what it has.
 fn demo_in(unit: f64) -> Capture {
     let small = LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() };
     let mut capture = capture::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), &small).unwrap();
-    for view in &mut capture.views {
-        let camera = &view.camera;
-        view.camera = Camera::new(*camera.intrinsics(), camera.rotation(), camera.translation() * unit).unwrap();
-    }
-    capture.points.iter_mut().for_each(|point| point.position *= unit);
+    move_by(&mut capture, &Similarity::new(unit, DMat3::IDENTITY, DVec3::ZERO).unwrap());
     capture
 }
 
-/// Held-out PSNR in dB at the end.
-fn psnr(gpu: &Gpu, unit: f64, mesh: &MeshSource) -> f64 {
+fn move_by(capture: &mut Capture, similarity: &Similarity) {
+    for view in &mut capture.views {
+        view.camera = similarity.camera(&view.camera).unwrap();
+    }
+    capture.points.iter_mut().for_each(|point| point.position = similarity.point(point.position));
+}
+
+/// A hybrid of few splats, if not of them alone.
+fn trained(gpu: &Gpu, capture: &Capture, mesh: &MeshSource, refine_poses: bool) -> Trained {
     let options = TrainOptions {
+        refine_poses,
         iterations: 300,
         surface_iterations: Some(150),
         warmup: 60,
@@ -36,8 +42,13 @@ fn psnr(gpu: &Gpu, unit: f64, mesh: &MeshSource) -> f64 {
         ..TrainOptions::default()
     };
     let session = Session { gpu, checkpoints: Checkpoints::Off, stop: &AtomicBool::new(false), progress: &mut |_| {} };
-    let trained = train(&demo_in(unit), mesh.clone(), &options, session).unwrap();
+    let trained = train(capture, mesh.clone(), &options, session).unwrap();
     assert_eq!(trained.scene.meshes.is_empty(), *mesh == MeshSource::None);
+    trained
+}
+
+/// Held-out PSNR in dB at the end.
+fn psnr(trained: &Trained) -> f64 {
     trained.history.iter().rev().find_map(|progress| progress.psnr).unwrap()
 }
 
@@ -46,12 +57,39 @@ fn psnr(gpu: &Gpu, unit: f64, mesh: &MeshSource) -> f64 {
 fn scenes_are_the_same_in_millimetres_and_in_kilometres() {
     let gpu = Gpu::open(None).unwrap();
     for mesh in [MeshSource::None, MeshSource::Points] {
-        let found = [1e-3, 1.0, 1e3].map(|unit| psnr(&gpu, unit, &mesh));
+        let found = [1e-3, 1.0, 1e3].map(|unit| psnr(&trained(&gpu, &demo_in(unit), &mesh, false)));
         eprintln!("{mesh:?}: {found:.2?} dB");
         // Where nothing was learnt, it is alike in all units.
         assert!(found.iter().all(|psnr| *psnr > 24.0), "{mesh:?}: {found:?}");
         let least = found.into_iter().fold(f64::INFINITY, f64::min);
         let most = found.into_iter().fold(f64::NEG_INFINITY, f64::max);
         assert!(most - least < 0.5, "{mesh:?}: {found:?}");
+    }
+}
+
+/// Twice as far away there would be none: floats are too coarse then for what is written.
+#[test]
+fn scenes_are_the_same_far_from_the_origin() {
+    let gpu = Gpu::open(None).unwrap();
+    let near = demo_in(1.0);
+    let extent = capture::extent(&near.cameras());
+    let shift = Similarity::new(1.0, DMat3::IDENTITY, DVec3::new(1.0, -0.6, 0.8) * 1000.0 * extent).unwrap();
+    let mut far = near.clone();
+    move_by(&mut far, &shift);
+    for (mesh, refine_poses) in [(MeshSource::None, true), (MeshSource::Points, false)] {
+        let [(near_psnr, _), (far_psnr, there)] = [&near, &far].map(|capture| {
+            let trained = trained(&gpu, capture, &mesh, refine_poses);
+            (evaluate(&gpu, &trained.scene, capture, None).unwrap().mean.unwrap().psnr, trained)
+        });
+        eprintln!("{mesh:?}: {near_psnr:.2} {far_psnr:.2} dB");
+        assert!(near_psnr > 24.0 && (far_psnr - near_psnr).abs() < 0.5, "{mesh:?}: {near_psnr} {far_psnr}");
+        // What a run says of its cameras is of where they were given.
+        assert_eq!(there.poses.is_empty(), !refine_poses);
+        for (name, pose) in &there.poses {
+            let rows = pose.world_to_camera.map(|[x, y, z, t]| (DVec3::new(x, y, z), t));
+            let center = -rows.iter().map(|(row, t)| *row * *t).sum::<DVec3>();
+            let given = far.views.iter().find(|view| view.name == *name).unwrap().camera.center();
+            assert!((center.distance(given) - pose.distance).abs() < 1e-6 * extent, "{name}: {center} {given}");
+        }
     }
 }

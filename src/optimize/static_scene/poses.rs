@@ -31,6 +31,13 @@ impl RefinedPose {
             world_to_camera: [0, 1, 2].map(|i| [r.row(i).x, r.row(i).y, r.row(i).z, t[i]]),
         }
     }
+
+    /// Moves with a world that is shifted.
+    pub(super) fn follow(&mut self, shift: glam::DVec3) {
+        for [x, y, z, t] in &mut self.world_to_camera {
+            *t -= glam::DVec3::new(*x, *y, *z).dot(shift);
+        }
+    }
 }
 
 impl Run<'_> {

@@ -1,0 +1,95 @@
+//! Scenes far from the origin of their coordinates are trained around it: there 32-bit floats hold a step of training.
+
+use glam::{DMat3, DVec3};
+
+use super::Trained;
+use crate::{
+    capture::{self, Capture},
+    edit::Similarity,
+    optimize::{MeshSource, TrainError},
+    scene::{Camera, SceneError},
+};
+
+/// Extents that cameras may be away from the origin. At the end means move by some 1.6e-6 of an extent, and floats round what is ten extents
+/// away by up to 5e-7: what is thirty times as far away as it is large would stand still then, and farther away before.
+const FAR: f64 = 8.0;
+
+/// Where a scene is trained that is given far from the origin.
+pub(super) struct Origin {
+    /// To the frame in which cameras are around the origin.
+    there: Similarity,
+    /// From that frame.
+    back: Similarity,
+}
+
+impl Origin {
+    /// `None` for what may stay where it is.
+    pub(super) fn of(capture: &Capture) -> Result<Option<Self>, SceneError> {
+        let cameras = capture.cameras();
+        let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len().max(1) as f64;
+        if mean.length() <= FAR * capture::extent(&cameras) {
+            return Ok(None);
+        }
+        let by = |shift| Similarity::new(1.0, DMat3::IDENTITY, shift);
+        Ok(Some(Self { there: by(-mean)?, back: by(mean)? }))
+    }
+
+    pub(super) fn capture(&self, capture: &Capture) -> Result<Capture, SceneError> {
+        let mut capture = capture.clone();
+        for view in &mut capture.views {
+            view.camera = self.there.camera(&view.camera)?;
+        }
+        capture.points.iter_mut().for_each(|point| point.position = self.there.point(point.position));
+        Ok(capture)
+    }
+
+    pub(super) fn mesh(&self, mut source: MeshSource) -> MeshSource {
+        if let MeshSource::Given { surface, .. } = &mut source {
+            surface.positions.iter_mut().for_each(|p| *p = self.there.point(p.as_dvec3()).as_vec3());
+        }
+        source
+    }
+
+    /// What was trained, where it was given.
+    pub(super) fn trained(&self, trained: Trained) -> Result<Trained, TrainError> {
+        let mut poses = trained.poses;
+        for (_, pose) in &mut poses {
+            pose.follow(self.back.point(DVec3::ZERO));
+        }
+        let cameras = trained.cameras.iter().map(|camera| self.back.camera(camera)).collect::<Result<_, _>>()?;
+        Ok(Trained { scene: self.back.scene(trained.scene)?, cameras, poses, ..trained })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::{capture::LoadOptions, geometry::Surface};
+
+    #[test]
+    fn what_is_far_is_trained_around_the_origin() {
+        let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        let near = capture::open(&demo, &LoadOptions::default()).unwrap();
+        assert!(Origin::of(&near).unwrap().is_none());
+        let shift = DVec3::new(30.0, -40.0, 5.0) * capture::extent(&near.cameras());
+        let by = |shift| Similarity::new(1.0, DMat3::IDENTITY, shift).unwrap();
+        let far = Origin { there: by(shift), back: by(-shift) }.capture(&near).unwrap();
+        let origin = Origin::of(&far).unwrap().unwrap();
+        let moved = origin.capture(&far).unwrap();
+        let mean = moved.cameras().iter().map(Camera::center).sum::<DVec3>() / moved.views.len() as f64;
+        assert!(mean.length() < 1e-9 && Origin::of(&moved).unwrap().is_none());
+        let apart = |capture: &Capture| capture.points[0].position.distance(capture.views[0].camera.center());
+        assert!((apart(&moved) - apart(&near)).abs() < 1e-9);
+        // Vertices that nobody moves come back to the bit.
+        let positions: Vec<Vec3> = far.points.iter().map(|point| point.position.as_vec3()).collect();
+        let surface = Surface { positions: positions.clone(), triangles: vec![[0, 1, 2]] };
+        let MeshSource::Given { surface, .. } = origin.mesh(MeshSource::Given { surface, corner_uvs: None }) else {
+            unreachable!()
+        };
+        assert!(surface.positions[0].length() < positions[0].length() / 10.0);
+        let back = surface.positions.iter().map(|p| origin.back.point(p.as_dvec3()).as_vec3());
+        assert!(back.eq(positions));
+    }
+}
