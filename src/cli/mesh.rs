@@ -45,7 +45,7 @@ pub(super) struct Args {
     splats: Option<PathBuf>,
     /// Folder with photographs and poses, or a transforms*.json
     capture: PathBuf,
-    /// Take the surface of this file, in the frame of the capture (.glb, .gltf, .obj, .ply)
+    /// Take the surface of this file, in the frame of the capture (.glb, .gltf, .obj, .ply), in place of SPLATS; not with --planar
     #[arg(long, value_name = "MESH", conflicts_with_all = ["splats", "planar"])]
     mesh: Option<PathBuf>,
     /// Surface to write

@@ -43,7 +43,7 @@ pub(in crate::cli) struct Args {
     /// Also write the splats alone, without the mesh, in INRIA's layout
     #[arg(long, value_name = "SPLATS.ply", value_parser = output::path(|path| output::with_extension(path, &["ply"])))]
     pub(super) ply: Option<PathBuf>,
-    /// Folder for report.html, metrics.json and pictures of the held-out views
+    /// Folder for report.html, metrics.json and pictures of the held-out views; not with --no-eval or --all-views
     #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]
     pub(super) report: Option<PathBuf>,
     #[command(flatten)]
