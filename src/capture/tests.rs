@@ -368,12 +368,18 @@ fn transforms_in_opengl_axes() {
     std::fs::write(&file, frames(r#","train_filenames":["train/r_1.png","train/r_0"]"#)).unwrap();
     assert!(message(&file, &full()).ends_with("expected the file_path of a frame, found train/r_0"));
 
-    for (extra, expected) in
-        [(r#","camera_model":"EQUIRECTANGULAR""#, "EQUIRECTANGULAR"), (r#","k4":0.5"#, "k4"), (r#","w":NaN"#, "line 1")]
-    {
+    for (extra, expected) in [
+        (r#","camera_model":"EQUIRECTANGULAR""#, "EQUIRECTANGULAR"),
+        (r#","k4":0.5"#, "k4"),
+        (r#","camera_model":"OPENCV","k6":0.5"#, "k6"),
+        (r#","w":NaN"#, "line 1"),
+    ] {
         std::fs::write(&file, frames(extra)).unwrap();
         assert!(message(&file, &full()).contains(expected), "{extra}");
     }
+    std::fs::write(&file, frames(r#","camera_model":"FULL_OPENCV","k2":0.2,"k4":0.4,"k6":0.6"#)).unwrap();
+    let rational = Distortion::Brown { k: [0.0, 0.2, 0.0, 0.4, 0.0, 0.6], p: [0.0; 2] };
+    assert_eq!(open(&file, &full()).unwrap().views[0].source.lens().distortion, rational);
     let scaled = frames("").replace("[1,0,0,0]", "[2,0,0,0]");
     std::fs::write(&file, scaled).unwrap();
     assert!(message(&file, &full()).contains("rotation"));
@@ -703,6 +709,11 @@ fn masks_that_frames_name_are_missed_where_they_should_be() {
     let expected = Path::new("cut").join("out.png").display().to_string();
     assert!(missing.contains(&format!("1 of 1 masks missing, the first is {expected}")), "{missing}");
     assert!(!missing.contains("masks:"), "there is no such folder: {missing}");
+    // VHAP's name for them.
+    let file = root.join("transforms.json");
+    let renamed = std::fs::read_to_string(&file).unwrap().replace("mask_path", "fg_mask_path");
+    std::fs::write(&file, renamed).unwrap();
+    assert_eq!(message(root, &LoadOptions { masks: true, ..full() }), missing);
 }
 
 #[test]

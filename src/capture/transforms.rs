@@ -48,6 +48,8 @@ struct FrameFields {
     #[serde(default)]
     file_path: String,
     mask_path: Option<String>,
+    /// The same, as VHAP calls it for heads.
+    fg_mask_path: Option<String>,
     time: Option<Value>,
     timestep_index: Option<Value>,
     transform_matrix: Vec<[f64; 4]>,
@@ -75,6 +77,8 @@ struct LensFields {
     k2: Option<f64>,
     k3: Option<f64>,
     k4: Option<f64>,
+    k5: Option<f64>,
+    k6: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
 }
@@ -194,8 +198,11 @@ pub(super) fn parse(
                 // The name is only a name.
                 (Err(_), false) => (PathBuf::new(), PathBuf::new()),
             };
-            let mask = match &fields.mask_path {
-                Some(mask) if photographs => Some(root.join(inside(path, &format!("{at}/mask_path"), &plain(mask))?)),
+            let masks = [("mask_path", &fields.mask_path), ("fg_mask_path", &fields.fg_mask_path)];
+            let mask = match masks.into_iter().find_map(|(field, mask)| Some((field, mask.as_ref()?))) {
+                Some((field, mask)) if photographs => {
+                    Some(root.join(inside(path, &format!("{at}/{field}"), &plain(mask))?))
+                }
                 _ => None,
             };
             let (rotation, translation) = world_to_camera(&fields.transform_matrix).ok_or_else(|| {
@@ -320,8 +327,8 @@ fn lens(
     let cy = value(|l| l.cy).unwrap_or(h / 2.0);
     let intrinsics = Intrinsics { width, height, fx, fy, cx, cy };
 
-    let [k1, k2, k3, k4] =
-        [value(|l| l.k1), value(|l| l.k2), value(|l| l.k3), value(|l| l.k4)].map(|k| k.unwrap_or(0.0));
+    let k = [value(|l| l.k1), value(|l| l.k2), value(|l| l.k3), value(|l| l.k4), value(|l| l.k5), value(|l| l.k6)];
+    let k @ [k1, k2, k3, k4, k5, k6] = k.map(|k| k.unwrap_or(0.0));
     let [p1, p2] = [value(|l| l.p1), value(|l| l.p2)].map(|p| p.unwrap_or(0.0));
     let model = frame.camera_model.as_deref().or(file.camera_model.as_deref());
     let unsupported = |model: &str| {
@@ -345,15 +352,15 @@ fn lens(
                 let expected = format!("no is_fisheye beside camera_model {model}");
                 return Err(CaptureError::invalid(path, at, expected, "true"));
             }
-            // OpenCV divides by its k4; others multiply r⁸ by it.
-            if k4 != 0.0 {
-                return Err(CaptureError::invalid(path, at, "k4 = 0 without a fisheye lens", k4.to_string()));
+            // OpenCV divides by these; others multiply r⁸ by k4.
+            if model != Some("FULL_OPENCV") {
+                let unclear = [("k4", k4), ("k5", k5), ("k6", k6)].into_iter().find(|(_, k)| *k != 0.0);
+                if let Some((name, value)) = unclear {
+                    let expected = format!("{name} = 0 without a fisheye lens or camera_model FULL_OPENCV");
+                    return Err(CaptureError::invalid(path, at, expected, value.to_string()));
+                }
             }
-            if [k1, k2, k3, p1, p2] == [0.0; 5] {
-                Distortion::None
-            } else {
-                Distortion::Brown { k: [k1, k2, k3, 0.0, 0.0, 0.0], p: [p1, p2] }
-            }
+            if k == [0.0; 6] && [p1, p2] == [0.0; 2] { Distortion::None } else { Distortion::Brown { k, p: [p1, p2] } }
         }
         Some(other) => return unsupported(other),
     };
