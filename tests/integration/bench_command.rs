@@ -123,6 +123,15 @@ fn a_data_set_is_trained_once_and_tabled() {
         assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));
     }
     std::fs::write(&place, &whole).unwrap();
+    // Another variant may be of other photographs, which are not here any more.
+    let mut small: serde_json::Value = serde_json::from_slice(&whole).unwrap();
+    for (key, value) in [("variant", "small".into()), ("flags", ["--images", "gone"].into()), ("capture", 1.into())] {
+        small["job"][key] = value;
+    }
+    std::fs::create_dir(at("out/small")).unwrap();
+    std::fs::write(at("out/small/one-0.json"), small.to_string()).unwrap();
+    assert_eq!(refused(), "");
+    std::fs::remove_dir_all(at("out/small")).unwrap();
 
     // A part of the jobs may be none of them, before anything is done and after.
     for out in ["out", "nowhere"] {

@@ -266,19 +266,9 @@ impl Job {
         words
     }
 
-    /// See [`capture::fingerprint`]. What cannot be read is told by the training.
-    pub(super) fn fingerprint(&self) -> Option<u32> {
-        capture::fingerprint(&self.capture, self.images().as_deref()).ok().flatten()
-    }
-
-    /// The folder of photographs that flags name.
-    pub(super) fn images(&self) -> Option<String> {
-        let size = self.protocol.map_or(vec![], |protocol| size_of(&self.scene, protocol));
-        let flags: Vec<&str> = size.iter().chain(self.given()).map(String::as_str).collect();
-        let apart = flags.windows(2).filter(|pair| pair[0] == "--images").map(|pair| pair[1]);
-        let joined = flags.iter().filter_map(|flag| flag.strip_prefix("--images="));
-        // One that is given again replaces the former; nobody writes it both ways.
-        apart.chain(joined).last().map(str::to_owned)
+    /// See [`capture::fingerprint`], of the photographs in the folder that [`images_of`] names. What cannot be read is told by the training.
+    pub(super) fn fingerprint(&self, images: Option<&str>) -> Option<u32> {
+        capture::fingerprint(&self.capture, images).ok().flatten()
     }
 
     /// For the result, without the capture's fingerprint.
@@ -397,6 +387,16 @@ fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
         );
     }
     Ok(scenes)
+}
+
+/// The folder of photographs that flags name.
+pub(super) fn images_of(made: &Made) -> Option<String> {
+    let size = made.protocol.map_or(vec![], |protocol| size_of(&made.scene, protocol));
+    let flags: Vec<&str> = size.iter().chain(&made.scene_flags).chain(&made.flags).map(String::as_str).collect();
+    let apart = flags.windows(2).filter(|pair| pair[0] == "--images").map(|pair| pair[1]);
+    let joined = flags.iter().filter_map(|flag| flag.strip_prefix("--images="));
+    // One that is given again replaces the former; nobody writes it both ways.
+    apart.chain(joined).last().map(str::to_owned)
 }
 
 /// Flags for the size of a scene's pictures.

@@ -16,7 +16,7 @@ use indicatif::ProgressStyle;
 use serde_json::Value;
 
 use super::Args;
-use super::jobs::Job;
+use super::jobs::{self, Job};
 use super::record::Made;
 use crate::cli::{interrupt, output};
 
@@ -163,7 +163,10 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if result["outcome"] != "finished" {
         return Ok(Ended::Interrupted);
     }
-    result["job"] = serde_json::to_value(Made { capture: job.fingerprint(), ..job.made(at_a_time) })?;
+    result["job"] = {
+        let made = job.made(at_a_time);
+        serde_json::to_value(Made { capture: job.fingerprint(jobs::images_of(&made).as_deref()), ..made })?
+    };
     atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
     // Whoever still has it open looks for the result first.
     let _ = std::fs::remove_file(path);
