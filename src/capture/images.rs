@@ -28,6 +28,8 @@ pub struct ImageSource {
     pub(super) size: (u32, u32),
     pub(super) held_out: Option<bool>,
     pub(super) time: Option<f64>,
+    /// The file has a channel of alpha, of which nothing need be transparent.
+    pub(super) stores_alpha: bool,
 }
 
 impl ImageSource {
@@ -88,6 +90,7 @@ pub struct Photo {
 pub(super) struct Header {
     size: (u32, u32),
     orientation: Orientation,
+    pub(super) has_alpha: bool,
 }
 
 impl Header {
@@ -107,19 +110,22 @@ impl Header {
     }
 }
 
-/// The first of several ways to turn a picture by which it has this size, or else this aspect ratio: of one that is nearly square, both ways do.
+/// Which of several ways to turn a picture gives it this size, or else most nearly this aspect ratio, to 1 %: of one that is nearly square more
+/// than one does. Of equal ways it is the first.
 pub(super) fn fitting<const N: usize>(
     ways: [(Orientation, (u32, u32)); N],
     size: (u32, u32),
 ) -> Option<(Orientation, (u32, u32))> {
     let of_size = ways.into_iter().find(|way| way.1 == size);
-    of_size.or_else(|| ways.into_iter().find(|way| same_aspect(way.1, size)))
+    let by_aspect = || ways.into_iter().min_by(|a, b| off_aspect(a.1, size).total_cmp(&off_aspect(b.1, size)));
+    // Resized pictures are rounded to whole pixels.
+    of_size.or_else(|| by_aspect().filter(|way| off_aspect(way.1, size) <= 0.01))
 }
 
-/// Whether two sizes have the same aspect ratio to 1 %: resized pictures are rounded to whole pixels.
-fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
+/// The part by which the aspect ratios of two sizes differ.
+fn off_aspect(a: (u32, u32), b: (u32, u32)) -> f64 {
     let ratio = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
-    (ratio(a) / ratio(b) - 1.0).abs() <= 0.01
+    (ratio(a) / ratio(b) - 1.0).abs()
 }
 
 fn image_error(path: &Path, length: usize, error: &ImageError) -> CaptureError {
@@ -160,7 +166,7 @@ pub(super) fn header(path: &Path) -> Result<Header, CaptureError> {
         let mut decoder = decoder(bytes, length, path)?;
         let size = decoder.dimensions();
         let orientation = decoder.orientation().map_err(|e| image_error(path, length, &e))?;
-        Ok(Header { size, orientation })
+        Ok(Header { size, orientation, has_alpha: decoder.color_type().has_alpha() })
     };
     let (start, length) = error::read_start(path, HEADER_BYTES)?;
     if start.len() < length
@@ -249,7 +255,7 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
 /// The mask at `path` in the size of its photograph, which was turned by `orientation`: 255 where pixels count.
 fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> Result<GrayImage, CaptureError> {
     let (mut image, own) = pixels(path)?;
-    let header = Header { size: (image.width(), image.height()), orientation: own };
+    let header = Header { size: (image.width(), image.height()), orientation: own, has_alpha: false };
     // As its photograph: as stored, whatever EXIF says, or turned, by a note of its own or, where there is none, by the photograph's.
     let stored = header.stored();
     let turned = [header.upright(), stored, Header { orientation, ..header }.upright()];
@@ -407,6 +413,12 @@ mod tests {
         // Poses of the stored picture: it stays as it is.
         let photo = photo_of(&oriented(6), 16, 8, Downscale::Full).unwrap();
         assert!(photo.width == 16 && photo.rgba[0] > 200);
+        // Of a nearly square one that was resized only the upright one is exactly in proportion.
+        let (stored, camera) = ((1004, 1000), (4000, 4016));
+        let header = Header { size: stored, orientation: Orientation::Rotate90, has_alpha: false };
+        let ways = [header.stored(), header.upright()];
+        assert_eq!(fitting(ways, camera), Some((Orientation::Rotate90, (1000, 1004))));
+        assert_eq!(fitting(ways, (camera.1, camera.0)), Some((Orientation::NoTransforms, stored)));
         // Orientation 3 is upside down, which no size tells.
         let photo = photo_of(&oriented(3), 16, 8, Downscale::Full).unwrap();
         assert!(photo.rgba[0] > 200 && photo.rgba[4 * (16 * 8 - 1)] < 50);

@@ -56,6 +56,12 @@ impl Capture {
         self.views.iter().any(|view| view.source.mask().is_some())
     }
 
+    /// Whether its photographs may show no more than a part of what is there: masks are applied, or files have a channel of alpha.
+    #[must_use]
+    pub fn may_be_cut_out(&self) -> bool {
+        self.has_masks() || self.views.iter().any(|view| view.source.stores_alpha)
+    }
+
     /// World positions of all points, rounded to f32, in their order.
     #[must_use]
     pub fn positions(&self) -> Vec<Vec3> {
@@ -273,11 +279,14 @@ fn near_origin(views: &[View], points: &[Point], list: &Path) -> Result<(), Capt
     let centers: Vec<_> = views.iter().map(|view| view.camera.center()).collect();
     let distance = centers.iter().map(|center| center.abs().max_element()).fold(0.0, f64::max);
     let step = distance * f64::from(f32::EPSILON);
-    // Of cameras in one place the points say how large it is.
     let mut away: Vec<f64> = points.iter().map(|point| point.position.distance(centers[0])).collect();
     let middle = away.len() / 2;
     let median = if away.is_empty() { 0.0 } else { *away.select_nth_unstable_by(middle, f64::total_cmp).1 };
-    let extent = extent(views.iter().map(|view| &view.camera)).max(median);
+    // Of cameras in one place the points say how large it is.
+    let extent = match extent(views.iter().map(|view| &view.camera)) {
+        extent if extent > ONE_PLACE * median => extent,
+        _ => median,
+    };
     if extent == 0.0 || step <= COARSEST * extent {
         return Ok(());
     }
@@ -293,9 +302,14 @@ pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
     let centers: Vec<_> = cameras.into_iter().map(Camera::center).collect();
     let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
     let farthest = centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
-    // Centres follow from rotations and translations, and round.
-    if farthest <= 1e-12 * mean.length() { 0.0 } else { 1.1 * farthest }
+    if farthest <= ROUNDED * mean.length() { 0.0 } else { 1.1 * farthest }
 }
+
+/// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a pixel of a thousand.
+pub(crate) const ONE_PLACE: f64 = 1e-3;
+/// Centres follow from rotations and translations, which files round to some eight digits: part of their distance from the origin up to which they
+/// are one.
+const ROUNDED: f64 = 5e-8;
 
 #[cfg(test)]
 mod colmap_tests;

@@ -734,9 +734,21 @@ fn scenes_too_far_away_for_floats_are_refused() {
         let rotation = view.camera.rotation();
         view.camera = Camera::new(*view.camera.intrinsics(), rotation, -(rotation * center)).unwrap();
     }
-    let is_fine =
-        |away: f64| near_origin(&views, &[Point { position: center + DVec3::X * away, rgb: [0; 3] }], root).is_ok();
-    assert!(near_origin(&views, &[], root).is_ok() && is_fine(5000.0) && !is_fine(50.0));
+    let is_fine = |views: &[View], away: f64| {
+        near_origin(views, &[Point { position: center + DVec3::X * away, rgb: [0; 3] }], root).is_ok()
+    };
+    assert!(near_origin(&views, &[], root).is_ok() && is_fine(&views, 5000.0) && !is_fine(&views, 50.0));
+    // As do files that round where they are.
+    let beside = views[1].camera;
+    let rounded = beside.translation() + DVec3::X * 1e-8 * center.length();
+    views[1].camera = Camera::new(*beside.intrinsics(), beside.rotation(), rounded).unwrap();
+    assert!(near_origin(&views, &[], root).is_ok() && is_fine(&views, 5000.0) && !is_fine(&views, 50.0));
+    // Mountains around a table make it no larger.
+    let apart = beside.translation() + DVec3::X;
+    views[1].camera = Camera::new(*beside.intrinsics(), beside.rotation(), apart).unwrap();
+    let mountains: Vec<Point> =
+        (0..9).map(|i| Point { position: center + DVec3::Y * (500.0 + f64::from(i)), rgb: [0; 3] }).collect();
+    assert!(near_origin(&views, &mountains, root).is_err());
 }
 
 /// As far as rounding tells.

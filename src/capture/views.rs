@@ -155,6 +155,7 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
         Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(&list, &place, e))?;
     let size = options.downscale.size(width, height);
     let mask = mask.filter(|_| options.masks);
-    let source = ImageSource { image, mask, orientation, lens, size, held_out, time };
+    let stores_alpha = header.has_alpha;
+    let source = ImageSource { image, mask, orientation, lens, size, held_out, time, stores_alpha };
     Ok(View { name, camera: camera.resized(size.0, size.1), source, sees })
 }

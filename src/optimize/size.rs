@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use crate::{
-    capture::{self, Capture},
+    capture::{self, Capture, ONE_PLACE},
     geometry::median,
     scene::Camera,
 };
@@ -12,8 +12,6 @@ use crate::{
 const USUAL_EXTENT: f64 = 5.0;
 /// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
 const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
-/// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a pixel of a thousand.
-const ONE_PLACE: f64 = 1e-3;
 /// Tangent of half the angle of view of lenses, below which what they see is no longer about as large as it is far away.
 const NARROW: f64 = 0.1;
 /// Points of the pictures of all views, of which the median depth is taken, at most.

@@ -6,7 +6,7 @@ use super::Trained;
 use crate::{
     capture::{self, Capture},
     edit::Similarity,
-    optimize::{MeshSource, TrainError},
+    optimize::{MeshSource, TrainError, size},
     scene::{Camera, SceneError},
 };
 
@@ -27,7 +27,8 @@ impl Origin {
     pub(super) fn of(capture: &Capture) -> Result<Option<Self>, SceneError> {
         let cameras = capture.cameras();
         let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len().max(1) as f64;
-        if mean.length() <= FAR * capture::extent(&cameras) {
+        let all: Vec<usize> = (0..cameras.len()).collect();
+        if mean.length() <= FAR * size::extent(&cameras, size::median_depth(capture, &all)) {
             return Ok(None);
         }
         let by = |shift| Similarity::new(1.0, DMat3::IDENTITY, shift);
@@ -36,8 +37,13 @@ impl Origin {
 
     pub(super) fn capture(&self, capture: &Capture) -> Result<Capture, SceneError> {
         let mut capture = capture.clone();
+        let is_one_place = capture::extent(&capture.cameras()) == 0.0;
         for view in &mut capture.views {
             view.camera = self.there.camera(&view.camera)?;
+            if is_one_place {
+                // What rounding leaves would be an extent there.
+                view.camera = Camera::new(*view.camera.intrinsics(), view.camera.rotation(), DVec3::ZERO)?;
+            }
         }
         capture.points.iter_mut().for_each(|point| point.position = self.there.point(point.position));
         Ok(capture)
@@ -67,6 +73,21 @@ mod tests {
 
     use super::*;
     use crate::{capture::LoadOptions, geometry::Surface};
+
+    /// Of a panorama without points nothing but its cameras, which rounding sets apart, says how large it is.
+    #[test]
+    fn a_tripod_far_away_is_in_one_place_still() {
+        let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        let mut capture =
+            capture::open(&demo, &LoadOptions { without_points: true, ..LoadOptions::default() }).unwrap();
+        let center = DVec3::new(100.0, 200.0, 300.3);
+        for view in &mut capture.views {
+            let rotation = view.camera.rotation();
+            view.camera = Camera::new(*view.camera.intrinsics(), rotation, -(rotation * center)).unwrap();
+        }
+        let moved = Origin::of(&capture).unwrap().unwrap().capture(&capture).unwrap();
+        assert_eq!(size::extent(&moved.cameras(), None), 1.0);
+    }
 
     #[test]
     fn what_is_far_is_trained_around_the_origin() {
