@@ -305,6 +305,8 @@ pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
     if farthest <= ROUNDED * mean.length() { 0.0 } else { 1.1 * farthest }
 }
 
+/// Photographs that are decoded at once, where all are looked at: while they are, they have their full size.
+pub(crate) const DECODED_AT_ONCE: usize = 4;
 /// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a pixel of a thousand.
 pub(crate) const ONE_PLACE: f64 = 1e-3;
 /// Centres follow from rotations and translations, which files round to some eight digits: part of their distance from the origin up to which they

@@ -242,10 +242,14 @@ fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Resul
         args.capture.display()
     );
     let all: Vec<usize> = (0..capture.views.len()).collect();
-    let photo_of = |view: &View| capture.has_masks().then(|| decode(view).map(Arc::new)).transpose();
+    let photo_of = |view: &View| capture.may_be_cut_out().then(|| decode(view).map(Arc::new)).transpose();
     let views = point_views(capture, &capture.cameras(), &all, photo_of)?;
+    let (path, without) = (args.capture.display(), all.len() - views.len());
     let (surface, steps, origin) = surface_from_points(capture, &views, args.triangles, args.planar.is_auto())
-        .with_context(|| args.capture.display().to_string())?;
+        .with_context(|| match without {
+            0 => path.to_string(),
+            _ => format!("{path}: masks and alpha leave no points in {without} of {} views", all.len()),
+        })?;
     let SparseStats { views, guessed, lifted, clear, .. } = steps;
     if !args.messages.json && !args.messages.quiet {
         output::print(&format!("{lifted} triangles of points, {clear} of which hide nothing that another view sees"))?;

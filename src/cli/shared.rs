@@ -51,7 +51,7 @@ pub(super) struct CaptureArgs {
     #[command(flatten)]
     pub(super) pictures: PictureArgs,
     /// Use only what masks leave white (in images of labels: the one level besides black). Of images/IMG.jpg that is masks/IMG.jpg.png,
-    /// masks/IMG.png or masks/IMG.jpg, or the `mask_path` of a transforms.json. With a masks/ folder, or where one photograph has a mask, all
+    /// masks/IMG.png or masks/IMG.jpg, or the `mask_path` (VHAP: `fg_mask_path`) of a transforms.json. With a masks/ folder, or where one photograph has a mask, all
     /// need one. Scores multiply photograph and render by the mask
     #[arg(long)]
     pub(super) masks: bool,
@@ -189,7 +189,10 @@ pub(super) fn passed_over(others: &[PathBuf]) -> Option<String> {
     let first = others.first()?;
     let name = first.file_name()?.display();
     let one = first.with_file_name("transforms.json");
-    Some(if *first != one && one.is_file() {
+    Some(if *first != one && one.is_file() && others.len() == 1 {
+        // One file of two is no split.
+        format!("has transforms.json, which is taken, and {name}: name that file in place of the folder to take it")
+    } else if *first != one && one.is_file() {
         format!("has transforms.json, which is taken, and {name}: move the former away to take the split")
     } else {
         format!("has a COLMAP model, which is taken, and {name}: name that file in place of the folder to take it")

@@ -23,8 +23,18 @@ use crate::scene::Camera;
 pub struct PointView {
     /// Only its pose and field of view matter, not the size of its picture.
     pub camera: Camera,
-    /// Indices of the points found in its picture; empty if unknown, and then decided by [`visible_points`].
+    /// Indices of the points found in its picture.
     pub sees: Vec<u32>,
+    /// Whether nobody knows which these are, so that they were decided by [`visible_points`].
+    pub guessed: bool,
+}
+
+impl PointView {
+    /// Where nothing else tells what a camera sees.
+    #[must_use]
+    pub fn guess(camera: Camera, points: &[Vec3]) -> Self {
+        Self { camera, sees: visible_points(&camera, points), guessed: true }
+    }
 }
 
 /// Voxels along the depth range, least and most.
@@ -85,13 +95,8 @@ pub fn surface_from_points(
     triangles: usize,
     planar: bool,
 ) -> Result<(Surface, SparseStats), GeometryError> {
-    let seen: Vec<Vec<u32>> = views
-        .par_iter()
-        .map(|view| match view.sees.as_slice() {
-            [] => visible_points(&view.camera, points),
-            sees => sees.iter().copied().filter(|&i| (i as usize) < points.len()).collect(),
-        })
-        .collect();
+    let of_points = |view: &PointView| view.sees.iter().copied().filter(|&i| (i as usize) < points.len()).collect();
+    let seen: Vec<Vec<u32>> = views.iter().map(of_points).collect();
     let lifted = |constraints: &[Vec<[u32; 2]>]| -> Vec<Vec<[u32; 3]>> {
         let each = views.par_iter().zip(&seen).zip(constraints);
         each.map(|((view, seen), constraints)| lift(&view.camera, points, seen, constraints)).collect()
@@ -102,7 +107,7 @@ pub fn surface_from_points(
     let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
     let mut stats = SparseStats {
         views: views.len(),
-        guessed: views.iter().filter(|view| view.sees.is_empty()).count(),
+        guessed: views.iter().filter(|view| view.guessed).count(),
         lifted: count(&lifted),
         clear: count(&clear),
         surface: SurfaceStats::default(),
@@ -385,7 +390,8 @@ mod tests {
             };
             (0..points.len() as u32).filter(seen).collect()
         };
-        let views = cameras.iter().map(|camera| PointView { camera: *camera, sees: sees(camera) }).collect();
+        let views =
+            cameras.iter().map(|camera| PointView { camera: *camera, sees: sees(camera), guessed: false }).collect();
         (points, views)
     }
 
@@ -454,11 +460,11 @@ mod tests {
         }
         // One view of which nothing is known does not make the others guesses.
         let (points, mut views) = cloud(&cameras, 0);
-        views[3].sees.clear();
+        views[3] = PointView::guess(views[3].camera, &points);
         let (_, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         assert_eq!((stats.guessed, stats.is_guess()), (1, false));
         // Without tracks the points themselves say what is visible: as exact, but less is found.
-        views.iter_mut().for_each(|view| view.sees.clear());
+        views.iter_mut().for_each(|view| *view = PointView::guess(view.camera, &points));
         let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         let [accuracy, completeness] = errors(&surface, &points);
         eprintln!("without tracks: {accuracy:.4} {completeness:.4}");
@@ -484,7 +490,9 @@ mod tests {
     #[test]
     fn too_little_is_an_error() {
         let cameras = cameras();
-        let views: Vec<_> = cameras.iter().map(|c| PointView { camera: *c, sees: vec![0, 1, 2, 900] }).collect();
+        let sees = vec![0, 1, 2, 900];
+        let views = cameras.iter().map(|c| PointView { camera: *c, sees: sees.clone(), guessed: false });
+        let views: Vec<_> = views.collect();
         for points in [vec![], vec![Vec3::ZERO], vec![Vec3::ZERO; 3], vec![Vec3::NAN; 5]] {
             let error = surface_from_points(&views, &points, 1000, false).unwrap_err().to_string();
             assert!(error.contains("lifting triangles of points"), "{error}");

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{TrainError, TrainOptions, size};
 use crate::{
-    capture::{self, Capture, CaptureError, Photo, View},
+    capture::{self, Capture, CaptureError, DECODED_AT_ONCE, Photo, View},
     geometry::{
         self, Contraction, Fusion, FusionOptions, GeometryError, PointView, SparseStats, Surface, SurfaceOptions,
         SurfaceStats, UnwrappedMesh,
@@ -29,7 +29,7 @@ const TRUNCATION: f64 = 4.0;
 /// more than guesses. Structure from motion finds hundreds.
 const LEAST_SEEN: usize = 100;
 /// Alpha of a photograph, which may be a mask, from which on surfaces are made of what it shows.
-const LEAST_ALPHA: u8 = 128;
+pub(super) const LEAST_ALPHA: u8 = 128;
 /// Triangles of the least connected piece of the iso-surface: some 10×10 voxels.
 const LEAST_FACES: usize = 150;
 
@@ -73,9 +73,8 @@ impl MeshSource {
     /// `Splats`.
     #[must_use]
     pub fn suited_to(capture: &Capture) -> Self {
-        let mut seen: Vec<usize> = capture.views.iter().map(|v| v.sees.len()).collect();
-        seen.sort_unstable();
-        if seen.get(seen.len() / 2).is_some_and(|&median| median >= LEAST_SEEN) { Self::Points } else { Self::Splats }
+        let seen = capture.views.iter().map(|view| view.sees.len()).collect();
+        if are_many(seen) { Self::Points } else { Self::Splats }
     }
 
     /// Whether splats are trained before there is a mesh, and handed over to it.
@@ -120,8 +119,9 @@ pub fn from_splats(
     })
 }
 
-/// What these views of a capture see of its points, by the `cameras` of all its views: what its list says, and of that what photographs show
-/// where `photo_of` has one that leaves something out. A view of which nothing is left then is none.
+/// What these views of a capture see of its points, by the `cameras` of all its views: what its list says, or is likely where that says
+/// nothing, and of that what photographs show where `photo_of` has one that may leave something out. A view of which nothing is left then is
+/// none.
 ///
 /// # Errors
 /// If a photograph cannot be read.
@@ -135,17 +135,39 @@ pub fn point_views(
     photo_of: impl Fn(&View) -> Result<Option<Arc<Photo>>, CaptureError> + Sync,
 ) -> Result<Vec<PointView>, CaptureError> {
     let points = capture.positions();
-    let of_view = |&i: &usize| {
-        let (camera, view) = (cameras[i], &capture.views[i]);
-        let mut sees = view.sees.clone();
-        if let Some(photo) = photo_of(view)? {
-            let at = |point: &Vec3| camera.in_picture(camera.to_camera(point.as_dvec3()));
-            sees.retain(|&p| points.get(p as usize).and_then(at).is_some_and(|at| shows(&photo, at)));
-        }
-        // An empty list would say that nobody knows what it sees.
-        Ok((view.sees.is_empty() || !sees.is_empty()).then_some(PointView { camera, sees }))
+    let listed = |&i: &usize| {
+        let (camera, sees) = (cameras[i], &capture.views[i].sees);
+        let known = || PointView { camera, sees: sees.clone(), guessed: false };
+        (i, if sees.is_empty() { PointView::guess(camera, &points) } else { known() })
     };
-    views.par_iter().filter_map(|i| of_view(i).transpose()).collect()
+    let mut seen: Vec<(usize, PointView)> = views.par_iter().map(listed).collect();
+    let clear = |(i, of_view): &mut (usize, PointView)| {
+        let Some(photo) = photo_of(&capture.views[*i])? else { return Ok(()) };
+        let camera = of_view.camera;
+        let at = |point: &Vec3| camera.in_picture(camera.to_camera(point.as_dvec3()));
+        of_view.sees.retain(|&p| points.get(p as usize).and_then(at).is_some_and(|at| shows(&photo, at)));
+        Ok::<_, CaptureError>(())
+    };
+    for part in seen.chunks_mut(DECODED_AT_ONCE) {
+        part.par_iter_mut().try_for_each(clear)?;
+    }
+    Ok(seen.into_iter().map(|(_, of_view)| of_view).filter(|of_view| !of_view.sees.is_empty()).collect())
+}
+
+/// Whether so few of the points that views see are left by what photographs show of them that a surface of them would be a guess, where it would
+/// not have been one before.
+pub(super) fn are_few_left(capture: &Capture, views: &[usize], seen: &[PointView]) -> bool {
+    let listed = views.iter().map(|&i| capture.views[i].sees.len()).collect();
+    // A view of which nothing is left is none, and has none.
+    let left = seen.iter().map(|view| view.sees.len());
+    let left = left.chain(std::iter::repeat_n(0, views.len() - seen.len())).collect();
+    are_many(listed) && !are_many(left)
+}
+
+/// Whether the median view sees enough points for a surface of them, by how many each sees.
+fn are_many(mut seen: Vec<usize>) -> bool {
+    seen.sort_unstable();
+    seen.get(seen.len() / 2).is_some_and(|&median| median >= LEAST_SEEN)
 }
 
 /// A surface of the points that these views of a capture see; `triangles` and `planar` as in [`geometry::surface_from_points`].

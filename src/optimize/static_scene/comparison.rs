@@ -1,6 +1,9 @@
 //! Mesh and splats, each alone, beside the photographs.
 
-use super::{Run, photographs::squared_error};
+use super::{
+    Run,
+    photographs::{counts, squared_error},
+};
 use crate::{
     optimize::TrainError,
     render::gpu::training::{Show, Training},
@@ -9,7 +12,7 @@ use crate::{
 
 impl<'a> Run<'a> {
     /// Renders splats and mesh each alone from `views` and hands on, per view, the training, which has rendered the mesh last, the camera and
-    /// at every pixel the squared errors of mesh and splats (and a zero, for `Training::gather`).
+    /// at every pixel the squared errors of mesh and splats (and a zero, for `Training::gather`); all three are zero where a mask leaves nothing in.
     pub(super) fn compare(
         &self,
         training: &mut Training<'a>,
@@ -25,6 +28,9 @@ impl<'a> Run<'a> {
             let mesh = training.render(camera, background, Show::MeshesAlone)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
                 .map(|(p, (mesh, splats))| {
+                    if !counts(&photo, p) {
+                        return [0.0; 3];
+                    }
                     let [mesh, splats] = [mesh, splats].map(|rgb| self.exposed(i, *rgb));
                     let (mesh, splats) = (&mesh, &splats);
                     [squared_error(&photo, p, mesh, behind), squared_error(&photo, p, splats, behind), 0.0]

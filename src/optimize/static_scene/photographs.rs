@@ -5,15 +5,14 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::{
-    capture::{Capture, CaptureError, Photo, PhotoCache, View},
+    capture::{Capture, CaptureError, DECODED_AT_ONCE, Photo, PhotoCache, View},
     evaluate,
+    optimize::surface,
     render::gpu::loss::TruthAlpha,
 };
 
 /// Decoded photographs are kept up to this many bytes, of whatever size.
 const BUDGET: usize = 2 << 30;
-/// Photographs that are decoded at once before training.
-const DECODED_AT_ONCE: usize = 4;
 
 /// Decoded as they are asked for, and kept.
 pub(super) struct Photographs<'a> {
@@ -55,7 +54,6 @@ impl<'a> Photographs<'a> {
         let has_alpha = |&i: &usize| cache.get(&views[i]).map(|photo| photo.has_alpha);
         let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
         let mut are_cut_out = capture.has_masks();
-        // Few at once: while they are decoded they have their full size.
         for part in train.chunks(DECODED_AT_ONCE) {
             are_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
         }
@@ -107,6 +105,11 @@ pub(super) fn truth_alpha(photo: &Photo) -> TruthAlpha {
         (false, true) => TruthAlpha::Composite,
         (false, false) => TruthAlpha::Ignore,
     }
+}
+
+/// Whether a mask leaves in pixel `p` of a photograph, for the most part: what files of masks round does not.
+pub(super) fn counts(photo: &Photo, p: usize) -> bool {
+    !photo.masked || photo.rgba.get(4 * p + 3).is_some_and(|weight| *weight >= surface::LEAST_ALPHA)
 }
 
 /// Squared difference of a render from pixel `p` of a photograph, as both are scored.

@@ -104,11 +104,19 @@ fn a_surface_is_of_what_masks_leave() {
     let load = LoadOptions { downscale: Downscale::MaxSide(64), masks: true, ..LoadOptions::default() };
     let mut capture = capture::open(folder.path(), &load).unwrap();
     let points = capture.positions();
-    // The demo does not say.
-    capture.views.iter_mut().for_each(|view| view.sees = geometry::visible_points(&view.camera, &points));
     let (cameras, all) = (capture.cameras(), Vec::from_iter(0..capture.views.len()));
     let photo_of = |view: &View| capture::decode(view).map(|photo| Some(Arc::new(photo)));
-    let views = surface::point_views(&capture, &cameras, &all, photo_of).unwrap();
+    let seen = |capture: &Capture| surface::point_views(capture, &cameras, &all, photo_of).unwrap();
+    // The demo does not say what views see, of which masks leave no more in.
+    let guessed = seen(&capture);
+    capture.views.iter_mut().for_each(|view| view.sees = geometry::visible_points(&view.camera, &points));
+    let views = seen(&capture);
+    assert!(guessed.iter().zip(&views).all(|(guess, view)| guess.guessed && !view.guessed && guess.sees == view.sees));
+    assert_eq!(guessed.len(), views.len());
+    // A surface of a part of them would be a guess.
+    let few: Vec<usize> = all.iter().copied().filter(|i| judges(*i)).collect();
+    let left = surface::point_views(&capture, &cameras, &few, photo_of).unwrap();
+    assert!(surface::are_few_left(&capture, &few, &left) && !surface::are_few_left(&capture, &all, &views));
     for view in &views {
         let at = |p: DVec3| view.camera.project(view.camera.to_camera(p));
         let far = view.sees.iter().map(|&p| at(points[p as usize].as_dvec3())).filter(|p| p.x + p.y > 5.0);
