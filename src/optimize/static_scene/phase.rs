@@ -101,7 +101,7 @@ impl Run<'_> {
             self.photos.resize(plan.resolution.scale(plan.clock + done, self.longest_side));
             self.step(training, plan, done)?;
             done += 1;
-            let stop = self.session.stop.load(Ordering::Relaxed);
+            let mut stop = self.session.stop.load(Ordering::Relaxed);
             let reports = self.reports_after(plan, done) || stop;
             // Also at the end of a phase: what follows takes minutes, and writes files that may not fit on the disk.
             let ends = done == plan.iterations && self.options.checkpoint_every > 0;
@@ -129,6 +129,8 @@ impl Run<'_> {
                 let past = self.log.past.clone();
                 let saved = Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?;
                 let written = saved.write(path, &self.identity);
+                // Scores at the end of a phase take long enough for somebody to stop it there, and what follows longer.
+                stop |= ends && self.session.stop.load(Ordering::Relaxed);
                 // That of an end nobody has asked for: where there is no room for it, there may be for the scene.
                 if stop || is_due(done, self.options.checkpoint_every) {
                     written?;

@@ -356,6 +356,21 @@ fn a_resumed_run_says_why_it_has_no_surface() {
     assert!(why.contains("surface") && why == why_then, "{why:?} {why_then:?}");
 }
 
+/// Also while the last scores of a phase are made: what follows takes minutes.
+#[test]
+fn a_stop_at_the_end_of_a_phase_is_heeded_there() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
+    let short = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: Some(5), ..options() };
+    let (options, path) = (TrainOptions { checkpoint_every: 1000, ..short }, folder.path().join("checkpoint"));
+    let stop = AtomicBool::new(false);
+    let progress = &mut |p: &Progress| stop.store((p.phase, p.iteration) == (Phase::Surface, 10), Ordering::Relaxed);
+    let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, false), stop: &stop, progress };
+    let trained = train(&capture, MeshSource::Splats, &options, session).unwrap();
+    assert_eq!((trained.outcome, trained.no_surface), (Outcome::Interrupted, None));
+    assert_eq!(Checkpoint::read(&path).unwrap().meta["phase"], serde_json::to_value(Phase::Surface).unwrap());
+}
+
 /// Nor do maps that have no room for its charts end the run.
 #[test]
 fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {
