@@ -48,11 +48,12 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
-    let width = capture.views.iter().map(|view| view.camera.intrinsics().width).max().unwrap_or(0);
-    let large = (width > USUAL_WIDTH).then(|| {
+    let widest = capture.views.iter().map(|view| view.camera.intrinsics()).max_by_key(|k| k.width);
+    let large = widest.filter(|k| k.width > USUAL_WIDTH).map(|k| {
+        let side = (f64::from(k.longer_side()) * f64::from(USUAL_WIDTH) / f64::from(k.width)).round();
         format!(
-            "has pictures {width} pixels wide, as they are trained on: results are usually given for {USUAL_WIDTH} \
-             (--max-side {USUAL_WIDTH} or --downscale)"
+            "has pictures {} pixels wide, as they are trained on: results are usually given for {USUAL_WIDTH} (--max-side {side} or --downscale)",
+            k.width
         )
     });
     let finds_surface = args.mesh.is_none() && !args.no_mesh;
