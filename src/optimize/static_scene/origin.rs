@@ -71,8 +71,36 @@ impl Origin {
 mod tests {
     use glam::Vec3;
 
+    use std::sync::atomic::AtomicBool;
+
+    use super::super::{Checkpoints, Session, train};
     use super::*;
-    use crate::{capture::LoadOptions, geometry::Surface};
+    use crate::{
+        capture::{Downscale, LoadOptions},
+        geometry::Surface,
+        optimize::TrainOptions,
+        render::gpu::Gpu,
+    };
+
+    /// Who moves the capture by hand has the same scene, to the last bit.
+    #[test]
+    fn runs_far_away_are_those_around_the_origin() {
+        let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        let load = LoadOptions { downscale: Downscale::MaxSide(48), ..LoadOptions::default() };
+        let near = capture::open(&demo, &load).unwrap();
+        let shift = DVec3::new(600.0, -800.0, 100.0) * capture::extent(&near.cameras());
+        let by = |shift| Similarity::new(1.0, DMat3::IDENTITY, shift).unwrap();
+        let far = Origin { there: by(shift), back: by(-shift) }.capture(&near).unwrap();
+        let origin = Origin::of(&far).unwrap().unwrap();
+        let (gpu, stop) = (Gpu::open(None).unwrap(), AtomicBool::new(false));
+        let options = TrainOptions { iterations: 30, max_splats: Some(500), ..TrainOptions::default() };
+        let run = |capture: &Capture| {
+            let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
+            train(capture, MeshSource::None, &options, session).unwrap()
+        };
+        let by_hand = origin.trained(run(&origin.capture(&far).unwrap())).unwrap();
+        assert_eq!(run(&far).scene.splats, by_hand.scene.splats);
+    }
 
     /// Of a panorama without points nothing but its cameras, which rounding sets apart, says how large it is.
     #[test]
@@ -103,7 +131,7 @@ mod tests {
         assert!(mean.length() < 1e-9 && Origin::of(&moved).unwrap().is_none());
         let apart = |capture: &Capture| capture.points[0].position.distance(capture.views[0].camera.center());
         assert!((apart(&moved) - apart(&near)).abs() < 1e-9);
-        // Vertices that nobody moves come back to the bit.
+        // Vertices that nobody moves, and are far away along each axis, come back to the bit.
         let positions: Vec<Vec3> = far.points.iter().map(|point| point.position.as_vec3()).collect();
         let surface = Surface { positions: positions.clone(), triangles: vec![[0, 1, 2]] };
         let MeshSource::Given { surface, .. } = origin.mesh(MeshSource::Given { surface, corner_uvs: None }) else {
