@@ -1,5 +1,5 @@
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;
 
 use glam::{DVec3, Vec3, Vec3A};
@@ -44,7 +44,11 @@ pub struct ClosestPoint {
 /// The boxes are f32, relative to the centre of the scene and padded so that rounding cannot lose a triangle; the
 /// intersections are f64 from the f32 vertices.
 pub struct MeshBvh {
+    /// Over distinct boxes: the builder takes time quadratic in those that are equal.
     tree: Bvh2,
+    /// Where the triangles of each box begin, and the end.
+    starts: Vec<usize>,
+    /// In the order of their boxes.
     triangles: Vec<Indexed>,
     center: DVec3,
     radius: f64,
@@ -92,16 +96,28 @@ impl MeshBvh {
         let (center, radius) =
             if triangles.is_empty() { (DVec3::ZERO, 0.0) } else { ((low + high) / 2.0, low.distance(high) / 2.0) };
         let padding = Vec3A::splat((radius * BOX_PADDING) as f32);
-        let boxes: Vec<Boxed> = triangles
-            .iter()
-            .map(|t| {
-                let local = t.corners.map(|p| (p.as_dvec3() - center).as_vec3a());
-                let tight = Aabb::from_points(&local);
-                Boxed(Aabb { min: tight.min - padding, max: tight.max + padding })
-            })
-            .collect();
+        let mut boxes: Vec<Boxed> = vec![];
+        let mut known: HashMap<[u32; 6], usize> = HashMap::with_capacity(triangles.len());
+        let mut in_boxes: Vec<(usize, Indexed)> = Vec::with_capacity(triangles.len());
+        for t in triangles {
+            let local = t.corners.map(|p| (p.as_dvec3() - center).as_vec3a());
+            let tight = Aabb::from_points(&local);
+            let padded = Aabb { min: tight.min - padding, max: tight.max + padding };
+            let ([a, b, c], [d, e, f]) = (padded.min.to_array(), padded.max.to_array());
+            let index = *known.entry([a, b, c, d, e, f].map(f32::to_bits)).or_insert_with(|| {
+                boxes.push(Boxed(padded));
+                boxes.len() - 1
+            });
+            in_boxes.push((index, t));
+        }
+        // Stable: those of a box stay in order.
+        in_boxes.sort_by_key(|(index, _)| *index);
+        let mut starts = vec![0; boxes.len() + 1];
+        in_boxes.iter().for_each(|(index, _)| starts[index + 1] += 1);
+        (0..boxes.len()).for_each(|i| starts[i + 1] += starts[i]);
+        let triangles = in_boxes.into_iter().map(|(_, triangle)| triangle).collect();
         let tree = build_bvh2(&boxes, BvhBuildParams::medium_build(), &mut Duration::default());
-        Self { tree, triangles, center, radius }
+        Self { tree, starts, triangles, center, radius }
     }
 
     /// That of these meshes.
@@ -123,7 +139,8 @@ impl MeshBvh {
         let mut hits = Vec::new();
         let Some(local) = self.local_ray(origin.into(), dir.into(), t_max) else { return hits };
         self.tree.ray_traverse_anyhit(local.boxes, |_, slot| {
-            hits.extend(self.intersect(slot, &local).filter(|h| h.t >= 0.0 && h.t < t_max));
+            let met = self.triangles_at(slot).iter().filter_map(|triangle| triangle.intersect(&local));
+            hits.extend(met.filter(|h| h.t >= 0.0 && h.t < t_max));
         });
         hits.sort_by(|a, b| a.t.total_cmp(&b.t).then((a.mesh, a.triangle).cmp(&(b.mesh, b.triangle))));
         hits
@@ -156,9 +173,9 @@ impl MeshBvh {
             }
             is_new
         };
-        let missed = self.tree.ray_traverse_miss(local.boxes, |_, slot| match self.intersect(slot, &local) {
-            Some(hit) if is_new(hit.t) => 0.0,
-            _ => f32::INFINITY,
+        let missed = self.tree.ray_traverse_miss(local.boxes, |_, slot| {
+            let mut met = self.triangles_at(slot).iter().filter_map(|triangle| triangle.intersect(&local));
+            if met.any(|hit| is_new(hit.t)) { 0.0 } else { f32::INFINITY }
         });
         count == 0 || !missed
     }
@@ -189,8 +206,8 @@ impl MeshBvh {
                 queue.extend([first, first + 1].map(|child| Reverse((distance_to(child).to_bits(), child))));
                 continue;
             }
-            for slot in node.first_index..node.first_index + node.prim_count {
-                let t = &self.triangles[self.tree.primitive_indices[slot as usize] as usize];
+            let slots = node.first_index..node.first_index + node.prim_count;
+            for t in slots.flat_map(|slot| self.triangles_at(slot as usize)) {
                 let corners = t.corners.map(Vec3::as_dvec3);
                 let barycentrics = closest_barycentrics(point, corners);
                 let position = weighted(corners, barycentrics);
@@ -221,9 +238,16 @@ impl MeshBvh {
         Some(LocalRay { boxes, nearest, shift, dir })
     }
 
-    fn intersect(&self, slot: usize, ray: &LocalRay) -> Option<Hit> {
-        let t = &self.triangles[self.tree.primitive_indices[slot] as usize];
-        let [a, b, c] = t.corners.map(|p| p.as_dvec3() - ray.nearest);
+    /// Those of the box in this place of the tree's leaves.
+    fn triangles_at(&self, slot: usize) -> &[Indexed] {
+        let index = self.tree.primitive_indices[slot] as usize;
+        &self.triangles[self.starts[index]..self.starts[index + 1]]
+    }
+}
+
+impl Indexed {
+    fn intersect(&self, ray: &LocalRay) -> Option<Hit> {
+        let [a, b, c] = self.corners.map(|p| p.as_dvec3() - ray.nearest);
         // Signed volumes of the ray with each edge.
         let volumes = DVec3::new(ray.dir.dot(b.cross(c)), ray.dir.dot(c.cross(a)), ray.dir.dot(a.cross(b)));
         let barycentrics = volumes / volumes.element_sum();
@@ -231,7 +255,7 @@ impl MeshBvh {
         let t_hit = a.dot(normal) / ray.dir.dot(normal) + ray.shift;
         // The tests fail on the NaN and infinity of a degenerate triangle or one seen edge-on.
         (barycentrics.min_element() >= -EDGE_TOLERANCE && t_hit.is_finite() && barycentrics.is_finite())
-            .then_some(Hit { t: t_hit, mesh: t.mesh, triangle: t.triangle, barycentrics })
+            .then_some(Hit { t: t_hit, mesh: self.mesh, triangle: self.triangle, barycentrics })
     }
 }
 
@@ -402,6 +426,20 @@ mod tests {
             assert!(closest.distance >= nearest - 0.05);
             assert!(closest.barycentrics.min_element() >= 0.0);
         }
+    }
+
+    /// The builder alone would take minutes for these.
+    #[test]
+    fn equal_triangles_share_a_box() {
+        let (positions, one) = (vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z], [[0, 1, 2], [1, 2, 3]]);
+        let triangles: Vec<[u32; 3]> = (0..40_000).map(|i| one[usize::from(i % 1000 == 0)]).collect();
+        let tree = bvh(&[(positions, triangles)]);
+        assert_eq!(tree.tree.primitive_indices.len(), 2);
+        let hits = tree.all_hits(Vec3::new(0.2, 0.2, -1.0), Vec3::Z);
+        assert!(hits[..39_960].is_sorted_by_key(|h| h.triangle) && hits.len() == 40_000, "{}", hits.len());
+        assert_eq!(hits[39_960..].iter().map(|h| h.triangle).collect::<Vec<_>>()[..2], [0, 1000]);
+        assert!(tree.has_layers(2, Vec3::new(0.2, 0.2, -1.0), Vec3::Z, 0.0, f64::INFINITY));
+        assert!(!tree.has_layers(3, Vec3::new(0.2, 0.2, -1.0), Vec3::Z, 0.0, f64::INFINITY));
     }
 
     #[test]
