@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::Run;
 use crate::{
     geometry::{self, TexelSight, TexelVisibility, Viewers},
-    optimize::{TrainError, resolution::ResolutionSchedule},
+    optimize::{TrainError, resolution::ResolutionSchedule, surface::LEAST_ALPHA},
     scene::{Atlas, Mesh, Texture},
 };
 
@@ -17,7 +17,7 @@ const RIM: usize = 2;
 /// Opacity logit of what is not seen: the least that maps have (`adam_texels.wgsl`).
 pub(super) const TRANSPARENT: f32 = -6.0;
 
-/// Which pixels of a photograph a mask leaves in, 64 to a number.
+/// Which pixels of a photograph a mask leaves in, for the most part, 64 to a number.
 pub(super) struct MaskBits {
     width: usize,
     pixels: Vec<u64>,
@@ -104,7 +104,8 @@ fn hidden(sights: &TexelVisibility, reached: &[bool], rim: usize) -> Vec<bool> {
 
 impl MaskBits {
     fn new(width: usize, rgba: &[u8]) -> Self {
-        let bits = |row: &[u8]| row.chunks_exact(4).rev().fold(0, |bits, rgba| bits << 1 | u64::from(rgba[3] > 0));
+        let bits =
+            |row: &[u8]| row.chunks_exact(4).rev().fold(0, |bits, rgba| bits << 1 | u64::from(rgba[3] >= LEAST_ALPHA));
         Self { width, pixels: rgba.chunks(4 * 64).map(bits).collect() }
     }
 
