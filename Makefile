@@ -13,6 +13,7 @@ BENCH_FLAGS ?=
 ABLATIONS_ARGUMENTS ?=
 UNBOUNDED_FLAGS ?=
 EQUAL_FLOATS_ARGUMENTS ?=
+TRAINED ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
@@ -120,11 +121,13 @@ left-out:
 test-oracles: $(filter-out oracle-ffmpeg,$(filter oracle-% bench-ray,$(CHECKS))) oracle-ffmpeg ## compare with programs of others from PyPI and npm, and with ffmpeg (Python 3.11 with venv, Node 20; 11 GB)
 
 # A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
+# TRAINED=SCENE.glb takes one that is there.
 oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
 	@mkdir -p target/oracles
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
-	$(CENTAUR) train demo -o target/oracles/trained.glb $(COARSE)
-	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb --trained target/oracles/trained.glb
+	$(if $(TRAINED),,$(CENTAUR) train demo -o target/oracles/trained.glb $(COARSE))
+	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb \
+		--trained $(or $(TRAINED),target/oracles/trained.glb)
 
 oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE) ## picture and gradients of real splats by gsplat's own reference in torch
 	$(call IGNORED_TESTS,gsplat_oracle) --nocapture

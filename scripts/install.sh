@@ -15,7 +15,7 @@ echo "installing $*"
 for attempt in 1 2 3; do
     # sudo drops the environment, hence env.
     if "${as_root[@]}" apt-get update -qq &&
-        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null; then
+        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends "$@" >/dev/null; then
         exit 0
     fi
     [ $attempt -eq 3 ] || sleep $((attempt * 10))

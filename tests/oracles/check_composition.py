@@ -10,6 +10,8 @@ if an image differs by MOST in any value, or by more than LIMIT on average: a te
 of which pass a threshold of the text (a part of 1/255, a transmittance of 10⁻⁴) by less than single precision tells: there alone,
 CUT_OFFS of the values may differ by more than MOST, none by FAR.
 """
+import concurrent.futures
+import functools
 import itertools
 import json
 import os
@@ -82,22 +84,32 @@ def centaur_render(program, asset):
     return np.where(image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 0) ** (1 / 2.4) - 0.055)
 
 
+def both(asset, program, rule):
+    """The image by this rule, its λ, and how far the program's differs from it."""
+    mode, layers, share = rule
+    contract = contract_of(asset)
+    contract.update(mode=mode, layers=layers)
+    contract.pop("lambda", None)
+    if share:
+        depths = project_splats(asset, View(asset), 0.0)[0]
+        contract["lambda"] = float(np.float32(share * np.ptp(depths)))
+    image = render(asset)
+    return image, contract.get("lambda", np.inf), abs(image - centaur_render(program, asset))
+
+
 def compare(name, asset, program, trained):
     """Whether all modes, numbers of layers and a finite and the infinite λ are within the limits; and the images."""
     ok, images = True, {}
-    depths = project_splats(asset, View(asset), 0.0)[0]
-    for mode, (layers, share) in itertools.product(MODES, [(1, 0.1), (2, 0.1), (4, 0.1), (2, None)]):
-        contract = contract_of(asset)
-        contract.update(mode=mode, layers=layers)
-        contract.pop("lambda", None)
-        if share:
-            contract["lambda"] = float(np.float32(share * np.ptp(depths)))
-        image = images[mode, layers, share] = render(asset)
-        difference = abs(image - centaur_render(program, asset))
+    rules = [(mode, *rest) for mode, rest in itertools.product(MODES, [(1, 0.1), (2, 0.1), (4, 0.1), (2, None)])]
+    with concurrent.futures.ProcessPoolExecutor() as processes:
+        results = list(processes.map(functools.partial(both, asset, program), rules))
+    for rule, (image, lambda_, difference) in zip(rules, results):
+        mode, layers, _ = rule
+        images[rule] = image
         apart = int((difference >= MOST).sum())
         within = difference.mean() < LIMIT and (difference.max() < MOST or trained and difference.max() < FAR and apart <= CUT_OFFS * difference.size)
         ok &= within
-        print(f"{name:18} {mode:18} L {layers} λ {contract.get('lambda', np.inf):<6.2g} mean {difference.mean():.1e}  "
+        print(f"{name:18} {mode:18} L {layers} λ {lambda_:<6.2g} mean {difference.mean():.1e}  "
               f"max {difference.max():.1e}  above {MOST}: {apart} of {difference.size}{'' if within else '  FAILED'}", flush=True)
     return ok, images
 
