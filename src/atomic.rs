@@ -158,7 +158,12 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
             fs::hard_link(place, &kept).or_else(|_| fs::copy(place, &kept).map(drop))?;
             Ok(Some(kept))
         };
-        match keep().and_then(|kept| fs::rename(file, place).map(|()| kept)) {
+        let replace = || {
+            #[cfg(unix)]
+            keep_mode(file, place)?;
+            fs::rename(file, place)
+        };
+        match keep().and_then(|kept| replace().map(|()| kept)) {
             Ok(kept) => former.push((*place, kept)),
             Err(error) => {
                 for (place, kept) in former.into_iter().rev() {
@@ -170,6 +175,16 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
         }
     }
     Ok(())
+}
+
+/// Gives a file the permissions of what it is to replace: what others may not read stays so.
+#[cfg(unix)]
+fn keep_mode(file: &Path, place: &Path) -> io::Result<()> {
+    use std::os::unix::fs::PermissionsExt as _;
+    let Ok(former) = fs::metadata(place) else { return Ok(()) };
+    let [former, new] = [former, fs::metadata(file)?].map(|file| file.permissions().mode() & 0o777);
+    // Not all file systems have any.
+    if former == new { Ok(()) } else { fs::set_permissions(file, fs::Permissions::from_mode(former)) }
 }
 
 /// Of the names of temporary files and folders.
@@ -188,10 +203,12 @@ pub(crate) fn write_with(
     let path = place_of(path)?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX);
-    // Temporary files are private by default; a result is as readable as the umask allows, like any other file.
+    // Temporary files are private by default; a result is as readable as the umask allows, like any other file, or as the former one.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let (_listed, mut temporary) = listed(|| builder.tempfile_in(folder_of(&path)))?;
+    #[cfg(unix)]
+    keep_mode(temporary.path(), &path)?;
     let mut out = BufWriter::with_capacity(1 << 20, temporary.as_file_mut());
     produce(&mut out)?;
     out.flush()?;
@@ -232,6 +249,26 @@ mod tests {
         assert!(link.is_symlink());
         assert_eq!(fs::read(&file).unwrap(), b"new");
         assert_eq!([&folder, &other].map(|f| fs::read_dir(f.path()).unwrap().count()), [1, 1]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn permissions_of_what_is_replaced_are_kept() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        for mode in [0o600, 0o664] {
+            fs::write(&path, b"old").unwrap();
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            write(&path, b"new").unwrap();
+            let staging = Staging::within(folder.path()).unwrap();
+            let staged = staging.path().join("staged");
+            assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, mode);
+            write(&staged, b"newer").unwrap();
+            replace_all(&staging, &[(&staged, &path)]).unwrap();
+            let is = (fs::read(&path).unwrap(), fs::metadata(&path).unwrap().permissions().mode() & 0o777);
+            assert_eq!(is, (b"newer".to_vec(), mode));
+        }
     }
 
     #[test]
