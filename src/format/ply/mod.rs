@@ -89,8 +89,8 @@ fn encode_rows(splats: &Splats, attributes: &[Attribute], rows: Range<usize>) ->
     bytes
 }
 
-/// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 3 by
-/// the number of `f_rest` properties; other properties and elements are ignored, but for `filter_3D` of Mip-Splatting, the standard deviation that each
+/// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 4, of which 3 are kept, by
+/// the number of `f_rest` properties, and flat ones without `scale_2` (2DGS); other properties and elements are ignored, but for `filter_3D` of Mip-Splatting, the standard deviation that each
 /// splat is smoothed with, which becomes part of scale and opacity. The layout of [`compressed`] is told by its properties.
 ///
 /// Infinite logits (opacities of exactly 0 or 1, as writers make them from 8-bit alpha) and log-scales of −∞ (scales of
@@ -192,10 +192,23 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     let means = vertex.columns(["x", "y", "z"])?;
     let dc = vertex.columns(["f_dc_0", "f_dc_1", "f_dc_2"])?;
     let [opacity] = vertex.columns(["opacity"])?;
-    let scales = vertex.columns(["scale_0", "scale_1", "scale_2"])?;
+    let scales = vertex.columns(["scale_0", "scale_1"])?;
+    let thickness = vertex.column("scale_2");
+    if thickness.is_none() {
+        notes.push(format!("scale_2 is not there, as of 2DGS: splats are flat, {FLAT:e} thick"));
+    }
+    if vertex.scalar(BINDING).is_some() {
+        notes.push(format!(
+            "{BINDING}: of GaussianAvatars: positions, rotations and scales are relative to triangles of a mesh that is not here; they are read as they are"
+        ));
+    }
     let wxyz = vertex.columns(["rot_0", "rot_1", "rot_2", "rot_3"])?;
     let rest = rest_columns(vertex);
-    let (sh_degree, bands) = (degree_of_rest(rest.len()).map_err(|fault| fault.at_byte(vertex.at))?, rest.len() / 3);
+    let (stored, bands) = (degree_of_rest(rest.len()).map_err(|fault| fault.at_byte(vertex.at))?, rest.len() / 3);
+    let sh_degree = stored.min(sh::MAX_DEGREE);
+    if sh_degree < stored {
+        notes.push(format!("SH bands above degree {sh_degree} of {stored} are left out"));
+    }
     let filter = vertex.column(FILTER_3D);
     if filter.is_some() {
         notes.push(format!("{FILTER_3D} of Mip-Splatting: made part of scales and opacities"));
@@ -210,7 +223,8 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
         sh[0] = dc.map(v);
         sh[1..].iter_mut().zip(0..bands).for_each(|(s, c)| *s = [0, 1, 2].map(|channel| v(rest[channel * bands + c])));
         let [w, x, y, z] = wxyz.map(v);
-        let log_scale = Vec3::from(scales.map(v).map(finite_log_scale));
+        let [first, second] = scales.map(v);
+        let log_scale = Vec3::new(first, second, thickness.map_or(FLAT.ln(), v)).map(finite_log_scale);
         let (log_scale, opacity_logit) =
             smoothed_parameters(log_scale, finite_logit(v(opacity)), filter.map_or(0.0, |column| v(column).abs()));
         SplatRecord {
@@ -247,6 +261,12 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     let splats = arrays.check().map_err(|e| body.locate(&header, "vertex", |i| i, e.into()))?;
     Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped })
 }
+
+/// Thickness of splats that have none.
+const FLAT: f32 = 1e-6;
+
+/// `GaussianAvatars`' triangle of a FLAME mesh that a splat hangs on.
+const BINDING: &str = "binding_0";
 
 /// Mip-Splatting's standard deviation of the Gaussian that a splat is smoothed with, beside scale and opacity before that.
 const FILTER_3D: &str = "filter_3D";
@@ -292,11 +312,11 @@ fn rest_columns(element: &Element) -> Vec<Column> {
     (0..90).map_while(|i| element.column(&format!("f_rest_{i}"))).collect()
 }
 
-/// SH degree that has `rest` coefficients above the first, in three channels.
+/// SH degree that has `rest` coefficients above the first, in three channels; one more than a scene holds is known.
 fn degree_of_rest(rest: usize) -> Result<u32, Fault> {
-    (0..=sh::MAX_DEGREE)
+    (0..=sh::MAX_DEGREE + 1)
         .find(|&d| rest == 3 * (sh::coefficients(d) - 1))
-        .ok_or_else(|| Fault::whole("0, 9, 24 or 45 `f_rest` properties", rest.to_string()))
+        .ok_or_else(|| Fault::whole("0, 9, 24, 45 or 72 `f_rest` properties", rest.to_string()))
 }
 
 fn finite_logit(logit: f32) -> f32 {
@@ -342,6 +362,44 @@ mod tests {
         let content = std::fs::read(&path).unwrap();
         assert_eq!(bytes, content.len() as u64);
         content
+    }
+
+    /// Of splats of degree 3: 2DGS lacks the third scale, others have a band more, `GaussianAvatars` what they hang on.
+    #[test]
+    fn layouts_near_inrias_are_read_with_a_note() {
+        let splats = random_splats(2, 3, 5);
+        let plain = written(&splats);
+        let end = plain.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let header = std::str::from_utf8(&plain[..end]).unwrap();
+        let rows: Vec<Vec<f32>> = plain[end..].chunks_exact(62 * 4).map(bytemuck::pod_collect_to_vec).collect();
+        let read = |header: &str, rows: Vec<Vec<f32>>| {
+            let body: Vec<u8> = rows.concat().iter().flat_map(|v| v.to_le_bytes()).collect();
+            let read = parse(Cursor::new([header.as_bytes(), &body].concat()), false).unwrap();
+            assert_eq!((read.notes.len(), read.splats.means()), (1, splats.means()), "{:?}", read.notes);
+            read
+        };
+        let flat = header.replace("property float scale_2\n", "");
+        let flat = read(&flat, rows.iter().map(|row| [&row[..57], &row[58..]].concat()).collect());
+        assert!(flat.notes[0].starts_with("scale_2 is not there, as of 2DGS"), "{:?}", flat.notes);
+        for (read, written) in flat.splats.log_scales().iter().zip(splats.log_scales()) {
+            assert_eq!(*read, Vec3::new(written.x, written.y, 1e-6f32.ln()));
+        }
+        let names: String = (45..72).map(|i| format!("property float f_rest_{i}\n")).collect();
+        let header_of_4 = header.replace("property float opacity", &format!("{names}property float opacity"));
+        let more = rows.iter().map(|row| {
+            let channels = (0..3).flat_map(|c| [&row[9 + 15 * c..24 + 15 * c], &[7.0; 9]].concat());
+            row[..9].iter().copied().chain(channels).chain(row[54..].iter().copied()).collect()
+        });
+        let of_4 = read(&header_of_4, more.collect());
+        assert_eq!(
+            (of_4.notes[0].as_str(), of_4.splats.sh()),
+            ("SH bands above degree 3 of 4 are left out", splats.sh())
+        );
+        assert!(of_4.attributes.is_empty());
+        let bound = header.replace("end_header", "property float binding_0\nend_header");
+        let bound = read(&bound, rows.iter().map(|row| [&row[..], &[5.0]].concat()).collect());
+        assert!(bound.notes[0].starts_with("binding_0: of GaussianAvatars"), "{:?}", bound.notes);
+        assert_eq!(bound.attributes[0].values(), [5.0, 5.0]);
     }
 
     /// As its renderer has it: scales and opacities after the filter of 3-D, pictures by that of 2-D.

@@ -11,15 +11,13 @@ use crate::scene::sh;
 /// Logits beyond which opacities in f32 are 0 or 1.
 const SATURATED: f64 = 20.0;
 
-/// Properties of every splat.
-const REQUIRED: [&str; 14] = [
-    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
-    "rot_3",
-];
+/// Properties of every splat, but for the third scale, which flat ones do without.
+const REQUIRED: [&str; 13] =
+    ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"];
 
 /// Whether a splat is made of the property, be it one of every splat, of higher bands, or the filter of Mip-Splatting.
 fn is_parameter(name: &str) -> bool {
-    REQUIRED.contains(&name) || name == "filter_3D" || name.starts_with("f_rest_")
+    REQUIRED.contains(&name) || ["scale_2", "filter_3D"].contains(&name) || name.starts_with("f_rest_")
 }
 
 /// Checks a PLY in the INRIA layout, or a packed one. Any other (points, meshes) is held to its header and length alone.
@@ -56,8 +54,24 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     if !missing.is_empty() {
         return findings.error("PLY_PROPERTY_MISSING", declared(), missing.join(", "), "none of these");
     }
+    if vertex.scalar("scale_2").is_none() {
+        let expected = "scale_2, the third scale, as other readers demand";
+        findings.warning("PLY_FLAT", declared(), expected, "none, as of 2DGS");
+    }
+    if vertex.scalar("binding_0").is_some() {
+        let expected = "positions, rotations and scales in the world";
+        findings.warning(
+            "PLY_BINDING",
+            declared(),
+            expected,
+            "`binding_0`: relative to triangles of a mesh, as of GaussianAvatars",
+        );
+    }
     let rest = (0..90).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
-    if !(0..=sh::MAX_DEGREE).any(|d| rest == 3 * (sh::coefficients(d) - 1)) {
+    let of_degree = |d: u32| 3 * (sh::coefficients(d) - 1);
+    if rest == of_degree(sh::MAX_DEGREE + 1) {
+        findings.warning("PLY_SH_COUNT", declared(), "bands up to degree 3, as readers have them", "one more");
+    } else if !(0..=sh::MAX_DEGREE).any(|d| rest == of_degree(d)) {
         findings.error("PLY_SH_COUNT", declared(), "0, 9, 24 or 45 properties `f_rest_0`, …", rest);
     }
     check_values(&ply, &mut body, findings);
@@ -65,13 +79,12 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
 
 fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Findings) {
     let Some(vertex) = ply.element("vertex") else { return };
-    let (Ok([opacity]), Ok(scales), Ok(rotation)) = (
-        vertex.scalars(["opacity"]),
-        vertex.scalars(["scale_0", "scale_1", "scale_2"]),
-        vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"]),
-    ) else {
+    let (Ok([opacity]), Ok(rotation)) =
+        (vertex.scalars(["opacity"]), vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"]))
+    else {
         return;
     };
+    let scales: Vec<usize> = ["scale_0", "scale_1", "scale_2"].iter().filter_map(|name| vertex.scalar(name)).collect();
     let names = vertex.scalar_names();
     let mut row_number = 0usize;
     let mut not_finite: Vec<(Offenders, usize)> = names.iter().map(|_| Default::default()).collect();
@@ -247,6 +260,16 @@ mod tests {
         assert_eq!(code(&header.replace("nx", "ny"), body), "PLY_PROPERTY_TWICE");
         assert_eq!(code(&header.replace("rot_2", "rotation_2"), body), "PLY_PROPERTY_MISSING");
         assert_eq!(code(&header.replace("nx", "f_rest_0"), body), "PLY_SH_COUNT");
+        // Read with a note.
+        let put_up_with = |header: &str, body: &[u8], code: &str| {
+            let found = findings(&[header.as_bytes(), body].concat());
+            assert!(found.len() == 1 && (found[0].code, found[0].severity) == (code, Severity::Warning), "{found:?}");
+        };
+        put_up_with(&header.replace("scale_2", "thickness"), body, "PLY_FLAT");
+        put_up_with(&header.replace("nx", "binding_0"), body, "PLY_BINDING");
+        let rest: String = (0..72).map(|i| format!("property float f_rest_{i}\n")).collect();
+        let of_degree_4 = header.replace("vertex 3", "vertex 0").replace("end_header", &format!("{rest}end_header"));
+        put_up_with(&of_degree_4, b"", "PLY_SH_COUNT");
         let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n";
         assert_eq!(code(points, b"1.0"), "PLY_CONTENT");
         assert_eq!(code(&points.replace("float x", "float opacity"), b"1.0"), "PLY_PROPERTY_MISSING");
