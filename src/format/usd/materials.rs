@@ -154,8 +154,8 @@ impl<'a> Materials<'a> {
         // What glows in places has a picture of its colour, too.
         let (input, what) = if emits && !is_picture(DIFFUSE) { (EMISSION, "emissive") } else { (DIFFUSE, "diffuse") };
         notes.push(format!("{path}: shown by its {what} colour alone, unlit"));
-        let color = self.picture(stage, shader, input, [0.18; 3], true)?;
-        let mut opacity = self.picture(stage, shader, "inputs:opacity", [1.0; 3], false)?;
+        let color = self.picture(stage, shader, input, [0.18; 3], true, notes)?;
+        let mut opacity = self.picture(stage, shader, "inputs:opacity", [1.0; 3], false, notes)?;
         let threshold = stage.number(shader, "inputs:opacityThreshold").unwrap_or(0.0) as f32;
         if threshold > 0.0 {
             opacity.texels.iter_mut().for_each(|t| *t = t.map(|a| f32::from(a >= threshold)));
@@ -201,7 +201,8 @@ impl<'a> Materials<'a> {
         Ok(Atlas::new(Texture::new(width, height, 4, (0..pixels).flat_map(texel).collect())?, None)?)
     }
 
-    /// An input of a shader as it is shown: a colour in the space of blending, or a number.
+    /// An input of a shader as it is shown: a colour in the space of blending, or a number. In the place of a picture that cannot be had is, with
+    /// a note, what the texture has for that, or the default.
     fn picture(
         &mut self,
         stage: &Stage<'_>,
@@ -209,6 +210,7 @@ impl<'a> Materials<'a> {
         input: &'static str,
         default: [f32; 3],
         is_color: bool,
+        notes: &mut Vec<String>,
     ) -> Result<Picture, Fault> {
         let space = self.space;
         let shown = |rgb: [f32; 3]| if is_color { space.from_linear(rgb) } else { rgb };
@@ -232,9 +234,6 @@ impl<'a> Materials<'a> {
             Some(Source::Value(Value::Asset(file))) => file,
             _ => return Err(Fault::pointer(format!("{at}.inputs:file"), "the path of a picture", "none")),
         };
-        let texels = self.place.read(file).and_then(decode);
-        let Texels { width, height, rgba, is_srgb_by_custom, encoded: identity } =
-            texels.map_err(|(expected, found)| Fault::pointer(format!("{at}.inputs:file"), expected, found))?;
         let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
             "r" => [0; 3],
             "g" => [1; 3],
@@ -242,6 +241,15 @@ impl<'a> Materials<'a> {
             "a" => [3; 3],
             _ => [0, 1, 2],
         };
+        let texels = match self.place.read(file).and_then(decode) {
+            Ok(texels) => texels,
+            Err((expected, found)) => {
+                notes.push(format!("{at}.inputs:file is left out: expected {expected}, found {found}"));
+                let stated = stage.numbers::<4>(texture, "inputs:fallback");
+                return Ok(Picture::constant(shown(stated.map_or(default, |v| channels.map(|c| v[c] as f32)))));
+            }
+        };
+        let Texels { width, height, rgba, is_srgb_by_custom, encoded: identity } = texels;
         // `auto` is sRGB for pictures of 8 bits in colour; alpha is linear always.
         let stated = stage.text(texture, "inputs:sourceColorSpace").unwrap_or("auto");
         let is_srgb = stated == "sRGB" || stated == "auto" && is_color && is_srgb_by_custom;

@@ -197,6 +197,11 @@ fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
         left_out.add("made invisible left out, with what is below");
         return false;
     }
+    // What it scatters lies below it, and is not drawn there.
+    if prim.type_name == "PointInstancer" {
+        left_out.add("of type PointInstancer left out, with what is below");
+        return false;
+    }
     if matches!(prim.value("purpose").and_then(Value::as_text), Some("proxy" | "guide")) {
         left_out.add("of purpose proxy or guide left out, with what is below");
         return false;
