@@ -321,6 +321,45 @@ fn sparse_elements_with_and_without_a_base() {
 }
 
 #[test]
+fn pictures_of_the_core_that_cannot_be_had_are_left_out() {
+    let (mut b, attributes) = triangle();
+    let nonsense = b.view(b"no picture");
+    for (image, reason) in [
+        (json!({ "uri": "missing.png" }), "/images/0/uri: expected "),
+        (
+            json!({ "bufferView": nonsense, "mimeType": "image/png" }),
+            "/images/0: expected a PNG, JPEG or WebP image, found ",
+        ),
+    ] {
+        let file = b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [{
+                "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "baseColorFactor": [0.5, 1, 1, 1] },
+                "extensions": { "KHR_materials_unlit": {} },
+            }],
+            "textures": [{ "source": 0 }], "images": [image],
+        }));
+        let file = file.unwrap();
+        let said = format!("/materials/0/pbrMetallicRoughness/baseColorTexture is left out: {reason}");
+        assert!(file.notes.len() == 1 && file.notes[0].starts_with(&said), "{:?}", file.notes);
+        // Half the light is 0.735 in sRGB.
+        near(&shown(&file.scene.meshes[0], 0), &[0.735_357, 1.0, 1.0, 1.0], 1e-5);
+    }
+}
+
+#[test]
+fn what_leaves_the_base_colour_alone_may_be_required() {
+    let (b, attributes) = triangle();
+    let file = b.read(json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+        "extensionsRequired": ["KHR_materials_clearcoat", "KHR_lights_punctual"],
+    }));
+    let said =
+        ["KHR_materials_clearcoat", "KHR_lights_punctual"].map(|e| format!("/extensionsRequired: {e} is not shown"));
+    assert_eq!(file.unwrap().notes[..2], said);
+}
+
+#[test]
 fn texture_coordinates_are_transformed() {
     // The lower left quarter of the picture, turned (the example of the extension's text).
     let transform =

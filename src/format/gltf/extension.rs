@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::format::error::Fault;
+use crate::format::error::{Fault, shown};
 use crate::scene::{ColorSpace, Composition, OrderMode, PixelFilter};
 
 /// Splats as a POINTS primitive.
@@ -299,17 +299,22 @@ impl SceneContract {
         }
     }
 
-    /// `at` is the JSON pointer of this object; `near` is for scenes that leave it to their cameras.
-    pub(crate) fn composition(&self, at: &str, near: f32) -> Result<Composition, Fault> {
-        let Some(mode) = OrderMode::ALL.into_iter().find(|mode| mode.name() == self.mode) else {
-            let expected = "stable, surfaceConsistent or direct";
-            return Err(Fault::pointer(format!("{at}/mode"), expected, format!("`{}`", self.mode)));
+    /// `at` is the JSON pointer of this object; `near` is for scenes that leave it to their cameras. Choices that are not known here are the
+    /// default, with a note.
+    pub(crate) fn composition(&self, at: &str, near: f32, notes: &mut Vec<String>) -> Result<Composition, Fault> {
+        let mode = OrderMode::ALL.into_iter().find(|mode| mode.name() == self.mode);
+        let mut note_unknown = |key: &str, token: &str, default: &str| {
+            let token = shown(token.as_bytes());
+            notes.push(format!("{at}/{key}: {token} is not known here, {default} is taken, the default"));
         };
-        if self.sort_key != "viewZ" {
-            return Err(Fault::pointer(format!("{at}/sortKey"), "viewZ", format!("`{}`", self.sort_key)));
+        if mode.is_none() {
+            note_unknown("mode", &self.mode, &stable());
+        }
+        if self.sort_key != view_z() {
+            note_unknown("sortKey", &self.sort_key, &view_z());
         }
         let composition = Composition {
-            mode,
+            mode: mode.unwrap_or(OrderMode::Stable),
             lambda: self.lambda.unwrap_or(f32::INFINITY),
             layers: self.layers,
             color_space: parse_color_space(&self.color_space, at)?,

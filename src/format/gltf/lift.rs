@@ -71,7 +71,7 @@ const ALWAYS: u64 = 1 << 30;
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
 
 /// Extensions without which a file cannot be understood, and which are understood here.
-pub(in crate::format) const UNDERSTOOD: [&str; 9] = [
+const UNDERSTOOD: [&str; 9] = [
     KHR_SPLATS,
     HYBRID,
     SPZ,
@@ -83,6 +83,25 @@ pub(in crate::format) const UNDERSTOOD: [&str; 9] = [
     // Quantised attributes are read like any others.
     "KHR_mesh_quantization",
 ];
+
+/// Extensions that leave the base colour alone, which is what is shown: files that require them are read without, with a note.
+const UNSHOWN: [&str; 8] = [
+    "KHR_lights_punctual",
+    "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
+    "KHR_materials_dispersion",
+    "KHR_materials_ior",
+    "KHR_materials_iridescence",
+    "KHR_materials_sheen",
+    "KHR_materials_specular",
+];
+
+/// What is expected in the place of an extension that a file requires; `None` if it can be read with that.
+pub(in crate::format) fn expected_for(required: &str) -> Option<String> {
+    let understood = || UNDERSTOOD.into_iter().chain(UNSHOWN);
+    let is_known = understood().any(|name| name == required);
+    (!is_known).then(|| format!("no other than {}", understood().collect::<Vec<_>>().join(", ")))
+}
 
 impl Asset {
     /// Opens a `.glb` or `.gltf` file with all its buffers.
@@ -210,11 +229,15 @@ impl Asset {
     /// As [`Self::check_version`]; refuses also files that require extensions without which they cannot be understood.
     pub(in crate::format) fn check_required(&self) -> Result<(), Fault> {
         self.check_version()?;
-        let Some(unknown) = self.extensions_required.iter().find(|e| !UNDERSTOOD.contains(&e.as_str())) else {
-            return Ok(());
-        };
-        let expected = format!("no other than {}", UNDERSTOOD.join(", "));
-        Err(Fault::pointer("/extensionsRequired", expected, format!("`{unknown}`")))
+        let refused = self.extensions_required.iter().find_map(|name| Some((name, expected_for(name)?)));
+        refused.map_or(Ok(()), |(name, expected)| {
+            Err(Fault::pointer("/extensionsRequired", expected, format!("`{name}`")))
+        })
+    }
+
+    /// Extensions that the file requires, and that it is read without.
+    pub(super) fn unshown(&self) -> impl Iterator<Item = &str> {
+        self.extensions_required.iter().map(String::as_str).filter(|name| UNSHOWN.contains(name))
     }
 }
 

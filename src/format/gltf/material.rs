@@ -9,7 +9,7 @@ use super::image::Texels;
 use super::lift::Asset;
 use super::uv::UvMap;
 use crate::format::activation;
-use crate::format::error::{Fault, from_value};
+use crate::format::error::{Fault, from_value, shown};
 use crate::format::map_budget::MapBudget;
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
@@ -63,14 +63,31 @@ pub(super) fn maps(
             return Err(Fault::pointer(at, "the colour space of the scene", format!("`{}`", radiance.color_space)));
         }
         if let Some(harmonics) = &radiance.spherical_harmonics {
-            return exact(asset, &radiance, harmonics, &at, budget, notes);
-        }
-        if radiance.opacity.is_some() {
+            let Some((key, token)) = unknown_choice(&radiance, harmonics) else {
+                return exact(asset, &radiance, harmonics, &at, budget, notes);
+            };
+            let token = shown(token.as_bytes());
+            notes.push(format!("{at}/{key}: {token} is not known here; the core material's colour is taken"));
+        } else if radiance.opacity.is_some() {
             notes.push(format!("{at}/opacity: not read without sphericalHarmonics; the core material's is taken"));
         }
     }
     base_colour(asset, material, space, &at, budget, notes)
 }
+
+/// A choice of a material that is not known here, and where it is made: its maps would show something else.
+fn unknown_choice<'a>(radiance: &'a Radiance, harmonics: &'a ShField) -> Option<(&'static str, &'a str)> {
+    let opacity = radiance.opacity.as_ref().map(|field| ("opacity/activation", &*field.activation));
+    let choices = opacity.into_iter().chain([("sphericalHarmonics/frame", &*harmonics.frame)]);
+    let is_known = |key: &str, token: &str| match key {
+        "opacity/activation" => ["none", "logistic"].contains(&token),
+        _ => ["node", TRIANGLE].contains(&token),
+    };
+    choices.into_iter().find(|(key, token)| !is_known(key, token))
+}
+
+/// The frame of maps that turns with triangles.
+const TRIANGLE: &str = "triangle";
 
 /// Where all texel sources of a material lie: over the same coordinates, as those of `like`.
 struct Coordinates<'a> {
@@ -99,7 +116,7 @@ fn spend(budget: &mut MapBudget, floats: usize, at: &str) -> Result<(), Fault> {
     budget.spend(floats as u64).map_err(|(expected, found)| Fault::pointer(at, expected, found))
 }
 
-/// The maps of the extension.
+/// The maps of the extension, whose choices are known.
 fn exact(
     asset: &Asset,
     radiance: &Radiance,
@@ -114,8 +131,10 @@ fn exact(
         let expected = "(degree+1)² coefficients of degree 0 to 3";
         return Err(Fault::pointer(&at_sh, expected, format!("{found} of degree {degree}")));
     }
-    if harmonics.frame != "node" {
-        return Err(Fault::pointer(format!("{at_sh}/frame"), "node", format!("`{}`", harmonics.frame)));
+    if harmonics.frame == TRIANGLE {
+        notes.push(format!(
+            "{at_sh}/frame: {TRIANGLE} is read as node, which is the same while the mesh is not deformed"
+        ));
     }
     let (document, first) = (&asset.document, format!("{at_sh}/coefficients/0"));
     let uv = UvMap::of_source(document, &harmonics.coefficients[0], &first)?;
@@ -132,10 +151,8 @@ fn exact(
         let at = format!("{at}/opacity");
         borders_differ |= coordinates.check(&field.source, &at)?;
         let mut logits = plane::<1>(asset, &field.source, &at, budget)?;
-        match field.activation.as_str() {
-            "logistic" => {}
-            "none" => logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0),
-            other => return Err(Fault::pointer(format!("{at}/activation"), "none or logistic", format!("`{other}`"))),
+        if field.activation != "logistic" {
+            logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0);
         }
         if (logits.width, logits.height) != (dc.width, dc.height) {
             let found = format!("{}×{}", logits.width, logits.height);
@@ -233,6 +250,25 @@ fn emission(material: &gltf::Material<'_>) -> Option<[f32; 3]> {
 /// A picture, and where it lies.
 type Placed = (Texels, UvMap);
 
+/// The picture of a core texture; `None`, with a note, where it cannot be had: what else there is can be shown without.
+fn placed(
+    asset: &Asset,
+    texture: Option<gltf::texture::Info<'_>>,
+    at: &str,
+    notes: &mut Vec<String>,
+) -> Result<Option<Placed>, Fault> {
+    let Some(info) = texture else { return Ok(None) };
+    let uv = UvMap::of(&info, at)?;
+    match asset.texels(info.texture().index()) {
+        Ok(texels) => Ok(Some((texels, uv))),
+        Err(fault) => {
+            let (location, expected, found) = fault.into_parts();
+            notes.push(format!("{at} is left out: {location}expected {expected}, found {found}"));
+            Ok(None)
+        }
+    }
+}
+
 /// The colours of `light`, which has no alpha, with the alpha of `cover`; `None` if neither is a picture.
 fn covered(light: Option<Placed>, cover: Option<Placed>, at: &str, notes: &mut Vec<String>) -> Option<Placed> {
     let Some((mut texels, uv)) = light else {
@@ -267,16 +303,14 @@ fn base_colour(
         notes.push(format!("{at}: shown by its {what} alone, unlit"));
     }
     let pbr = material.pbr_metallic_roughness();
-    let placed = |texture: Option<gltf::texture::Info<'_>>, name: &str| -> Result<Option<Placed>, Fault> {
-        let Some(info) = texture else { return Ok(None) };
-        Ok(Some((asset.texels(info.texture().index())?, UvMap::of(&info, &format!("{at}/{name}"))?)))
-    };
-    let own = placed(pbr.base_color_texture(), "pbrMetallicRoughness/baseColorTexture")?;
+    let at_own = format!("{at}/pbrMetallicRoughness/baseColorTexture");
+    let own = placed(asset, pbr.base_color_texture(), &at_own, notes)?;
     let picture = match emission {
         None => own,
         Some(_) => {
             let cover = own.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
-            covered(placed(material.emissive_texture(), "emissiveTexture")?, cover, at, notes)
+            let light = placed(asset, material.emissive_texture(), &format!("{at}/emissiveTexture"), notes)?;
+            covered(light, cover, at, notes)
         }
     };
     let [r, g, b, alpha] = pbr.base_color_factor();

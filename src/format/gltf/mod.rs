@@ -49,7 +49,7 @@ use std::path::Path;
 use glam::DMat4;
 
 pub(super) use image::{Texels, decode};
-pub(super) use lift::{Asset, UNDERSTOOD};
+pub(super) use lift::{Asset, expected_for};
 pub use motion::Clip;
 pub(super) use motion::Motion;
 pub(super) use pose::Poses;
@@ -121,7 +121,7 @@ pub(super) fn write_over(
 /// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
 /// | animations | what [`Source::at`] poses the scene by |
 /// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored |
-/// | materials | the hybrid extension's maps, else the base colour, or the emission of what is black or has no other picture, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps |
+/// | materials | the hybrid extension's maps, else the base colour, or the emission of what is black or has no other picture, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps; pictures of the core that cannot be had are left out, with a note |
 /// | `COLOR_0` of a mesh without a texture | a map |
 /// | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |
 /// | cameras | pinholes; orthographic ones are left out, with a note |

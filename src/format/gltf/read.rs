@@ -33,7 +33,8 @@ pub(super) type Cameras = Vec<(String, Camera)>;
 pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(SceneFile, Moving), Fault> {
     asset.check_required()?;
     let (mut said, mut notes) = (Notes::default(), vec![]);
-    let composition = composition(asset)?;
+    notes.extend(asset.unshown().map(|name| format!("/extensionsRequired: {name} is not shown")));
+    let (composition, is_stated) = composition(asset, &mut notes)?;
     let space = composition.color_space;
     let motion = Motion::chosen(asset, animations)?;
     notes.extend(motion.notes());
@@ -46,7 +47,15 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
             let mesh = node.mesh().map_or(0, |m| m.index());
             let id = (mesh, primitive.index());
             if let Some(khr) = extension_of(&asset.root["meshes"][id.0]["primitives"][id.1], KHR_SPLATS) {
-                let part = splats::read(asset, id, &primitive, khr, (node.index(), *transform), space, &mut notes)?;
+                let part = splats::read(
+                    asset,
+                    id,
+                    &primitive,
+                    khr,
+                    (node.index(), *transform),
+                    (space, is_stated),
+                    &mut notes,
+                )?;
                 asset.spend(bytes_of(&part), &at_node)?;
                 let these = count..count + part.means.len();
                 count = these.end;
@@ -158,15 +167,15 @@ fn least_near(document: &gltf::Document) -> f32 {
     nears.reduce(f32::min).unwrap_or(Composition::default().near)
 }
 
-/// The scene's contract; without one, defaults in the colour space of the first splat primitive.
-fn composition(asset: &Asset) -> Result<Composition, Fault> {
+/// The scene's contract, and true; without one, defaults in the colour space of the first splat primitive.
+fn composition(asset: &Asset, notes: &mut Vec<String>) -> Result<(Composition, bool), Fault> {
     let document = &asset.document;
     if let Some(scene) = document.default_scene().or_else(|| document.scenes().next())
         && let Some(value) = scene.extension_value(HYBRID)
     {
         let at = format!("/scenes/{}/extensions/{HYBRID}", scene.index());
         let contract: SceneContract = from_value(value, &at, &format!("a scene of {HYBRID}"))?;
-        return contract.composition(&at, least_near(document));
+        return Ok((contract.composition(&at, least_near(document), notes)?, true));
     }
     let mut primitives = document.meshes().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
     let first = primitives.find_map(|(mesh, p)| {
@@ -174,5 +183,5 @@ fn composition(asset: &Asset) -> Result<Composition, Fault> {
         Some((format!("/meshes/{mesh}/primitives/{}/extensions/{KHR_SPLATS}", p.index()), token))
     });
     let color_space = first.map_or(Ok(ColorSpace::default()), |(at, token)| parse_color_space(&token, &at))?;
-    Ok(Composition { color_space, ..Composition::default() })
+    Ok((Composition { color_space, ..Composition::default() }, false))
 }

@@ -174,3 +174,28 @@ fn primitives_of_several_meshes_and_degrees_become_one() {
         "f: /meshes/0/primitives/1/attributes: expected complete SH degrees from 0 to at most 3, found 3 SH attributes"
     );
 }
+
+#[test]
+fn colour_spaces_differ_where_the_scene_states_none() {
+    let (b, attributes) = splats(false);
+    let primitive = |space: &str| {
+        let khr = json!({ "kernel": "ellipse", "colorSpace": space });
+        json!({ "mode": 0, "attributes": attributes, "extensions": { "KHR_gaussian_splatting": khr } })
+    };
+    let read = |scene: Value| {
+        b.read(json!({
+            "meshes": [{ "primitives": [primitive("lin_rec709_display"), primitive("srgb_rec709_display")] }],
+            "scenes": [{ "nodes": [0], "extensions": scene }],
+        }))
+    };
+    let file = read(json!({})).unwrap();
+    assert_eq!(file.scene.composition.color_space.name(), "lin_rec709_display");
+    let said =
+        "/meshes/0/primitives/1/extensions/KHR_gaussian_splatting: blended in the colour space of the first splats";
+    assert_eq!((file.scene.splats.len(), &file.notes[..]), (4, &[said.to_owned()][..]));
+    let refused = read(json!({ "EXT_gaussian_splatting_hybrid": { "colorSpace": "lin_rec709_display" } })).unwrap_err();
+    assert!(
+        refused.contains("primitives/1") && refused.contains("expected lin_rec709_display throughout"),
+        "{refused}"
+    );
+}

@@ -15,14 +15,15 @@ use crate::format::placed::place;
 use crate::format::{NotedSplats, activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
-/// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, below a node of this transform.
+/// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, below a node of this transform, to be blended in a
+/// space that the scene states, or that is the first of those that its splats do.
 pub(super) fn read(
     asset: &Asset,
     id: (usize, usize),
     primitive: &gltf::Primitive<'_>,
     khr: &Value,
     (node, transform): (usize, DMat4),
-    space: ColorSpace,
+    (space, is_stated): (ColorSpace, bool),
     notes: &mut Vec<String>,
 ) -> Result<SplatArrays, Fault> {
     let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
@@ -36,8 +37,11 @@ pub(super) fn read(
     if let Some(token) = &khr.color_space
         && parse_color_space(token, &at_khr)? != space
     {
-        let expected = format!("{} throughout", space.name());
-        return Err(Fault::pointer(format!("{at_khr}/colorSpace"), expected, format!("`{token}`")));
+        if is_stated {
+            let expected = format!("{} throughout", space.name());
+            return Err(Fault::pointer(format!("{at_khr}/colorSpace"), expected, format!("`{token}`")));
+        }
+        notes.push(format!("{at_khr}: blended in the colour space of the first splats"));
     }
     let is_draft = khr.kernel.is_none() && khr.color_space.is_none();
     if khr.kernel.is_none() != khr.color_space.is_none() {

@@ -107,6 +107,36 @@ fn parts_may_be_absent() {
 }
 
 #[test]
+fn choices_that_are_not_known_give_way_to_defaults() {
+    let scene = random_scene(2, 1, 1, 2);
+    let glb = bytes_of(&scene, &[]);
+    let hybrid = extension::HYBRID;
+    let changed = |pointer: &str, token: &str| {
+        let mut json = json_of(&glb);
+        *json.pointer_mut(pointer).unwrap() = json!(token);
+        let file = read_bytes(&with_json(&glb, &json)).unwrap();
+        let said = format!("{pointer}: ");
+        assert!(file.notes.len() == 1 && file.notes[0].starts_with(&said), "{:?}", file.notes);
+        (file.notes[0][said.len()..].to_owned(), file.scene)
+    };
+    for (key, default) in [("mode", "stable"), ("sortKey", "viewZ")] {
+        let (note, found) = changed(&format!("/scenes/0/extensions/{hybrid}/{key}"), "other");
+        assert_eq!(note, format!("`other` is not known here, {default} is taken, the default"));
+        let mode = if key == "mode" { crate::scene::OrderMode::Stable } else { scene.composition.mode };
+        assert_eq!(found.composition, Composition { mode, ..scene.composition });
+    }
+    let of_material = |key: &str| format!("/materials/0/extensions/{hybrid}/{key}");
+    let (note, found) = changed(&of_material("sphericalHarmonics/frame"), "triangle");
+    assert_eq!(note, "triangle is read as node, which is the same while the mesh is not deformed");
+    assert_eq!(found.meshes, scene.meshes);
+    for key in ["sphericalHarmonics/frame", "opacity/activation"] {
+        let (note, found) = changed(&of_material(key), "other");
+        assert_eq!(note, "`other` is not known here; the core material's colour is taken");
+        assert_eq!((found.meshes[0].atlas().sh_degree(), scene.meshes[0].atlas().sh_degree()), (0, 1));
+    }
+}
+
+#[test]
 fn a_moved_root_moves_everything() {
     let scene = random_scene(5, 1, 1, 4);
     let glb = bytes_of(&scene, &[("c".to_owned(), camera())]);

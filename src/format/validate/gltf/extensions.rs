@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::super::Findings;
 use super::schema::escaped;
-use crate::format::gltf::UNDERSTOOD;
+use crate::format::gltf::expected_for;
 
 /// Extensions that change what is allowed without an object anywhere.
 const WITHOUT_OBJECT: [&str; 1] = ["KHR_mesh_quantization"];
@@ -37,8 +37,7 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
 /// Extensions that are required, and that Centaur does not know.
 pub(super) fn check_support(root: &Value, findings: &mut Findings) {
     for (i, name) in strings(root, "extensionsRequired").iter().enumerate() {
-        if !UNDERSTOOD.contains(name) {
-            let expected = format!("no other than {}", UNDERSTOOD.join(", "));
+        if let Some(expected) = expected_for(name) {
             findings.warning(
                 "EXTENSION_UNSUPPORTED",
                 format!("/extensionsRequired/{i}"),
