@@ -8,7 +8,7 @@ use std::path::Path;
 use glam::{DVec2, Vec2, Vec3};
 
 use super::error::{Fault, FormatError, Location, read_file, unknown};
-use super::gltf::{Asset, Motion, Poses, placements, triangles};
+use super::gltf::{Asset, Motion, Poses, not_placed, placements, triangles};
 use super::ply::table;
 use super::{has_extension, polygon};
 
@@ -24,7 +24,7 @@ pub struct ImportedMesh {
     /// repeats of a tile get texels of their own. `None` if part of the mesh has none that are finite, or if they belong to
     /// several materials: then they are not one atlas.
     pub corner_uvs: Option<Vec<[Vec2; 3]>>,
-    /// Why UVs of the file are not here, or not as they are there, one sentence each.
+    /// What of the file is not here, or not as it is there, UVs above all, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -65,6 +65,8 @@ struct Soup {
     unusable: Vec<(u32, Location)>,
     /// Where triangles should have been.
     faces: Option<Location>,
+    /// What there is to say of them.
+    notes: Vec<String>,
 }
 
 impl Soup {
@@ -120,7 +122,7 @@ impl Soup {
             positions: vec![],
             triangles: vec![],
             corner_uvs: uvs.as_ref().map(|_| vec![]),
-            notes: note.into_iter().collect(),
+            notes: self.notes.into_iter().chain(note).collect(),
         };
         for (f, triangle) in self.triangles.iter().enumerate() {
             let mut welded = *triangle;
@@ -170,15 +172,16 @@ fn scale_into_square(uvs: &mut [Vec2]) -> Option<String> {
 
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
-    let mut soup = Soup { faces: Some(Location::Pointer("/meshes".to_owned())), ..Soup::default() };
+    let faces = Some(Location::Pointer("/meshes".to_owned()));
+    let mut soup = Soup { faces, notes: not_placed(asset)?, ..Soup::default() };
     // As it rests.
     let motion = Motion::default();
     let mut poses = Poses::new(&asset.document, &motion)?;
     for (node, transform) in placements(&asset.document)? {
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-            let Some(t) = triangles::read((asset, &motion), &mut poses, (&node, transform), &primitive, 0)? else {
-                continue;
-            };
+            let place = (&node, transform);
+            let read = triangles::read((asset, &motion), &mut poses, place, &primitive, 0, &mut soup.notes)?;
+            let Some(t) = read else { continue };
             let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| Some(t.map(|v| uvs[v as usize]))).collect());
             let mesh = node.mesh().map_or(0, |m| m.index());
             let place = Location::Pointer(format!("/meshes/{mesh}/primitives/{}", primitive.index()));

@@ -69,6 +69,11 @@ impl Elements<'_> {
 }
 
 impl Asset {
+    /// Whether anything of an accessor is stored; else it is all zeros, unless an extension has what it describes.
+    pub(super) fn is_stored(&self, accessor: &gltf::Accessor<'_>) -> bool {
+        accessor.sparse().is_some() || accessor.view().is_some_and(|view| self.has_view(&view))
+    }
+
     /// Elements of a float or (normalised) integer accessor with `N` components, as floats; sparse ones included.
     pub(in crate::format) fn floats<const N: usize>(&self, accessor: usize) -> Result<Vec<[f32; N]>, Fault> {
         let accessor = self.accessor(accessor, N)?;
@@ -77,10 +82,11 @@ impl Asset {
         let mut values = match accessor.view().filter(|view| self.has_view(view)) {
             Some(view) => self.elements(&view, accessor.offset(), count, N, (kind, normalized), &at)?.floats()?,
             None => {
-                // All zero but for the sparse elements. Such an accessor goes with others that are stored in full, so
-                // a count above the number of bytes in the file is a lie.
-                if accessor.sparse().is_none() || count > self.stored_bytes() {
-                    return Err(Fault::pointer(at, "an accessor with a bufferView", "one without"));
+                // All zero but for sparse elements (glTF 2.0, 3.6.2.3). Such an accessor goes with others that are stored in
+                // full, so a count above the number of bytes in the file is a lie.
+                if count > self.stored_bytes() {
+                    let expected = format!("at most {} elements without a bufferView", self.stored_bytes());
+                    return Err(Fault::pointer(format!("{at}/count"), expected, count.to_string()));
                 }
                 self.spend((count * N * 4) as u64, &at)?;
                 vec![[0.0; N]; count]

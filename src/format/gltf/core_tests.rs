@@ -321,6 +321,96 @@ fn sparse_elements_with_and_without_a_base() {
 }
 
 #[test]
+fn accessors_without_data_are_zeros_unless_draco_has_it() {
+    let (mut b, attributes) = triangle();
+    let read = |b: &Builder, extensions: &Value| {
+        let primitive = json!({ "attributes": attributes, "extensions": extensions });
+        b.read(json!({ "meshes": [{ "primitives": [primitive] }] })).map(|file| file.scene.meshes)
+    };
+    let draco = json!({ "KHR_draco_mesh_compression": { "bufferView": 0, "attributes": { "POSITION": 0 } } });
+    let [position, uv] =
+        ["POSITION", "TEXCOORD_0"].map(|name| usize::try_from(attributes[name].as_u64().unwrap()).unwrap());
+    b.accessors[uv].as_object_mut().unwrap().remove("bufferView");
+    assert_eq!(read(&b, &json!({})).unwrap()[0].corner_uvs(), [[Vec2::ZERO; 3]]);
+    assert!(read(&b, &draco).is_ok(), "accessors have positions as well");
+    b.accessors[position].as_object_mut().unwrap().remove("bufferView");
+    assert_eq!(read(&b, &json!({})).unwrap()[0].positions(), [Vec3::ZERO; 3]);
+    let message = read(&b, &draco).unwrap_err();
+    assert!(
+        message
+            .ends_with("expected a primitive with its data in accessors, found one that is compressed by Draco alone")
+    );
+    b.accessors[position]["count"] = json!(4_000_000_000u32);
+    let message = read(&b, &json!({})).unwrap_err();
+    assert!(message.starts_with("f: /accessors/0/count: expected at most "), "{message}");
+}
+
+#[test]
+fn positions_need_no_bounds() {
+    let (mut b, attributes) = triangle();
+    let document = json!({ "meshes": [{ "primitives": [{ "attributes": attributes }] }] });
+    let bounds = |b: &Builder| {
+        let asset = Asset::parse(&b.file(&document), PathBuf::new()).map_err(|_| ()).unwrap();
+        describe(&asset).map_err(|_| ()).unwrap().nodes[0].bounds
+    };
+    assert!(bounds(&b).is_some());
+    b.accessors[0].as_object_mut().unwrap().retain(|key, _| !["min", "max"].contains(&key.as_str()));
+    assert_eq!(b.read(document.clone()).unwrap().scene.meshes[0].positions()[1], Vec3::X);
+    assert!(bounds(&b).is_none(), "nobody has said any");
+}
+
+#[test]
+fn nodes_made_invisible_are_left_out_and_copies_are_named() {
+    let (b, attributes) = triangle();
+    let read = |is_visible: bool| {
+        let file = b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+            "cameras": [{ "type": "perspective", "perspective": { "yfov": 1.0, "aspectRatio": 2.0, "znear": 0.1 } }],
+            "nodes": [
+                { "children": [1, 2] },
+                { "mesh": 0, "children": [3], "extensions": { "KHR_node_visibility": { "visible": is_visible } } },
+                { "mesh": 0, "extensions": { "EXT_mesh_gpu_instancing": { "attributes": {} } } },
+                { "mesh": 0, "camera": 0, "extensions": { "KHR_node_visibility": { "visible": false } } },
+            ],
+            "extensionsUsed": ["KHR_node_visibility", "EXT_mesh_gpu_instancing"],
+            "extensionsRequired": ["KHR_node_visibility"],
+        }));
+        let file = file.unwrap();
+        assert_eq!(file.notes[0], "1 node made invisible left out, with what is below");
+        assert!(
+            file.notes.iter().any(|n| n.starts_with("/nodes/2: of the copies of EXT_mesh_gpu_instancing one is shown"))
+        );
+        assert!(file.cameras.is_empty());
+        file.scene.meshes[0].triangles().len()
+    };
+    assert_eq!([true, false].map(read), [2, 1]);
+}
+
+#[test]
+fn a_document_without_scenes_shows_all_its_nodes() {
+    let (b, attributes) = triangle();
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes }] }], "scenes": [],
+        "nodes": [{ "mesh": 0, "translation": [0, 0, 1] }, { "children": [0] }, { "mesh": 0 }],
+    });
+    let file = b.read(document.clone()).unwrap();
+    assert_eq!(file.scene.meshes[0].triangles().len(), 2);
+    assert_eq!(file.notes[0], "/scenes: there are none: all nodes are shown");
+    // Moved, it is written with one, below which all of it is.
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::write(at("a.gltf"), b.file(&document)).unwrap();
+    let options = ReadOptions { keep_document: true, ..ReadOptions::default() };
+    let read = read_file(&at("a.gltf"), &options).unwrap();
+    let mut source = read.source.unwrap();
+    source.follow(DMat4::from_translation(glam::DVec3::X), &read.scene, &[]);
+    let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
+    write_scene(&at("b.gltf"), &read.scene, &options).unwrap();
+    let written: Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
+    assert_eq!((&written["scenes"], &written["nodes"][3]["children"]), (&json!([{ "nodes": [3] }]), &json!([1, 2])));
+}
+
+#[test]
 fn pictures_of_the_core_that_cannot_be_had_are_left_out() {
     let (mut b, attributes) = triangle();
     let nonsense = b.view(b"no picture");

@@ -21,6 +21,11 @@ pub(crate) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
 /// Images in `WebP`.
 pub(crate) const WEBP: &str = "EXT_texture_webp";
 
+/// Copies of a mesh at one node.
+pub(super) const INSTANCING: &str = "EXT_mesh_gpu_instancing";
+/// Nodes that are not shown.
+pub(super) const VISIBILITY: &str = "KHR_node_visibility";
+
 /// Name of the node under which the whole scene hangs, and the key of our own `extras`.
 pub(crate) const ROOT_NODE: &str = "centaur_world";
 pub(crate) const EXTRAS: &str = "centaur";

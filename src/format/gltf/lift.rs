@@ -3,7 +3,7 @@
 //! documents buffers are loaded.
 //!
 //! The crate collapses all attributes with a `:` in the name into one key and refuses extensions that it does not know
-//! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, whose data
+//! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, which are zeros or whose data
 //! an extension has: they get a buffer view beyond those of the file.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use serde_json::{Value, json};
 
 use super::buffer::{Buffer, Input};
-use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP};
+use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, VISIBILITY, WEBP};
 use super::uri::open_once;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
@@ -71,7 +71,7 @@ const ALWAYS: u64 = 1 << 30;
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
 
 /// Extensions without which a file cannot be understood, and which are understood here.
-const UNDERSTOOD: [&str; 9] = [
+const UNDERSTOOD: [&str; 10] = [
     KHR_SPLATS,
     HYBRID,
     SPZ,
@@ -80,6 +80,7 @@ const UNDERSTOOD: [&str; 9] = [
     WEBP,
     meshopt::NAMES[0],
     meshopt::NAMES[1],
+    VISIBILITY,
     // Quantised attributes are read like any others.
     "KHR_mesh_quantization",
 ];
@@ -250,6 +251,8 @@ fn core(root: &Value) -> Result<(gltf::Document, Attributes), Fault> {
     let attributes = lift_attributes(&mut core)?;
     lift_channels(&mut core)?;
     fill_accessors(&mut core);
+    fill_bounds(&mut core);
+    give_scene(&mut core);
     let core: gltf::json::Root = from_value(&core, "", "glTF 2.0 JSON")?;
     let document = gltf::Document::from_json(core).map_err(|e| match e {
         gltf::Error::Validation(faults) if !faults.is_empty() => {
@@ -364,6 +367,40 @@ fn fill_accessors(core: &mut Value) {
         };
         append("bufferViews", json!({ "buffer": 0, "byteLength": 1 }));
         append("buffers", json!({ "byteLength": 1 }));
+    }
+}
+
+/// Gives positions bounds where they have none, which the crate demands and nobody here believes.
+fn fill_bounds(core: &mut Value) {
+    let meshes = core.get("meshes").and_then(Value::as_array).into_iter().flatten();
+    let primitives = meshes.filter_map(|mesh| mesh.get("primitives")?.as_array()).flatten();
+    let positions = primitives.filter_map(|primitive| primitive.pointer("/attributes/POSITION")?.as_u64());
+    let positions: HashSet<u64> = positions.collect();
+    let accessors = core.get_mut("accessors").and_then(Value::as_array_mut).into_iter().flatten();
+    for (_, accessor) in (0..).zip(accessors).filter(|(i, _)| positions.contains(i)) {
+        for key in ["min", "max"] {
+            if accessor.get(key).is_none_or(Value::is_null)
+                && let Some(accessor) = accessor.as_object_mut()
+            {
+                accessor.insert(key.to_owned(), json!([0, 0, 0]));
+            }
+        }
+    }
+}
+
+/// Whether a document says what its scene is made of.
+pub(super) fn has_scenes(root: &Value) -> bool {
+    root.get("scenes").is_some_and(|scenes| scenes.as_array().is_none_or(|scenes| !scenes.is_empty()))
+}
+
+/// Gives a document without scenes one, of all nodes that are nobody's child.
+pub(super) fn give_scene(root: &mut Value) {
+    let nodes = root.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    let children = nodes.iter().filter_map(|node| node.get("children")?.as_array()).flatten();
+    let children: HashSet<u64> = children.filter_map(Value::as_u64).collect();
+    let tops: Vec<u64> = (0..nodes.len() as u64).filter(|node| !children.contains(node)).collect();
+    if !has_scenes(root) && !tops.is_empty() {
+        root["scenes"] = json!([{ "nodes": tops }]);
     }
 }
 

@@ -89,7 +89,8 @@ impl<'a> Meshes<'a> {
     ) -> Result<bool, Fault> {
         let at = format!("/nodes/{}", node.index());
         let uv_set = self.maps_of(&primitive.material(), notes)?.uv.set;
-        let read = triangles::read((self.asset, self.motion), &mut self.poses, (node, transform), primitive, uv_set)?;
+        let poses = &mut self.poses;
+        let read = triangles::read((self.asset, self.motion), poses, (node, transform), primitive, uv_set, notes)?;
         let Some(mut geometry) = read else { return Ok(false) };
         if geometry.triangles.is_empty() {
             notes.push(format!("{at}: a mesh without triangles is left out"));

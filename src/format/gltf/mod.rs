@@ -53,7 +53,7 @@ pub(super) use lift::{Asset, expected_for};
 pub use motion::Clip;
 pub(super) use motion::Motion;
 pub(super) use pose::Poses;
-pub(super) use read::scene as scene_of;
+pub(super) use read::{not_placed, scene as scene_of};
 pub use remainder::{Remnant, Role};
 pub(super) use sizes::{Sizes, sizes};
 pub use source::Source;
@@ -118,6 +118,7 @@ pub(super) fn write_over(
 /// | of glTF | becomes |
 /// |---|---|
 /// | node transforms | part of positions, splats and cameras; harmonics turn along |
+/// | nodes that `KHR_node_visibility` makes invisible | nothing, with what is below, and a note; of copies by `EXT_mesh_gpu_instancing` one is shown |
 /// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
 /// | animations | what [`Source::at`] poses the scene by |
 /// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored |

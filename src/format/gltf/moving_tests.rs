@@ -164,6 +164,38 @@ fn weights_and_joints_move_a_skin() {
     file.positions(1.5, &[[-1.0, 0.0, 1.0], [0.0, 3.0, 1.0], [(-0.5 - 1.0) / 2.0, (1.0 + 2.5) / 2.0, 1.0]]);
 }
 
+/// Also where vertices have no weight.
+#[test]
+fn joints_that_are_invisible_carry_what_is_not() {
+    let (mut b, mut attributes) = triangle();
+    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
+    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4]]));
+    let up = b.floats(&[[0.0f32, 0.0, 1.0], [0.0, 0.0, 3.0]]);
+    let clip = animation(&mut b, &[(1, "translation", &[0.0, 1.0], up, "LINEAR")]);
+    let mut document = json!({
+        "meshes": [{ "primitives": [{ "attributes": attributes }] }],
+        "skins": [{ "joints": [1] }],
+        "nodes": [
+            { "mesh": 0, "skin": 0 },
+            { "mesh": 0, "translation": [0, 0, 1], "extensions": { "KHR_node_visibility": { "visible": false } } },
+        ],
+        "scenes": [{ "nodes": [0, 1] }],
+        "animations": [clip],
+    });
+    let file = File::new(&b, &document);
+    let rest = file.rest();
+    let said = "/WEIGHTS_0: 2 of 3 vertices have no weight: they follow their first joint";
+    assert!(rest.notes.iter().any(|note| note.ends_with(said)), "{:?}", rest.notes);
+    assert_eq!((rest.scene.meshes.len(), rest.scene.meshes[0].positions()[1]), (1, Vec3::new(1.0, 0.0, 1.0)));
+    file.positions(1.0, &[[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 1.0, 3.0]]);
+    for bad in [f32::NAN, -1.0] {
+        let weights = b.floats(&[[bad, 0.0, 0.0, 0.0]; 3]);
+        document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = json!(weights);
+        let message = read(&File::new(&b, &document).path).unwrap_err().to_string();
+        assert!(message.contains("/WEIGHTS_0: expected WEIGHTS_0 that add up to 1, found "), "{message}");
+    }
+}
+
 #[test]
 fn translations_of_the_extension_come_after_morph_targets() {
     let (mut b, attributes) = triangle();

@@ -10,7 +10,7 @@ use glam::{DMat4, Vec3};
 use super::extension::{HYBRID, Surface};
 use super::lift::Asset;
 use super::motion::{Motion, in_between};
-use super::transform::{placements, placements_by};
+use super::transform::{Placed, all_placements_by, local};
 use crate::format::cameras::short;
 use crate::format::error::{Fault, from_value};
 use crate::scene::rig::{Anchor, AttachedSplats, Binding, MorphTarget, Pose, RestSurface, ShFrame, Skinning};
@@ -82,11 +82,11 @@ impl Kept {
 }
 
 impl Poses {
-    /// As [`placements`], with which it fails alike.
+    /// Of all nodes of the scene, visible or not.
     pub(in crate::format) fn new(document: &gltf::Document, motion: &Motion) -> Result<Self, Fault> {
         let (mut global, mut above, mut moving) = (HashMap::new(), HashMap::new(), HashSet::new());
         // Parents come before their children.
-        for (node, transform) in placements(document)? {
+        for Placed { node, transform, .. } in all_placements_by(document, local)? {
             let index = node.index();
             global.insert(index, transform);
             above.extend(node.children().map(|child| (child.index(), index)));
@@ -113,8 +113,8 @@ impl Poses {
 
     /// The pose at a time, in seconds.
     pub(super) fn at(&self, document: &gltf::Document, motion: &Motion, time: f64) -> Result<Pose, Fault> {
-        let placed = placements_by(document, |node| motion.local(node, time))?;
-        let global: HashMap<usize, DMat4> = placed.into_iter().map(|(node, global)| (node.index(), global)).collect();
+        let placed = all_placements_by(document, |node| motion.local(node, time))?;
+        let global: HashMap<usize, DMat4> = placed.into_iter().map(|p| (p.node.index(), p.transform)).collect();
         let of = |node: &usize| global.get(node).copied().unwrap_or_default();
         let bones = self.bones.iter().map(|bone| match bone {
             Bone::Node(node) => of(node),
@@ -257,6 +257,7 @@ impl Poses {
         node: &gltf::Node<'_>,
         primitive: &gltf::Primitive<'_>,
         stored: Vec<Vec3>,
+        notes: &mut Vec<String>,
     ) -> Result<RestSurface, Fault> {
         let mesh = node.mesh().map_or(0, |m| m.index());
         let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
@@ -264,7 +265,7 @@ impl Poses {
         let skinning = match node.skin() {
             Some(skin) => {
                 let joints = self.joints(asset, &skin)?;
-                skin_of(asset, &joints, (mesh, primitive.index()), vertices)?
+                skin_of(asset, &joints, (mesh, primitive.index()), vertices, notes)?
             }
             // The transform of a skinned mesh's own node has no effect (glTF 2.0, 3.7.3.3).
             None => Skinning::Bone(self.bone(node.index())),
@@ -361,8 +362,14 @@ fn weight_of_key(times: &[f32], key: usize, is_step: bool, time: f64) -> f32 {
 /// Sets of joints that are read: 32 a vertex.
 const MAX_SETS: usize = 8;
 
-/// All sets `JOINTS_n`, `WEIGHTS_n` of a primitive.
-fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) -> Result<Skinning, Fault> {
+/// All sets `JOINTS_n`, `WEIGHTS_n` of a primitive. A vertex without weight follows its first joint, with a note.
+fn skin_of(
+    asset: &Asset,
+    bones: &[usize],
+    id: (usize, usize),
+    vertices: usize,
+    notes: &mut Vec<String>,
+) -> Result<Skinning, Fault> {
     let at = format!("/meshes/{}/primitives/{}/attributes", id.0, id.1);
     let attributes = asset.attributes.get(&id);
     let find = |name: String| attributes.and_then(|a| a.get(&name)).copied();
@@ -385,6 +392,7 @@ fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) 
     let width = 4 * sets.len();
     asset.spend((vertices * width * 8) as u64, &at)?;
     let (mut all_bones, mut all_weights) = (Vec::with_capacity(vertices * width), Vec::with_capacity(vertices * width));
+    let mut weightless = 0;
     for v in 0..vertices {
         let mut total = 0.0;
         for (n, (joints, weights)) in sets.iter().enumerate() {
@@ -404,11 +412,21 @@ fn skin_of(asset: &Asset, bones: &[usize], id: (usize, usize), vertices: usize) 
                 all_weights.push(weight);
             }
         }
-        if total.is_nan() || total <= 0.0 {
+        if total == 0.0 && !bones.is_empty() {
+            weightless += 1;
+            let own = &mut all_weights[v * width..];
+            own.fill(0.0);
+            own[0] = 1.0;
+        } else if total.is_nan() || total <= 0.0 {
             let found = format!("{total} at vertex {v}");
             let sets = if sets.len() > 1 { format!("WEIGHTS_0 to {}", sets.len() - 1) } else { "WEIGHTS_0".to_owned() };
             return Err(Fault::pointer(format!("{at}/WEIGHTS_0"), format!("{sets} that add up to 1"), found));
         }
+    }
+    if weightless > 0 {
+        notes.push(format!(
+            "{at}/WEIGHTS_0: {weightless} of {vertices} vertices have no weight: they follow their first joint"
+        ));
     }
     Ok(Skinning::Skin { width, bones: all_bones, weights: all_weights })
 }

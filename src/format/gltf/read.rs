@@ -6,14 +6,14 @@ use glam::DMat4;
 use serde_json::Value;
 
 use super::extension::{
-    BindingObject, HYBRID, KHR_SPLATS, SceneContract, SplatExtension, extension_of, parse_color_space,
+    BindingObject, HYBRID, INSTANCING, KHR_SPLATS, SceneContract, SplatExtension, extension_of, parse_color_space,
 };
-use super::lift::Asset;
+use super::lift::{Asset, has_scenes};
 use super::meshes::{Finished, Meshes};
 use super::motion::Motion;
 use super::moving::Moving;
 use super::notes::Notes;
-use super::transform::{is_ours, placements};
+use super::transform::{Visibility, all_placements_by, is_ours, local, placements};
 use super::{binding, camera, splats};
 use crate::format::SceneFile;
 use crate::format::error::{Fault, from_value};
@@ -41,8 +41,12 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     let (mut parts, mut meshes, mut hung) = (vec![], Meshes::new(asset, &motion, space)?, vec![]);
     let mut count = 0;
     let placed = placements(&asset.document)?;
+    notes.extend(not_placed(asset)?);
     for (node, transform) in &placed {
         let at_node = format!("/nodes/{}", node.index());
+        if node.mesh().is_some() && node.extension_value(INSTANCING).is_some() {
+            notes.push(format!("{at_node}: of the copies of {INSTANCING} one is shown, where the node is"));
+        }
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
             let mesh = node.mesh().map_or(0, |m| m.index());
             let id = (mesh, primitive.index());
@@ -165,6 +169,21 @@ fn least_near(document: &gltf::Document) -> f32 {
     let perspectives = document.as_json().cameras.iter().filter_map(|camera| camera.perspective.as_ref());
     let nears = perspectives.map(|p| p.znear).filter(|znear| *znear > 0.0 && znear.is_finite());
     nears.reduce(f32::min).unwrap_or(Composition::default().near)
+}
+
+/// What is to be said of nodes that are not, or not usually, in the scene.
+pub(in crate::format) fn not_placed(asset: &Asset) -> Result<Vec<String>, Fault> {
+    let mut notes = vec![];
+    if asset.document.nodes().len() > 0 && !has_scenes(&asset.root) {
+        notes.push("/scenes: there are none: all nodes are shown".to_owned());
+    }
+    let all = all_placements_by(&asset.document, local)?;
+    match all.iter().filter(|placed| placed.visibility == Visibility::MadeInvisible).count() {
+        0 => {}
+        1 => notes.push("1 node made invisible left out, with what is below".to_owned()),
+        n => notes.push(format!("{n} nodes made invisible left out, with what is below")),
+    }
+    Ok(notes)
 }
 
 /// The scene's contract, and true; without one, defaults in the colour space of the first splat primitive.

@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use super::buffer::Buffer;
 use super::container::Bin;
 use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract, extension_of};
-use super::lift::Asset;
+use super::lift::{Asset, give_scene};
 use super::motion::Clip;
 use super::moving::Moving;
 use super::remainder::{Remnant, Role, has_extras, remainder};
@@ -74,7 +74,9 @@ impl Source {
     ) -> Self {
         let is_ours = is_ours(&asset.document);
         let remainder = remainder(&asset.root, is_ours);
-        let Asset { root, buffers, folder, .. } = asset;
+        let Asset { mut root, buffers, folder, .. } = asset;
+        // It may be moved, and get a rule of blending.
+        give_scene(&mut root);
         let content = keep.then(|| {
             let (listed, mut loaded) = (root.get("images").and_then(Value::as_array), uri::Loaded::default());
             // What cannot be found stays a reference.

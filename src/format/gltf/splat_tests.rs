@@ -199,3 +199,19 @@ fn colour_spaces_differ_where_the_scene_states_none() {
         "{refused}"
     );
 }
+
+/// An extension that is not known here has what accessors describe.
+#[test]
+fn splats_without_data_are_refused_beside_what_is_unknown() {
+    let (mut b, attributes) = splats(false);
+    let mut of = khr();
+    of["extensions"] = json!({ "OTHER_compression": {} });
+    assert!(
+        b.read(splat_document(&attributes, of.clone())).unwrap().notes[0].contains("`OTHER_compression` is not known")
+    );
+    let position = usize::try_from(attributes["POSITION"].as_u64().unwrap()).unwrap();
+    b.accessors[position].as_object_mut().unwrap().remove("bufferView");
+    let message = b.read(splat_document(&attributes, of)).unwrap_err();
+    assert!(message.ends_with("found accessors without data beside `OTHER_compression`"), "{message}");
+    assert_eq!(b.read(splat_document(&attributes, khr())).unwrap().scene.splats.means(), [Vec3::ZERO; 2]);
+}

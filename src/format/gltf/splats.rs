@@ -10,7 +10,7 @@ use super::extension::{
     sh_attributes,
 };
 use super::lift::Asset;
-use crate::format::error::{Fault, from_value};
+use crate::format::error::{Fault, from_value, shown};
 use crate::format::placed::place;
 use crate::format::{NotedSplats, activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
@@ -53,7 +53,16 @@ pub(super) fn read(
     if primitive.mode() != gltf::mesh::Mode::Points {
         return Err(Fault::pointer(format!("{at}/mode"), "0 (POINTS)", format!("{:?}", primitive.mode())));
     }
+    let is_empty = primitive.get(&gltf::Semantic::Positions).is_some_and(|positions| !asset.is_stored(&positions));
     for name in khr.extensions.keys().filter(|name| ![HYBRID, SPZ].contains(&name.as_str())) {
+        if is_empty && !khr.extensions.contains_key(SPZ) {
+            let expected = format!("splats in accessors or of {SPZ}");
+            return Err(Fault::pointer(
+                at_khr,
+                expected,
+                format!("accessors without data beside {}", shown(name.as_bytes())),
+            ));
+        }
         notes.push(format!("{at_khr}: `{name}` is not known here; the attributes are read"));
     }
     let (mut splats, transform) = match khr.extensions.get(SPZ) {

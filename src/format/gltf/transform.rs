@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use glam::{DMat4, DQuat, DVec3, DVec4};
 use gltf::scene::Transform;
 
-use super::extension::{EXTRAS, ROOT_NODE};
+use super::extension::{EXTRAS, ROOT_NODE, VISIBILITY};
 use crate::format::error::Fault;
 
 /// Rotation of the root node of our own files: half a turn about x takes COLMAP's y-down world to glTF's y-up. It is
@@ -13,7 +13,7 @@ use crate::format::error::Fault;
 pub(super) const FLIP: DMat4 =
     DMat4::from_cols_array(&[1., 0., 0., 0., 0., -1., 0., 0., 0., 0., -1., 0., 0., 0., 0., 1.]);
 
-/// Every node that the default scene (else the first) reaches, in document order, with its global transform. In a file
+/// Every visible node that the default scene (else the first) reaches, in document order, with its global transform. In a file
 /// of ours the transform is in the frame of the capture, elsewhere in glTF's.
 pub(in crate::format) fn placements(document: &gltf::Document) -> Result<Vec<(gltf::Node<'_>, DMat4)>, Fault> {
     placements_by(document, local)
@@ -24,15 +24,40 @@ pub(super) fn placements_by<'a>(
     document: &'a gltf::Document,
     local: impl Fn(&gltf::Node<'a>) -> DMat4,
 ) -> Result<Vec<(gltf::Node<'a>, DMat4)>, Fault> {
+    let all = all_placements_by(document, local)?;
+    Ok(all.into_iter().filter(|p| p.visibility == Visibility::Shown).map(|p| (p.node, p.transform)).collect())
+}
+
+/// A node where it is put.
+pub(super) struct Placed<'a> {
+    pub(super) node: gltf::Node<'a>,
+    pub(super) transform: DMat4,
+    pub(super) visibility: Visibility,
+}
+
+/// Whether a node is shown.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Visibility {
+    Shown,
+    MadeInvisible,
+    /// One above is made invisible.
+    Below,
+}
+
+/// The same with nodes that are not visible: what is shown may hang on joints among them.
+pub(super) fn all_placements_by<'a>(
+    document: &'a gltf::Document,
+    local: impl Fn(&gltf::Node<'a>) -> DMat4,
+) -> Result<Vec<Placed<'a>>, Fault> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else { return Ok(vec![]) };
     let nodes: Vec<gltf::Node<'_>> = document.nodes().collect();
-    let mut stack: Vec<(usize, DMat4)> = vec![];
+    let mut stack: Vec<(usize, DMat4, Visibility)> = vec![];
     let frame = if is_ours(document) { FLIP } else { DMat4::IDENTITY };
-    stack.extend(scene.nodes().map(|node| (node.index(), frame)));
+    stack.extend(scene.nodes().map(|node| (node.index(), frame, Visibility::Shown)));
     stack.reverse();
     let mut seen = HashSet::new();
     let mut placed = vec![];
-    while let Some((index, parent)) = stack.pop() {
+    while let Some((index, parent, above)) = stack.pop() {
         if !seen.insert(index) {
             return Err(Fault::pointer(format!("/nodes/{index}"), "a node with one parent", "two paths to it"));
         }
@@ -41,11 +66,20 @@ pub(super) fn placements_by<'a>(
         if !global.is_finite() {
             return Err(Fault::pointer(format!("/nodes/{index}"), "a finite transform", "numbers that are not"));
         }
+        let visibility = match above {
+            Visibility::Shown if is_invisible(&node) => Visibility::MadeInvisible,
+            Visibility::Shown => Visibility::Shown,
+            Visibility::MadeInvisible | Visibility::Below => Visibility::Below,
+        };
         let children: Vec<usize> = node.children().map(|c| c.index()).collect();
-        stack.extend(children.into_iter().rev().map(|c| (c, global)));
-        placed.push((node, global));
+        stack.extend(children.into_iter().rev().map(|c| (c, global, visibility)));
+        placed.push(Placed { node, transform: global, visibility });
     }
     Ok(placed)
+}
+
+fn is_invisible(node: &gltf::Node<'_>) -> bool {
+    node.extension_value(VISIBILITY).and_then(|own| own.get("visible")?.as_bool()) == Some(false)
 }
 
 /// Whether it has our root node: then its frame is that of the capture, else glTF's.

@@ -10,7 +10,7 @@ use super::extension::{KHR_SPLATS, SPZ, extension_of};
 use super::lift::Asset;
 use super::motion::{Clip, Motion};
 use super::remainder::remainder;
-use super::transform::{FLIP, is_ours, placements};
+use super::transform::{FLIP, Placed, all_placements_by, is_ours, local};
 use crate::format::error::Fault;
 
 /// What a glTF document is made of.
@@ -79,12 +79,12 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let mut depths: HashMap<usize, usize> = HashMap::new();
     let is_ours = is_ours(&asset.document);
     let to_capture = if is_ours { DMat4::IDENTITY } else { FLIP };
-    for (node, transform) in placements(&asset.document)? {
+    for Placed { node, transform, .. } in all_placements_by(&asset.document, local)? {
         let depth = depths.get(&node.index()).copied().unwrap_or(0);
         depths.extend(node.children().map(|child| (child.index(), depth + 1)));
         let primitives = || node.mesh().into_iter().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
         let corners =
-            primitives().filter_map(|(_, p)| declared_bounds(&p)).flat_map(|b| moved(b, to_capture * transform));
+            primitives().filter_map(|(_, p)| declared_bounds(asset, &p)).flat_map(|b| moved(b, to_capture * transform));
         let bounds = corners
             .fold(None, |all: Option<[DVec3; 2]>, p| Some(all.map_or([p, p], |[low, high]| [low.min(p), high.max(p)])));
         let described = primitives().map(|(mesh, p)| {
@@ -156,8 +156,8 @@ fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Prim
     }
 }
 
-/// `min` and `max` of POSITION as positions.
-fn declared_bounds(primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
+/// `min` and `max` of POSITION as positions, if the file has them.
+fn declared_bounds(asset: &Asset, primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
     use gltf::accessor::DataType;
     let accessor = primitive.get(&gltf::Semantic::Positions)?;
     let scale = match (accessor.normalized(), accessor.data_type()) {
@@ -167,11 +167,12 @@ fn declared_bounds(primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
         (true, DataType::U16) => 65535.0,
         _ => 1.0,
     };
-    let corner = |value: Option<Value>| -> Option<DVec3> {
-        let numbers: Vec<f64> = value?.as_array()?.iter().filter_map(Value::as_f64).collect();
+    let corner = |key: &str| -> Option<DVec3> {
+        let value = asset.root.get("accessors")?.get(accessor.index())?.get(key)?;
+        let numbers: Vec<f64> = value.as_array()?.iter().filter_map(Value::as_f64).collect();
         Some(DVec3::from(<[f64; 3]>::try_from(numbers).ok()?) / scale)
     };
-    Some([corner(accessor.min())?, corner(accessor.max())?])
+    Some([corner("min")?, corner("max")?])
 }
 
 /// The eight corners of a box, moved.

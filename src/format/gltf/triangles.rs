@@ -9,6 +9,9 @@ use super::pose::Poses;
 use crate::format::error::Fault;
 use crate::scene::rig::RestSurface;
 
+/// Triangles compressed, which are read only where accessors have them as well.
+const DRACO: &str = "KHR_draco_mesh_compression";
+
 /// Geometry of one primitive at one node.
 pub(in crate::format) struct Triangles {
     pub(in crate::format) positions: Vec<Vec3>,
@@ -29,13 +32,22 @@ pub(in crate::format) fn read(
     (node, transform): (&gltf::Node<'_>, DMat4),
     primitive: &gltf::Primitive<'_>,
     uv_set: u32,
+    notes: &mut Vec<String>,
 ) -> Result<Option<Triangles>, Fault> {
     let mesh = node.mesh().map_or(0, |m| m.index());
     let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
     let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
     let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
+    if primitive.extension_value(DRACO).is_some() && !asset.is_stored(&positions) {
+        let expected = "a primitive with its data in accessors";
+        return Err(Fault::pointer(
+            format!("{at}/extensions/{DRACO}"),
+            expected,
+            "one that is compressed by Draco alone",
+        ));
+    }
     let stored = asset.floats::<3>(positions.index())?.into_iter().map(Vec3::from).collect();
-    let rest_surface = poses.rest_surface((asset, motion), node, primitive, stored)?;
+    let rest_surface = poses.rest_surface((asset, motion), node, primitive, stored, notes)?;
     let positions = rest_surface.positions(poses.rest());
     let count = u32::try_from(positions.len())
         .map_err(|_| Fault::pointer(&at, "fewer than 2³² vertices", positions.len().to_string()))?;
