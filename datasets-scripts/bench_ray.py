@@ -85,6 +85,10 @@ def main(arguments):
     jobs = open_jobs(program, options)
     try:
         ray.init(address=args.address, log_to_driver=False)
+        has = ray.cluster_resources()
+        for what, asked, flag in [("GPU", args.gpus, "--gpus"), ("CPU", args.cpus, "--cpus")]:
+            if asked > has.get(what, 0):
+                print(f"note: jobs wait for a node with {asked:g} {what}s, of which the cluster has {has.get(what, 0):g}: see {flag}", file=sys.stderr)
         # Nodes need not have these files.
         for module in [sys.modules[__name__], assigned_adapter]:
             ray.cloudpickle.register_pickle_by_value(module)
@@ -111,4 +115,7 @@ def main(arguments):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except KeyboardInterrupt:
+        raise SystemExit("error: stopped; the same command goes on")

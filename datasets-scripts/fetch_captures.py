@@ -15,11 +15,13 @@ Everything of Mip-NeRF 360 is there for both protocols of `centaur bench`: the f
 """
 
 import argparse
+import contextlib
 import hashlib
 import http.client
 import json
 import shlex
 import shutil
+import signal
 import stat
 import sys
 import tempfile
@@ -30,6 +32,11 @@ import zipfile
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 GOOGLE = "https://storage.googleapis.com/gresearch/refraw360/"
 INRIA = "https://repo-sam.inria.fr/fungraph/3d-gaussian-splatting/datasets/input/"
@@ -80,7 +87,7 @@ CAPTURES = {
         [INRIA + "tandt_db.zip"],
         TANKS + "; Deep Blending: see https://github.com/Phog/DeepBlending",
         dict.fromkeys((*TRUCK_AND_TRAIN, "db/drjohnson", "db/playroom"), ""),
-        tables={"tandt": ("truck", "train"), "db": ("drjohnson", "playroom")},
+        tables={"truck-and-train": ("truck", "train"), "db": ("drjohnson", "playroom")},
     ),
     "tandt": Collection(
         [INRIA + "tandt_db.zip", GOF + "TNT_GOF.zip"],
@@ -105,6 +112,20 @@ BLOCK = 1 << 20
 
 class FetchError(Exception):
     """One line for the user."""
+
+
+@contextlib.contextmanager
+def alone_in(folder):
+    """Holds a folder of archives, into whose parts two runs would both write."""
+    with (folder / ".lock").open("w") as lock:
+        try:
+            if fcntl is not None:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise FetchError(f"{folder}: another run is fetching into it") from error
+        except OSError:  # file systems without locks
+            pass
+        yield
 
 
 def download(url, target):
@@ -132,8 +153,11 @@ def download(url, target):
                 finally:  # what went wrong is said in a line of its own
                     print(file=sys.stderr)
     except urllib.error.HTTPError as error:
-        if error.code == 416 and have:  # the part is longer than the file: not ours to complete
-            part.unlink()
+        if error.code == 416 and have:
+            if error.headers.get("Content-Range") == f"bytes */{have}":  # nothing is missing but its name
+                part.rename(target)
+                return tag.unlink()
+            part.unlink()  # longer than the file: not ours to complete
             return download(url, target)
         raise FetchError(f"{url}: {error}") from error
     except (ValueError, http.client.InvalidURL) as error:  # a redirection to what is no address, a length that is no number
@@ -289,7 +313,7 @@ def fetch(name, folder, mirror=None, names=None):
     scenes = chosen(collection, names)
     if mirror is not None:
         ensure_address(mirror)
-    print(f"Licence. {collection.licence}")
+    print(f"Licence. {collection.licence}", flush=True)  # before the download, wherever it goes
     archives, scenes_folder = folder / "archives", folder / name
     archives.mkdir(parents=True, exist_ok=True)
     scenes_folder.mkdir(parents=True, exist_ok=True)
@@ -298,7 +322,14 @@ def fetch(name, folder, mirror=None, names=None):
         file = url.rsplit("/", 1)[1]
         if collection.scenes_in.get(file, set(scenes)) & set(scenes):
             urls[archives / file] = url if mirror is None else f"{mirror.rstrip('/')}/{file}"
-    ensure_space(folder, urls, len(scenes) == len(collection.scenes))
+    with alone_in(archives):
+        get(collection, scenes, urls, scenes_folder)
+    say_commands(name, scenes, scenes_folder)
+
+
+def get(collection, scenes, urls, scenes_folder):
+    """Downloads, verifies and unpacks the scenes of {archive: its address} into their folder."""
+    ensure_space(scenes_folder.parent, urls, len(scenes) == len(collection.scenes))
     for archive, url in urls.items():
         if not archive.exists():
             download(url, archive)
@@ -318,15 +349,20 @@ def fetch(name, folder, mirror=None, names=None):
         if record:  # of what is known to be whole
             with (archive.parent / "SHA256SUMS").open("a") as out:
                 out.write(record)
+
+
+def say_commands(name, scenes, scenes_folder):
+    """Prints how to train the scenes that are there, and lists them for `centaur bench`."""
+    collection = CAPTURES[name]
+    short = scene_names(collection)
     found = [s for s in scenes if is_captured(scenes_folder / s)]
     for scene in found:
         flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
-        print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {Path(scene).name}.glb")
+        print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {short[scene]}.glb")
     if found:
         list_scenes(collection, scenes_folder)
         bench = f"centaur bench {shlex.quote(str(scenes_folder))}"
         print(f"{bench} -o {shlex.quote(f'out/{name}')} {collection.bench}".rstrip())
-        short = scene_names(collection)
         for table, of in collection.tables.items():
             if set(of) <= {short[s] for s in found}:
                 print(f"{bench} --scenes {','.join(of)} -o out/{table}")
@@ -371,4 +407,8 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
+    # What schedulers and lost terminals send ends it as Ctrl-C does, without leaving what is half written.
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
     main()

