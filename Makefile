@@ -17,6 +17,8 @@ TRAINED ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
+# Scripts take one of this name for the path of a program.
+unexport CENTAUR
 ORACLES := .venv-oracles
 ORACLES_LPIPS := .venv-oracles-lpips
 ORACLES_FLIP := .venv-oracles-flip

@@ -6,7 +6,7 @@ link() { # name, capture
         [ "$(readlink "$scenes/$1")" = "$(realpath "$2")" ] || ln -sfn "$(realpath "$2")" "$scenes/$1"
     else
         [ -d "$scenes/$1/" ] || rm -f "$scenes/$1"
-        [ -d "$scenes/$1/" ] || echo "$1: left out, $2 is not there"
+        if [ -d "$scenes/$1/" ]; then echo "$1: that of a former run, $(readlink "$scenes/$1")"; else echo "$1: left out, $2 is not there"; fi
     fi
 }
 link demo demo
