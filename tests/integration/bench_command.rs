@@ -123,9 +123,12 @@ fn a_data_set_is_trained_once_and_tabled() {
         assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));
     }
     std::fs::write(&place, &whole).unwrap();
-    // Another variant may be of other photographs, which are not here any more.
+    // Another variant may be of other photographs.
     let mut small: serde_json::Value = serde_json::from_slice(&whole).unwrap();
-    for (key, value) in [("variant", "small".into()), ("flags", ["--images", "gone"].into()), ("capture", 1.into())] {
+    let of_small = centaur::capture::fingerprint(&at("scenes/one"), Some("small")).unwrap();
+    assert_ne!(Some(of_small.unwrap().into()), small["job"]["capture"].as_u64());
+    let changed = [("variant", "small".into()), ("flags", ["--images", "small"].into()), ("capture", of_small.into())];
+    for (key, value) in changed {
         small["job"][key] = value;
     }
     std::fs::create_dir(at("out/small")).unwrap();
