@@ -165,12 +165,15 @@ pub(super) fn run(args: &Args) -> Result<()> {
         // Whoever reads these takes the usual one in whatever unit: the scene has none of its own to lose by being scaled.
         edited.scene.composition.near = usual_near;
     }
-    ensure!(
-        !edited.scene.splats.is_empty() || !edited.scene.meshes.is_empty(),
-        "{}: expected something to write, found no splats and no meshes{}",
-        files.output.display(),
-        if edited.steps.is_empty() { "" } else { " after removing" },
-    );
+    if edited.scene.splats.is_empty() && edited.scene.meshes.is_empty() {
+        let notes = inputs.iter().flat_map(|input| input.notes.first().map(|note| (&input.file, note)));
+        // What is left out in reading is told with what is written, else.
+        let why = match (notes.map(|(file, note)| format!(": {}: {note}", file.display())).next(), &edited.steps[..]) {
+            (why, []) => why.unwrap_or_default(),
+            _ => " after removing".to_owned(),
+        };
+        bail!("{}: expected something to write, found no splats and no meshes{why}", files.output.display());
+    }
     if edited.source.as_ref().is_some_and(|s| gltf::is_named(files.output) && s.stands(&edited.scene, &edited.cameras))
     {
         // A document that is written again is taken over exactly, whatever a scene can hold of it.

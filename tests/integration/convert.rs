@@ -178,12 +178,18 @@ fn refusals_are_one_line_and_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     write_hybrid(&folder.path().join("h.glb"));
     std::fs::write(folder.path().join("notes.txt"), "not a scene").unwrap();
+    let usda = "#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\ndef PointInstancer \"P\"\n{\n}\n";
+    std::fs::write(folder.path().join("copies.usda"), usda).unwrap();
     for (args, expected) in [
         ("none.ply b.glb", "error: none.ply: cannot read: No such file or directory"),
         ("h.glb none/b.glb", "error: none/b.glb: cannot write: folder none: No such file or directory"),
         (
             "h.glb b.glb --keep-sphere 99,99,99,1",
             "error: b.glb: expected something to write, found no splats and no meshes after removing",
+        ),
+        (
+            "copies.usda b.glb",
+            "error: b.glb: expected something to write, found no splats and no meshes: copies.usda: 1 prim of type PointInstancer left out, with what is below",
         ),
         ("h.glb b.ply --min-opacity 1", "error: b.ply: expected splats for a .ply, found meshes alone"),
         ("h.glb b.glb --scale 1e300", "error: moving the scene: near: expected a positive number, found inf"),
