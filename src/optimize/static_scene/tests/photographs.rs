@@ -96,7 +96,9 @@ fn a_surface_is_of_what_masks_leave() {
         // Discs, but judges show no more than a corner.
         let mask = image::GrayImage::from_fn(224, 168, |x, y| {
             let is_in_disc = center.distance(DVec2::new(f64::from(x), f64::from(y))) < 0.2 * 224.0;
-            image::Luma([255 * u8::from(if judges(i) { x + y < 8 } else { is_in_disc })])
+            // Black is what JPEG leaves of it.
+            let is_left = if judges(i) { x + y < 8 } else { is_in_disc };
+            image::Luma([if is_left { 255 } else { 2 }])
         });
         let name = Path::new(&view.name).file_name().unwrap();
         mask.save(folder.path().join("masks").join(name).with_extension("png")).unwrap();
