@@ -17,15 +17,16 @@ impl Run<'_> {
             let photos = &self.photos;
             let photo_of = |view: &View| photos.are_cut_out.then(|| photos.whole(view)).transpose();
             let views = surface::point_views(self.capture, &self.cameras, &self.train, photo_of)?;
-            let few = surface::are_few_left(self.capture, &self.train, &views);
-            match surface::from_points(self.capture, &views, self.options.triangles, planar) {
-                _ if few => {}
-                Ok((surface, _, origin)) => {
-                    self.found.surface = Some(origin);
-                    return self.textured(training, surface);
+            // Else what is left would be guesses, where splats know better.
+            if !surface::are_few_left(self.capture, &self.train, &views) {
+                match surface::from_points(self.capture, &views, self.options.triangles, planar) {
+                    Ok((surface, _, origin)) => {
+                        self.found.surface = Some(origin);
+                        return self.textured(training, surface);
+                    }
+                    Err(GeometryError::EmptySurface { .. }) => {}
+                    Err(error) => return Err(error.into()),
                 }
-                Err(GeometryError::EmptySurface { .. }) => {}
-                Err(error) => return Err(error.into()),
             }
         }
         let points = self.whereabouts(training)?;

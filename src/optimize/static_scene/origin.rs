@@ -69,9 +69,9 @@ impl Origin {
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use std::sync::atomic::AtomicBool;
+
+    use glam::Vec3;
 
     use super::super::{Checkpoints, Session, train};
     use super::*;
