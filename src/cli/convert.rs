@@ -166,11 +166,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
         edited.scene.composition.near = usual_near;
     }
     if edited.scene.splats.is_empty() && edited.scene.meshes.is_empty() {
-        let notes = inputs.iter().flat_map(|input| input.notes.first().map(|note| (&input.file, note)));
-        // What is left out in reading is told with what is written, else.
-        let why = match (notes.map(|(file, note)| format!(": {}: {note}", file.display())).next(), &edited.steps[..]) {
-            (why, []) => why.unwrap_or_default(),
-            _ => " after removing".to_owned(),
+        let why = match inputs.iter().find_map(|input| Some((&input.file, input.notes.first()?))) {
+            _ if !edited.steps.is_empty() => " after removing".to_owned(),
+            // Notes are told beside what is written, which is nothing.
+            Some((file, note)) => format!(": {}: {note}", file.display()),
+            None => String::new(),
         };
         bail!("{}: expected something to write, found no splats and no meshes{why}", files.output.display());
     }
