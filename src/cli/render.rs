@@ -231,7 +231,7 @@ impl Args {
                 let scene = self.scene.display();
                 format!("{scene}: --time START..END: expected a scene that moves, found one that rests")
             })?;
-            let fps = sampling.fps.or(document.fps()).unwrap_or(DEFAULT_FPS);
+            let fps = sampling.fps.or(shot.fps).or(document.fps()).unwrap_or(DEFAULT_FPS);
             shot = span(shot, [start, end], fps)?;
         }
         if moving.is_some() && self.time.is_none() && sampling.fps.is_some() && shot.times.is_empty() {

@@ -4,7 +4,7 @@ mod args;
 mod notes;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -43,27 +43,35 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if matches!(trained.outcome, Outcome::Interrupted) {
         let checkpoint = args.checkpoint();
         let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
-        return report_interruption(args, ("checkpoint", &checkpoint), &line, &told);
+        return report_interruption(args, &[("checkpoint", &checkpoint)], &line, &told);
     }
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
     write(args, &capture, &trained, &record)?;
     let scored = scores.then(|| score(args, &capture, &trained, &record, (&gpu, lpips.as_ref()), &stop)).transpose()?;
     if let Some(None) = scored {
-        let line = format!("wrote {}, without scores; centaur eval gives them", args.output.display());
-        return report_interruption(args, ("scene", &args.output), &line, &told);
+        let checkpoint = args.checkpoint();
+        let mut left = vec![("scene", &args.output)];
+        let mut line = format!("wrote {}, without scores; centaur eval gives them", args.output.display());
+        if checkpoint.exists() {
+            line += &format!(", as does the same command with --resume, from {}", checkpoint.display());
+            left.push(("checkpoint", &checkpoint));
+        }
+        return report_interruption(args, &left, &line, &told);
     }
     let evaluation = scored.flatten();
     let capped = notes::capped(args, &trained, &gpu);
     tell(capped.as_slice(), args);
     told.extend(capped);
-    if args.messages.json {
-        print_json(args, &capture, &trained, &told, evaluation.as_ref())?;
+    let printed = if args.messages.json {
+        print_json(args, &capture, &trained, &told, evaluation.as_ref())
     } else {
-        print(args, &trained, evaluation.as_ref())?;
+        print(args, &trained, evaluation.as_ref())
+    };
+    // Everything is written and said, or nobody listens; what was kept for resuming has served.
+    if printed.as_ref().map_or_else(output::is_read_enough, |()| true) {
+        let _ = std::fs::remove_file(args.checkpoint());
     }
-    // Everything is written and said; what was kept for resuming has served.
-    let _ = std::fs::remove_file(args.checkpoint());
-    Ok(())
+    printed
 }
 
 /// At once, to persons; in JSON they come at the end.
@@ -226,10 +234,12 @@ fn set_aside(args: &Args) -> Result<Option<Aside>> {
     Ok(Some(Aside::set(checkpoint, name).context(cannot)?))
 }
 
-/// Ctrl-C is no failure: the work so far is in a file, which is named and described.
-fn report_interruption(args: &Args, (kind, file): (&str, &Path), line: &str, notes: &[String]) -> Result<()> {
+/// Ctrl-C is no failure: the work so far is in files, which are named and described.
+fn report_interruption(args: &Args, files: &[(&str, &PathBuf)], line: &str, notes: &[String]) -> Result<()> {
     if args.messages.json {
-        return output::print_json(&serde_json::json!({ "outcome": "interrupted", kind: file, "notes": notes }));
+        let mut said = serde_json::json!({ "outcome": "interrupted", "notes": notes });
+        files.iter().for_each(|(kind, file)| said[*kind] = serde_json::json!(file));
+        return output::print_json(&said);
     }
     output::print(&format!("stopped; {line}"))
 }

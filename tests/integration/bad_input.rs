@@ -259,6 +259,12 @@ fn flags_of_a_mesh_beside_none_are_noted() {
         ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--planar", "off", "--lambda", "0"];
     let output = train(folder.path(), more).output().unwrap();
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), "note: --mesh: --planar has no effect\n"));
+    // An order by depth alone has nothing to be told how far.
+    let more =
+        ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--mode", "direct", "--lambda", "0"];
+    let output = train(folder.path(), more).output().unwrap();
+    let note = "note: --mode direct: --lambda has no effect\n";
+    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
 }
 
 /// In another unit or frame than the poses, as a rule.

@@ -95,6 +95,8 @@ fn a_data_set_is_trained_once_and_tabled() {
     );
     let other = bench(folder.path(), &["--protocol", "a"], "--iterations 20");
     assert_eq!(said(&other).1, "error: out/hybrid/one-0.json: expected a result of --protocol a, found none\n");
+    let other = bench(folder.path(), &["--protocol", "a", "--table"], COARSE);
+    assert_eq!(said(&other).1, "error: out/hybrid/one-0.json: expected a result of --protocol a, found none\n");
 
     // Nor what is in another's place, is no result, or is one of another capture.
     let place = at("out/hybrid/one-0.json");
@@ -123,6 +125,9 @@ fn a_data_set_is_trained_once_and_tabled() {
         assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));
     }
     std::fs::write(&place, &whole).unwrap();
+    // What has no name of a result may be anything.
+    std::fs::write(at("out/hybrid/notes.json"), "{").unwrap();
+    assert_eq!(refused(), "");
     // Another variant may be of other photographs.
     let mut small: serde_json::Value = serde_json::from_slice(&whole).unwrap();
     let of_small = centaur::capture::fingerprint(&at("scenes/one"), Some("small")).unwrap();

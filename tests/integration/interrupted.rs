@@ -81,9 +81,33 @@ fn scoring_stops_and_the_scene_stays() {
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0));
     let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(said, serde_json::json!({ "outcome": "interrupted", "scene": "scene.glb", "notes": said["notes"] }));
-    centaur::format::read_scene(&folder.path().join("scene.glb")).unwrap();
-    assert!(folder.path().join("scene.glb.checkpoint").is_file());
+    let files = ["scene.glb", "scene.glb.checkpoint"];
+    let expected = serde_json::json!({ "outcome": "interrupted", "scene": files[0], "checkpoint": files[1], "notes": said["notes"] });
+    assert_eq!(said, expected);
+    centaur::format::read_scene(&folder.path().join(files[0])).unwrap();
+    assert!(folder.path().join(files[1]).is_file());
+}
+
+/// What is kept for resuming has served when all is written, and goes also where nobody reads what is printed then. What cannot be printed is a
+/// failure, from which a run goes on.
+#[test]
+fn a_checkpoint_goes_with_whoever_reads_the_result() {
+    let folder = tempfile::tempdir().unwrap();
+    common::write_capture(&folder.path().join("capture"), 8, (48, 32));
+    let checkpoint = folder.path().join("scene.glb.checkpoint");
+    let train = |stdout: Stdio| {
+        let mut command = common::centaur(folder.path());
+        command.args("train capture -o scene.glb --no-mesh --iterations 1 --no-eval --quiet".split(' '));
+        command.stdout(stdout).status().unwrap()
+    };
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    assert_eq!((train(writer.into()).code(), checkpoint.exists()), (Some(0), false));
+    // Linux alone has a file that never has room.
+    if let Ok(full) = std::fs::File::options().write(true).open("/dev/full") {
+        assert_eq!((train(full.into()).code(), checkpoint.exists()), (Some(1), true));
+        assert!(train(Stdio::null()).success());
+    }
 }
 
 /// The first signal of two asks training to stop. Both are there when it goes on: between them it would have time to.

@@ -1,6 +1,6 @@
 //! What there is to do.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::fmt;
 use std::path::{Component, Path, PathBuf};
@@ -54,25 +54,32 @@ pub(super) fn chooses_pictures(word: &str) -> bool {
     is_one_of(word, &OF_PROTOCOL)
 }
 
-/// Whether a word is one of these flags, with its value or before it. That of a short one may follow without a sign.
+/// Whether a word is one of these flags, with its value or before it.
 fn is_one_of(word: &str, flags: &[&str]) -> bool {
-    let short = if word.starts_with("--") { None } else { word.get(..2) };
-    let long = word.split('=').next();
-    [short, long].into_iter().flatten().any(|name| flags.contains(&name))
+    name_of(word).is_some_and(|name| flags.contains(&name))
 }
 
-/// The flags of a scene that those of the command and the variant leave: none of its size if they say one, which goes with no other.
+/// The name of the flag that a word is, with its value or before it, which may follow that of a short one without a sign; none if it is a value,
+/// such as `-1.5`.
+fn name_of(word: &str) -> Option<&str> {
+    let is_long = word.starts_with("--");
+    let is_short = word.strip_prefix('-').is_some_and(|name| name.starts_with(char::is_alphabetic));
+    if is_long { word.split('=').next() } else { word.get(..2).filter(|_| is_short) }
+}
+
+/// The flags of a scene that those of the command and the variant leave: none that they give as well, and none of its size if they say one,
+/// which goes with no other.
 fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
-    let is_sized = others.iter().any(|word| is_one_of(word, &OF_SIZE));
-    let (mut left, mut words) = (vec![], of_scene.iter());
-    while let Some(word) = words.next() {
-        if !(is_sized && is_one_of(word, &OF_SIZE)) {
-            left.push(word.clone());
-        } else if !word.contains('=') {
-            words.next();
+    let given: BTreeSet<&str> = others.iter().filter_map(|word| name_of(word)).collect();
+    let is_sized = OF_SIZE.iter().any(|flag| given.contains(flag));
+    let mut is_left = true;
+    let stays = |word: &&String| {
+        if let Some(name) = name_of(word) {
+            is_left = !(given.contains(name) || is_sized && OF_SIZE.contains(&name));
         }
-    }
-    left
+        is_left
+    };
+    of_scene.iter().filter(stays).cloned().collect()
 }
 
 /// Flags as results keep them: of weights the name alone, since folders differ from machine to machine.
@@ -300,7 +307,15 @@ impl Job {
             )));
         }
         let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".into()).chain(self.command()));
-        parsed.map(drop).map_err(|e| usage::wrong(first_line(&e))).with_context(|| format!("flags of {}", self.name()))
+        let wrong = |e: clap::Error| {
+            // What prints something else is no mistake to clap.
+            usage::wrong(if e.use_stderr() {
+                first_line(&e)
+            } else {
+                "expected those of a training, found one that prints help".to_owned()
+            })
+        };
+        parsed.map(drop).map_err(wrong).with_context(|| format!("flags of {}", self.name()))
     }
 }
 
@@ -552,6 +567,17 @@ mod tests {
     }
 
     #[test]
+    fn flags_that_the_command_gives_are_none_of_a_scene() {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        let of_scene = "--iterations 2 --lambda=-1 --masks --warmup -1 --downscale 2";
+        let left = |others: &str| left_of(&words(of_scene), &words(others)).join(" ");
+        assert_eq!(left("--iterations=3"), "--lambda=-1 --masks --warmup -1 --downscale 2");
+        assert_eq!(left("--warmup 5 --masks"), "--iterations 2 --lambda=-1 --downscale 2");
+        assert_eq!(left("--max-side 64"), "--iterations 2 --lambda=-1 --masks --warmup -1");
+        assert_eq!(left("--layers 2"), of_scene);
+    }
+
+    #[test]
     fn what_cannot_be_done_is_said_before_anything_is() {
         let folder = dataset(&["garden"]);
         let error = |more: &[&str]| {
@@ -567,6 +593,10 @@ mod tests {
         assert_eq!(error(&["--seeds", "1,0,1"]), "--seeds: 1 given twice");
         let list = ["centaur", "bench", "data", "-o", "out", "--list", "--json"];
         assert!(Cli::try_parse_from(list).is_err(), "commands are no JSON");
+        assert_eq!(
+            error(&["--", "--help"]),
+            "flags of default/garden-0: expected those of a training, found one that prints help"
+        );
         let flag = error(&["--", "--no-messh"]);
         assert!(flag.starts_with("flags of default/garden-0: ") && flag.contains("--no-messh"), "{flag}");
         let pictures = "expected no flag for the pictures, which it decides, found";

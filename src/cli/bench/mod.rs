@@ -79,7 +79,7 @@ pub(super) struct Args {
     /// Print a command, quoted for a shell, for each job that is not done, and do none
     #[arg(long, conflicts_with_all = ["table", "json"])]
     list: bool,
-    /// Make the table of what is done, and do nothing else
+    /// Make the table of all that is done in -o, whatever else this command asks for, and do nothing else
     #[arg(long)]
     table: bool,
     /// Flags of `centaur train` for every job
@@ -100,6 +100,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let before = record::all(&args.output)?;
     if args.table {
         ensure!(!before.is_empty(), "{}: expected results of jobs, found none", args.output.display());
+        if args.protocol.is_some() {
+            record::check_protocol(&before, args.protocol)?;
+        }
         return print_table(args, &write_table(args, &before)?);
     }
     let all = jobs::all(args)?;

@@ -49,8 +49,13 @@ pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
     let mut records = vec![];
     for variant in entries(folder)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&variant)?.into_iter().filter(|path| path.extension().is_some_and(|e| e == "json")) {
-            // `centaur eval` may write here, too.
-            let Some(record) = read(file)? else { continue };
+            // `centaur eval` may write here, too, and others what they like, but for names of results.
+            let is_ours = is_named_as_a_result(&file);
+            let record = match read(file) {
+                Ok(Some(record)) => record,
+                Err(error) if is_ours => return Err(error),
+                Ok(None) | Err(_) => continue,
+            };
             let (file, place) = (&record.file, folder.join(record.made.place()));
             let name = file.display();
             ensure!(*file == place, "{name}: expected a result of this place, found that of {}", place.display());
@@ -58,6 +63,12 @@ pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
         }
     }
     Ok(records)
+}
+
+/// `SCENE-SEED.json`, as [`Made::place`] has it.
+fn is_named_as_a_result(file: &Path) -> bool {
+    let seed = |stem: &str| stem.rsplit_once('-').is_some_and(|(_, seed)| seed.parse::<u64>().is_ok());
+    file.file_stem().and_then(|stem| stem.to_str()).is_some_and(seed)
 }
 
 /// The result in a file, if it is one of a training.
@@ -86,17 +97,23 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
+/// Refuses results of another protocol.
+pub(super) fn check_protocol(records: &[Record], expected: Option<Protocol>) -> Result<()> {
+    let name = |p: Option<Protocol>| p.map_or("none".to_owned(), |p| p.to_string());
+    records.iter().find(|record| record.made.protocol != expected).map_or(Ok(()), |Record { file, made, .. }| {
+        let (file, expected, found) = (file.display(), name(expected), name(made.protocol));
+        bail!("{file}: expected a result of --protocol {expected}, found {found}")
+    })
+}
+
 /// Refuses results that the jobs' own would not compare with: of another protocol, in a variant of theirs of other flags, or of a scene of
 /// theirs that is another capture or has other flags in `scenes.json`.
 pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
     let jobs: Vec<(Made, &Job)> = jobs.iter().map(|job| (job.made(0), job)).collect();
+    jobs.first().map_or(Ok(()), |(job, _)| check_protocol(records, job.protocol))?;
     let mut captures = BTreeMap::new();
     for record in records {
         let (file, made) = (record.file.display(), &record.made);
-        if let Some((job, _)) = jobs.first().filter(|(job, _)| job.protocol != made.protocol) {
-            let name = |p: Option<Protocol>| p.map_or("none".to_owned(), |p| p.to_string());
-            bail!("{file}: expected a result of --protocol {}, found {}", name(job.protocol), name(made.protocol));
-        }
         if let Some((job, _)) = jobs.iter().find(|(job, _)| job.variant == made.variant && job.flags != made.flags) {
             let (expected, found) = (job.flags.join(" "), made.flags.join(" "));
             bail!(

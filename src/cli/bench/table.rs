@@ -213,6 +213,8 @@ impl Row {
     fn of(record: &Record) -> Self {
         let e = &record.result["evaluation"];
         let number = |name: &str| e[name].as_f64();
+        // JSON has no infinity: that of a view like its photograph is null, and so is the mean then.
+        let psnr = number("psnr").or_else(|| e.get("psnr")?.is_null().then_some(f64::INFINITY));
         let time = |name: &str| number(name).filter(|_| record.made.at_a_time == 1);
         let lpips = &e["lpips"];
         let distances = lpips["normalized"].as_f64().zip(lpips["unnormalized"].as_f64());
@@ -225,7 +227,7 @@ impl Row {
             scene: record.made.scene.clone(),
             runs: 1,
             masked: Masked::of(record),
-            psnr: number("psnr"),
+            psnr,
             ssim: number(if record.made.protocol == Some(Protocol::A) { "ssim_valid" } else { "ssim_inria" }),
             flip: number("flip"),
             lpips,
@@ -349,6 +351,13 @@ impl fmt::Display for Table {
                  with others: there is no mean over both, and no published row beside them."
             )?;
         }
+        if self.variants.iter().flat_map(|section| &section.rows).any(|row| row.psnr == Some(f64::INFINITY)) {
+            writeln!(
+                f,
+                "
+PSNR of inf: a view is, in 8 bits, its photograph, and has no errors that others' could be averaged with."
+            )?;
+        }
         if let Some(note) = self.published_note {
             writeln!(f, "\nPublished rows: {note}.")?;
         }
@@ -417,6 +426,19 @@ mod tests {
         }
         assert!(!text.contains("HERA"), "{text}");
         assert_eq!(serde_json::to_value(table(&records)).unwrap()["variants"][1]["mean"]["psnr"], 29.0);
+        assert!(!text.contains("inf:"), "{text}");
+        // A view that is its photograph has no number in JSON; what has none at all is another thing.
+        let mut perfect = records.clone();
+        perfect[0].result["evaluation"]["psnr"] = Value::Null;
+        let perfect = table(&perfect).to_string();
+        for part in [
+            "| a | room | 2 | inf |",
+            "| **a** | **mean** | 4 | inf |",
+            "| **b** | **mean** | 4 | 29.00 |",
+            "PSNR of inf:",
+        ] {
+            assert!(perfect.contains(part), "{part}: {perfect}");
+        }
         // The mean of two scenes is nothing beside that of three.
         records.push(record("b", "bonsai", 0, 99.0));
         let text = table(&records).to_string();

@@ -314,12 +314,11 @@ impl Args {
         }
     }
 
-    /// Flags that have no effect beside --no-mesh or --mesh, and which of both it is. Variants of `centaur bench` share them with others: they
-    /// are no mistake.
-    pub(super) fn idle(&self) -> Option<(&'static str, Vec<&'static str>)> {
+    /// Flags that have no effect beside another, and which that is. Variants of `centaur bench` share them with others: they are no mistake.
+    pub(super) fn idle(&self) -> Vec<(&'static str, Vec<&'static str>)> {
         let usual = TrainOptions::default();
         // Of a surface that is found.
-        let mut flags = vec![
+        let mut of_meshes = vec![
             (self.surface_iterations.is_some(), "--surface-iterations"),
             (self.triangles != usual.triangles, "--triangles"),
             (!self.planar.is_auto(), "--planar"),
@@ -327,7 +326,7 @@ impl Args {
         ];
         if self.no_mesh {
             // Of any.
-            flags.extend([
+            of_meshes.extend([
                 (self.warmup.is_some_and(|iterations| iterations > 0), "--warmup"),
                 (self.dense_texels, "--dense-texels"),
                 (self.texture_size.is_some(), "--texture-size"),
@@ -337,9 +336,17 @@ impl Args {
                 (!matches!(self.mode, Mode::SurfaceConsistent), "--mode"),
             ]);
         }
-        let beside = if self.no_mesh { "--no-mesh" } else { self.mesh.as_ref().map(|_| "--mesh")? };
-        let given: Vec<&str> = flags.into_iter().filter(|(is_given, _)| *is_given).map(|(_, flag)| flag).collect();
-        (!given.is_empty()).then_some((beside, given))
+        let is_direct = matches!(self.mode, Mode::Direct) && !self.no_mesh;
+        let beside = [
+            (self.no_mesh, "--no-mesh", of_meshes.clone()),
+            (self.mesh.is_some(), "--mesh", of_meshes),
+            (is_direct, "--mode direct", vec![(self.lambda != usual.lambda, "--lambda")]),
+        ];
+        let given = |flags: Vec<(bool, &'static str)>| -> Vec<&str> {
+            flags.into_iter().filter(|(is_given, _)| *is_given).map(|(_, flag)| flag).collect()
+        };
+        let idle = beside.into_iter().filter(|(is_there, ..)| *is_there).map(|(_, flag, others)| (flag, given(others)));
+        idle.filter(|(_, others)| !others.is_empty()).collect()
     }
 
     /// What can be known to fail before the first iteration.

@@ -64,7 +64,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
             args.iterations
         )
     });
-    let idle = args.idle().map(|(beside, flags)| {
+    let idle = args.idle().into_iter().map(|(beside, flags)| {
         format!("{beside}: {} {} no effect", flags.join(", "), if flags.len() == 1 { "has" } else { "have" })
     });
     let of_capture = said.map(|(_, what)| what.to_owned());
