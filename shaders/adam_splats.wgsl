@@ -2,7 +2,7 @@
 // splats do not begin at multiples of four (degrees 0 and 2).
 //
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
-// bandwidth, 1.7 kB per splat of degree 3.
+// bandwidth, 1.7 kB per splat of degree 3; 24 of one that the view does not see, which has no gradient.
 
 //#import shared/random.wgsl
 //#import shared/group_index.wgsl
@@ -67,20 +67,26 @@ fn geometry(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let i = group_index(group) * 256u + thread;
-    if i >= step.n_splats || status.is_short != 0u || (step.visible_only != 0u && visible[i] == 0u) { return; }
+    if i >= step.n_splats || status.is_short != 0u { return; }
+    let is_visible = visible[i] != 0u;
+    if step.visible_only != 0u && !is_visible { return; }
     let place = 3u * i;
+    //#for k in 0..3
+    var g$k = vec4f();
+    if is_visible { g$k = gradient[place + $ku]; }
+    //#end
 
     var position = parameters[place];
-    var g = gradient[place];
+    var g = g0;
     var opacity = logistic(position.w);
     g.w += step.opacity_slope * opacity * (1.0 - opacity);
     position = adam(place, position, g, vec4f(vec3f(step.mean_rate), step.opacity_rate));
 
-    let quaternion = adam(place + 1u, parameters[place + 1u], gradient[place + 1u], vec4f(step.rotation_rate));
+    let quaternion = adam(place + 1u, parameters[place + 1u], g1, vec4f(step.rotation_rate));
     parameters[place + 1u] = quaternion;
 
     var log_scale = parameters[place + 2u];
-    g = vec4f(gradient[place + 2u].xyz + step.scale_slope * exp(log_scale.xyz), 0.0);
+    g = vec4f(g2.xyz + step.scale_slope * exp(log_scale.xyz), 0.0);
     log_scale = adam(place + 2u, log_scale, g, vec4f(vec3f(step.log_scale_rate), 0.0));
     parameters[place + 2u] = log_scale;
 
@@ -124,7 +130,8 @@ fn harmonics(
     let of_splat = (step.active_floats + LANES - 1u) / LANES;
     let splat = index / of_splat;
     if splat >= step.n_splats || status.is_short != 0u { return; }
-    if step.visible_only != 0u && visible[splat] == 0u { return; }
+    let is_visible = visible[splat] != 0u;
+    if step.visible_only != 0u && !is_visible { return; }
     let float = (index - splat * of_splat) * LANES;
     let i = (splat * SH_FLOATS + float) / LANES;
     //#if FOURS
@@ -135,7 +142,8 @@ fn harmonics(
     let is_active = true;
     let rate = select(step.rest_rate, step.dc_rate, float < 3u);
     //#end
-    let g = gradient[i];
+    var g = Floats();
+    if is_visible { g = gradient[i]; }
     let before = parameters[i];
     let kept = Moments(first[i], second[i]);
     let moved = moments_with(g, kept);

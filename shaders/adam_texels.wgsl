@@ -5,7 +5,7 @@
 // 17 bytes read, 13 written: bound by bandwidth. What no view has seen, or next to nothing of, has neither gradient nor
 // moments and stays as it is.
 //
-// `visited_only`: floats without a gradient and their moments stay. Steps are counted for all texels together, which
+// `visited_only`: floats without a gradient and their moments stay, for 5 bytes read. Steps are counted for all texels together, which
 // says little about how often one was seen; instead of correcting the moments for it, a step is at most the rate. (By
 // dense Adam, a texel seen for the first time late in a run moves by Σ 0.9ᵏ · 0.1/√0.001 = 31 times the rate.)
 
@@ -56,11 +56,14 @@ fn adam(
     //#for k in 0..4
     let i$k = first + level * dot(vec2u($ku & 1u, $ku >> 1u), stride);
     let g$k = unit * (f32(bitcast<i32>(gradient[map.offset + i$k])) + inherited);
+    //#end
+    let sparse = step.visited_only != 0u;
+    if sparse && all(vec4f(g0, g1, g2, g3) == vec4f()) { return; }
+    //#for k in 0..4
     let old$k = moments[map.moments + i$k];
     let value$k = texels[map.offset + i$k];
     //#end
     let rate = select(step.band_rate, step.base_rate, map.is_base != 0u);
-    let sparse = step.visited_only != 0u;
     let scale = select(vec2f(step.correction_1, step.correction_2), vec2f(1.0), sparse);
     let longest = select(3e38, 1.0, sparse);
     let held = is_opacity && step.holds_opacity != 0u;

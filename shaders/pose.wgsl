@@ -3,7 +3,7 @@
 //
 // `correct`: the view as the host wrote it becomes the corrected one, in place. One thread.
 // `pull`: parts of the gradient by ω and c, summed over splats: what depends on a mean depends on its difference from the centre, so
-// that the latter's gradient is that of the means, turned round. PARTS workgroups; 32 bytes a splat, bound by bandwidth.
+// that the latter's gradient is that of the means, turned round. PARTS workgroups; 36 bytes a splat in view, bound by bandwidth.
 // `update`: their sum, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
@@ -28,6 +28,7 @@ struct Step {
 @group(0) @binding(6) var<storage, read> geometry_gradient: array<vec4f>;   // [splat][mean, …]
 @group(0) @binding(7) var<storage, read_write> partial: array<vec4f>;       // [workgroup of `pull`][∂L/∂ω, ∂L/∂c]
 @group(0) @binding(8) var<storage, read_write> status: Status;
+@group(0) @binding(9) var<storage, read> visible: array<u32>;               // [splat]; where 0, it has no gradient
 
 // exp(ω)·x
 fn turned(turn: vec3f, x: vec3f) -> vec3f {
@@ -62,6 +63,7 @@ fn pull(
     var by_turn = vec4f();
     var by_shift = vec3f();
     for (var i = part * 256u + thread; i < view.n_splats; i += PARTS * 256u) {
+        if visible[i] == 0u { continue; }
         by_turn += turn_gradient[i];
         by_shift -= geometry_gradient[3u * i].xyz;
     }

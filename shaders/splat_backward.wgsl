@@ -1,5 +1,5 @@
 // From the screen-space moments of `blend_backward` to gradients of a splat's parameters, and the
-// statistics of density control. One thread a splat; culled splats get zeros. With POSES also its part of the gradient by the pose's
+// statistics of density control. One thread a splat; those that are not visible have no gradient, and whatever was there stays. With POSES also its part of the gradient by the pose's
 // rotation: as W' = exp(ω)·W it turns t and the rows J of the projection. `pose` sums it, without barriers in this large function, of
 // which Mesa's software adapter would make coroutines for minutes.
 //#import shared/view.wgsl
@@ -37,18 +37,8 @@ fn main(
     @builtin(local_invocation_index) thread: u32,
 ) {
     let i = group_index(group) * 256u + thread;
-    if i >= view.n_splats { return; }
+    if i >= view.n_splats || visible[i] == 0u { return; }
     let first = i * SH_LOADS;
-    if visible[i] == 0u {
-        geometry_gradient[3u * i] = vec4f(0.0);
-        geometry_gradient[3u * i + 1u] = vec4f(0.0);
-        geometry_gradient[3u * i + 2u] = vec4f(0.0);
-        for (var k = 0u; k < SH_LOADS; k++) { sh_gradient[first + k] = Floats(); }
-//#if POSES
-        turn_gradient[i] = vec4f(0.0);
-//#end
-        return;
-    }
     let at = MOMENTS * i;
     let sp = moments[at];
     let sd = vec2f(moments[at + 1u], moments[at + 2u]);

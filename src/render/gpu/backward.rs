@@ -23,7 +23,7 @@ pub(crate) struct Backward {
     of_splats: Stage,
 }
 
-/// Of `capacity` splats.
+/// Of `capacity` splats. Gradients of those that the last view does not see mean nothing.
 pub(crate) struct SplatGradients {
     /// As `SplatBuffers::geometry`.
     pub(crate) geometry: Buffer,
@@ -103,11 +103,11 @@ impl Backward {
 
     /// Appends only what leads from the image gradient to [`Self::moments`].
     pub(crate) fn record_blend(&self, frame: &mut Frame, view: &View) {
-        self.blend.record(frame, view.n_tiles());
+        self.blend.record(frame, view.n_tiles(), view.n_splats as usize);
     }
 
-    /// Sums per splat that the blend found, and how many of each there are: `[capacity][that many]`, 0 of those that the last
-    /// view does not see.
+    /// Sums per splat that the blend found, and how many of each there are: `[capacity][that many]`. Those that the last view does not see
+    /// keep what they had.
     pub(crate) fn moments(&self) -> (&Buffer, usize) {
         (&self.blend.moments, moments(self.besides.absolute))
     }

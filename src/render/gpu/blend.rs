@@ -42,7 +42,7 @@ pub(crate) struct BlendBackward {
     windows: Vec<[Stage; 2]>,
     sizes: DispatchSizes,
     splats_a_group: usize,
-    /// `[n]` rows of sums per splat; 0 of those that the last view does not see.
+    /// `[n]` rows of sums per splat; those that the last view does not see keep what they had.
     pub(crate) moments: Buffer,
 }
 
@@ -206,14 +206,16 @@ impl BlendBackward {
         Ok(Self { windows, sizes, splats_a_group, moments: sums })
     }
 
-    /// Appends the gradients of `tiles` tiles.
-    pub(crate) fn record(&self, frame: &mut Frame, tiles: usize) {
-        // Splats out of view would keep what another view has found of them.
-        frame.clear(&self.moments);
-        self.sizes.record(frame);
+    /// Appends the gradients of `tiles` tiles with so many splats.
+    pub(crate) fn record(&self, frame: &mut Frame, tiles: usize, splats: usize) {
+        if splats > 0 {
+            self.sizes.record(frame);
+        }
         for [of_tiles, of_splats] in &self.windows {
             frame.dispatch(of_tiles, tiles);
-            self.sizes.dispatch(frame, of_splats, self.splats_a_group);
+            if splats > 0 {
+                self.sizes.dispatch(frame, of_splats, self.splats_a_group);
+            }
         }
     }
 }

@@ -45,9 +45,7 @@ impl Front {
             meshes => Some(MeshStage::new(gpu, meshes, composition.layers, status)?),
         };
         if let Some(mesh) = &mut mesh {
-            for camera in cameras {
-                mesh.resize(gpu, &View::of(camera, *composition), &view)?;
-            }
+            mesh.make_room(gpu, cameras, &view)?;
         }
         let pairs = (capacity * PAIRS_PER_SPLAT + image.tiles).min(longest_list(gpu));
         let lists = lists(gpu, purpose, &splats, image, pairs, &view, mesh.as_ref())?;
@@ -117,12 +115,25 @@ impl Front {
         Ok(short || mesh_grew)
     }
 
-    /// Puts other splat buffers (for more splats) in place of those before, which it returns.
-    pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<SplatBuffers, GpuError> {
+    /// Puts other splat buffers in place of those before, which it returns, and lists with room for at least so many pairs in place of theirs.
+    pub(crate) fn replace_splats(
+        &mut self,
+        gpu: &Gpu,
+        splats: SplatBuffers,
+        pairs: usize,
+    ) -> Result<SplatBuffers, GpuError> {
         let before = std::mem::replace(&mut self.splats, splats);
-        let pairs = (self.splats.capacity * PAIRS_PER_SPLAT).min(longest_list(gpu));
-        self.renew_lists(gpu, pairs.max(self.lists.pairs.capacity()))?;
+        let usual = (self.splats.capacity * PAIRS_PER_SPLAT).min(longest_list(gpu));
+        self.renew_lists(gpu, usual.max(pairs))?;
         Ok(before)
+    }
+
+    /// Frees the lists of (tile, splat) pairs, once nothing is bound to them, so that longer ones need not lie beside them.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold what is there of each splat, which lies beside that of before as yet.
+    pub(crate) fn empty_lists(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        self.renew_lists(gpu, 0)
     }
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {

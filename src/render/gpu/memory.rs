@@ -67,7 +67,7 @@ impl TrainingBytes {
 }
 
 /// Bytes of GPU buffers that training takes, as long as no view has more (tile, splat) pairs than there is room for at
-/// first. Lists exist twice while longer ones take their place. Saturates.
+/// first. Saturates.
 #[must_use]
 pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
     let s = size;

@@ -111,6 +111,43 @@ fn growing_takes_what_the_larger_buffers_take() {
     assert!((0.99..1.01).contains(&(grown / made)), "{grown} bytes, not {made}");
 }
 
+/// Pairs of longer lists do not lie beside those before, neither when they grow nor when there are more splats for them.
+#[test]
+fn longer_lists_take_what_they_hold() {
+    let (before, after) = (20_000, 35_000);
+    let pairs = 30 * before;
+    let with_pairs = |n: usize| {
+        let more = pairs as f64 - 1.5 * 6.0 * n as f64;
+        peak(n, 64, 64, Kind::Training) + TRAINING_PAIRS / 6.0 * more
+    };
+    let (scene, camera) = seen(before, 64, 64);
+    let gpu = Gpu::open(None).unwrap();
+    let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+    training.lengthen_lists([pairs, 0]).unwrap();
+    // What lists and blend hold of each splat does, for a moment: 84 and 40 bytes, and four per layer.
+    let twice = 1.5 * (124.0 + 4.0 * f64::from(LAYERS)) * before as f64;
+    let (found, stated) = (gpu.peak_bytes() as f64, with_pairs(before) + twice);
+    assert!((0.99..1.01).contains(&(found / stated)), "{found} bytes, not {stated}");
+
+    let sources: Vec<Source> = (0..after).map(|i| Source::new(i % before)).collect();
+    training.rearrange(&vec![0.0; after * GEOMETRY], &sources).unwrap();
+    assert_eq!(training.list_lengths()[0], pairs, "they are as long as they were");
+    let (grown, stated) = (gpu.peak_bytes() as f64, with_pairs(after));
+    assert!((0.99..1.01).contains(&(grown / stated)), "{grown} bytes, not {stated}");
+}
+
+/// Captures of mixed sizes take what their largest pictures take.
+#[test]
+fn pictures_of_mixed_sizes_take_what_the_largest_do() {
+    let peak = |sides: &[u32]| {
+        let cameras: Vec<Camera> = sides.iter().map(|side| seen(0, 16, *side).1).collect();
+        let gpu = Gpu::open(None).unwrap();
+        drop(Training::new(&gpu, &seen(0, 16, 16).0, &cameras, 0.2).unwrap());
+        gpu.peak_bytes()
+    };
+    assert_eq!(peak(&[100, 200, 300]), peak(&[300]));
+}
+
 #[test]
 fn the_account_of_training_is_what_is_allocated() {
     for (splats, texels, side) in [(50_000, 512, 256), (20_000, 64, 1000)] {
@@ -180,7 +217,7 @@ fn a_million_splats_fit_eight_gigabytes() {
         width: 1920,
         height: 1080,
     };
-    // Twice, for while lists grow.
+    // With lists of twice as many pairs.
     let bytes = training_bytes(&size).total();
     assert!(2 * bytes < 8_000_000_000, "{bytes} bytes");
 }

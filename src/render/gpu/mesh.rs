@@ -13,7 +13,7 @@ use super::texels::AtlasGradient;
 use super::texels::{PEAK_FRAGMENTS, TexelStep, Texels, peak_kernel};
 use super::vertices::{VertexState, VertexStep, Vertices};
 use super::view::View;
-use crate::scene::{Atlas, Mesh};
+use crate::scene::{Atlas, Camera, Intrinsics, Mesh};
 
 /// Side in pixels of the square bins that triangles are sorted into. Smaller than the splats' tiles: the triangles of
 /// a dense mesh are a few pixels large, and every triangle is tested at every pixel of its bins.
@@ -88,6 +88,11 @@ struct Bound {
 /// an atomic addition takes each lane in turn, so a thread adds to a texel once for all pixels of a column; hardware wants the threads.
 fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2], u32) {
     if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32], 1) } else { ("texel_backward.wgsl", [8, 8], 64) }
+}
+
+/// Bins of a picture.
+fn bins(k: &Intrinsics) -> usize {
+    k.width.div_ceil(BIN) as usize * k.height.div_ceil(BIN) as usize
 }
 
 impl Geometry {
@@ -188,17 +193,17 @@ impl MeshStage {
         })
     }
 
-    /// Prepares for views of this size. `view_uniform` must be the same buffer in every call. Buffers only grow, so
-    /// views of mixed sizes allocate once. True if the layer buffers were replaced: bindings to them must be renewed.
+    /// Makes room for pictures of these cameras. `view_uniform` must be the same buffer in every call. Buffers only grow. True if the layer
+    /// buffers were replaced: bindings to them must be renewed.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
-    pub(crate) fn resize(&mut self, gpu: &Gpu, view: &View, view_uniform: &Buffer) -> Result<bool, GpuError> {
+    pub(crate) fn make_room(&mut self, gpu: &Gpu, cameras: &[Camera], view_uniform: &Buffer) -> Result<bool, GpuError> {
         if self.n_triangles == 0 {
             return Ok(false);
         }
-        let k = view.camera.intrinsics();
-        let (pixels, bins) = (view.pixels(), k.width.div_ceil(BIN) as usize * k.height.div_ceil(BIN) as usize);
+        let sizes = cameras.iter().map(|camera| (camera.intrinsics().pixels(), bins(camera.intrinsics())));
+        let (pixels, bins) = sizes.fold((0, 0), |most, size| (most.0.max(size.0), most.1.max(size.1)));
         let grow = self.bound.is_none() || pixels > self.screen.pixels || bins > self.screen.bins;
         if grow {
             let (pixels, bins) = (pixels.max(self.screen.pixels), bins.max(self.screen.bins));
@@ -208,13 +213,22 @@ impl MeshStage {
             self.screen = Screen::new(gpu, self.layers, pixels, bins, capacity, self.trainable)?;
             self.bound = Some(self.bind(gpu, view_uniform));
         }
+        Ok(grow)
+    }
+
+    /// As [`Self::make_room`] for a view, which is what frames recorded from now on are of.
+    ///
+    /// # Errors
+    /// If a buffer exceeds what the adapter binds.
+    pub(crate) fn resize(&mut self, gpu: &Gpu, view: &View, view_uniform: &Buffer) -> Result<bool, GpuError> {
+        let grew = self.make_room(gpu, &[view.camera], view_uniform)?;
         if let Some(bound) = &mut self.bound {
+            let (k, layers) = (view.camera.intrinsics(), self.layers as usize);
             let (_, [w, h], threads) = texel_backward(gpu);
             let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
-            let layers = self.layers as usize;
-            (bound.bins, bound.fragments, bound.texel_threads) = (bins, layers * pixels, layers * of_layer);
+            (bound.bins, bound.fragments, bound.texel_threads) = (bins(k), layers * k.pixels(), layers * of_layer);
         }
-        Ok(grow)
+        Ok(grew)
     }
 
     /// Enlarges the list of (bin, triangle) pairs if a frame since the last call needed more than it holds: that

@@ -72,10 +72,22 @@ impl Pipeline {
     }
 
     /// As [`Front::replace_splats`].
-    pub(crate) fn replace_splats(&mut self, gpu: &Gpu, splats: SplatBuffers) -> Result<SplatBuffers, GpuError> {
-        let before = self.front.replace_splats(gpu, splats)?;
+    pub(crate) fn replace_splats(
+        &mut self,
+        gpu: &Gpu,
+        splats: SplatBuffers,
+        pairs: usize,
+    ) -> Result<SplatBuffers, GpuError> {
+        let before = self.front.replace_splats(gpu, splats, pairs)?;
         self.rebind(gpu, true);
         Ok(before)
+    }
+
+    /// As [`Front::empty_lists`].
+    pub(crate) fn empty_lists(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        self.front.empty_lists(gpu)?;
+        self.rebind(gpu, true);
+        Ok(())
     }
 
     /// Blends the lists that there are now, if they have been made anew.
@@ -109,7 +121,7 @@ impl Pipeline {
         let buffers = [uniform, &lists.pairs.ranges, lists.pairs.splats(), &lists.projected, &depth, &splats.geometry];
         let blend = Stage::new(gpu, "blend_depth.wgsl", "main", &gpu.defines(), &buffers);
         let mut frame = Frame::new(gpu);
-        self.record(gpu, &mut frame, &view);
+        self.front.record(gpu, &mut frame, &view);
         frame.dispatch(&blend, view.n_tiles());
         frame.submit();
         if self.grow_if_short(gpu)? { Ok(None) } else { gpu.read(&depth, view.pixels()).map(Some) }

@@ -122,6 +122,7 @@ impl Poses {
             &backward.splats.geometry,
             &self.partial,
             &backward.status,
+            &pipeline.front.lists.visible,
         ];
         self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }

@@ -231,6 +231,9 @@ impl SplatLists {
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, n: usize) {
         gpu.write(&self.counts, 0, &[n as u32, 0, 0, 0]);
         frame.clear(&self.pairs.ranges);
+        if n == 0 {
+            return;
+        }
         frame.dispatch_threads(&self.project, n);
         self.find_visible.record(frame, Items::Known(n));
         self.sizes.record(frame);

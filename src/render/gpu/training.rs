@@ -324,6 +324,8 @@ impl<'g> Training<'g> {
             let view = show.of(self.prepare(camera)?);
             self.gpu.write(&self.backward.image_gradient, 0, &padded);
             let mut frame = Frame::new(self.gpu);
+            // Splats out of view would keep what another view has found of them.
+            frame.clear(self.backward.moments().0);
             self.pipeline.record(self.gpu, &mut frame, &view);
             self.backward.record_blend(&mut frame, &view);
             frame.submit();
@@ -397,8 +399,13 @@ impl<'g> Training<'g> {
         Ok(grew)
     }
 
-    /// Makes the lists at least as long as `Front::list_lengths` of another run said.
+    /// Makes the lists at least as long as `Front::list_lengths` of another run said. What they held is lost.
     pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<(), GpuError> {
+        if lengths[0] > self.list_lengths()[0] {
+            self.pipeline.empty_lists(self.gpu)?;
+            self.rebind()?;
+            self.gpu.wait()?;
+        }
         if self.pipeline.lengthen_lists(self.gpu, lengths)? {
             self.rebind()?;
         }
@@ -463,8 +470,9 @@ impl<'g> Training<'g> {
     /// and moments, takes no more at its peak than all of it afterwards. Waits.
     fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
         let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.front.splats.sh_degree, self.pipeline.front.n_splats);
+        let [pairs, _] = self.list_lengths();
         self.pipeline.front.n_splats = 0;
-        let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?)?;
+        let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?, 0)?;
         let moments = self.replace_moments(new_moments(gpu, &self.pipeline.front.splats)?);
         self.rebind()?;
         let larger = SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?;
@@ -477,7 +485,7 @@ impl<'g> Training<'g> {
         frame.submit();
         drop((splats, moments));
         gpu.wait()?;
-        self.pipeline.replace_splats(gpu, larger)?;
+        self.pipeline.replace_splats(gpu, larger, pairs)?;
         self.replace_moments(larger_moments);
         self.rebind()?;
         self.pipeline.front.n_splats = n_splats;
@@ -496,11 +504,13 @@ impl<'g> Training<'g> {
         if n > self.pipeline.front.splats.capacity {
             let sh_degree = self.pipeline.front.splats.sh_degree;
             // All that matters is on the host: the old buffers go first, so that there is never room for both.
+            let [pairs, _] = self.list_lengths();
             self.pipeline.front.n_splats = 0;
-            for capacity in [0, with_headroom(self.gpu, n, sh_degree)] {
+            for (capacity, pairs) in [(0, 0), (with_headroom(self.gpu, n, sh_degree), pairs)] {
                 let splats = SplatBuffers::new(self.gpu, capacity, sh_degree)?;
-                self.pipeline.replace_splats(self.gpu, splats)?;
+                self.pipeline.replace_splats(self.gpu, splats, pairs)?;
                 self.rebind()?;
+                self.gpu.wait()?;
             }
         }
         self.pipeline.front.n_splats = n;
