@@ -2,7 +2,8 @@
 // `scatter`.
 //
 // The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one
-// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin.
+// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin. Where loops may not go on for ever, a thread
+// takes no more rows of a triangle than have MOST_BINS bins of the picture.
 
 //#import shared/view.wgsl
 //#import shared/workgroup_scan.wgsl
@@ -21,6 +22,15 @@ const COUNTED_MARGIN: f32 = 0.01;
 
 fn bins() -> vec2u {
     return (view.size + BIN - 1u) / BIN;
+}
+
+// Threads that share out the rows of a triangle.
+fn shares() -> u32 {
+//#if MOST_BINS
+    return (bins().x * bins().y + MOST_BINS - 1u) / MOST_BINS;
+//#else
+    return 1u;
+//#end
 }
 
 fn bin_at(packed: u32) -> vec2u {
@@ -57,14 +67,16 @@ fn count(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group) * 256u + thread;
+    let n_shares = shares();
+    let share = group_index(group) * 256u + thread;
+    let i = share / n_shares;
     if i >= view.n_triangles { return; }
     let first = bin_at(boxes[i].x);
     let last = bin_at(boxes[i].y);
     let a = corners[3u * i].xyz;
     let b = corners[3u * i + 1u].xyz;
     let c = corners[3u * i + 2u].xyz;
-    for (var y = first.y; y <= last.y; y += 1u) {
+    for (var y = first.y + share % n_shares; y <= last.y; y += n_shares) {
         for (var x = first.x; x <= last.x; x += 1u) {
             if all(first == last) || may_touch(a, b, c, vec2u(x, y), COUNTED_MARGIN) {
                 atomicAdd(&bin_fill[y * bins().x + x], 1u);
@@ -102,7 +114,9 @@ fn scatter(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = group_index(group) * 256u + thread;
+    let n_shares = shares();
+    let share = group_index(group) * 256u + thread;
+    let i = share / n_shares;
     if i >= view.n_triangles { return; }
     let first = bin_at(boxes[i].x);
     let last = bin_at(boxes[i].y);
@@ -111,7 +125,7 @@ fn scatter(
     let c = corners[3u * i + 2u].xyz;
     let capacity = arrayLength(&pairs);
     let n_bins = bins().x * bins().y;
-    for (var y = first.y; y <= last.y; y += 1u) {
+    for (var y = first.y + share % n_shares; y <= last.y; y += n_shares) {
         for (var x = first.x; x <= last.x; x += 1u) {
             if all(first == last) || may_touch(a, b, c, vec2u(x, y), 0.0) {
                 let bin = y * bins().x + x;

@@ -41,11 +41,12 @@ fn main(
         let a = projected[3u * i];
         let column = gaussian_column(a.xy, projected[3u * i + 1u].xyz, pixel.x);
         let alpha = min(ALPHA_CAP, alpha_at(column, a.w, pixel.y - column.row));
-        if alpha < ALPHA_CUT { continue; }
-        t *= 1.0 - alpha;
-        if t < 0.5 {
-            median = max(peak_depth(i, pixel, a.z), view.near);
-            break;
+        if alpha >= ALPHA_CUT {
+            t *= 1.0 - alpha;
+            if t < 0.5 {
+                median = max(peak_depth(i, pixel, a.z), view.near);
+                break;
+            }
         }
     }
     depth[place.y * view.size.x + place.x] = median;

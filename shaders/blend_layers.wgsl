@@ -29,24 +29,44 @@ fn main(
     let depth$l = select(EMPTY_DEPTH, raw$l, raw$l > 0.0);
 //#end
 //#end
-    for (var bucket = 0u; bucket <= LAYERS; bucket++) {
+    var bucket = 0u;
+//#if PATIENCE
+    let before = progress.pixels[pixel];
+    if before.x == FINISHED { return; }
+    if before.x == UNFINISHED {
+        parts = kept_parts(pixel);
+        bucket = before.y;
+    }
+    var passed = 0u;
+//#end
+    for (; bucket <= LAYERS; bucket++) {
+//#if PATIENCE
+        if passed > PATIENCE { break; }
+        passed += range.y - range.x;
+//#end
         for (var k = range.x; k < range.y; k++) {
             let i = pair_splats[k];
             let a = projected[3u * i];
             let column = gaussian_column(a.xy, projected[3u * i + 1u].xyz, at.x);
             let alpha = min(ALPHA_CAP, alpha_at(column, a.w, at.y - column.row));
-            if alpha < ALPHA_CUT { continue; }
-            var behind = 0u;
+            if alpha >= ALPHA_CUT {
+                var behind = 0u;
 //#for l in 0..LAYERS
-            if depth$l < thresholds[i * LAYERS + $lu] { behind = $lu + 1u; }
+                if depth$l < thresholds[i * LAYERS + $lu] { behind = $lu + 1u; }
 //#end
-            if behind != bucket { continue; }
-            if parts.transmittance * (1.0 - alpha) < TRANSMITTANCE_STOP { break; }
-            add_splat(&parts, alpha, projected[3u * i + 2u].xyz, a.z);
+                if behind == bucket {
+                    if parts.transmittance * (1.0 - alpha) < TRANSMITTANCE_STOP { break; }
+                    add_splat(&parts, alpha, projected[3u * i + 2u].xyz, a.z);
+                }
+            }
         }
 //#for l in 0..LAYERS
         if bucket == $lu && raw$l > 0.0 { add_fragment(&parts, layer_color[$lu * area + pixel], raw$l); }
 //#end
     }
+//#if PATIENCE
+    keep(pixel, parts, bucket > LAYERS, vec3u(bucket, 0u, 0u));
+    if bucket <= LAYERS { return; }
+//#end
     write_parts(pixel, parts, normal);
 }

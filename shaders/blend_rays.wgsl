@@ -17,6 +17,8 @@
 //#end
 
 const SLOTS: u32 = 16u;
+const FAR: f32 = 3e38;
+const NONE: u32 = 0xffffffffu;
 const HIDDEN: f32 = 1e-6;               // transmittance behind which nothing changes a picture of 16 bits
 
 struct Peak {
@@ -77,29 +79,65 @@ fn main(
     var last_depth = 0.0;
     var last_splat = 0u;
     var more = true;
+//#if PATIENCE
+    // [where it is, bits of the last depth, the last splat, the next layer]
+    let before = progress.pixels[pixel];
+    if before.x == FINISHED { return; }
+    if before.x == UNFINISHED {
+        parts = kept_parts(pixel);
+        last_depth = bitcast<f32>(before.y);
+        last_splat = before.z;
+//#if LAYERS
+        layer = before.w;
+//#end
+    }
+    var passed = 0u;
+//#end
     while more && parts.transmittance >= HIDDEN {
+//#if PATIENCE
+        if passed > PATIENCE { break; }
+//#end
+//#for s in 0..16
+        var depth$s = FAR;
+        var alpha$s = 0.0;
+        var splat$s = NONE;
+//#end
+        for (var k = range.x; k < range.y; k++) {
+            let i = pair_splats[k];
+            if projected[3u * i].z > depth15 { break; }
+            let p = peak(i, at);
+            let is_next = p.depth > last_depth || (p.depth == last_depth && i > last_splat);
+            if p.alpha != 0.0 && is_next && (p.depth < depth15 || (p.depth == depth15 && i < splat15)) {
+                // Takes its place among them; what was there moves on, and the farthest drops out.
+                var depth = p.depth;
+                var alpha = p.alpha;
+                var splat = i;
+//#for s in 0..16
+                if depth < depth$s || (depth == depth$s && splat < splat$s) {
+                    let farther = depth$s;
+                    let of_farther = alpha$s;
+                    let farther_splat = splat$s;
+                    depth$s = depth;
+                    alpha$s = alpha;
+                    splat$s = splat;
+                    depth = farther;
+                    alpha = of_farther;
+                    splat = farther_splat;
+                }
+//#end
+            }
+        }
+        more = splat15 != NONE;
         var depth: array<f32, SLOTS>;
         var alpha: array<f32, SLOTS>;
         var splat: array<u32, SLOTS>;
         var n = 0u;
-        for (var k = range.x; k < range.y; k++) {
-            let i = pair_splats[k];
-            if n == SLOTS && projected[3u * i].z > depth[SLOTS - 1u] { break; }
-            let p = peak(i, at);
-            if p.alpha == 0.0 || p.depth < last_depth || (p.depth == last_depth && i <= last_splat) { continue; }
-            if n == SLOTS && (p.depth > depth[SLOTS - 1u] || (p.depth == depth[SLOTS - 1u] && i > splat[SLOTS - 1u])) { continue; }
-            var slot = min(n, SLOTS - 1u);
-            while slot > 0u && (p.depth < depth[slot - 1u] || (p.depth == depth[slot - 1u] && i < splat[slot - 1u])) {
-                depth[slot] = depth[slot - 1u];
-                alpha[slot] = alpha[slot - 1u];
-                splat[slot] = splat[slot - 1u];
-                slot--;
-            }
-            depth[slot] = p.depth;
-            alpha[slot] = p.alpha;
-            splat[slot] = i;
-            n = min(n + 1u, SLOTS);
-        }
+//#for s in 0..16
+        depth[$s] = depth$s;
+        alpha[$s] = alpha$s;
+        splat[$s] = splat$s;
+        n += select(0u, 1u, splat$s != NONE);
+//#end
         for (var slot = 0u; slot < n; slot++) {
 //#if LAYERS
             while layer < LAYERS {
@@ -116,10 +154,22 @@ fn main(
 //#end
             add_splat(&parts, alpha[slot], color, depth[slot]);
         }
-        more = n == SLOTS;
-        last_depth = depth[SLOTS - 1u];
-        last_splat = splat[SLOTS - 1u];
+        last_depth = depth15;
+        last_splat = splat15;
+//#if PATIENCE
+        // As if all of it: where the search of this pixel ends early, those of its neighbours may not, and their threads share one count.
+        passed += range.y - range.x + 4u * SLOTS;
+//#end
     }
+//#if PATIENCE
+    var next = 0u;
+//#if LAYERS
+    next = layer;
+//#end
+    let is_finished = !more || parts.transmittance < HIDDEN;
+    keep(pixel, parts, is_finished, vec3u(bitcast<u32>(last_depth), last_splat, next));
+    if !is_finished { return; }
+//#end
 //#if LAYERS
     while layer < LAYERS {
         let d = layer_depth[layer * area + pixel];

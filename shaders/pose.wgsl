@@ -63,9 +63,10 @@ fn pull(
     var by_turn = vec4f();
     var by_shift = vec3f();
     for (var i = part * 256u + thread; i < view.n_splats; i += PARTS * 256u) {
-        if visible[i] == 0u { continue; }
-        by_turn += turn_gradient[i];
-        by_shift -= geometry_gradient[3u * i].xyz;
+        if visible[i] != 0u {
+            by_turn += turn_gradient[i];
+            by_shift -= geometry_gradient[3u * i].xyz;
+        }
     }
     sums[thread] = by_turn;
     sums[256u + thread] = vec4f(by_shift, 0.0);

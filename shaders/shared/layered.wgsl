@@ -1,5 +1,8 @@
 // The parts of one pixel, blended front to back: what splats and meshes contribute, and where. Written for
 // `render/gpu/layered.rs`, which reads PARTS vectors a pixel and binds what stands here for either image model.
+//
+// Where loops may not go on for ever, a dispatch begins no other walk through a tile's list after PATIENCE entries, and the next one goes on
+// from there.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -11,6 +14,16 @@
 @group(0) @binding(6) var<storage, read> layer_color: array<vec4f>;
 @group(0) @binding(7) var<storage, read> layer_triangle: array<u32>;
 @group(0) @binding(8) var<storage, read> corners: array<vec4f>;
+//#end
+
+//#if PATIENCE
+struct Progress {
+    unfinished: atomic<u32>,            // 1: some pixels are
+    pixels: array<vec4u>,               // 0 at first, UNFINISHED or FINISHED; and what else goes on
+}
+@group(0) @binding(11) var<storage, read_write> progress: Progress;
+const UNFINISHED: u32 = 1u;
+const FINISHED: u32 = 2u;
 //#end
 
 struct Layered {
@@ -44,6 +57,23 @@ fn add_splat(into: ptr<function, Layered>, alpha: f32, color: vec3f, depth: f32)
 fn add_fragment(into: ptr<function, Layered>, layer: vec4f, depth: f32) {
     (*into).mesh += add(into, layer.w, layer.xyz, depth);
 }
+
+//#if PATIENCE
+// For the next dispatch, with `more` words that it goes on by.
+fn keep(pixel: u32, parts: Layered, is_finished: bool, more: vec3u) {
+    progress.pixels[pixel] = vec4u(select(UNFINISHED, FINISHED, is_finished), more);
+    if is_finished { return; }
+    atomicStore(&progress.unfinished, 1u);
+    layered[PARTS * pixel] = parts.splats;
+    layered[PARTS * pixel + 1u] = parts.mesh;
+    layered[PARTS * pixel + 2u] = vec4f(parts.depth, parts.median, parts.count, parts.transmittance);
+}
+
+fn kept_parts(pixel: u32) -> Layered {
+    let of_all = layered[PARTS * pixel + 2u];
+    return Layered(layered[PARTS * pixel], layered[PARTS * pixel + 1u], of_all.x, of_all.y, of_all.z, of_all.w);
+}
+//#end
 
 fn write_parts(pixel: u32, parts: Layered, normal: vec3f) {
     let weight = parts.splats.w + parts.mesh.w;

@@ -6,13 +6,15 @@ use super::{
     front::Front,
     mesh::MeshStage,
     picture::Picture,
-    splats::Purpose,
+    splats::{ImageCapacity, Purpose},
 };
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::scene::{Camera, HybridScene, sh};
 
 /// Vectors of four floats that the shaders write per pixel.
 const PARTS: usize = 4;
+/// Words before those of the first pixel in the buffer of progress, and of each pixel.
+const PROGRESS: usize = 4;
 
 /// The parts of a picture in the scene's blending space, row-major from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,13 +58,15 @@ impl LayeredPicture {
 
 /// A scene on the GPU, ready to be taken apart.
 ///
-/// Takes what [`super::Renderer`] takes, and 48 bytes more per pixel; under [`ImageModel::Ray`] 80 more per splat, and 4 less per
+/// Takes what [`super::Renderer`] takes, and 48 bytes more per pixel (64 on a software adapter); under [`ImageModel::Ray`] 80 more per splat, and 4 less per
 /// splat and mesh layer.
 pub struct LayeredRenderer<'g> {
     gpu: &'g Gpu,
     model: ImageModel,
     front: Front,
     parts: Buffer,
+    /// How far each pixel is, where one dispatch may not finish them (`shaders/shared/layered.wgsl`).
+    progress: Option<Buffer>,
     blend: Stage,
 }
 
@@ -75,14 +79,17 @@ impl<'g> LayeredRenderer<'g> {
         scene.composition.validate()?;
         let front = Front::new(gpu, scene, 0, cameras, Purpose::Render(model), None)?;
         let parts = gpu.storage("parts of the picture", front.image.pixels * PARTS * 4)?;
-        let blend = blend(gpu, model, &front, &parts);
-        Ok(Self { gpu, model, front, parts, blend })
+        let words = PROGRESS * (1 + front.image.pixels);
+        let progress = gpu.loop_passes().map(|_| gpu.storage("progress of the picture", words)).transpose()?;
+        let blend = blend(gpu, model, &front, &parts, progress.as_ref());
+        Ok(Self { gpu, model, front, parts, progress, blend })
     }
 
     /// Renders one picture and waits for it.
     ///
     /// # Errors
-    /// If the image is larger than announced, the driver fails or the adapter runs short of memory.
+    /// If the image is larger than announced, the driver fails, the adapter runs short of memory or, a software adapter, cannot go through the
+    /// splats of a tile.
     pub fn render(&mut self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
         self.front.image.check(camera)?;
         loop {
@@ -93,13 +100,32 @@ impl<'g> LayeredRenderer<'g> {
                 break;
             }
         }
+        self.finish(camera)?;
         self.read(camera)
+    }
+
+    /// Blends on until all pixels are finished.
+    fn finish(&self, camera: &Camera) -> Result<(), GpuError> {
+        let (Some(progress), Some(passes)) = (&self.progress, self.gpu.loop_passes()) else { return Ok(()) };
+        let tiles = ImageCapacity::of([(camera.intrinsics().width, camera.intrinsics().height)]).tiles;
+        let (splats, most) = (self.front.lists.longest(self.gpu, tiles)?, passes - patience(passes) - 100);
+        if splats > most {
+            return Err(GpuError::TileTooFull { splats, most, adapter: self.gpu.adapter().to_owned() });
+        }
+        while self.gpu.read::<u32>(progress, 1)?[0] != 0 {
+            self.gpu.write(progress, 0, &[0_u32]);
+            let mut frame = Frame::new(self.gpu);
+            frame.dispatch(&self.blend, tiles);
+            frame.submit();
+        }
+        Ok(())
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
         let (view, renewed) = self.front.prepare(self.gpu, camera)?;
         self.rebind(renewed);
         let mut frame = Frame::new(self.gpu);
+        self.progress.iter().for_each(|progress| frame.clear(progress));
         self.front.record(self.gpu, &mut frame, &view);
         frame.dispatch(&self.blend, view.n_tiles());
         frame.submit();
@@ -108,7 +134,7 @@ impl<'g> LayeredRenderer<'g> {
 
     fn rebind(&mut self, renewed: bool) {
         if renewed {
-            self.blend = blend(self.gpu, self.model, &self.front, &self.parts);
+            self.blend = blend(self.gpu, self.model, &self.front, &self.parts, self.progress.as_ref());
         }
     }
 
@@ -129,7 +155,12 @@ impl<'g> LayeredRenderer<'g> {
     }
 }
 
-fn blend(gpu: &Gpu, model: ImageModel, front: &Front, parts: &Buffer) -> Stage {
+/// Entries of a tile's list after which no other walk through it begins: one more fits.
+fn patience(loop_passes: usize) -> usize {
+    loop_passes / 4
+}
+
+fn blend(gpu: &Gpu, model: ImageModel, front: &Front, parts: &Buffer, progress: Option<&Buffer>) -> Stage {
     let Front { view, splats, mesh, lists, .. } = front;
     let by_ray = model == ImageModel::Ray(ShDirection::Ray);
     let defines = gpu
@@ -137,6 +168,7 @@ fn blend(gpu: &Gpu, model: ImageModel, front: &Front, parts: &Buffer) -> Stage {
         .with("LAYERS", mesh.as_ref().map_or(0, MeshStage::layers))
         .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
         .with("SH_BY_RAY", u32::from(by_ray))
+        .with("PATIENCE", gpu.loop_passes().map_or(0, |passes| patience(passes) as u32))
         .with("PARTS", PARTS as u32);
     let mut buffers = vec![view, &lists.pairs.ranges, lists.pairs.splats(), &lists.projected, parts];
     if let Some(m) = mesh {
@@ -157,5 +189,6 @@ fn blend(gpu: &Gpu, model: ImageModel, front: &Front, parts: &Buffer) -> Stage {
             "blend_rays.wgsl"
         }
     };
+    buffers.extend(progress);
     Stage::new(gpu, file, "main", &defines, &buffers)
 }

@@ -1,6 +1,6 @@
 //! Pictures in parts against the reference, under both image models.
 
-use glam::{DMat3, DVec3, Quat, Vec3};
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -8,7 +8,7 @@ use super::{Gpu, LayeredPicture, LayeredRenderer, Renderer};
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::render::reference::{self, Layers};
 use crate::render::testing;
-use crate::scene::{Camera, Composition, HybridScene, Intrinsics, OrderMode, Splats};
+use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture};
 
 const BY_MEAN: ImageModel = ImageModel::Ray(ShDirection::Mean);
 const BY_RAY: ImageModel = ImageModel::Ray(ShDirection::Ray);
@@ -148,4 +148,75 @@ fn deep_stacks_are_searched_in_parts() {
     let beauty = agreement(&found.over([0.0; 3]), &expected.over([0.0; 3]));
     eprintln!("{:.1} dB, up to {deepest} peaks a pixel", beauty.psnr);
     assert!(beauty.psnr > 80.0 && deepest > 64);
+}
+
+/// `n` splats in a corner of the only tile, before 80 translucent ones that cover it, among the meshes of a random scene.
+fn crowded(n: usize) -> (HybridScene, Camera) {
+    let k = Intrinsics { width: 16, height: 16, fx: 16.0, fy: 16.0, cx: 8.0, cy: 8.0 };
+    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let (mut scene, _) = testing::random_scene(3, 1, 1, 0, 4, OrderMode::Stable);
+    let is_wide = |i: usize| i >= n;
+    let mean =
+        |i| if is_wide(i) { Vec3::new(0.0, 0.0, 2.0 + 1e-3 * (i - n) as f32) } else { Vec3::new(-0.9, -0.9, 1.99) };
+    let all = 0..n + 80;
+    let scales = all.clone().map(|i| Vec3::splat(if is_wide(i) { 0.6_f32 } else { 0.01 }.ln())).collect();
+    let logits = all.clone().map(|i| if is_wide(i) { -3.0 } else { 0.0 }).collect();
+    let colors = all.clone().map(|i| [(i % 7) as f32 * 0.1, 0.3, -0.2]).collect();
+    let means = all.clone().map(mean).collect();
+    scene.splats = Splats::new(means, vec![Quat::IDENTITY; n + 80], scales, logits, 0, colors).unwrap();
+    (scene, camera)
+}
+
+/// Mesa's software adapter ends loops after 65,535 passes of a thread in all: 80 peaks are six searches, and four layers five walks.
+#[test]
+fn full_tiles_are_blended_to_their_end() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = crowded(14_000);
+    for model in [ImageModel::Ewa, BY_MEAN, BY_RAY] {
+        let (found, expected) = pictures(&gpu, &scene, &camera, model);
+        let [splats, count] = [
+            agreement(&found.splats, &expected.splats),
+            agreement(
+                &columns(&found.count),
+                &columns(&expected.count.iter().map(|c| f64::from(*c)).collect::<Vec<_>>()),
+            ),
+        ];
+        let covered = expected.transmittance.iter().filter(|t| **t < 0.1).count();
+        eprintln!(
+            "{model:?}: splats {:.1} dB, counts differ in {} of 256, {covered} covered",
+            splats.psnr, count.differing
+        );
+        assert!(splats.psnr > 80.0 && count.differing < 3 && covered > 50);
+    }
+    if gpu.profile().is_cpu {
+        let (scene, camera) = crowded(60_000);
+        let error = LayeredRenderer::new(&gpu, &scene, &[camera], BY_MEAN).unwrap().render(&camera).unwrap_err();
+        assert!(error.to_string().contains("has 60080 splats, and"), "{error}");
+    }
+}
+
+/// Triangles before all of 129,600 bins, more than loops of Mesa's software adapter go on, and a splat before all of 32,400 tiles.
+#[test]
+fn large_pictures_are_covered_to_their_end() {
+    let gpu = Gpu::open(None).unwrap();
+    let k = Intrinsics { width: 3840, height: 2160, fx: 1920.0, fy: 1920.0, cx: 1920.0, cy: 1080.0 };
+    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let corners = vec![Vec3::new(-20.0, -20.0, 3.0), Vec3::new(40.0, -20.0, 3.0), Vec3::new(-20.0, 40.0, 3.0)];
+    let uvs = vec![[Vec2::ZERO, Vec2::X, Vec2::Y]];
+    let atlas = Atlas::new(Texture::new(1, 1, 4, vec![0.5, 0.5, 0.5, 0.0]).unwrap(), None).unwrap();
+    let mesh = Mesh::new(corners, vec![[0, 1, 2]], uvs, atlas).unwrap();
+    let splats = Splats::new(
+        vec![Vec3::new(0.0, 0.0, 2.0)],
+        vec![Quat::IDENTITY],
+        vec![Vec3::new(4.0_f32.ln(), 4.0_f32.ln(), -5.0)],
+        vec![0.0],
+        0,
+        vec![[1.0; 3]],
+    );
+    let composition = Composition { layers: 1, ..Composition::default() };
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![mesh], composition };
+    let picture = Renderer::new(&gpu, &scene, &[camera]).unwrap().render(&camera).unwrap();
+    // One half is the mesh's opacity; of the splat's, 0.3 and more is left in the corners.
+    let bare = picture.transmittance.iter().filter(|t| **t > 0.4).count();
+    assert_eq!(bare, 0, "of {} pixels", picture.transmittance.len());
 }

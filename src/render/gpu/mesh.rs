@@ -70,6 +70,8 @@ struct Kernels {
 
 struct Bound {
     bins: usize,
+    /// Threads that go through the bins of triangles.
+    binning_threads: usize,
     fragments: usize,
     /// Threads of the texels' gradients for all layers.
     texel_threads: usize,
@@ -88,6 +90,11 @@ struct Bound {
 /// an atomic addition takes each lane in turn, so a thread adds to a texel once for all pixels of a column; hardware wants the threads.
 fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2], u32) {
     if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32], 1) } else { ("texel_backward.wgsl", [8, 8], 64) }
+}
+
+/// Bins of a picture whose part in a triangle is left to one thread, if that is bounded.
+fn most_bins(gpu: &Gpu) -> Option<usize> {
+    gpu.loop_passes().map(|passes| passes / 4 * 3)
 }
 
 /// Bins of a picture.
@@ -154,6 +161,7 @@ impl Kernels {
             .with("ACROSS", across)
             .with("DOWN", down)
             .with("BIN", BIN)
+            .with("MOST_BINS", most_bins(gpu).unwrap_or(0) as u32)
             .with("PER_THREAD", per_thread)
             .with("THREADS", BIN * BIN / per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -227,6 +235,7 @@ impl MeshStage {
             let (_, [w, h], threads) = texel_backward(gpu);
             let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
             (bound.bins, bound.fragments, bound.texel_threads) = (bins(k), layers * k.pixels(), layers * of_layer);
+            bound.binning_threads = self.n_triangles * most_bins(gpu).map_or(1, |most| bins(k).div_ceil(most));
         }
         Ok(grew)
     }
@@ -267,8 +276,9 @@ impl MeshStage {
         }
         self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", pairs)?;
         self.screen.capacity = pairs;
-        if let Some(Bound { bins, fragments, texel_threads, .. }) = self.bound {
-            self.bound = Some(Bound { bins, fragments, texel_threads, ..self.bind(gpu, view_uniform) });
+        if let Some(Bound { bins, binning_threads, fragments, texel_threads, .. }) = self.bound {
+            let bound = self.bind(gpu, view_uniform);
+            self.bound = Some(Bound { bins, binning_threads, fragments, texel_threads, ..bound });
         }
         Ok(true)
     }
@@ -287,6 +297,7 @@ impl MeshStage {
         let raster = [view, &g.corners, &s.bin_start, &s.bin_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
         Bound {
             bins: 0,
+            binning_threads: 0,
             fragments: 0,
             texel_threads: 0,
             setup: k.setup.bind(gpu, &[view, &g.positions, &g.triangles, &g.corners, &g.boxes]),
@@ -318,8 +329,9 @@ impl MeshStage {
         let defines = gpu.defines().with("LAYERS", self.layers).with("BANDS", self.texels.band_coefficients());
         let besides = [status, self.texels.peaks()];
         self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, besides, state)?);
-        if let Some(Bound { bins, fragments, texel_threads, .. }) = self.bound {
-            self.bound = Some(Bound { bins, fragments, texel_threads, ..self.bind(gpu, view_uniform) });
+        if let Some(Bound { bins, binning_threads, fragments, texel_threads, .. }) = self.bound {
+            let bound = self.bind(gpu, view_uniform);
+            self.bound = Some(Bound { bins, binning_threads, fragments, texel_threads, ..bound });
         }
         Ok(())
     }
@@ -394,9 +406,9 @@ impl MeshStage {
     pub(crate) fn record_forward(&self, frame: &mut Frame) {
         let Some(bound) = &self.bound else { return };
         frame.dispatch_threads(&bound.setup, self.n_triangles);
-        frame.dispatch_threads(&bound.count, self.n_triangles);
+        frame.dispatch_threads(&bound.count, bound.binning_threads);
         frame.dispatch(&bound.scan, 1);
-        frame.dispatch_threads(&bound.scatter, self.n_triangles);
+        frame.dispatch_threads(&bound.scatter, bound.binning_threads);
         frame.dispatch(&bound.raster, bound.bins);
         frame.dispatch_threads(&bound.shade, bound.fragments);
     }

@@ -23,6 +23,16 @@ enum Width {
     Serial,
 }
 
+impl Width {
+    /// For so many pairs. Chunks that are longer than loops go on are left to the blocks of the other.
+    fn of(gpu: &Gpu, capacity: usize) -> Self {
+        // Beside those through a chunk, two through all digits.
+        let longest = gpu.loop_passes().map_or(usize::MAX, |passes| passes - (2 << DIGIT_BITS));
+        let is_serial = gpu.profile().is_cpu && capacity.div_ceil(MAX_CHUNKS) <= longest;
+        if is_serial { Self::Serial } else { Self::Parallel }
+    }
+}
+
 /// A sort of up to `capacity` pairs.
 pub(crate) struct Sort {
     width: Width,
@@ -52,7 +62,7 @@ impl Sort {
         counts: &Buffer,
         count_word: u32,
     ) -> Result<Self, GpuError> {
-        let width = if gpu.profile().is_cpu { Width::Serial } else { Width::Parallel };
+        let width = Width::of(gpu, capacity);
         Self::with_width(gpu, capacity, bits, counts, count_word, width)
     }
 
@@ -177,6 +187,19 @@ mod tests {
             gpu.n_kernels()
         });
         assert_eq!(compiled[0], compiled[1]);
+    }
+
+    /// `sort_is_stable_at_every_length` holds either to what it does.
+    #[test]
+    fn chunks_are_no_longer_than_loops_go_on() {
+        let gpu = Gpu::open(None).unwrap();
+        if gpu.profile().is_cpu {
+            assert_eq!(
+                [1, 16_000_000, 17_000_000].map(|pairs| Width::of(&gpu, pairs)),
+                [Width::Serial, Width::Serial, Width::Parallel]
+            );
+        }
+        assert_eq!(Width::of(&gpu.posing_as_gpu(), 1), Width::Parallel);
     }
 
     #[test]

@@ -271,6 +271,12 @@ impl SplatLists {
         self.purpose
     }
 
+    /// Splats in the fullest of so many tiles in the last frame. Waits.
+    pub(crate) fn longest(&self, gpu: &Gpu, tiles: usize) -> Result<usize, GpuError> {
+        let ranges: Vec<[u32; 2]> = gpu.read(&self.pairs.ranges, tiles)?;
+        Ok(ranges.iter().map(|[first, end]| end.saturating_sub(*first) as usize).max().unwrap_or(0))
+    }
+
     /// Visible splats and pairs of the last frame; more pairs than the capacity mean that the frame is incomplete.
     pub(crate) fn read_counts(&self, gpu: &Gpu) -> Result<(usize, usize), GpuError> {
         let counts: Vec<u32> = gpu.read(&self.counts, 4)?;

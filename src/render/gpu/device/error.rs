@@ -62,6 +62,18 @@ pub enum GpuError {
         /// Adapter name.
         adapter: String,
     },
+    /// More splats in a tile than loops of the adapter go through.
+    #[error(
+        "a tile of 16×16 pixels has {splats} splats, and {adapter} goes through {most} at most: expected a larger picture, fewer splats, or a GPU"
+    )]
+    TileTooFull {
+        /// In the fullest tile.
+        splats: usize,
+        /// That the adapter can go through.
+        most: usize,
+        /// Adapter name.
+        adapter: String,
+    },
     /// No scene to render.
     #[error("the scene cannot be rendered: {0}")]
     Scene(#[from] SceneError),

@@ -127,6 +127,12 @@ impl Gpu {
         max_binding_bytes(&self.limits)
     }
 
+    /// Passes that all loops of a thread may make together: Mesa's software adapter ends them after so many, without a word
+    /// (`LP_MAX_TGSI_LOOP_ITERATIONS`; of a loop with `continue` each counts twice).
+    pub(crate) fn loop_passes(&self) -> Option<usize> {
+        self.profile.is_cpu.then_some(65_535)
+    }
+
     /// Most workgroups in a row of a dispatch.
     pub(crate) fn widest_dispatch(&self) -> u32 {
         self.limits.max_compute_workgroups_per_dimension
