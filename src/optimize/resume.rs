@@ -76,6 +76,10 @@ impl Saved {
         let (splats, texel_moments) = (training.read_splats()?, training.read_texel_moments()?);
         // Before meshes refuse them, which do not know the iteration.
         finite(&splats, [&texel_moments.0, &texel_moments.1], phase, iteration)?;
+        // Exposures and poses, whose own numbers nobody looks at: reports come at other iterations.
+        if let Some(group) = training.status()?.not_finite {
+            return Err(TrainError::NotFinite { phase, iteration, group: group.to_owned() });
+        }
         Ok(Self {
             phase,
             iteration,

@@ -261,6 +261,7 @@ impl<'a> Run<'a> {
             self.budget.texture_size(),
         )?;
         self.found = saved.as_ref().map(|saved| saved.found.clone()).unwrap_or_default();
+        self.log.reached = saved.as_ref().map_or(self.log.reached, |saved| (saved.phase, saved.iteration));
         let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
         if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
             && let Some(poses) = saved.poses.clone()

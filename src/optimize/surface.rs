@@ -240,7 +240,8 @@ pub(super) fn with_room_for_charts<T>(
     loop {
         match make(size) {
             Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
-                size = size.saturating_mul(2).min(largest);
+                // By a quarter: of a budget that is small, twice the side may leave nothing for splats.
+                size = size.saturating_add(size / 4).next_multiple_of(32).min(largest);
             }
             made => return made,
         }

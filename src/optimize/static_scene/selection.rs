@@ -332,6 +332,20 @@ mod tests {
         assert!(left.triangles().len() == 4 && Some(left) != mesh.with_triangles(&keep));
     }
 
+    /// Twice the side might be all of a small budget.
+    #[test]
+    fn maps_grow_little_more_than_charts_need() {
+        let grown = |needed: u32, largest| {
+            surface::with_room_for_charts(64, largest, |size| match size < needed {
+                true => Err(geometry::GeometryError::AtlasTooSmall { charts: 9, atlas_size: size }.into()),
+                false => Ok(size),
+            })
+        };
+        assert_eq!([64, 65, 97, 200, 600].map(|needed| grown(needed, 1000).unwrap()), [64, 96, 128, 224, 608]);
+        assert_eq!(grown(100, 100).unwrap(), 100);
+        assert!(grown(101, 100).is_err());
+    }
+
     /// Also where a quarter of the side would be less.
     #[test]
     fn the_band_map_is_as_large_as_when_it_was_made() {

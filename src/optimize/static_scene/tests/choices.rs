@@ -1,6 +1,7 @@
 //! Options that no other test of the optimiser sets.
 
 use super::*;
+use crate::optimize::{density::mcmc::EpochWeight, resume::Saved};
 
 /// Before any colour but its own, what is black and opaque has to hide the background, and what is transparent must not.
 #[test]
@@ -79,6 +80,28 @@ fn a_nan_at_a_density_step_is_named_by_its_phase() {
         let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err();
         let TrainError::NotFinite { phase: Phase::Joint, iteration, group } = error else { panic!("{error}") };
         assert!(iteration <= 20 && group == "means of splat 7", "iteration {iteration}: {group}");
+    });
+}
+
+/// Reports come at other iterations, and splats learn of an exposure at the next that sees its photograph.
+#[test]
+fn no_checkpoint_holds_an_exposure_that_is_no_number() {
+    let options = TrainOptions { exposure: true, ..options() };
+    with_run(&options, |run, training, scene| {
+        let plan = run.plan(Phase::Joint, 0, true);
+        let saved = |training: &Training| {
+            let (found, past) = (run.found.clone(), run.log.past.clone());
+            Saved::capture(training, scene, (Phase::Joint, 1), found, None, &EpochWeight::default(), past).map(drop)
+        };
+        run.step(training, &plan, 0).unwrap();
+        saved(training).unwrap();
+        let mut exposures = training.read_exposures().unwrap().unwrap();
+        exposures.moments[1].fill(f32::NAN);
+        training.expose(&exposures).unwrap();
+        run.step(training, &plan, 1).unwrap();
+        let error = saved(training).unwrap_err();
+        let TrainError::NotFinite { phase: Phase::Joint, iteration: 1, group } = error else { panic!("{error}") };
+        assert_eq!(group, "exposures of photographs");
     });
 }
 

@@ -34,6 +34,8 @@ impl Drop for Allocation {
 
 /// Bytes of the buffers by which free memory is found.
 const PROBE: u64 = 256 << 20;
+/// Most bytes that wait together for their way to the adapter: copies of them do, outside of what is counted.
+const STAGED: usize = 32 << 20;
 
 impl Gpu {
     /// Error if a shader cannot bind a buffer of so many bytes.
@@ -132,8 +134,13 @@ impl Gpu {
     /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4.
     pub(crate) fn write<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
-        if !bytes.is_empty() {
-            self.queue.write_buffer(&buffer.raw, offset, bytes);
+        for (offset, piece) in (offset..).step_by(STAGED).zip(bytes.chunks(STAGED)) {
+            self.queue.write_buffer(&buffer.raw, offset, piece);
+            if bytes.len() > STAGED {
+                self.queue.submit([]);
+                // What goes wrong here is told by whatever waits next.
+                let _ = self.polled(|| self.device.poll(wgpu::PollType::wait_indefinitely()));
+            }
         }
     }
 

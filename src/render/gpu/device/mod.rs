@@ -234,6 +234,16 @@ mod tests {
     }
 
     #[test]
+    fn what_goes_in_pieces_arrives_whole() {
+        let gpu = Gpu::open(None).unwrap();
+        let words: Vec<u32> = (0..(70 << 20) / 4).collect();
+        let buffer = gpu.storage("words", words.len() + 1).unwrap();
+        gpu.write(&buffer, 4, &words);
+        let found = gpu.read::<u32>(&buffer, words.len() + 1).unwrap();
+        assert!(found[0] == 0 && found[1..] == words);
+    }
+
+    #[test]
     fn a_device_that_is_lost_while_it_is_waited_for_is_an_error() {
         let gpu = Gpu::open(None).unwrap();
         let lost = || -> Result<(), wgpu::PollError> { std::panic::resume_unwind(Box::new("as wgpu does")) };
