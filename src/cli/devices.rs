@@ -1,5 +1,5 @@
 use anyhow::{Result, bail};
-use centaur::render::gpu::{AdapterSummary, GpuError, list_adapters};
+use centaur::render::gpu::{AdapterSummary, GpuError, survey_adapters};
 
 use super::output;
 
@@ -21,13 +21,14 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
-    let adapters = list_adapters();
+    let (adapters, unfit) = survey_adapters();
     if args.json {
         return output::print_json(&adapters);
     }
     if adapters.is_empty() {
-        bail!(GpuError::NoAdapter);
+        bail!(GpuError::NoAdapter { unfit });
     }
+    unfit.iter().for_each(|unfit| output::note(unfit));
     output::print(&adapters.iter().map(describe).collect::<Vec<_>>().join("\n"))
 }
 

@@ -42,7 +42,7 @@ pub(crate) mod training;
 pub(crate) mod vertices;
 pub(crate) mod view;
 
-pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters};
+pub use device::{AdapterSummary, Gpu, GpuError, Profile, list_adapters, survey_adapters};
 pub use layered::{LayeredPicture, LayeredRenderer};
 pub use picture::Picture;
 pub use renderer::Renderer;

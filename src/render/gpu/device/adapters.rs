@@ -59,10 +59,18 @@ const STORAGE_BUFFERS: u32 = 12;
 /// Workgroup memory of the kernel that takes most (`loss.wgsl`), bytes, rounded up to what WebGPU promises.
 const WORKGROUP_BYTES: u32 = 16384;
 
-fn runs_kernels(limits: &wgpu::Limits) -> bool {
-    limits.max_compute_invocations_per_workgroup >= 256
-        && limits.max_storage_buffers_per_shader_stage >= STORAGE_BUFFERS
-        && limits.max_compute_workgroup_storage_size >= WORKGROUP_BYTES
+/// Threads of the largest workgroups.
+const WORKGROUP_THREADS: u32 = 256;
+
+/// What an adapter lacks for the kernels, if anything.
+fn lack(limits: &wgpu::Limits) -> Option<String> {
+    let needed = [
+        (limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS, "storage buffers per shader stage"),
+        (limits.max_compute_invocations_per_workgroup, WORKGROUP_THREADS, "threads in a workgroup"),
+        (limits.max_compute_workgroup_storage_size, WORKGROUP_BYTES, "bytes of workgroup memory"),
+    ];
+    let (found, expected, what) = needed.into_iter().find(|(found, expected, _)| found < expected)?;
+    Some(format!("has {found} {what}, expected {expected}"))
 }
 
 /// What is asked of an adapter: of what other adapters may lack no more than kernels need, so that tests notice if one needs more.
@@ -79,9 +87,15 @@ pub(super) fn max_binding_bytes(limits: &wgpu::Limits) -> u64 {
     limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(i32::MAX as u64)
 }
 
-pub(super) fn adapters() -> Vec<wgpu::Adapter> {
+/// Those that will do, best first, and why each of the others will not.
+pub(super) fn adapters() -> (Vec<wgpu::Adapter>, Vec<String>) {
     let mut found = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
-    found.retain(|a| runs_kernels(&a.limits()));
+    let mut unfit = vec![];
+    found.retain(|a| {
+        let (info, lack) = (a.get_info(), lack(&a.limits()));
+        unfit.extend(lack.iter().map(|lack| format!("{} by {:?} {lack}", info.name, info.backend)));
+        lack.is_none()
+    });
     // Real hardware first, software last.
     found.sort_by_key(|a| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
@@ -90,13 +104,20 @@ pub(super) fn adapters() -> Vec<wgpu::Adapter> {
         wgpu::DeviceType::Other => 3,
         wgpu::DeviceType::Cpu => 4,
     });
-    found
+    (found, unfit)
 }
 
 /// All adapters that can run the pipeline, best first.
 #[must_use]
 pub fn list_adapters() -> Vec<AdapterSummary> {
-    summaries(&adapters())
+    survey_adapters().0
+}
+
+/// All adapters that can run the pipeline, best first, and of each of the others a sentence on why it cannot.
+#[must_use]
+pub fn survey_adapters() -> (Vec<AdapterSummary>, Vec<String>) {
+    let (found, unfit) = adapters();
+    (summaries(&found), unfit)
 }
 
 /// In the same order.
@@ -120,9 +141,9 @@ pub(super) fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
 }
 
 /// The index of the adapter that is meant by `wanted`, as [`super::Gpu::open`] has it.
-pub(super) fn choose(wanted: Option<&str>, all: &[AdapterSummary]) -> Result<usize, GpuError> {
+pub(super) fn choose(wanted: Option<&str>, all: &[AdapterSummary], unfit: &[String]) -> Result<usize, GpuError> {
     if all.is_empty() {
-        return Err(GpuError::NoAdapter);
+        return Err(GpuError::NoAdapter { unfit: unfit.to_owned() });
     }
     let Some(wanted) = wanted else { return Ok(0) };
     let found = if let Some(index) = wanted.strip_prefix('#') {
@@ -135,7 +156,11 @@ pub(super) fn choose(wanted: Option<&str>, all: &[AdapterSummary]) -> Result<usi
     };
     found.ok_or_else(|| GpuError::NoSuchAdapter {
         wanted: wanted.to_owned(),
-        available: all.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
+        available: {
+            let named = all.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+            // What was asked for may be among them.
+            unfit.iter().fold(named, |all, unfit| format!("{all}; {unfit}"))
+        },
     })
 }
 
@@ -192,9 +217,9 @@ mod tests {
             ("15", 3),
             ("", 0),
         ] {
-            assert_eq!(choose(Some(wanted), &node()).unwrap(), expected, "{wanted}");
+            assert_eq!(choose(Some(wanted), &node(), &[]).unwrap(), expected, "{wanted}");
         }
-        assert_eq!(choose(None, &node()).unwrap(), 0);
+        assert_eq!(choose(None, &node(), &[]).unwrap(), 0);
     }
 
     #[test]
@@ -204,9 +229,23 @@ mod tests {
                 "no adapter matches {wanted:?}; available: #0 NVIDIA H100 (0000:41:00.0), #1 NVIDIA H100 (0000:c1:00.0), \
                  #2 NVIDIA H100 (0001:41:00.0), #3 llvmpipe (LLVM 15)"
             );
-            assert_eq!(choose(Some(wanted), &node()).unwrap_err().to_string(), expected);
+            assert_eq!(choose(Some(wanted), &node(), &[]).unwrap_err().to_string(), expected);
         }
-        assert!(matches!(choose(Some("#0"), &[]), Err(GpuError::NoAdapter)));
-        assert!(matches!(choose(None, &[]), Err(GpuError::NoAdapter)));
+        let nothing = |wanted, unfit: &[String]| choose(wanted, &[], unfit).unwrap_err().to_string();
+        assert!(nothing(Some("#0"), &[]).starts_with("no GPU adapter found: install "));
+        // One that is there but cannot is not missing.
+        let old = wgpu::Limits { max_storage_buffers_per_shader_stage: 8, ..wgpu::Limits::default() };
+        let old = [format!("Old One by Gl {}", lack(&old).unwrap())];
+        let said = "(Old One by Gl has 8 storage buffers per shader stage, expected 12)";
+        assert!(
+            nothing(None, &old).starts_with(&format!("no GPU adapter will do {said}: install ")),
+            "{}",
+            nothing(None, &old)
+        );
+        let error = choose(Some("old"), &node(), &old).unwrap_err().to_string();
+        assert!(
+            error.ends_with("#3 llvmpipe (LLVM 15); Old One by Gl has 8 storage buffers per shader stage, expected 12"),
+            "{error}"
+        );
     }
 }

@@ -6,12 +6,16 @@ use crate::scene::SceneError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// No adapter at all.
+    /// None that could run the pipeline.
     #[error(
-        "no GPU adapter found: install a Vulkan, Metal or DX12 driver; without a GPU, Mesa's software adapter works \
-         (Debian/Ubuntu: apt install mesa-vulkan-drivers)"
+        "no GPU adapter {}: install a Vulkan, Metal or DX12 driver; without a GPU, Mesa's software adapter works \
+         (Debian/Ubuntu: apt install mesa-vulkan-drivers)",
+        if unfit.is_empty() { "found".to_owned() } else { format!("will do ({})", unfit.join("; ")) }
     )]
-    NoAdapter,
+    NoAdapter {
+        /// Those that there are, and why each cannot.
+        unfit: Vec<String>,
+    },
     /// None of the requested name, index or PCI bus id.
     #[error("no adapter matches {wanted:?}; available: {available}")]
     NoSuchAdapter {

@@ -13,7 +13,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError, atomic::Ordering},
 };
 
-pub use adapters::{AdapterSummary, Profile, list_adapters};
+pub use adapters::{AdapterSummary, Profile, list_adapters, survey_adapters};
 use adapters::{adapters, choose, max_binding_bytes, summaries, wanted_limits};
 pub(crate) use buffer::Buffer;
 use buffer::Memory;
@@ -54,8 +54,8 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::open`].
     pub(crate) fn open_restricted(wanted: Option<&str>, subgroups: bool) -> Result<Self, GpuError> {
-        let all = adapters();
-        let adapter = &all[choose(wanted, &summaries(&all))?];
+        let (all, unfit) = adapters();
+        let adapter = &all[choose(wanted, &summaries(&all), &unfit)?];
         let info = adapter.get_info();
         let mut wanted_features = wgpu::Features::TIMESTAMP_QUERY;
         wanted_features.set(wgpu::Features::SUBGROUP, subgroups);
