@@ -79,6 +79,14 @@ fn main() -> Result<()> {
         ),
         // Pairs in one place, as density control leaves them.
         ("twins", Cloud { twins: true, ..Cloud::default() }, quads()?, layers(2), vec![View::default()]),
+        // Splats at one depth, where their order is that of the file; a quarter of them are flat.
+        (
+            "wall",
+            Cloud { count: 80, spread: [0.8, 0.8, 0.0], thickness: Some(1e-5), ..Cloud::default() },
+            vec![quad([0.0, 0.0, 0.6], [0.8, 0.03, 0.25], [0.02, 0.7, 0.0], 32, 1, Opacity::Soft)?],
+            layers(1),
+            vec![View::straight()],
+        ),
         // Splats smaller than pixels, which keep their integral.
         (
             "filtered",
@@ -126,6 +134,8 @@ struct View {
     distance: f64,
     /// Above the ground, in degrees.
     elevation: f64,
+    /// Around the vertical axis, in radians.
+    azimuth: f64,
     intrinsics: Intrinsics,
 }
 
@@ -133,7 +143,7 @@ impl Default for View {
     fn default() -> Self {
         // 40 degrees, as if a little out of centre.
         let intrinsics = Intrinsics { width: 256, height: 256, fx: 351.7, fy: 351.7, cx: 128.13, cy: 127.91 };
-        Self { distance: 4.0, elevation: 5.7, intrinsics }
+        Self { distance: 4.0, elevation: 5.7, azimuth: 0.13, intrinsics }
     }
 }
 
@@ -147,12 +157,18 @@ impl View {
     /// 110 degrees.
     fn wide() -> Self {
         let intrinsics = Intrinsics { width: 256, height: 192, fx: 89.7, fy: 89.7, cx: 117.3, cy: 101.2 };
-        Self { distance: 1.6, elevation: 13.0, intrinsics }
+        Self { distance: 1.6, elevation: 13.0, intrinsics, ..Self::default() }
+    }
+
+    /// Along z, so that what has one z has exactly one depth.
+    fn straight() -> Self {
+        let intrinsics = Intrinsics { width: 128, height: 128, fx: 175.9, fy: 175.9, cx: 64.13, cy: 63.91 };
+        Self { elevation: 0.0, azimuth: 0.0, intrinsics, ..Self::default() }
     }
 
     fn camera(&self) -> Result<Camera> {
         let (sin, cos) = self.elevation.to_radians().sin_cos();
-        let azimuth = DMat3::from_rotation_y(0.13);
+        let azimuth = DMat3::from_rotation_y(self.azimuth);
         // The world is y down.
         let forward = azimuth * DVec3::new(0.0, sin, cos);
         let right = DVec3::Y.cross(forward).normalize();
@@ -173,6 +189,8 @@ struct Cloud {
     /// Logits of opacity, in turn; uniform opacities from 0.15 to `strongest` where there are none.
     logits: Option<[f32; 4]>,
     strongest: f32,
+    /// Standard deviation of every fourth splat along z of its own.
+    thickness: Option<f32>,
     /// Every other splat has the place and shape of the one before.
     twins: bool,
 }
@@ -186,6 +204,7 @@ impl Default for Cloud {
             flat: 1.0,
             logits: None,
             strongest: 0.98,
+            thickness: None,
             twins: false,
         }
     }
@@ -194,7 +213,7 @@ impl Default for Cloud {
 impl Cloud {
     fn splats(&self) -> Result<Splats> {
         let (mut rng, n) = (Pcg64Mcg::seed_from_u64(7), self.count);
-        let mut r = |low: f32, high: f32| rng.random_range(low..high);
+        let mut r = |low: f32, high: f32| if low < high { rng.random_range(low..high) } else { low };
         let [x, y, z] = self.spread;
         let mut means: Vec<Vec3> = (0..n).map(|_| Vec3::new(r(-x, x), r(-y, y), r(-z, z))).collect();
         let turn = if self.flat < 1.0 { 0.15 } else { 1.0 };
@@ -204,6 +223,9 @@ impl Cloud {
         let flat = Vec3::new(0.0, self.flat.ln(), 0.0);
         let mut log_scales: Vec<Vec3> =
             (0..n).map(|_| Vec3::new(r(small, large), r(small, large), r(small, large)) + flat).collect();
+        if let Some(thickness) = self.thickness {
+            log_scales.iter_mut().step_by(4).for_each(|scale| scale.z = thickness.ln());
+        }
         for twin in (1..n).step_by(2).filter(|_| self.twins) {
             means[twin] = means[twin - 1];
             rotations[twin] = rotations[twin - 1];

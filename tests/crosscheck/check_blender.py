@@ -2,6 +2,7 @@
 """What becomes of our files in Blender: check_blender.py CENTAUR HYBRID.glb FOLDER, run by a Python that has `bpy`.
 
 * `centaur convert HYBRID.glb scene.blend.py`: the script renders, saves, and says in one line what is wrong.
+* Flat splats are there in every construction.
 * A saved .blend builds its splats anew when its camera moves, for animations and for stills.
 * The stock importer takes HYBRID.glb: nothing is lost but the splats' shapes, and the mesh looks as ours does in linear light.
 
@@ -172,6 +173,21 @@ def check_parts(centaur, glb, folder):
     print("scenes without meshes and cameras, and without splats: render")
 
 
+def check_flat(centaur, folder):
+    """Splats without thickness, one across the view and one aslant, look in all constructions as models differ."""
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    shape = [1, 0, -1, 2, -1.5, -1.5, -80]  # colour, logit of opacity, logarithms of scales
+    rows = np.array([[-0.5, 0, 0, *shape, 1, 0, 0, 0], [0.5, 0, 0, *shape, 0.9, 0.3, 0.2, 0]], "<f4")
+    header = ["ply", "format binary_little_endian 1.0", "element vertex 2", *(f"property float {name}" for name in names), "end_header\n"]
+    (folder / "flat.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    run([*centaur, "convert", folder / "flat.ply", folder / "flat.blend.py"])
+    for construction in ("ewa", "cap", "shell"):
+        run([sys.executable, folder / "flat.blend.py", "--construction", construction, "--render", folder / f"flat-{construction}.exr"])
+    models, same = (inside("compare", folder / f"flat-{a}.exr", folder / "flat-cap.exr")["psnr"] for a in ("ewa", "shell"))
+    assert models > 25 and same > 60, f"flat splats: cap is {models:.1f} dB from ewa and {same:.1f} dB from shell"
+    print(f"flat splats: cap is {models:.0f} dB from ewa and {same:.0f} dB from shell")
+
+
 def check_size(centaur, glb, folder):
     """A scene in other units is the same picture, after `check_script`."""
     large = folder / "large.blend.py"
@@ -248,6 +264,7 @@ def main():
     folder.mkdir(parents=True, exist_ok=True)
     print(f"Blender {bpy.app.version_string}")
     script = check_script(centaur, glb, folder)
+    check_flat(centaur, folder)
     check_size(centaur, glb, folder)
     check_own(script, folder)
     check_parts(centaur, glb, folder)

@@ -133,8 +133,9 @@ def add_mesh(collection, root, folder, name, files, decode):
     # Blender's v points up.
     uv = np.stack([vertices["s"], 1 - vertices["t"].astype(np.float64)], 1)[corners]
     mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.astype(np.float32).ravel())
-    for label, values in zip(PLANES, planes(points[corners], uv)):
-        set_attribute(mesh, label, values, "FACE")
+    for label in PLANES:
+        mesh.attributes.new(label, "FLOAT_VECTOR", "FACE")
+    set_planes(mesh, points)
     maps = []
     for file in files["maps"]:
         try:
@@ -149,6 +150,16 @@ def add_mesh(collection, root, folder, name, files, decode):
 
 
 PLANES = ("face_normal", "gradient_u", "gradient_v")
+
+
+def set_planes(mesh, points):
+    """What the texture filter knows of triangles, from vertices [V, 3] in the frame of the object."""
+    corners, uv = np.empty(len(mesh.loops), np.int32), np.empty(2 * len(mesh.loops), np.float32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    mesh.uv_layers["UVMap"].data.foreach_get("uv", uv)
+    for name, values in zip(PLANES, planes(points[corners.reshape(-1, 3)], uv.reshape(-1, 3, 2).astype(np.float64))):
+        mesh.attributes[name].data.foreach_set("vector", values.astype(np.float32).ravel())
+    mesh.update_tag()
 
 
 def planes(corners, uv):

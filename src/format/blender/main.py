@@ -217,12 +217,15 @@ def chosen(options, root):
 
 
 def show(options, root):
-    """Hides what --what leaves out."""
+    """Hides what --what leaves out: meshes from rays alone, since splats follow them, and Blender moves only what is not disabled."""
     for thing in root.children:
         kind = thing.get("centaur")
-        if thing.type == "MESH" and kind != "splat data" and options.what != "all":
-            is_hidden = (kind == "splats") != (options.what == "splats")
-            thing.hide_render = thing.hide_viewport = is_hidden
+        if kind == "mesh" and options.what == "splats":
+            for rays in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+                setattr(thing, f"visible_{rays}", False)
+            thing.display_type = "BOUNDS"  # in the viewport, where there are no rays
+        elif kind == "splats" and options.what == "mesh":
+            thing.hide_render = thing.hide_viewport = True
 
 
 def run(options):

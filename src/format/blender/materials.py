@@ -207,17 +207,18 @@ def set_focal_lengths(fx, fy):
 def footprint(g):
     """How far texture coordinates move from a pixel to the next: [(u, v) along x, (u, v) along y]. A pinhole sees planes:
 
-    with the surface at v from the camera and the camera's axis X, a pixel moves it by depth/fx · (X - v (n·X)/(n·v)).
+    with the surface at v from the camera and the camera's axis X, a pixel moves it by depth/fx · (X - v (n·X)/(n·v)). The depth
+    is the camera's; all else is in the frame of the object, where X has another length if the object is scaled.
     """
-    def in_scene(vector):
+    def in_object(vector):
         turn = g.node("ShaderNodeVectorTransform", vector_type="VECTOR", convert_from="CAMERA", convert_to="OBJECT")
         turn.inputs[0].default_value = vector
-        return g.vector("NORMALIZE", turn.outputs[0])
+        return turn.outputs[0]
 
     along = from_camera(g)
     normal, gradients = g.attribute("face_normal"), [g.attribute("gradient_u"), g.attribute("gradient_v")]
-    axes = [in_scene(axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
-    depth = g.math("ABSOLUTE", g.vector("DOT_PRODUCT", along, axes[2]))
+    axes = [in_object(axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    depth = g.node("ShaderNodeCameraData").outputs["View Z Depth"]
     facing = g.vector("DOT_PRODUCT", normal, along)
     focal = g.node("ShaderNodeGroup", node_tree=pixel_group()).outputs
     moved = []

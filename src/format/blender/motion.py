@@ -124,6 +124,7 @@ def deform(thing, motion, index, rig):
             matrices = motion["bones"][:, bone[0]] @ to_bone(motion, bone[0])
     thing.data.vertices.foreach_set("co", base.astype(np.float32).ravel())
     thing.data.update()
+    set_planes(thing.data, base)
     if len(which):
         thing.shape_key_add(name="Basis")
         channels = {}
@@ -313,15 +314,9 @@ def update_planes(root, depsgraph):
     for thing in mesh_objects(root).values():
         if not (thing.modifiers or thing.data.shape_keys):
             continue
-        mesh = thing.data
         points = evaluated_points(thing, depsgraph or bpy.context.evaluated_depsgraph_get())
         state = str(zlib.crc32(points.tobytes()))
         if thing.get("planes of") == state:
             continue
-        corners, uv = np.empty(len(mesh.loops), np.int32), np.empty(2 * len(mesh.loops), np.float32)
-        mesh.loops.foreach_get("vertex_index", corners)
-        mesh.uv_layers["UVMap"].data.foreach_get("uv", uv)
-        for name, values in zip(PLANES, planes(points[corners.reshape(-1, 3)], uv.reshape(-1, 3, 2).astype(np.float64))):
-            mesh.attributes[name].data.foreach_set("vector", values.astype(np.float32).ravel())
-        mesh.update_tag()
+        set_planes(thing.data, points)
         thing["planes of"] = state

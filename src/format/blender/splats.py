@@ -139,19 +139,24 @@ def reach(opacity):
     return np.sqrt(2 * np.log(np.maximum(opacity / ALPHA_CUT, 1))) * 1.0005
 
 
-def separated(depth):
-    """Sorted depths moved so far apart that a ray tracer in single precision tells them apart.
+CELLS = 64  # of the picture, along each side
+
+
+def separated(depth, low, high):
+    """Depths, front to back, moved so far apart that a ray tracer in single precision tells splats apart that overlap.
 
     Cycles goes on one representable number behind a transparent hit, so what lies closer is lost or swapped. The gap is
-    2e-6 of the depth, or less where that would move splats by more than a few gaps.
+    2e-6 of the depth, between splats whose boxes, from `low` to `high` in a picture of 0..1, share a cell of a grid. All others
+    keep their depths, so that millions of splats are not moved behind surfaces.
     """
-    if len(depth) < 2:
-        return depth
-    log = np.log(depth)
-    around = min(64, len(log) - 1)
-    closest = np.percentile((log[around:] - log[:-around]) / around, 1)
-    ramp = min(2e-6, 0.5 * closest) * np.arange(len(log))
-    return np.exp(np.maximum.accumulate(log - ramp) + ramp)
+    first = np.clip(np.floor(low * CELLS), 0, CELLS - 1).astype(int).tolist()
+    beyond = np.clip(np.floor(high * CELLS) + 1, 1, CELLS).astype(int).tolist()
+    last, moved = np.zeros((CELLS, CELLS)), []
+    for z, (u0, v0), (u1, v1) in zip(depth.tolist(), first, beyond):
+        cells = last[v0:v1, u0:u1]
+        cells[:] = z = max(z, cells.max() * (1 + 2e-6))
+        moved.append(z)
+    return np.array(moved)
 
 
 def ewa(splats, view, decode, low_pass):
@@ -163,7 +168,8 @@ def ewa(splats, view, decode, low_pass):
     p = view.to_camera(splats.mean)
     kept = (p[:, 2] > view.near) & (splats.opacity >= ALPHA_CUT)
     splats, p = splats[kept], p[kept]
-    order = np.argsort(p[:, 2], kind="stable")
+    # In single precision, as Blender places cameras: what is at one depth stays in the order of the file.
+    order = np.argsort(p[:, 2].astype(np.float32), kind="stable")
     splats, p = splats[order], p[order]
     x, y, z = p.T
     margin = 0.5 * JACOBIAN_MARGIN * np.array([view.width, view.height])
@@ -186,8 +192,9 @@ def ewa(splats, view, decode, low_pass):
     # What lies outside the picture is left out; the order of faces, back to front, is the one in which EEVEE draws.
     low, high = pixels.min(1), pixels.max(1)
     seen = (high >= 0).all(1) & (low[:, 0] <= view.width) & (low[:, 1] <= view.height)
-    seen = np.flatnonzero(seen & (splats.opacity >= ALPHA_CUT))[::-1]
-    depth = separated(z)[seen]
+    seen = np.flatnonzero(seen & (splats.opacity >= ALPHA_CUT))
+    size = np.array([view.width, view.height])
+    depth, seen = separated(z[seen], low[seen] / size, high[seen] / size)[::-1], seen[::-1]
     splats, pixels = splats[seen], pixels[seen]
     corners = np.stack([(pixels[..., 0] - view.cx) / view.fx, (pixels[..., 1] - view.cy) / view.fy,
                         np.ones(pixels.shape[:2])], -1) * depth[:, None, None]
@@ -220,9 +227,16 @@ def whitening(splats):
     return splats.axes().transpose(0, 2, 1) / splats.scale[:, :, None]
 
 
+def least_scales(splats, view, part):
+    """Scales [N, 3] of splats, none below a part of the distance from the camera."""
+    return np.maximum(splats.scale, part * np.linalg.norm(splats.mean - view.center, axis=1)[:, None])
+
+
 def ray_attributes(splats, view, decode, sh_direction):
     """What the material of the ray model needs of every splat."""
-    whiten = whitening(splats)
+    # Beyond 1e19 squares overflow in single precision; a billionth of the distance is as flat as 0.
+    scale = least_scales(splats, view, 1e-9)
+    whiten = whitening(Splats(splats.mean, splats.rotation, scale, splats.opacity, splats.sh))
     attributes = {"mean": splats.mean, "opacity": splats.opacity[:, None]}
     attributes.update({f"whiten_{i}": whiten[:, i] for i in range(3)})
     if sh_direction == "ray":
@@ -364,6 +378,8 @@ def shell(splats, view, decode, sh_direction):
     faces[outward < 0] = faces[outward < 0][:, ::-1]
     splats = splats[splats.opacity >= ALPHA_CUT]
     local = points * (reach(splats.opacity) / np.linalg.norm(middle[0]))[:, None, None]
+    # Flat splats are made so thick that rays enter them before they leave; alpha is computed from their true scales.
+    local *= (least_scales(splats, view, 1e-6) / splats.scale)[:, None]
     return instanced(local, faces, splats, view, decode, sh_direction)
 
 
