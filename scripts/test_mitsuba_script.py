@@ -1,4 +1,4 @@
-"""Which camera hybrid_rf.py takes, where there is no Mitsuba: python3 -m unittest discover -s scripts"""
+"""Which camera hybrid_rf.py takes, and when it traces rays again, where there is no Mitsuba: python3 -m unittest discover -s scripts"""
 
 import runpy
 import sys
@@ -10,14 +10,23 @@ from unittest import mock
 SCRIPT = Path(__file__).parent.parent / "src/format/mitsuba/hybrid_rf.py"
 # What it needs of these to be read.
 MITSUBA = SimpleNamespace(variant=lambda: "", **dict.fromkeys(["BSDF", "Sensor", "Sampler", "SamplingIntegrator"], object))
-MODULES = {"mitsuba": MITSUBA, "drjit": SimpleNamespace(syntax=lambda method: method), "numpy": SimpleNamespace()}
+# Of one ray, where Dr.Jit has arrays of them.
+DRJIT = SimpleNamespace(
+    syntax=lambda method: method, eval=lambda *_: None, any=bool, count=lambda ray: [int(ray)],
+    select=lambda which, one, other: one if which else other,
+)  # fmt: skip
+MODULES = {"mitsuba": MITSUBA, "drjit": DRJIT, "numpy": SimpleNamespace()}
+
+
+def script():
+    # It sets a variable for Dr.Jit.
+    with mock.patch.dict(sys.modules, MODULES), mock.patch.dict("os.environ"):
+        return runpy.run_path(str(SCRIPT))
 
 
 class Cameras(unittest.TestCase):
     def setUp(self):
-        # It sets a variable for Dr.Jit.
-        with mock.patch.dict(sys.modules, MODULES), mock.patch.dict("os.environ"):
-            self.index = runpy.run_path(str(SCRIPT))["camera_index"]
+        self.index = script()["camera_index"]
 
     def refused(self, labels, text):
         with self.assertRaises(LookupError) as caught:
@@ -42,6 +51,33 @@ class Cameras(unittest.TestCase):
         note = "there are no cameras; a picture needs a <sensor>"
         self.assertEqual(self.refused([], "0"), note)
         self.assertIn(f'"{note}"', SCRIPT.with_name("mod.rs").read_text(encoding="utf-8"))
+
+
+class Slots(unittest.TestCase):
+    def traced(self, needed, slots=64):
+        """With how many slots a ray that needs so many is traced, and how many rays lack them in the end."""
+        tried = []
+
+        def trace(scene, ray, slots, active=True):
+            tried.append(slots)
+            return slots, 1, [], slots < needed
+
+        integrator = SimpleNamespace(slots=slots, trace=trace)
+        *image, short = script()["HybridRF"].trace_all(integrator, None, None)
+        self.assertEqual(image, [tried[-1], 1, []])
+        return tried, short
+
+    def test_a_ray_that_lacks_slots_is_traced_again_with_more(self):
+        self.assertEqual(self.traced(64), ([64], 0))
+        self.assertEqual(self.traced(65), ([64, 256], 0))
+        self.assertEqual(self.traced(1024), ([64, 256, 1024], 0))
+        self.assertEqual(self.traced(300, slots=300), ([300], 0))
+        self.assertEqual(self.traced(301, slots=300), ([300, 1024], 0))
+
+    def test_rays_that_lack_the_most_slots_are_counted(self):
+        self.assertEqual(self.traced(1025), ([64, 256, 1024], 1))
+        self.assertEqual(self.traced(5000, slots=4096), ([4096], 1))
+        self.assertEqual(self.traced(4096, slots=4096), ([4096], 0))
 
 
 if __name__ == "__main__":

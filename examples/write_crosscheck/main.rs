@@ -78,7 +78,7 @@ fn main() -> Result<()> {
             vec![View { distance: 1.1, ..View::wide() }],
         ),
         // Pairs in one place, as density control leaves them.
-        ("twins", Cloud { twins: true, ..Cloud::default() }, quads()?, layers(2), vec![View::default()]),
+        ("twins", Cloud { alike: 2, ..Cloud::default() }, quads()?, layers(2), vec![View::default()]),
         // Splats at one depth, where their order is that of the file; a quarter of them are flat.
         (
             "wall",
@@ -86,6 +86,29 @@ fn main() -> Result<()> {
             vec![quad([0.0, 0.0, 0.6], [0.8, 0.03, 0.25], [0.02, 0.7, 0.0], 32, 1, Opacity::Soft)?],
             layers(1),
             vec![View::straight()],
+        ),
+        // Most rays are in all of them at once, ten each in one place.
+        (
+            "crowded",
+            Cloud {
+                count: 100,
+                sizes: [0.4, 0.7],
+                spread: [0.1; 3],
+                logits: Some([-4.6, -4.0, -3.4, -2.8]),
+                alike: 10,
+                ..Cloud::default()
+            },
+            quads()?,
+            layers(4),
+            vec![View::small()],
+        ),
+        // Thin ones about one place, of which rays have left one before they enter the next.
+        (
+            "thin",
+            Cloud { count: 6, flat: 1e-3, sizes: [0.2, 0.5], spread: [1e-4; 3], ..Cloud::default() },
+            quads()?,
+            layers(4),
+            vec![View { elevation: 50.0, ..View::small() }],
         ),
         // Splats smaller than pixels, which keep their integral.
         (
@@ -166,6 +189,12 @@ impl View {
         Self { elevation: 0.0, azimuth: 0.0, intrinsics, ..Self::default() }
     }
 
+    /// 30 degrees, in few pixels.
+    fn small() -> Self {
+        let intrinsics = Intrinsics { width: 64, height: 64, fx: 119.3, fy: 119.3, cx: 32.13, cy: 31.91 };
+        Self { intrinsics, ..Self::default() }
+    }
+
     fn camera(&self) -> Result<Camera> {
         let (sin, cos) = self.elevation.to_radians().sin_cos();
         let azimuth = DMat3::from_rotation_y(self.azimuth);
@@ -191,8 +220,8 @@ struct Cloud {
     strongest: f32,
     /// Standard deviation of every fourth splat along z of its own.
     thickness: Option<f32>,
-    /// Every other splat has the place and shape of the one before.
-    twins: bool,
+    /// Of so many in a row, all have the place and shape of the first.
+    alike: usize,
 }
 
 impl Default for Cloud {
@@ -205,7 +234,7 @@ impl Default for Cloud {
             logits: None,
             strongest: 0.98,
             thickness: None,
-            twins: false,
+            alike: 1,
         }
     }
 }
@@ -226,10 +255,11 @@ impl Cloud {
         if let Some(thickness) = self.thickness {
             log_scales.iter_mut().step_by(4).for_each(|scale| scale.z = thickness.ln());
         }
-        for twin in (1..n).step_by(2).filter(|_| self.twins) {
-            means[twin] = means[twin - 1];
-            rotations[twin] = rotations[twin - 1];
-            log_scales[twin] = log_scales[twin - 1];
+        for i in 0..n {
+            let first = i - i % self.alike;
+            means[i] = means[first];
+            rotations[i] = rotations[first];
+            log_scales[i] = log_scales[first];
         }
         let logit = |opacity: f32| (opacity / (1.0 - opacity)).ln();
         let logits = (0..n).map(|i| self.logits.map_or_else(|| logit(r(0.15, self.strongest)), |logits| logits[i % 4]));

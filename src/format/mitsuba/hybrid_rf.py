@@ -62,6 +62,8 @@ MAX_SPLAT_ALPHA, MAX_SURFACE_ALPHA, MIN_SPLAT_ALPHA = 0.99, 1 - 1e-4, 1 / 255
 STEP = 1.3e-7
 # A surface that a ray meets within this distance of itself, relative to it, is two triangles at their common edge.
 EDGE = 1e-5
+# Slots of the rays that need the most, 24 KB of memory each ray.
+MOST_SLOTS = 1024
 # In the place of a splat's number.
 SURFACE = 0xFFFFFFFF
 # Farthest point of the icosahedron around a unit sphere that `ellipsoidsmesh` makes of a splat.
@@ -189,8 +191,8 @@ class PixelCenter(mi.Sampler):
 class HybridRF(mi.SamplingIntegrator):
     """Parameters: `near` (depth beyond which means, peaks and surfaces count), `surfaces` (mesh fragments that count per ray, nearest first),
     `background` (RGB in the space of blending), `color_space` (`srgb` or `linear`: the space of blending), `sh_direction`
-    (`mean`: from the camera to a splat's mean, or `ray`), `slots` (splats whose shells a ray is in at once), `aovs`, and
-    `output`, what the film's RGB is:
+    (`mean`: from the camera to a splat's mean, or `ray`), `slots` (splats whose shells a ray is in at once; rays for which they
+    are too few are traced again with four times as many, up to 1024 or to `slots`), `aovs`, and `output`, what the film's RGB is:
 
     * `linear`: linear light of the colour over the background, as Mitsuba and other programs expect of an EXR;
     * `blending`: values in the space of blending, multiplied by alpha, without background.
@@ -234,16 +236,25 @@ class HybridRF(mi.SamplingIntegrator):
         index = dr.arange(mi.UInt32, width * height)
         corner = mi.Vector2f(index % width, index // width)
         samples = int(spp or sampler.sample_count())
+        short = 0
         for i in range(samples):
             sampler.seed(int(seed) * samples + i, width * height)
             position = corner + sampler.next_2d()
             relative = position / mi.Vector2f(width, height)
             ray, _ = sensor.sample_ray_differential(sampler.next_1d(), sampler.next_1d(), relative, sampler.next_2d())
-            rgb, alpha, aovs = self.trace(scene, ray)
+            rgb, alpha, aovs, missed = self.trace_all(scene, ray)
+            short += missed
             block = film.create_block()
             block.put(position + mi.Vector2f(film.crop_offset()), [*rgb, alpha, mi.Float(1), *aovs][: block.channel_count()])
             dr.eval(block.tensor())
             film.put_block(block)
+        if short:
+            slots = max(self.slots, MOST_SLOTS)
+            print(
+                f'hybrid_rf.py: {short} of {samples * width * height} rays are in more splats at once than the {slots} slots hold, and may lack '
+                f'some or have them out of order; <integer name="slots" value="{4 * slots}"/> in the <integrator> makes room',
+                file=sys.stderr,
+            )
         if not develop:
             return mi.TensorXf()
         return film.develop()
@@ -295,8 +306,21 @@ class HybridRF(mi.SamplingIntegrator):
             reach = max(reach, reaches[inside].max(initial=0.0))
         return float(reach)
 
+    def trace_all(self, scene, ray):
+        """As `trace`, but rays that lack slots are traced again with more. -> RGB, alpha, AOVs, and how many rays lack them still"""
+        slots = self.slots
+        *image, is_short = self.trace(scene, ray, slots)
+        dr.eval(image, is_short)
+        while dr.any(is_short) and slots < MOST_SLOTS:
+            slots = min(4 * slots, MOST_SLOTS)
+            *again, still = self.trace(scene, ray, slots, is_short)
+            image = dr.select(is_short, again, image)
+            is_short &= still
+            dr.eval(image, is_short)
+        return *image, int(dr.count(is_short)[0])
+
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        rgb, alpha, aovs = self.trace(scene, ray, active)
+        rgb, alpha, aovs, _ = self.trace(scene, ray, self.slots, active)
         return mi.Spectrum(rgb), alpha > 0, aovs
 
     def splat(self, si, origin, direction, active):
@@ -336,20 +360,18 @@ class HybridRF(mi.SamplingIntegrator):
         return dr.dispatch(si.bsdf(), of, si, direction, active)
 
     @dr.syntax
-    def trace(self, scene, ray, active=True):
+    def trace(self, scene, ray, slots, active=True):
         """Shells are entered in order of depth, and peaks lie behind entries: what waits in the slots is blended as soon as
-        the next entry is behind its peak. -> RGB, alpha, AOVs"""
+        the next entry is behind its peak. -> RGB, alpha, AOVs, and whether slots were lacking"""
         origin, direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
-        slots = self.slots
-        depths, alphas = dr.alloc_local(mi.Float, slots), dr.alloc_local(mi.Float, slots)
+        depths, alphas = dr.alloc_local(mi.Float, slots, mi.Float(dr.inf)), dr.alloc_local(mi.Float, slots)
         reds, greens, blues = dr.alloc_local(mi.Float, slots), dr.alloc_local(mi.Float, slots), dr.alloc_local(mi.Float, slots)
         # Number of the splat, or SURFACE.
         names = dr.alloc_local(mi.UInt32, slots)
-        for empty in range(slots):
-            depths[empty] = mi.Float(dr.inf)
-        del empty
         # How many slots are taken, beyond which none is, and the least depth in them.
         waiting, top, nearest = mi.UInt32(0), mi.UInt32(0), mi.Float(dr.inf)
+        # What was blended last, and whether it had to make room.
+        blended, blended_name, is_short = mi.Float(-dr.inf), mi.UInt32(0), mi.Bool(False)
 
         start = mi.Float(-self.back)
         last_shape, last_depth = dr.zeros(mi.ShapePtr), mi.Float(-dr.inf)
@@ -407,13 +429,18 @@ class HybridRF(mi.SamplingIntegrator):
                     depth += w * nearest
                     transmittance *= 1 - alphas[first]
                     depths[first] = mi.Float(dr.inf)
+                    blended, blended_name = mi.Float(nearest), mi.UInt32(least)
+                    is_short |= nearest >= here
                     waiting -= 1
                     is_full = mi.Bool(False)
                 go &= waiting > 0
                 if waiting == 0:
                     nearest, top = mi.Float(dr.inf), mi.UInt32(0)
 
-            # The first slot that is free. A splat that is waiting has been entered before, by its other shell.
+            # A splat that is not behind what was blended last has been entered before, by its other shell or as a twin; so has
+            # one that is waiting.
+            is_new &= is_surface | (key > blended) | ((key == blended) & (name > blended_name))
+            # The first slot that is free.
             slot, i = mi.UInt32(slots), mi.UInt32(0)
             while is_new & (i <= top) & (i < slots):
                 if (depths[i] == dr.inf) & (slot == slots):
@@ -447,7 +474,7 @@ class HybridRF(mi.SamplingIntegrator):
                 surfaces.x, surfaces.y, surfaces.z, surfaces_alpha,
                 dr.select(alpha > 0, depth / alpha, 1e10),
             ]  # fmt: skip
-        return rgb, alpha, aovs
+        return rgb, alpha, aovs, is_short
 
     def to_string(self):
         return 'HybridRF[]'
