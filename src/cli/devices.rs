@@ -22,13 +22,13 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let (adapters, unfit) = survey_adapters();
-    if args.json {
-        return output::print_json(&adapters);
-    }
-    if adapters.is_empty() {
+    if adapters.is_empty() && !args.json {
         bail!(GpuError::NoAdapter { unfit });
     }
     unfit.iter().for_each(|unfit| output::note(unfit));
+    if args.json {
+        return output::print_json(&adapters);
+    }
     output::print(&adapters.iter().map(describe).collect::<Vec<_>>().join("\n"))
 }
 

@@ -176,7 +176,7 @@ def check_parts(centaur, glb, folder):
 def check_flat(centaur, folder):
     """Splats without thickness, one across the view and one aslant, look in all constructions as models differ."""
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
-    shape = [1, 0, -1, 2, -1.5, -1.5, -80]  # colour, logit of opacity, logarithms of scales
+    shape = [1, 0, -1, 2, -1.5, -1.5, -200]  # colour, logit of opacity, logarithms of scales
     rows = np.array([[-0.5, 0, 0, *shape, 1, 0, 0, 0], [0.5, 0, 0, *shape, 0.9, 0.3, 0.2, 0]], "<f4")
     header = ["ply", "format binary_little_endian 1.0", "element vertex 2", *(f"property float {name}" for name in names), "end_header\n"]
     (folder / "flat.ply").write_bytes("\n".join(header).encode() + rows.tobytes())

@@ -125,6 +125,15 @@ fn a_data_set_is_trained_once_and_tabled() {
         assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));
     }
     std::fs::write(&place, &whole).unwrap();
+    // Results of former versions name flags of scenes that were replaced, too.
+    let mut replaced: serde_json::Value = serde_json::from_slice(&whole).unwrap();
+    replaced["job"]["scene_flags"] = ["--iterations", "7"].into();
+    std::fs::write(&place, replaced.to_string()).unwrap();
+    assert_eq!(refused(), "");
+    replaced["job"]["scene_flags"] = ["--lambda", "7"].into();
+    std::fs::write(&place, replaced.to_string()).unwrap();
+    assert!(refused().contains("of the flags of one in scenes.json"), "{}", refused());
+    std::fs::write(&place, &whole).unwrap();
     // What has no name of a result may be anything.
     std::fs::write(at("out/hybrid/notes.json"), "{").unwrap();
     assert_eq!(refused(), "");

@@ -69,7 +69,7 @@ fn name_of(word: &str) -> Option<&str> {
 
 /// The flags of a scene that those of the command and the variant leave: none that they give as well, and none of its size if they say one,
 /// which goes with no other.
-fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
+pub(super) fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
     let given: BTreeSet<&str> = others.iter().filter_map(|word| name_of(word)).collect();
     let is_sized = OF_SIZE.iter().any(|flag| given.contains(flag));
     let mut is_left = true;

@@ -79,7 +79,7 @@ pub(super) struct Args {
     /// Print a command, quoted for a shell, for each job that is not done, and do none
     #[arg(long, conflicts_with_all = ["table", "json"])]
     list: bool,
-    /// Make the table of all that is done in -o, whatever else this command asks for, and do nothing else
+    /// Make the table of all that is done in -o, whichever scenes and variants this command names, and do nothing else
     #[arg(long)]
     table: bool,
     /// Flags of `centaur train` for every job

@@ -81,8 +81,9 @@ pub(super) fn read(file: PathBuf) -> Result<Option<Record>> {
     }
     let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
     let made = Made::deserialize(made).with_context(name)?;
-    // Older ones have whole paths.
-    let made = Made { flags: jobs::as_kept(&made.flags), scene_flags: jobs::as_kept(&made.scene_flags), ..made };
+    // Older ones have whole paths, and flags of scenes that others had replaced.
+    let flags = jobs::as_kept(&made.flags);
+    let made = Made { scene_flags: jobs::left_of(&jobs::as_kept(&made.scene_flags), &flags), flags, ..made };
     Ok(Some(Record { file, made, result }))
 }
 

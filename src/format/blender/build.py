@@ -5,7 +5,7 @@
 TURN = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
 MILLION = 1_000_000
 # Measured with Blender 4.5.15 on 2 cores at 100 000 splats of degree 3: seconds to build a splat, bytes of it in a .blend.
-COSTS = {"ewa": (3e-5, 465), "cap": (9e-5, 2300), "shell": (6e-5, 2000)}
+COSTS = {"ewa": (3.5e-5, 465), "cap": (9e-5, 2300), "shell": (6e-5, 2000)}
 
 
 def build(folder, options):

@@ -84,7 +84,7 @@ def read_splats(path):
     with np.errstate(over="ignore"):
         opacity = 1 / (1 + np.exp(-table["opacity"].astype(np.float64)))
     return Splats(columns("x", "y", "z"), columns("rot_0", "rot_1", "rot_2", "rot_3"),
-                  np.exp(columns("scale_0", "scale_1", "scale_2")), opacity, sh)
+                  np.maximum(np.exp(columns("scale_0", "scale_1", "scale_2")), np.finfo(np.float32).tiny), opacity, sh)
 
 
 def sh_basis(d):
@@ -147,14 +147,14 @@ def separated(depth, low, high):
 
     Cycles goes on one representable number behind a transparent hit, so what lies closer is lost or swapped. The gap is
     2e-6 of the depth, between splats whose boxes, from `low` to `high` in a picture of 0..1, share a cell of a grid. All others
-    keep their depths, so that millions of splats are not moved behind surfaces.
+    keep their depths, and none moves by more than a thousandth, so that millions of splats are not moved behind surfaces.
     """
     first = np.clip(np.floor(low * CELLS), 0, CELLS - 1).astype(int).tolist()
     beyond = np.clip(np.floor(high * CELLS) + 1, 1, CELLS).astype(int).tolist()
     last, moved = np.zeros((CELLS, CELLS)), []
     for z, (u0, v0), (u1, v1) in zip(depth.tolist(), first, beyond):
         cells = last[v0:v1, u0:u1]
-        cells[:] = z = max(z, cells.max() * (1 + 2e-6))
+        cells[:] = z = max(z, min(cells.max() * (1 + 2e-6), z * 1.001))
         moved.append(z)
     return np.array(moved)
 

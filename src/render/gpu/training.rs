@@ -435,7 +435,7 @@ impl<'g> Training<'g> {
     }
 
     /// Replaces the geometry of all splats; everything else of each is what its source had. Statistics are zeroed. Waits only where buffers
-    /// have to grow.
+    /// have to grow, or for more geometry than is uploaded at once.
     ///
     /// # Errors
     /// If the adapter has no memory left.

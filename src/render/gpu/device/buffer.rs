@@ -34,8 +34,8 @@ impl Drop for Allocation {
 
 /// Bytes of the buffers by which free memory is found.
 const PROBE: u64 = 256 << 20;
-/// Most bytes that wait together for their way to the adapter: copies of them do, outside of what is counted.
-const STAGED: usize = 32 << 20;
+/// Most bytes of one upload that wait together for their way to the adapter: copies of them do, outside of what is counted.
+const STAGED: usize = 256 << 20;
 
 impl Gpu {
     /// Error if a shader cannot bind a buffer of so many bytes.
@@ -131,16 +131,21 @@ impl Gpu {
         self.allocate(label, words as u64 * 4, U::UNIFORM | U::STORAGE | U::COPY_DST)
     }
 
-    /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4.
+    /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4. Waits only for more than [`STAGED`]
+    /// bytes.
     pub(crate) fn write<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, values: &[T]) {
-        let bytes: &[u8] = bytemuck::cast_slice(values);
-        for (offset, piece) in (offset..).step_by(STAGED).zip(bytes.chunks(STAGED)) {
-            self.queue.write_buffer(&buffer.raw, offset, piece);
-            if bytes.len() > STAGED {
+        self.write_in_pieces(buffer, offset, bytemuck::cast_slice(values), STAGED);
+    }
+
+    /// As [`Self::write`], a piece at a time: all before it are on the adapter by then.
+    pub(super) fn write_in_pieces(&self, buffer: &Buffer, offset: u64, bytes: &[u8], piece: usize) {
+        for (i, bytes) in bytes.chunks(piece).enumerate() {
+            if i > 0 {
                 self.queue.submit([]);
                 // What goes wrong here is told by whatever waits next.
                 let _ = self.polled(|| self.device.poll(wgpu::PollType::wait_indefinitely()));
             }
+            self.queue.write_buffer(&buffer.raw, offset + (i * piece) as u64, bytes);
         }
     }
 

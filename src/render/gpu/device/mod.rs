@@ -236,11 +236,13 @@ mod tests {
     #[test]
     fn what_goes_in_pieces_arrives_whole() {
         let gpu = Gpu::open(None).unwrap();
-        let words: Vec<u32> = (0..(70 << 20) / 4).collect();
-        let buffer = gpu.storage("words", words.len() + 1).unwrap();
-        gpu.write(&buffer, 4, &words);
-        let found = gpu.read::<u32>(&buffer, words.len() + 1).unwrap();
-        assert!(found[0] == 0 && found[1..] == words);
+        let words: Vec<u32> = (0..1000).collect();
+        for piece in [4, 1000, 2000, 4000, 8000] {
+            let buffer = gpu.storage("words", 1001).unwrap();
+            gpu.write_in_pieces(&buffer, 4, bytemuck::cast_slice(&words), piece);
+            let found = gpu.read::<u32>(&buffer, 1001).unwrap();
+            assert!(found[0] == 0 && found[1..] == words, "{piece}");
+        }
     }
 
     #[test]
