@@ -46,14 +46,16 @@ fn pictures(gpu: &Gpu, scene: &HybridScene, camera: &Camera, model: ImageModel) 
 /// cuts at 1/255 is a difference of at most 1/255.
 #[test]
 fn parts_equal_the_reference() {
-    let gpu = Gpu::open(None).unwrap();
-    for seed in 0..18_u64 {
+    // As for hardware, too, which has other kernels: with all modes, no mesh, and one, two and four layers.
+    let [own, hardware] = [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()];
+    let seeds = (0..18_u64).map(|seed| (seed, &own)).chain([3, 5, 7, 11].map(|seed| (seed, &hardware)));
+    for (seed, gpu) in seeds {
         let n = [40, 300, 1500][seed as usize % 3];
         let (n_meshes, layers) = ([1, 0, 3, 2][seed as usize % 4], [1, 4, 2][seed as usize / 2 % 3]);
         let mode = MODES[seed as usize / 3 % 3];
         let (scene, camera) = testing::random_scene(seed, n, n_meshes, (seed % 4) as u32, layers, mode);
         for model in [ImageModel::Ewa, BY_MEAN, BY_RAY] {
-            let (found, expected) = pictures(&gpu, &scene, &camera, model);
+            let (found, expected) = pictures(gpu, &scene, &camera, model);
             let background = scene.composition.background;
             let beauty = agreement(&found.over(background), &expected.over(background));
             let splats = agreement(&found.splats, &expected.splats);
