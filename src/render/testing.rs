@@ -179,6 +179,15 @@ pub(crate) fn smooth_scene(seed: u64, layers: u32, mode: OrderMode) -> (HybridSc
     (HybridScene { splats, meshes, composition }, camera)
 }
 
+/// The same, but the alpha of one is capped around its middle, where its shape and opacity have no derivative.
+pub(crate) fn nearly_opaque(splats: &Splats, which: usize) -> Splats {
+    let mut logits = splats.opacity_logits().to_vec();
+    logits[which] = 8.0;
+    let (means, rotations) = (splats.means().to_vec(), splats.rotations().to_vec());
+    Splats::new(means, rotations, splats.log_scales().to_vec(), logits, splats.sh_degree(), splats.sh().to_vec())
+        .unwrap()
+}
+
 /// A tilted sheet through which a splat is turned: the paper's figure. The mean lies just behind the sheet at its own
 /// projection. On the ray of a neighbouring pixel the sheet is farther than the mean. With the two pixels.
 pub(crate) fn two_rays(mode: OrderMode) -> (HybridScene, Camera, [usize; 2]) {

@@ -417,6 +417,11 @@ fn gradients_equal_the_reference() {
             if seed == 5 {
                 scene.meshes.clear();
             }
+            if seed == 0 {
+                scene.splats = testing::nearly_opaque(&scene.splats, 2);
+                let alphas = reference::render_layers(&scene, &camera, ImageModel::Ewa);
+                assert!(alphas.transmittance.iter().any(|rest| *rest < 0.01), "no alpha is capped");
+            }
             let cotangent = random_cotangent(&camera, seed);
             let slopes: Vec<f64> = (0..camera.intrinsics().pixels()).map(|pixel| (pixel % 4) as f64).collect();
             let (expected, of_splats) =

@@ -4,7 +4,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 use crate::render::contract::{ImageModel, ShDirection};
-use crate::render::testing::{largest, random_scene, smooth_scene, two_rays};
+use crate::render::testing::{largest, nearly_opaque, random_scene, smooth_scene, two_rays};
 use crate::scene::{Atlas, Composition, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture};
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
@@ -352,6 +352,19 @@ fn gradients_are_finite_differences() {
         assert!(layers == 1 || levels.max() >= Some(2), "coarse mips are not tested");
         check_gradients(&scene, &camera, &Parameters::of(&scene));
     }
+}
+
+/// Pixels of which the cap has the alpha say nothing of shape and opacity, and others all the same.
+#[test]
+fn gradients_under_the_cap_are_finite_differences() {
+    let (mut scene, camera) = smooth_scene(11, 2, OrderMode::Stable);
+    scene.splats = nearly_opaque(&scene.splats, 0);
+    let rest = render(&scene, &camera).transmittance;
+    assert!(
+        rest.iter().any(|rest| *rest < 0.01) && rest.iter().any(|rest| *rest > 0.05),
+        "all or no alphas are capped"
+    );
+    check_gradients(&scene, &camera, &Parameters::of(&scene));
 }
 
 /// Of the disparity, by what does not move a splat in depth.
