@@ -216,6 +216,32 @@ fn a_step_after_depths_that_were_long_learns() {
     assert_eq!((losses[0].l1, losses[0].ssim), (losses[1].l1, losses[1].ssim));
 }
 
+/// A disc that is seen aslant is where its plane is, not where its mean is; one before it that leaves more than half is not seen.
+#[test]
+fn depths_are_those_of_the_first_that_hides_half() {
+    let k = Intrinsics { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 19.3, cy: 15.2 };
+    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let splats = Splats::new(
+        vec![Vec3::new(0.0, 0.0, 2.0), Vec3::new(0.0, 0.0, 4.0)],
+        vec![Quat::IDENTITY, Quat::from_rotation_y(std::f32::consts::FRAC_PI_4)],
+        vec![Vec3::new(2.0, 2.0, 0.002).map(f32::ln); 2],
+        vec![-0.8, 2.0],
+        0,
+        vec![[0.0; 3]; 2],
+    );
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()] {
+        let depths = Training::new(&gpu, &scene, &[camera], 0.2).unwrap().median_depth(&camera).unwrap();
+        // Farther from its middle it does not hide half.
+        for (i, depth) in depths.into_iter().enumerate().filter(|(i, _)| (12..28).contains(&(i % 40))) {
+            let slope = ((i % 40) as f64 + 0.5 - k.cx) / k.fx;
+            // Where x + z = 4.
+            let expected = 4.0 / (1.0 + slope);
+            assert!((f64::from(depth) / expected - 1.0).abs() < 1e-3, "pixel {i}: {depth}, not {expected}");
+        }
+    }
+}
+
 /// Pictures do not depend on the lists: what the last step left of them stays, and is not made anew.
 #[test]
 fn longer_lists_leave_pictures_alone() {
