@@ -47,12 +47,16 @@ fn points(mesh: &Mesh, size: usize) -> Vec<Vec<(usize, DVec3)>> {
     for (f, (uvs, t)) in mesh.corner_uvs().iter().zip(mesh.triangles()).enumerate() {
         let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * size as f64);
         let p = t.map(|v| mesh.positions()[v as usize].as_dvec3());
-        for (i, found) in found.iter_mut().enumerate() {
+        // Of its box, for the sake of time: there are thousands of faces.
+        let [low, high] = [a.min(b).min(c), a.max(b).max(c)].map(|corner| [corner.x, corner.y].map(|v| v as usize));
+        let texels = (low[1]..=high[1].min(size - 1))
+            .flat_map(|row| (low[0]..=high[0].min(size - 1)).map(move |column| row * size + column));
+        for i in texels {
             let at = DVec2::new((i % size) as f64 + 0.5, (i / size) as f64 + 0.5);
             let whole = (b - a).perp_dot(c - a);
             let (v, w) = ((at - a).perp_dot(c - a) / whole, (b - a).perp_dot(at - a) / whole);
             if v >= 0.0 && w >= 0.0 && v + w <= 1.0 {
-                found.push((f, p[0] + (p[1] - p[0]) * v + (p[2] - p[0]) * w));
+                found[i].push((f, p[0] + (p[1] - p[0]) * v + (p[2] - p[0]) * w));
             }
         }
     }
