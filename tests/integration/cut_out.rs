@@ -46,6 +46,23 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
         let note = run(folder.path(), "eval moved.glb capture --masks")["notes"][0].clone();
         assert!(note.as_str().is_some_and(|note| note.contains("it was moved")), "{moved}: {note}");
     }
+    // In another size, and where photographs have other names.
+    let notes = run(folder.path(), "eval scene.glb capture --masks --max-side 24")["notes"].clone();
+    let expected = "pictures are 24×16, those that the scene was trained on 48×32: for its scores";
+    assert!(notes[0].as_str().is_some_and(|note| note.starts_with(expected)), "{notes}");
+    let list = capture.join("sparse/0/images.txt");
+    let mut text = std::fs::read_to_string(&list).unwrap();
+    for view in 0..9 {
+        let [before, after] = [format!("{view:03}.png"), format!("other-{view}.png")];
+        for folder in ["images", "masks"] {
+            std::fs::rename(capture.join(folder).join(&before), capture.join(folder).join(&after)).unwrap();
+        }
+        text = text.replace(&before, &after);
+    }
+    std::fs::write(&list, text).unwrap();
+    let notes = run(folder.path(), "eval scene.glb capture --masks")["notes"].clone();
+    let expected = "the scene knows none of the capture's views by name";
+    assert!(notes[0].as_str().is_some_and(|note| note.starts_with(expected)), "{notes}");
 }
 
 /// As of NeRF-synthetic, whose splats by other programs are for white and do not say so.

@@ -517,6 +517,10 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
     }
     assert_eq!(told.iter().filter(|line| line["phase"] == "scoring").count(), views, "as after training");
     assert_eq!(evaluated["seconds_per_iteration"], trained["seconds_per_iteration"]);
+    let metrics = std::fs::read(folder.path().join("scores/metrics.json")).unwrap();
+    let mut said = evaluated.clone();
+    said.as_object_mut().unwrap().remove("notes");
+    assert_eq!(serde_json::from_slice::<serde_json::Value>(&metrics).unwrap(), said);
     let report = || std::fs::read_to_string(folder.path().join("scores/report.html")).unwrap();
     for part in
         ["time per iteration", "ssim weight", "aria-label=\"loss\"", "aria-label=\"held-out PSNR (dB)\"", "<polyline"]
