@@ -6,8 +6,8 @@ use std::process::Command;
 use crate::common::{centaur, failure, stderr, write_capture};
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::color::linear_to_srgb;
-use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
-use glam::{DMat3, DVec3, Quat, Vec3};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 fn run(folder: &Path, args: &[&str]) -> String {
     let output = centaur(folder).args(args).output().unwrap();
@@ -396,6 +396,65 @@ fn layers_have_channels_that_compositors_know() {
         assert!(is_known, "{layer}: {channels:?}");
     }
     assert_eq!(layers.into_keys().collect::<Vec<_>>(), ["N", "count", "depth", "mesh", "splats"]);
+}
+
+/// Depths, normals and counts of an opaque plane aslant, z = 4 + x, behind one splat at 2, seen from the origin along z.
+#[test]
+fn layers_hold_depths_normals_and_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let splats = Splats::new(
+        vec![Vec3::new(-0.25, 0.0, 2.0)],
+        vec![Quat::IDENTITY],
+        vec![Vec3::splat(0.1_f32.ln())],
+        vec![2.0],
+        0,
+        vec![[0.5; 3]],
+    );
+    let corners = [(-2.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-2.0, 1.0)].map(|(x, y)| Vec3::new(x, y, 4.0 + x));
+    let atlas = Atlas::new(Texture::new(1, 1, 4, vec![0.5, 0.5, 0.5, 6.0]).unwrap(), None).unwrap();
+    let uvs = vec![[Vec2::ZERO, Vec2::X, Vec2::Y]; 2];
+    let mesh = Mesh::new(corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]], uvs, atlas).unwrap();
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![mesh], composition: Composition::default() };
+    write_scene(&at("s.glb"), &scene, &WriteOptions::default()).unwrap();
+    let pose = "[[1,0,0,0],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]";
+    let frame = format!(r#"{{"file_path":"a.png","transform_matrix":{pose}}}"#);
+    let lens = r#""fl_x":33,"fl_y":33,"cx":16.5,"cy":16.5,"w":33,"h":33"#;
+    std::fs::write(at("c.json"), format!("{{{lens},\"frames\":[{frame}]}}")).unwrap();
+    for (kind, is_half) in [("float", false), ("half", true)] {
+        let render = ["render", "s.glb", "--cameras", "c.json", "--layers", "--exr-type", kind, "-o", kind];
+        run(folder.path(), &render);
+        let image = exr::prelude::read_first_flat_layer_from_file(at(kind).join("a.exr")).unwrap();
+        let list = image.layer_data.channel_data.list;
+        let channel = |name: &str| list.iter().find(|channel| channel.name.eq(name)).unwrap();
+        let values = |name: &str| -> Vec<f32> { channel(name).sample_data.values_as_f32().collect() };
+        let is_f16 = |name: &str| matches!(channel(name).sample_data, exr::prelude::FlatSamples::F16(_));
+        assert_eq!([is_f16("R"), is_f16("Z"), is_f16("count.splats")], [is_half, false, false]);
+        let [splat, plane, mean, first] = ["splats.A", "mesh.A", "Z", "depth.first"].map(values);
+        let [count, x, y, z] = ["count.splats", "N.X", "N.Y", "N.Z"].map(values);
+        let (mut before, mut bare) = (0, 0);
+        for i in 0..33 * 33 {
+            let depth = 4.0 / (1.0 - ((i % 33) as f32 - 16.0) / 33.0);
+            assert_eq!(count[i], f32::from(splat[i] > 0.0), "{i}");
+            let weight = splat[i] + plane[i];
+            let [expected_mean, expected_first] = match (weight > 0.0, weight > 0.5, splat[i] > 0.5) {
+                (false, ..) => [1e10; 2],
+                (_, false, _) => [2.0, 1e10],
+                (_, _, is_before) => {
+                    [(2.0 * splat[i] + depth * plane[i]) / weight, if is_before { 2.0 } else { depth }]
+                }
+            };
+            for (found, expected) in [(mean[i], expected_mean), (first[i], expected_first)] {
+                assert!((found / expected - 1.0).abs() < 2e-3, "{kind} {i}: {found}, not {expected}");
+            }
+            let slant = if plane[i] > 0.0 { 0.5_f32.sqrt() } else { 0.0 };
+            let off = [x[i] - slant, y[i], z[i] + slant].map(f32::abs);
+            assert!(off.iter().all(|off| *off < 1e-3), "{kind} {i}: {off:?}");
+            before += usize::from(splat[i] > 0.5);
+            bare += usize::from(weight == 0.0);
+        }
+        assert!(before > 3 && bare > 100, "{before} {bare}");
+    }
 }
 
 /// Somebody else's glTF and USD are y up, cameras of a capture are not: however they meet, pictures and normals are those of the converted scene.
