@@ -109,6 +109,12 @@ mod tests {
         assert!(tidied.triangles.len() > whole && stats.simplified == tidied.triangles.len());
         assert!(tidied.positions.len() < 21 * 21 + 5 && tidied.positions.iter().all(|p| p.is_finite() && p.x <= 1.0));
         assert!(tidy(soup.clone(), Tidying { triangles: 100, ..ALL }).unwrap().0.triangles.len() <= 100);
+        // Each is asked for by itself.
+        for (drops_crumbs, closes_holes) in [(true, false), (false, true)] {
+            let (_, stats) = tidy(soup.clone(), Tidying { drops_crumbs, closes_holes, ..ALL }).unwrap();
+            let expected = (whole + usize::from(!drops_crumbs), usize::from(closes_holes));
+            assert_eq!((stats.cleaned, stats.holes), expected);
+        }
         let (_, stats) = tidy(soup, Tidying { drops_crumbs: false, closes_holes: false, ..ALL }).unwrap();
         assert_eq!((stats.cleaned, stats.holes, stats.simplified), (whole + 1, 0, whole + 1));
     }
