@@ -16,7 +16,7 @@
 @group(0) @binding(10) var<storage, read> sh: array<f32>;
 //#end
 
-const SLOTS: u32 = 16u;
+const SLOTS: u32 = 16u;                 // variables of their own while they are sought: depth0, …, depth15
 const FAR: f32 = 3e38;
 const NONE: u32 = 0xffffffffu;
 const HIDDEN: f32 = 1e-6;               // transmittance behind which nothing changes a picture of 16 bits

@@ -354,8 +354,7 @@ impl fmt::Display for Table {
         if self.variants.iter().flat_map(|section| &section.rows).any(|row| row.psnr == Some(f64::INFINITY)) {
             writeln!(
                 f,
-                "
-PSNR of inf: a view is, in 8 bits, its photograph, and has no errors that others' could be averaged with."
+                "\nPSNR of inf: a view is, in 8 bits, its photograph, and has no errors that others' could be averaged with."
             )?;
         }
         if let Some(note) = self.published_note {

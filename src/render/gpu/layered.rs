@@ -13,6 +13,8 @@ use crate::scene::{Camera, HybridScene, sh};
 
 /// Vectors of four floats that the shaders write per pixel.
 const PARTS: usize = 4;
+/// Passes of a pixel through loops that are no walk through its tile's list, and more.
+const OTHER_PASSES: usize = 100;
 /// Words before those of the first pixel in the buffer of progress, and of each pixel.
 const PROGRESS: usize = 4;
 
@@ -108,7 +110,8 @@ impl<'g> LayeredRenderer<'g> {
     fn finish(&self, camera: &Camera) -> Result<(), GpuError> {
         let (Some(progress), Some(passes)) = (&self.progress, self.gpu.loop_passes()) else { return Ok(()) };
         let tiles = ImageCapacity::of([(camera.intrinsics().width, camera.intrinsics().height)]).tiles;
-        let (splats, most) = (self.front.lists.longest(self.gpu, tiles)?, passes - patience(passes) - 100);
+        // The walk that begins last has what those before it leave; the others of a pixel, over slots and layers, take some tens.
+        let (splats, most) = (self.front.lists.longest(self.gpu, tiles)?, passes - patience(passes) - OTHER_PASSES);
         if splats > most {
             return Err(GpuError::TileTooFull { splats, most, adapter: self.gpu.adapter().to_owned() });
         }
