@@ -227,12 +227,16 @@ impl<'a> Materials<'a> {
             None => return Ok(Picture::constant(shown(default))),
         };
         let at = stage.path(texture);
-        if stage.text(texture, "info:id") != Some("UsdUVTexture") {
-            return Err(Fault::pointer(at, "a UsdUVTexture", "another shader"));
+        let mut without = |what: &str| {
+            notes.push(format!("{at}: {what}, in whose place is one value of {input}"));
+            Ok(Picture::constant(shown(default)))
+        };
+        let id = stage.text(texture, "info:id").unwrap_or("without an info:id");
+        if id != "UsdUVTexture" {
+            return without(&format!("a shader that is no UsdUVTexture, {id}"));
         }
-        let file = match stage.input(texture, "inputs:file") {
-            Some(Source::Value(Value::Asset(file))) => file,
-            _ => return Err(Fault::pointer(format!("{at}.inputs:file"), "the path of a picture", "none")),
+        let Some(Source::Value(Value::Asset(file))) = stage.input(texture, "inputs:file") else {
+            return without("a texture without a picture");
         };
         let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
             "r" => [0; 3],

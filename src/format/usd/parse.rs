@@ -340,8 +340,9 @@ impl Cursor<'_> {
 
     /// A value of metadata: assets and paths may be references, with a prim and an offset in time after them.
     fn arc(&mut self, depth: usize) -> Result<Value, Fault> {
+        // Metadata of arcs hold arcs.
+        let depth = self.deeper(depth)?;
         if self.peek()? == Some(b'[') {
-            let depth = self.deeper(depth)?;
             self.expect(b'[')?;
             let mut values = vec![];
             while !self.eat(b']')? {

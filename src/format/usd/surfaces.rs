@@ -49,6 +49,9 @@ pub(super) fn read(
         let place = |p: &mut Vec3| *p = placed.transform.transform_point3(p.as_dvec3()).as_vec3();
         polygons.points.iter_mut().for_each(place);
     }
+    // Counter-clockwise from in front is what all else takes for granted.
+    let is_left_handed = stage.text(prim, "orientation") == Some("leftHanded");
+    let is_turned_over = is_left_handed != (placed.transform.determinant() < 0.0);
     let parts = parts(stage, placed, &polygons)?;
     let mut meshes = vec![];
     for Part { material, faces } in &parts {
@@ -69,7 +72,8 @@ pub(super) fn read(
         for &Face { index, first, count } in faces {
             let outline: Vec<Vec3> =
                 polygons.corners[first..first + count].iter().map(|&v| polygons.points[v as usize]).collect();
-            for triangle in polygon::triangles(&outline) {
+            for [a, b, c] in polygon::triangles(&outline) {
+                let triangle = if is_turned_over { [a, c, b] } else { [a, b, c] };
                 let corners = triangle.map(|corner| first + corner);
                 triangles.push(corners.map(|c| polygons.corners[c]));
                 let mut of_triangle = [Vec2::splat(0.5); 3];

@@ -483,6 +483,75 @@ def Mesh "M" {
     assert_eq!([color(blue), color(red)].map(|rgb| rgb.map(f32::round)), [[0., 0., 1.], [1., 0., 0.]]);
 }
 
+/// What its colours mean is not known, but where it is.
+#[test]
+fn shaders_that_are_no_pictures_have_one_colour() {
+    for (shader, what) in [
+        (
+            r#"uniform token info:id = "UsdPrimvarReader_float3""#,
+            "a shader that is no UsdUVTexture, UsdPrimvarReader_float3",
+        ),
+        ("", "a shader that is no UsdUVTexture, without an info:id"),
+        (r#"uniform token info:id = "UsdUVTexture""#, "a texture without a picture"),
+    ] {
+        let file = read_text(&format!(
+            r#"( metersPerUnit = 1 )
+def Material "M" {{
+    token outputs:surface.connect = </M/S.outputs:surface>
+    def Shader "S" {{
+        uniform token info:id = "UsdPreviewSurface"
+        color3f inputs:diffuseColor.connect = </M/P.outputs:result>
+    }}
+    def Shader "P" {{ {shader} }}
+}}
+def Mesh "T" {{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </M>
+}}
+"#
+        ));
+        let base = file.scene.meshes[0].atlas().base();
+        let rgb = sh::rgb_from_dc(base.texels()[..3].try_into().unwrap());
+        let grey = crate::scene::color::linear_to_srgb(0.18);
+        assert!(rgb.iter().all(|c| (c - grey).abs() < 1e-6), "{rgb:?}");
+        let expected = format!("/M/P: {what}, in whose place is one value of inputs:diffuseColor");
+        assert!(file.notes.contains(&expected), "{:?}", file.notes);
+    }
+}
+
+/// Of faces counter-clockwise from their front: neither a mirror nor a left hand makes that their back, but both do not undo it twice.
+#[test]
+fn the_front_of_a_face_stays_its_front() {
+    for (orientation, scale, expected) in [
+        ("rightHanded", 1, [0, 1, 2]),
+        ("leftHanded", 1, [0, 2, 1]),
+        ("rightHanded", -1, [0, 2, 1]),
+        ("leftHanded", -1, [0, 1, 2]),
+    ] {
+        let file = read_text(&format!(
+            r#"( metersPerUnit = 1 )
+def Mesh "T" {{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    texCoord2f[] primvars:st = [(0, 0), (0.25, 0), (0, 0.5)] ( interpolation = "faceVarying" )
+    uniform token orientation = "{orientation}"
+    uniform token subdivisionScheme = "none"
+    float3 xformOp:scale = ({scale}, 1, 1)
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+}}
+"#
+        ));
+        let mesh = &file.scene.meshes[0];
+        assert_eq!(mesh.triangles(), [expected], "{orientation} {scale}");
+        let uvs = [Vec2::new(0.0, 1.0), Vec2::new(0.25, 1.0), Vec2::new(0.0, 0.5)];
+        assert_eq!(mesh.corner_uvs()[0], expected.map(|corner| uvs[corner as usize]), "{orientation} {scale}");
+    }
+}
+
 /// Of the second face, and of one that is not there.
 #[test]
 fn holes_are_no_faces() {

@@ -256,6 +256,7 @@ lines""" ; kind = 'component' )
 fn faults_are_named_with_line_and_column() {
     let deep = format!("#usda 1.0\n{}", "def \"a\" {".repeat(300));
     let lists = format!("#usda 1.0\n(a = {}", "[".repeat(100_000));
+    let arcs = format!("#usda 1.0\n({}", "a=@x@(".repeat(100_000));
     for (text, message) in [
         ("usda 1.0", "f: line 1, column 1: expected `#usda 1.0`, found `usda`"),
         ("#usda 1.0\n(\n  upAxis 3)", "f: line 3, column 10: expected `=`, found `3)`"),
@@ -276,6 +277,7 @@ fn faults_are_named_with_line_and_column() {
         ("#usda 1.0\n/* a", "f: line 2, column 1: expected `*/` after `/*`, found `/*`"),
         (&deep, "f: line 2, column 1809: expected at most 200 levels of nesting, found `{def`"),
         (&lists, "expected at most 200 levels of nesting"),
+        (&arcs, "expected at most 200 levels of nesting"),
     ] {
         let found = refusal(text);
         assert!(found == message || message.starts_with("expected") && found.contains(message), "{found}");
