@@ -161,7 +161,7 @@ pub enum Split {
     /// None: all are trained on.
     All,
     /// Every eighth by name, beginning with the first, as INRIA 3DGS does (`scene/dataset_readers.py`). A capture that brings its own split
-    /// (`transforms_test.json`, `test_filenames`, `val_filenames`) keeps that instead.
+    /// (`transforms_test.json`, else `transforms_val.json`; `test_filenames`, `val_filenames`) keeps that instead.
     #[default]
     Every8th,
 }
@@ -229,7 +229,7 @@ const COARSEST: f64 = 2.5e-4;
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
 /// `colmap/sparse/0` or the folder itself, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
-/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic), or one of the two, which is no split. Points of a `transforms.json` are those of its
+/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic), or else `transforms_val.json`, or one of them, which is no split. Points of a `transforms.json` are those of its
 /// `ply_file_path` (nerfstudio), if it has one, without a word on who sees them.
 ///
 /// Image files may be larger or smaller than their camera says (`images_4`) if the aspect ratio agrees within 1 %;

@@ -535,9 +535,50 @@ fn frames_have_lenses_of_their_own() {
     assert!(refusal.contains("focal length: expected 0.001 to 1000000 times the sides"), "{refusal}");
     let refusal = focal(r#""fl_x":8,"latlong":true"#, "").unwrap_err().to_string();
     assert!(refusal.contains("latlong"), "{refusal}");
+    let refusal = focal(r#""fl_x":8,"equirectangular":true"#, "").unwrap_err().to_string();
+    assert!(refusal.contains("equirectangular"), "{refusal}");
     let refusal = focal(r#""fl_x":8,"camera_model":"OPENCV""#, r#""is_fisheye":true,"#).unwrap_err().to_string();
     assert!(refusal.contains("expected no is_fisheye beside camera_model OPENCV, found true"), "{refusal}");
     focal(r#""fl_x":8,"camera_model":"OPENCV_FISHEYE","is_fisheye":true"#, "").unwrap();
+}
+
+/// In nerfstudio's order, before what stands beside them.
+#[test]
+fn distortion_is_also_a_list() {
+    let folder = tempfile::tempdir().unwrap();
+    write_transforms(folder.path(), 0.0);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let lens = |fields: &str| {
+        std::fs::write(&file, text.replace(r#""fl_x":8"#, &format!(r#""fl_x":8,{fields}"#))).unwrap();
+        open(&file, &full()).map(|capture| capture.views[0].source.lens)
+    };
+    let named = lens(r#""k1":-0.02,"k2":0.01,"k3":0.003,"p1":0.001,"p2":-0.002"#).unwrap();
+    assert_ne!(named.distortion, Distortion::None);
+    assert_eq!(lens(r#""k1":0.5,"distortion_params":[-0.02,0.01,0.003,0,0.001,-0.002]"#).unwrap(), named);
+    let refusal = lens(r#""distortion_params":[-0.02,0.01]"#).unwrap_err().to_string();
+    assert!(refusal.contains("expected six distortion_params: k1, k2, k3, k4, p1, p2, found 2"), "{refusal}");
+}
+
+/// Also where their axes are rounded, or a little longer than one.
+#[test]
+fn cameras_are_where_their_matrices_say() {
+    let (sin, cos) = 0.4_f64.sin_cos();
+    for (scale, digits) in [(1.005, 1e9), (1.0, 1e4)] {
+        let round = |v: f64| (v * scale * digits).round() / digits;
+        let rows = [
+            [round(cos), 0.0, round(sin), 900.0],
+            [0.0, round(1.0), 0.0, -300.0],
+            [round(-sin), 0.0, round(cos), 500.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ];
+        let (rotation, translation) = transforms::world_to_camera(&rows).unwrap();
+        let intrinsics = Intrinsics { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 };
+        let camera = Camera::new(intrinsics, rotation, translation).unwrap();
+        assert!(camera.center().distance(DVec3::new(900.0, -300.0, 500.0)) < 1e-9, "{}", camera.center());
+        let ahead = camera.rotation().transpose() * DVec3::Z;
+        assert!(ahead.distance(DVec3::new(-sin, 0.0, -cos)) < 2.0 / digits, "{ahead}");
+    }
 }
 
 #[test]
@@ -594,6 +635,15 @@ fn paths_of_windows_are_read_everywhere() {
         write(outside);
         assert!(message(folder.path(), &full()).contains("expected a path inside the capture"), "{outside}");
     }
+    // Masks that nobody asks for may be anywhere.
+    for mask in ["../out.png", "/out.png", ""] {
+        let text = text.replace("cut/out.png", mask).replace(r#""file_path":""#, r#""file_path":"images/"#);
+        std::fs::write(at("transforms.json"), text).unwrap();
+        assert_eq!(open(folder.path(), &full()).unwrap().views.len(), 2);
+        let masks = open(folder.path(), &LoadOptions { masks: true, ..full() });
+        let refused = masks.err().is_some_and(|e| e.to_string().contains("expected a path inside the capture"));
+        assert_eq!(refused, !mask.is_empty(), "{mask}");
+    }
 }
 
 /// Two frames of `transforms.json` from `x` on, the second with a mask.
@@ -642,6 +692,24 @@ fn a_split_is_of_two_files() {
         assert_eq!(Split::Every8th.split(&capture.views), (vec![1], vec![0]), "{name}");
         assert_eq!(capture.views[0].source.held_out(), None);
         std::fs::rename(at(name), at("transforms.json")).unwrap();
+    }
+    // Where none is for tests, what is for validation is held out.
+    let other = tempfile::tempdir().unwrap();
+    for (part, x) in [("val", 9.0), ("train", 0.0)] {
+        write_transforms(other.path(), x);
+        let at = |name: &str| other.path().join(name);
+        for i in [0, 1] {
+            std::fs::rename(at(&format!("{i}.png")), at(&format!("{part}{i}.png"))).unwrap();
+        }
+        let text = std::fs::read_to_string(at("transforms.json")).unwrap();
+        let text = text.replace(r#""file_path":""#, &format!(r#""file_path":"{part}"#));
+        std::fs::write(at(&format!("transforms_{part}.json")), text).unwrap();
+        std::fs::remove_file(at("transforms.json")).unwrap();
+    }
+    let views = open(other.path(), &full()).unwrap().views;
+    for (views_of_part, part) in <[Vec<usize>; 2]>::from(Split::Every8th.split(&views)).iter().zip(["train", "val"]) {
+        let names: Vec<&str> = views_of_part.iter().map(|&i| views[i].name.as_str()).collect();
+        assert_eq!(names, [0, 1].map(|i| format!("{part}{i}.png")));
     }
     // Beside one of all frames they are passed over.
     for name in ["transforms_train.json", "transforms_test.json"] {

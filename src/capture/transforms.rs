@@ -16,7 +16,7 @@ use super::views::{Frame, inside};
 use super::{CaptureError, Listed, LoadOptions, Point, error, images};
 use crate::{
     format::ply,
-    scene::{HALF_TURN, Intrinsics},
+    scene::{HALF_TURN, Intrinsics, nearest_rotation},
 };
 
 /// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
@@ -62,6 +62,7 @@ struct LensFields {
     is_fisheye: Option<bool>,
     ftheta_p0: Option<IgnoredAny>,
     latlong: Option<bool>,
+    equirectangular: Option<bool>,
     /// Degrees, as nothing else.
     x_fov: Option<f64>,
     y_fov: Option<f64>,
@@ -81,6 +82,8 @@ struct LensFields {
     k6: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
+    /// k1 to k4, p1 and p2, which then do not count (nerfstudio).
+    distortion_params: Option<Vec<f64>>,
 }
 
 /// As it is, or in words.
@@ -113,6 +116,11 @@ pub(super) fn find(folder: &Path) -> Found {
         let passed_over = of_split.into_iter().filter(|file| file.is_file()).collect();
         return Found { files: vec![(one, None)], passed_over };
     }
+    let [train, test] = of_split;
+    // The split of what has no other.
+    let validation = folder.join("transforms_val.json");
+    let test = if !test.is_file() && validation.is_file() { validation } else { test };
+    let of_split = [train, test];
     let has_both = of_split.iter().all(|file| file.is_file());
     let parts = of_split.into_iter().zip([false, true]).filter(|(file, _)| file.is_file());
     Found { files: parts.map(|(file, held_out)| (file, has_both.then_some(held_out))).collect(), passed_over: vec![] }
@@ -199,10 +207,15 @@ pub(super) fn parse(
                 (Err(_), false) => (PathBuf::new(), PathBuf::new()),
             };
             let masks = [("mask_path", &fields.mask_path), ("fg_mask_path", &fields.fg_mask_path)];
-            let mask = match masks.into_iter().find_map(|(field, mask)| Some((field, mask.as_ref()?))) {
-                Some((field, mask)) if photographs => {
-                    Some(root.join(inside(path, &format!("{at}/{field}"), &plain(mask))?))
-                }
+            let named =
+                masks.into_iter().find_map(|(field, mask)| Some((field, mask.as_ref().filter(|m| !m.is_empty())?)));
+            let mask = match named {
+                Some((field, mask)) if photographs => match inside(path, &format!("{at}/{field}"), &plain(mask)) {
+                    Ok(inner) => Some(root.join(inner)),
+                    // Nobody looks for it.
+                    Err(_) if !options.masks => None,
+                    Err(e) => return Err(e),
+                },
                 _ => None,
             };
             let (rotation, translation) = world_to_camera(&fields.transform_matrix).ok_or_else(|| {
@@ -267,7 +280,8 @@ pub(super) fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
     let [a, b, c, ..] = rows else { return None };
     let column = |i: usize| DVec3::new(a[i], b[i], c[i]);
     let rotation = DMat3::from_cols(column(0), -column(1), -column(2)).transpose();
-    Some((rotation, -(rotation * column(3))))
+    // The centre is where the matrix says, also where its axes are rounded.
+    Some((rotation, -(nearest_rotation(rotation) * column(3))))
 }
 
 /// Focal lengths of pictures of this size, (width, height), both in pixels, that a file or a frame gives, if it gives any.
@@ -328,8 +342,17 @@ fn lens(
     let intrinsics = Intrinsics { width, height, fx, fy, cx, cy };
 
     let k = [value(|l| l.k1), value(|l| l.k2), value(|l| l.k3), value(|l| l.k4), value(|l| l.k5), value(|l| l.k6)];
-    let k @ [k1, k2, k3, k4, k5, k6] = k.map(|k| k.unwrap_or(0.0));
-    let [p1, p2] = [value(|l| l.p1), value(|l| l.p2)].map(|p| p.unwrap_or(0.0));
+    let k = k.map(|k| k.unwrap_or(0.0));
+    let p = [value(|l| l.p1), value(|l| l.p2)].map(|p| p.unwrap_or(0.0));
+    let (k, [p1, p2]) = match frame.distortion_params.as_deref().or(file.distortion_params.as_deref()) {
+        None => (k, p),
+        Some(&[k1, k2, k3, k4, p1, p2]) => ([k1, k2, k3, k4, 0.0, 0.0], [p1, p2]),
+        Some(other) => {
+            let expected = "six distortion_params: k1, k2, k3, k4, p1, p2";
+            return Err(CaptureError::invalid(path, at, expected, other.len().to_string()));
+        }
+    };
+    let [k1, k2, k3, k4, k5, k6] = k;
     let model = frame.camera_model.as_deref().or(file.camera_model.as_deref());
     let unsupported = |model: &str| {
         Err(CaptureError::UnsupportedModel { path: path.into(), place: at.to_owned(), model: model.into() })
@@ -339,6 +362,9 @@ fn lens(
     }
     if frame.latlong.or(file.latlong).unwrap_or(false) {
         return unsupported("latlong");
+    }
+    if frame.equirectangular.or(file.equirectangular).unwrap_or(false) {
+        return unsupported("equirectangular");
     }
     // A frame's own model says more than what the file says of all.
     let of_file = file.is_fisheye.filter(|_| frame.camera_model.is_none());

@@ -115,8 +115,7 @@ impl Camera {
         if rotation.determinant() < 0.0 {
             return Err(SceneError::new("pose", "a rotation", "a rotation and a reflection"));
         }
-        let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize());
-        Ok(Self { intrinsics, rotation, translation })
+        Ok(Self { intrinsics, rotation: nearest_rotation(rotation), translation })
     }
 
     /// Intrinsics.
@@ -186,6 +185,12 @@ impl Camera {
     pub fn resized(&self, width: u32, height: u32) -> Self {
         Self { intrinsics: self.intrinsics.resized(width.max(1), height.max(1)), ..*self }
     }
+}
+
+/// The rotation that a matrix is but for rounding and scale: axes of about one length at about right angles, as [`Camera::new`] takes them.
+pub(crate) fn nearest_rotation(matrix: DMat3) -> DMat3 {
+    let axes = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::normalize_or_zero);
+    DMat3::from_quat(DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2])).normalize())
 }
 
 #[cfg(test)]

@@ -20,6 +20,7 @@ mod splats;
 use glam::DVec3;
 use rayon::prelude::*;
 
+pub(crate) use camera::nearest_rotation;
 pub use camera::{Camera, Intrinsics};
 pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
 pub use gather::gather;
