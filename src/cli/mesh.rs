@@ -266,10 +266,11 @@ fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Resul
 /// The surface with texture coordinates, and maps of which nothing is known yet.
 fn unwrapped(made: &Made, args: &Args) -> Result<(Mesh, UnwrapStats)> {
     let charts_in = made.steps.contraction.map(ChartSpace::unbounded);
-    let unwrapped = geometry::unwrap(&made.surface, charts_in.as_ref(), args.texture_size).map_err(|e| {
-        let source = args.mesh.as_ref().or(args.splats.as_ref()).unwrap_or(&args.capture);
-        anyhow!("{}: {e}; see --texture-size and --triangles", source.display())
-    })?;
+    let unwrapped = geometry::unwrap(&made.surface, charts_in.as_ref(), args.texture_size, geometry::WIDEST_GUTTER)
+        .map_err(|e| {
+            let source = args.mesh.as_ref().or(args.splats.as_ref()).unwrap_or(&args.capture);
+            anyhow!("{}: {e}; see --texture-size and --triangles", source.display())
+        })?;
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None)?;
     let mesh = Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, atlas)?;
     Ok((mesh, unwrapped.stats))

@@ -295,11 +295,13 @@ fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
     charts
 }
 
-/// Moves triangles that cover a texel centre of another one of their chart into charts of their own. `charts` are as
-/// packed, with `texel` world units to a texel. Returns the new charts.
-pub(super) fn split_overlaps(charts: &mut [Chart], texel: f64) -> Vec<Chart> {
-    let split = |chart: &mut Chart| {
-        let clear = not_overlapping(&chart.corners, DVec2::ZERO, texel);
+/// Moves triangles that cover a texel centre of another one of their chart into charts of their own; `at` is where in texels a point of a chart
+/// lies. Returns the new charts.
+pub(super) fn split_overlaps(charts: &mut [Chart], at: impl Fn(usize, DVec2) -> DVec2 + Sync) -> Vec<Chart> {
+    let split = |(i, chart): (usize, &mut Chart)| {
+        let texels: Vec<[DVec2; 3]> = chart.corners.iter().map(|t| t.map(|p| at(i, p))).collect();
+        let low = texels.iter().flatten().copied().fold(DVec2::INFINITY, DVec2::min).floor();
+        let clear = not_overlapping(&texels, low, 1.0);
         let mut alone = Vec::new();
         if clear.contains(&false) {
             let (faces, corners) = (std::mem::take(&mut chart.faces), std::mem::take(&mut chart.corners));
@@ -314,7 +316,7 @@ pub(super) fn split_overlaps(charts: &mut [Chart], texel: f64) -> Vec<Chart> {
         }
         alone
     };
-    charts.par_iter_mut().flat_map_iter(split).collect()
+    charts.par_iter_mut().enumerate().flat_map_iter(split).collect()
 }
 
 /// Connected pieces of a set of triangles, each breadth first from its lowest index.

@@ -42,7 +42,7 @@ pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};
 pub use surface::{Surface, compact, components};
 pub use tidy::{Tidying, tidy};
 pub use transfer::transfer;
-pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, unwrap};
+pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, WIDEST_GUTTER, unwrap};
 pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};
 
 /// Why a surface could not be made or unwrapped.
@@ -83,7 +83,7 @@ pub enum GeometryError {
     /// The charts do not fit, however small.
     #[error(
         "unwrap: expected the {charts} charts to fit in an atlas of {atlas_size}×{atlas_size} texels, found no room \
-         even with gutters of 1 texel"
+         even with the narrowest gutters"
     )]
     AtlasTooSmall {
         /// Number of charts.

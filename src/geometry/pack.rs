@@ -1,47 +1,43 @@
-//! Packs charts into a square atlas: each falls onto the skyline of those before it, tallest first.
+//! Packs charts into a square atlas: each where it lies lowest among those before it, also in what they leave open.
+
+use std::{
+    cmp::Reverse,
+    f64::consts::{FRAC_PI_2, TAU},
+    ops::Range,
+};
 
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::charts::Chart;
+use super::{charts::Chart, raster::pixels_around};
 
 /// Where each chart lies.
 pub(super) struct Packing {
     /// Texels per world unit.
     pub(super) scale: f64,
-    /// Texels kept free around each chart.
+    /// Texels kept free around each chart; 0 if only so many that no bilinear sample of one has a part in another.
     pub(super) gutter: usize,
     /// `[charts]`.
     pub(super) places: Vec<Place>,
 }
 
-/// A chart's place: quarter turns, then shift.
+/// A chart's place: turned, then shifted.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Place {
-    /// Quarter turns counter-clockwise.
-    turns: u8,
-    /// Texels the chart covers before turning.
-    size: [usize; 2],
-    /// Lowest texel after turning.
-    origin: [usize; 2],
+    turn: DVec2,
+    /// Texels.
+    shift: DVec2,
 }
 
 impl Place {
     /// Atlas position in texels of a chart point given in texels from the chart's low corner.
     pub(super) fn apply(&self, p: DVec2) -> DVec2 {
-        let size = DVec2::new(self.size[0] as f64, self.size[1] as f64);
-        let turned = match self.turns {
-            0 => p,
-            1 => DVec2::new(size.y - p.y, p.x),
-            2 => size - p,
-            _ => DVec2::new(p.y, size.x - p.x),
-        };
-        turned + DVec2::new(self.origin[0] as f64, self.origin[1] as f64)
+        self.turn.rotate(p) + self.shift
     }
 }
 
-/// Turns a chart so that its bounding rectangle is small and upright, with the low corner at the origin. Of a triangle that is longer than `longest`, and
-/// no cut makes shorter, lengths shrink to that: one sliver does not take their texels from all others.
+/// Turns a chart so that its bounding rectangle is small and upright, with the low corner at the origin. Of a triangle that is longer than
+/// `longest`, and no cut makes shorter, lengths shrink to that: one sliver does not take their texels from all others.
 pub(super) fn straighten(chart: &mut Chart, longest: f64) {
     let bounds = |angle: f64| {
         let turn = DVec2::from_angle(angle);
@@ -52,14 +48,18 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
         let (low, high) = bounds(angle);
         (high - low).element_product()
     };
-    let angles = (0..30).map(|i| f64::from(i) * std::f64::consts::FRAC_PI_2 / 30.0);
+    let edges = chart.corners.iter().flat_map(|&[a, b, c]| [b - a, c - b, a - c]);
+    // Along which a sliver is as narrow as it is.
+    let longest_edge = edges.max_by(|a, b| a.length_squared().total_cmp(&b.length_squared())).unwrap_or(DVec2::X);
+    let angles = (0..30).map(|i| f64::from(i) * FRAC_PI_2 / 30.0).chain([-longest_edge.to_angle()]);
     let mut best = angles.min_by(|&a, &b| area(a).total_cmp(&area(b))).unwrap_or(0.0);
     let (low, high) = bounds(best);
     if high.x - low.x > high.y - low.y {
-        best += std::f64::consts::FRAC_PI_2;
+        best += FRAC_PI_2;
     }
     let ((low, high), turn) = (bounds(best), DVec2::from_angle(best));
-    let shrink = DVec2::new(1.0, (longest / (high.y - low.y)).min(1.0));
+    // Nothing divided by is less than `longest` where it counts.
+    let shrink = (longest / (high - low)).min(DVec2::ONE);
     for p in chart.corners.iter_mut().flatten() {
         // The maximum guards against a rounding below zero.
         *p = (turn.rotate(*p) - low).max(DVec2::ZERO) * shrink;
@@ -68,254 +68,382 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
 
 /// A wider gutter is taken as long as it costs no more than this fraction of the scale that a narrower one allows.
 const GUTTER_WORTH: f64 = 0.92;
+/// Share of an atlas's cells that more than a few charts never fill.
+const FULL: f64 = 0.92;
+const FEW: usize = 32;
+/// By how much the scale falls until charts fit, at least.
+const STEP: f64 = 0.96;
+/// Cells of a side that charts are laid out on at most, or as many per root of their number, whichever is more: in larger atlases a cell is
+/// several texels.
+const MOST_CELLS: usize = 512;
+const CELLS_PER_CHART: f64 = 16.0;
+/// Turns that are tried of each chart.
+const TURNS: u32 = 4;
 
-/// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are 4 texels on each side, hence
-/// 8 between charts, but 2 or 1 where that would cost more than a twelfth of the resolution: maps are
-/// trained through their mips, and a texel is a float that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
-pub(super) fn pack(charts: &[Chart], area: f64, side: usize) -> Option<Packing> {
+/// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are up to `widest` texels on each side, of 4, 2, 1 and
+/// what bilinear samples need the widest that costs no more than a twelfth of the resolution: maps are trained through their mips, and a
+/// texel is floats that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
+pub(super) fn pack(charts: &[Chart], area: f64, side: usize, widest: usize) -> Option<Packing> {
     // Scale at which the charts would fill the atlas.
     let full = side as f64 / area.sqrt();
-    let order = {
-        let mut order: Vec<usize> = (0..charts.len()).collect();
-        let height = |c: usize| charts[c].corners.iter().flatten().map(|p| p.y).fold(0.0, f64::max);
-        let heights: Vec<f64> = (0..charts.len()).map(height).collect();
-        order.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]).then(a.cmp(&b)));
-        order
-    };
-    let mut chosen: Option<Packing> = None;
-    for gutter in [1, 2, 4] {
-        let least = chosen.as_ref().map_or(0.0, |c| GUTTER_WORTH * c.scale);
-        match largest_scale(charts, &order, full, least, side, gutter) {
-            Some(packing) => chosen = Some(packing),
+    let mut chosen = largest_scale(charts, 0.02 * full..full, side, 0)?;
+    let least = GUTTER_WORTH * chosen.scale;
+    for gutter in [1, 2, 4].into_iter().take_while(|gutter| *gutter <= widest) {
+        match largest_scale(charts, least..chosen.scale.max(least), side, gutter) {
+            Some(packing) => chosen = packing,
             None => break,
         }
     }
-    chosen
+    Some(chosen)
 }
 
-/// The largest scale with this gutter to 0.3 %, unless it is below `least` or 2 % of `full`.
-fn largest_scale(
-    charts: &[Chart],
-    order: &[usize],
-    full: f64,
-    least: f64,
-    side: usize,
-    gutter: usize,
-) -> Option<Packing> {
-    let attempt = |scale: f64| try_scale(charts, order, scale, side, gutter);
-    let floor = least.max(0.02 * full);
-    let (mut fails, mut scale) = (full, (full * 0.9).max(floor));
-    loop {
-        let Some(mut places) = attempt(scale) else {
-            if scale <= floor {
-                return None;
-            }
-            fails = scale;
-            scale = (scale * 0.85).max(floor);
-            continue;
-        };
-        for _ in 0..6 {
-            let middle = (scale + fails) / 2.0;
-            match attempt(middle) {
-                Some(better) => (scale, places) = (middle, better),
-                None => fails = middle,
-            }
-        }
-        return Some(Packing { scale, gutter, places });
-    }
-}
-
-/// The outline of a chart in one orientation: per column the lowest and the highest covered row, with the gutter.
-#[derive(Clone, Default)]
-struct Outline {
-    low: Vec<usize>,
-    high: Vec<usize>,
-}
-
-impl Outline {
-    /// A chart of separate parts may leave columns empty: they take no room, as high as the nearest one before them, or else after.
-    fn close(&mut self) {
-        let mut last = self.low.iter().copied().find(|low| *low != usize::MAX).unwrap_or(0);
-        for (low, high) in self.low.iter_mut().zip(&mut self.high) {
-            if *low == usize::MAX {
-                (*low, *high) = (last, last);
-            }
-            last = *low;
+/// The largest scale of a range with this gutter to 1 %, if charts fit at its start.
+fn largest_scale(charts: &[Chart], range: Range<f64>, side: usize, gutter: usize) -> Option<Packing> {
+    let grid = Grid::new(side, gutter, charts.len());
+    let (mut scale, mut places) = (range.start, grid.place_all(charts, range.start).ok()?);
+    let (mut fails, mut next) = (range.end, STEP * range.end);
+    while next > scale {
+        match grid.place_all(charts, next) {
+            Ok(found) => (scale, places) = (next, found),
+            Err(smaller) => (fails, next) = (next, next * smaller),
         }
     }
-
-    fn height(&self) -> usize {
-        self.high.iter().copied().max().unwrap_or(0)
-    }
-
-    /// Grows by `gutter` texels on all sides; the origin moves by `gutter` both ways.
-    fn with_gutter(&self, gutter: usize) -> Self {
-        let columns = self.low.len();
-        let near = |i: usize| i.saturating_sub(2 * gutter)..(i + 1).min(columns);
-        let grown = 0..columns + 2 * gutter;
-        Self {
-            low: grown.clone().map(|i| self.low[near(i)].iter().copied().min().unwrap_or(0)).collect(),
-            high: grown.map(|i| self.high[near(i)].iter().copied().max().unwrap_or(0) + 2 * gutter).collect(),
+    while scale < 0.99 * fails {
+        let middle = (scale + fails) / 2.0;
+        match grid.place_all(charts, middle) {
+            Ok(found) => (scale, places) = (middle, found),
+            Err(_) => fails = middle,
         }
     }
+    Some(Packing { scale, gutter, places })
 }
 
-/// Size in texels and the outlines after 0 to 3 quarter turns.
+/// How an atlas is divided for packing.
+struct Grid {
+    /// Texels of a cell's side.
+    cell: usize,
+    /// Cells of the atlas's side.
+    cells: usize,
+    /// Cells around a chart's points within which cells are its own, along either axis.
+    reach: f64,
+    /// Texels from a footprint's corner to the least coordinates of the chart in it.
+    inset: f64,
+}
+
+/// A chart in one of its turns: the cells that it takes, those of each row in runs.
 struct Footprint {
-    size: [usize; 2],
-    outlines: [Outline; 4],
+    turn: DVec2,
+    /// The turned chart's least coordinates in texels.
+    low: DVec2,
+    width: usize,
+    /// Per row the first cell and the number of cells of each run.
+    rows: Vec<Vec<[usize; 2]>>,
+    count: usize,
 }
 
-fn footprint(chart: &Chart, scale: f64, side: usize, gutter: usize) -> Option<Footprint> {
-    let high = chart.corners.iter().flatten().fold(DVec2::ZERO, |high, &p| high.max(p)) * scale;
-    if high.max_element() + 2.0 * gutter as f64 > side as f64 {
-        return None;
+impl Grid {
+    fn new(side: usize, gutter: usize, charts: usize) -> Self {
+        let cell = side.div_ceil(MOST_CELLS.max((CELLS_PER_CHART * (charts as f64).sqrt()) as usize));
+        // A bilinear sample has a part in the texels whose centres are less than one texel from it.
+        let texels = if gutter == 0 { 0.999 } else { gutter as f64 + 0.5 };
+        // Of a cell the centre of any texel counts.
+        let reach = (texels + (cell - 1) as f64 / 2.0) / cell as f64;
+        Self { cell, cells: side / cell, reach, inset: texels - 0.49 }
     }
-    let size = [high.x, high.y].map(|h| (h.ceil() as usize).max(1));
-    let [mut columns, mut rows] = size.map(|n| Outline { low: vec![usize::MAX; n], high: vec![0; n] });
-    for t in &chart.corners {
-        for k in 0..3 {
-            let (a, b) = (t[k] * scale, t[(k + 1) % 3] * scale);
-            outline_edge(&mut columns, a, b);
-            outline_edge(&mut rows, DVec2::new(a.y, a.x), DVec2::new(b.y, b.x));
+
+    /// Where each chart lies at `scale` texels to a unit, in the order of those tried that works first; or if none does, what part of it to
+    /// try next.
+    fn place_all(&self, charts: &[Chart], scale: f64) -> Result<Vec<Place>, f64> {
+        let footprints: Vec<Vec<Footprint>> =
+            charts.par_iter().map(|c| self.footprints(c, scale)).collect::<Option<_>>().ok_or(STEP)?;
+        let count = footprints.iter().map(|f| f[0].count).sum::<usize>() as f64;
+        let room = (self.cells * self.cells) as f64 * if charts.len() < FEW { 1.0 } else { FULL };
+        if count > room {
+            // With the square of the scale fall at most those cells that are not of gutters.
+            return Err((room / count).sqrt().min(STEP));
         }
+        let sizes: [fn(&Footprint) -> usize; 2] = [|f| f.rows.len().max(f.width), |f| f.count];
+        let tried = sizes.par_iter().map(|size| self.place_by(&footprints, size));
+        tried.collect::<Vec<_>>().into_iter().flatten().next().ok_or(STEP)
     }
-    [&mut columns, &mut rows].into_iter().for_each(Outline::close);
-    let [w, h] = size;
-    let turned = |o: &Outline, reverse: bool, flip: Option<usize>| {
-        let mut o = match flip {
-            None => o.clone(),
-            Some(n) => {
-                let flip = |v: &usize| n.saturating_sub(*v);
-                Outline { low: o.high.iter().map(flip).collect(), high: o.low.iter().map(flip).collect() }
+
+    /// The footprints of a chart in all turns that the atlas has room for. `None` if there is none.
+    fn footprints(&self, chart: &Chart, scale: f64) -> Option<Vec<Footprint>> {
+        let turns = (0..TURNS).map(|i| DVec2::from_angle(f64::from(i) * TAU / f64::from(TURNS)));
+        let found: Vec<Footprint> = turns.filter_map(|turn| self.footprint(chart, scale, turn)).collect();
+        (!found.is_empty()).then_some(found)
+    }
+
+    fn footprint(&self, chart: &Chart, scale: f64, turn: DVec2) -> Option<Footprint> {
+        let turned = |p: DVec2| turn.rotate(p * scale);
+        let points = chart.corners.iter().flatten().map(|&p| turned(p));
+        let (low, high) =
+            points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+        let cell = self.cell as f64;
+        let extent = (high - low + 2.0 * self.inset) / cell;
+        // Also none, or more than a number holds.
+        if !extent.cmple(DVec2::splat(self.cells as f64 + 1.0)).all() {
+            return None;
+        }
+        let [width, height] = extent.to_array().map(|n| n.ceil() as usize + 1);
+        let mut taken = vec![false; width * height];
+        for t in &chart.corners {
+            let corners = t.map(|p| (turned(p) - low + self.inset) / cell - 0.5);
+            pixels_around(&corners, self.reach, [width, height], 0..height)
+                .for_each(|(x, y)| taken[y * width + x] = true);
+        }
+        let mut rows: Vec<Vec<[usize; 2]>> = taken.chunks(width).map(runs).collect();
+        while rows.last().is_some_and(Vec::is_empty) {
+            rows.pop();
+        }
+        let width = rows.iter().flatten().map(|[start, n]| start + n).max().unwrap_or(0);
+        let count = rows.iter().flatten().map(|run| run[1]).sum();
+        (width <= self.cells && rows.len() <= self.cells).then_some(Footprint { turn, low, width, rows, count })
+    }
+
+    /// Each chart at the lowest place that is left, the largest first.
+    fn place_by(&self, footprints: &[Vec<Footprint>], size: impl Fn(&Footprint) -> usize) -> Option<Vec<Place>> {
+        let mut order: Vec<(usize, usize)> = footprints.iter().map(|f| size(&f[0])).zip(0..).collect();
+        order.sort_by_key(|&(size, chart)| (Reverse(size), chart));
+        let mut taken = Taken::new(self.cells);
+        let mut places = vec![Place::default(); footprints.len()];
+        // Where one of the same size found no place the others do not look: of many small ones most are.
+        let (mut last, mut from) = (usize::MAX, [0; TURNS as usize]);
+        for (size, chart) in order {
+            if size != last {
+                (last, from) = (size, [0; TURNS as usize]);
             }
-        };
-        if reverse {
-            o.low.reverse();
-            o.high.reverse();
+            let mut best: Option<(usize, [usize; 2], &Footprint)> = None;
+            for (footprint, from) in footprints[chart].iter().zip(&mut from) {
+                let below = best.map_or(self.cells + 1, |b| b.0);
+                let at = taken.lowest(footprint, *from, below);
+                *from = at.map_or(below.saturating_sub(footprint.rows.len()), |at| at[1]).max(*from);
+                if let Some(at) = at {
+                    best = Some((at[1] + footprint.rows.len(), at, footprint));
+                }
+            }
+            let (_, at, footprint) = best?;
+            taken.take(footprint, at);
+            let corner = DVec2::from(at.map(|n| (n * self.cell) as f64));
+            places[chart] = Place { turn: footprint.turn, shift: corner + self.inset - footprint.low };
         }
-        o.with_gutter(gutter)
-    };
-    let outlines = [
-        turned(&columns, false, None),
-        turned(&rows, true, None),
-        turned(&columns, true, Some(h)),
-        turned(&rows, false, Some(w)),
-    ];
-    Some(Footprint { size, outlines })
-}
-
-/// Widens the outline by an edge, per column by the rows that the edge passes there.
-fn outline_edge(outline: &mut Outline, a: DVec2, b: DVec2) {
-    let (a, b) = if a.x <= b.x { (a, b) } else { (b, a) };
-    let last = outline.low.len() - 1;
-    let slope = if b.x > a.x { (b.y - a.y) / (b.x - a.x) } else { 0.0 };
-    let (low, high) = (a.y.min(b.y), a.y.max(b.y));
-    for column in (a.x as usize).min(last)..=(b.x as usize).min(last) {
-        let at = |x: f64| (a.y + (x - a.x) * slope).clamp(low, high);
-        let (mut from, mut to) = (at((column as f64).max(a.x)), at((column as f64 + 1.0).min(b.x)));
-        if a.x == b.x {
-            (from, to) = (low, high);
-        }
-        outline.low[column] = outline.low[column].min(from.min(to) as usize);
-        outline.high[column] = outline.high[column].max(from.max(to).ceil().max(1.0) as usize);
+        Some(places)
     }
 }
 
-fn try_scale(charts: &[Chart], order: &[usize], scale: f64, side: usize, gutter: usize) -> Option<Vec<Place>> {
-    let footprints: Vec<Footprint> =
-        charts.par_iter().map(|c| footprint(c, scale, side, gutter)).collect::<Option<_>>()?;
-    let covered: usize = footprints
-        .iter()
-        .map(|f| f.outlines[0].high.iter().zip(&f.outlines[0].low).map(|(h, l)| h - l).sum::<usize>())
-        .sum();
-    if covered > side * side {
-        return None;
+/// The runs of a row: where each starts, and how long it is.
+fn runs(row: &[bool]) -> Vec<[usize; 2]> {
+    let mut start = 0;
+    let mut found = Vec::new();
+    for same in row.chunk_by(|a, b| a == b) {
+        if same[0] {
+            found.push([start, same.len()]);
+        }
+        start += same.len();
     }
-    let mut skyline = vec![0; side];
-    let mut places = vec![Place::default(); charts.len()];
-    for &chart in order {
-        let Footprint { size, outlines } = &footprints[chart];
-        let mut best: Option<(usize, usize, usize, usize)> = None;
-        for (turns, outline) in outlines.iter().enumerate() {
-            let Some((top, waste, x)) = drop_onto(&skyline, outline) else { continue };
-            if best.is_none_or(|b| (top, waste) < (b.0, b.1)) {
-                best = Some((top, waste, x, turns));
+    found
+}
+
+/// The cells that are taken, a bit each, in rows of whole words.
+struct Taken {
+    cells: usize,
+    words: usize,
+    bits: Vec<u64>,
+    /// Per row the longest run of cells that are free.
+    free: Vec<usize>,
+}
+
+impl Taken {
+    fn new(cells: usize) -> Self {
+        let words = cells.div_ceil(64);
+        Self { cells, words, bits: vec![0; words * cells], free: vec![cells; cells] }
+    }
+
+    fn row(&self, y: usize) -> &[u64] {
+        &self.bits[y * self.words..][..self.words]
+    }
+
+    /// Column and row of the lowest place `from` some row on where the footprint is clear of all that is taken and its top is lower than
+    /// `below`, the leftmost of those.
+    fn lowest(&self, footprint: &Footprint, from: usize, below: usize) -> Option<[usize; 2]> {
+        let height = footprint.rows.len();
+        let last = below.min(self.cells + 1).checked_sub(height + 1)?;
+        let longest: Vec<usize> =
+            footprint.rows.iter().map(|row| row.iter().map(|run| run[1]).max().unwrap_or(0)).collect();
+        // The longest are what most places fail by.
+        let mut order: Vec<usize> = (0..height).collect();
+        order.sort_by_key(|&row| Reverse(longest[row]));
+        let (mut blocked, mut shifted) = (vec![0; self.words], vec![0; self.words]);
+        let columns = self.cells - footprint.width + 1;
+        'rows: for y in from..=last {
+            if order.iter().any(|&row| self.free[y + row] < longest[row]) {
+                continue;
+            }
+            blocked.fill(0);
+            for &row in &order {
+                if self.free[y + row] == self.cells {
+                    continue;
+                }
+                for &[start, n] in &footprint.rows[row] {
+                    block(self.row(y + row), start, n, &mut shifted, &mut blocked);
+                }
+                if first_clear(&blocked, columns).is_none() {
+                    continue 'rows;
+                }
+            }
+            if let Some(x) = first_clear(&blocked, columns) {
+                return Some([x, y]);
             }
         }
-        let (top, _, x, turns) = best.filter(|b| b.0 <= side)?;
-        let outline = &outlines[turns];
-        let y = top - outline.height();
-        for (column, high) in skyline[x..].iter_mut().zip(&outline.high) {
-            *column = y + high;
-        }
-        places[chart] = Place { turns: turns as u8, size: *size, origin: [x + gutter, y + gutter] };
+        None
     }
-    Some(places)
+
+    fn take(&mut self, footprint: &Footprint, [x, y]: [usize; 2]) {
+        for (row, runs) in footprint.rows.iter().enumerate() {
+            let bits = &mut self.bits[(y + row) * self.words..][..self.words];
+            for &[start, n] in runs {
+                for cell in x + start..x + start + n {
+                    bits[cell / 64] |= 1 << (cell % 64);
+                }
+            }
+            self.free[y + row] = longest_free(bits, self.cells);
+        }
+    }
 }
 
-/// Lowest resting place on the skyline: (top, texels lost below, first column).
-fn drop_onto(skyline: &[usize], outline: &Outline) -> Option<(usize, usize, usize)> {
-    let height = outline.height();
-    let mut best: Option<(usize, usize, usize)> = None;
-    for x in 0..=skyline.len().checked_sub(outline.low.len())? {
-        let limit = best.map_or(usize::MAX, |b| b.0 - height);
-        let mut y = 0;
-        for (&ground, &low) in skyline[x..].iter().zip(&outline.low) {
-            y = y.max(ground.saturating_sub(low));
-            if y > limit {
-                break;
-            }
+/// Marks the columns at which a run of `n` cells, `start` cells farther, meets one of `row`.
+fn block(row: &[u64], start: usize, n: usize, shifted: &mut [u64], blocked: &mut [u64]) {
+    shifted.copy_from_slice(row);
+    let mut reached = 1;
+    while reached < n {
+        let step = reached.min(n - reached);
+        // In rising order, so that what is read is as it was.
+        for i in 0..shifted.len() {
+            shifted[i] |= word_at(shifted, i, step);
         }
-        if y > limit {
-            continue;
-        }
-        let waste = skyline[x..].iter().zip(&outline.low).map(|(&ground, &low)| (y + low).saturating_sub(ground)).sum();
-        if best.is_none_or(|b| (y + height, waste) < (b.0, b.1)) {
-            best = Some((y + height, waste, x));
+        reached += step;
+    }
+    for (i, blocked) in blocked.iter_mut().enumerate() {
+        *blocked |= word_at(shifted, i, start);
+    }
+}
+
+/// The word `i` of bits that are shifted down by `by`.
+fn word_at(bits: &[u64], i: usize, by: usize) -> u64 {
+    let get = |i: usize| bits.get(i).copied().unwrap_or(0);
+    let (words, by) = (i + by / 64, by % 64);
+    if by == 0 { get(words) } else { get(words) >> by | get(words + 1) << (64 - by) }
+}
+
+/// The first of so many bits that is not set.
+fn first_clear(bits: &[u64], count: usize) -> Option<usize> {
+    let (i, word) = bits.iter().enumerate().find(|(_, word)| **word != u64::MAX)?;
+    Some(64 * i + word.trailing_ones() as usize).filter(|at| *at < count)
+}
+
+/// The longest run of the first so many bits that are not set.
+fn longest_free(bits: &[u64], count: usize) -> usize {
+    let (mut longest, mut from) = (0, 0);
+    for (i, &word) in bits.iter().enumerate() {
+        let mut set = word;
+        while set != 0 {
+            let at = 64 * i + set.trailing_zeros() as usize;
+            longest = longest.max(at.min(count).saturating_sub(from));
+            from = at + 1;
+            set &= set - 1;
         }
     }
-    best
+    longest.max(count.saturating_sub(from))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// What is left of a chart that was split may have gaps as wide as others are.
-    #[test]
-    fn charts_in_parts_do_not_lie_on_others() {
-        let triangle = |x: f64, y: f64, side: f64| [DVec2::new(x, y), DVec2::new(x + side, y), DVec2::new(x, y + side)];
-        for gap in [6.0, 30.0] {
-            // The parts of a chart beside, and then also above each other; its first columns may be empty.
-            let in_parts = |i: usize| {
-                let shift = if i.is_multiple_of(3) { 4.0 } else { 0.0 };
-                let corners = vec![triangle(shift, 0.0, 3.0), triangle(shift + gap, 0.3 * gap, 4.0)];
-                Chart { faces: vec![0, 1], corners }
-            };
-            let whole = |i: usize| Chart { faces: vec![0], corners: vec![triangle(0.0, 0.0, 2.0 + 0.1 * i as f64)] };
-            let charts: Vec<Chart> = (0..20).map(in_parts).chain((0..30).map(whole)).collect();
-            let corners = charts.iter().flat_map(|c| &c.corners);
-            let area = corners.map(|[a, b, c]| (b - a).perp_dot(c - a) / 2.0).sum();
-            let side = 256;
-            let packing = pack(&charts, area, side).unwrap();
-            let mut taken = vec![false; side * side];
-            for (chart, place) in charts.iter().zip(&packing.places) {
-                for corners in &chart.corners {
-                    let [a, b, c] = corners.map(|p| place.apply(p * packing.scale));
-                    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-                    assert!(low.min_element() >= 0.0 && high.max_element() <= side as f64);
-                    for y in low.y as usize..=(high.y as usize).min(side - 1) {
-                        for x in low.x as usize..=(high.x as usize).min(side - 1) {
-                            let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                            let inside = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s) > 0.0;
-                            if inside(a, b) && inside(b, c) && inside(c, a) {
-                                assert!(!std::mem::replace(&mut taken[y * side + x], true), "{gap}: {x} {y}");
-                            }
-                        }
-                    }
+    fn triangle(x: f64, y: f64, side: f64) -> [DVec2; 3] {
+        [DVec2::new(x, y), DVec2::new(x + side, y), DVec2::new(x, y + side)]
+    }
+
+    fn chart(corners: Vec<[DVec2; 3]>) -> Chart {
+        Chart { faces: (0..corners.len() as u32).collect(), corners }
+    }
+
+    fn packed(charts: &[Chart], side: usize, widest: usize) -> Packing {
+        let corners = charts.iter().flat_map(|c| &c.corners);
+        let area = corners.map(|[a, b, c]| (b - a).perp_dot(c - a) / 2.0).sum();
+        pack(charts, area, side, widest).unwrap()
+    }
+
+    /// Texels whose centres are less than `reach` from a point of a chart, per texel those of one chart only.
+    fn assert_apart(charts: &[Chart], packing: &Packing, side: usize, reach: f64) {
+        let mut owner = vec![None; side * side];
+        for (i, (chart, place)) in charts.iter().zip(&packing.places).enumerate() {
+            for corners in &chart.corners {
+                let texels = corners.map(|p| place.apply(p * packing.scale));
+                let [low, high] =
+                    [f64::min, f64::max].map(|of| texels.iter().flat_map(DVec2::to_array).reduce(of).unwrap());
+                assert!(low >= 0.0 && high <= side as f64, "{texels:?}");
+                for (x, y) in pixels_around(&texels.map(|p| p - 0.5), reach, [side; 2], 0..side) {
+                    assert_eq!(*owner[y * side + x].get_or_insert(i), i, "{x} {y}");
                 }
             }
         }
+    }
+
+    /// What is left of a chart that was split may have gaps as wide as others are.
+    #[test]
+    fn charts_in_parts_do_not_lie_on_others() {
+        for (gap, side) in [(6.0, 256), (30.0, 256), (30.0, 1100)] {
+            // The parts of a chart beside, and then also above each other; its first columns may be empty.
+            let in_parts = |i: usize| {
+                let shift = if i.is_multiple_of(3) { 4.0 } else { 0.0 };
+                chart(vec![triangle(shift, 0.0, 3.0), triangle(shift + gap, 0.3 * gap, 4.0)])
+            };
+            let whole = |i: usize| chart(vec![triangle(0.0, 0.0, 2.0 + 0.1 * i as f64)]);
+            let charts: Vec<Chart> = (0..20).map(in_parts).chain((0..30).map(whole)).collect();
+            for widest in [0, 4] {
+                let packing = packed(&charts, side, widest);
+                let reach = if packing.gutter == 0 { 0.998 } else { packing.gutter as f64 + 0.499 };
+                assert_apart(&charts, &packing, side, reach);
+                assert!(packing.gutter <= widest && (side < 1100 || packing.gutter == widest), "{}", packing.gutter);
+            }
+        }
+    }
+
+    /// A frame of four strips leaves most of the atlas open.
+    #[test]
+    fn charts_lie_in_what_others_leave_open() {
+        let rectangle = |x: f64, y: f64, w: f64, h: f64| {
+            let at = |i: f64, j: f64| DVec2::new(x + i * w, y + j * h);
+            [[at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0)], [at(0.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)]]
+        };
+        let sides = [(0.0, 0.0, 10.0, 1.0), (0.0, 9.0, 10.0, 1.0), (0.0, 1.0, 1.0, 8.0), (9.0, 1.0, 1.0, 8.0)];
+        let frame = chart(sides.iter().flat_map(|&(x, y, w, h)| rectangle(x, y, w, h)).collect());
+        let small = (0..9).map(|_| chart(rectangle(0.0, 0.0, 2.4, 2.4).to_vec()));
+        let charts: Vec<Chart> = std::iter::once(frame).chain(small).collect();
+        let packing = packed(&charts, 128, 0);
+        assert_apart(&charts, &packing, 128, 0.998);
+        // Within the frame, which then fills the atlas: its ten units are nearly all of 128 texels.
+        assert!(packing.scale > 12.0, "{}", packing.scale);
+    }
+
+    #[test]
+    fn a_run_blocks_where_it_would_meet_what_is_taken() {
+        for (cells, at) in [(20, 7), (64, 63), (200, 130), (200, 64)] {
+            let words = usize::div_ceil(cells, 64);
+            let mut row = vec![0; words];
+            row[at / 64] |= 1_u64 << (at % 64);
+            for (start, n) in [(0, 1), (0, 5), (3, 1), (3, 70), (65, 64), (63, 2)] {
+                let (mut shifted, mut blocked) = (vec![0; words], vec![0; words]);
+                block(&row, start, n, &mut shifted, &mut blocked);
+                for x in 0..64 * words {
+                    let meets = (x + start..x + start + n).contains(&at);
+                    assert_eq!(blocked[x / 64] >> (x % 64) & 1 == 1, meets, "{cells} {at} {start} {n} {x}");
+                }
+            }
+        }
+        assert_eq!(first_clear(&[u64::MAX, 0b1011], 128), Some(66));
+        assert_eq!([1, 3, 66, 128].map(|count| longest_free(&[0b1001, 1 << 40], count)), [0, 2, 62, 100]);
+        assert_eq!((first_clear(&[u64::MAX, 0b1011], 66), first_clear(&[u64::MAX], 64)), (None, None));
     }
 }

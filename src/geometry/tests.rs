@@ -423,7 +423,7 @@ fn time_noisy_depth_to_atlas() {
         let (surface, stats) = surface_from_fusion(&fusion, &options).unwrap();
         let (max, mean) = sphere_error(&surface);
         let start = std::time::Instant::now();
-        let atlas = unwrap(&surface, None, 1024).unwrap().stats;
+        let atlas = unwrap(&surface, None, 1024, WIDEST_GUTTER).unwrap().stats;
         eprintln!(
             "depth noise ±{noise} voxels: {stats:?}, error in voxels max {:.2} mean {:.2}, edges {:?}, unwrap {:.2?} {atlas:?}",
             max / voxel,

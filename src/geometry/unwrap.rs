@@ -4,6 +4,9 @@ use rayon::prelude::*;
 use super::{Contraction, GeometryError, Shell, Surface, charts, pack};
 use crate::scene::Texture;
 
+/// Texels of gutter beyond which more are of no use: mips of four levels keep charts apart.
+pub const WIDEST_GUTTER: u32 = 4;
+
 /// A surface with texture coordinates for one square atlas.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnwrappedMesh {
@@ -22,7 +25,8 @@ pub struct UnwrappedMesh {
 pub struct UnwrapStats {
     /// Number of charts.
     pub charts: usize,
-    /// Texels around each chart that belong to no other; two charts are twice as far apart.
+    /// Texels around each chart that belong to no other; two charts are twice as far apart. With 0 they are as far apart as bilinear samples
+    /// need that share no texel.
     pub gutter: u32,
     /// Texels per world unit where the surface faces its chart, and where charts are laid out as the surface is.
     pub texels_per_unit: f64,
@@ -70,15 +74,17 @@ impl ChartSpace {
 /// Positions and triangles are kept as they are; a triangle with two corners at one place gets
 /// UV 0 at all of them. Deterministic.
 ///
-/// With `charts_in` areas and shapes are those that the surface has there.
+/// With `charts_in` areas and shapes are those that the surface has there. Gutters are up to `widest_gutter` texels on each side, at most
+/// [`WIDEST_GUTTER`], where that costs little resolution; see [`UnwrapStats::gutter`].
 ///
 /// # Errors
 /// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=[`Texture::MAX_SIDE`], or
-/// the charts do not fit even with gutters of 1 texel.
+/// the charts do not fit even with the narrowest gutters.
 pub fn unwrap(
     surface: &Surface,
     charts_in: Option<&ChartSpace>,
     atlas_size: u32,
+    widest_gutter: u32,
 ) -> Result<UnwrappedMesh, GeometryError> {
     if !(16..=Texture::MAX_SIDE).contains(&atlas_size) {
         return Err(GeometryError::argument("atlas_size", format!("16 to {} texels", Texture::MAX_SIDE), &atlas_size));
@@ -100,11 +106,11 @@ pub fn unwrap(
     let mut charts = charts::cut(corners, texel, longest);
     charts.par_iter_mut().for_each(|chart| pack::straighten(chart, longest));
     let packing = loop {
-        let packing = pack::pack(&charts, area, atlas_size as usize)
+        let packing = pack::pack(&charts, area, atlas_size as usize, widest_gutter as usize)
             .ok_or(GeometryError::AtlasTooSmall { charts: charts.len(), atlas_size })?;
         // Overlaps too narrow for the charts' own test, but not for the final texels: few, and a split triangle cannot
         // overlap again.
-        let mut split = charts::split_overlaps(&mut charts, 1.0 / packing.scale);
+        let mut split = charts::split_overlaps(&mut charts, |chart, p| packing.places[chart].apply(p * packing.scale));
         if split.is_empty() {
             break packing;
         }
@@ -223,7 +229,7 @@ mod tests {
     }
 
     fn check(surface: &Surface, size: u32) -> UnwrapStats {
-        let mesh = unwrap(surface, None, size).unwrap();
+        let mesh = unwrap(surface, None, size, WIDEST_GUTTER).unwrap();
         assert_eq!((mesh.positions.len(), &mesh.triangles), (surface.positions.len(), &surface.triangles));
         let size = size as usize;
         let owner = rasterize(&mesh, size);
@@ -272,17 +278,37 @@ mod tests {
 
     #[test]
     fn one_sliver_takes_no_texels_from_others() {
-        let mut positions: Vec<Vec3> = (0..400).map(|i| Vec3::new((i % 20) as f32, 3.0, (i / 20) as f32)).collect();
-        let mut triangles: Vec<_> =
+        let plane: Vec<Vec3> = (0..400).map(|i| Vec3::new((i % 20) as f32, 3.0, (i / 20) as f32)).collect();
+        let squares: Vec<_> =
             (0..380u32).filter(|i| i % 20 != 19).flat_map(|i| [[i, i + 20, i + 1], [i + 1, i + 20, i + 21]]).collect();
-        positions.extend([Vec3::ZERO, Vec3::X * 1e6, Vec3::new(1e6, 1e-4, 0.0)]);
-        triangles.push([400, 401, 402]);
-        let stats = check(&Surface { positions, triangles }, 256);
-        assert!(stats.charts == 2 && stats.coverage > 0.5, "{stats:?}");
-        // Also where it is all there is, or has no area.
-        for width in [1e-4, 0.0] {
-            let positions = vec![Vec3::ZERO, Vec3::X * 1e6, Vec3::new(1e6, width, 0.0)];
-            check(&Surface { positions, triangles: vec![[0, 1, 2]] }, 64);
+        // Along an axis, and at an angle like no other.
+        for along in [Vec3::X, Vec3::new(0.8, 0.6, 0.0), Vec3::new(0.3, 0.2, 0.9).normalize()] {
+            let across = along.any_orthonormal_vector();
+            let sliver = |width: f32| [Vec3::ZERO, along * 1e6, across * width];
+            let (mut positions, mut triangles) = (plane.clone(), squares.clone());
+            positions.extend(sliver(1e-4));
+            triangles.push([400, 401, 402]);
+            let stats = check(&Surface { positions, triangles }, 256);
+            assert!(stats.charts == 2 && stats.coverage > 0.5, "{along} {stats:?}");
+            // Also where it is all there is, or has no area.
+            for width in [1e-4, 0.0] {
+                check(&Surface { positions: sliver(width).to_vec(), triangles: vec![[0, 1, 2]] }, 64);
+            }
+        }
+        // Three corners on a line, none at the place of another.
+        let line = [1.0, 2.0, 3.0].map(|i| i * 2f32.powi(70) * Vec3::new(1.0, 2.0, 3.0));
+        check(&Surface { positions: line.to_vec(), triangles: vec![[0, 1, 2]] }, 64);
+    }
+
+    /// Of two triangles that overlap by a fifth of a texel one goes where a centre lies in both.
+    #[test]
+    fn overlaps_are_those_that_final_texels_see() {
+        let corners = |c: [[f64; 2]; 3]| c.map(DVec2::from);
+        let (left, right) = (corners([[0., 0.], [1.1, 0.], [1.1, 4.]]), corners([[0.9, 0.], [3., 0.], [0.9, 4.]]));
+        for (shift, left_over) in [(0.0, 0), (0.5, 1), (0.25, 0)] {
+            let mut charts = [charts::Chart { faces: vec![7, 9], corners: vec![left, right] }];
+            let alone = charts::split_overlaps(&mut charts, |_, p| p + DVec2::new(shift, 0.0));
+            assert_eq!((alone.len(), charts[0].faces.len()), (left_over, 2 - left_over), "{shift}");
         }
     }
 
@@ -324,7 +350,7 @@ mod tests {
         let positions: Vec<Vec3> = square(0.0, 0.7).into_iter().chain(square(300.0, 70.7)).collect();
         let surface = Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]] };
         let ratio = |charts_in: Option<&ChartSpace>| {
-            let uvs = unwrap(&surface, charts_in, 256).unwrap().corner_uvs;
+            let uvs = unwrap(&surface, charts_in, 256, WIDEST_GUTTER).unwrap().corner_uvs;
             let area = |f: usize| {
                 let [a, b, c] = uvs[f];
                 (b - a).perp_dot(c - a).abs()
@@ -340,10 +366,10 @@ mod tests {
     fn broken_and_degenerate_input() {
         let p = vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z, Vec3::NAN];
         let of = |triangles: Vec<[u32; 3]>| Surface { positions: p.clone(), triangles };
-        assert!(matches!(unwrap(&of(vec![]), None, 64), Err(GeometryError::Argument { .. })));
-        assert!(matches!(unwrap(&of(vec![[0, 1, 5]]), None, 64), Err(GeometryError::Argument { .. })));
-        assert!(matches!(unwrap(&of(vec![[0, 1, 4]]), None, 64), Err(GeometryError::Argument { .. })));
-        assert!(matches!(unwrap(&of(vec![[0, 1, 2]]), None, 8), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![]), None, 64, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 5]]), None, 64, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 4]]), None, 64, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
+        assert!(matches!(unwrap(&of(vec![[0, 1, 2]]), None, 8, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
         // No area; repeated; flipped; three on one edge; opposite directions.
         check(&of(vec![[0, 0, 0]; 3]), 64);
         check(&of(vec![[0, 1, 2]; 3]), 128);
@@ -364,13 +390,19 @@ mod tests {
         assert_eq!(check(&soup(300), 512).charts, 300);
         let dense = check(&soup(4000), 512);
         assert!(dense.gutter < 4, "{dense:?}");
-        assert!(matches!(unwrap(&soup(40_000), None, 256), Err(GeometryError::AtlasTooSmall { charts: 40_000, .. })));
+        assert!(matches!(
+            unwrap(&soup(40_000), None, 256, WIDEST_GUTTER),
+            Err(GeometryError::AtlasTooSmall { charts: 40_000, .. })
+        ));
     }
 
     #[test]
     fn the_same_surface_gives_the_same_atlas() {
         let surface = bumpy_sphere(40, 0.02);
-        assert_eq!(unwrap(&surface, None, 256).unwrap(), unwrap(&surface, None, 256).unwrap());
+        assert_eq!(
+            unwrap(&surface, None, 256, WIDEST_GUTTER).unwrap(),
+            unwrap(&surface, None, 256, WIDEST_GUTTER).unwrap()
+        );
     }
 
     #[test]
@@ -379,7 +411,7 @@ mod tests {
         for noise in [0.0, 0.01] {
             let surface = bumpy_sphere(158, noise);
             let start = std::time::Instant::now();
-            let mesh = unwrap(&surface, None, 1024).unwrap();
+            let mesh = unwrap(&surface, None, 1024, WIDEST_GUTTER).unwrap();
             eprintln!(
                 "{} triangles, noise {noise}: {:.2?}, {:?}",
                 surface.triangles.len(),

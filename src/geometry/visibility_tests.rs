@@ -25,7 +25,7 @@ fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>, uvs: Vec<[Vec2; 3]>) -> 
 }
 
 fn unwrapped(surface: &Surface, size: u32) -> Mesh {
-    let u = unwrap(surface, None, size).unwrap();
+    let u = unwrap(surface, None, size, 4).unwrap();
     mesh(u.positions, u.triangles, u.corner_uvs)
 }
 

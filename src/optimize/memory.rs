@@ -131,8 +131,8 @@ mod tests {
         let surface = Surface { positions, triangles: vec![[0, 1, 2]] };
         for (band_degree, side) in [(0, 64), (2, 32), (3, 128)] {
             let options = TrainOptions { band_degree, ..TrainOptions::default() };
-            let mesh =
-                surface::textured_as(crate::geometry::unwrap(&surface, None, side).unwrap(), &options, side).unwrap();
+            let mesh = surface::textured_as(crate::geometry::unwrap(&surface, None, side, 0).unwrap(), &options, side)
+                .unwrap();
             assert_eq!(map_floats(&options, side).iter().sum::<usize>(), mesh.atlas().floats());
         }
     }

@@ -171,7 +171,7 @@ pub(in crate::cli) struct Args {
     pub(super) shell: Choice,
     /// Side of the map of colour and opacity in texels; the map of view dependence has a quarter of it [default: 1.5 times the longer image
     /// side, rounded up to a power of two, 128 to 2048]. For a surface made from the capture it is the most: kept triangles get about two
-    /// texels per pixel, and all maps together some three tenths of --max-floats or --budget-mb. Where maps stay as they are first laid out
+    /// texels per pixel, and all maps together a seventh or so of --max-floats or --budget-mb. Where maps stay as they are first laid out
     /// (--mesh, --warmup 0) they take half of such a budget at most, as far as charts have room
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     pub(super) texture_size: Option<u32>,

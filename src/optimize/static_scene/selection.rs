@@ -15,9 +15,9 @@ use crate::{
 /// alone. Maps need no view dependence to be perfect: splats are added to them.
 const WORST_RATIO: f64 = 2.5;
 /// Part of a budget that maps may take of what they cover of the pictures …
-const MAPS_SHARE: f64 = 0.75;
+const MAPS_SHARE: f64 = 0.4;
 /// … and of all, but for rounding to multiples of 32 and the room that charts need: with more, too few splats are left for what maps do not show (`docs/experiments.md`).
-const MOST_FOR_MAPS: f64 = 0.3;
+const MOST_FOR_MAPS: f64 = 0.15;
 /// Pixels of the smallest connected piece: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
 /// Share of an atlas that charts cover, for choosing its size.
@@ -73,7 +73,10 @@ impl<'a> Run<'a> {
         let share = (covered / seen.max(1.0)).min(1.0);
         let size = side_for(pixels, share, mesh.atlas(), self.options.max_floats);
         let charts_in = self.charts_in(training)?;
-        Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size)?, selection))
+        // What a budget holds could be splats. Bands are coarser, and share texels where gutters are narrow.
+        let narrow = self.options.max_floats.is_some() && mesh.atlas().bands().is_none();
+        let gutter = if narrow { 0 } else { geometry::WIDEST_GUTTER };
+        Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size, gutter)?, selection))
     }
 
     /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
@@ -198,10 +201,11 @@ fn laid_out_anew(
     keep: &[bool],
     charts_in: Option<&ChartSpace>,
     size: u32,
+    gutter: u32,
 ) -> Result<Option<Mesh>, TrainError> {
     let (part, uvs) = (geometry::compact(part(mesh, keep)), kept(mesh.corner_uvs(), keep));
     let anew = surface::with_room_for_charts(size, mesh.atlas().base().width(), |size| {
-        lay_out(geometry::unwrap(&part, charts_in, size)?, &uvs, mesh.atlas(), size)
+        lay_out(geometry::unwrap(&part, charts_in, size, gutter)?, &uvs, mesh.atlas(), size)
     });
     Ok(match surface::or_why_not(anew)? {
         Ok(mesh) => Some(mesh),
@@ -286,8 +290,8 @@ mod tests {
             let bands = bands.map(|side| Texture::zeros(side, side, 9));
             Atlas::new(Texture::zeros(side, side, 4), bands).unwrap()
         };
-        let (plain, floats) = (atlas(512, None), Some(300_000));
-        // All of the pictures: .3 of 300,000 floats, four to a texel, are 150² texels; a fifth: .15 are 106².
+        let (plain, floats) = (atlas(512, None), Some(600_000));
+        // All of the pictures: .15 of 600,000 floats, four to a texel, are 150² texels; a fifth: .08 are 110².
         assert_eq!([1.0, 0.2].map(|share| side_for(1e6, share, &plain, floats)), [160, 96]);
         // A band of nine floats to 16 texels of colour takes from the same part: 140².
         assert_eq!(side_for(1e6, 1.0, &atlas(512, Some(128)), floats), 128);
@@ -324,11 +328,11 @@ mod tests {
         let uvs = (0..64 * 64).map(|i| [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| uv(corner(i) + p))).collect();
         let mesh = Mesh::new(positions, triangles, uvs, strips(1).atlas().clone()).unwrap();
         let keep: Vec<bool> = (0..64 * 64).map(|f| f % 2 == 0).collect();
-        let left = laid_out_anew(&mesh, &keep, None, 32).unwrap();
+        let left = laid_out_anew(&mesh, &keep, None, 32, 0).unwrap();
         assert_eq!(left, mesh.with_triangles(&keep));
         // Few have room.
         let keep: Vec<bool> = (0..64 * 64).map(|f| f < 4).collect();
-        let left = laid_out_anew(&mesh, &keep, None, 64).unwrap().unwrap();
+        let left = laid_out_anew(&mesh, &keep, None, 64, 0).unwrap().unwrap();
         assert!(left.triangles().len() == 4 && Some(left) != mesh.with_triangles(&keep));
     }
 
@@ -353,7 +357,7 @@ mod tests {
         let bands = Some(Texture::zeros(16, 16, 9));
         let atlas = Atlas::new(mesh.atlas().base().clone(), bands).unwrap();
         for (size, side) in [(32, 16), (128, 32)] {
-            let unwrapped = geometry::unwrap(&part(&mesh, &[true; 40]), None, size).unwrap();
+            let unwrapped = geometry::unwrap(&part(&mesh, &[true; 40]), None, size, 0).unwrap();
             let laid_out = lay_out(unwrapped, mesh.corner_uvs(), &atlas, size).unwrap();
             assert_eq!(laid_out.atlas().bands().map(Texture::width), Some(side));
         }
@@ -363,7 +367,7 @@ mod tests {
     fn content_follows_what_is_kept() {
         let mesh = strips(10);
         let keep: Vec<bool> = (0..40).map(|f| f < 20).collect();
-        let unwrapped = geometry::unwrap(&geometry::compact(part(&mesh, &keep)), None, 128).unwrap();
+        let unwrapped = geometry::unwrap(&geometry::compact(part(&mesh, &keep)), None, 128, 0).unwrap();
         let laid_out = lay_out(unwrapped, &kept(mesh.corner_uvs(), &keep), mesh.atlas(), 128).unwrap();
         assert_eq!((laid_out.triangles().len(), laid_out.positions().len()), (20, 22));
         let base = laid_out.atlas().base();

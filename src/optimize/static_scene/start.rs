@@ -72,7 +72,11 @@ impl Run<'_> {
     pub(super) fn in_charts(&self, surface: &Surface, charts_in: Option<&ChartSpace>) -> Result<Mesh, TrainError> {
         let (size, largest) = (self.budget.texture_size(), self.budget.largest_texture());
         surface::with_room_for_charts(size, largest, |size| {
-            surface::textured_as(geometry::unwrap(surface, charts_in, size)?, self.options, size)
+            surface::textured_as(
+                geometry::unwrap(surface, charts_in, size, geometry::WIDEST_GUTTER)?,
+                self.options,
+                size,
+            )
         })
     }
 }
