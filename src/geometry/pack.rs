@@ -1,10 +1,6 @@
 //! Packs charts into a square atlas: each where it lies lowest among those before it, also in what they leave open.
 
-use std::{
-    cmp::Reverse,
-    f64::consts::{FRAC_PI_2, TAU},
-    ops::Range,
-};
+use std::{cmp::Reverse, f64::consts::FRAC_PI_2, ops::Range};
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -58,7 +54,7 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
         best += FRAC_PI_2;
     }
     let ((low, high), turn) = (bounds(best), DVec2::from_angle(best));
-    // Nothing divided by is less than `longest` where it counts.
+    // What has no extent is divided into infinity, and kept as it is.
     let shrink = (longest / (high - low)).min(DVec2::ONE);
     for p in chart.corners.iter_mut().flatten() {
         // The maximum guards against a rounding below zero.
@@ -77,8 +73,8 @@ const STEP: f64 = 0.96;
 /// several texels.
 const MOST_CELLS: usize = 512;
 const CELLS_PER_CHART: f64 = 16.0;
-/// Turns that are tried of each chart.
-const TURNS: u32 = 4;
+/// Turns that are tried of each chart: quarters, the same everywhere.
+const TURNS: [DVec2; 4] = [DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y];
 
 /// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are up to `widest` texels on each side, of 4, 2, 1 and
 /// what bilinear samples need the widest that costs no more than a twelfth of the resolution: maps are trained through their mips, and a
@@ -169,8 +165,7 @@ impl Grid {
 
     /// The footprints of a chart in all turns that the atlas has room for. `None` if there is none.
     fn footprints(&self, chart: &Chart, scale: f64) -> Option<Vec<Footprint>> {
-        let turns = (0..TURNS).map(|i| DVec2::from_angle(f64::from(i) * TAU / f64::from(TURNS)));
-        let found: Vec<Footprint> = turns.filter_map(|turn| self.footprint(chart, scale, turn)).collect();
+        let found: Vec<Footprint> = TURNS.into_iter().filter_map(|turn| self.footprint(chart, scale, turn)).collect();
         (!found.is_empty()).then_some(found)
     }
 
@@ -208,10 +203,10 @@ impl Grid {
         let mut taken = Taken::new(self.cells);
         let mut places = vec![Place::default(); footprints.len()];
         // Where one of the same size found no place the others do not look: of many small ones most are.
-        let (mut last, mut from) = (usize::MAX, [0; TURNS as usize]);
+        let (mut last, mut from) = (usize::MAX, [0; TURNS.len()]);
         for (size, chart) in order {
             if size != last {
-                (last, from) = (size, [0; TURNS as usize]);
+                (last, from) = (size, [0; TURNS.len()]);
             }
             let mut best: Option<(usize, [usize; 2], &Footprint)> = None;
             for (footprint, from) in footprints[chart].iter().zip(&mut from) {
