@@ -62,7 +62,8 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
     }
 }
 
-/// A wider gutter is taken as long as it costs no more than this fraction of the scale that a narrower one allows.
+/// A wider gutter is taken as long as it leaves this part of the scale that one of a texel allows, and that one as long as it leaves as
+/// much of what is possible.
 const GUTTER_WORTH: f64 = 0.92;
 /// Share of an atlas's cells that more than a few charts never fill.
 const FULL: f64 = 0.92;
@@ -77,17 +78,20 @@ const CELLS_PER_CHART: f64 = 16.0;
 const TURNS: [DVec2; 4] = [DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y];
 
 /// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are up to `widest` texels on each side, of 4, 2, 1 and
-/// what bilinear samples need the widest that costs no more than a twelfth of the resolution: maps are trained through their mips, and a
-/// texel is floats that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
+/// what bilinear samples need the widest that costs little of the resolution: maps are trained through their mips, and a texel is floats
+/// that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
 pub(super) fn pack(charts: &[Chart], area: f64, side: usize, widest: usize) -> Option<Packing> {
     // Scale at which the charts would fill the atlas.
     let full = side as f64 / area.sqrt();
     let mut chosen = largest_scale(charts, 0.02 * full..full, side, 0)?;
-    let least = GUTTER_WORTH * chosen.scale;
+    let mut least = GUTTER_WORTH * chosen.scale;
     for gutter in [1, 2, 4].into_iter().take_while(|gutter| *gutter <= widest) {
         match largest_scale(charts, least..chosen.scale.max(least), side, gutter) {
             Some(packing) => chosen = packing,
             None => break,
+        }
+        if gutter == 1 {
+            least = GUTTER_WORTH * chosen.scale;
         }
     }
     Some(chosen)
