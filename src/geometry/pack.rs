@@ -65,9 +65,6 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
 /// A wider gutter is taken as long as it leaves this part of the scale that one of a texel allows, and that one as long as it leaves as
 /// much of what is possible.
 const GUTTER_WORTH: f64 = 0.92;
-/// Share of an atlas's cells that more than a few charts never fill.
-const FULL: f64 = 0.92;
-const FEW: usize = 32;
 /// By how much the scale falls until charts fit, at least.
 const STEP: f64 = 0.96;
 /// Cells of a side that charts are laid out on at most, or as many per root of their number, whichever is more: in larger atlases a cell is
@@ -157,7 +154,7 @@ impl Grid {
         let footprints: Vec<Vec<Footprint>> =
             charts.par_iter().map(|c| self.footprints(c, scale)).collect::<Option<_>>().ok_or(STEP)?;
         let count = footprints.iter().map(|f| f[0].count).sum::<usize>() as f64;
-        let room = (self.cells * self.cells) as f64 * if charts.len() < FEW { 1.0 } else { FULL };
+        let room = (self.cells * self.cells) as f64;
         if count > room {
             // With the square of the scale fall at most those cells that are not of gutters.
             return Err((room / count).sqrt().min(STEP));

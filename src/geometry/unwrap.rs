@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use super::{Contraction, GeometryError, Shell, Surface, charts, pack};
 use crate::scene::Texture;
 
-/// Texels of gutter beyond which more are of no use: mips of four levels keep charts apart.
+/// Texels of the widest gutters: eight between two charts are two in the third mip level, and bilinear samples there share none yet.
 pub const WIDEST_GUTTER: u32 = 4;
 
 /// A surface with texture coordinates for one square atlas.
