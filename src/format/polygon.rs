@@ -1,4 +1,4 @@
-//! Polygons cut into triangles.
+//! Polygons cut into triangles, and what of their points these use.
 
 use std::collections::{HashMap, HashSet};
 
@@ -21,6 +21,19 @@ pub(super) fn triangles(corners: &[Vec3]) -> Vec<[usize; 3]> {
     let normal: DVec3 = normals.clone().sum();
     let least = -ROUNDING * normal.length_squared();
     if normals.all(|n| n.dot(normal) >= least) { fan } else { within(corners, normal).unwrap_or(fan) }
+}
+
+/// The points that triangles use, in their order, to which the triangles' indices are changed.
+pub(super) fn used(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
+    let mut places = vec![None; points.len()];
+    triangles.as_flattened().iter().for_each(|&vertex| places[vertex as usize] = Some(0));
+    let mut positions = vec![];
+    for (place, &point) in places.iter_mut().zip(points).filter(|(place, _)| place.is_some()) {
+        *place = Some(positions.len() as u32);
+        positions.push(point);
+    }
+    triangles.as_flattened_mut().iter_mut().for_each(|vertex| *vertex = places[*vertex as usize].unwrap_or_default());
+    positions
 }
 
 /// Constrained Delaunay triangles within an outline, as seen along its normal; `None` if it crosses itself there.

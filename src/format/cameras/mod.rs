@@ -279,9 +279,12 @@ pub(super) fn image_names(cameras: &[(String, Camera)]) -> Vec<String> {
 /// Most bytes of the name of a picture without number and suffix: file systems allow 255.
 const MAX_STEM: usize = 200;
 
-/// A view's name without suffix and without anything that a file system may take for more than a letter.
+/// A view's name without the suffix of a picture and without anything that a file system may take for more than a letter.
 fn safe_stem(view: &str) -> String {
-    let stem = Path::new(view).with_extension("");
+    let path = Path::new(view);
+    // Blender's copies of `Camera` are `Camera.001` and so on.
+    let is_picture = image::ImageFormat::from_path(path).is_ok();
+    let stem = if is_picture { path.with_extension("") } else { path.to_owned() };
     let safe: String = (stem.to_string_lossy().chars())
         .map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' })
         .collect();

@@ -128,6 +128,9 @@ fn names_of_pictures_are_safe_and_unique() {
         ["", "_2"].map(|number| format!("{}{number}.png", "日".repeat(66))),
         "longer than files may be called"
     );
+    // As Blender calls copies: no suffixes.
+    let found = names(&["Camera", "Camera.001", "Camera.001_00007", "Camera.002.jpeg"]);
+    assert_eq!(found, ["Camera", "Camera.001", "Camera.001_00007", "Camera.002"].map(|stem| format!("{stem}.png")));
     // Of devices of Windows.
     let found = names(&["aux", "Nul.left.png", "com1", "com10", "console", "LPT9.1.jpg"]);
     let expected = ["_aux", "_Nul.left", "_com1", "com10", "console", "_LPT9.1"];
@@ -519,6 +522,20 @@ def Camera "resting" { }
     );
     let found = read_cameras(&path, &Sampling { only: Some("shot"), ..Sampling::default() }).unwrap();
     assert_eq!(found.cameras.len(), 24996);
+    // Nor are steps without end: every frame takes those of all that is above.
+    let order = ["\"xformOp:rotateZ\""; 1000].join(", ");
+    let level = |content: &str| {
+        format!(
+            "def Xform \"a\" {{ float xformOp:rotateZ.timeSamples = {{ 0: 0, 30000: 90 }}\n uniform token[] xformOpOrder = [{order}]\n {content} }}\n"
+        )
+    };
+    std::fs::write(&path, format!("#usda 1.0\n{}", level(&level("def Camera \"shot\" { }")))).unwrap();
+    let error = read_cameras(&path, &Sampling { fps: Some(24.0), ..Sampling::default() }).unwrap_err().to_string();
+    assert!(error.contains("/a/a/shot: expected at most 50000000 steps of transforms"), "{error}");
+    let longer = layer.replace("\"xformOp:rotateZ\"", &format!("{order}, {order}"));
+    std::fs::write(&path, longer).unwrap();
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
+    assert!(error.contains("/rig.xformOpOrder: expected at most 1000 operations, found 2000"), "{error}");
     // What is left out is said where nothing else is found, whatever else there is to be noted.
     let sheared = layer
         .replace("float xformOp:rotateZ", "float3 xformOp:scale = (1, 2, 3)\n    float xformOp:rotateZ")

@@ -635,6 +635,30 @@ fn meshes_of_one_material_become_one() {
     assert_eq!(mesh.positions()[4], Vec3::new(-2.0, 0.0, 0.0));
 }
 
+/// As many programs write the parts of a mesh that have materials of their own.
+#[test]
+fn parts_that_share_vertices_have_those_that_they_use() {
+    let mut b = Builder::default();
+    let position = b.floats(&[[0f32, 0., 0.], [1., 0., 0.], [0., 1., 0.], [5., 5., 5.], [1., 1., 0.]]);
+    let uv = b.floats(&[[0f32, 0.], [1., 0.], [0., 1.], [0.5, 0.5], [1., 1.]]);
+    let mut part = |corners: [u8; 3], material: usize| {
+        let indices = b.accessor(5121, "SCALAR", 3, &corners);
+        json!({ "attributes": { "POSITION": position, "TEXCOORD_0": uv }, "indices": indices, "material": material })
+    };
+    let parts = [part([0, 1, 2], 0), part([4, 2, 1], 1)];
+    let meshes = |primitives: &[Value]| {
+        let mesh = json!({ "meshes": [{ "primitives": primitives }], "materials": [{}, {}] });
+        b.read(mesh).unwrap().scene.meshes
+    };
+    let [first, second] = &meshes(&parts)[..] else { panic!("two meshes") };
+    assert_eq!(first.positions(), [Vec3::ZERO, Vec3::X, Vec3::Y]);
+    assert_eq!(second.positions(), [Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0)]);
+    assert_eq!((second.triangles(), second.corner_uvs()[0]), (&[[2, 1, 0]][..], [Vec2::ONE, Vec2::Y, Vec2::X]));
+    // Alone, it keeps what the file has.
+    let [alone] = &meshes(&parts[1..])[..] else { panic!("one mesh") };
+    assert_eq!((alone.positions().len(), alone.triangles()), (5, &[[4, 2, 1]][..]));
+}
+
 #[test]
 fn repeated_use_of_a_mesh_is_bounded() {
     let mut b = Builder::default();

@@ -17,6 +17,7 @@ use super::vertex_color;
 use crate::format::error::{Fault, from_value};
 use crate::format::map_budget::MapBudget;
 use crate::format::placed::{orthogonal, turned};
+use crate::format::polygon;
 use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
 
@@ -30,6 +31,8 @@ pub(super) struct Meshes<'a> {
     poses: Poses,
     /// Primitives at nodes that splats are bound to, and what has been read of them.
     wanted: HashSet<(usize, usize)>,
+    /// Accessors that several primitives have as their positions, of which each uses some.
+    common: HashSet<usize>,
     bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
     maps: HashMap<Option<usize>, Maps>,
@@ -71,6 +74,7 @@ impl<'a> Meshes<'a> {
             motion,
             poses,
             wanted: wanted(asset),
+            common: common_positions(&asset.document),
             bindable: HashMap::new(),
             space,
             maps: HashMap::new(),
@@ -102,6 +106,8 @@ impl<'a> Meshes<'a> {
         let undeformed = self.wanted.contains(&id).then(|| undeformed(&geometry));
         if let Some(source) = surface_vertices(self.asset, node, primitive, &geometry.positions)? {
             join_copies(&mut geometry, &source, moves);
+        } else if !moves && positions_of(primitive).is_some_and(|accessor| self.common.contains(&accessor)) {
+            geometry.positions = polygon::used(&geometry.positions, &mut geometry.triangles);
         }
         let Triangles { positions, triangles, rest_surface, is_mirrored, .. } = geometry;
         let own_atlas = look.atlas.as_ref().or(look.turn.map(|_| &self.maps[&look.material].atlas));
@@ -227,6 +233,19 @@ impl<'a> Meshes<'a> {
         }
         Ok(Finished { meshes, rest_surfaces, poses: self.poses, bindable: self.bindable })
     }
+}
+
+fn positions_of(primitive: &gltf::Primitive<'_>) -> Option<usize> {
+    primitive.get(&gltf::Semantic::Positions).map(|accessor| accessor.index())
+}
+
+/// Accessors that more than one primitive has as its positions.
+fn common_positions(document: &gltf::Document) -> HashSet<usize> {
+    let (mut met, mut common) = (HashSet::new(), HashSet::new());
+    let primitives = document.meshes().flat_map(|mesh| mesh.primitives().collect::<Vec<_>>());
+    common
+        .extend(primitives.filter_map(|primitive| positions_of(&primitive)).filter(|&accessor| !met.insert(accessor)));
+    common
 }
 
 /// Undeformed corners of triangles, in the order in which the file has them.

@@ -16,8 +16,11 @@ use crate::format::gltf::{self, resolve};
 /// Data of a member begin at a multiple of this (the specification of USDZ), so that they can be mapped.
 const ALIGNMENT: u16 = 64;
 
-/// Largest member: USDZ has no Zip64.
-const MAX_MEMBER: u64 = u32::MAX as u64;
+/// Longest package: USDZ has no Zip64.
+const MAX_LENGTH: u64 = u32::MAX as u64;
+
+/// What a member takes beside its content and twice its name, at most: its two headers, and what aligns it.
+const MEMBER_HEADERS: u64 = 30 + 46 + 2 * ALIGNMENT as u64;
 
 type Archive = ZipArchive<BufReader<File>>;
 
@@ -146,18 +149,37 @@ pub(super) fn write<W: Write + Seek>(
     layer: impl FnOnce(&mut Limited<'_, ZipWriter<UntilError<W>>>) -> std::io::Result<()>,
     files: &[(String, Vec<u8>)],
 ) -> std::io::Result<()> {
+    write_within(MAX_LENGTH, out, layer, files)
+}
+
+/// [`write()`] of no more than `limit` bytes: more is an error, at the latest where the layer ends.
+fn write_within<W: Write + Seek>(
+    limit: u64,
+    out: W,
+    layer: impl FnOnce(&mut Limited<'_, ZipWriter<UntilError<W>>>) -> std::io::Result<()>,
+    files: &[(String, Vec<u8>)],
+) -> std::io::Result<()> {
+    const LAYER: &str = "scene.usda";
+    let member = |name: &str, length: usize| (length + 2 * name.len()) as u64 + MEMBER_HEADERS;
+    // Besides, the end of the directory takes 22 bytes.
+    let besides = files.iter().map(|(name, content)| member(name, content.len())).sum::<u64>() + member(LAYER, 0) + 22;
+    let left = limit.checked_sub(besides).ok_or_else(too_long)?;
     write_zip(out, |zip| {
         // Without a date the package depends on its content alone.
         let options =
             SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(ALIGNMENT);
-        zip.start_file("scene.usda", options)?;
-        layer(&mut Limited { out: zip, left: MAX_MEMBER })?;
+        zip.start_file(LAYER, options)?;
+        layer(&mut Limited { out: zip, left })?;
         for (name, content) in files {
             zip.start_file(name.as_str(), options)?;
             zip.write_all(content)?;
         }
         Ok(())
     })
+}
+
+fn too_long() -> std::io::Error {
+    std::io::Error::other("a .usdz cannot hold more than 4 GiB; a .usda can")
 }
 
 /// Takes so many bytes and no more.
@@ -170,11 +192,37 @@ impl<W: Write> Write for Limited<'_, W> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         let written = self.out.write(bytes)?;
         let left = self.left.checked_sub(written as u64);
-        self.left = left.ok_or_else(|| std::io::Error::other("a .usdz cannot hold more than 4 GiB; a .usda can"))?;
+        self.left = left.ok_or_else(too_long)?;
         Ok(written)
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
         self.out.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_package_is_no_longer_than_its_directory_can_say() {
+        let files = [("maps/a.png".to_owned(), vec![7; 5_000]), ("b.png".to_owned(), vec![7; 10])];
+        let written = |limit: u64, length: usize| {
+            let mut out = std::io::Cursor::new(vec![]);
+            write_within(limit, &mut out, |layer| layer.write_all(&vec![b' '; length]), &files)
+                .map(|()| out.into_inner())
+        };
+        for length in [0, 1_000, 3_000] {
+            for limit in (5_000..9_000).step_by(7) {
+                match written(limit, length) {
+                    Ok(package) => assert!(package.len() as u64 <= limit, "{} bytes for {limit}", package.len()),
+                    Err(e) => {
+                        assert!(limit < (length + 5_010 + 700) as u64, "{length} bytes in {limit}");
+                        assert!(e.to_string().contains("4 GiB"), "{e}");
+                    }
+                }
+            }
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! The grammar of a `.usda`.
 
+use std::collections::HashMap;
+
 use super::document::{
     Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Specifier, Value, Variant,
 };
@@ -105,6 +107,7 @@ impl Cursor<'_> {
     fn body(&mut self, prim: &mut Prim, depth: usize) -> Result<(), Fault> {
         let depth = self.deeper(depth)?;
         self.expect(b'{')?;
+        let mut attributes = HashMap::new();
         loop {
             self.skip_separators()?;
             if self.eat(b'}')? {
@@ -114,7 +117,7 @@ impl Cursor<'_> {
                 Some("def" | "over" | "class") => prim.children.push(self.prim(depth)?),
                 Some("variantSet") => self.variant_set(prim, depth)?,
                 Some("reorder") => self.reorder(depth)?,
-                Some(_) => self.property(&mut prim.properties, depth)?,
+                Some(_) => self.property(&mut prim.properties, &mut attributes, depth)?,
                 None => return Err(self.fault("a property, a prim or `}`")),
             }
         }
@@ -138,9 +141,14 @@ impl Cursor<'_> {
         }
     }
 
-    /// One statement about an attribute or a relationship. Statements about the same one that follow each other become
-    /// one property.
-    fn property(&mut self, properties: &mut Vec<Property>, depth: usize) -> Result<(), Fault> {
+    /// One statement about an attribute or a relationship. Those about one attribute become one property, wherever in
+    /// the prim they stand: `attributes` are the indices of those met so far.
+    fn property(
+        &mut self,
+        properties: &mut Vec<Property>,
+        attributes: &mut HashMap<String, usize>,
+        depth: usize,
+    ) -> Result<(), Fault> {
         let (mut custom, mut uniform, mut edit) = (false, false, None);
         let first = loop {
             edit = edit.or(self.list_edit()?);
@@ -166,20 +174,20 @@ impl Cursor<'_> {
         }
         let name = self.word("the name of an attribute")?.to_owned();
         let suffix = if self.eat_adjacent(b'.') { Some(self.word("connect, timeSamples or spline")?) } else { None };
-        let is_same = |p: &Property| p.name == name && matches!(p.kind, PropertyKind::Attribute { .. });
-        if !properties.last().is_some_and(is_same) {
+        let index = *attributes.entry(name).or_insert_with_key(|name| {
             let kind = PropertyKind::Attribute {
                 type_name: type_name.clone(),
                 value: None,
                 samples: vec![],
                 connections: None,
             };
-            properties.push(Property { name, custom, uniform, kind, metadata: vec![] });
-        }
+            properties.push(Property { name: name.clone(), custom, uniform, kind, metadata: vec![] });
+            properties.len() - 1
+        });
         let assigned = self.eat(b'=')?;
         let found = if assigned { self.assignment(suffix, &type_name, edit, depth)? } else { Assignment::None };
         let metadata = self.metadata(depth)?;
-        let Some(property) = properties.last_mut() else { return Ok(()) };
+        let property = &mut properties[index];
         property.metadata.extend(metadata);
         property.custom |= custom;
         property.uniform |= uniform;

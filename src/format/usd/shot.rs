@@ -13,6 +13,9 @@ use crate::scene::{Camera, Composition, HybridScene, Splats};
 /// Time codes a second where a layer does not say.
 const DEFAULT_RATE: f64 = 24.0;
 
+/// Steps of transforms that are evaluated for one file's cameras: above what any path has, in seconds.
+const MAX_STEPS: usize = 50_000_000;
+
 /// The cameras of a layer.
 pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
     layer.sort_samples();
@@ -22,6 +25,7 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
     let (mut found, mut notes, mut left_out, mut taken) = (vec![], vec![], vec![], Frames::default());
     let to_world = units(&layer, &mut notes)?;
     let mut stage = Stage::new(&layer);
+    let mut steps = 0_usize;
     let is_ours = is_ours(&stage);
     let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
     for placed in place_all(&stage, to_world, &mut Counts::default())? {
@@ -41,6 +45,13 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
             }
         };
         let moves = times[0].is_some();
+        let of_frame: usize =
+            chain(&stage, placed.prim).iter().map(|&p| xform::attributes(stage.prims[p]).count()).sum();
+        steps = steps.saturating_add(of_frame.saturating_mul(times.len()));
+        if steps > MAX_STEPS {
+            let found = format!("{of_frame} in each of {} frames", times.len());
+            return Err(Fault::pointer(&at, format!("at most {MAX_STEPS} steps of transforms for all cameras"), found));
+        }
         let mut frames: Result<Vec<Camera>, String> = Ok(vec![]);
         for time in times {
             stage.time = time;

@@ -86,7 +86,8 @@ pub(super) fn read(
             }
         }
         // A mesh of one material keeps its vertices, also those of no face.
-        let positions = if parts.len() == 1 { polygons.points.clone() } else { used(&polygons.points, &mut triangles) };
+        let positions =
+            if parts.len() == 1 { polygons.points.clone() } else { polygon::used(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
             let atlas = materials.unrolling.unrolled(&coordinates.map, atlas, &mut corner_uvs).unwrap_or_else(|once| {
                 notes.push(format!("{at}: a texture repeated too often is shown once"));
@@ -141,19 +142,6 @@ fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<
         parts[place].faces.push(Face { index, first: here, count });
     }
     Ok(parts)
-}
-
-/// The points that triangles use, to which their indices are changed.
-fn used(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
-    let mut positions = vec![];
-    let mut places: HashMap<u32, u32> = HashMap::new();
-    for vertex in triangles.as_flattened_mut() {
-        *vertex = *places.entry(*vertex).or_insert_with(|| {
-            positions.push(points[*vertex as usize]);
-            (positions.len() - 1) as u32
-        });
-    }
-    positions
 }
 
 /// Checked: counts and corners agree, and corners are points.

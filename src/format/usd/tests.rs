@@ -59,6 +59,27 @@ fn round_trip() {
     }
 }
 
+/// As where somebody has put a scene below a prim of theirs.
+#[test]
+fn the_rule_of_blending_may_stand_further_down() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usda");
+    let mut scene = random_scene(20, 1, 1, 3);
+    scene.composition.lambda = 0.25;
+    write(&path, &scene, &[("a".to_owned(), camera())], None).unwrap();
+    let text = std::fs::read_to_string(&path).unwrap();
+    let start = text.find("\ndef ").unwrap();
+    // Paths of a layer are absolute.
+    let root = text[start..].split('"').nth(1).unwrap();
+    let below = text[start..].replace(&format!("</{root}"), &format!("</World/{root}"));
+    std::fs::write(&path, format!("{}\ndef Xform \"World\" {{{below}}}\n", &text[..start])).unwrap();
+    let back = read(&path).unwrap();
+    assert_eq!((&back.scene.composition, back.y_up), (&scene.composition, false));
+    assert_eq!(back.scene.meshes, scene.meshes);
+    assert_close(&scene.splats, &back.scene.splats);
+    assert!(back.cameras[0].1.rotation().abs_diff_eq(camera().rotation(), 1e-9));
+}
+
 #[test]
 fn parts_may_be_absent_and_names_strange() {
     let folder = tempfile::tempdir().unwrap();
@@ -474,8 +495,8 @@ def Mesh "M" {
 "#,
     );
     let [blue, red] = &file.scene.meshes[..] else { panic!("{}", file.scene.meshes.len()) };
-    assert_eq!(blue.triangles(), [[0, 1, 2], [3, 4, 5]]);
-    assert_eq!(blue.positions().iter().map(|p| p.x).collect::<Vec<_>>(), [0., 1., 2., 5., 4., 3.]);
+    assert_eq!(blue.triangles(), [[0, 1, 2], [5, 4, 3]], "vertices keep their order");
+    assert_eq!(blue.positions().iter().map(|p| p.x).collect::<Vec<_>>(), [0., 1., 2., 3., 4., 5.]);
     assert_eq!(red.triangles(), [[0, 1, 2], [0, 2, 3]]);
     assert_eq!(red.positions().iter().map(|p| p.x).collect::<Vec<_>>(), [0., 2., 3., 4.]);
     assert_eq!((blue.corner_uvs()[1], red.corner_uvs()[1]), ([Vec2::new(0.2, 1.0); 3], [Vec2::new(0.1, 1.0); 3]));

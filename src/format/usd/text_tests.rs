@@ -253,6 +253,29 @@ lines""" ; kind = 'component' )
 }
 
 #[test]
+fn statements_about_one_attribute_are_one_property_wherever_they_stand() {
+    let layer = parsed(
+        r##"#usda 1.0
+def "a" {
+    float x = 1 ( doc = "of the value" )
+    float y
+    float x.timeSamples = { 0: 2, 1: 3 }
+    rel r = </b>
+    custom float x.connect = </b.z> ( displayName = "of all" )
+    def "b" { float x = 7 }
+}
+"##,
+    );
+    let prim = &layer.prims[0];
+    assert_eq!(prim.properties.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["x", "y", "r"]);
+    let x = prim.property("x").unwrap();
+    assert!(x.custom && x.metadata.len() == 2);
+    assert_eq!(prim.value("x").and_then(Value::as_number), Some(1.0));
+    assert_eq!((prim.samples("x").len(), prim.connection("x")), (2, Some("/b.z")));
+    assert_eq!(prim.children[0].value("x").and_then(Value::as_number), Some(7.0));
+}
+
+#[test]
 fn faults_are_named_with_line_and_column() {
     let deep = format!("#usda 1.0\n{}", "def \"a\" {".repeat(300));
     let lists = format!("#usda 1.0\n(a = {}", "[".repeat(100_000));

@@ -110,9 +110,9 @@ pub(super) fn is_ours(stage: &Stage<'_>) -> bool {
     contract_prim(stage).is_some_and(|root| stage.text(root, names::FRAME) == Some(names::CAPTURE))
 }
 
-/// The prim that states the rule of blending.
+/// The prim that states the rule of blending: ours at the root, unless somebody has put it into a scene of theirs.
 fn contract_prim(stage: &Stage<'_>) -> Option<usize> {
-    (0..stage.prims.len()).find(|&i| stage.parents[i].is_none() && stage.prims[i].property(names::MODE).is_some())
+    stage.prims.iter().position(|prim| prim.property(names::MODE).is_some())
 }
 
 fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) -> Result<Composition, Fault> {

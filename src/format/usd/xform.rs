@@ -6,6 +6,9 @@ use super::document::{Prim, Value};
 use super::stage::Stage;
 use crate::format::error::Fault;
 
+/// Operations of one prim: far above what any program writes. Each is looked for among the prim's properties.
+const MAX_OPERATIONS: usize = 1000;
+
 /// Transform of a prim, and whether it leaves out those of its ancestors.
 pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fault> {
     let mut transform = DMat4::IDENTITY;
@@ -13,6 +16,9 @@ pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fau
     let Some(order) = stage.prims[prim].value("xformOpOrder") else { return Ok((transform, false)) };
     let at = || format!("{}.xformOpOrder", stage.path(prim));
     let Value::List(order) = order else { return Err(Fault::pointer(at(), "a list of operations", "other values")) };
+    if order.len() > MAX_OPERATIONS {
+        return Err(Fault::pointer(at(), format!("at most {MAX_OPERATIONS} operations"), order.len().to_string()));
+    }
     for name in order {
         let name = name.as_text().unwrap_or_default();
         if name == "!resetXformStack!" {
