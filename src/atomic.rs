@@ -156,6 +156,8 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
             }
             // Both names are of one content until the new one comes over the other; not all file systems have that.
             fs::hard_link(place, &kept).or_else(|_| fs::copy(place, &kept).map(drop))?;
+            // As in `write_with`.
+            fs::OpenOptions::new().write(true).open(file)?.sync_all()?;
             Ok(Some(kept))
         };
         let replace = || {

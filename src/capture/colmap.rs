@@ -21,6 +21,18 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
 
+/// Further models beside that in `folder`, in order: COLMAP's mapper numbers them, one for each set of photographs that it cannot connect with others.
+pub(super) fn further_models(folder: &Path) -> Vec<PathBuf> {
+    if folder.file_name().is_none_or(|name| name != "0") {
+        return vec![];
+    }
+    // Numbers have no gaps.
+    (1..)
+        .map(|number| folder.with_file_name(number.to_string()))
+        .take_while(|other| find_model(other).is_some())
+        .collect()
+}
+
 /// A file of the model in `folder`, in the encoding of its cameras, else in the other.
 pub(super) fn file_of(folder: &Path, stem: &str) -> PathBuf {
     let extensions = if folder.join("cameras.bin").is_file() { ["bin", "txt"] } else { ["txt", "bin"] };

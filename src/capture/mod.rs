@@ -39,7 +39,7 @@ pub struct Capture {
     pub points: Vec<Point>,
     /// The files that points are of, also where these are not wanted; none if the capture names none.
     pub points_files: Vec<PathBuf>,
-    /// Lists of views beside the one that was read, where the capture is a folder with several.
+    /// Lists of views beside the one that was read, where the capture is a folder with several: folders of COLMAP models, and files.
     pub passed_over: Vec<PathBuf>,
 }
 
@@ -264,7 +264,7 @@ fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Ve
     let found = transforms::find(root);
     if let Some(model) = colmap::find_model(root) {
         let listed = colmap::load(root, &model, (options, !options.without_points))?;
-        return Ok((listed, found.all()));
+        return Ok((listed, [colmap::further_models(&model), found.all()].concat()));
     }
     if found.files.is_empty() {
         let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";

@@ -239,11 +239,13 @@ pub(super) fn parse(
             })
         })
         .collect::<Result<Vec<Frame>, CaptureError>>()?;
-    if let (Some(first), Some(folder), true) = (frames.first(), &options.images, photographs)
-        && !frames.iter().map(|frame| Path::new(&frame.name)).any(|p| p.starts_with("images") || p.starts_with(folder))
-    {
-        let expected = "a path that begins with images/, for another folder to take its place";
-        return Err(CaptureError::invalid(path, format!("{}/file_path", first.at), expected, &first.name));
+    if let (Some(folder), true) = (&options.images, photographs) {
+        let is_in = |frame: &Frame, folder: &str| Path::new(&frame.name).starts_with(folder);
+        // Those of another folder would be as large as they are, beside smaller ones.
+        if let Some(other) = frames.iter().find(|frame| !(is_in(frame, "images") || is_in(frame, folder))) {
+            let expected = "a path that begins with images/, for another folder to take its place";
+            return Err(CaptureError::invalid(path, format!("{}/file_path", other.at), expected, &other.name));
+        }
     }
     let points = match &file.ply_file_path {
         Some(name) if photographs => match inside(path, "/ply_file_path", &plain(name)) {

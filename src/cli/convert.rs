@@ -143,8 +143,8 @@ fn writable(path: PathBuf) -> Result<PathBuf, String> {
 pub(super) fn run(args: &Args) -> Result<()> {
     let files = args.files()?;
     usage::demand(
-        args.played.animations.is_empty() || args.time.is_some() || !gltf::is_named(files.output),
-        "--animation: a glTF takes all animations of a glTF over: say --time, or another format",
+        args.played.animations.is_empty() || args.time.is_some() || format::has_extension(files.output, &["py"]),
+        "--animation: only a .blend.py plays it, a glTF takes all over, others are at rest: say --time",
     )?;
     let is_spz = format::has_extension(files.output, &["spz"]);
     usage::demand(

@@ -87,7 +87,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let capture = args.loading.open(&args.capture)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
-    let passed_over = shared::passed_over(&capture.passed_over);
+    let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
     notes.extend(training.as_ref().and_then(|training| saw(training, &file.cameras, &capture)));
     notes.extend(training.as_ref().and_then(|training| training.other_masks(&capture)));

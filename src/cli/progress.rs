@@ -27,7 +27,8 @@ impl Reporter {
         if self.json {
             tell(p);
         }
-        if self.phase != Some(p.phase) {
+        let begins = self.phase != Some(p.phase);
+        if begins {
             self.phase = Some(p.phase);
             self.held_out = None;
             self.bar.reset();
@@ -35,6 +36,10 @@ impl Reporter {
         self.held_out = p.psnr.or(self.held_out);
         self.bar.set_length(u64::from(p.of));
         self.bar.set_position(u64::from(p.iteration));
+        if begins {
+            // A run that is resumed has not done in no time what was done before.
+            self.bar.reset_eta();
+        }
         self.bar.set_prefix(match p.phase {
             Phase::Surface => "surface",
             Phase::Warmup => "maps",

@@ -234,10 +234,11 @@ impl Args {
             let fps = sampling.fps.or(shot.fps).or(document.fps()).unwrap_or(DEFAULT_FPS);
             shot = span(shot, [start, end], fps)?;
         }
-        if moving.is_some() && self.time.is_none() && sampling.fps.is_some() && shot.times.is_empty() {
-            let note =
-                "its cameras are no frames of a path: --fps gives them no times, and the scene is shown as it rests";
-            shot.notes.push(note.to_owned());
+        if moving.is_some() && self.time.is_none() && shot.times.is_empty() {
+            let idle = [("--fps", sampling.fps.is_some()), ("--animation", !self.played.animations.is_empty())];
+            shot.notes.extend(idle.into_iter().filter(|(_, is_said)| *is_said).map(|(flag, _)| {
+                format!("its cameras are no frames of a path: {flag} gives them no times, and the scene is shown as it rests")
+            }));
         }
         Ok(shot)
     }

@@ -174,7 +174,7 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
         retain_rows(&mut cameras, &wanted);
         retain_rows(&mut times, &wanted);
     }
-    Ok(CameraFile { cameras, fps, y_up, times, notes: passed_over(&others).into_iter().collect() })
+    Ok(CameraFile { cameras, fps, y_up, times, notes: passed_over(&others) })
 }
 
 /// Keeps the rows that are wanted; of none, none.
@@ -183,20 +183,36 @@ fn retain_rows<T>(rows: &mut Vec<T>, wanted: &[bool]) {
     rows.retain(|_| wanted.next().is_some_and(|&is| is));
 }
 
-/// What else lists views in the folder of a capture: nerfstudio's file beside the model it was made of, which may have a split, masks and
-/// times, and is in a world of its own, or files of a split beside one of all frames.
-pub(super) fn passed_over(others: &[PathBuf]) -> Option<String> {
-    let first = others.first()?;
-    let name = first.file_name()?.display();
-    let one = first.with_file_name("transforms.json");
-    Some(if *first != one && one.is_file() && others.len() == 1 {
-        // One file of two is no split.
-        format!("has transforms.json, which is taken, and {name}: name that file in place of the folder to take it")
-    } else if *first != one && one.is_file() {
-        format!("has transforms.json, which is taken, and {name}: move the former away to take the split")
-    } else {
-        format!("has a COLMAP model, which is taken, and {name}: name that file in place of the folder to take it")
-    })
+/// What else lists views in the folder of a capture: COLMAP's models of photographs that it could not connect with the first ones; nerfstudio's file beside
+/// the model it was made of, which may have a split, masks and times, and is in a world of its own; files of a split beside one of all frames.
+pub(super) fn passed_over(others: &[PathBuf]) -> Vec<String> {
+    let name_of = |path: &PathBuf| path.file_name().unwrap_or_default().display().to_string();
+    let (files, models): (Vec<_>, Vec<_>) = others.iter().partition(|path| format::has_extension(path, &["json"]));
+    let of_models = (!models.is_empty()).then(|| {
+        let names: Vec<String> = models.into_iter().map(name_of).collect();
+        let names = format::some_of(names.iter().map(String::as_str));
+        format!("has further COLMAP models, {names}, of other photographs: 0 is taken, rename the one that you want to 0 to take it")
+    });
+    let of_files = files.first().map(|&first| {
+        let (name, one) = (name_of(first), first.with_file_name("transforms.json"));
+        let is_split = files.iter().any(|file| name_of(file) == "transforms_train.json") && files.len() > 1;
+        match (*first != one && one.is_file(), is_split) {
+            (true, true) => {
+                format!("has transforms.json, which is taken, and {name}: move the former away to take the split")
+            }
+            // One file of two is no split.
+            (true, false) => format!(
+                "has transforms.json, which is taken, and {name}: name that file in place of the folder to take it"
+            ),
+            (false, true) => {
+                format!("has a COLMAP model, which is taken, and {name}: move the former away to take the split")
+            }
+            (false, false) => format!(
+                "has a COLMAP model, which is taken, and {name}: name that file in place of the folder to take it"
+            ),
+        }
+    });
+    of_models.into_iter().chain(of_files).collect()
 }
 
 /// Refuses to write `pictures`, all in one folder, among photographs of the capture, a folder or `.json`, that the cameras of `path` come from, or of

@@ -225,6 +225,15 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
         std::fs::copy(images.join("000.png"), images.join(name)).unwrap();
     }
     assert_eq!(notes(), "note: capture: lists 8 of the 10 photographs: the others are left out\n");
+    // Those two may be the ones of a further model.
+    let sparse = folder.path().join("capture/sparse");
+    std::fs::create_dir(sparse.join("1")).unwrap();
+    for file in ["cameras.txt", "images.txt"] {
+        std::fs::copy(sparse.join("0").join(file), sparse.join("1").join(file)).unwrap();
+    }
+    let note = "note: capture: has further COLMAP models, 1, of other photographs: 0 is taken, rename the one that you want to 0 to take it\n";
+    assert!(notes().starts_with(note), "{}", notes());
+    std::fs::remove_dir_all(sparse.join("1")).unwrap();
     // Beside the model, a file of two of them that looks the other way.
     let frame = |i: u32| {
         format!(
@@ -235,6 +244,13 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
     std::fs::write(folder.path().join("capture/transforms.json"), json).unwrap();
     let note = "note: capture: has a COLMAP model, which is taken, and transforms.json: name that file in place of the folder to take it\n";
     assert!(notes().starts_with(note), "{}", notes());
+    for part in ["train", "test"] {
+        std::fs::write(folder.path().join(format!("capture/transforms_{part}.json")), "{}").unwrap();
+    }
+    std::fs::rename(folder.path().join("capture/transforms.json"), folder.path().join("t.json")).unwrap();
+    let note = "note: capture: has a COLMAP model, which is taken, and transforms_train.json: move the former away to take the split\n";
+    assert!(notes().starts_with(note), "{}", notes());
+    std::fs::rename(folder.path().join("t.json"), folder.path().join("capture/transforms.json")).unwrap();
     let more = ["--no-mesh", "--max-splats", "500", "--all-views", "--iterations", "2"];
     let mut of_file = centaur(folder.path());
     of_file.args(["train", "capture/transforms.json", "-o", "t.glb", "--quiet"]).args(more);

@@ -164,9 +164,13 @@ fn animations_are_chosen_by_name() {
     assert!(picture("up/frame_00002.png") != picture("along/frame_00002.png"));
     let error = failure(folder.path(), "render b.gltf -o no --animation fall --time 1");
     assert_eq!(error, "error: b.gltf: /animations: expected one called fall, found slide, rise");
-    let args = ["convert", "b.gltf", "c.glb", "--animation", "rise"];
-    let error = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
-    assert!(error.contains("say --time, or another format"), "{error}");
+    for output in ["c.glb", "c.ply"] {
+        let args = ["convert", "b.gltf", output, "--animation", "rise"];
+        let error = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
+        assert!(error.contains("only a .blend.py plays it") && error.contains("say --time"), "{error}");
+    }
+    let said = run(folder.path(), "render b.gltf --camera front --animation rise -o rest --quiet");
+    assert!(said.contains("--animation gives them no times, and the scene is shown as it rests"), "{said}");
 }
 
 /// Frames a second are of frames: photographs and other stills show a scene that moves as it rests.
