@@ -1,26 +1,162 @@
-"""What the script for Blender makes of its options, where there is no Blender."""
+"""What the script for Blender makes of its options, and what it does in the text editor, where there is no Blender."""
 import contextlib
 import io
+import json
+import os
 import pathlib
 import re
+import sys
+import tempfile
 import unittest
+from types import SimpleNamespace
+from unittest import mock
 
 PARTS = pathlib.Path(__file__).parent.parent / "src/format/blender"
 
 
-def script(names):
-    """The script's names, of a scene with cameras of these names."""
-    module = {"__name__": "script", "SCENE": {"name": "s", "cameras": [{"name": name} for name in names]}}
-    for part in re.findall(r'include_str!\("(\w+\.py)"\)', (PARTS / "mod.rs").read_text(encoding="utf-8")):
-        exec((PARTS / part).read_text(encoding="utf-8"), module)
+def assembled(names, **more):
+    """The script of a scene with cameras of these names, put together as `mod.rs` does it."""
+    rule = {"colorSpace": "srgb", "background": [0, 0, 0], "near": 0.2, "lowPass": [0.3, 0]}
+    scene = {"name": "s", "splats": None, "meshes": [], "motion": None, "cameras": [{"name": name} for name in names], "composition": rule}
+    scene.update(more)
+    parts = re.findall(r'include_str!\("(\w+\.py)"\)', (PARTS / "mod.rs").read_text(encoding="utf-8"))
+    head, *rest = ((PARTS / part).read_text(encoding="utf-8") for part in parts)
+    return "\n\n".join([f"#!/usr/bin/env python3\n{head}\nSCENE = json.loads(r'''{json.dumps(scene)}''')", *rest])
+
+
+def script(names, **more):
+    """The script's names."""
+    module = {"__name__": "script"}
+    exec(assembled(names, **more), module)
     return module
 
 
+class Text:
+    """A text of Blender's."""
+
+    def __init__(self, content=""):
+        self.content, self.filepath = content, ""
+
+    def as_string(self):
+        return self.content
+
+    def from_string(self, content):
+        self.content = content
+
+
+class Texts(dict):
+    """Texts by their names, which Blender sorts; to go through them is to see the texts."""
+
+    def __iter__(self):
+        return iter([self[name] for name in sorted(self.keys())])
+
+    def new(self, name):
+        return self.setdefault(name, Text())
+
+
+class Empty(dict):
+    """The empty that scenes hang below, with its properties."""
+
+    type, data, children_recursive, users_collection = "EMPTY", None, (), ()
+
+
+class Blender:
+    """As much of Blender as runs a text in its editor, in a file that holds these texts and, if so, the scene."""
+
+    def __init__(self, is_built, **texts):
+        things = [Empty(centaur=json.dumps({"scene": "s"}))] if is_built else []
+        self.texts = Texts({f"{name}.py": Text(content) for name, content in texts.items()})
+        self.handlers = SimpleNamespace(frame_change_post=[], render_init=[], persistent=lambda function: function)
+        self.bpy = mock.MagicMock()
+        self.bpy.app.binary_path, self.bpy.app.background, self.bpy.app.version = "/usr/bin/blender", False, (4, 5, 15)
+        self.bpy.app.handlers, self.bpy.data.texts = self.handlers, self.texts
+        self.bpy.context.scene.objects, self.bpy.context.scene.camera = things, None
+        self.bpy.data.batch_remove = lambda removed: [things.remove(thing) for thing in removed]
+
+    def names(self, text, name="__main__"):
+        """The names that a text has after it was run."""
+        module = {"__name__": name, "__file__": f"/tmp/a.blend/{text}"}
+        modules = {"bpy": self.bpy, "numpy": mock.MagicMock(), "mathutils": mock.MagicMock()}
+        with mock.patch.dict(sys.modules, modules), mock.patch.object(sys, "argv", ["blender"]):
+            exec(self.texts[text].as_string(), module)
+        return module
+
+
+class TextEditor(unittest.TestCase):
+    def test_a_text_of_the_user_builds_again(self):
+        for is_built in (False, True):
+            blender, runs = Blender(is_built, garden=assembled([])), []
+            module = blender.names("garden.py", "text")
+            module["run"] = runs.append
+            with mock.patch.object(sys, "argv", ["blender"]):
+                module["main"]()
+            self.assertEqual(len(runs), 1, is_built)
+
+    def test_the_stored_text_listens_and_builds_nothing(self):
+        for is_built, is_background in ((True, False), (False, False), (False, True)):
+            blender = Blender(is_built, garden=assembled([]))
+            blender.names("garden.py", "text")["keep_script"]()
+            blender.bpy.app.background = is_background
+            blender.names("centaur.py")
+            self.assertEqual([len(h) for h in (blender.handlers.frame_change_post, blender.handlers.render_init)], [1, 1])
+            blender.bpy.data.collections.new.assert_not_called()
+            blender.bpy.ops.wm.read_factory_settings.assert_not_called()
+            self.assertTrue(blender.texts["centaur.py"].use_module)
+
+    def test_the_text_that_runs_is_stored_of_several(self):
+        own = assembled(["new"])
+        blender = Blender(True, a=assembled(["old"]), garden=own)
+        for _ in range(2):
+            blender.names("garden.py", "text")["keep_script"]()
+            marker, _, stored = blender.texts["centaur.py"].content.partition("\n")
+            self.assertTrue(marker.startswith("CENTAUR_STORED = True"))
+            self.assertEqual(stored, own)
+        with contextlib.redirect_stderr(io.StringIO()) as said:
+            module = blender.names("garden.py", "text")
+            module["__file__"] = "<console>"
+            module["keep_script"]()
+        self.assertEqual(blender.texts["centaur.py"].content.partition("\n")[2], own)
+        self.assertIn("neither a file nor a text", said.getvalue())
+
+    def failed(self, is_built, build=None, **scene):
+        """What is said and which things are there after a run that fails."""
+        blender = Blender(is_built, garden=assembled([], **scene))
+        module = blender.names("garden.py", "text")
+        module["home"] = lambda: "/nowhere"
+        if build:
+            module["build"] = lambda *_: build(blender.bpy.context.scene.objects)
+        with self.assertRaises(RuntimeError) as caught, mock.patch.object(sys, "argv", ["blender"]):
+            module["main"]()
+        blender.bpy.data.collections.new.assert_not_called()
+        return str(caught.exception), len(blender.bpy.context.scene.objects)
+
+    def test_a_file_that_is_missing_changes_nothing(self):
+        lies = "it lies beside the script where `centaur convert` wrote it"
+        for scene, name in [
+            ({"splats": "s.ply"}, "s.ply"),
+            ({"meshes": [{"surface": "m.ply", "maps": []}]}, "m.ply"),
+            ({"meshes": [{"surface": "m.ply", "maps": ["m.exr"]}]}, "m.exr"),
+        ]:
+            for is_built in (False, True):
+                said, things = self.failed(is_built, **scene)
+                self.assertRegex(said, rf"\A/nowhere/{name}: cannot read.*{lies}\Z")
+                self.assertEqual(things, int(is_built))
+
+    def test_what_a_failed_build_has_made_is_removed(self):
+        def build(things):
+            things.append(Empty(centaur=json.dumps({"scene": "s"})))
+            raise RuntimeError("in the middle")
+
+        self.assertEqual(self.failed(False, build), ("in the middle", 0))
+        self.assertEqual(self.failed(True, build), ("in the middle", 0))
+
+
+
 class Cameras(unittest.TestCase):
-    def test_a_camera_is_chosen_by_number_or_name(self):
+    def test_a_camera_is_chosen_by_name_or_number(self):
         index = script(["front", "IMG 2.jpg", "007", "1", "front"])["camera_index"]
         found = {text: index(text) for text in ("0", "4", "front", "IMG 2.jpg", "1", "007", "03")}
-        self.assertEqual(found, {"0": 0, "4": 4, "front": 0, "IMG 2.jpg": 1, "1": 1, "007": 2, "03": 3})
+        self.assertEqual(found, {"0": 0, "4": 4, "front": 0, "IMG 2.jpg": 1, "1": 3, "007": 2, "03": 3})
         for text in ("5", "back", "", "-1", "\u00b2", "IMG", "9" * 9999):
             self.assertIsNone(index(text), text)
 
@@ -32,6 +168,28 @@ class Cameras(unittest.TestCase):
         with self.assertRaises(module["ScriptError"]) as caught:
             check("x\n")
         self.assertEqual(str(caught.exception), "--camera: expected 0 to 5, a name (a\\nb, c, d, e, f, …), `all` or `path`, found x\\n")
+
+class Pictures(unittest.TestCase):
+    def test_one_folder_is_made_for_them(self):
+        module = script(["a"])
+        check = lambda *path: module["check"](module["parse"](["--render", os.path.join(*path)]))
+        with tempfile.TemporaryDirectory() as folder:
+            pathlib.Path(folder, "taken").touch()
+            check(folder, "frames", "out.png")
+            check(folder, "out.png")
+            self.assertEqual(os.listdir(folder), ["taken"], "before there is a picture")
+            for names in (("a", "b", "out.png"), ("taken", "out.png")):
+                with self.assertRaises(module["ScriptError"]) as caught:
+                    check(folder, *names)
+                self.assertIn(f"cannot write: {os.path.join(folder, *names[:-1])} is no folder", str(caught.exception))
+            with self.assertRaises(module["ScriptError"]):
+                module["check"](module["parse"](["--save", os.path.join(folder, "frames", "a.blend")]))
+            for _ in range(2):
+                module["make_folder"](os.path.join(folder, "frames", "out.png"))
+            self.assertTrue(os.path.isdir(os.path.join(folder, "frames")))
+            with self.assertRaises(module["ScriptError"]):
+                module["make_folder"](os.path.join(folder, "taken", "out.png"))
+
 
 class Frames(unittest.TestCase):
     def test_frames_are_those_that_blender_has(self):

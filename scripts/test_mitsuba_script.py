@@ -1,7 +1,9 @@
-"""Which camera hybrid_rf.py takes, and when it traces rays again, where there is no Mitsuba: python3 -m unittest discover -s scripts"""
+"""Which LLVM, variant and camera hybrid_rf.py takes, and when it traces rays again, where there is no Mitsuba: python3 -m unittest discover -s scripts"""
 
+import os
 import runpy
 import sys
+import tempfile
 import unittest
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +24,61 @@ def script():
     # It sets a variable for Dr.Jit.
     with mock.patch.dict(sys.modules, MODULES), mock.patch.dict("os.environ"):
         return runpy.run_path(str(SCRIPT))
+
+
+class Variants(unittest.TestCase):
+    def variant(self, backends, platform="linux", llvm=None):
+        """What is set where Dr.Jit has these backends, and `llvm` is what the user has chosen."""
+        chosen = []
+        mitsuba = SimpleNamespace(**{**vars(MITSUBA), "variant": lambda: None, "set_variant": chosen.append})
+        drjit = SimpleNamespace(
+            **vars(DRJIT), JitBackend=SimpleNamespace(CUDA="cuda", LLVM="llvm"), has_backend=lambda backend: int(backend in backends)
+        )
+        modules = {**MODULES, "mitsuba": mitsuba, "drjit": drjit}
+        environment = {name: value for name, value in os.environ.items() if name != "DRJIT_LIBLLVM_PATH"}
+        with (
+            mock.patch.dict(sys.modules, modules),
+            mock.patch.dict("os.environ", {**environment, **({"DRJIT_LIBLLVM_PATH": llvm} if llvm else {})}, clear=True),
+            mock.patch.object(sys, "platform", platform),
+            mock.patch.object(Path, "glob", lambda *_: []),
+        ):
+            runpy.run_path(str(SCRIPT))
+        return chosen
+
+    def test_llvm_that_is_known_comes_first_and_then_a_gpu(self):
+        self.assertEqual(self.variant({"cuda", "llvm"}, llvm="/lib/libLLVM.so"), ["llvm_ad_rgb"])
+        self.assertEqual(self.variant({"cuda"}), ["cuda_ad_rgb"])
+        self.assertEqual(self.variant({"cuda", "llvm"}), ["cuda_ad_rgb"])
+        # Where nobody looks but Dr.Jit.
+        self.assertEqual(self.variant({"llvm"}), ["llvm_ad_rgb"])
+        for platform in ("win32", "darwin"):
+            self.assertEqual(self.variant({"cuda", "llvm"}, platform), ["llvm_ad_rgb"])
+            self.assertEqual(self.variant({"cuda"}, platform), ["cuda_ad_rgb"])
+
+    def test_without_both_one_line_says_what_to_install(self):
+        for platform in ("linux", "win32", "darwin"):
+            with self.assertRaises(SystemExit) as caught:
+                self.variant(set(), platform)
+            self.assertRegex(caught.exception.code, r"\Ahybrid_rf\.py: needs LLVM \(apt install libllvm19; .*\) or an NVIDIA GPU\Z")
+
+
+class Libraries(unittest.TestCase):
+    def test_llvm_is_as_wide_as_this_python(self):
+        own, other = (b"\2", b"\1") if sys.maxsize > 2**32 else (b"\1", b"\2")
+        files = {"a/libLLVM.so.19.1": b"\x7fELF" + other, "b/libLLVM.so.18.1": b"\x7fELF" + own, "libLLVM-19.so": b"INPUT(-lLLVM)"}
+        with tempfile.TemporaryDirectory() as folder, mock.patch.object(sys, "platform", "linux"):
+            for name, head in files.items():
+                path = Path(folder, name)
+                path.parent.mkdir(exist_ok=True)
+                path.write_bytes(head + bytes(11))
+            Path(folder, "a/libLLVM-20.so").symlink_to("nothing")
+            find = script()["find_llvm"]
+            self.assertEqual(find([folder]), f"{folder}/b/libLLVM.so.18.1")
+            Path(folder, "b/libLLVM.so.19.1").write_bytes(files["b/libLLVM.so.18.1"])
+            self.assertEqual(find([folder]), f"{folder}/b/libLLVM.so.19.1")
+            Path(folder, "b/libLLVM.so.18.1").unlink()
+            Path(folder, "b/libLLVM.so.19.1").unlink()
+            self.assertIsNone(find([folder]))
 
 
 class Cameras(unittest.TestCase):

@@ -4,6 +4,7 @@
 * `centaur convert HYBRID.glb scene.blend.py`: the script renders, saves, and says in one line what is wrong.
 * Flat splats are there in every construction.
 * A saved .blend builds its splats anew when its camera moves, for animations and for stills.
+* Run in the text editor again, the script replaces what it has built; the text that it stores builds nothing.
 * The stock importer takes HYBRID.glb: nothing is lost but the splats' shapes, and the mesh looks as ours does in linear light.
 
 How exact pictures are is compared elsewhere, with renderers that owe nothing to Blender. Every check runs in a process of
@@ -14,6 +15,7 @@ import pathlib
 import re
 import runpy
 import shlex
+import shutil
 import subprocess
 import sys
 
@@ -128,6 +130,35 @@ def step_reopen(blend, folder):
     return {"states": len(set(states)), "unchanged": unchanged, "attributes": names}
 
 
+def step_text(script, blend):
+    """Runs the script twice as a text of a file, the second time with another near plane, and opens that file at another scene."""
+    import bpy
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    sys.argv = [script]
+    bpy.data.texts.new("another.py").from_string("def find_root(): pass")
+    text = bpy.data.texts.load(script)
+
+    def run_text():
+        with bpy.context.temp_override(edit_text=text):
+            bpy.ops.text.run_script()
+        return next(o for o in bpy.context.scene.objects if o.get("centaur") == "splats")["built for"]
+
+    state = run_text()
+    text.from_string(text.as_string().replace('"near":', '"near":0.01,"far":', 1))
+    is_replaced = run_text() != state
+    stored = bpy.data.texts["centaur.py"].as_string().partition("\n")[2] == text.as_string()
+    roots = sum("centaur" in o for o in bpy.data.objects if o.type == "EMPTY")
+    bpy.context.window.scene = bpy.data.scenes.new("another")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    bpy.ops.wm.open_mainfile(filepath=blend, use_scripts=True)
+    listening = [f.__name__ for f in bpy.app.handlers.render_init]
+    spared = not bpy.context.scene.objects and not bpy.context.scene.collection.children
+    for handlers in (bpy.app.handlers.frame_change_post, bpy.app.handlers.render_init):
+        handlers.clear()  # Python does not end while they are registered
+    return {"is replaced": is_replaced, "is stored": stored, "roots": roots, "listening": listening.count("on_render"), "is spared": spared}
+
+
 # --- the checks ---
 
 def check_script(centaur, glb, folder):
@@ -146,7 +177,7 @@ def check_script(centaur, glb, folder):
     taken = folder / "taken.blend"
     taken.mkdir(exist_ok=True)
     for arguments, code, message in [
-        ([script, "--render", "/nowhere/a.exr"], 1, "/nowhere/a.exr: cannot write: /nowhere is no folder"),
+        ([script, "--render", "/nowhere/at/a.exr"], 1, "/nowhere/at/a.exr: cannot write: /nowhere/at is no folder"),
         ([script, "--save", taken], 1, "a folder of this name exists"),
         ([script, "--save", folder / "scene"], 2, "--save: expected a name that ends in .blend"),
         ([script, "--render", folder / "layers.png", "--layers"], 2, "--layers: expected --render FILE.exr"),
@@ -206,6 +237,13 @@ def check_own(script, folder):
     print(f"in a file with other settings: {same:.0f} dB from the picture")
 
 
+def check_text(script, folder):
+    """In the text editor, after `check_script`."""
+    found = inside("text", script, folder / "text.blend")
+    assert found == {"is replaced": True, "is stored": True, "roots": 1, "listening": 1, "is spared": True}, found
+    print("in the text editor: replaces what it has built; what it stores builds nothing")
+
+
 def check_names(script, folder):
     """Of two cameras the second has the same picture by its number and by its name."""
     head, told, rest = re.split(r"r\'\'\'(.*)\'\'\'", script.read_text(), maxsplit=1)
@@ -230,11 +268,11 @@ def check_blend(centaur, glb, folder):
     check_names(script, folder)
     alone = folder / "alone"
     alone.mkdir(exist_ok=True)
-    # Nothing moves but along the path: one frame, and for one camera.
-    run([sys.executable, script, "--frame", "all", "--render", folder / "still.png"])
-    assert [p.name for p in folder.glob("still_*")] == ["still_0001.png"]
-    for path in folder.glob("still_*"):
-        path.unlink()
+    # Nothing moves but along the path: one frame, and for one camera; in a folder that it makes.
+    stills = folder / "stills"
+    shutil.rmtree(stills, ignore_errors=True)
+    run([sys.executable, script, "--frame", "all", "--render", stills / "still.png"])
+    assert [p.name for p in stills.iterdir()] == ["still_0001.png"]
     error = run([sys.executable, script, "--frame", "all", "--camera", "all", "--save", folder / "none.blend"], expect=1).stderr
     assert "--frame all: expected one camera" in error and not (folder / "none.blend").exists(), error
     blend = (folder / "scene.blend").rename(alone / "scene.blend")
@@ -267,6 +305,7 @@ def main():
     check_flat(centaur, folder)
     check_size(centaur, glb, folder)
     check_own(script, folder)
+    check_text(script, folder)
     check_parts(centaur, glb, folder)
     check_blend(centaur, glb, folder)
     check_import(glb, script, folder)

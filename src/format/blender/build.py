@@ -8,8 +8,23 @@ MILLION = 1_000_000
 COSTS = {"ewa": (3.5e-5, 465), "cap": (9e-5, 2300), "shell": (6e-5, 2000)}
 
 
-def build(folder, options):
-    """Makes the collection; returns it."""
+def read_files(folder):
+    """What lies beside the script: splats, the tables and the paths of maps of each mesh, and motion."""
+    at = lambda name: os.path.join(folder, name)
+    splats = read_splats(at(SCENE["splats"])) if SCENE["splats"] else None
+    surfaces = []
+    for files in SCENE["meshes"]:
+        maps = [at(name) for name in files["maps"]]
+        for path in maps:
+            if not os.access(path, os.R_OK):
+                raise unreadable_map(path)
+        surfaces.append((read_ply(at(files["surface"])), maps))
+    return splats, surfaces, read_motion(folder)
+
+
+def build(files, options):
+    """Makes the collection of what `read_files` has read; returns it."""
+    splats, surfaces, motion = files
     name = SCENE["name"]
     collection = bpy.data.collections.new(name)
     bpy.context.scene.collection.children.link(collection)
@@ -22,19 +37,18 @@ def build(folder, options):
     root["centaur"] = json.dumps({"scene": name, "construction": options.construction, "decode": decode, "near": SCENE["composition"]["near"],
                                   "low_pass": SCENE["composition"]["lowPass"],
                                   "sh_direction": options.sh_direction, "triangles": options.triangles})
-    if SCENE["splats"]:
-        splats = read_splats(os.path.join(folder, SCENE["splats"]))
+    if splats is not None:
         warn_of_size(len(splats), options.construction)
         carrier(collection, root, splats)
-    for index, files in enumerate(SCENE["meshes"]):
-        add_mesh(collection, root, folder, f"{name} mesh {index}", files, decode)["index"] = index
+    for index, (tables, maps) in enumerate(surfaces):
+        add_mesh(collection, root, f"{name} mesh {index}", tables, maps, decode)["index"] = index
     for index, camera in enumerate(SCENE["cameras"]):
         add_camera(collection, root, camera)["index"] = index
     has_path = bool(options.path) and len(SCENE["cameras"]) > 1
     if has_path:
         add_path(collection, root, options.path)
-    if SCENE["motion"]:
-        add_motion(collection, root, read_motion(folder), has_path)
+    if motion is not None:
+        add_motion(collection, root, motion, has_path)
     return collection
 
 
@@ -123,9 +137,11 @@ def carried(mesh):
                   np.stack(sh, 1))
 
 
-def add_mesh(collection, root, folder, name, files, decode):
-    path = os.path.join(folder, files["surface"])
-    tables = read_ply(path)
+def unreadable_map(path):
+    return ScriptError(f"{path}: cannot read; it lies beside the script where `centaur convert` wrote it")
+
+
+def add_mesh(collection, root, name, tables, paths, decode):
     vertices, corners = tables["vertex"], tables["face"]["vertex_indices"]
     mesh = bpy.data.meshes.new(name)
     points = np.stack([vertices[c] for c in "xyz"], 1).astype(np.float64)
@@ -137,11 +153,11 @@ def add_mesh(collection, root, folder, name, files, decode):
         mesh.attributes.new(label, "FLOAT_VECTOR", "FACE")
     set_planes(mesh, points)
     maps = []
-    for file in files["maps"]:
+    for path in paths:
         try:
-            image = bpy.data.images.load(os.path.join(folder, file))
+            image = bpy.data.images.load(path)
         except RuntimeError:
-            raise ScriptError(f"{os.path.join(folder, file)}: cannot read; it lies beside the script where `centaur convert` wrote it")
+            raise unreadable_map(path)
         maps.append(mip_levels(image, "RGB" if maps else "RGBA"))
     mesh.materials.append(mesh_material(name, maps, decode, SCENE["composition"]["near"]))
     thing = attach(collection, root, name, mesh)

@@ -8,7 +8,7 @@ what the optimiser saw. Runs in Blender's text editor (open it, press Run), with
 
 In a .blend of yours the scene that is open gets a collection more, and its engine, resolution, view transform, exposure, world,
 compositor, sequencer, stereo and what its view layers override are set for it. Run again, the script replaces what it has
-built; a file takes one such scene.
+built, unless a file beside it is missing; a file takes one such scene.
 
 constructions of splats:
   ewa    the raster model, which scenes are trained with: a quad per splat at its depth. Exact for the active camera.
@@ -21,9 +21,9 @@ What the scene's animations move is moved: bones of an armature, shape keys, obj
 splats that are bound to triangles follow them as `ewa` and `cap` follow the camera.
 
 When the camera moves, `ewa` and `cap` have to be built again. That happens at every change of the frame and before every
-render, by the text `centaur.py` that is stored in a saved .blend; Blender runs it when it opens the file if "Auto Run
-Python Scripts" is on in its preferences, else press Run in the text editor. In between, the viewport shows the splats
-for the camera that they were built for.
+render, by the text `centaur.py` that is stored in a saved .blend and does nothing else; Blender runs it when it opens the
+file if "Auto Run Python Scripts" is on in its preferences, else press Run in the text editor. In between, the viewport
+shows the splats for the camera that they were built for.
 
 spaces:
   blending  values are blended as the optimiser did, sRGB-encoded for most scenes; exact. The view transform is Raw, and
@@ -49,8 +49,8 @@ def parse(arguments):
     add = parser.add_argument
     add("--save", metavar="FILE.blend", help="save the scene, maps packed into it")
     add("--render", metavar="FILE.exr|png", help="render; .exr holds 32-bit floats, premultiplied, without the background, in "
-        "the space of --space; .png the picture on the background in sRGB")
-    add("--camera", default="0", metavar="N|NAME|all|path", help="the active camera: its number, from 0, or its name in the scene; "
+        "the space of --space; .png the picture on the background in sRGB; its folder is made if one alone is missing")
+    add("--camera", default="0", metavar="NAME|N|all|path", help="the active camera: its name in the scene, or its number, from 0; "
         "`all` renders each, to FILE_000.exr and so on; `path` each frame of --path")
     add("--construction", choices=("cap", "ewa", "shell"), default="ewa", help="of splats, see above (default: ewa)")
     add("--space", choices=("blending", "linear"), default="blending", help="see above (default: blending)")
@@ -84,29 +84,30 @@ def say(text):
     print(f"{SCENE['name']}.blend.py: {text}", file=sys.stderr)
 
 
+def own_text():
+    """The text that is run in the text editor, where `__file__` is that of the .blend and the text's name; None where a file is run."""
+    path = globals().get("__file__", "")
+    return None if os.path.isfile(path) else bpy.data.texts.get(os.path.basename(path))
+
+
 def home():
     """The folder of this script and of the files beside it."""
-    candidates = [globals().get("__file__", "")]
-    candidates += [bpy.path.abspath(text.filepath) for text in bpy.data.texts if text.filepath]  # run in the text editor
-    for candidate in candidates:
-        if candidate and os.path.isfile(candidate):
-            folder = os.path.dirname(os.path.abspath(candidate))
-            named = [SCENE["splats"]] if SCENE["splats"] else [m["surface"] for m in SCENE["meshes"]]
-            if all(os.path.isfile(os.path.join(folder, name)) for name in named):
-                return folder
-    return os.path.dirname(os.path.abspath(candidates[0])) if candidates[0] else os.getcwd()
+    texts = [own_text(), *bpy.data.texts]  # run in the text editor
+    paths = [globals().get("__file__", ""), *(bpy.path.abspath(text.filepath) for text in texts if text is not None and text.filepath)]
+    folders = [os.path.dirname(os.path.abspath(path)) for path in paths if os.path.isfile(path)] or [os.getcwd()]
+    named = [SCENE["splats"]] if SCENE["splats"] else [m["surface"] for m in SCENE["meshes"]]
+    return next((f for f in folders if all(os.path.isfile(os.path.join(f, name)) for name in named)), folders[0])
 
 
 def source():
-    """The text of this script."""
-    path = globals().get("__file__", "")
-    if os.path.isfile(path):
-        with open(path, encoding="utf-8") as file:
-            return file.read()
-    for text in bpy.data.texts:
-        if "def find_root" in text.as_string():
-            return text.as_string()
-    return ""
+    """The text of this script; None where it is neither a file nor a text, as in Python's console."""
+    text, path = own_text(), globals().get("__file__", "")
+    if text is not None:
+        return text.as_string()
+    if not os.path.isfile(path):
+        return None
+    with open(path, encoding="utf-8") as file:
+        return file.read()
 
 
 def on_frame(scene, depsgraph=None):
@@ -130,21 +131,39 @@ def listen(is_on=True):
             handlers.append(bpy.app.handlers.persistent(function))
 
 
+STORED = "CENTAUR_STORED = True  # builds nothing\n"  # what the stored text begins with
+
+
 def keep_script():
     """Stores this script in the file, to be run when it is opened."""
+    script = source()
+    if script is None:
+        say("the file will not build its splats again when it is opened: this script is neither a file nor a text")
+        return
     text = bpy.data.texts.get("centaur.py") or bpy.data.texts.new("centaur.py")
-    text.from_string(source())
+    text.from_string(STORED + script)
     text.use_module = True
 
 
-def writable(path):
+def writable(path, makes_folder=False):
     folder = os.path.dirname(os.path.abspath(path))
+    if makes_folder and not os.path.lexists(folder) and os.path.isdir(os.path.dirname(folder)):
+        folder = os.path.dirname(folder)
     if not os.path.isdir(folder):
         raise ScriptError(f"{path}: cannot write: {folder} is no folder")
     if os.path.isdir(path):
         raise ScriptError(f"{path}: cannot write: a folder of this name exists")
     if not os.access(folder, os.W_OK):
         raise ScriptError(f"{path}: cannot write: {folder} is not writable")
+
+
+def make_folder(path):
+    """The folder of a picture, where `writable` has let it be missing."""
+    folder = os.path.dirname(os.path.abspath(path))
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError as error:
+        raise ScriptError(f"{path}: cannot write: cannot make {folder} ({error.strerror})")
 
 
 def overview(root):
@@ -159,8 +178,10 @@ def overview(root):
 
 def check(options):
     """Refuses what cannot be done, before anything is."""
-    for path in filter(None, (options.save, options.render)):
-        writable(path)
+    if options.save:
+        writable(options.save)
+    if options.render:
+        writable(options.render, makes_folder=True)
     count = len(SCENE["cameras"])
     if options.path and options.path * (count - 1) >= LAST_FRAME:
         raise ScriptError(f"--path: expected at most {LAST_FRAME} frames through {count} cameras, found {options.path} from one to the next")
@@ -196,14 +217,11 @@ def is_path(options):
 
 
 def camera_index(text):
-    """Index of the camera of this number, or else of this name; of several the first. None if there is none."""
+    """Index of the camera of this name, of several the first, or else of this number, as in hybrid_rf.py. None if there is none."""
     names = [camera["name"] for camera in SCENE["cameras"]]
-    number = int(text) if is_number(text) else len(names)
-    if number < len(names) and text == str(number):
-        return number
     if text in names:
         return names.index(text)
-    return number if number < len(names) else None
+    return int(text) if is_number(text) and int(text) < len(names) else None
 
 
 def chosen(options, root):
@@ -232,8 +250,13 @@ def run(options):
     check(options)
     if bpy.app.background and not bpy.data.filepath:
         bpy.ops.wm.read_factory_settings(use_empty=True)
+    files = read_files(home())
     remove_former()
-    build(home(), options)
+    try:
+        build(files, options)
+    except BaseException:
+        remove_former()
+        raise
     root, settings = find_root()
     settle(settings["decode"])
     cameras = chosen(options, root)
@@ -246,8 +269,8 @@ def run(options):
     keep_script()
     if options.save:
         # No .blend1 beside it; the preference is the user's.
-        files = bpy.context.preferences.filepaths
-        versions, files.save_version = files.save_version, 0
+        paths = bpy.context.preferences.filepaths
+        versions, paths.save_version = paths.save_version, 0
         try:
             with quiet():
                 bpy.ops.file.pack_all()
@@ -255,11 +278,16 @@ def run(options):
         except RuntimeError as error:
             raise ScriptError(f"{options.save}: cannot write ({str(error).strip()})")
         finally:
-            files.save_version = versions
+            paths.save_version = versions
     if not options.render:
         return
     stem, extension = os.path.splitext(options.render)
-    save = lambda path: write_picture(path, render_picture(options.layers), settings["decode"])
+
+    def save(path):
+        picture = render_picture(options.layers)
+        make_folder(path)
+        write_picture(path, picture, settings["decode"])
+
     if is_path(options) or options.frame == "all":
         moves = SCENE["motion"] or is_path(options)
         for frame in range(scene.frame_start, scene.frame_end + 1) if moves else [1]:
@@ -275,8 +303,8 @@ def run(options):
 
 
 def main():
-    if bpy is not None and not os.path.isfile(globals().get("__file__", "")) and is_built():
-        on_frame(bpy.context.scene)  # the text in a .blend: on opening it, or by Run
+    if bpy is not None and "CENTAUR_STORED" in globals():
+        on_frame(bpy.context.scene)  # the text in a .blend: on opening it, whatever scene is active, or by Run
         listen()
         return
     if bpy is not None and bpy.app.binary_path:

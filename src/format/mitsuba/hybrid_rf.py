@@ -1,6 +1,6 @@
 """Renders what `centaur convert SCENE scene.xml` wrote, in Mitsuba 3 (3.9 or later).
 
-    python3 hybrid_rf.py scene.xml -o picture.exr [--camera 0|NAME] [--output linear|blending] [--sh-direction mean|ray]
+    python3 hybrid_rf.py scene.xml -o picture.exr [--camera NAME|0] [--output linear|blending] [--sh-direction mean|ray]
 
 or, in a program of one's own, once a variant is set (`llvm_ad_rgb` or `cuda_ad_rgb`):
 
@@ -30,14 +30,27 @@ import sys
 from pathlib import Path
 
 
-def find_llvm():
+LLVM_FOLDERS = ['/usr/lib', '/usr/lib64', '/usr/local/lib', '/opt/homebrew/opt', '/usr/local/opt']
+
+
+def is_as_wide(path):
+    """Whether a library is of this Python's width, as those of 32 bits, which may stand first, are not. macOS has no others."""
+    if sys.platform == 'darwin':
+        return True
+    try:
+        with open(path, 'rb') as file:
+            return file.read(5) == b'\x7fELF' + (b'\2' if sys.maxsize > 2**32 else b'\1')
+    except OSError:
+        return False
+
+
+def find_llvm(folders=LLVM_FOLDERS):
     """Dr.Jit takes the first LLVM that it finds, and dies of those before 17 on some machines. 19 is the one tested."""
-    folders = ['/usr/lib', '/usr/lib64', '/usr/local/lib', '/opt/homebrew/opt', '/usr/local/opt']
     patterns = ['libLLVM*.so*', '*/libLLVM*.so*', 'llvm*/lib/libLLVM*.so*', 'llvm*/lib/libLLVM.dylib']
     found = {}
     for path in (p for folder in folders for pattern in patterns for p in Path(folder).glob(pattern)):
         version = re.search(r'LLVM(?:-|\.so\.)(\d+)', path.name) or re.search(r'llvm[@-]?(\d+)', str(path))
-        if version and int(version[1]) >= 17:
+        if version and int(version[1]) >= 17 and is_as_wide(path):
             found.setdefault(int(version[1]), str(path))
     return found[min(found, key=lambda version: abs(version - 19))] if found else None
 
@@ -52,8 +65,22 @@ try:
 except ImportError as error:
     sys.exit(f'hybrid_rf.py: {error}; install it with: pip install mitsuba==3.9.1 numpy')
 
+
+def find_variant():
+    """LLVM if it is one of those that `find_llvm` or the user chose, else CUDA, else the LLVM that Dr.Jit finds, which may be an old
+    one; None where there is nothing. On Windows and macOS any LLVM comes before CUDA."""
+    if 'DRJIT_LIBLLVM_PATH' in os.environ:
+        return 'llvm_ad_rgb'
+    backends = [('cuda_ad_rgb', dr.JitBackend.CUDA), ('llvm_ad_rgb', dr.JitBackend.LLVM)]
+    if sys.platform in ('win32', 'darwin'):
+        backends.reverse()
+    return next((variant for variant, backend in backends if dr.has_backend(backend)), None)
+
+
 if mi.variant() is None:
-    mi.set_variant('llvm_ad_rgb')
+    if (variant := find_variant()) is None:
+        sys.exit('hybrid_rf.py: needs LLVM (apt install libllvm19; elsewhere its library in DRJIT_LIBLLVM_PATH) or an NVIDIA GPU')
+    mi.set_variant(variant)
 
 # Largest opacity of a splat and of a surface, and the least that a splat contributes with.
 MAX_SPLAT_ALPHA, MAX_SURFACE_ALPHA, MIN_SPLAT_ALPHA = 0.99, 1 - 1e-4, 1 / 255
