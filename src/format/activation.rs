@@ -19,6 +19,12 @@ pub(super) fn logit(opacity: f32) -> (f32, bool) {
     ((clamped / (1.0 - clamped)).ln() as f32, clamped != f64::from(opacity))
 }
 
+/// As [`logit`], of a texel of a map, between ±16.6. Maps are filtered and averaged as logits: were the least further from 0 than the largest,
+/// one clear texel would outweigh the opaque ones around it. A bound nearer to 0 would leave colour in what is clear: σ(−16.6) is 6e-8.
+pub(super) fn map_logit(opacity: f32) -> f32 {
+    logit(opacity.clamp(f32::EPSILON / 2.0, 1.0)).0
+}
+
 /// `e^s`, kept off 0 and infinity.
 pub(super) fn scale(log_scale: f32) -> f32 {
     let [low, high] = SCALE_RANGE;
@@ -53,5 +59,12 @@ mod tests {
             assert!(l.is_finite() && clamped, "{x}");
         }
         assert!(log_scale(0.0).1 && logit(f32::NAN).0.is_nan());
+    }
+
+    #[test]
+    fn in_maps_clear_weighs_as_much_as_opaque() {
+        assert_eq!((map_logit(1.0), map_logit(0.0)), (logit(1.0).0, -logit(1.0).0));
+        assert_eq!((map_logit(0.3), map_logit(-1.0)), (logit(0.3).0, map_logit(0.0)));
+        assert!(map_logit(f32::NAN).is_nan());
     }
 }

@@ -440,13 +440,182 @@ fn pictures_of_the_core_that_cannot_be_had_are_left_out() {
 #[test]
 fn what_leaves_the_base_colour_alone_may_be_required() {
     let (b, attributes) = triangle();
+    let unshown = [
+        "KHR_materials_clearcoat",
+        "KHR_lights_punctual",
+        "KHR_materials_variants",
+        "KHR_animation_pointer",
+        "KHR_xmp_json_ld",
+        "EXT_mesh_features",
+        "EXT_structural_metadata",
+    ];
+    let read = |required: &[&str]| {
+        let document = json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes }] }], "extensionsRequired": required,
+        });
+        b.read(document).unwrap().notes
+    };
+    let said = unshown.map(|name| format!("/extensionsRequired: {name} is not shown"));
+    assert_eq!(read(&unshown)[..unshown.len()], said);
+    // These are shown.
+    assert_eq!(read(&["KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness"]), read(&[]));
+}
+
+/// A PNG whose texel (x, y) is this.
+fn png_of(width: u32, height: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<u8> {
+    let mut png = std::io::Cursor::new(vec![]);
+    ::image::RgbaImage::from_fn(width, height, |x, y| ::image::Rgba(texel(x, y)))
+        .write_to(&mut png, ::image::ImageFormat::Png)
+        .unwrap();
+    png.into_inner()
+}
+
+/// Primitives of a material whose texture 0 is the picture in a buffer view, read by a sampler.
+fn pictured(b: &Builder, view: usize, primitives: &[Value], material: &Value, sampler: &Value) -> SceneFile {
     let file = b.read(json!({
-        "meshes": [{ "primitives": [{ "attributes": attributes }] }],
-        "extensionsRequired": ["KHR_materials_clearcoat", "KHR_lights_punctual"],
+        "meshes": [{ "primitives": primitives }], "materials": [material], "samplers": [sampler],
+        "textures": [{ "source": 0, "sampler": 0 }], "images": [{ "bufferView": view, "mimeType": "image/png" }],
     }));
-    let said =
-        ["KHR_materials_clearcoat", "KHR_lights_punctual"].map(|e| format!("/extensionsRequired: {e} is not shown"));
-    assert_eq!(file.unwrap().notes[..2], said);
+    file.unwrap()
+}
+
+/// As mips and the filter make it.
+#[test]
+fn a_clear_texel_does_not_erase_three_opaque_ones() {
+    let mean = |file: SceneFile| {
+        let texels = file.scene.meshes[0].atlas().base().texels();
+        assert_eq!(texels.len(), 16);
+        activation::opacity(texels.iter().skip(3).step_by(4).sum::<f32>() / 4.0)
+    };
+    let (mut b, attributes) = triangle();
+    let view = b.view(&png_of(2, 2, |x, y| [255, 255, 255, if x + y == 0 { 0 } else { 255 }]));
+    let primitive = json!({ "attributes": attributes, "material": 0 });
+    for mode in ["MASK", "BLEND"] {
+        let material = json!({ "alphaMode": mode, "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } } });
+        let found = mean(pictured(&b, view, std::slice::from_ref(&primitive), &material, &json!({})));
+        assert!(found >= 0.5, "{mode}: {found}");
+    }
+    let (opacity, colour) = (b.floats(&[[0.0f32], [1.0], [1.0], [1.0]]), b.floats(&[[0.1f32, 0.2, 0.3]; 4]));
+    let of = |accessor: usize| json!({ "accessor": accessor, "width": 2, "height": 2 });
+    let radiance = json!({
+        "colorSpace": "srgb_rec709_display", "opacity": of(opacity),
+        "sphericalHarmonics": { "degree": 0, "coefficients": [of(colour)] },
+    });
+    let material = json!({ "extensions": { HYBRID: radiance } });
+    let found = mean(pictured(&b, view, &[primitive], &material, &json!({})));
+    assert!(found >= 0.5, "of the extension: {found}");
+}
+
+/// As files from before the core had settled its materials have it.
+#[test]
+fn diffuse_colours_take_the_place_of_base_colours() {
+    let (mut b, mut attributes) = triangle();
+    attributes["TEXCOORD_1"] = json!(b.floats(&UVS.map(|uv| uv.map(|v| v / 2.0))));
+    let view = b.view(&png_of(2, 1, |_, _| [255, 51, 0, 128]));
+    let primitives = [json!({ "attributes": attributes, "material": 0 })];
+    let read = |specular_glossiness: Value, emissive: Value| {
+        let material = json!({
+            "alphaMode": "BLEND", "doubleSided": true, "emissiveFactor": emissive, "emissiveTexture": { "index": 0 },
+            "extensions": { "KHR_materials_pbrSpecularGlossiness": specular_glossiness },
+        });
+        let clamped = json!({ "wrapS": 33071, "wrapT": 33071 });
+        let file = pictured(&b, view, &primitives, &material, &clamped);
+        let colour = shown(&file.scene.meshes[0], 0);
+        (colour, file.scene.meshes[0].corner_uvs()[0], file.notes)
+    };
+    let texture = |index: usize| {
+        let transform = json!({ "offset": [0.25, 0] });
+        json!({ "index": index, "texCoord": 1, "extensions": { "KHR_texture_transform": transform } })
+    };
+    let both = json!({ "diffuseFactor": [0.5, 1, 1, 0.5], "diffuseTexture": texture(0), "glossinessFactor": 0 });
+    let (colour, uvs, notes) = read(both, json!([1, 1, 1]));
+    // Half the light is 0.735 in sRGB.
+    near(&colour, &[0.735_357, 0.2, 0.0, 64.0 / 255.0], 1e-5);
+    assert_eq!(uvs, UVS.map(|uv| Vec2::from(uv) / 2.0 + Vec2::new(0.25, 0.0)));
+    assert_eq!(notes, ["/materials/0: shown by its diffuse colour alone, unlit"]);
+    // What has no picture of its own, or is black, is shown by what it emits.
+    let (colour, _, notes) = read(json!({ "diffuseFactor": [1, 1, 1, 0.25] }), json!([0.5, 1, 1]));
+    near(&colour, &[0.735_357, 0.2, 0.0, 0.25], 1e-5);
+    assert_eq!(notes, ["/materials/0: shown by its emission alone, unlit"]);
+    // A texture that is not there.
+    let (colour, _, notes) =
+        read(json!({ "diffuseFactor": [1, 0, 0, 1], "diffuseTexture": texture(7) }), json!([0, 0, 0]));
+    near(&colour, &[1.0, 0.0, 0.0, 1.0], 1e-5);
+    let said = "/materials/0/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture is left out: /textures/7: ";
+    assert!(notes[1].starts_with(said), "{notes:?}");
+}
+
+#[test]
+fn what_repeats_too_often_repeats_at_a_lower_resolution() {
+    let (mut b, attributes) = triangle();
+    let view = b.view(&png_of(4, 2, |x, y| if x < 2 { [(100 * y) as u8, 0, 0, 255] } else { [0, 0, 200, 255] }));
+    // 20,000 texels side by side are more than a texture may have.
+    let transform = json!({ "KHR_texture_transform": { "scale": [5000, 1] } });
+    let material = json!({
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "extensions": transform } },
+        "extensions": { "KHR_materials_unlit": {} },
+    });
+    let file = pictured(&b, view, &[json!({ "attributes": attributes, "material": 0 })], &material, &json!({}));
+    let said = "/materials/0: a texture that repeats too often is repeated at a lower resolution, 2×1";
+    assert_eq!(file.notes, [said]);
+    let mesh = &file.scene.meshes[0];
+    assert_eq!((mesh.atlas().base().width(), mesh.atlas().base().height()), (10_000, 1));
+    for tile in [0, 1, 4999] {
+        near(&shown(mesh, 2 * tile), &[50.0 / 255.0, 0.0, 0.0, 1.0], 1e-5);
+        near(&shown(mesh, 2 * tile + 1), &[0.0, 0.0, 200.0 / 255.0, 1.0], 1e-5);
+    }
+    near(mesh.corner_uvs()[0].map(|uv| uv.to_array()).as_flattened(), UVS.as_flattened(), 1e-6);
+}
+
+#[test]
+fn one_colour_of_all_vertices_is_a_factor_of_a_texture() {
+    let (mut b, attributes) = triangle();
+    let view = b.view(&png_of(2, 1, |x, _| [255, 51, 0, if x == 0 { 128 } else { 0 }]));
+    let mut primitive = |colours: [[f32; 4]; 3]| {
+        let mut attributes = attributes.clone();
+        attributes["COLOR_0"] = json!(b.floats(&colours));
+        json!({ "attributes": attributes, "material": 0 })
+    };
+    let [tinted, white] = [[0.5, 1.0, 1.0, 0.5], [1.0; 4]].map(|colour| primitive([colour; 3]));
+    let varied = primitive([[1.0; 4], [1.0; 4], [0.0; 4]]);
+    let material = json!({
+        "alphaMode": "BLEND", "doubleSided": true, "extensions": { "KHR_materials_unlit": {} },
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } },
+    });
+    let file = pictured(&b, view, &[tinted.clone(), white, tinted], &material, &json!({}));
+    assert!(file.notes.is_empty(), "{:?}", file.notes);
+    // Those of one colour are one mesh.
+    let [tinted, plain] = &file.scene.meshes[..] else { panic!("{}", file.scene.meshes.len()) };
+    assert_eq!([tinted, plain].map(|mesh| mesh.triangles().len()), [2, 1]);
+    // Half the light is 0.735 in sRGB.
+    near(&shown(tinted, 0), &[0.735_357, 0.2, 0.0, 64.0 / 255.0], 1e-5);
+    near(&shown(tinted, 1), &[0.735_357, 0.2, 0.0, 0.0], 1e-5);
+    near(&shown(plain, 0), &[1.0, 0.2, 0.0, 128.0 / 255.0], 1e-5);
+    let file = pictured(&b, view, &[varied], &material, &json!({}));
+    assert_eq!(file.notes, ["/nodes/0: colours of vertices beside a texture are left out, as they differ"]);
+    near(&shown(&file.scene.meshes[0], 0), &[1.0, 0.2, 0.0, 128.0 / 255.0], 1e-5);
+}
+
+#[test]
+fn samplers_of_sharp_texels_are_noted() {
+    let (mut b, attributes) = triangle();
+    let view = b.view(&png_of(2, 2, |x, y| [(255 * x) as u8, (255 * y) as u8, 0, 255]));
+    let primitives = [json!({ "attributes": attributes, "material": 0 })];
+    let unlit = json!({
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } }, "extensions": { "KHR_materials_unlit": {} },
+    });
+    let note = "/textures/0: its sampler's NEAREST is read as linear filtering";
+    assert_eq!(pictured(&b, view, &primitives, &unlit, &json!({ "magFilter": 9728 })).notes, [note]);
+    for linear in [json!({}), json!({ "magFilter": 9729, "minFilter": 9984 })] {
+        assert!(pictured(&b, view, &primitives, &unlit, &linear).notes.is_empty());
+    }
+    // What it emits and what covers it are one picture.
+    let glowing = json!({
+        "alphaMode": "BLEND", "doubleSided": true, "emissiveFactor": [1, 1, 1], "emissiveTexture": { "index": 0 },
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "baseColorFactor": [0, 0, 0, 1] },
+    });
+    let notes = pictured(&b, view, &primitives, &glowing, &json!({ "magFilter": 9728 })).notes;
+    assert_eq!(notes, ["/materials/0: shown by its emission alone, unlit", note]);
 }
 
 #[test]

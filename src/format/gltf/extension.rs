@@ -14,6 +14,8 @@ pub(crate) const HYBRID: &str = "EXT_gaussian_splatting_hybrid";
 /// Core fallback of the mesh material.
 pub(crate) const UNLIT: &str = "KHR_materials_unlit";
 pub(super) const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
+/// A base colour by another name, of files from before the core's was settled. Archived by Khronos.
+pub(super) const SPECULAR_GLOSSINESS: &str = "KHR_materials_pbrSpecularGlossiness";
 /// Splats compressed by SPZ, within the object of [`KHR_SPLATS`]. A draft of Khronos.
 pub(crate) const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
 /// Scaled, turned and shifted texture coordinates.
@@ -68,6 +70,19 @@ pub(crate) struct Khr {
 #[serde(rename_all = "camelCase")]
 pub(crate) struct Spz {
     pub(crate) buffer_view: usize,
+}
+
+/// What is shown of `material.extensions.KHR_materials_pbrSpecularGlossiness`.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SpecularGlossiness {
+    #[serde(default = "white")]
+    pub(super) diffuse_factor: [f32; 4],
+    pub(super) diffuse_texture: Option<TextureRef>,
+}
+
+fn white() -> [f32; 4] {
+    [1.0; 4]
 }
 
 /// `textureInfo.extensions.KHR_texture_transform`.

@@ -14,7 +14,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use serde_json::{Value, json};
 
 use super::buffer::{Buffer, Input};
-use super::extension::{HYBRID, KHR_SPLATS, SPZ, TEXTURE_TRANSFORM, UNLIT, VISIBILITY, WEBP};
+use super::extension::{
+    EMISSIVE_STRENGTH, HYBRID, KHR_SPLATS, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, VISIBILITY, WEBP,
+};
 use super::uri::open_once;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
@@ -71,11 +73,13 @@ const ALWAYS: u64 = 1 << 30;
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
 
 /// Extensions without which a file cannot be understood, and which are understood here.
-const UNDERSTOOD: [&str; 10] = [
+const UNDERSTOOD: [&str; 12] = [
     KHR_SPLATS,
     HYBRID,
     SPZ,
     UNLIT,
+    EMISSIVE_STRENGTH,
+    SPECULAR_GLOSSINESS,
     TEXTURE_TRANSFORM,
     WEBP,
     meshopt::NAMES[0],
@@ -86,7 +90,10 @@ const UNDERSTOOD: [&str; 10] = [
 ];
 
 /// Extensions that leave the base colour alone, which is what is shown: files that require them are read without, with a note.
-const UNSHOWN: [&str; 8] = [
+const UNSHOWN: [&str; 13] = [
+    "EXT_mesh_features",
+    "EXT_structural_metadata",
+    "KHR_animation_pointer",
     "KHR_lights_punctual",
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
@@ -95,6 +102,8 @@ const UNSHOWN: [&str; 8] = [
     "KHR_materials_iridescence",
     "KHR_materials_sheen",
     "KHR_materials_specular",
+    "KHR_materials_variants",
+    "KHR_xmp_json_ld",
 ];
 
 /// What is expected in the place of an extension that a file requires; `None` if it can be read with that.

@@ -1,9 +1,11 @@
 //! Materials to maps: exact ones from `EXT_gaussian_splatting_hybrid`, else the base colour.
 
 use gltf::material::AlphaMode;
+use gltf::texture::MagFilter;
 
 use super::extension::{
-    EMISSIVE_STRENGTH, HYBRID, Radiance, ShField, TEXTURE_TRANSFORM, TexelSource, UNLIT, parse_color_space,
+    EMISSIVE_STRENGTH, HYBRID, Radiance, SPECULAR_GLOSSINESS, ShField, SpecularGlossiness, TEXTURE_TRANSFORM,
+    TexelSource, UNLIT, parse_color_space,
 };
 use super::image::Texels;
 use super::lift::Asset;
@@ -42,7 +44,7 @@ impl BaseColour {
             Some(cutoff) => f32::from(alpha >= cutoff),
         };
         let [r, g, b] = sh::dc_from_rgb(self.space.from_linear(linear));
-        [r, g, b, activation::logit(alpha).0]
+        [r, g, b, activation::map_logit(alpha)]
     }
 }
 
@@ -54,7 +56,7 @@ pub(super) fn maps(
     budget: &mut MapBudget,
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
-    let at = material.index().map_or("the default material".to_owned(), |i| format!("/materials/{i}"));
+    let at = place_of(material);
     if let Some(value) = material.extension_value(HYBRID) {
         let at = format!("{at}/extensions/{HYBRID}");
         let radiance: Radiance = from_value(value, &at, &format!("a material of {HYBRID}"))?;
@@ -72,7 +74,23 @@ pub(super) fn maps(
             notes.push(format!("{at}/opacity: not read without sphericalHarmonics; the core material's is taken"));
         }
     }
-    base_colour(asset, material, space, &at, budget, notes)
+    base_colour(asset, material, (space, [1.0; 4]), budget, notes)
+}
+
+/// The map of a core material whose vertices all have one colour, where that is a factor: what [`Maps::base`] says.
+pub(super) fn tinted(
+    asset: &Asset,
+    material: &gltf::Material<'_>,
+    shown: (ColorSpace, [f32; 4]),
+    budget: &mut MapBudget,
+) -> Result<Atlas, Fault> {
+    // What there is to say has been said of the maps without it.
+    base_colour(asset, material, shown, budget, &mut vec![]).map(|maps| maps.atlas)
+}
+
+/// Where a material stands, as it is said.
+fn place_of(material: &gltf::Material<'_>) -> String {
+    material.index().map_or("the default material".to_owned(), |i| format!("/materials/{i}"))
 }
 
 /// A choice of a material that is not known here, and where it is made: its maps would show something else.
@@ -152,7 +170,7 @@ fn exact(
         borders_differ |= coordinates.check(&field.source, &at)?;
         let mut logits = plane::<1>(asset, &field.source, &at, budget)?;
         if field.activation != "logistic" {
-            logits.values.iter_mut().for_each(|v| v[0] = activation::logit(v[0]).0);
+            logits.values.iter_mut().for_each(|v| v[0] = activation::map_logit(v[0]));
         }
         if (logits.width, logits.height) != (dc.width, dc.height) {
             let found = format!("{}×{}", logits.width, logits.height);
@@ -235,14 +253,56 @@ fn plane<const N: usize>(
     Ok(plane)
 }
 
+/// What a core material has as its base colour.
+struct Base {
+    /// What it is called.
+    name: &'static str,
+    factor: [f32; 4],
+    picture: Option<Picture>,
+}
+
+/// A reference to a picture: where it stands, the index of its texture, how that lies.
+struct Picture {
+    at: String,
+    texture: usize,
+    uv: UvMap,
+}
+
+impl Picture {
+    /// That of a core material.
+    fn of(info: Option<gltf::texture::Info<'_>>, at: String) -> Result<Option<Self>, Fault> {
+        let Some(info) = info else { return Ok(None) };
+        Ok(Some(Self { texture: info.texture().index(), uv: UvMap::of(&info, &at)?, at }))
+    }
+}
+
+impl Base {
+    /// The diffuse colour of `KHR_materials_pbrSpecularGlossiness`, or what the core has.
+    fn of(document: &gltf::Document, material: &gltf::Material<'_>) -> Result<Self, Fault> {
+        let at = place_of(material);
+        let Some(value) = material.extension_value(SPECULAR_GLOSSINESS) else {
+            let pbr = material.pbr_metallic_roughness();
+            let picture = Picture::of(pbr.base_color_texture(), format!("{at}/pbrMetallicRoughness/baseColorTexture"))?;
+            return Ok(Self { name: "base colour", factor: pbr.base_color_factor(), picture });
+        };
+        let at = format!("{at}/extensions/{SPECULAR_GLOSSINESS}");
+        let extension: SpecularGlossiness = from_value(value, &at, &format!("an object of {SPECULAR_GLOSSINESS}"))?;
+        let picture = extension.diffuse_texture.map(|texture| -> Result<Picture, Fault> {
+            let at = format!("{at}/diffuseTexture");
+            let uv = UvMap::of_texture(document, &texture, &at)?;
+            Ok(Picture { at, texture: texture.index, uv })
+        });
+        Ok(Self { name: "diffuse colour", factor: extension.diffuse_factor, picture: picture.transpose()? })
+    }
+}
+
 /// What a core material emits, in linear light, where that is what it shows: its base colour is black, or no picture and emission is one.
 /// `None`: its base colour is shown.
-fn emission(material: &gltf::Material<'_>) -> Option<[f32; 3]> {
-    let pbr = material.pbr_metallic_roughness();
+fn emission(material: &gltf::Material<'_>, base: &Base) -> Option<[f32; 3]> {
     let strength = material.extension_value(EMISSIVE_STRENGTH).and_then(|e| e.get("emissiveStrength")?.as_f64());
     let light = material.emissive_factor().map(|v| v * strength.unwrap_or(1.0) as f32);
-    let is_black = pbr.base_color_factor()[..3].iter().all(|&v| v == 0.0);
-    let is_only_picture = material.emissive_texture().is_some() && pbr.base_color_texture().is_none();
+    let is_black = base.factor[..3].iter().all(|&v| v == 0.0);
+    let is_only_picture = material.emissive_texture().is_some() && base.picture.is_none();
     let is_lit = material.extension_value(UNLIT).is_none() && light.iter().any(|&v| v > 0.0);
     (is_lit && (is_black || is_only_picture)).then_some(light)
 }
@@ -250,21 +310,23 @@ fn emission(material: &gltf::Material<'_>) -> Option<[f32; 3]> {
 /// A picture, and where it lies.
 type Placed = (Texels, UvMap);
 
-/// The picture of a core texture; `None`, with a note, where it cannot be had: what else there is can be shown without.
-fn placed(
-    asset: &Asset,
-    texture: Option<gltf::texture::Info<'_>>,
-    at: &str,
-    notes: &mut Vec<String>,
-) -> Result<Option<Placed>, Fault> {
-    let Some(info) = texture else { return Ok(None) };
-    let uv = UvMap::of(&info, at)?;
-    match asset.texels(info.texture().index()) {
-        Ok(texels) => Ok(Some((texels, uv))),
+/// The picture of a core material; `None`, with a note, where it cannot be had: what else there is can be shown without.
+fn placed(asset: &Asset, picture: Option<Picture>, notes: &mut Vec<String>) -> Option<Placed> {
+    let Picture { at, texture, uv } = picture?;
+    match asset.texels(texture) {
+        Ok(texels) => {
+            let sampler = asset.document.textures().nth(texture).map(|t| t.sampler());
+            let is_nearest = sampler.and_then(|s| s.mag_filter()) == Some(MagFilter::Nearest);
+            let note = format!("/textures/{texture}: its sampler's NEAREST is read as linear filtering");
+            if is_nearest && texels.rgba.len() > 1 && !notes.contains(&note) {
+                notes.push(note);
+            }
+            Some((texels, uv))
+        }
         Err(fault) => {
             let (location, expected, found) = fault.into_parts();
             notes.push(format!("{at} is left out: {location}expected {expected}, found {found}"));
-            Ok(None)
+            None
         }
     }
 }
@@ -287,36 +349,37 @@ fn covered(light: Option<Placed>, cover: Option<Placed>, at: &str, notes: &mut V
     Some((texels, uv))
 }
 
-/// The core material's base colour, or what it emits, as maps of degree 0.
+/// The core material's base colour, or what it emits, as maps of degree 0 to be blended in this space; times a colour of its vertices, in linear
+/// light.
 fn base_colour(
     asset: &Asset,
     material: &gltf::Material<'_>,
-    space: ColorSpace,
-    at: &str,
+    (space, tint): (ColorSpace, [f32; 4]),
     budget: &mut MapBudget,
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
-    let emission = emission(material);
+    let at = place_of(material);
+    let base = Base::of(&asset.document, material)?;
+    let emission = emission(material, &base);
     // Unlit is what maps are; light and shine they cannot follow.
     if material.extension_value(UNLIT).is_none() {
-        let what = if emission.is_some() { "emission" } else { "base colour" };
+        let what = if emission.is_some() { "emission" } else { base.name };
         notes.push(format!("{at}: shown by its {what} alone, unlit"));
     }
-    let pbr = material.pbr_metallic_roughness();
-    let at_own = format!("{at}/pbrMetallicRoughness/baseColorTexture");
-    let own = placed(asset, pbr.base_color_texture(), &at_own, notes)?;
+    let [r, g, b, alpha] = base.factor;
     let picture = match emission {
-        None => own,
+        None => placed(asset, base.picture, notes),
         Some(_) => {
-            let cover = own.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
-            let light = placed(asset, material.emissive_texture(), &format!("{at}/emissiveTexture"), notes)?;
-            covered(light, cover, at, notes)
+            let cover = base.picture.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
+            let cover = placed(asset, cover, notes);
+            let light = Picture::of(material.emissive_texture(), format!("{at}/emissiveTexture"))?;
+            covered(placed(asset, light, notes), cover, &at, notes)
         }
     };
-    let [r, g, b, alpha] = pbr.base_color_factor();
     let [r, g, b] = emission.unwrap_or([r, g, b]);
+    let factor = [r, g, b, alpha];
     let base = BaseColour {
-        factor: [r, g, b, alpha],
+        factor: std::array::from_fn(|c| factor[c] * tint[c]),
         cutoff: match material.alpha_mode() {
             AlphaMode::Opaque => None,
             AlphaMode::Blend => Some(0.0),
@@ -332,7 +395,7 @@ fn base_colour(
         let white = Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) };
         (white, UvMap::plain(0))
     });
-    spend(budget, 4 * texels.rgba.len(), at)?;
+    spend(budget, 4 * texels.rgba.len(), &at)?;
     let values = texels.rgba.iter().flat_map(|t| {
         let [r, g, b, a] = *t;
         let [r, g, b] = [r, g, b].map(color::srgb_to_linear);

@@ -1,6 +1,7 @@
 //! Triangle primitives as meshes of a scene. Primitives of one material become one mesh: they share its maps; those that an
 //! animation moves stay alone.
 
+use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 
 use glam::{DMat3, DMat4, Vec2, Vec3};
@@ -36,11 +37,16 @@ pub(super) struct Meshes<'a> {
     bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
     maps: HashMap<Option<usize>, Maps>,
+    /// The maps of textured materials times a colour.
+    tinted: HashMap<(Option<usize>, Tint), Atlas>,
     budget: MapBudget,
     groups: Vec<Group>,
-    /// The group of a material, for primitives that may share it.
-    shared: HashMap<Option<usize>, usize>,
+    /// The group of a material and a colour, for primitives that may share it.
+    shared: HashMap<(Option<usize>, Option<Tint>), usize>,
 }
+
+/// The one colour of all vertices, its bits.
+type Tint = [u32; 4];
 
 #[derive(Default)]
 struct Group {
@@ -48,6 +54,8 @@ struct Group {
     triangles: Vec<[u32; 3]>,
     corner_uvs: Vec<[Vec2; 3]>,
     material: Option<usize>,
+    /// What the material's are multiplied by.
+    tint: Option<Tint>,
     /// In place of the material's.
     atlas: Option<Atlas>,
     /// How the material's are turned with the surface, where they depend on the direction.
@@ -78,6 +86,7 @@ impl<'a> Meshes<'a> {
             bindable: HashMap::new(),
             space,
             maps: HashMap::new(),
+            tinted: HashMap::new(),
             budget: MapBudget::new(asset.buffer_bytes() as u64),
             groups: vec![],
             shared: HashMap::new(),
@@ -145,7 +154,7 @@ impl<'a> Meshes<'a> {
 
     /// A group that has its geometry to come: how the material shows the triangles of a primitive.
     fn look(
-        &self,
+        &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
         primitive: &gltf::Primitive<'_>,
         Triangles { positions, triangles, uvs, .. }: &Triangles,
@@ -161,12 +170,27 @@ impl<'a> Meshes<'a> {
         let mut group = Group { material, corner_uvs, ..Group::default() };
         if let Some(base) = &maps.base {
             let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
-            let colors = vertex_color::read(self.asset, id, positions.len())?;
-            if let Some(colors) = colors.filter(|colors| colors.iter().any(|c| *c != [1.0; 4])) {
-                group.atlas = colored(base, &maps.atlas, &colors, triangles, &mut group.corner_uvs)
-                    .map_err(|fault| fault.under(&at))?;
-                if group.atlas.is_none() {
-                    notes.push(format!("{at}: colours of vertices beside a texture are left out"));
+            let colors = vertex_color::read(self.asset, id, positions.len())?.unwrap_or_default();
+            match one_colour(&colors, triangles) {
+                Some(colour) if colour == [1.0; 4] => {}
+                Some(colour) if base.is_textured => {
+                    let tint = colour.map(f32::to_bits);
+                    if let Entry::Vacant(entry) = self.tinted.entry((material, tint)) {
+                        let shown = (self.space, colour);
+                        entry.insert(material::tinted(self.asset, &primitive.material(), shown, &mut self.budget)?);
+                    }
+                    group.tint = Some(tint);
+                }
+                Some(colour) => group.atlas = Some(plain(base, colour).map_err(|e| Fault::from(e).under(&at))?),
+                None if colors.is_empty() => {}
+                None if base.is_textured => {
+                    notes.push(format!("{at}: colours of vertices beside a texture are left out, as they differ"));
+                }
+                None => {
+                    let texels: Vec<[f32; 4]> = colors.iter().map(|c| base.texel(*c)).collect();
+                    let (texture, uvs) = vertex_color::atlas(&texels, triangles).map_err(|fault| fault.under(&at))?;
+                    group.corner_uvs = uvs;
+                    group.atlas = Some(Atlas::new(texture, None).map_err(|e| Fault::from(e).under(&at))?);
                 }
             }
         }
@@ -192,7 +216,7 @@ impl<'a> Meshes<'a> {
             self.groups.push(group);
             return Ok((next, 0));
         }
-        let index = *self.shared.entry(group.material).or_insert(next);
+        let index = *self.shared.entry((group.material, group.tint)).or_insert(next);
         let Some(all) = self.groups.get_mut(index) else {
             self.groups.push(group);
             return Ok((next, 0));
@@ -210,16 +234,11 @@ impl<'a> Meshes<'a> {
         let (mut meshes, mut rest_surfaces, mut unrolling) = (vec![], vec![], Unrolling::default());
         for mut group in self.groups {
             let maps = &self.maps[&group.material];
-            let atlas = match group.atlas {
-                Some(atlas) => atlas,
-                None => {
-                    unrolling.unrolled(&maps.uv, maps.atlas.clone(), &mut group.corner_uvs).unwrap_or_else(|once| {
-                        let material = group.material.unwrap_or_default();
-                        notes.push(format!("/materials/{material}: a texture repeated too often is shown once"));
-                        once
-                    })
-                }
-            };
+            let tinted = group.tint.map(|tint| &self.tinted[&(group.material, tint)]);
+            let atlas = group.atlas.unwrap_or_else(|| tinted.unwrap_or(&maps.atlas).clone());
+            // Maps of colours of vertices do not repeat, as those of materials without a texture do not.
+            let (atlas, said) = unrolling.unrolled(&maps.uv, atlas, &mut group.corner_uvs);
+            notes.extend(said.map(|said| format!("/materials/{}: {said}", group.material.unwrap_or_default())));
             let in_material = |e: SceneError| {
                 Fault::from(e).under(group.material.map_or("/meshes".to_owned(), |i| format!("/materials/{i}")))
             };
@@ -268,26 +287,16 @@ fn join_copies(geometry: &mut Triangles, source: &[u32], moves: bool) {
     }
 }
 
-/// Maps with the colours of vertices; `None` beside a texture.
-fn colored(
-    base: &BaseColour,
-    plain: &Atlas,
-    colors: &[[f32; 4]],
-    triangles: &[[u32; 3]],
-    corner_uvs: &mut Vec<[Vec2; 3]>,
-) -> Result<Option<Atlas>, Fault> {
-    if base.is_textured {
-        return Ok(None);
-    }
-    let one = colors.iter().all(|c| *c == colors[0]);
-    if one {
-        let texture = Texture::new(plain.base().width(), plain.base().height(), 4, base.texel(colors[0]).to_vec())?;
-        return Ok(Some(Atlas::new(texture, None)?));
-    }
-    let texels: Vec<[f32; 4]> = colors.iter().map(|c| base.texel(*c)).collect();
-    let (texture, uvs) = vertex_color::atlas(&texels, triangles)?;
-    *corner_uvs = uvs;
-    Ok(Some(Atlas::new(texture, None)?))
+/// The colour of all corners of triangles, if they have one.
+fn one_colour(colors: &[[f32; 4]], triangles: &[[u32; 3]]) -> Option<[f32; 4]> {
+    let mut of_corners = triangles.as_flattened().iter().filter_map(|&v| colors.get(v as usize));
+    let first = of_corners.next()?;
+    of_corners.all(|colour| colour == first).then_some(*first)
+}
+
+/// A map of one texel.
+fn plain(base: &BaseColour, colour: [f32; 4]) -> Result<Atlas, SceneError> {
+    Atlas::new(Texture::new(1, 1, 4, base.texel(colour).to_vec())?, None)
 }
 
 /// The accessor of seam copies, if there is one and its claims hold: one entry per vertex, below their number, without gaps, and copies in one

@@ -4,9 +4,9 @@ use glam::{Mat2, Vec2};
 use gltf::texture::WrappingMode;
 use serde_json::Value;
 
-use super::extension::{TEXTURE_TRANSFORM, TexelSource, TextureTransform};
+use super::extension::{TEXTURE_TRANSFORM, TexelSource, TextureRef, TextureTransform};
 use crate::format::error::{Fault, from_value};
-use crate::scene::{Atlas, Texture};
+use crate::scene::{Atlas, SceneError, Texture};
 
 /// How a material reads a texture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,54 +20,129 @@ pub(in crate::format) struct UvMap {
 /// What coordinates may pass the border of a tile by, in tiles, and belong to it.
 const ROUNDING: f32 = 1e-3;
 
-/// Floats that a repeated texture may take, 256 MB of them; above this it is not repeated.
+/// Floats that a repeated texture may take, 256 MB of them; one that would take more is repeated at a lower resolution.
 const MAX_FLOATS: u64 = 1 << 26;
 
 /// Floats that all repeated textures of a file may take, 1 GiB of them.
 const MAX_FLOATS_OF_FILE: u64 = 1 << 28;
 
+/// Floats that may be averaged for lower resolutions of a file, some seconds: many surfaces may share one texture.
+const MAX_AVERAGED_OF_FILE: u64 = 1 << 32;
+
+/// Least share of the triangles that must lie beyond the first tile for the rest to lose resolution.
+const LEAST_BEYOND: f64 = 0.01;
+
 /// Writes repetitions out for the surfaces of a file, as far as there is room.
 #[derive(Default)]
 pub(in crate::format) struct Unrolling {
     floats: u64,
+    averaged: u64,
 }
 
 impl Unrolling {
-    /// All maps of a material as these corners need them, scaled to that; what was given, if it would become too large.
+    /// All maps of a material as these corners need them, and the corners scaled to that. Where there is no room for it, at a lower resolution, or
+    /// what was given, and what there is to say of that.
     pub(in crate::format) fn unrolled(
         &mut self,
         map: &UvMap,
         atlas: Atlas,
         corners: &mut [[Vec2; 3]],
-    ) -> Result<Atlas, Atlas> {
-        let [columns, rows] = map.tiles(corners).map(f64::from);
-        if columns * rows == 1.0 {
-            return Ok(atlas);
+    ) -> (Atlas, Option<String>) {
+        let tiles = map.tiles(corners);
+        let Some(smaller) = self.fitting(&atlas, tiles, || map.beyond(corners)) else {
+            return (atlas, Some(ONCE.to_owned()));
+        };
+        let tiles = needed(&smaller, tiles);
+        if tiles != [1.0; 2] {
+            self.floats += floats(&smaller, tiles) as u64;
         }
-        let floats = columns * rows * atlas.floats() as f64;
-        if floats > (MAX_FLOATS_OF_FILE - self.floats) as f64 {
-            return Err(atlas);
-        }
-        let (before, mut of_bands) = (corners.to_vec(), corners.to_vec());
-        let unrolled = || -> Option<Atlas> {
-            let base = map.unrolled(atlas.base(), corners)?;
-            let bands = match atlas.bands() {
-                Some(bands) => Some(map.unrolled(bands, &mut of_bands)?),
-                None => None,
+        let repeated = map.repeated(smaller.base(), tiles).and_then(|base| {
+            let bands = smaller.bands().map(|bands| map.repeated(bands, tiles)).transpose()?;
+            Atlas::new(base, bands)
+        });
+        let Ok(repeated) = repeated else { return (atlas, Some(ONCE.to_owned())) };
+        let scale = Vec2::from(tiles).recip();
+        corners.as_flattened_mut().iter_mut().for_each(|uv| *uv *= scale);
+        let (width, height) = (smaller.base().width(), smaller.base().height());
+        let said = || format!("a texture that repeats too often is repeated at a lower resolution, {width}×{height}");
+        (repeated, (smaller.floats() < atlas.floats()).then(said))
+    }
+
+    /// The atlas, its sides halved until it has room so often; `None` if that is not worth it.
+    fn fitting(&mut self, atlas: &Atlas, tiles: [f32; 2], beyond: impl FnOnce() -> f64) -> Option<Atlas> {
+        let room = (MAX_FLOATS_OF_FILE - self.floats) as f64;
+        let fits = |atlas: &Atlas| {
+            let tiles = needed(atlas, tiles);
+            let each = |map: &Texture| {
+                let [width, height] = sides(map, tiles);
+                width.max(height) <= f64::from(Texture::MAX_SIDE)
+                    && width * height * f64::from(map.channels()) <= MAX_FLOATS as f64
             };
-            Atlas::new(base, bands).ok()
-        }();
-        match unrolled {
-            Some(unrolled) => {
-                self.floats += floats as u64;
-                Ok(unrolled)
+            tiles == [1.0; 2] || maps(atlas).all(each) && floats(atlas, tiles) <= room
+        };
+        if !fits(atlas) && beyond() < LEAST_BEYOND {
+            return None;
+        }
+        let mut smaller = atlas.clone();
+        // Of a texel a side it fits: that is the same in every tile.
+        while !fits(&smaller) {
+            self.averaged += smaller.floats() as u64;
+            if self.averaged > MAX_AVERAGED_OF_FILE {
+                return None;
             }
-            None => {
-                corners.copy_from_slice(&before);
-                Err(atlas)
+            let bands = smaller.bands().map(halved).transpose();
+            smaller = Atlas::new(halved(smaller.base()).ok()?, bands.ok()?).ok()?;
+        }
+        Some(smaller)
+    }
+}
+
+/// What there is to say of a texture that stays as it is.
+const ONCE: &str = "a texture that repeats too often is shown once: beyond its borders its edge goes on";
+
+/// Base and bands.
+fn maps(atlas: &Atlas) -> impl Iterator<Item = &Texture> {
+    std::iter::once(atlas.base()).chain(atlas.bands())
+}
+
+/// Of so many tiles those that make a difference: along a side of one texel none does but the first.
+fn needed(atlas: &Atlas, [columns, rows]: [f32; 2]) -> [f32; 2] {
+    let is_constant = |side: fn(&Texture) -> u32| maps(atlas).all(|map| side(map) == 1);
+    [if is_constant(Texture::width) { 1.0 } else { columns }, if is_constant(Texture::height) { 1.0 } else { rows }]
+}
+
+/// Width and height of a map that is repeated so often.
+fn sides(map: &Texture, [columns, rows]: [f32; 2]) -> [f64; 2] {
+    [f64::from(map.width()) * f64::from(columns), f64::from(map.height()) * f64::from(rows)]
+}
+
+/// Floats of an atlas that is repeated so often.
+fn floats(atlas: &Atlas, [columns, rows]: [f32; 2]) -> f64 {
+    f64::from(columns) * f64::from(rows) * atlas.floats() as f64
+}
+
+/// At half the resolution, each texel the mean of 2×2, as mips are; of an odd side neighbours share a texel.
+fn halved(map: &Texture) -> Result<Texture, SceneError> {
+    let (w, h, channels) = (map.width(), map.height(), map.channels() as usize);
+    let [width, height] = [w, h].map(|side| (side / 2).max(1));
+    let under = |i: u32, side: u32, from: u32| i * from / side..((i + 1) * from).div_ceil(side);
+    let mut texels = Vec::with_capacity(width as usize * height as usize * channels);
+    for y in 0..height {
+        for x in 0..width {
+            let (rows, columns) = (under(y, height, h), under(x, width, w));
+            let count = (rows.len() * columns.len()) as f64;
+            for c in 0..channels {
+                let mut sum = 0.0;
+                for row in rows.clone() {
+                    for column in columns.clone() {
+                        sum += f64::from(map.texels()[(row as usize * w as usize + column as usize) * channels + c]);
+                    }
+                }
+                texels.push((sum / count) as f32);
             }
         }
     }
+    Texture::new(width, height, map.channels(), texels)
 }
 
 impl UvMap {
@@ -100,9 +175,15 @@ impl UvMap {
                 ..Self::plain(source.tex_coord)
             });
         };
-        let sampled = document.textures().nth(texture.index).map(|t| wrap(t.sampler()));
-        let mut map = Self { wrap: sampled.unwrap_or([WrappingMode::Repeat; 2]), ..Self::plain(texture.tex_coord) };
-        map.transform_by(texture.extensions.get(TEXTURE_TRANSFORM), &format!("{at}/texture"))?;
+        Self::of_texture(document, texture, &format!("{at}/texture"))
+    }
+
+    /// That of a `textureInfo` of an extension, at the JSON pointer `at`; its texture need not exist.
+    pub(super) fn of_texture(document: &gltf::Document, texture: &TextureRef, at: &str) -> Result<Self, Fault> {
+        let sampler = document.textures().nth(texture.index).map(|t| t.sampler());
+        let wrap = sampler.map_or([WrappingMode::Repeat; 2], |sampler| [sampler.wrap_s(), sampler.wrap_t()]);
+        let mut map = Self { wrap, ..Self::plain(texture.tex_coord) };
+        map.transform_by(texture.extensions.get(TEXTURE_TRANSFORM), at)?;
         Ok(map)
     }
 
@@ -151,21 +232,27 @@ impl UvMap {
         })
     }
 
-    /// Writes the repetitions out that `corners` still need: a larger texture, and corners scaled to it. `None` if it
-    /// would become too large.
-    fn unrolled(&self, texture: &Texture, corners: &mut [[Vec2; 3]]) -> Option<Texture> {
-        let [columns, rows] = self.tiles(corners);
-        if columns * rows == 1.0 {
-            return Some(texture.clone());
+    /// How much of a triangle lies beyond the first tile, in the mean.
+    fn beyond(&self, corners: &[[Vec2; 3]]) -> f64 {
+        let of_triangle = |uvs: &[Vec2; 3]| {
+            let along = |axis: usize| {
+                let low = uvs.iter().map(|uv| uv[axis]).fold(f32::INFINITY, f32::min);
+                let high = uvs.iter().map(|uv| uv[axis]).fold(f32::NEG_INFINITY, f32::max);
+                let repeats = self.wrap[axis] != WrappingMode::ClampToEdge && high > 1.0 + ROUNDING;
+                if repeats { ((high - 1.0) / (high - low)).min(1.0) } else { 0.0 }
+            };
+            f64::from(along(0).max(along(1)))
+        };
+        corners.iter().map(of_triangle).sum::<f64>() / corners.len() as f64
+    }
+
+    /// The texture so often side by side and one below the other. Its sides have been checked.
+    fn repeated(&self, texture: &Texture, tiles: [f32; 2]) -> Result<Texture, SceneError> {
+        if tiles == [1.0; 2] {
+            return Ok(texture.clone());
         }
         let (w, h) = (texture.width(), texture.height());
-        let (width, height) = (f64::from(w) * f64::from(columns), f64::from(h) * f64::from(rows));
-        if width.max(height) > f64::from(Texture::MAX_SIDE)
-            || width * height * f64::from(texture.channels()) > MAX_FLOATS as f64
-        {
-            return None;
-        }
-        let (width, height) = (width as u32, height as u32);
+        let [width, height] = sides(texture, tiles).map(|side| side as u32);
         let source = |i: u32, size: u32, wrap: WrappingMode| {
             let mirrored = wrap == WrappingMode::MirroredRepeat && !(i / size).is_multiple_of(2);
             if mirrored { size - 1 - i % size } else { i % size }
@@ -179,9 +266,7 @@ impl UvMap {
                 texels.extend_from_slice(&texture.texels()[texel..texel + channels]);
             }
         }
-        let scale = Vec2::new(columns, rows).recip();
-        corners.as_flattened_mut().iter_mut().for_each(|uv| *uv *= scale);
-        Texture::new(width, height, texture.channels(), texels).ok()
+        Texture::new(width, height, texture.channels(), texels)
     }
 }
 
@@ -208,22 +293,70 @@ mod tests {
         }
     }
 
+    /// A map whose texels have one value in all channels.
+    fn grey(width: u32, height: u32, channels: u32, values: &[f32]) -> Texture {
+        let texels = values.iter().flat_map(|&v| vec![v; channels as usize]).collect();
+        Texture::new(width, height, channels, texels).unwrap()
+    }
+
+    /// The first channel of every texel.
+    fn values(map: &Texture) -> Vec<f32> {
+        map.texels().iter().step_by(map.channels() as usize).copied().collect()
+    }
+
+    /// A triangle from the origin to (u, 0) and (0, v).
+    fn reaching(u: f32, v: f32) -> [Vec2; 3] {
+        [Vec2::ZERO, Vec2::new(u, 0.0), Vec2::new(0.0, v)]
+    }
+
     #[test]
     fn repetitions_within_a_triangle_are_written_out() {
-        let texture = Texture::new(2, 1, 1, vec![0.0, 1.0]).unwrap();
-        let wide = [Vec2::new(0.0, 0.0), Vec2::new(2.5, 0.0), Vec2::new(0.0, 1.0)];
+        let atlas = Atlas::new(grey(2, 1, 4, &[0.0, 1.0]), None).unwrap();
         for (wrap, texels) in [
             (WrappingMode::Repeat, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0]),
             (WrappingMode::MirroredRepeat, [0.0, 1.0, 1.0, 0.0, 0.0, 1.0]),
         ] {
-            let mut corners = [wide];
-            let unrolled = map(wrap).unrolled(&texture, &mut corners).unwrap();
-            assert_eq!((unrolled.width(), unrolled.height(), unrolled.texels()), (6, 1, &texels[..]));
+            let mut corners = [reaching(2.5, 1.0)];
+            let (unrolled, said) = Unrolling::default().unrolled(&map(wrap), atlas.clone(), &mut corners);
+            assert_eq!((unrolled.base().width(), unrolled.base().height(), said), (6, 1, None));
+            assert_eq!(values(unrolled.base()), texels);
             assert!(corners[0][1].abs_diff_eq(Vec2::new(2.5 / 3.0, 0.0), 1e-6));
         }
-        let mut far = [wide.map(|uv| uv * 1e5)];
-        assert!(map(WrappingMode::Repeat).unrolled(&texture, &mut far).is_none());
-        let mut corners = [wide];
-        assert_eq!(map(WrappingMode::ClampToEdge).unrolled(&texture, &mut corners).unwrap(), texture);
+        let mut corners = [reaching(2.5, 1.0)];
+        let clamped = Unrolling::default().unrolled(&map(WrappingMode::ClampToEdge), atlas.clone(), &mut corners);
+        assert_eq!((clamped, corners), ((atlas, None), [reaching(2.5, 1.0)]));
+    }
+
+    #[test]
+    fn what_repeats_too_often_does_so_at_a_lower_resolution() {
+        let base = grey(4, 3, 4, &[0.0, 2.0, 8.0, 8.0, 4.0, 2.0, 8.0, 8.0, 0.0, 4.0, 8.0, 8.0]);
+        let atlas = Atlas::new(base, Some(grey(2, 2, 9, &[1.0, 2.0, 3.0, 4.0]))).unwrap();
+        let repeat = map(WrappingMode::Repeat);
+        // 20,000 texels are too many, 10,000 are not.
+        let mut corners = [reaching(5000.0, 0.5)];
+        let (unrolled, said) = Unrolling::default().unrolled(&repeat, atlas.clone(), &mut corners);
+        assert_eq!(said.unwrap(), "a texture that repeats too often is repeated at a lower resolution, 2×1");
+        assert_eq!((unrolled.base().width(), unrolled.base().height()), (10_000, 1));
+        assert_eq!(values(unrolled.base())[..4], [2.0, 8.0, 2.0, 8.0]);
+        let bands = unrolled.bands().unwrap();
+        assert_eq!((bands.width(), bands.height(), values(bands)[4999]), (5000, 1, 2.5));
+        assert!(corners[0][1].abs_diff_eq(Vec2::X, 1e-6) && corners[0][2] == Vec2::new(0.0, 0.5));
+        // One texel is the same however often.
+        let mut corners = [reaching(1e6, 1e6)];
+        let (mean, said) = Unrolling::default().unrolled(&repeat, atlas, &mut corners);
+        assert_eq!((values(mean.base()), values(mean.bands().unwrap())), (vec![5.0], vec![2.5]));
+        assert!(said.unwrap().ends_with("lower resolution, 1×1"));
+        assert_eq!(corners, [reaching(1e6, 1e6)]);
+    }
+
+    #[test]
+    fn for_few_triangles_beyond_a_tile_the_rest_keeps_its_resolution() {
+        let atlas = Atlas::new(grey(4, 1, 4, &[0.0, 1.0, 2.0, 3.0]), None).unwrap();
+        let mut corners = [CORNER; 200];
+        corners[7] = reaching(5000.0, 1.0);
+        let before = corners;
+        let (once, said) = Unrolling::default().unrolled(&map(WrappingMode::Repeat), atlas.clone(), &mut corners);
+        assert_eq!((once, said.as_deref()), (atlas, Some(ONCE)));
+        assert_eq!(corners, before);
     }
 }

@@ -196,7 +196,7 @@ impl<'a> Materials<'a> {
         let texel = |i: u64| {
             let (x, y) = ((i % u64::from(width)) as u32, (i / u64::from(width)) as u32);
             let [r, g, b] = sh::dc_from_rgb(color.at(x, y, size));
-            [r, g, b, activation::logit(opacity.at(x, y, size)[0]).0]
+            [r, g, b, activation::map_logit(opacity.at(x, y, size)[0])]
         };
         Ok(Atlas::new(Texture::new(width, height, 4, (0..pixels).flat_map(texel).collect())?, None)?)
     }

@@ -89,10 +89,8 @@ pub(super) fn read(
         let positions =
             if parts.len() == 1 { polygons.points.clone() } else { polygon::used(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
-            let atlas = materials.unrolling.unrolled(&coordinates.map, atlas, &mut corner_uvs).unwrap_or_else(|once| {
-                notes.push(format!("{at}: a texture repeated too often is shown once"));
-                once
-            });
+            let (atlas, said) = materials.unrolling.unrolled(&coordinates.map, atlas, &mut corner_uvs);
+            notes.extend(said.map(|said| format!("{at}: {said}")));
             let mesh = Mesh::new(positions, triangles, corner_uvs, atlas);
             meshes.push(mesh.map_err(|e| Fault::from(e).under(&at))?);
         }

@@ -337,6 +337,7 @@ def "W" (
     let base = mesh.atlas().base();
     let opacity = |i: usize| 1.0 / (1.0 + (-base.texels()[4 * i + 3]).exp());
     assert!(base.width() == 2 && opacity(0) < 1e-6 && (opacity(1) - 0.5).abs() < 1e-6);
+    assert!(base.texels()[3] > -17.0, "filtered, clear weighs no more than opaque: {}", base.texels()[3]);
     let rgb = sh::rgb_from_dc([base.texels()[0], base.texels()[1], base.texels()[2]]);
     let expected = [0.2, 0.4, 0.6].map(crate::scene::color::linear_to_srgb);
     assert!((0..3).all(|c| (rgb[c] - expected[c]).abs() < 1e-6), "{rgb:?}");

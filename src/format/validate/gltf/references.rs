@@ -6,7 +6,7 @@ use super::super::Findings;
 use super::schema::escaped;
 
 /// Where indices stand (`*` is any item or property), and the array they point into.
-const REFERENCES: [(&str, &str); 48] = [
+const REFERENCES: [(&str, &str); 50] = [
     ("scene", "scenes"),
     ("scenes/*/nodes/*", "nodes"),
     ("nodes/*/children/*", "nodes"),
@@ -29,6 +29,8 @@ const REFERENCES: [(&str, &str); 48] = [
     ("materials/*/normalTexture/index", "textures"),
     ("materials/*/occlusionTexture/index", "textures"),
     ("materials/*/emissiveTexture/index", "textures"),
+    ("materials/*/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture/index", "textures"),
+    ("materials/*/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture/index", "textures"),
     ("skins/*/inverseBindMatrices", "accessors"),
     ("skins/*/skeleton", "nodes"),
     ("skins/*/joints/*", "nodes"),

@@ -24,6 +24,11 @@ pub(super) const PLANTED: &[Planted] = &[
     ("INDEX_RANGE", "/primitives/0/material", |f| primitive(f, SURFACE)["material"] = json!(5)),
     ("INDEX_RANGE", "/attributes/POSITION", |f| primitive(f, SPLATS)["attributes"]["POSITION"] = json!(9999)),
     ("INDEX_RANGE", "/textures/0/source", |f| f.json["textures"][0]["source"] = json!(1)),
+    ("INDEX_RANGE", "/diffuseTexture/index", |f| {
+        declare(f, "KHR_materials_pbrSpecularGlossiness");
+        let diffuse = json!({ "diffuseTexture": { "index": 99 } });
+        f.json["materials"][0]["extensions"]["KHR_materials_pbrSpecularGlossiness"] = diffuse;
+    }),
     ("INDEX_RANGE", "/channels/0/sampler", |f| f.json["animations"][0]["channels"][0]["sampler"] = json!(1)),
     // Extensions.
     ("EXTENSION_UNDECLARED", "/materials/0/extensions/KHR_materials_unlit", |f| {
