@@ -8,7 +8,9 @@ use std::path::Path;
 use glam::{DVec2, Vec2, Vec3};
 
 use super::error::{Fault, FormatError, Location, read_file, unknown};
-use super::gltf::{Asset, Motion, Poses, not_placed, placements, triangles};
+use super::gltf::instancing::{BYTES_OF_COPY, Single, copies};
+use super::gltf::triangles::{self, Triangles};
+use super::gltf::{Asset, Motion, Poses, not_placed, placements};
 use super::ply::table;
 use super::{has_extension, polygon};
 
@@ -30,8 +32,8 @@ pub struct ImportedMesh {
 
 /// Reads a mesh; told apart by content, and by extension for `.obj`.
 ///
-/// * `.glb`, `.gltf`: all triangle primitives of the default scene, where their nodes put them; skins and morph targets
-///   in rest pose.
+/// * `.glb`, `.gltf`: all triangle primitives of the default scene, where their nodes put them, with their copies; skins and
+///   morph targets in rest pose.
 /// * `.obj`: all faces; polygons are cut into triangles.
 /// * `.ply`: ASCII or binary, `face` lists; UVs per face (`texcoord`) or per vertex (`s t`, `u v`, `texture_u texture_v`).
 ///
@@ -93,6 +95,13 @@ impl Soup {
         }
         self.materials.insert(material);
         Ok(())
+    }
+
+    /// Appends a primitive of glTF that stands at a JSON pointer.
+    fn add_primitive(&mut self, t: Triangles, material: Option<usize>, at: &str) -> Result<(), Fault> {
+        let Triangles { positions, triangles, uvs, .. } = t;
+        let uvs = uvs.map(|uvs| triangles.iter().map(|t| Some(t.map(|v| uvs[v as usize]))).collect());
+        self.add(positions, &triangles, uvs, material, |_| Location::Pointer(at.to_owned()))
     }
 
     /// The UVs, if they are one atlas, and what there is to say if they are not, or not as they were.
@@ -177,15 +186,29 @@ fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     // As it rests.
     let motion = Motion::default();
     let mut poses = Poses::new(&asset.document, &motion)?;
+    let single = Single::of(&asset.root);
     for (node, transform) in placements(&asset.document)? {
+        let copies = copies(asset, &single, &node, &mut soup.notes)?;
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
+            let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
+            let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
+            if !asset.has_positions(id) {
+                soup.notes.push(format!("{at}: left out: it has no POSITION"));
+                continue;
+            }
             let place = (&node, transform);
             let read = triangles::read((asset, &motion), &mut poses, place, &primitive, 0, &mut soup.notes)?;
             let Some(t) = read else { continue };
-            let uvs = t.uvs.map(|uvs| t.triangles.iter().map(|t| Some(t.map(|v| uvs[v as usize]))).collect());
-            let mesh = node.mesh().map_or(0, |m| m.index());
-            let place = Location::Pointer(format!("/meshes/{mesh}/primitives/{}", primitive.index()));
-            soup.add(t.positions, &t.triangles, uvs, primitive.material().index(), |_| place.clone())?;
+            let material = primitive.material().index();
+            let Some(copies) = &copies else {
+                soup.add_primitive(t, material, &at)?;
+                continue;
+            };
+            let bytes = BYTES_OF_COPY + t.positions.len() as u64 * 12 + t.triangles.len() as u64 * 40;
+            for local in copies {
+                asset.spend(bytes, &at)?;
+                soup.add_primitive(t.copy(&mut poses, place, *local), material, &at)?;
+            }
         }
     }
     Ok(soup)

@@ -1,6 +1,8 @@
 //! The two extensions' JSON as typed structs: the only place that knows their names and keys. Schemas and their prose
 //! are in `schema/EXT_gaussian_splatting_hybrid`.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -24,7 +26,7 @@ pub(crate) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
 pub(crate) const WEBP: &str = "EXT_texture_webp";
 
 /// Copies of a mesh at one node.
-pub(super) const INSTANCING: &str = "EXT_mesh_gpu_instancing";
+pub(crate) const INSTANCING: &str = "EXT_mesh_gpu_instancing";
 /// Nodes that are not shown.
 pub(super) const VISIBILITY: &str = "KHR_node_visibility";
 
@@ -83,6 +85,13 @@ pub(super) struct SpecularGlossiness {
 
 fn white() -> [f32; 4] {
     [1.0; 4]
+}
+
+/// `node.extensions.EXT_mesh_gpu_instancing`.
+#[derive(Deserialize)]
+pub(super) struct Instancing {
+    /// Accessors with an element a copy.
+    pub(super) attributes: BTreeMap<String, usize>,
 }
 
 /// `textureInfo.extensions.KHR_texture_transform`.

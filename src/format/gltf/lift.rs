@@ -4,7 +4,8 @@
 //!
 //! The crate collapses all attributes with a `:` in the name into one key and refuses extensions that it does not know
 //! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, which are zeros or whose data
-//! an extension has: they get a buffer view beyond those of the file.
+//! an extension has: they get a buffer view beyond those of the file. And it refuses primitives without positions, which get those of an
+//! accessor beyond those of the file.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io::Read as _;
@@ -15,8 +16,10 @@ use serde_json::{Value, json};
 
 use super::buffer::{Buffer, Input};
 use super::extension::{
-    EMISSIVE_STRENGTH, HYBRID, KHR_SPLATS, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, VISIBILITY, WEBP,
+    EMISSIVE_STRENGTH, HYBRID, INSTANCING, KHR_SPLATS, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, VISIBILITY,
+    WEBP,
 };
+use super::integers::write_as_integers;
 use super::uri::open_once;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
@@ -28,10 +31,12 @@ type Attributes = HashMap<(usize, usize), BTreeMap<String, usize>>;
 pub(in crate::format) struct Asset {
     /// The core.
     pub(in crate::format) document: gltf::Document,
-    /// The JSON as it is in the file, but for the `uri`s of buffers, whose content is in `buffers`.
+    /// The JSON as it is in the file, but for the `uri`s of buffers, whose content is in `buffers`, and for integers, which are written as such.
     pub(in crate::format) root: Value,
     /// `KHR_gaussian_splatting:SCALE` and its like.
     pub(in crate::format) attributes: Attributes,
+    /// Primitives (of mesh, in mesh) without positions, which have some in the core all the same.
+    unplaced: HashSet<(usize, usize)>,
     /// `extensionsUsed` and `extensionsRequired` of the file.
     pub(in crate::format) extensions_used: Vec<String>,
     pub(in crate::format) extensions_required: Vec<String>,
@@ -73,7 +78,7 @@ const ALWAYS: u64 = 1 << 30;
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
 
 /// Extensions without which a file cannot be understood, and which are understood here.
-const UNDERSTOOD: [&str; 12] = [
+const UNDERSTOOD: [&str; 13] = [
     KHR_SPLATS,
     HYBRID,
     SPZ,
@@ -85,6 +90,7 @@ const UNDERSTOOD: [&str; 12] = [
     meshopt::NAMES[0],
     meshopt::NAMES[1],
     VISIBILITY,
+    INSTANCING,
     // Quantised attributes are read like any others.
     "KHR_mesh_quantization",
 ];
@@ -144,12 +150,13 @@ impl Asset {
     fn of_json(json: Vec<u8>, offset: usize, bin: Option<Buffer>, folder: PathBuf) -> Result<Self, Fault> {
         let json_bytes = json.len();
         let mut root: Value = from_json(&json, offset, "glTF JSON")?;
+        write_as_integers(&mut root);
         // It may hold all buffers.
         drop(json);
         let extensions_used = strings(&root, "extensionsUsed");
         let extensions_required = strings(&root, "extensionsRequired");
         let (buffers, places) = load_buffers(&mut root, bin, &folder)?;
-        let (document, attributes) = core(&root)?;
+        let Core { document, attributes, unplaced } = core(&root)?;
         let in_memory = |i: usize| match buffers.get(i) {
             Some(Buffer::Memory(bytes)) => Some(bytes.as_slice()),
             // Those of documents with compressed views are loaded.
@@ -165,6 +172,7 @@ impl Asset {
             document,
             root,
             attributes,
+            unplaced,
             extensions_used,
             extensions_required,
             json_bytes,
@@ -201,6 +209,21 @@ impl Asset {
         }
         let expected = format!("at most {} bytes of arrays from a file of this size", self.most);
         Err(Fault::pointer(at, expected, "more, by repeated use"))
+    }
+
+    /// Whether primitive `id` (of mesh, in mesh) has positions. Without any it is not shown (glTF 2.0, 3.7.2.1), unless an extension
+    /// has them.
+    pub(in crate::format) fn has_positions(&self, id: (usize, usize)) -> bool {
+        !self.unplaced.contains(&id)
+    }
+
+    /// Those positions.
+    pub(super) fn positions<'a>(
+        &self,
+        id: (usize, usize),
+        primitive: &gltf::Primitive<'a>,
+    ) -> Option<gltf::Accessor<'a>> {
+        primitive.get(&gltf::Semantic::Positions).filter(|_| self.has_positions(id))
     }
 
     /// Whether a buffer view is one of the file.
@@ -251,13 +274,20 @@ impl Asset {
     }
 }
 
-/// What the crate understands, validated by it, and the attributes that it does not.
-fn core(root: &Value) -> Result<(gltf::Document, Attributes), Fault> {
+/// What the crate understands, validated by it, and what it does not.
+struct Core {
+    document: gltf::Document,
+    attributes: Attributes,
+    unplaced: HashSet<(usize, usize)>,
+}
+
+fn core(root: &Value) -> Result<Core, Fault> {
     let mut core = root.clone();
     if let Some(object) = core.as_object_mut() {
         object.remove("extensionsRequired");
     }
     let attributes = lift_attributes(&mut core)?;
+    let unplaced = fill_positions(&mut core);
     lift_channels(&mut core)?;
     fill_accessors(&mut core);
     fill_bounds(&mut core);
@@ -270,7 +300,7 @@ fn core(root: &Value) -> Result<(gltf::Document, Attributes), Fault> {
         }
         other => Fault::pointer("/", "valid glTF 2.0", other.to_string()),
     })?;
-    Ok((document, attributes))
+    Ok(Core { document, attributes, unplaced })
 }
 
 fn strings(root: &Value, key: &str) -> Vec<String> {
@@ -317,6 +347,37 @@ fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
         }
     }
     Ok(lifted)
+}
+
+/// Gives primitives without positions those of an accessor beyond those of the file; returns which.
+fn fill_positions(core: &mut Value) -> HashSet<(usize, usize)> {
+    let accessor = core.get("accessors").and_then(Value::as_array).map_or(0, Vec::len);
+    let mut filled = HashSet::new();
+    let meshes = core.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten();
+    for (m, mesh) in meshes.enumerate() {
+        let primitives = mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten();
+        for (p, primitive) in primitives.enumerate() {
+            let attributes = primitive.get_mut("attributes").and_then(Value::as_object_mut);
+            if let Some(attributes) = attributes.filter(|attributes| !attributes.contains_key("POSITION")) {
+                attributes.insert("POSITION".to_owned(), json!(accessor));
+                filled.insert((m, p));
+            }
+        }
+    }
+    if !filled.is_empty() {
+        let bound = [0, 0, 0];
+        let one = json!({ "componentType": 5126, "type": "VEC3", "count": 1, "min": bound, "max": bound });
+        append(core, "accessors", one);
+    }
+    filled
+}
+
+/// Adds an item to a list of a document.
+fn append(core: &mut Value, key: &str, item: Value) {
+    let list = core.as_object_mut().and_then(|core| core.entry(key).or_insert_with(|| json!([])).as_array_mut());
+    if let Some(list) = list {
+        list.push(item);
+    }
 }
 
 /// Leaves only channels of animations to the core that move nodes; others are those of extensions (`KHR_animation_pointer`), or are
@@ -367,15 +428,8 @@ fn fill_accessors(core: &mut Value) {
         }
     }
     if filled {
-        let mut append = |key: &str, value: Value| {
-            if let Some(list) =
-                core.as_object_mut().and_then(|core| core.entry(key).or_insert_with(|| json!([])).as_array_mut())
-            {
-                list.push(value);
-            }
-        };
-        append("bufferViews", json!({ "buffer": 0, "byteLength": 1 }));
-        append("buffers", json!({ "byteLength": 1 }));
+        append(core, "bufferViews", json!({ "buffer": 0, "byteLength": 1 }));
+        append(core, "buffers", json!({ "byteLength": 1 }));
     }
 }
 

@@ -8,6 +8,7 @@ use glam::{DMat3, DMat4, Vec2, Vec3};
 
 use super::binding::{Bindable, wanted};
 use super::extension::{HYBRID, Surface};
+use super::instancing::BYTES_OF_COPY;
 use super::lift::Asset;
 use super::material::{self, BaseColour, Maps};
 use super::motion::Motion;
@@ -93,10 +94,11 @@ impl<'a> Meshes<'a> {
         })
     }
 
-    /// Takes in one primitive; false if it has no triangles by its mode.
+    /// Takes in one primitive, in place of which there are `copies` if there are any; false if it has no triangles by its mode.
     pub(super) fn add(
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
+        copies: Option<&[DMat4]>,
         primitive: &gltf::Primitive<'_>,
         notes: &mut Vec<String>,
     ) -> Result<bool, Fault> {
@@ -104,11 +106,36 @@ impl<'a> Meshes<'a> {
         let uv_set = self.maps_of(&primitive.material(), notes)?.uv.set;
         let poses = &mut self.poses;
         let read = triangles::read((self.asset, self.motion), poses, (node, transform), primitive, uv_set, notes)?;
-        let Some(mut geometry) = read else { return Ok(false) };
+        let Some(geometry) = read else { return Ok(false) };
         if geometry.triangles.is_empty() {
             notes.push(format!("{at}: a mesh without triangles is left out"));
             return Ok(true);
         }
+        let Some(copies) = copies else {
+            self.take((node, transform), primitive, geometry, notes)?;
+            return Ok(true);
+        };
+        // All of them would say the same.
+        let mut said = vec![];
+        for (i, local) in copies.iter().enumerate() {
+            self.asset.spend(BYTES_OF_COPY, &at)?;
+            let copy = geometry.copy(&mut self.poses, (node, transform), *local);
+            let notes = if i == 0 { &mut *notes } else { &mut said };
+            self.take((node, transform * *local), primitive, copy, notes)?;
+            said.clear();
+        }
+        Ok(true)
+    }
+
+    /// Takes in the triangles of a primitive, which is there by this transform.
+    fn take(
+        &mut self,
+        (node, transform): (&gltf::Node<'_>, DMat4),
+        primitive: &gltf::Primitive<'_>,
+        mut geometry: Triangles,
+        notes: &mut Vec<String>,
+    ) -> Result<(), Fault> {
+        let at = format!("/nodes/{}", node.index());
         let look = self.look((node, transform), primitive, &geometry, notes)?;
         let moves = self.poses.animates(&geometry.rest_surface, self.motion);
         let id = (node.index(), primitive.index());
@@ -135,7 +162,7 @@ impl<'a> Meshes<'a> {
             let corners = corners.into_iter().map(|t| unmirrored(t).map(|v| v + first)).collect();
             self.bindable.insert(id, Bindable { surface, moves, corners, stored });
         }
-        Ok(true)
+        Ok(())
     }
 
     /// The maps of a material, read when it is first met.

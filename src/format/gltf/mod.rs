@@ -14,6 +14,10 @@ mod core_tests;
 pub(super) mod extension;
 mod glb;
 mod image;
+pub(super) mod instancing;
+#[cfg(test)]
+mod instancing_tests;
+mod integers;
 mod lift;
 mod material;
 mod meshes;
@@ -49,6 +53,7 @@ use std::path::Path;
 use glam::DMat4;
 
 pub(super) use image::{Texels, decode};
+pub(super) use integers::write_as_integers;
 pub(super) use lift::{Asset, expected_for};
 pub use motion::Clip;
 pub(super) use motion::Motion;
@@ -118,7 +123,9 @@ pub(super) fn write_over(
 /// | of glTF | becomes |
 /// |---|---|
 /// | node transforms | part of positions, splats and cameras; harmonics turn along |
-/// | nodes that `KHR_node_visibility` makes invisible | nothing, with what is below, and a note; of copies by `EXT_mesh_gpu_instancing` one is shown |
+/// | nodes that `KHR_node_visibility` makes invisible | nothing, with what is below, and a note |
+/// | copies by `EXT_mesh_gpu_instancing` | part of meshes and splats; where the node has a skin or splats are bound, one is shown, with a note |
+/// | primitives without `POSITION` | nothing, with a note |
 /// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
 /// | animations | what [`Source::at`] poses the scene by |
 /// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored |

@@ -34,7 +34,15 @@ pub(in crate::format) struct Poses {
 #[derive(Clone, Debug)]
 enum Bone {
     Node(usize),
-    Joint { node: usize, inverse_bind: DMat4 },
+    Joint {
+        node: usize,
+        inverse_bind: DMat4,
+    },
+    /// A copy of what a node shows, which is `local` in its space.
+    Copy {
+        node: usize,
+        local: DMat4,
+    },
 }
 
 #[derive(Clone, Debug)]
@@ -48,7 +56,7 @@ enum Weight {
 impl Bone {
     fn node(&self) -> usize {
         match self {
-            Self::Node(node) | Self::Joint { node, .. } => *node,
+            Self::Node(node) | Self::Joint { node, .. } | Self::Copy { node, .. } => *node,
         }
     }
 }
@@ -119,6 +127,7 @@ impl Poses {
         let bones = self.bones.iter().map(|bone| match bone {
             Bone::Node(node) => of(node),
             Bone::Joint { node, inverse_bind } => of(node) * *inverse_bind,
+            Bone::Copy { node, local } => of(node) * *local,
         });
         let weights = self.weights.iter().map(|weight| match weight {
             Weight::Target { node, target, rest } => motion.weight(*node, *target, time).unwrap_or(*rest),
@@ -146,7 +155,7 @@ impl Poses {
     pub(super) fn bind(&self, bone: usize) -> Option<DMat4> {
         match self.bones.get(bone)? {
             Bone::Joint { inverse_bind, .. } => Some(inverse_bind.inverse()).filter(DMat4::is_finite),
-            Bone::Node(_) => None,
+            Bone::Node(_) | Bone::Copy { .. } => None,
         }
     }
 
@@ -236,6 +245,12 @@ impl Poses {
         let bone = self.add_bone(Bone::Node(node), self.global.get(&node).copied().unwrap_or_default());
         self.of_node.insert(node, bone);
         bone
+    }
+
+    /// The bone that a copy at a node is, where it is `local` in the space of that.
+    pub(super) fn copy(&mut self, node: usize, local: DMat4) -> usize {
+        let global = self.global.get(&node).copied().unwrap_or_default();
+        self.add_bone(Bone::Copy { node, local }, global * local)
     }
 
     fn add_bone(&mut self, bone: Bone, rest: DMat4) -> usize {

@@ -6,8 +6,9 @@ use glam::DMat4;
 use serde_json::Value;
 
 use super::extension::{
-    BindingObject, HYBRID, INSTANCING, KHR_SPLATS, SceneContract, SplatExtension, extension_of, parse_color_space,
+    BindingObject, HYBRID, KHR_SPLATS, SPZ, SceneContract, SplatExtension, extension_of, parse_color_space,
 };
+use super::instancing::{Single, copies};
 use super::lift::{Asset, has_scenes};
 use super::meshes::{Finished, Meshes};
 use super::motion::Motion;
@@ -42,30 +43,33 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     let mut count = 0;
     let placed = placements(&asset.document)?;
     notes.extend(not_placed(asset)?);
+    let single = Single::of(&asset.root);
     for (node, transform) in &placed {
         let at_node = format!("/nodes/{}", node.index());
-        if node.mesh().is_some() && node.extension_value(INSTANCING).is_some() {
-            notes.push(format!("{at_node}: of the copies of {INSTANCING} one is shown, where the node is"));
-        }
+        let copies = copies(asset, &single, node, &mut notes)?;
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-            let mesh = node.mesh().map_or(0, |m| m.index());
-            let id = (mesh, primitive.index());
-            if let Some(khr) = extension_of(&asset.root["meshes"][id.0]["primitives"][id.1], KHR_SPLATS) {
-                let part = splats::read(
-                    asset,
-                    id,
-                    &primitive,
-                    khr,
-                    (node.index(), *transform),
-                    (space, is_stated),
-                    &mut notes,
-                )?;
-                asset.spend(bytes_of(&part), &at_node)?;
-                let these = count..count + part.means.len();
-                count = these.end;
-                hung.push(Hung { splats: these, node: node.index(), transform: *transform, id, khr });
-                parts.push((format!("/meshes/{mesh}/primitives/{}", id.1), part));
-            } else if !meshes.add((node, *transform), &primitive, &mut notes)? {
+            let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
+            let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
+            let khr = extension_of(&asset.root["meshes"][id.0]["primitives"][id.1], KHR_SPLATS);
+            let is_spz = khr.is_some_and(|khr| extension_of(khr, SPZ).is_some());
+            if !asset.has_positions(id) && !is_spz {
+                notes.push(format!("{at}: left out: it has no POSITION"));
+            } else if let Some(khr) = khr {
+                let stored = splats::read(asset, id, &primitive, khr, (space, is_stated), &mut notes)?;
+                let transforms: Vec<DMat4> = match &copies {
+                    Some(copies) => copies.iter().map(|local| *transform * *local).collect(),
+                    None => vec![*transform],
+                };
+                // The last of them is what has been read.
+                for (stored, transform) in std::iter::repeat_n(stored, transforms.len()).zip(transforms) {
+                    let part = stored.placed((node.index(), transform))?;
+                    asset.spend(bytes_of(&part), &at_node)?;
+                    let these = count..count + part.means.len();
+                    count = these.end;
+                    hung.push(Hung { splats: these, node: node.index(), transform, id, khr });
+                    parts.push((at.clone(), part));
+                }
+            } else if !meshes.add((node, *transform), copies.as_deref(), &primitive, &mut notes)? {
                 notes.push(format!("{at_node}: a primitive that is neither triangles nor splats is left out"));
             }
             said.take(&mut notes);

@@ -6,10 +6,10 @@ use std::fmt;
 use serde_json::Value;
 
 use super::extension::{
-    DRAFT_ROTATION, DRAFT_SCALE, EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, ROTATION, SCALE, SPZ, TEXTURE_TRANSFORM,
-    UNLIT, WEBP, extension_of,
+    DRAFT_ROTATION, DRAFT_SCALE, EMISSIVE_STRENGTH, EXTRAS, HYBRID, INSTANCING, KHR_SPLATS, MOVED_NODE, ROTATION,
+    SCALE, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP, extension_of,
 };
-use super::meshopt;
+use super::{instancing, meshopt};
 
 /// The extension by which animations move what is no node.
 const ANIMATION_POINTER: &str = "KHR_animation_pointer";
@@ -77,11 +77,18 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     if extension_of(root, HYBRID).is_some() {
         found.push(Remnant { what: "deformation fields".to_owned(), role: Role::Unplayed });
     }
-    let others: BTreeSet<&str> = primitives().flat_map(other_attributes).collect();
+    let materials = list("materials");
+    let material_of = |p: &Value| materials.get(p.get("material")?.as_u64()? as usize);
+    let others: BTreeSet<&str> = primitives().flat_map(|p| other_attributes(p, &Shown::of(material_of(p)))).collect();
     if !others.is_empty() {
         let names: Vec<&str> = others.into_iter().collect();
         found.push(Remnant::still(format!("the attributes {}", names.join(", "))));
     }
+    if materials.iter().any(has_other_textures) {
+        found.push(Remnant::still("textures for light and shine".to_owned()));
+    }
+    let is_in_part = instancing::is_in_part(root);
+    let is_taken_over = |name: &str| is_taken_over(name) || name == INSTANCING && !is_in_part;
     for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
         let role = if name == ANIMATION_POINTER { Role::Unplayed } else { Role::Rests };
         found.push(Remnant { what: format!("the extension {name}"), role });
@@ -101,8 +108,71 @@ fn khr_extension(primitive: &Value, name: &str) -> bool {
     extension_of(primitive, KHR_SPLATS).is_some_and(|khr| extension_of(khr, name).is_some())
 }
 
+/// What a scene takes of a material, as `material::maps` does.
+struct Shown {
+    /// n of `TEXCOORD_n`.
+    set: u64,
+    /// Whether colours of vertices.
+    colors: bool,
+    /// Whether what it emits in place of its base colour.
+    emission: bool,
+}
+
+impl Shown {
+    fn of(material: Option<&Value>) -> Self {
+        let Some(material) = material else { return Self { set: 0, colors: true, emission: false } };
+        if let Some(source) = extension_of(material, HYBRID).and_then(first_source) {
+            let set = set_of(source.get("texture").unwrap_or(source));
+            return Self { set, colors: false, emission: false };
+        }
+        let base = material.pointer("/pbrMetallicRoughness/baseColorTexture");
+        if !is_shown_by_emission(material) {
+            return Self { set: base.map_or(0, set_of), colors: base.is_none(), emission: false };
+        }
+        let has_alpha = material.get("alphaMode").is_some_and(|mode| mode != "OPAQUE");
+        let picture = material.get("emissiveTexture").or(base.filter(|_| has_alpha));
+        Self { set: picture.map_or(0, set_of), colors: false, emission: true }
+    }
+}
+
+/// The texel source of coefficient 0, like which all of a material lie; `None` where the core material is shown in their place.
+fn first_source(radiance: &Value) -> Option<&Value> {
+    let harmonics = radiance.get("sphericalHarmonics")?;
+    let is_one_of = |token: Option<&Value>, known: [&str; 2]| {
+        token.is_none_or(|token| token.as_str().is_some_and(|token| known.contains(&token)))
+    };
+    let is_known = is_one_of(harmonics.get("frame"), ["node", "triangle"])
+        && is_one_of(radiance.pointer("/opacity/activation"), ["none", "logistic"]);
+    harmonics.get("coefficients")?.get(0).filter(|_| is_known)
+}
+
+/// n of the `TEXCOORD_n` that a texture or a texel source takes.
+fn set_of(texture: &Value) -> u64 {
+    let moved = extension_of(texture, TEXTURE_TRANSFORM).and_then(|transform| transform.get("texCoord"));
+    moved.or(texture.get("texCoord")).and_then(Value::as_u64).unwrap_or(0)
+}
+
+/// Whether a core material is black, or has no other picture than that of its emission.
+fn is_shown_by_emission(material: &Value) -> bool {
+    let is_positive = |value: &Value| value.as_f64().is_some_and(|value| value > 0.0);
+    let strength = extension_of(material, EMISSIVE_STRENGTH).and_then(|own| own.get("emissiveStrength"));
+    let emits = items(material.get("emissiveFactor")).iter().any(is_positive) && strength.is_none_or(is_positive);
+    let color = items(material.pointer("/pbrMetallicRoughness/baseColorFactor"));
+    let is_black = color.len() > 3 && !color[..3].iter().any(is_positive);
+    let has_picture = material.pointer("/pbrMetallicRoughness/baseColorTexture").is_some();
+    let is_only_picture = material.get("emissiveTexture").is_some() && !has_picture;
+    emits && (is_black || is_only_picture) && extension_of(material, UNLIT).is_none()
+}
+
+/// Whether a material has textures of the core besides the one that is shown.
+fn has_other_textures(material: &Value) -> bool {
+    let others = ["/normalTexture", "/occlusionTexture", "/pbrMetallicRoughness/metallicRoughnessTexture"];
+    let is_emission_left = material.get("emissiveTexture").is_some() && !Shown::of(Some(material)).emission;
+    is_emission_left || others.iter().any(|at| material.pointer(at).is_some())
+}
+
 /// Attributes of a primitive that a scene does not hold.
-fn other_attributes(primitive: &Value) -> Vec<&str> {
+fn other_attributes<'a>(primitive: &'a Value, shown: &Shown) -> Vec<&'a str> {
     let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return vec![] };
     let khr = extension_of(primitive, KHR_SPLATS);
     // Read where the names of today are not there, and no SPZ stands for all.
@@ -110,7 +180,11 @@ fn other_attributes(primitive: &Value) -> Vec<&str> {
     let is_read = |name: &str| match name {
         DRAFT_ROTATION => of_draft && !attributes.contains_key(ROTATION),
         DRAFT_SCALE => of_draft && !attributes.contains_key(SCALE),
-        _ => is_held(name),
+        "COLOR_0" => khr.is_some() || shown.colors,
+        _ => match name.strip_prefix("TEXCOORD_") {
+            Some(set) => khr.is_none() && set.parse::<u64>().is_ok_and(|set| set == shown.set),
+            None => is_held(name),
+        },
     };
     attributes.keys().map(String::as_str).filter(|name| !is_read(name)).collect()
 }
@@ -120,9 +194,9 @@ fn is_draft(khr: &Value) -> bool {
     ["kernel", "colorSpace"].iter().all(|key| khr.get(key).is_none_or(Value::is_null))
 }
 
-/// Vertex attributes that a scene holds by value. Joints and weights are counted with the skins.
+/// Vertex attributes that a scene holds by value, whatever the material. Joints and weights are counted with the skins.
 fn is_held(name: &str) -> bool {
-    let prefixes = ["TEXCOORD_", "COLOR_", "JOINTS_", "WEIGHTS_", "KHR_gaussian_splatting:"];
+    let prefixes = ["JOINTS_", "WEIGHTS_", "KHR_gaussian_splatting:"];
     name == "POSITION" || prefixes.iter().any(|prefix| name.starts_with(prefix))
 }
 

@@ -6,7 +6,7 @@ use serde::Deserialize as _;
 use serde_json::Value;
 
 use super::buffer::Buffer;
-use super::extension::{HYBRID, KHR_SPLATS, Radiance, SPZ, Surface, extension_of};
+use super::extension::{HYBRID, INSTANCING, KHR_SPLATS, Radiance, SPZ, Surface, extension_of};
 use super::lift::Asset;
 use super::{meshopt, uri};
 
@@ -39,6 +39,11 @@ pub(in crate::format) fn sizes(asset: &Asset, file_bytes: u64) -> Sizes {
             let stream = khr.and_then(|k| extension_of(k, SPZ)?.get("bufferView")?.as_u64());
             stream.into_iter().for_each(|view| count.view(part, view as usize));
         }
+    }
+    for node in asset.document.nodes() {
+        let copies = node.extension_value(INSTANCING).and_then(|copies| copies.get("attributes")?.as_object());
+        let accessors = copies.into_iter().flatten().filter_map(|(_, accessor)| accessor.as_u64());
+        accessors.for_each(|accessor| count.accessor("geometry", accessor as usize));
     }
     for material in asset.document.materials() {
         let Some(Ok(radiance)) = material.extension_value(HYBRID).map(Radiance::deserialize) else { continue };

@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 
 use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
-use super::extension::EXTRAS;
+use super::extension::{EXTRAS, HYBRID};
+use super::remainder::remainder;
 use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::base64;
@@ -214,6 +215,39 @@ fn a_changed_scene_is_written_anew_and_what_is_dropped_is_named() {
 }
 
 #[test]
+fn what_a_material_does_not_show_is_lost() {
+    let lost = |attributes: &[&str], material: Value| {
+        let attributes: Value = attributes.iter().map(|name| ((*name).to_owned(), json!(0))).collect();
+        let primitive = json!({ "attributes": attributes, "material": 0 });
+        let document = json!({ "meshes": [{ "primitives": [primitive] }], "materials": [material] });
+        remainder(&document, false).into_iter().map(|part| part.what).collect::<Vec<_>>()
+    };
+    let based = |texture: Value| json!({ "pbrMetallicRoughness": { "baseColorTexture": texture } });
+    let sets = ["POSITION", "TEXCOORD_0", "TEXCOORD_1"];
+    assert_eq!(lost(&sets, json!({})), ["the attributes TEXCOORD_1"]);
+    assert_eq!(lost(&sets, based(json!({ "index": 0, "texCoord": 1 }))), ["the attributes TEXCOORD_0"]);
+    let moved = json!({ "index": 0, "extensions": { "KHR_texture_transform": { "texCoord": 1 } } });
+    assert_eq!(lost(&sets, based(moved)), ["the attributes TEXCOORD_0"]);
+    let exact = json!({ "sphericalHarmonics": { "degree": 0, "coefficients": [{ "accessor": 0, "texCoord": 1 }] } });
+    assert_eq!(lost(&sets, json!({ "extensions": { HYBRID: exact } })), ["the attributes TEXCOORD_0"]);
+
+    let colors = ["POSITION", "TEXCOORD_0", "COLOR_0"];
+    assert_eq!(lost(&colors, json!({})), Vec::<String>::new());
+    assert_eq!(lost(&colors, based(json!({ "index": 0 }))), ["the attributes COLOR_0"]);
+    assert_eq!(lost(&["POSITION", "COLOR_0", "COLOR_1"], json!({})), ["the attributes COLOR_1"]);
+
+    let (texture, unshown) = (json!({ "index": 0 }), ["textures for light and shine"]);
+    let mut shiny = based(texture.clone());
+    shiny["normalTexture"] = texture.clone();
+    shiny["pbrMetallicRoughness"]["metallicRoughnessTexture"] = texture.clone();
+    assert_eq!(lost(&["POSITION"], shiny), unshown);
+    let mut bright = json!({ "emissiveTexture": { "index": 0, "texCoord": 1 }, "emissiveFactor": [1, 1, 1] });
+    assert_eq!(lost(&sets, bright.clone()), ["the attributes TEXCOORD_0"], "it is what is shown");
+    bright["pbrMetallicRoughness"] = json!({ "baseColorTexture": texture });
+    assert_eq!(lost(&["POSITION"], bright), unshown);
+}
+
+#[test]
 fn cameras_and_the_rule_change_within_the_document() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -227,7 +261,7 @@ fn cameras_and_the_rule_change_within_the_document() {
     assert!(write_scene(&at("out.glb"), &scene, &options).unwrap().loss.is_none());
     let (json, _) = opened(&at("out.glb"));
     assert!(json.get("cameras").is_none() && json["nodes"][2].get("camera").is_none());
-    assert_eq!(json["scenes"][0]["extensions"][extension::HYBRID]["lambda"], 0.25);
+    assert_eq!(json["scenes"][0]["extensions"][HYBRID]["lambda"], 0.25);
     assert_eq!(json["scenes"][0]["extensions"]["EXT_unknown"]["of"], "scene");
     let again = read_file(&at("out.glb"), &KEEP).unwrap();
     assert_eq!((again.scene.composition, again.cameras.len()), (scene.composition, 0));
@@ -245,12 +279,11 @@ fn cameras_and_the_rule_change_within_the_document() {
     assert_eq!(usual.scene.composition, scene.composition);
 
     let (mut json, _) = opened(&at("wide.glb"));
-    json["scenes"][0]["extensions"][extension::HYBRID]["footprint"]["variance"] = json!(-1.0);
+    json["scenes"][0]["extensions"][HYBRID]["footprint"]["variance"] = json!(-1.0);
     json["buffers"][0]["uri"] = json!(format!("data:;base64,{}", base64::encode(&vec![0; 4096])));
     std::fs::write(at("damaged.gltf"), json.to_string()).unwrap();
     let error = read_file(&at("damaged.gltf"), &KEEP).unwrap_err().to_string();
-    let place =
-        format!("/scenes/0/extensions/{}/footprint/variance: expected a number ≥ 0, found -1", extension::HYBRID);
+    let place = format!("/scenes/0/extensions/{HYBRID}/footprint/variance: expected a number ≥ 0, found -1");
     assert!(error.ends_with(&place), "{error}");
 }
 

@@ -9,7 +9,7 @@ use crate::format::activation;
 use crate::scene::sh;
 
 /// A primitive of two splats, and its attributes by name.
-fn splats(quantized: bool) -> (Builder, serde_json::Map<String, Value>) {
+pub(super) fn splats(quantized: bool) -> (Builder, serde_json::Map<String, Value>) {
     let mut b = Builder::default();
     let mut attributes = serde_json::Map::new();
     let mut add = |name: &str, index: usize| attributes.insert(name.to_owned(), json!(index));
@@ -30,14 +30,14 @@ fn splats(quantized: bool) -> (Builder, serde_json::Map<String, Value>) {
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "documents are written where they are read")]
-fn splat_document(attributes: &serde_json::Map<String, Value>, khr: Value) -> Value {
+pub(super) fn splat_document(attributes: &serde_json::Map<String, Value>, khr: Value) -> Value {
     json!({
         "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { "KHR_gaussian_splatting": khr } }] }],
         "extensionsUsed": ["KHR_gaussian_splatting"],
     })
 }
 
-fn khr() -> Value {
+pub(super) fn khr() -> Value {
     json!({ "kernel": "ellipse", "colorSpace": "srgb_rec709_display" })
 }
 
@@ -134,6 +134,10 @@ fn splats_within_spz() {
             let [y, z, x] = [1, 2, 3].map(|c| plain.sh_of(2)[c][k]);
             near(&[1, 2, 3].map(|c| found.sh_of(2)[c][k]), &[-y, z, -x], 1e-6);
         }
+        // The stream has the positions as well.
+        let mut bare = document(&khr);
+        bare["meshes"][0]["primitives"][0]["attributes"] = json!({});
+        assert_eq!(b.read(bare).unwrap().scene.splats, found);
         let mut wrong = b;
         wrong.accessors[0]["count"] = json!(6);
         assert!(wrong.read(document(&khr)).unwrap_err().contains("expected 6 splats, as in POSITION, found 5"));

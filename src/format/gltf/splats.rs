@@ -15,17 +15,33 @@ use crate::format::placed::place;
 use crate::format::{NotedSplats, activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
-/// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, below a node of this transform, to be blended in a
-/// space that the scene states, or that is the first of those that its splats do.
+/// Splats of a primitive, before a node places them.
+#[derive(Clone)]
+pub(super) struct Stored {
+    splats: SplatArrays,
+    /// From their axes to those of glTF.
+    frame: DMat4,
+}
+
+impl Stored {
+    /// As they are below a node by this transform.
+    pub(super) fn placed(self, (node, transform): (usize, DMat4)) -> Result<SplatArrays, Fault> {
+        let Self { mut splats, frame } = self;
+        place(&mut splats, transform * frame, &format!("/nodes/{node}"))?;
+        Ok(splats)
+    }
+}
+
+/// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, to be blended in a space that the scene
+/// states, or that is the first of those that its splats do.
 pub(super) fn read(
     asset: &Asset,
     id: (usize, usize),
     primitive: &gltf::Primitive<'_>,
     khr: &Value,
-    (node, transform): (usize, DMat4),
     (space, is_stated): (ColorSpace, bool),
     notes: &mut Vec<String>,
-) -> Result<SplatArrays, Fault> {
+) -> Result<Stored, Fault> {
     let at = format!("/meshes/{}/primitives/{}", id.0, id.1);
     let at_khr = format!("{at}/extensions/{KHR_SPLATS}");
     let khr = from_value::<Khr>(khr, &at_khr, KHR_SPLATS)?;
@@ -53,7 +69,7 @@ pub(super) fn read(
     if primitive.mode() != gltf::mesh::Mode::Points {
         return Err(Fault::pointer(format!("{at}/mode"), "0 (POINTS)", format!("{:?}", primitive.mode())));
     }
-    let is_empty = primitive.get(&gltf::Semantic::Positions).is_some_and(|positions| !asset.is_stored(&positions));
+    let is_empty = asset.positions(id, primitive).is_some_and(|positions| !asset.is_stored(&positions));
     for name in khr.extensions.keys().filter(|name| ![HYBRID, SPZ].contains(&name.as_str())) {
         if is_empty && !khr.extensions.contains_key(SPZ) {
             let expected = format!("splats in accessors or of {SPZ}");
@@ -65,24 +81,25 @@ pub(super) fn read(
         }
         notes.push(format!("{at_khr}: `{name}` is not known here; the attributes are read"));
     }
-    let (mut splats, transform) = match khr.extensions.get(SPZ) {
+    match khr.extensions.get(SPZ) {
         Some(value) => {
             let at = format!("{at_khr}/extensions/{SPZ}");
-            let splats = decompress(asset, primitive, value, &at, notes)?;
+            let splats = decompress(asset, id, primitive, value, &at, notes)?;
             // From the frame of captures (right, down, front), which the codec delivers: half a turn about z to
             // (left, up, front), as Khronos' draft asks; early files store theirs as they are (right, up, back).
-            let frame = if is_draft { [1.0, -1.0, -1.0] } else { [-1.0, -1.0, 1.0] };
-            let [x, y, z] = frame;
-            (splats, transform * DMat4::from_diagonal(DVec4::new(x, y, z, 1.0)))
+            let [x, y, z] = if is_draft { [1.0, -1.0, -1.0] } else { [-1.0, -1.0, 1.0] };
+            Ok(Stored { splats, frame: DMat4::from_diagonal(DVec4::new(x, y, z, 1.0)) })
         }
-        None => (attributes(asset, id, primitive, is_draft, &at, notes)?, transform),
-    };
-    place(&mut splats, transform, &format!("/nodes/{node}"))?;
-    Ok(splats)
+        None => {
+            let splats = attributes(asset, id, primitive, is_draft, &at, notes)?;
+            Ok(Stored { splats, frame: DMat4::IDENTITY })
+        }
+    }
 }
 
 fn decompress(
     asset: &Asset,
+    id: (usize, usize),
     primitive: &gltf::Primitive<'_>,
     value: &Value,
     at: &str,
@@ -104,7 +121,7 @@ fn decompress(
         "trained with anti-aliasing, which glTF says of the scene: small splats look too strong".to_owned();
     let found = found.into_iter().chain(pixel_filter.normalized.then_some(antialiased));
     notes.extend(found.map(|note| format!("{at}: {note}")));
-    let declared = primitive.get(&gltf::Semantic::Positions).map_or(splats.len(), |a| a.count());
+    let declared = asset.positions(id, primitive).map_or(splats.len(), |a| a.count());
     if declared != splats.len() {
         return Err(Fault::pointer(at, format!("{declared} splats, as in POSITION"), splats.len().to_string()));
     }
@@ -127,7 +144,7 @@ fn attributes(
             Fault::pointer(format!("{at}/attributes"), format!("the attribute `{name}`"), "none of this name")
         })
     };
-    let position = primitive.get(&gltf::Semantic::Positions);
+    let position = asset.positions(id, primitive);
     let position = position.ok_or_else(|| Fault::pointer(format!("{at}/attributes"), "POSITION", "none"))?;
     let means: Vec<Vec3> = asset.floats::<3>(position.index())?.into_iter().map(Vec3::from).collect();
     let same = |found: usize, name: &str| {

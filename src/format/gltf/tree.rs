@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::extension::{KHR_SPLATS, SPZ, extension_of};
+use super::instancing::{Single, copies};
 use super::lift::Asset;
 use super::motion::{Clip, Motion};
 use super::remainder::remainder;
@@ -45,7 +46,7 @@ pub struct Node {
     pub mesh: Option<usize>,
     /// Primitives of its mesh.
     pub primitives: Vec<Primitive>,
-    /// Lowest and highest corner of its mesh by the declared bounds, y down as in a capture; without skin and morph targets.
+    /// Lowest and highest corner of its mesh by the declared bounds, y down as in a capture, copies of it included; without skin and morph targets.
     pub bounds: Option<[[f64; 3]; 2]>,
 }
 
@@ -79,12 +80,20 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let mut depths: HashMap<usize, usize> = HashMap::new();
     let is_ours = is_ours(&asset.document);
     let to_capture = if is_ours { DMat4::IDENTITY } else { FLIP };
+    let single = Single::of(&asset.root);
     for Placed { node, transform, .. } in all_placements_by(&asset.document, local)? {
         let depth = depths.get(&node.index()).copied().unwrap_or(0);
         depths.extend(node.children().map(|child| (child.index(), depth + 1)));
         let primitives = || node.mesh().into_iter().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
-        let corners =
-            primitives().filter_map(|(_, p)| declared_bounds(asset, &p)).flat_map(|b| moved(b, to_capture * transform));
+        let mut boxes: Vec<[DVec3; 2]> = primitives().filter_map(|(m, p)| declared_bounds(asset, m, &p)).collect();
+        // What is wrong with them is said where they are read.
+        let copies = copies(asset, &single, &node, &mut vec![]).unwrap_or_default();
+        if copies.is_some() {
+            boxes = boxes.into_iter().reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]).into_iter().collect();
+        }
+        let places = copies.unwrap_or_else(|| vec![DMat4::IDENTITY]);
+        let all = boxes.iter().flat_map(|own| places.iter().map(move |local| (*own, transform * *local)));
+        let corners = all.flat_map(|(own, place)| moved(own, to_capture * place));
         let bounds = corners
             .fold(None, |all: Option<[DVec3; 2]>, p| Some(all.map_or([p, p], |[low, high]| [low.min(p), high.max(p)])));
         let described = primitives().map(|(mesh, p)| {
@@ -129,7 +138,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
 
 fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Primitive {
     use gltf::mesh::Mode;
-    let vertices = primitive.get(&gltf::Semantic::Positions).map_or(0, |a| a.count());
+    let vertices = asset.positions((mesh, primitive.index()), primitive).map_or(0, |a| a.count());
     let corners = primitive.indices().map_or(vertices, |a| a.count());
     let khr = primitive.extension_value(KHR_SPLATS);
     let (kind, triangles) = match primitive.mode() {
@@ -157,9 +166,9 @@ fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Prim
 }
 
 /// `min` and `max` of POSITION as positions, if the file has them.
-fn declared_bounds(asset: &Asset, primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
+fn declared_bounds(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
     use gltf::accessor::DataType;
-    let accessor = primitive.get(&gltf::Semantic::Positions)?;
+    let accessor = asset.positions((mesh, primitive.index()), primitive)?;
     let scale = match (accessor.normalized(), accessor.data_type()) {
         (true, DataType::I8) => 127.0,
         (true, DataType::U8) => 255.0,

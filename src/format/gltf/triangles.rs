@@ -7,7 +7,7 @@ use super::lift::Asset;
 use super::motion::Motion;
 use super::pose::Poses;
 use crate::format::error::Fault;
-use crate::scene::rig::RestSurface;
+use crate::scene::rig::{RestSurface, Skinning};
 
 /// Triangles compressed, which are read only where accessors have them as well.
 const DRACO: &str = "KHR_draco_mesh_compression";
@@ -24,6 +24,26 @@ pub(in crate::format) struct Triangles {
     pub(super) is_mirrored: bool,
 }
 
+impl Triangles {
+    /// A copy of them at their node, of this global transform, where it is `local` in the space of that. The node has no skin.
+    pub(in crate::format) fn copy(
+        &self,
+        poses: &mut Poses,
+        (node, transform): (&gltf::Node<'_>, DMat4),
+        local: DMat4,
+    ) -> Self {
+        let skinning = Skinning::Bone(poses.copy(node.index(), local));
+        let rest_surface = RestSurface { skinning, ..self.rest_surface.clone() };
+        let is_mirrored = (transform * local).determinant() < 0.0;
+        let mut triangles = self.triangles.clone();
+        if is_mirrored != self.is_mirrored {
+            triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        }
+        let positions = rest_surface.positions(poses.rest());
+        Self { positions, triangles, uvs: self.uvs.clone(), rest_surface, is_mirrored }
+    }
+}
+
 /// Reads `primitive` of the mesh of `node`, whose global transform is `transform`, with texture coordinates
 /// `TEXCOORD_<uv_set>`; `None` if it has no triangles.
 pub(in crate::format) fn read(
@@ -37,7 +57,8 @@ pub(in crate::format) fn read(
     let mesh = node.mesh().map_or(0, |m| m.index());
     let at = format!("/meshes/{mesh}/primitives/{}", primitive.index());
     let is_triangles = matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan);
-    let Some(positions) = primitive.get(&gltf::Semantic::Positions).filter(|_| is_triangles) else { return Ok(None) };
+    let positions = asset.positions((mesh, primitive.index()), primitive).filter(|_| is_triangles);
+    let Some(positions) = positions else { return Ok(None) };
     if primitive.extension_value(DRACO).is_some() && !asset.is_stored(&positions) {
         let expected = "a primitive with its data in accessors";
         return Err(Fault::pointer(

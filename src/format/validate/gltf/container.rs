@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use super::super::Findings;
 use crate::format::error::Location;
+use crate::format::gltf::write_as_integers;
 
 const JSON: u32 = 0x4E4F_534A;
 const BIN: u32 = 0x004E_4942;
@@ -19,7 +20,10 @@ pub(super) struct Parts<'a> {
 pub(super) fn open<'a>(bytes: &'a [u8], findings: &mut Findings) -> Option<Parts<'a>> {
     let (json, start, bin) = if bytes.starts_with(b"glTF") { chunks(bytes, findings)? } else { (bytes, 0, None) };
     match serde_json::from_slice(json) {
-        Ok(root @ Value::Object(_)) => Some(Parts { root, bin }),
+        Ok(mut root @ Value::Object(_)) => {
+            write_as_integers(&mut root);
+            Some(Parts { root, bin })
+        }
         Ok(_) => {
             findings.error("JSON_SYNTAX", byte(start), "a JSON object", "another value");
             None

@@ -6,13 +6,14 @@ use super::super::Findings;
 use super::schema::escaped;
 
 /// Where indices stand (`*` is any item or property), and the array they point into.
-const REFERENCES: [(&str, &str); 50] = [
+const REFERENCES: [(&str, &str); 51] = [
     ("scene", "scenes"),
     ("scenes/*/nodes/*", "nodes"),
     ("nodes/*/children/*", "nodes"),
     ("nodes/*/mesh", "meshes"),
     ("nodes/*/camera", "cameras"),
     ("nodes/*/skin", "skins"),
+    ("nodes/*/extensions/EXT_mesh_gpu_instancing/attributes/*", "accessors"),
     ("meshes/*/primitives/*/attributes/*", "accessors"),
     ("meshes/*/primitives/*/indices", "accessors"),
     ("meshes/*/primitives/*/targets/*/*", "accessors"),

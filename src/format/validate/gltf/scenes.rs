@@ -4,14 +4,17 @@ use serde_json::Value;
 
 use super::super::{Findings, Offenders};
 use super::document::{Component, Document, Elements, components};
-use super::{index, objects, primitives};
-use crate::format::gltf::extension::{KHR_SPLATS, extension_of};
+use super::{extension, index, objects, primitives};
+use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
 
 /// How far from 1 the length of a unit vector or quaternion may be. 8-bit components are half a step of 1/127 off each.
 pub(super) const UNIT_TOLERANCE: f64 = 0.01;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     check_nodes(document.root, findings);
+    for (at, node) in objects(document.root, "nodes", "") {
+        check_copies(document, node, &at, findings);
+    }
     for (at, primitive) in primitives(document.root) {
         check_primitive(document, primitive, &at, findings);
     }
@@ -66,6 +69,34 @@ fn check_nodes(root: &Value, findings: &mut Findings) {
                     format!("child of {other}"),
                 );
             }
+        }
+    }
+}
+
+/// Copies of a mesh: as many elements of each attribute, of the types that the extension has for where they are.
+fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut Findings) {
+    use Component::{Byte, Float, Short};
+    let Some((at, copies)) = extension(node, INSTANCING, at) else { return };
+    let mut first: Option<(&str, usize)> = None;
+    for (name, value) in copies.get("attributes").and_then(Value::as_object).into_iter().flatten() {
+        let place = || format!("{at}/attributes/{}", super::schema::escaped(name));
+        let Some(accessor) = value.as_u64().and_then(|i| document.object("accessors", i as usize)) else { continue };
+        let Some(count) = index(accessor, "count") else { continue };
+        let (other, expected) = *first.get_or_insert((name.as_str(), count));
+        if count != expected {
+            findings.error("COPIES_COUNT", place(), format!("{expected} elements, as in {other}"), count);
+        }
+        let (shape, kinds): (&str, &[Component]) = match name.as_str() {
+            "TRANSLATION" | "SCALE" => ("VEC3", &[Float]),
+            "ROTATION" => ("VEC4", &[Float, Byte, Short]),
+            _ => continue,
+        };
+        let found_shape = accessor.get("type").and_then(Value::as_str).unwrap_or_default();
+        let found_kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
+        let is_scaled = found_kind == Some(Float) || accessor.get("normalized") == Some(&Value::Bool(true));
+        if found_shape != shape || !is_scaled || found_kind.is_some_and(|kind| !kinds.contains(&kind)) {
+            let expected = format!("{shape} of {kinds:?}, integers normalised");
+            findings.error("COPIES_ATTRIBUTE", place(), expected, format!("{found_shape} of {found_kind:?}"));
         }
     }
 }

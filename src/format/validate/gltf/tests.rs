@@ -218,6 +218,12 @@ fn surface_node(file: &mut File) -> &mut Value {
     nodes.iter_mut().find(|node| node["mesh"] == json!(SURFACE)).unwrap()
 }
 
+/// Gives the surface copies.
+fn copied(file: &mut File, attributes: &Value) {
+    declare(file, "EXT_mesh_gpu_instancing");
+    surface_node(file)["extensions"] = json!({ "EXT_mesh_gpu_instancing": { "attributes": attributes } });
+}
+
 /// Binds the surface to the skin, all of its vertices to one joint.
 fn skinned(file: &mut File, joint: f64, weight: f64) {
     let position = primitive(file, SURFACE)["attributes"]["POSITION"].as_u64().unwrap() as usize;

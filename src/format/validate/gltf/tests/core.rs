@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::{Planted, SPLATS, SURFACE, U16, declare, primitive, skinned, surface_node};
+use super::{Planted, SPLATS, SURFACE, U16, copied, declare, primitive, skinned, surface_node};
 
 pub(super) const PLANTED: &[Planted] = &[
     // The schema.
@@ -72,6 +72,14 @@ pub(super) const PLANTED: &[Planted] = &[
         f.json["nodes"][0]["children"] = json!([root]);
     }),
     ("SCENE_ROOT", "/scenes/0/nodes/1", |f| f.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(json!(0))),
+    ("COPIES_COUNT", "/EXT_mesh_gpu_instancing/attributes/TRANSLATION", |f| {
+        let (turns, places) = (f.floats("VEC4", &[0., 0., 0., 1.]), f.floats("VEC3", &[0.0; 6]));
+        copied(f, &json!({ "ROTATION": turns, "TRANSLATION": places }));
+    }),
+    ("COPIES_ATTRIBUTE", "/EXT_mesh_gpu_instancing/attributes/SCALE", |f| {
+        let scales = f.accessor("VEC3", U16, &[1.0; 3]);
+        copied(f, &json!({ "SCALE": scales }));
+    }),
     ("PRIMITIVE_POSITION", "/attributes", |f| {
         drop(primitive(f, SURFACE)["attributes"].as_object_mut().unwrap().remove("POSITION"));
     }),
