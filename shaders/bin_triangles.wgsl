@@ -2,8 +2,8 @@
 // `scatter`.
 //
 // The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one
-// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin. Where loops may not go on for ever, a thread
-// takes no more rows of a triangle than have MOST_BINS bins of the picture.
+// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin. A thread takes no more rows of a triangle than
+// have MOST_BINS bins of the picture.
 
 //#import shared/view.wgsl
 //#import shared/workgroup_scan.wgsl
@@ -26,11 +26,7 @@ fn bins() -> vec2u {
 
 // Threads that share out the rows of a triangle.
 fn shares() -> u32 {
-//#if MOST_BINS
     return (bins().x * bins().y + MOST_BINS - 1u) / MOST_BINS;
-//#else
-    return 1u;
-//#end
 }
 
 fn bin_at(packed: u32) -> vec2u {
@@ -73,6 +69,7 @@ fn count(
     if i >= view.n_triangles { return; }
     let first = bin_at(boxes[i].x);
     let last = bin_at(boxes[i].y);
+    if first.y + share % n_shares > last.y { return; }
     let a = corners[3u * i].xyz;
     let b = corners[3u * i + 1u].xyz;
     let c = corners[3u * i + 2u].xyz;
@@ -120,6 +117,7 @@ fn scatter(
     if i >= view.n_triangles { return; }
     let first = bin_at(boxes[i].x);
     let last = bin_at(boxes[i].y);
+    if first.y + share % n_shares > last.y { return; }
     let a = corners[3u * i].xyz;
     let b = corners[3u * i + 1u].xyz;
     let c = corners[3u * i + 2u].xyz;

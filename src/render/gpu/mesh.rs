@@ -92,9 +92,10 @@ fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2], u32) {
     if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32], 1) } else { ("texel_backward.wgsl", [8, 8], 64) }
 }
 
-/// Bins of a picture whose part in a triangle is left to one thread, if that is bounded.
-fn most_bins(gpu: &Gpu) -> Option<usize> {
-    gpu.loop_passes().map(|passes| passes / 4 * 3)
+/// Bins of a picture whose part in a triangle is left to one thread. On a GPU nothing bounds that, but one thread waits for an addition in each:
+/// a wall of two triangles would hold up the frame.
+fn most_bins(gpu: &Gpu) -> usize {
+    gpu.loop_passes().map_or(4096, |passes| passes / 4 * 3)
 }
 
 /// Bins of a picture.
@@ -161,7 +162,7 @@ impl Kernels {
             .with("ACROSS", across)
             .with("DOWN", down)
             .with("BIN", BIN)
-            .with("MOST_BINS", most_bins(gpu).unwrap_or(0) as u32)
+            .with("MOST_BINS", most_bins(gpu) as u32)
             .with("PER_THREAD", per_thread)
             .with("THREADS", BIN * BIN / per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -235,7 +236,7 @@ impl MeshStage {
             let (_, [w, h], threads) = texel_backward(gpu);
             let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
             (bound.bins, bound.fragments, bound.texel_threads) = (bins(k), layers * k.pixels(), layers * of_layer);
-            bound.binning_threads = self.n_triangles * most_bins(gpu).map_or(1, |most| bins(k).div_ceil(most));
+            bound.binning_threads = self.n_triangles * bins(k).div_ceil(most_bins(gpu));
         }
         Ok(grew)
     }
