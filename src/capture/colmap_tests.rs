@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use super::tests::{cameras_bin, full, message, write_capture, write_text_capture, write_transforms};
+use super::tests::{cameras_bin, full, message, write_capture, write_text_capture};
+use super::transforms_tests::write_transforms;
 use super::*;
 
 #[test]

@@ -317,3 +317,5 @@ const ROUNDED: f64 = 5e-8;
 mod colmap_tests;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod transforms_tests;

@@ -27,6 +27,8 @@ mod frame;
 mod from_scene;
 mod lex;
 mod maps;
+#[cfg(test)]
+mod material_tests;
 mod materials;
 mod names;
 mod package;
