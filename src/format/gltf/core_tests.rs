@@ -1,5 +1,6 @@
 //! Core glTF of others, by hand: one small document per feature.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::{Vec2, Vec3};
@@ -245,7 +246,8 @@ fn maps_are_counted_coefficient_by_coefficient() {
         let mut budget = MapBudget::new(0);
         budget.spend(most - room * floats).unwrap();
         let material = asset.document.materials().next().unwrap();
-        let maps = material::maps(&asset, &material, ColorSpace::default(), &mut budget, &mut vec![]);
+        let maps =
+            material::maps(&asset, &material, ColorSpace::default(), (&mut budget, &mut HashMap::new()), &mut vec![]);
         let message = maps.map(|maps| maps.atlas.floats()).map_err(|fault| fault.in_file(Path::new("f")).to_string());
         match fault {
             None => assert_eq!(message, Ok(13 * 256 * 256)),
@@ -701,6 +703,36 @@ fn texture_coordinates_are_transformed() {
     let factor = json!({ "alphaMode": "BLEND", "pbrMetallicRoughness": { "baseColorFactor": [0.5, 1, 1, 0.5] } });
     // Half the light is 0.735 in sRGB.
     near(&read(factor), &[0.735_357, 0.0, 0.0, 0.5 * half], 1e-5);
+}
+
+/// As where many parts of a model are cut from one sheet.
+#[test]
+fn materials_of_one_picture_share_their_map() {
+    let (mut b, attributes) = triangle();
+    let mut png = std::io::Cursor::new(vec![]);
+    let picture = ::image::RgbaImage::from_fn(32, 16, |x, y| ::image::Rgba([8 * x as u8, 16 * y as u8, 77, 255 - x as u8]));
+    picture.write_to(&mut png, ::image::ImageFormat::Png).unwrap();
+    let view = b.view(png.get_ref());
+    let material = |texture: usize, red: f32| json!({ "alphaMode": "BLEND", "pbrMetallicRoughness": { "baseColorTexture": { "index": texture }, "baseColorFactor": [red, 1, 1, 1] } });
+    let primitives: Vec<Value> = (0..3).map(|m| json!({ "attributes": attributes, "material": m })).collect();
+    let file = b
+        .read(json!({
+            "meshes": [{ "primitives": primitives }],
+            "materials": [material(0, 1.0), material(1, 1.0), material(0, 0.5)],
+            "textures": [{ "source": 0 }, { "source": 1 }],
+            "images": [{ "bufferView": view, "mimeType": "image/png" }, { "bufferView": view, "mimeType": "image/png" }],
+        }))
+        .unwrap();
+    let maps: Vec<&[f32]> = file.scene.meshes.iter().map(|mesh| mesh.atlas().base().texels()).collect();
+    assert!(std::ptr::eq(maps[0], maps[1]) && !std::ptr::eq(maps[0], maps[2]));
+    for (x, y) in [(0, 0), (31, 15), (7, 11)] {
+        let expected = picture.get_pixel(x, y).0.map(|v| f32::from(v) / 255.0);
+        let texel = (y * 32 + x) as usize;
+        let found = shown(&file.scene.meshes[0], texel);
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{found:?} {expected:?}");
+        let half = crate::scene::color::linear_to_srgb(0.5 * crate::scene::color::srgb_to_linear(expected[0]));
+        assert!((shown(&file.scene.meshes[2], texel)[0] - half).abs() < 1e-5);
+    }
 }
 
 #[test]

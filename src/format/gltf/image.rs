@@ -26,6 +26,17 @@ pub(in crate::format) struct Texels {
 impl Asset {
     /// Decodes the image of texture `index`: PNG (8 or 16 bit), JPEG or WebP.
     pub(super) fn texels(&self, index: usize) -> Result<Texels, Fault> {
+        let (at, encoded) = self.encoded(index)?;
+        decode(encoded).map_err(|(expected, found)| Fault::pointer(at, expected, found))
+    }
+
+    /// Which image texture `index` has.
+    pub(super) fn image(&self, index: usize) -> Result<Identity, Fault> {
+        self.encoded(index).map(|(_, encoded)| identity(&encoded))
+    }
+
+    /// The file of the image of texture `index`, and where the document has it.
+    fn encoded(&self, index: usize) -> Result<(String, Vec<u8>), Fault> {
         let json = self.document.as_json();
         let texture = self.document.textures().nth(index);
         let webp = texture.as_ref().and_then(|t| t.extension_value(WEBP)?.get("source")?.as_u64());
@@ -41,7 +52,7 @@ impl Asset {
                 .map_err(|(expected, found)| Fault::pointer(format!("{at}/uri"), expected, found))?,
             (None, None) => return Err(Fault::pointer(at, "a bufferView or a uri", "neither")),
         };
-        decode(encoded).map_err(|(expected, found)| Fault::pointer(at, expected, found))
+        Ok((at, encoded))
     }
 }
 

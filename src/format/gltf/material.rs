@@ -1,7 +1,10 @@
 //! Materials to maps: exact ones from `EXT_gaussian_splatting_hybrid`, else the base colour.
 
+use std::collections::HashMap;
+
 use gltf::material::AlphaMode;
 use gltf::texture::MagFilter;
+use rayon::prelude::*;
 
 use super::extension::{
     EMISSIVE_STRENGTH, HYBRID, Radiance, SPECULAR_GLOSSINESS, ShField, SpecularGlossiness, TEXTURE_TRANSFORM,
@@ -12,7 +15,7 @@ use super::lift::Asset;
 use super::uv::UvMap;
 use crate::format::activation;
 use crate::format::error::{Fault, from_value, shown};
-use crate::format::map_budget::MapBudget;
+use crate::format::map_budget::{Identity, MapBudget};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// A material as maps.
@@ -46,6 +49,24 @@ impl BaseColour {
         let [r, g, b] = sh::dc_from_rgb(self.space.from_linear(linear));
         [r, g, b, activation::map_logit(alpha)]
     }
+
+    /// The texels of a map for those of a picture. `is_whole`: all its channels are of one file.
+    fn texels(&self, picture: &Texels, is_whole: bool) -> Vec<f32> {
+        let rgba = &picture.rgba;
+        let of = |[r, g, b, a]: [f32; 4]| {
+            let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
+            self.texel([r, g, b, a])
+        };
+        // In 8 bits there are few values of a channel, none of which depends on the others.
+        let texels: Vec<[f32; 4]> = if picture.is_srgb_by_custom && is_whole && rgba.len() > 256 {
+            let table: Vec<[f32; 4]> = (0..=255u8).map(|v| of([f32::from(v) / 255.0; 4])).collect();
+            let at = |v: f32| (v * 255.0).round() as usize;
+            rgba.par_iter().map(|t| std::array::from_fn(|c| table[at(t[c])][c])).collect()
+        } else {
+            rgba.par_iter().map(|t| of(*t)).collect()
+        };
+        texels.into_flattened()
+    }
 }
 
 /// Reads the maps of `material`, to be blended in `space`; counts them before they are made.
@@ -53,7 +74,7 @@ pub(super) fn maps(
     asset: &Asset,
     material: &gltf::Material<'_>,
     space: ColorSpace,
-    budget: &mut MapBudget,
+    (budget, made): (&mut MapBudget, &mut Made),
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
     let at = place_of(material);
@@ -74,7 +95,7 @@ pub(super) fn maps(
             notes.push(format!("{at}/opacity: not read without sphericalHarmonics; the core material's is taken"));
         }
     }
-    base_colour(asset, material, (space, [1.0; 4]), budget, notes)
+    base_colour(asset, material, (space, [1.0; 4]), (budget, made), notes)
 }
 
 /// The map of a core material whose vertices all have one colour, where that is a factor: what [`Maps::base`] says.
@@ -82,10 +103,10 @@ pub(super) fn tinted(
     asset: &Asset,
     material: &gltf::Material<'_>,
     shown: (ColorSpace, [f32; 4]),
-    budget: &mut MapBudget,
+    counted: (&mut MapBudget, &mut Made),
 ) -> Result<Atlas, Fault> {
     // What there is to say has been said of the maps without it.
-    base_colour(asset, material, shown, budget, &mut vec![]).map(|maps| maps.atlas)
+    base_colour(asset, material, shown, counted, &mut vec![]).map(|maps| maps.atlas)
 }
 
 /// Where a material stands, as it is said.
@@ -298,29 +319,37 @@ impl Base {
 
 /// What a core material emits, in linear light, where that is what it shows: its base colour is black, or no picture and emission is one.
 /// `None`: its base colour is shown.
-fn emission(material: &gltf::Material<'_>, base: &Base) -> Option<[f32; 3]> {
+fn emission(material: &gltf::Material<'_>, colour: [f32; 3], has_picture: bool) -> Option<[f32; 3]> {
     let strength = material.extension_value(EMISSIVE_STRENGTH).and_then(|e| e.get("emissiveStrength")?.as_f64());
     let light = material.emissive_factor().map(|v| v * strength.unwrap_or(1.0) as f32);
-    let is_black = base.factor[..3].iter().all(|&v| v == 0.0);
-    let is_only_picture = material.emissive_texture().is_some() && base.picture.is_none();
+    let is_black = colour == [0.0; 3];
+    let is_only_picture = material.emissive_texture().is_some() && !has_picture;
     let is_lit = material.extension_value(UNLIT).is_none() && light.iter().any(|&v| v > 0.0);
     (is_lit && (is_black || is_only_picture)).then_some(light)
 }
 
+/// Maps of pictures that have been made, by the picture, what it is multiplied by, and the cut-off: materials of one file often share pictures.
+pub(super) type Made = HashMap<(Identity, [u32; 4], Option<u32>), Atlas>;
+
 /// A picture, and where it lies.
 type Placed = (Texels, UvMap);
+
+/// Notes that a texture of so many texels is not interpolated by others.
+fn note_nearest(asset: &Asset, texture: usize, texels: usize, notes: &mut Vec<String>) {
+    let sampler = asset.document.textures().nth(texture).map(|t| t.sampler());
+    let is_nearest = sampler.and_then(|s| s.mag_filter()) == Some(MagFilter::Nearest);
+    let note = format!("/textures/{texture}: its sampler's NEAREST is read as linear filtering");
+    if is_nearest && texels > 1 && !notes.contains(&note) {
+        notes.push(note);
+    }
+}
 
 /// The picture of a core material; `None`, with a note, where it cannot be had: what else there is can be shown without.
 fn placed(asset: &Asset, picture: Option<Picture>, notes: &mut Vec<String>) -> Option<Placed> {
     let Picture { at, texture, uv } = picture?;
     match asset.texels(texture) {
         Ok(texels) => {
-            let sampler = asset.document.textures().nth(texture).map(|t| t.sampler());
-            let is_nearest = sampler.and_then(|s| s.mag_filter()) == Some(MagFilter::Nearest);
-            let note = format!("/textures/{texture}: its sampler's NEAREST is read as linear filtering");
-            if is_nearest && texels.rgba.len() > 1 && !notes.contains(&note) {
-                notes.push(note);
-            }
+            note_nearest(asset, texture, texels.rgba.len(), notes);
             Some((texels, uv))
         }
         Err(fault) => {
@@ -355,30 +384,20 @@ fn base_colour(
     asset: &Asset,
     material: &gltf::Material<'_>,
     (space, tint): (ColorSpace, [f32; 4]),
-    budget: &mut MapBudget,
+    (budget, made): (&mut MapBudget, &mut Made),
     notes: &mut Vec<String>,
 ) -> Result<Maps, Fault> {
     let at = place_of(material);
-    let base = Base::of(&asset.document, material)?;
-    let emission = emission(material, &base);
+    let Base { name, factor: [r, g, b, alpha], picture } = Base::of(&asset.document, material)?;
+    let emission = emission(material, [r, g, b], picture.is_some());
     // Unlit is what maps are; light and shine they cannot follow.
     if material.extension_value(UNLIT).is_none() {
-        let what = if emission.is_some() { "emission" } else { base.name };
+        let what = if emission.is_some() { "emission" } else { name };
         notes.push(format!("{at}: shown by its {what} alone, unlit"));
     }
-    let [r, g, b, alpha] = base.factor;
-    let picture = match emission {
-        None => placed(asset, base.picture, notes),
-        Some(_) => {
-            let cover = base.picture.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
-            let cover = placed(asset, cover, notes);
-            let light = Picture::of(material.emissive_texture(), format!("{at}/emissiveTexture"))?;
-            covered(placed(asset, light, notes), cover, &at, notes)
-        }
-    };
     let [r, g, b] = emission.unwrap_or([r, g, b]);
     let factor = [r, g, b, alpha];
-    let base = BaseColour {
+    let mut base = BaseColour {
         factor: std::array::from_fn(|c| factor[c] * tint[c]),
         cutoff: match material.alpha_mode() {
             AlphaMode::Opaque => None,
@@ -387,22 +406,36 @@ fn base_colour(
             AlphaMode::Mask => Some(material.alpha_cutoff().unwrap_or(0.5)).filter(|&c| c > 0.0),
         },
         space,
-        is_textured: picture.is_some(),
+        is_textured: true,
     };
-    // Many materials may share an image.
+    let own = picture.as_ref().filter(|_| emission.is_none());
+    let key = own.and_then(|picture| asset.image(picture.texture).ok());
+    let key = key.map(|image| (image, base.factor.map(f32::to_bits), base.cutoff.map(f32::to_bits)));
+    if let (Some(Picture { texture, uv, .. }), Some(atlas)) = (own, key.and_then(|key| made.get(&key))) {
+        note_nearest(asset, *texture, atlas.floats() / 4, notes);
+        return Ok(Maps { atlas: atlas.clone(), uv: *uv, base: Some(base) });
+    }
+    let picture = match emission {
+        None => placed(asset, picture, notes),
+        Some(_) => {
+            let cover = picture.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
+            let cover = placed(asset, cover, notes);
+            let light = Picture::of(material.emissive_texture(), format!("{at}/emissiveTexture"))?;
+            covered(placed(asset, light, notes), cover, &at, notes)
+        }
+    };
+    base.is_textured = picture.is_some();
+    // Many maps may be of one image.
     picture.iter().for_each(|(texels, _)| budget.include(texels.encoded));
     let (texels, uv) = picture.unwrap_or_else(|| {
         let white = Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) };
         (white, UvMap::plain(0))
     });
     spend(budget, 4 * texels.rgba.len(), &at)?;
-    let values = texels.rgba.iter().flat_map(|t| {
-        let [r, g, b, a] = *t;
-        let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
-        base.texel([r, g, b, a])
-    });
-    let atlas = Texture::new(texels.width, texels.height, 4, values.collect()).and_then(|base| Atlas::new(base, None));
+    let atlas = Texture::new(texels.width, texels.height, 4, base.texels(&texels, emission.is_none()))
+        .and_then(|base| Atlas::new(base, None));
     let atlas = atlas.map_err(|e| Fault::from(e).under(at))?;
+    made.extend(key.filter(|_| base.is_textured).map(|key| (key, atlas.clone())));
     // Colours of vertices do not change what is emitted.
     let of_vertices = emission.is_none().then_some(base);
     Ok(Maps { atlas, uv, base: of_vertices })

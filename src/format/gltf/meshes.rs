@@ -10,7 +10,7 @@ use super::binding::{Bindable, wanted};
 use super::extension::{HYBRID, Surface};
 use super::instancing::BYTES_OF_COPY;
 use super::lift::Asset;
-use super::material::{self, BaseColour, Maps};
+use super::material::{self, BaseColour, Made, Maps};
 use super::motion::Motion;
 use super::pose::Poses;
 use super::triangles::{self, Triangles};
@@ -41,6 +41,7 @@ pub(super) struct Meshes<'a> {
     /// The maps of textured materials times a colour.
     tinted: HashMap<(Option<usize>, Tint), Atlas>,
     budget: MapBudget,
+    made: Made,
     groups: Vec<Group>,
     /// The group of a material and a colour, for primitives that may share it.
     shared: HashMap<(Option<usize>, Option<Tint>), usize>,
@@ -89,6 +90,7 @@ impl<'a> Meshes<'a> {
             maps: HashMap::new(),
             tinted: HashMap::new(),
             budget: MapBudget::new(asset.buffer_bytes() as u64),
+            made: Made::new(),
             groups: vec![],
             shared: HashMap::new(),
         })
@@ -169,7 +171,7 @@ impl<'a> Meshes<'a> {
     fn maps_of(&mut self, material: &gltf::Material<'_>, notes: &mut Vec<String>) -> Result<&Maps, Fault> {
         let index = material.index();
         if !self.maps.contains_key(&index) {
-            let maps = material::maps(self.asset, material, self.space, &mut self.budget, notes)?;
+            let maps = material::maps(self.asset, material, self.space, (&mut self.budget, &mut self.made), notes)?;
             if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
                 let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
                 notes.push(format!("{name}single-sided, but drawn from both sides"));
@@ -204,7 +206,8 @@ impl<'a> Meshes<'a> {
                     let tint = colour.map(f32::to_bits);
                     if let Entry::Vacant(entry) = self.tinted.entry((material, tint)) {
                         let shown = (self.space, colour);
-                        entry.insert(material::tinted(self.asset, &primitive.material(), shown, &mut self.budget)?);
+                        let counted = (&mut self.budget, &mut self.made);
+                        entry.insert(material::tinted(self.asset, &primitive.material(), shown, counted)?);
                     }
                     group.tint = Some(tint);
                 }
