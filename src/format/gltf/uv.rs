@@ -23,6 +23,9 @@ const ROUNDING: f32 = 1e-3;
 /// Floats that a repeated texture may take, 256 MB of them; one that would take more is repeated at a lower resolution.
 const MAX_FLOATS: u64 = 1 << 26;
 
+/// Floats of one at a lower resolution: 64 MB of them, which with their mips are what any adapter binds.
+const MAX_FLOATS_REDUCED: u64 = 1 << 24;
+
 /// Floats that all repeated textures of a file may take, 1 GiB of them.
 const MAX_FLOATS_OF_FILE: u64 = 1 << 28;
 
@@ -71,21 +74,24 @@ impl Unrolling {
     /// The atlas, its sides halved until it has room so often; `None` if that is not worth it.
     fn fitting(&mut self, atlas: &Atlas, tiles: [f32; 2], beyond: impl FnOnce() -> f64) -> Option<Atlas> {
         let room = (MAX_FLOATS_OF_FILE - self.floats) as f64;
-        let fits = |atlas: &Atlas| {
+        let fits = |atlas: &Atlas, most: u64| {
             let tiles = needed(atlas, tiles);
             let each = |map: &Texture| {
                 let [width, height] = sides(map, tiles);
                 width.max(height) <= f64::from(Texture::MAX_SIDE)
-                    && width * height * f64::from(map.channels()) <= MAX_FLOATS as f64
+                    && width * height * f64::from(map.channels()) <= most as f64
             };
             tiles == [1.0; 2] || maps(atlas).all(each) && floats(atlas, tiles) <= room
         };
-        if !fits(atlas) && beyond() < LEAST_BEYOND {
+        if fits(atlas, MAX_FLOATS) {
+            return Some(atlas.clone());
+        }
+        if beyond() < LEAST_BEYOND {
             return None;
         }
         let mut smaller = atlas.clone();
         // Of a texel a side it fits: that is the same in every tile.
-        while !fits(&smaller) {
+        while !fits(&smaller, MAX_FLOATS_REDUCED) {
             self.averaged += smaller.floats() as u64;
             if self.averaged > MAX_AVERAGED_OF_FILE {
                 return None;
