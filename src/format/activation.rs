@@ -1,6 +1,6 @@
 //! Between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats store.
 
-use crate::scene::sigmoid;
+use crate::scene::{Mesh, sigmoid};
 
 /// Largest opacity below 1 in f32: its logit is 16.6. Smallest: that of the smallest normal f32, −87.
 const OPACITY_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, 1.0 - f32::EPSILON as f64 / 2.0];
@@ -23,6 +23,16 @@ pub(super) fn logit(opacity: f32) -> (f32, bool) {
 /// one clear texel would outweigh the opaque ones around it. A bound nearer to 0 would leave colour in what is clear: σ(−16.6) is 6e-8.
 pub(super) fn map_logit(opacity: f32) -> f32 {
     logit(opacity.clamp(f32::EPSILON / 2.0, 1.0)).0
+}
+
+/// Logit from which on a texel is opaque in a picture of 8 bits.
+const OPAQUE: f32 = 6.2;
+
+/// Layers of meshes that a scene which states none is shown with: as many as there can be where a surface lets through what is behind it, as
+/// cut-outs and glass do.
+pub(super) fn layers(meshes: &[Mesh]) -> u32 {
+    let is_clear = |mesh: &Mesh| mesh.atlas().base().texels().chunks_exact(4).any(|texel| texel[3] < OPAQUE);
+    if meshes.iter().any(is_clear) { 4 } else { 1 }
 }
 
 /// `e^s`, kept off 0 and infinity.

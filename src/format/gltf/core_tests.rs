@@ -705,12 +705,30 @@ fn texture_coordinates_are_transformed() {
     near(&read(factor), &[0.735_357, 0.0, 0.0, 0.5 * half], 1e-5);
 }
 
+/// Behind a cut-out there is more.
+#[test]
+fn what_is_behind_clear_surfaces_is_shown_where_nothing_says_how() {
+    let (b, attributes) = triangle();
+    for (mode, alpha, layers) in [("OPAQUE", 0.5, 1), ("BLEND", 1.0, 1), ("BLEND", 0.9, 4), ("MASK", 0.1, 4)] {
+        let material = json!({ "alphaMode": mode, "pbrMetallicRoughness": { "baseColorFactor": [1, 1, 1, alpha] } });
+        let mut rest = json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [material],
+        });
+        assert_eq!(b.read(rest.clone()).unwrap().scene.composition.layers, layers, "{mode} {alpha}");
+        rest["scenes"] =
+            json!([{ "nodes": [0], "extensions": { (HYBRID): { "colorSpace": "srgb_rec709_display", "layers": 2 } } }]);
+        assert_eq!(b.read(rest).unwrap().scene.composition.layers, 2);
+    }
+}
+
 /// As where many parts of a model are cut from one sheet.
 #[test]
 fn materials_of_one_picture_share_their_map() {
     let (mut b, attributes) = triangle();
     let mut png = std::io::Cursor::new(vec![]);
-    let picture = ::image::RgbaImage::from_fn(32, 16, |x, y| ::image::Rgba([8 * x as u8, 16 * y as u8, 77, 255 - x as u8]));
+    let picture =
+        ::image::RgbaImage::from_fn(32, 16, |x, y| ::image::Rgba([8 * x as u8, 16 * y as u8, 77, 255 - x as u8]));
     picture.write_to(&mut png, ::image::ImageFormat::Png).unwrap();
     let view = b.view(png.get_ref());
     let material = |texture: usize, red: f32| json!({ "alphaMode": "BLEND", "pbrMetallicRoughness": { "baseColorTexture": { "index": texture }, "baseColorFactor": [red, 1, 1, 1] } });

@@ -17,6 +17,7 @@ use super::notes::Notes;
 use super::transform::{Visibility, all_placements_by, is_ours, local, placements};
 use super::{binding, camera, splats};
 use crate::format::SceneFile;
+use crate::format::activation::layers;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::join;
 use crate::scene::rig::{Anchor, AttachedSplats, Rig};
@@ -35,7 +36,7 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     asset.check_required()?;
     let (mut said, mut notes) = (Notes::default(), vec![]);
     notes.extend(asset.unshown().map(|name| format!("/extensionsRequired: {name} is not shown")));
-    let (composition, is_stated) = composition(asset, &mut notes)?;
+    let (mut composition, is_stated) = composition(asset, &mut notes)?;
     let space = composition.color_space;
     let motion = Motion::chosen(asset, animations)?;
     notes.extend(motion.notes());
@@ -85,6 +86,9 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     poses.compact(&mut rest_surfaces, &mut attached);
     let cameras = cameras(&asset.document, &placed, &mut notes);
     said.take(&mut notes);
+    if !is_stated {
+        composition.layers = layers(&meshes);
+    }
     let scene = HybridScene { splats: join(parts)?, meshes, composition };
     let moves = !attached.is_empty() || rest_surfaces.iter().any(Option::is_some);
     let rig = if moves {

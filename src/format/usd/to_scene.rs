@@ -11,6 +11,7 @@ use super::stage::Stage;
 use super::surfaces::{self, Placed};
 use super::{foreign, frame, names, splats, views, xform};
 use crate::format::SceneFile;
+use crate::format::activation::layers;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
@@ -33,7 +34,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     let mut notes = vec![];
     let to_world = units(layer, &mut notes)?;
     let root = contract_prim(&stage);
-    let composition = composition(&stage, root, &mut notes)?;
+    let mut composition = composition(&stage, root, &mut notes)?;
     let is_ours = is_ours(&stage);
     let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
     let mut materials = Materials::new(place, composition.color_space);
@@ -62,6 +63,9 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
         }
     }
     notes.extend(left_out.lines());
+    if root.is_none() {
+        composition.layers = layers(&meshes);
+    }
     let mut scene = HybridScene { splats: join(parts)?, meshes, composition };
     if is_ours {
         scene = frame::back(scene).map_err(|e| Fault::from(e).under("/"))?;
