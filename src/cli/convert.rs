@@ -251,7 +251,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
 
 /// What an input says of how it is shown that does not hold where it is joined with others.
 fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<String> {
-    let order = |c: &Composition| (c.mode, c.lambda, c.layers);
+    let order = |c: &Composition| (c.mode, c.lambda);
     let parts = [
         ("pixel filter", input.splats > 0 && own.pixel_filter != of_all.pixel_filter),
         ("order of splats and meshes", input.meshes > 0 && order(own) != order(of_all)),

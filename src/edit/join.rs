@@ -27,8 +27,8 @@ pub fn with_mesh_sh_degree(mesh: Mesh, degree: u32) -> Mesh {
 }
 
 /// All scenes as one: splats one after the other, at the highest SH degree among them, and all meshes. It is blended by
-/// the rule of the first scene with a mesh, else of the first, by the pixel filter of the first with splats, from the nearest near plane
-/// among them on.
+/// the rule of the first scene with a mesh, else of the first, with the most layers among them, by the pixel filter of the first with splats,
+/// from the nearest near plane among them on.
 ///
 /// # Errors
 /// If the scenes blend in different colour spaces: colours of one would be wrong in the other.
@@ -39,6 +39,8 @@ pub fn join(scenes: Vec<HybridScene>) -> Result<HybridScene, SceneError> {
     if let Some(with_splats) = scenes.iter().find(|s| !s.splats.is_empty()) {
         composition.pixel_filter = with_splats.composition.pixel_filter;
     }
+    let with_mesh = scenes.iter().filter(|s| !s.meshes.is_empty());
+    composition.layers = with_mesh.map(|s| s.composition.layers).fold(composition.layers, u32::max);
     composition.near = scenes.iter().map(|s| s.composition.near).fold(composition.near, f32::min);
     let mut all = SplatArrays { sh_degree: degree, ..SplatArrays::default() };
     let mut meshes = vec![];

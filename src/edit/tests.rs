@@ -273,6 +273,9 @@ fn scenes_join_at_the_highest_degree_and_by_the_rule_of_the_first_mesh() {
     let joined = join(vec![plain.clone(), hybrid.clone(), other.clone()]).unwrap();
     assert_eq!((joined.splats.len(), joined.splats.sh_degree(), joined.meshes.len()), (10, 3, 3));
     assert_eq!(joined.composition, hybrid.composition);
+    // What is behind four surfaces of one is not lost for another's two.
+    let most = Composition { layers: 4, ..other.composition };
+    assert_eq!((hybrid.composition.layers, join(vec![other.clone(), hybrid.clone()]).unwrap().composition), (4, most));
     let mut close = plain.clone();
     close.composition.near = 0.01;
     let from_there = Composition { near: 0.01, ..hybrid.composition };

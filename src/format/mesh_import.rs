@@ -3,11 +3,12 @@
 mod obj;
 
 use std::collections::{BTreeSet, HashMap};
+use std::io::Read as _;
 use std::path::Path;
 
 use glam::{DVec2, Vec2, Vec3};
 
-use super::error::{Fault, FormatError, Location, read_file, unknown};
+use super::error::{Fault, FormatError, Location, open_file, read_file, unknown};
 use super::gltf::instancing::{BYTES_OF_COPY, Single, copies};
 use super::gltf::triangles::{self, Triangles};
 use super::gltf::{Asset, Motion, Poses, not_placed, placements};
@@ -41,16 +42,17 @@ pub struct ImportedMesh {
 /// If the file cannot be read, is malformed, or has no triangle.
 pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
     let is_obj = has_extension(path, &["obj"]);
-    let bytes = read_file(path)?;
-    let soup = if bytes.starts_with(b"ply") {
-        from_ply(&bytes)
+    let mut start = vec![];
+    let read = open_file(path)?.take(256).read_to_end(&mut start);
+    read.map_err(|source| FormatError::Read { file: path.to_owned(), source })?;
+    let soup = if start.starts_with(b"ply") {
+        from_ply(&read_file(path)?)
     } else if is_obj {
-        obj::parse(&bytes)
-    } else if bytes.starts_with(b"glTF") || bytes.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{') {
-        drop(bytes);
+        obj::parse(&read_file(path)?)
+    } else if start.starts_with(b"glTF") || start.iter().find(|b| !b.is_ascii_whitespace()) == Some(&b'{') {
         from_gltf(&Asset::open(path)?)
     } else {
-        Err(Fault::byte(0, "a .glb, .gltf, .obj or .ply mesh", unknown(&bytes)))
+        Err(Fault::byte(0, "a .glb, .gltf, .obj or .ply mesh", unknown(&start)))
     };
     soup.and_then(Soup::finish).map_err(|fault| fault.in_file(path))
 }
@@ -239,11 +241,16 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
     let corners =
         corners.ok_or_else(|| Fault::byte(face.at, "the face property `vertex_indices`", "a header without it"))?;
     let face_uvs = face.list("texcoord");
-    let (triangles, uvs) = body.rows(
+    // Which of several textures a face has its UVs on.
+    let of_texture = face.scalars(["texnumber"]).ok().filter(|_| face_uvs.is_some());
+    let (triangles, uvs, textures) = body.rows(
         &header,
         "face",
-        |n| (Vec::with_capacity(n), vec![]),
-        |(triangles, uvs), row| {
+        |n| (Vec::with_capacity(n), vec![], BTreeSet::new()),
+        |(triangles, uvs, textures), row| {
+            // Of none it is −1.
+            let texture = of_texture.map(|[column]| row.values[column]).filter(|&number| number >= 0.0);
+            textures.insert(texture.map(|number| number as usize));
             let polygon = &row.lists[corners];
             if let Some(bad) = polygon.iter().find(|&&v| !(v >= 0.0 && (v as usize) < positions.len())) {
                 let expected = format!("vertex indices below {}", positions.len());
@@ -268,6 +275,7 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
         Location::Byte(known.map_or(vertex.at, |k| unusable[k].1) as u64)
     };
     soup.add(positions, &triangles, Some(uvs), None, place)?;
+    soup.materials = textures;
     Ok(soup)
 }
 
@@ -352,6 +360,21 @@ mod tests {
         assert_eq!(noted(from_ply(QUAD_PLY.replace("0 0.75", "0 nan").as_bytes())), lost);
         let bare = obj::parse(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").and_then(Soup::finish).unwrap();
         assert!(bare.notes.is_empty(), "there were none");
+    }
+
+    /// As `MeshLab` writes a mesh with several textures.
+    #[test]
+    fn uvs_on_several_textures_are_no_atlas() {
+        let header = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+            element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n\
+            property int texnumber\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n";
+        let read = |second: i32| {
+            let faces = format!("3 0 1 2 6 0 0 1 0 1 1 0\n3 0 2 3 6 0 0 1 1 0 1 {second}\n");
+            from_ply(format!("{header}{faces}").as_bytes()).and_then(Soup::finish).unwrap()
+        };
+        assert!(read(0).corner_uvs.is_some());
+        let two = read(1);
+        assert!(two.corner_uvs.is_none() && two.notes[0].contains("they are of 2 materials"), "{:?}", two.notes);
     }
 
     #[test]

@@ -23,17 +23,14 @@ pub(super) fn triangles(corners: &[Vec3]) -> Vec<[usize; 3]> {
     if normals.all(|n| n.dot(normal) >= least) { fan } else { within(corners, normal).unwrap_or(fan) }
 }
 
-/// The points that triangles use, in their order, to which the triangles' indices are changed.
-pub(super) fn used(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
-    let mut places = vec![None; points.len()];
+/// Of so many vertices those that triangles use, in order, to which the triangles' indices are changed.
+pub(super) fn used(count: usize, triangles: &mut [[u32; 3]]) -> Vec<usize> {
+    let mut places = vec![None; count];
     triangles.as_flattened().iter().for_each(|&vertex| places[vertex as usize] = Some(0));
-    let mut positions = vec![];
-    for (place, &point) in places.iter_mut().zip(points).filter(|(place, _)| place.is_some()) {
-        *place = Some(positions.len() as u32);
-        positions.push(point);
-    }
+    let kept: Vec<usize> = (0..count).filter(|&vertex| places[vertex].is_some()).collect();
+    (0..).zip(&kept).for_each(|(place, &vertex)| places[vertex] = Some(place));
     triangles.as_flattened_mut().iter_mut().for_each(|vertex| *vertex = places[*vertex as usize].unwrap_or_default());
-    positions
+    kept
 }
 
 /// Constrained Delaunay triangles within an outline, as seen along its normal; `None` if it crosses itself there.

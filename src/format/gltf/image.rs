@@ -26,17 +26,11 @@ pub(in crate::format) struct Texels {
 impl Asset {
     /// Decodes the image of texture `index`: PNG (8 or 16 bit), JPEG or WebP.
     pub(super) fn texels(&self, index: usize) -> Result<Texels, Fault> {
-        let (at, encoded) = self.encoded(index)?;
-        decode(encoded).map_err(|(expected, found)| Fault::pointer(at, expected, found))
-    }
-
-    /// Which image texture `index` has.
-    pub(super) fn image(&self, index: usize) -> Result<Identity, Fault> {
-        self.encoded(index).map(|(_, encoded)| identity(&encoded))
+        texels(self.encoded(index)?)
     }
 
     /// The file of the image of texture `index`, and where the document has it.
-    fn encoded(&self, index: usize) -> Result<(String, Vec<u8>), Fault> {
+    pub(super) fn encoded(&self, index: usize) -> Result<(String, Vec<u8>), Fault> {
         let json = self.document.as_json();
         let texture = self.document.textures().nth(index);
         let webp = texture.as_ref().and_then(|t| t.extension_value(WEBP)?.get("source")?.as_u64());
@@ -53,6 +47,24 @@ impl Asset {
             (None, None) => return Err(Fault::pointer(at, "a bufferView or a uri", "neither")),
         };
         Ok((at, encoded))
+    }
+}
+
+/// Decodes what [`Asset::encoded`] has found.
+pub(super) fn texels((at, encoded): (String, Vec<u8>)) -> Result<Texels, Fault> {
+    decode(encoded).map_err(|(expected, found)| Fault::pointer(at, expected, found))
+}
+
+/// What kind of picture a file is, by its first bytes.
+pub(in crate::format) fn media_type(content: &[u8]) -> Option<&'static str> {
+    match content {
+        [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
+        [0xFF, 0xD8, 0xFF, ..] => Some("image/jpeg"),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Some("image/webp"),
+        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => Some("image/ktx2"),
+        [_, _, _, _, b'f', b't', b'y', b'p', b'a', b'v', b'i', b'f' | b's', ..] => Some("image/avif"),
+        [b'D', b'D', b'S', b' ', ..] => Some("image/vnd-ms.dds"),
+        _ => None,
     }
 }
 
@@ -126,6 +138,14 @@ mod tests {
         let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
         let texels = asset.texels(0).map_err(|e| e.in_file(Path::new("f")).to_string()).unwrap();
         assert_eq!((texels.width, texels.rgba[0]), (2048, [0.0, 0.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn kinds_of_pictures_are_told_by_their_first_bytes() {
+        let avif = b"\0\0\0\x1cftypavif\0\0\0\0";
+        assert_eq!(media_type(avif), Some("image/avif"));
+        assert_eq!(media_type(&black_png(1, 1)), Some("image/png"));
+        assert_eq!((media_type(b"DDS |"), media_type(b"GIF89a")), (Some("image/vnd-ms.dds"), None));
     }
 
     #[test]

@@ -68,6 +68,21 @@ fn copies_are_below_their_node() {
     assert!(!findings.iter().any(|finding| finding.to_string().contains(INSTANCING)), "{findings:?}");
 }
 
+/// Their colours are a map on which a mirrored triangle's corners have changed places, too.
+#[test]
+fn copies_with_colours_of_vertices_are_one_mesh() {
+    let (mut b, mut document) = three();
+    let colors = b.floats(&[[1.0f32, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+    document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(colors);
+    let file = b.read(document).unwrap();
+    let [mesh] = &file.scene.meshes[..] else { panic!("{} meshes", file.scene.meshes.len()) };
+    near(bytemuck::cast_slice(mesh.positions()), PLACED.as_flattened(), 1e-5);
+    let [first, second, third] = mesh.corner_uvs() else { panic!("three triangles") };
+    assert_eq!((first, [third[0], third[2], third[1]]), (second, *first));
+    assert_eq!(mesh.triangles()[2], [6, 8, 7]);
+    assert_eq!(file.scene.composition.layers, 1, "opaque colours hide what is behind");
+}
+
 #[test]
 fn copies_are_written_once_in_either_way() {
     let folder = tempfile::tempdir().unwrap();

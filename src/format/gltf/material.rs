@@ -10,12 +10,12 @@ use super::extension::{
     EMISSIVE_STRENGTH, HYBRID, Radiance, SPECULAR_GLOSSINESS, ShField, SpecularGlossiness, TEXTURE_TRANSFORM,
     TexelSource, UNLIT, parse_color_space,
 };
-use super::image::Texels;
+use super::image::{Texels, texels};
 use super::lift::Asset;
 use super::uv::UvMap;
 use crate::format::activation;
 use crate::format::error::{Fault, from_value, shown};
-use crate::format::map_budget::{Identity, MapBudget};
+use crate::format::map_budget::{Identity, MapBudget, identity};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
 /// A material as maps.
@@ -346,8 +346,18 @@ fn note_nearest(asset: &Asset, texture: usize, texels: usize, notes: &mut Vec<St
 
 /// The picture of a core material; `None`, with a note, where it cannot be had: what else there is can be shown without.
 fn placed(asset: &Asset, picture: Option<Picture>, notes: &mut Vec<String>) -> Option<Placed> {
-    let Picture { at, texture, uv } = picture?;
-    match asset.texels(texture) {
+    let file = asset.encoded(picture.as_ref()?.texture);
+    placed_from(asset, picture?, file, notes)
+}
+
+/// That of a file that has been looked up.
+fn placed_from(
+    asset: &Asset,
+    Picture { at, texture, uv }: Picture,
+    file: Result<(String, Vec<u8>), Fault>,
+    notes: &mut Vec<String>,
+) -> Option<Placed> {
+    match file.and_then(texels) {
         Ok(texels) => {
             note_nearest(asset, texture, texels.rgba.len(), notes);
             Some((texels, uv))
@@ -408,16 +418,20 @@ fn base_colour(
         space,
         is_textured: true,
     };
-    let own = picture.as_ref().filter(|_| emission.is_none());
-    let key = own.and_then(|picture| asset.image(picture.texture).ok());
-    let key = key.map(|image| (image, base.factor.map(f32::to_bits), base.cutoff.map(f32::to_bits)));
-    if let (Some(Picture { texture, uv, .. }), Some(atlas)) = (own, key.and_then(|key| made.get(&key))) {
-        note_nearest(asset, *texture, atlas.floats() / 4, notes);
-        return Ok(Maps { atlas: atlas.clone(), uv: *uv, base: Some(base) });
-    }
-    let picture = match emission {
-        None => placed(asset, picture, notes),
-        Some(_) => {
+    let mut key = None;
+    let picture = match (emission, picture) {
+        (None, None) => None,
+        (None, Some(picture)) => {
+            let file = asset.encoded(picture.texture);
+            let image = file.as_ref().ok().map(|(_, encoded)| identity(encoded));
+            key = image.map(|image| (image, base.factor.map(f32::to_bits), base.cutoff.map(f32::to_bits)));
+            if let Some(atlas) = key.and_then(|key| made.get(&key)) {
+                note_nearest(asset, picture.texture, atlas.floats() / 4, notes);
+                return Ok(Maps { atlas: atlas.clone(), uv: picture.uv, base: Some(base) });
+            }
+            placed_from(asset, picture, file, notes)
+        }
+        (Some(_), picture) => {
             let cover = picture.filter(|_| material.alpha_mode() != AlphaMode::Opaque);
             let cover = placed(asset, cover, notes);
             let light = Picture::of(material.emissive_texture(), format!("{at}/emissiveTexture"))?;

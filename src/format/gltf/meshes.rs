@@ -19,12 +19,14 @@ use super::vertex_color;
 use crate::format::error::{Fault, from_value};
 use crate::format::map_budget::MapBudget;
 use crate::format::placed::{orthogonal, turned};
-use crate::format::polygon;
 use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
 
 /// Bytes that a mesh takes besides its arrays.
 const BYTES_OF_MESH: u64 = 1024;
+
+/// Floats of maps that are there for colours of vertices, 1 GiB of them.
+const MAX_TINTED_FLOATS: u64 = 1 << 28;
 
 /// Meshes under construction.
 pub(super) struct Meshes<'a> {
@@ -38,8 +40,9 @@ pub(super) struct Meshes<'a> {
     bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
     maps: HashMap<Option<usize>, Maps>,
-    /// The maps of textured materials times a colour.
+    /// The maps of textured materials times a colour, and their floats.
     tinted: HashMap<(Option<usize>, Tint), Atlas>,
+    tinted_floats: u64,
     budget: MapBudget,
     made: Made,
     groups: Vec<Group>,
@@ -89,6 +92,7 @@ impl<'a> Meshes<'a> {
             space,
             maps: HashMap::new(),
             tinted: HashMap::new(),
+            tinted_floats: 0,
             budget: MapBudget::new(asset.buffer_bytes() as u64),
             made: Made::new(),
             groups: vec![],
@@ -108,15 +112,27 @@ impl<'a> Meshes<'a> {
         let uv_set = self.maps_of(&primitive.material(), notes)?.uv.set;
         let poses = &mut self.poses;
         let read = triangles::read((self.asset, self.motion), poses, (node, transform), primitive, uv_set, notes)?;
-        let Some(geometry) = read else { return Ok(false) };
+        let Some(mut geometry) = read else { return Ok(false) };
         if geometry.triangles.is_empty() {
             notes.push(format!("{at}: a mesh without triangles is left out"));
             return Ok(true);
+        }
+        let has_own_order = primitive.extension_value(HYBRID).is_some();
+        if !has_own_order && positions_of(primitive).is_some_and(|accessor| self.common.contains(&accessor)) {
+            // All of them have been read for those that it uses.
+            self.asset.spend(geometry.positions.len() as u64 * 12, &at)?;
+            geometry = geometry.of_used_vertices();
         }
         let Some(copies) = copies else {
             self.take((node, transform), primitive, geometry, notes)?;
             return Ok(true);
         };
+        let turns = self.maps[&primitive.material().index()].atlas.sh_degree() > 0;
+        if !(turns || has_own_order || self.poses.animates(&geometry.rest_surface, self.motion)) {
+            let look = self.look((node, transform), primitive, &geometry, notes)?;
+            self.take_copies((node, transform), copies, &geometry, look)?;
+            return Ok(true);
+        }
         // All of them would say the same.
         let mut said = vec![];
         for (i, local) in copies.iter().enumerate() {
@@ -127,6 +143,36 @@ impl<'a> Meshes<'a> {
             said.clear();
         }
         Ok(true)
+    }
+
+    /// Takes in copies of the triangles of a primitive, which keep still and look the same from all sides, as one surface.
+    fn take_copies(
+        &mut self,
+        (node, transform): (&gltf::Node<'_>, DMat4),
+        copies: &[DMat4],
+        geometry: &Triangles,
+        mut look: Group,
+    ) -> Result<(), Fault> {
+        let at = format!("/nodes/{}", node.index());
+        let corner_uvs = std::mem::take(&mut look.corner_uvs);
+        let bytes = BYTES_OF_COPY + geometry.positions.len() as u64 * 12 + geometry.triangles.len() as u64 * 36;
+        self.asset.spend(look.atlas.as_ref().map_or(0, |atlas| atlas.floats() as u64 * 4 + BYTES_OF_MESH), &at)?;
+        for local in copies {
+            self.asset.spend(bytes, &at)?;
+            let copy = geometry.copy(&mut self.poses, (node, transform), *local);
+            let too_many = || Fault::pointer(&at, "fewer than 2³² vertices of all copies", "more");
+            let first = u32::try_from(look.positions.len()).map_err(|_| too_many())?;
+            first.checked_add(copy.positions.len() as u32).ok_or_else(too_many)?;
+            look.positions.extend(copy.positions);
+            look.triangles.extend(copy.triangles.iter().map(|t| t.map(|v| v + first)));
+            let is_turned_over = copy.is_mirrored != geometry.is_mirrored;
+            let uvs = corner_uvs.iter().map(|&[a, b, c]| if is_turned_over { [a, c, b] } else { [a, b, c] });
+            look.corner_uvs.extend(uvs);
+        }
+        if !look.triangles.is_empty() {
+            self.join(look).map_err(|fault| fault.under(&at))?;
+        }
+        Ok(())
     }
 
     /// Takes in the triangles of a primitive, which is there by this transform.
@@ -144,8 +190,6 @@ impl<'a> Meshes<'a> {
         let undeformed = self.wanted.contains(&id).then(|| undeformed(&geometry));
         if let Some(source) = surface_vertices(self.asset, node, primitive, &geometry.positions)? {
             join_copies(&mut geometry, &source, moves);
-        } else if !moves && positions_of(primitive).is_some_and(|accessor| self.common.contains(&accessor)) {
-            geometry.positions = polygon::used(&geometry.positions, &mut geometry.triangles);
         }
         let Triangles { positions, triangles, rest_surface, is_mirrored, .. } = geometry;
         let own_atlas = look.atlas.as_ref().or(look.turn.map(|_| &self.maps[&look.material].atlas));
@@ -186,7 +230,7 @@ impl<'a> Meshes<'a> {
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
         primitive: &gltf::Primitive<'_>,
-        Triangles { positions, triangles, uvs, .. }: &Triangles,
+        Triangles { triangles, uvs, stored, .. }: &Triangles,
         notes: &mut Vec<String>,
     ) -> Result<Group, Fault> {
         let at = format!("/nodes/{}", node.index());
@@ -199,12 +243,20 @@ impl<'a> Meshes<'a> {
         let mut group = Group { material, corner_uvs, ..Group::default() };
         if let Some(base) = &maps.base {
             let id = (node.mesh().map_or(0, |m| m.index()), primitive.index());
-            let colors = vertex_color::read(self.asset, id, positions.len())?.unwrap_or_default();
+            let colors = vertex_color::read(self.asset, id, stored)?.unwrap_or_default();
             match one_colour(&colors, triangles) {
                 Some(colour) if colour == [1.0; 4] => {}
                 Some(colour) if base.is_textured => {
                     let tint = colour.map(f32::to_bits);
                     if let Entry::Vacant(entry) = self.tinted.entry((material, tint)) {
+                        let floats = maps.atlas.floats() as u64;
+                        if self.tinted_floats + floats > MAX_TINTED_FLOATS {
+                            notes.push(format!(
+                                "{at}: the colour of vertices beside a texture is left out, as one of too many"
+                            ));
+                            return Ok(group);
+                        }
+                        self.tinted_floats += floats;
                         let shown = (self.space, colour);
                         let counted = (&mut self.budget, &mut self.made);
                         entry.insert(material::tinted(self.asset, &primitive.material(), shown, counted)?);

@@ -52,7 +52,7 @@ use std::path::Path;
 
 use glam::DMat4;
 
-pub(super) use image::{Texels, decode};
+pub(super) use image::{Texels, decode, media_type};
 pub(super) use integers::write_as_integers;
 pub(super) use lift::{Asset, expected_for};
 pub use motion::Clip;
@@ -160,7 +160,7 @@ pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneF
             }
         });
         if moving.is_still() {
-            file.notes.push(format!("/animations: there are none: it is at {time} s as it rests"));
+            file.notes.push(format!("/animations: there are none: at {time} s it is shown as it rests"));
         }
         let posed = moving.scene(&file.scene, DMat4::IDENTITY, time);
         file.scene = posed.map_err(|e| located(e.into()))?;

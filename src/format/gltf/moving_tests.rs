@@ -491,7 +491,7 @@ fn what_does_not_move_says_so() {
     let file = bound("node", |document| {
         document.as_object_mut().unwrap().remove("animations");
     });
-    assert!(file.at(2.0).notes.contains(&"/animations: there are none: it is at 2 s as it rests".to_owned()));
+    assert!(file.at(2.0).notes.contains(&"/animations: there are none: at 2 s it is shown as it rests".to_owned()));
 }
 
 #[test]

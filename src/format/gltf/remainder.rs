@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::extension::{
     DRAFT_ROTATION, DRAFT_SCALE, EMISSIVE_STRENGTH, EXTRAS, HYBRID, INSTANCING, KHR_SPLATS, MOVED_NODE, ROTATION,
-    SCALE, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP, extension_of,
+    SCALE, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP, extension_of,
 };
 use super::{instancing, meshopt};
 
@@ -125,9 +125,10 @@ impl Shown {
             let set = set_of(source.get("texture").unwrap_or(source));
             return Self { set, colors: false, emission: false };
         }
-        let base = material.pointer("/pbrMetallicRoughness/baseColorTexture");
+        let (_, base) = base_of(material);
         if !is_shown_by_emission(material) {
-            return Self { set: base.map_or(0, set_of), colors: base.is_none(), emission: false };
+            // Colours of vertices that cannot be shown beside a picture are noted where they are read.
+            return Self { set: base.map_or(0, set_of), colors: true, emission: false };
         }
         let has_alpha = material.get("alphaMode").is_some_and(|mode| mode != "OPAQUE");
         let picture = material.get("emissiveTexture").or(base.filter(|_| has_alpha));
@@ -152,23 +153,36 @@ fn set_of(texture: &Value) -> u64 {
     moved.or(texture.get("texCoord")).and_then(Value::as_u64).unwrap_or(0)
 }
 
+/// Factor and texture of what a material has as its base colour, see `material::Base`.
+fn base_of(material: &Value) -> (Option<&Value>, Option<&Value>) {
+    match extension_of(material, SPECULAR_GLOSSINESS) {
+        Some(own) => (own.get("diffuseFactor"), own.get("diffuseTexture")),
+        None => {
+            let of_core = |key: &str| material.get("pbrMetallicRoughness").and_then(|pbr| pbr.get(key));
+            (of_core("baseColorFactor"), of_core("baseColorTexture"))
+        }
+    }
+}
+
 /// Whether a core material is black, or has no other picture than that of its emission.
 fn is_shown_by_emission(material: &Value) -> bool {
     let is_positive = |value: &Value| value.as_f64().is_some_and(|value| value > 0.0);
     let strength = extension_of(material, EMISSIVE_STRENGTH).and_then(|own| own.get("emissiveStrength"));
     let emits = items(material.get("emissiveFactor")).iter().any(is_positive) && strength.is_none_or(is_positive);
-    let color = items(material.pointer("/pbrMetallicRoughness/baseColorFactor"));
+    let (color, picture) = base_of(material);
+    let color = items(color);
     let is_black = color.len() > 3 && !color[..3].iter().any(is_positive);
-    let has_picture = material.pointer("/pbrMetallicRoughness/baseColorTexture").is_some();
-    let is_only_picture = material.get("emissiveTexture").is_some() && !has_picture;
+    let is_only_picture = material.get("emissiveTexture").is_some() && picture.is_none();
     emits && (is_black || is_only_picture) && extension_of(material, UNLIT).is_none()
 }
 
 /// Whether a material has textures of the core besides the one that is shown.
 fn has_other_textures(material: &Value) -> bool {
     let others = ["/normalTexture", "/occlusionTexture", "/pbrMetallicRoughness/metallicRoughnessTexture"];
+    let is_specular =
+        extension_of(material, SPECULAR_GLOSSINESS).is_some_and(|own| own.get("specularGlossinessTexture").is_some());
     let is_emission_left = material.get("emissiveTexture").is_some() && !Shown::of(Some(material)).emission;
-    is_emission_left || others.iter().any(|at| material.pointer(at).is_some())
+    is_emission_left || is_specular || others.iter().any(|at| material.pointer(at).is_some())
 }
 
 /// Attributes of a primitive that a scene does not hold.
@@ -202,7 +216,7 @@ fn is_held(name: &str) -> bool {
 
 /// Extensions that are written anew, or that say in another way what a scene holds by value.
 fn is_taken_over(name: &str) -> bool {
-    let known = [KHR_SPLATS, HYBRID, UNLIT, SPZ, TEXTURE_TRANSFORM, WEBP, "KHR_mesh_quantization"];
+    let known = [KHR_SPLATS, HYBRID, UNLIT, SPZ, TEXTURE_TRANSFORM, WEBP, SPECULAR_GLOSSINESS, "KHR_mesh_quantization"];
     known.contains(&name) || meshopt::NAMES.contains(&name)
 }
 

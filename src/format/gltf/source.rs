@@ -12,6 +12,7 @@ use serde_json::{Map, Value, json};
 use super::buffer::Buffer;
 use super::container::Bin;
 use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract, extension_of};
+use super::image::media_type;
 use super::lift::{Asset, give_scene};
 use super::motion::Clip;
 use super::moving::Moving;
@@ -362,7 +363,11 @@ impl Content {
             let image = &mut root["images"][i];
             let uri = image.as_object_mut().and_then(|o| o.remove("uri"));
             image["bufferView"] = json!(index);
-            image["mimeType"] = json!(media_type(content));
+            if let Some(found) = media_type(content) {
+                image["mimeType"] = json!(found);
+            } else if image.get("mimeType").is_none() {
+                image["mimeType"] = json!("image/png");
+            }
             if let Some(Value::String(uri)) = uri.filter(|_| image.get("name").is_none())
                 && !uri.starts_with("data:")
             {
@@ -432,15 +437,6 @@ fn move_view(view: &mut Value, places: &[(usize, usize)]) {
     if start > 0 {
         // Nobody has looked at views that nothing refers to.
         view["byteOffset"] = json!((start as u64).saturating_add(offset));
-    }
-}
-
-fn media_type(content: &[u8]) -> &'static str {
-    match content {
-        [0xFF, 0xD8, 0xFF, ..] => "image/jpeg",
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "image/webp",
-        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "image/ktx2",
-        _ => "image/png",
     }
 }
 

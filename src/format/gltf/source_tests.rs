@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
-use super::extension::{EXTRAS, HYBRID};
+use super::extension::{EXTRAS, HYBRID, SPECULAR_GLOSSINESS};
 use super::remainder::remainder;
 use super::tests::{fuzzed_values, leaves};
 use super::*;
@@ -229,11 +229,12 @@ fn what_a_material_does_not_show_is_lost() {
     let moved = json!({ "index": 0, "extensions": { "KHR_texture_transform": { "texCoord": 1 } } });
     assert_eq!(lost(&sets, based(moved)), ["the attributes TEXCOORD_0"]);
     let exact = json!({ "sphericalHarmonics": { "degree": 0, "coefficients": [{ "accessor": 0, "texCoord": 1 }] } });
-    assert_eq!(lost(&sets, json!({ "extensions": { HYBRID: exact } })), ["the attributes TEXCOORD_0"]);
+    assert_eq!(lost(&sets, json!({ "extensions": { HYBRID: exact.clone() } })), ["the attributes TEXCOORD_0"]);
 
     let colors = ["POSITION", "TEXCOORD_0", "COLOR_0"];
     assert_eq!(lost(&colors, json!({})), Vec::<String>::new());
-    assert_eq!(lost(&colors, based(json!({ "index": 0 }))), ["the attributes COLOR_0"]);
+    assert_eq!(lost(&colors, based(json!({ "index": 0 }))), Vec::<String>::new(), "what is left out of them is noted");
+    assert_eq!(lost(&colors, json!({ "extensions": { HYBRID: exact } })), ["the attributes COLOR_0, TEXCOORD_0"]);
     assert_eq!(lost(&["POSITION", "COLOR_0", "COLOR_1"], json!({})), ["the attributes COLOR_1"]);
 
     let (texture, unshown) = (json!({ "index": 0 }), ["textures for light and shine"]);
@@ -243,6 +244,13 @@ fn what_a_material_does_not_show_is_lost() {
     assert_eq!(lost(&["POSITION"], shiny), unshown);
     let mut bright = json!({ "emissiveTexture": { "index": 0, "texCoord": 1 }, "emissiveFactor": [1, 1, 1] });
     assert_eq!(lost(&sets, bright.clone()), ["the attributes TEXCOORD_0"], "it is what is shown");
+    // The diffuse colour of an extension takes the place of the base colour.
+    let mut diffuse = bright.clone();
+    diffuse["extensions"] = json!({ SPECULAR_GLOSSINESS: { "diffuseTexture": { "index": 0, "texCoord": 1 } } });
+    assert_eq!(lost(&sets, diffuse.clone()), ["the attributes TEXCOORD_0", unshown[0]]);
+    diffuse.as_object_mut().unwrap().remove("emissiveTexture");
+    diffuse["extensions"][SPECULAR_GLOSSINESS]["specularGlossinessTexture"] = texture.clone();
+    assert_eq!(lost(&["POSITION"], diffuse), unshown);
     bright["pbrMetallicRoughness"] = json!({ "baseColorTexture": texture });
     assert_eq!(lost(&["POSITION"], bright), unshown);
 }

@@ -7,6 +7,7 @@ use super::lift::Asset;
 use super::motion::Motion;
 use super::pose::Poses;
 use crate::format::error::Fault;
+use crate::format::polygon;
 use crate::scene::rig::{RestSurface, Skinning};
 
 /// Triangles compressed, which are read only where accessors have them as well.
@@ -22,9 +23,33 @@ pub(in crate::format) struct Triangles {
     pub(super) rest_surface: RestSurface,
     /// Whether the second and the third corner of every triangle have changed places, as the node mirrors.
     pub(super) is_mirrored: bool,
+    /// Which vertices of the file these are.
+    pub(super) stored: Stored,
+}
+
+/// Vertices of a file of which some are used.
+pub(super) struct Stored {
+    /// How many the file has.
+    pub(super) count: usize,
+    /// Those that there are, in order; `None`: all.
+    pub(super) kept: Option<Vec<usize>>,
 }
 
 impl Triangles {
+    /// Without vertices of no triangle, as where parts of a mesh share those of the whole.
+    pub(super) fn of_used_vertices(self) -> Self {
+        let Self { positions, mut triangles, uvs, rest_surface, is_mirrored, stored } = self;
+        let kept = polygon::used(positions.len(), &mut triangles);
+        Self {
+            positions: kept.iter().map(|&vertex| positions[vertex]).collect(),
+            triangles,
+            uvs: uvs.map(|uvs| kept.iter().map(|&vertex| uvs[vertex]).collect()),
+            rest_surface: rest_surface.gather(&kept),
+            is_mirrored,
+            stored: Stored { count: stored.count, kept: Some(kept) },
+        }
+    }
+
     /// A copy of them at their node, of this global transform, where it is `local` in the space of that. The node has no skin.
     pub(in crate::format) fn copy(
         &self,
@@ -40,7 +65,8 @@ impl Triangles {
             triangles.iter_mut().for_each(|t| t.swap(1, 2));
         }
         let positions = rest_surface.positions(poses.rest());
-        Self { positions, triangles, uvs: self.uvs.clone(), rest_surface, is_mirrored }
+        let stored = Stored { count: self.stored.count, kept: self.stored.kept.clone() };
+        Self { positions, triangles, uvs: self.uvs.clone(), rest_surface, is_mirrored, stored }
     }
 }
 
@@ -104,5 +130,6 @@ pub(in crate::format) fn read(
             found.to_string(),
         ));
     }
-    Ok(Some(Triangles { positions, triangles, uvs, rest_surface, is_mirrored }))
+    let stored = Stored { count: positions.len(), kept: None };
+    Ok(Some(Triangles { positions, triangles, uvs, rest_surface, is_mirrored, stored }))
 }

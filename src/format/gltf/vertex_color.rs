@@ -3,11 +3,16 @@
 use glam::Vec2;
 
 use super::lift::Asset;
+use super::triangles::Stored;
 use crate::format::error::Fault;
 use crate::scene::Texture;
 
-/// `COLOR_0` of `count` vertices, linear light; `None` if there is none.
-pub(super) fn read(asset: &Asset, id: (usize, usize), count: usize) -> Result<Option<Vec<[f32; 4]>>, Fault> {
+/// `COLOR_0` of the vertices that are kept, linear light; `None` if there is none.
+pub(super) fn read(
+    asset: &Asset,
+    id: (usize, usize),
+    Stored { count, kept }: &Stored,
+) -> Result<Option<Vec<[f32; 4]>>, Fault> {
     let Some(&accessor) = asset.attributes.get(&id).and_then(|a| a.get("COLOR_0")) else { return Ok(None) };
     let has_alpha = asset.document.accessors().nth(accessor).is_some_and(|a| a.dimensions().multiplicity() == 4);
     let colors: Vec<[f32; 4]> = if has_alpha {
@@ -15,11 +20,14 @@ pub(super) fn read(asset: &Asset, id: (usize, usize), count: usize) -> Result<Op
     } else {
         asset.floats::<3>(accessor)?.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
     };
-    if colors.len() != count {
+    if colors.len() != *count {
         let at = format!("/meshes/{}/primitives/{}/attributes/COLOR_0", id.0, id.1);
         return Err(Fault::pointer(at, format!("{count} elements, as in POSITION"), colors.len().to_string()));
     }
-    Ok(Some(colors))
+    Ok(Some(match kept {
+        Some(kept) => kept.iter().map(|&vertex| colors[vertex]).collect(),
+        None => colors,
+    }))
 }
 
 /// A map that shows `texels` at vertices and what lies between them linearly in between, and its corners.
@@ -32,7 +40,9 @@ pub(super) fn atlas(texels: &[[f32; 4]], triangles: &[[u32; 3]]) -> Result<(Text
     if width > Texture::MAX_SIDE as usize {
         return Err(Fault::whole("at most 67 million triangles with colours of vertices", triangles.len().to_string()));
     }
-    let mut map = vec![[0.0f32; 4]; width * height];
+    // What no triangle has is as one of them: of opaque ones all is opaque.
+    let rest = triangles.first().map_or([0.0; 4], |triangle| texels[triangle[0] as usize]);
+    let mut map = vec![rest; width * height];
     let size = Vec2::new(width as f32, height as f32);
     let mut corners = Vec::with_capacity(triangles.len());
     for (i, triangle) in triangles.iter().enumerate() {

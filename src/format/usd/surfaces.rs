@@ -87,7 +87,7 @@ pub(super) fn read(
         }
         // A mesh of one material keeps its vertices, also those of no face.
         let positions =
-            if parts.len() == 1 { polygons.points.clone() } else { polygon::used(&polygons.points, &mut triangles) };
+            if parts.len() == 1 { polygons.points.clone() } else { used_points(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
             let (atlas, said) = materials.unrolling.unrolled(&coordinates.map, atlas, &mut corner_uvs);
             notes.extend(said.map(|said| format!("{at}: {said}")));
@@ -140,6 +140,10 @@ fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<
         parts[place].faces.push(Face { index, first: here, count });
     }
     Ok(parts)
+}
+
+fn used_points(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
+    polygon::used(points.len(), triangles).into_iter().map(|vertex| points[vertex]).collect()
 }
 
 /// Checked: counts and corners agree, and corners are points.

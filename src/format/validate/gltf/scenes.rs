@@ -6,6 +6,7 @@ use super::super::{Findings, Offenders};
 use super::document::{Component, Document, Elements, components};
 use super::{extension, index, objects, primitives};
 use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
+use crate::format::gltf::media_type;
 
 /// How far from 1 the length of a unit vector or quaternion may be. 8-bit components are half a step of 1/127 off each.
 pub(super) const UNIT_TOLERANCE: f64 = 0.01;
@@ -18,8 +19,8 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (at, primitive) in primitives(document.root) {
         check_primitive(document, primitive, &at, findings);
     }
-    for (at, image) in objects(document.root, "images", "") {
-        check_image(document, image, &at, findings);
+    for (i, (at, image)) in objects(document.root, "images", "").enumerate() {
+        check_image(document, (i, image), &at, findings);
     }
 }
 
@@ -251,7 +252,7 @@ pub(super) fn check_unit<const N: usize>(
     }
 }
 
-fn check_image(document: &Document<'_>, image: &Value, at: &str, findings: &mut Findings) {
+fn check_image(document: &Document<'_>, (i, image): (usize, &Value), at: &str, findings: &mut Findings) {
     let content = match (image.get("uri").and_then(Value::as_str), index(image, "bufferView")) {
         (Some(uri), None) => match crate::format::gltf::resolve(uri, document.folder) {
             Ok(content) => content,
@@ -263,12 +264,12 @@ fn check_image(document: &Document<'_>, image: &Value, at: &str, findings: &mut 
         },
         _ => return,
     };
-    let found = match content.as_slice() {
-        [0x89, b'P', b'N', b'G', ..] => "image/png",
-        [0xFF, 0xD8, 0xFF, ..] => "image/jpeg",
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "image/webp",
-        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "image/ktx2",
-        _ => return findings.error("IMAGE_CONTENT", at, "PNG or JPEG", "other content"),
+    let found = media_type(&content);
+    // What textures have in the core; an extension's is beside that, or in its place.
+    let is_of_core = || objects(document.root, "textures", "").any(|(_, t)| index(t, "source") == Some(i));
+    let is_usual = found.is_some_and(|found| ["image/png", "image/jpeg"].contains(&found));
+    let Some(found) = found.filter(|_| is_usual || !is_of_core()) else {
+        return findings.error("IMAGE_CONTENT", at, "PNG or JPEG", found.unwrap_or("other content"));
     };
     let declared = image.get("mimeType").and_then(Value::as_str);
     if let Some(declared) = declared.filter(|&declared| declared != found) {

@@ -110,6 +110,9 @@ pub(super) const PLANTED: &[Planted] = &[
     }),
     ("IMAGE_TYPE", "/images/0/mimeType", |f| f.json["images"][0]["mimeType"] = json!("image/jpeg")),
     ("IMAGE_CONTENT", "/images/0", |f| f.json["images"][0]["bufferView"] = json!(0)),
+    ("IMAGE_CONTENT", "/images/0", |f| {
+        f.json["images"][0] = json!({ "uri": "data:image/avif;base64,AAAAHGZ0eXBhdmlmAAAAAA==" });
+    }),
     ("IMAGE_URI", "/images/0/uri", |f| f.json["images"][0] = json!({ "uri": "none.png" })),
     ("SKIN_MATRICES", "/inverseBindMatrices", |f| f.json["skins"][0]["joints"] = json!([0, 1])),
     ("SKIN_JOINTS", "/primitives/0/attributes/JOINTS_0", |f| skinned(f, 7.0, 1.0)),
