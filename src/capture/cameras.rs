@@ -76,7 +76,8 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
         (frames, None, false, list, found.all())
     } else {
         let Some((first, _)) = found.files.first() else {
-            let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
+            let expected =
+                "a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself) or a transforms*.json";
             return Err(CaptureError::invalid(path, "capture", expected, "neither"));
         };
         let (mut frames, mut fps, mut y_up) = (vec![], None, None);

@@ -267,7 +267,8 @@ fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Ve
         return Ok((listed, [colmap::further_models(&model), found.all()].concat()));
     }
     if found.files.is_empty() {
-        let expected = "a COLMAP model (sparse/0, sparse, colmap/sparse/0) or a transforms*.json";
+        let expected =
+            "a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself) or a transforms*.json";
         return Err(CaptureError::invalid(path, "capture", expected, "neither"));
     }
     Ok((transforms::load(root, &found.files, options)?, found.passed_over))

@@ -195,22 +195,14 @@ pub(super) fn passed_over(others: &[PathBuf]) -> Vec<String> {
     });
     let of_files = files.first().map(|&first| {
         let (name, one) = (name_of(first), first.with_file_name("transforms.json"));
-        let is_split = files.iter().any(|file| name_of(file) == "transforms_train.json") && files.len() > 1;
-        match (*first != one && one.is_file(), is_split) {
-            (true, true) => {
-                format!("has transforms.json, which is taken, and {name}: move the former away to take the split")
-            }
-            // One file of two is no split.
-            (true, false) => format!(
-                "has transforms.json, which is taken, and {name}: name that file in place of the folder to take it"
-            ),
-            (false, true) => {
-                format!("has a COLMAP model, which is taken, and {name}: move the former away to take the split")
-            }
-            (false, false) => format!(
-                "has a COLMAP model, which is taken, and {name}: name that file in place of the folder to take it"
-            ),
-        }
+        let taken = if *first != one && one.is_file() { "transforms.json" } else { "a COLMAP model" };
+        // One file of two is no split.
+        let advice = if name == "transforms_train.json" && files.len() > 1 {
+            "move the former away to take the split"
+        } else {
+            "name that file in place of the folder to take it"
+        };
+        format!("has {taken}, which is taken, and {name}: {advice}")
     });
     of_models.into_iter().chain(of_files).collect()
 }

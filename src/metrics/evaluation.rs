@@ -218,9 +218,9 @@ impl Evaluation {
             rows.push(("left out", format!("{}, of which masks leave nothing", self.left_out.join(", "))));
         }
         if let Some(mean) = &self.mean {
-            rows.push(("PSNR of floats", format!("{:.3} dB", mean.psnr_float)));
-            rows.extend(mean.ssim_valid.map(|s| ("SSIM, inside only", format!("{s:.4}"))));
-            rows.extend(mean.ssim_reflect.map(|s| ("SSIM, reflected", format!("{s:.4}"))));
+            rows.push(("PSNR before 8 bits", format!("{:.3} dB", mean.psnr_float)));
+            rows.extend(mean.ssim_valid.map(|s| ("SSIM, valid windows", format!("{s:.4}"))));
+            rows.extend(mean.ssim_reflect.map(|s| ("SSIM, mirrored border", format!("{s:.4}"))));
             rows.push(("background", self.background.map(|c| c.to_string()).join(" ")));
             rows.push(("protocol", self.protocol.clone()));
         }

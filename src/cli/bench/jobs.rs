@@ -372,7 +372,7 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
     }
     ensure!(
         !found.is_empty(),
-        "{}: expected folders with a COLMAP model or transforms.json, found none",
+        "{}: expected a folder of captures, each with a COLMAP model or transforms.json, found none in it",
         dataset.display()
     );
     Ok(found)
@@ -608,7 +608,7 @@ mod tests {
         }
         all(&args(folder.path(), &["--", "--max-side=300"])).unwrap();
         let empty = tempfile::tempdir().unwrap();
-        assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected folders with a COLMAP model"));
+        assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected a folder of captures"));
         assert!(variant("=--no-mesh").is_err() && variant("a/b").is_err() && variant("a").unwrap().flags.is_empty());
         assert!(shard("4/4").is_err() && shard("x").is_err() && shard("3/4").is_ok());
         assert_eq!(size_of("room", Protocol::A), ["--images", "images_2"]);

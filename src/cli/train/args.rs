@@ -20,7 +20,7 @@ Examples:
   centaur train captures/mipnerf360/garden -o garden.glb --downscale 4 --report garden-report
   centaur train captures/tankard -o tankard.glb --masks --max-splats 200000
   centaur train captures/mipnerf360/garden -o splats.glb --no-mesh
-  centaur train captures/mipnerf360/garden -o garden.glb --mesh scan.obj --layers 2
+  centaur train captures/mipnerf360/garden -o garden.glb --mesh scan.obj
   centaur train captures/mipnerf360/garden -o garden.glb --downscale 4 --resume";
 
 /// Train a hybrid scene from a folder of posed photographs
@@ -29,8 +29,8 @@ Examples:
 /// transforms*.json. Splats are trained alone first; then a mesh is made and judged, and both are trained together. Every 8th
 /// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and on Unix a
 /// terminal that goes away, stop after the current iteration and leave a checkpoint for --resume, or after the current view and leave the
-/// scene without scores; a second Ctrl-C stops at once. Defaults are those of HERA ("the paper": Cai et al., CVPR 2025) or of 3DGS where
-/// they are not called ours or not in the paper.
+/// scene without scores; a second Ctrl-C stops at once. The method is HERA's ("the paper": Cai et al., CVPR 2025), on 3D Gaussian splatting
+/// (3DGS); docs/method.md lists the defaults that differ from theirs, and why.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
@@ -60,8 +60,8 @@ pub(in crate::cli) struct Args {
     /// Iterations of the splats, those for the surface included (INRIA 3DGS: 30000)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION)]
     pub(super) iterations: u32,
-    /// Iterations on the mesh's maps alone before it is joined with the splats; none without a mesh [default: 9000, as in HERA, and in
-    /// runs of fewer than 30000 three tenths of --iterations]
+    /// Iterations on the mesh alone, its maps and, after the first eighth, the vertices of one that was found, before it is joined with the
+    /// splats; none without a mesh [default: 9000, as in HERA, and in runs of fewer than 30000 three tenths of --iterations]
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     pub(super) warmup: Option<u32>,
     /// How splats are added and removed
@@ -188,7 +188,8 @@ pub(in crate::cli) struct Args {
     #[arg(long, value_name = "LAMBDA", default_value_t = TrainOptions::default().lambda, value_parser = not_negative,
           allow_hyphen_values = true, help_heading = COMPOSITION)]
     pub(super) lambda: f32,
-    /// Mesh layers kept per pixel, the nearest ones: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few)
+    /// How many surfaces of the mesh a pixel keeps, the nearest ones: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few). Not the
+    /// layers of an EXR, which `centaur render --layers` writes
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
           help_heading = COMPOSITION)]
     pub(super) layers: u32,
