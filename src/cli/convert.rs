@@ -91,6 +91,9 @@ struct Input {
     /// Whether it says how it was trained.
     #[serde(skip)]
     has_record: bool,
+    /// Whether it says how splats and meshes are blended.
+    #[serde(skip)]
+    states_composition: bool,
 }
 
 /// What was done, for scripts.
@@ -220,8 +223,9 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     let (mut document, mut record) = (None, None);
     for file in files {
         bar.set_message(format!("reading {}", one_line(&file.display().to_string())));
-        let SceneFile { scene, cameras: own, mut notes, y_up, attributes: extra, dropped, source, record: own_record } =
-            format::read_file(file, &options)?;
+        let read = format::read_file(file, &options)?;
+        let SceneFile { scene, states_composition, cameras: own, mut notes, y_up, .. } = read;
+        let SceneFile { attributes: extra, dropped, source, record: own_record, .. } = read;
         if let Some(source) = source.as_ref().filter(|_| !one) {
             notes.extend(source.remainder().iter().map(|part| format!("left out on joining: {part}")));
         }
@@ -231,7 +235,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
         }
         let (splats, meshes) = (read.scene.splats.len(), read.scene.meshes.len());
         let has_record = own_record.is_some();
-        inputs.push(Input { file: file.clone(), splats, meshes, dropped, notes, has_record });
+        inputs.push(Input { file: file.clone(), splats, meshes, dropped, notes, has_record, states_composition });
         record = own_record.filter(|_| one);
         scenes.push(read.scene);
         cameras.extend(read.cameras);
@@ -254,7 +258,7 @@ fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<S
     let order = |c: &Composition| (c.mode, c.lambda);
     let parts = [
         ("pixel filter", input.splats > 0 && own.pixel_filter != of_all.pixel_filter),
-        ("order of splats and meshes", input.meshes > 0 && order(own) != order(of_all)),
+        ("order of splats and meshes", input.states_composition && input.meshes > 0 && order(own) != order(of_all)),
         // Most formats say nothing of what is behind a scene, and are read as the default.
         ("background", ![of_all.background, Composition::default().background].contains(&own.background)),
     ];

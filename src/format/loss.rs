@@ -122,7 +122,7 @@ impl fmt::Display for Loss {
         }
         let e = self.max_error.beyond_rounding();
         let errors = [
-            (e.mean, "mean", ""),
+            (e.mean, "position", ""),
             (e.rotation, "rotation", "°"),
             (e.log_scale, "log scale", ""),
             (e.opacity, "opacity", ""),
@@ -130,9 +130,9 @@ impl fmt::Display for Loss {
             (e.sh, "SH", ""),
         ];
         let errors = errors.iter().filter(|(error, ..)| *error > 0.0);
-        let errors: Vec<String> = errors.map(|(error, name, unit)| format!("{name} ±{error:.2e}{unit}")).collect();
+        let errors: Vec<String> = errors.map(|(error, name, unit)| format!("{name} {error:.2e}{unit}")).collect();
         if !errors.is_empty() {
-            parts.push(format!("precision: {}", errors.join(", ")));
+            parts.push(format!("largest errors: {}", errors.join(", ")));
         }
         if parts.is_empty() {
             return write!(f, "nothing");
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(
             loss.to_string(),
             "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; the record of the training; 2 animations; SH bands above degree 0 of 3; \
-             precision: mean ±1.20e-4, rotation ±5.00e-1°"
+             largest errors: position 1.20e-4, rotation 5.00e-1°"
         );
         assert!(!loss.is_none());
     }

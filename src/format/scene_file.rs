@@ -19,6 +19,8 @@ use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats};
 pub struct SceneFile {
     /// Splats, meshes and composition.
     pub scene: HybridScene,
+    /// Whether the file says how splats and meshes are blended; otherwise the composition is what is usual, with as many layers as the meshes want.
+    pub states_composition: bool,
     /// Named cameras, in the frame of the scene.
     pub cameras: Vec<(String, Camera)>,
     /// What could not be taken over exactly, one sentence each.
@@ -47,6 +49,7 @@ impl SceneFile {
         let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
         Self {
             scene,
+            states_composition: false,
             cameras: vec![],
             notes: vec![],
             y_up: false,

@@ -99,7 +99,18 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     let moving = Moving::new(asset.document.clone(), motion, rig.map(|rig| (poses, rig)));
     let y_up = !is_ours(&asset.document);
     let notes = said.into_lines();
-    Ok((SceneFile { scene, cameras, notes, y_up, attributes: vec![], dropped: 0, source: None, record: None }, moving))
+    let file = SceneFile {
+        scene,
+        states_composition: is_stated,
+        cameras,
+        notes,
+        y_up,
+        attributes: vec![],
+        dropped: 0,
+        source: None,
+        record: None,
+    };
+    Ok((file, moving))
 }
 
 /// Splats of a primitive at a node.

@@ -91,6 +91,8 @@ pub struct CameraSummary {
 /// The rule of blending.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompositionSummary {
+    /// Whether the file says so; otherwise it is shown like this.
+    pub stated: bool,
     /// `stable`, `surfaceConsistent` or `direct`.
     pub mode: &'static str,
     /// λ in scene units; `None` is infinite.
@@ -121,14 +123,14 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             // What cannot be rendered can still be looked at.
             let scene = scene_of(&asset);
             let is_scene = scene.is_ok();
-            let (scene, y_up, cameras, mut warnings) = match scene {
-                Ok(file) => (file.scene, file.y_up, file.cameras, file.notes),
+            let (scene, stated, y_up, cameras, mut warnings) = match scene {
+                Ok(file) => (file.scene, file.states_composition, file.y_up, file.cameras, file.notes),
                 Err(fault) => {
                     let (location, expected, found) = fault.into_parts();
                     let none =
                         HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
                     let warning = format!("cannot be read as a scene: {location}expected {expected}, found {found}");
-                    (none, false, vec![], vec![warning])
+                    (none, false, false, vec![], vec![warning])
                 }
             };
             warnings.extend(unknown_properties(&asset.root));
@@ -138,7 +140,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             Ok(Summary {
                 cameras: count,
                 optics: optics(&cameras),
-                composition: Some(composition(&scene.composition)),
+                composition: composition(&scene, stated),
                 bytes_by_part: parts,
                 document: Some(document),
                 warnings,
@@ -156,7 +158,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 format: Kind::Usd.name(),
                 cameras: file.cameras.len(),
                 optics: optics(&file.cameras),
-                composition: Some(composition(&file.scene.composition)),
+                composition: composition(&file.scene, file.states_composition),
                 bytes_by_part: parts.into_iter().filter(|(_, bytes)| *bytes > 0).collect(),
                 warnings: file.notes,
                 ..summary(path, bytes, &file.scene, file.y_up)
@@ -254,8 +256,11 @@ fn optics(cameras: &[(String, Camera)]) -> Option<CameraSummary> {
     })
 }
 
-fn composition(c: &Composition) -> CompositionSummary {
-    CompositionSummary {
+/// `None` of a file that has nothing to blend, and does not say how.
+fn composition(scene: &HybridScene, stated: bool) -> Option<CompositionSummary> {
+    let c = &scene.composition;
+    (stated || !scene.splats.is_empty() || !scene.meshes.is_empty()).then(|| CompositionSummary {
+        stated,
         mode: c.mode.name(),
         lambda: c.lambda.is_finite().then_some(c.lambda),
         layers: c.layers,
@@ -264,5 +269,5 @@ fn composition(c: &Composition) -> CompositionSummary {
         near: c.near,
         filter_variance: c.pixel_filter.variance,
         filter_normalized: c.pixel_filter.normalized,
-    }
+    })
 }

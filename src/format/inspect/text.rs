@@ -127,7 +127,8 @@ impl fmt::Display for Summary {
         }
         if let Some(c) = &self.composition {
             let lambda = c.lambda.map_or("infinite".to_owned(), |l| l.to_string());
-            write!(f, "\n├ composition: {}, λ {lambda}, {} layer(s), {}", c.mode, c.layers, c.color_space)?;
+            let stated = if c.stated { "" } else { "none stated, shown as " };
+            write!(f, "\n├ composition: {stated}{}, λ {lambda}, {} layer(s), {}", c.mode, c.layers, c.color_space)?;
             write!(f, ", near {}, background {:?}", c.near, c.background)?;
             let filter = PixelFilter { variance: c.filter_variance, normalized: c.filter_normalized };
             write!(f, ", {}", widened(filter))?;
@@ -200,6 +201,29 @@ mod tests {
         assert!(text.contains("\n│   • 001.jpg, camera 1\n"), "few are told one by one: {text}");
         let text = written(48, |i| format!("{i:03}.jpg"), "usda").to_string();
         assert!(text.contains("\n├ cameras: 48 of 640×480, vertical field of view 51.4°\n"), "{text}");
+    }
+
+    #[test]
+    fn a_composition_that_the_file_does_not_state_is_said_to_be_none() {
+        for extension in ["glb", "usda"] {
+            let own = written(1, |_| "a".to_owned(), extension).to_string();
+            assert!(own.contains("├ composition: ") && !own.contains("none stated"), "{own}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.gltf");
+        let text = |mesh: &str| {
+            let zeros = "A".repeat(48);
+            let json = format!(
+                r#"{{ "buffers": [{{ "byteLength": 36, "uri": "data:application/octet-stream;base64,{zeros}" }}],
+                "bufferViews": [{{ "buffer": 0, "byteLength": 36 }}], "asset": {{ "version": "2.0" }}, "nodes": [{{ {mesh} }}], "scenes": [{{ "nodes": [0] }}], "scene": 0,
+                "accessors": [{{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3, "min": [0, 0, 0], "max": [0, 0, 0] }}],
+                "meshes": [{{ "primitives": [{{ "attributes": {{ "POSITION": 0 }} }}] }}] }}"#
+            );
+            std::fs::write(&path, json).unwrap();
+            inspect(&path).unwrap().to_string()
+        };
+        assert!(text(r#""mesh": 0"#).contains("├ composition: none stated, shown as "));
+        assert!(!text(r#""name": "empty""#).contains("composition"));
     }
 
     #[test]

@@ -55,6 +55,19 @@ def find_llvm(folders=LLVM_FOLDERS):
     return found[min(found, key=lambda version: abs(version - 19))] if found else None
 
 
+def parse():
+    parser = argparse.ArgumentParser(description='Render a scene of `centaur convert` in Mitsuba.')
+    parser.add_argument('scene', type=Path, help='the .xml')
+    parser.add_argument('-o', '--out', type=Path, required=True, help='the .exr to write: RGBA, layers, depth')
+    parser.add_argument('--camera', default='0', help='name of a camera, or its number (default: 0)')
+    parser.add_argument('--output', choices=['linear', 'blending'], help='what RGB is (default: as in the .xml)')
+    parser.add_argument('--sh-direction', choices=['mean', 'ray'], help='where splats are seen from (default: as in the .xml)')
+    return parser.parse_args()
+
+
+# What is asked for is told, and wrong arguments are, without the packages that rendering takes.
+ARGUMENTS = parse() if __name__ == '__main__' else None
+
 if 'DRJIT_LIBLLVM_PATH' not in os.environ and sys.platform != 'win32' and (llvm := find_llvm()):
     os.environ['DRJIT_LIBLLVM_PATH'] = llvm
 
@@ -63,7 +76,7 @@ try:
     import mitsuba as mi
     import numpy as np
 except ImportError as error:
-    sys.exit(f'hybrid_rf.py: {error}; install it with: pip install mitsuba==3.9.1 numpy')
+    sys.exit(f'hybrid_rf.py: {error}; install it with: python3 -m venv venv && venv/bin/pip install mitsuba==3.9.1 numpy')
 
 
 def find_variant():
@@ -529,14 +542,7 @@ def camera_index(labels, text):
     raise LookupError(f'no camera `{text}`; there are {some}{rest}')
 
 
-def main():
-    parser = argparse.ArgumentParser(description='Render a scene of `centaur convert` in Mitsuba.')
-    parser.add_argument('scene', type=Path, help='the .xml')
-    parser.add_argument('-o', '--out', type=Path, required=True, help='the .exr to write: RGBA, layers, depth')
-    parser.add_argument('--camera', default='0', help='name of a camera, or its number (default: 0)')
-    parser.add_argument('--output', choices=['linear', 'blending'], help='what RGB is (default: as in the .xml)')
-    parser.add_argument('--sh-direction', choices=['mean', 'ray'], help='where splats are seen from (default: as in the .xml)')
-    arguments = parser.parse_args()
+def main(arguments):
     if not arguments.scene.is_file():
         sys.exit(f'hybrid_rf.py: {arguments.scene}: no such file')
     out = arguments.out
@@ -571,4 +577,4 @@ def main():
 
 
 if __name__ == '__main__':
-    main()
+    main(ARGUMENTS)

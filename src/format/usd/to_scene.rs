@@ -71,7 +71,17 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
         scene = frame::back(scene).map_err(|e| Fault::from(e).under("/"))?;
     }
     let record = record(layer, &mut notes);
-    Ok(SceneFile { scene, cameras, notes, y_up: !is_ours, attributes: vec![], dropped: 0, source: None, record })
+    Ok(SceneFile {
+        scene,
+        states_composition: root.is_some(),
+        cameras,
+        notes,
+        y_up: !is_ours,
+        attributes: vec![],
+        dropped: 0,
+        source: None,
+        record,
+    })
 }
 
 /// How the scene was made, if it says so.
