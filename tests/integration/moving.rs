@@ -298,7 +298,7 @@ fn pictures_are_of_their_time() {
     let error = failure(folder.path(), "render still.glb -o no --time 0..1");
     assert!(error.ends_with("--time START..END: expected a scene that moves, found one that rests"), "{error}");
     let said = as_json(folder.path(), "render still.glb -o still --time 1")["notes"].to_string();
-    assert!(said.contains("it is at 1 s as it rests"), "{said}");
+    assert!(said.contains("at 1 s it is shown as it rests"), "{said}");
     std::fs::write(folder.path().join("p.ply"), "ply\n").unwrap();
     let error = failure(folder.path(), "convert p.ply b.glb --time 1");
     assert!(

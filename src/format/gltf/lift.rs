@@ -112,11 +112,10 @@ const UNSHOWN: [&str; 13] = [
     "KHR_xmp_json_ld",
 ];
 
-/// What is expected in the place of an extension that a file requires; `None` if it can be read with that.
-pub(in crate::format) fn expected_for(required: &str) -> Option<String> {
-    let understood = || UNDERSTOOD.into_iter().chain(UNSHOWN);
-    let is_known = understood().any(|name| name == required);
-    (!is_known).then(|| format!("no other than {}", understood().collect::<Vec<_>>().join(", ")))
+/// What is expected in the place of an extension that a file requires; `None` if it can be read with that. The list of those is too long for a line.
+pub(in crate::format) fn expected_for(required: &str) -> Option<&'static str> {
+    let is_known = UNDERSTOOD.into_iter().chain(UNSHOWN).any(|name| name == required);
+    (!is_known).then_some("an extension that is understood here, or that changes nothing of what is shown")
 }
 
 impl Asset {
