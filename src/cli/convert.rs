@@ -223,9 +223,17 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     let (mut document, mut record) = (None, None);
     for file in files {
         bar.set_message(format!("reading {}", one_line(&file.display().to_string())));
-        let read = format::read_file(file, &options)?;
-        let SceneFile { scene, states_composition, cameras: own, mut notes, y_up, .. } = read;
-        let SceneFile { attributes: extra, dropped, source, record: own_record, .. } = read;
+        let SceneFile {
+            scene,
+            states_composition,
+            cameras: own,
+            mut notes,
+            y_up,
+            attributes: extra,
+            dropped,
+            source,
+            record: own_record,
+        } = format::read_file(file, &options)?;
         if let Some(source) = source.as_ref().filter(|_| !one) {
             notes.extend(source.remainder().iter().map(|part| format!("left out on joining: {part}")));
         }

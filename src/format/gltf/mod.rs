@@ -20,6 +20,8 @@ mod instancing_tests;
 mod integers;
 mod lift;
 mod material;
+#[cfg(test)]
+mod material_tests;
 mod meshes;
 pub(super) mod meshopt;
 mod motion;
