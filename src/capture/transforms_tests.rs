@@ -393,3 +393,28 @@ fn masks_that_frames_name_are_missed_where_they_should_be() {
     std::fs::write(&file, renamed).unwrap();
     assert_eq!(message(root, &LoadOptions { masks: true, ..full() }), missing);
 }
+
+/// One of two would be taken as it is, and be larger than the other.
+#[test]
+fn another_folder_takes_the_place_of_all_images_or_of_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    for place in ["images", "small", "extra"] {
+        std::fs::create_dir(root.join(place)).unwrap();
+        for name in ["0.png", "1.png"] {
+            std::fs::copy(root.join(name), root.join(place).join(name)).unwrap();
+        }
+    }
+    let file = root.join("transforms.json");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let small = LoadOptions { images: Some("small".to_owned()), ..full() };
+    for (second, is_read) in [("images/1.png", true), ("small/1.png", true), ("extra/1.png", false)] {
+        let named = text.replace(r#""0.png""#, r#""images/0.png""#).replace(r#""1.png""#, &format!("\"{second}\""));
+        std::fs::write(&file, named).unwrap();
+        match open(root, &small) {
+            Ok(capture) => assert!(is_read && capture.views.len() == 2, "{second}"),
+            Err(e) => assert!(!is_read && e.to_string().contains("/frames/1/file_path"), "{second}: {e}"),
+        }
+    }
+}

@@ -373,6 +373,7 @@ mod tests {
             from_ply(format!("{header}{faces}").as_bytes()).and_then(Soup::finish).unwrap()
         };
         assert!(read(0).corner_uvs.is_some());
+        assert!(read(-1).corner_uvs.is_none(), "a face without a texture has no place on that of another");
         let two = read(1);
         assert!(two.corner_uvs.is_none() && two.notes[0].contains("they are of 2 materials"), "{:?}", two.notes);
     }
