@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use super::transforms::{self, Found};
+use super::transforms;
 use super::views::{self, Frame};
-use super::{CaptureError, Listed, LoadOptions, colmap, error};
+use super::{CaptureError, Listed, Lists, LoadOptions, colmap, error, lists};
 use crate::scene::{Camera, Intrinsics};
 
 /// Cameras in the order in which they are shown.
@@ -68,33 +68,30 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     if let Some(images) = &options.images {
         views::inside(path, "--images", images)?;
     }
-    let found =
-        if is_folder { transforms::find(path) } else { Found { files: vec![(path.into(), None)], ..Found::default() } };
-    let (mut frames, fps, y_up, list, passed_over) = if let Some(model) = colmap::find_model(path).filter(|_| is_folder)
-    {
-        let Listed { frames, list, .. } = colmap::load(path, &model, (options, false))?;
-        (frames, None, false, list, found.all())
-    } else {
-        let Some((first, _)) = found.files.first() else {
-            let expected =
-                "a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself) or a transforms*.json";
-            return Err(CaptureError::invalid(path, "capture", expected, "neither"));
-        };
-        let (mut frames, mut fps, mut y_up) = (vec![], None, None);
-        for (file, held_out) in &found.files {
-            let text = error::read_text(file)?;
-            if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
-                return camera_path(&text, file, options);
-            }
-            let read = transforms::parse(&text, file, root, *held_out, (options, false))?;
-            if let (Some(found), None) = (read.fps, fps) {
-                fps = Some(rate(found, file)?);
-            }
-            // All are in the frame of the first file.
-            let turns = *y_up.get_or_insert(read.y_up) != read.y_up;
-            frames.extend(read.frames.into_iter().map(|frame| if turns { frame.turned() } else { frame }));
+    let (lists, passed_over) = lists(path, root)?;
+    let (mut frames, fps, y_up, list) = match lists {
+        Lists::Colmap(model) => {
+            let Listed { frames, list, .. } = colmap::load(root, &model, (options, false))?;
+            (frames, None, false, list)
         }
-        (frames, fps, y_up.unwrap_or_default(), first.clone(), found.passed_over)
+        Lists::Transforms(files) => {
+            let (mut frames, mut fps, mut y_up) = (vec![], None, None);
+            for (file, held_out) in &files {
+                let text = error::read_text(file)?;
+                if serde_json::from_str::<Probe>(&text).is_ok_and(|probe| probe.camera_path.is_some()) {
+                    return camera_path(&text, file, options);
+                }
+                let read = transforms::parse(&text, file, root, *held_out, (options, false))?;
+                if let (Some(found), None) = (read.fps, fps) {
+                    fps = Some(rate(found, file)?);
+                }
+                // All are in the frame of the first file.
+                let turns = *y_up.get_or_insert(read.y_up) != read.y_up;
+                frames.extend(read.frames.into_iter().map(|frame| if turns { frame.turned() } else { frame }));
+            }
+            let list = files.into_iter().next().map_or_else(PathBuf::new, |(file, _)| file);
+            (frames, fps, y_up.unwrap_or_default(), list)
+        }
     };
     for (i, frame) in frames.iter_mut().enumerate().filter(|(_, frame)| frame.name.is_empty()) {
         frame.name = format!("frame_{i:05}");
@@ -144,7 +141,7 @@ fn camera(frame: Frame, options: &LoadOptions) -> Result<(String, Camera), Captu
     if !frame.has_size {
         return Err(invalid("its image, or its size as w and h", "neither"));
     }
-    let camera = Camera::new(frame.lens.intrinsics, frame.rotation, frame.translation)
+    let camera = Camera::new(frame.lens.pinhole(), frame.rotation, frame.translation)
         .map_err(|e| CaptureError::scene(&frame.list, &frame.place(), e))?;
     let place = frame.place();
     sized(frame.name, &camera, &frame.list, &place, options)

@@ -24,6 +24,24 @@ fn byte_order_marks_are_passed_over() {
     assert_eq!((capture.views.len(), capture.points.len()), (3, 3));
 }
 
+/// Of what is opened and of its cameras alone.
+#[test]
+fn further_models_are_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_capture(root, 3, 20, 10);
+    let [first, second] = ["sparse/0", "sparse/1"].map(|model| root.join(model));
+    std::fs::create_dir(&second).unwrap();
+    for file in ["cameras.bin", "images.bin"] {
+        std::fs::copy(first.join(file), second.join(file)).unwrap();
+    }
+    let json = root.join("transforms.json");
+    std::fs::write(&json, "{}").unwrap();
+    let expected = [second, json];
+    assert_eq!(open(root, &full()).unwrap().passed_over, expected);
+    assert_eq!(cameras(root, &full()).unwrap().passed_over, expected);
+}
+
 #[test]
 fn a_model_may_be_in_both_encodings() {
     let folder = tempfile::tempdir().unwrap();

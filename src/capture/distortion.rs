@@ -201,6 +201,20 @@ fn sample(rgba: &[u8], width: u32, height: u32, x: f64, y: f64) -> [u8; 4] {
     [r, g, b, (alpha + 0.5) as u8]
 }
 
+/// Most times its own focal length that the pinhole image of a photograph may have, see [`Lens::pinhole`].
+const CLOSEST: f64 = 2.0;
+/// What the times are found to, and the part by which they are more than they need be: far less than a pixel, and more than rounding.
+const CLOSE: f64 = 1e-9;
+
+/// Column and row of every pixel along the border of a picture that is not empty; the corners first, which lenses move most.
+fn border(width: u32, height: u32) -> impl Iterator<Item = (u32, u32)> {
+    let (right, bottom) = (width - 1, height - 1);
+    let corners = [0, right].into_iter().flat_map(move |x| [(x, 0), (x, bottom)]);
+    let rows = (0..width).flat_map(move |x| [(x, 0), (x, bottom)]);
+    let columns = (0..height).flat_map(move |y| [(0, y), (right, y)]);
+    corners.chain(rows).chain(columns)
+}
+
 impl Lens {
     /// The same lens for a picture resized to `width`×`height`.
     #[must_use]
@@ -208,36 +222,100 @@ impl Lens {
         Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }
 
-    /// Position in the pinhole image of what the photograph shows at `uv`, both in continuous pixels. The pinhole
-    /// image has the photograph's own intrinsics.
+    /// The pinhole camera whose image a photograph becomes, at the photograph's size.
+    ///
+    /// It has the photograph's own intrinsics, so that the centre keeps its resolution and what falls outside that frame is cut off. Where
+    /// this would show places outside of the photograph, as with pincushion distortion, both focal lengths are the least multiple of
+    /// them, to a billionth, with which no pixel's centre does: no pixel is blank, as by COLMAP's undistorter. With barrel distortion that
+    /// is once, exactly, unless the lens folds its picture back within the frame.
+    ///
+    /// A lens for which even twice the focal length is too little, which would leave less than a quarter of the view, keeps its own: what is
+    /// not in the photograph is blank then, and does not count ([`Photo::masked`](super::Photo::masked)).
     #[must_use]
-    pub fn undistort(&self, uv: DVec2) -> Option<DVec2> {
-        let k = &self.intrinsics;
-        let (f, c) = (DVec2::new(k.fx, k.fy), DVec2::new(k.cx, k.cy));
-        self.distortion.undistort((uv - c) / f).map(|p| p * f + c)
+    pub fn pinhole(&self) -> Intrinsics {
+        let k = self.intrinsics;
+        // No picture has another size, and what says so is refused.
+        if self.distortion == Distortion::None || !Intrinsics::is_size(k.width, k.height) {
+            return k;
+        }
+        let times = self.closer();
+        Intrinsics { fx: times * k.fx, fy: times * k.fy, ..k }
     }
 
-    /// The pinhole image of a photograph `rgba` `[height·width·4]`, at the same size, focal length and principal
-    /// point, so that the centre keeps its resolution; what falls outside that frame is cut off.
-    ///
-    /// Second result: whether some pixels have no photograph behind them. Those are 0, alpha included.
-    pub(super) fn rectify(&self, rgba: &[u8]) -> (Vec<u8>, bool) {
+    /// How many times as long its focal lengths are.
+    fn closer(&self) -> f64 {
+        let k = &self.intrinsics;
+        let domain = self.domain();
+        let is_shown = |(x, y): (u32, u32), times: f64| {
+            let p = DVec2::new(f64::from(x) + 0.5 - k.cx, f64::from(y) + 0.5 - k.cy);
+            self.shows(p / (times * DVec2::new(k.fx, k.fy)), domain).is_some()
+        };
+        // The inside of a picture is inside where its border is: lenses do not fold within their domain.
+        let mut times = 1.0;
+        for pixel in border(k.width, k.height) {
+            if is_shown(pixel, times) {
+                continue;
+            }
+            if !is_shown(pixel, CLOSEST) {
+                return 1.0;
+            }
+            let (mut less, mut more) = (times, CLOSEST);
+            while more - less > CLOSE {
+                let middle = 0.5 * (less + more);
+                if is_shown(pixel, middle) {
+                    more = middle;
+                } else {
+                    less = middle;
+                }
+            }
+            times = more + CLOSE;
+        }
+        // What is closer shows less on all sides, unless the principal point is outside.
+        let is_covered = times == 1.0 || border(k.width, k.height).all(|pixel| is_shown(pixel, times));
+        if is_covered { times } else { 1.0 }
+    }
+
+    /// The squared radius on the plane z = 1 that the lens's domain has within the photograph's frame.
+    fn domain(&self) -> f64 {
         let k = &self.intrinsics;
         let [w, h] = k.size().to_array();
         let far = DVec2::new(k.cx.abs().max((w - k.cx).abs()) / k.fx, k.cy.abs().max((h - k.cy).abs()) / k.fy);
-        let domain = self.distortion.domain(far.length()).powi(2);
+        self.distortion.domain(far.length()).powi(2)
+    }
+
+    /// Where the photograph shows the undistorted point `p`, in continuous pixels, if it does; `domain` is [`Self::domain`].
+    fn shows(&self, p: DVec2, domain: f64) -> Option<DVec2> {
+        let k = &self.intrinsics;
+        let d = self.distortion.distort(p);
+        let uv = DVec2::new(d.x * k.fx + k.cx, d.y * k.fy + k.cy);
+        let is_inside = uv.cmpge(DVec2::ZERO).all() && uv.cmple(k.size()).all();
+        (p.length_squared() <= domain && is_inside).then_some(uv)
+    }
+
+    /// Position in the image of `pinhole`, which is [`Self::pinhole`] or that at another size, of what the photograph shows at `uv`, both in
+    /// continuous pixels.
+    #[must_use]
+    pub fn undistort(&self, uv: DVec2, pinhole: &Intrinsics) -> Option<DVec2> {
+        let k = &self.intrinsics;
+        let p = self.distortion.undistort((uv - DVec2::new(k.cx, k.cy)) / DVec2::new(k.fx, k.fy))?;
+        Some(p * DVec2::new(pinhole.fx, pinhole.fy) + DVec2::new(pinhole.cx, pinhole.cy))
+    }
+
+    /// The image that [`Self::pinhole`] has of what a photograph `rgba` `[height·width·4]` shows.
+    ///
+    /// Second result: whether some pixels have no photograph behind them. Those are 0, alpha included.
+    pub(super) fn rectify(&self, rgba: &[u8]) -> (Vec<u8>, bool) {
+        let k = self.pinhole();
+        let domain = self.domain();
         let (sx, sy) = (1.0 / k.fx, 1.0 / k.fy);
         let mut out = vec![0; rgba.len()];
         let mut outside = false;
         for (y, row) in out.chunks_exact_mut(4 * k.width as usize).enumerate() {
             for (x, pixel) in row.chunks_exact_mut(4).enumerate() {
                 let p = DVec2::new((x as f64 + 0.5 - k.cx) * sx, (y as f64 + 0.5 - k.cy) * sy);
-                let d = self.distortion.distort(p);
-                let (u, v) = (d.x * k.fx + k.cx, d.y * k.fy + k.cy);
-                if p.length_squared() <= domain && (0.0..=w).contains(&u) && (0.0..=h).contains(&v) {
-                    pixel.copy_from_slice(&sample(rgba, k.width, k.height, u, v));
-                } else {
-                    outside = true;
+                match self.shows(p, domain) {
+                    Some(at) => pixel.copy_from_slice(&sample(rgba, k.width, k.height, at.x, at.y)),
+                    None => outside = true,
                 }
             }
         }
@@ -298,9 +376,11 @@ mod tests {
         let lens = Lens { intrinsics, distortion: LENSES[1] };
         // A photograph whose red and green are the *undistorted* position of each of its pixels.
         let mut photo = vec![255; 80 * 60 * 4];
+        let pinhole = lens.pinhole();
+        assert_eq!(pinhole, intrinsics);
         for (i, pixel) in photo.chunks_exact_mut(4).enumerate() {
             let uv = DVec2::new((i % 80) as f64 + 0.5, (i / 80) as f64 + 0.5);
-            let p = lens.undistort(uv).unwrap();
+            let p = lens.undistort(uv, &pinhole).unwrap();
             pixel[0] = (2.0 * p.x + 30.0).round() as u8;
             pixel[1] = (2.0 * p.y + 30.0).round() as u8;
         }
@@ -313,9 +393,70 @@ mod tests {
                 assert!((f64::from(pixel[c]) - expected[c]).abs() <= 1.01, "pixel {i}: {pixel:?} for {expected:?}");
             }
         }
-        let pincushion =
-            Lens { intrinsics, distortion: Distortion::Brown { k: [0.3, 0., 0., 0., 0., 0.], p: [0.; 2] } };
-        let (pinhole, outside) = pincushion.rectify(&photo);
-        assert!(outside && pinhole[..4] == [0; 4], "corners have no photograph");
+    }
+
+    /// A photograph of 80×60 through a lens of this k₁, with the principal point in column `cx`.
+    fn radial(k1: f64, cx: f64) -> Lens {
+        let intrinsics = Intrinsics { width: 80, height: 60, fx: 60.0, fy: 62.0, cx, cy: 29.0 };
+        Lens { intrinsics, distortion: Distortion::Brown { k: [k1, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.0; 2] } }
+    }
+
+    /// Its border lies in the photograph, but not so with a little less of focal length, and its pixels show what their rays meet.
+    #[test]
+    fn pincushion_pictures_are_cut_to_what_their_photographs_show() {
+        for k1 in [0.04, 0.3] {
+            let lens = radial(k1, 41.0);
+            let (own, pinhole) = (lens.intrinsics, lens.pinhole());
+            let times = pinhole.fx / own.fx;
+            assert!(times > 1.01 && times < 1.3, "{k1}: {times}");
+            assert_eq!(Intrinsics { fx: own.fx, fy: own.fy, ..pinhole }, own);
+            assert!((pinhole.fy / own.fy - times).abs() < 1e-12);
+            let (f, c) = (DVec2::new(own.fx, own.fy), DVec2::new(own.cx, own.cy));
+            let is_shown = |times: f64| {
+                let ray = |x: u32, y: u32| (DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) - c) / (times * f);
+                border(80, 60).all(|(x, y)| lens.shows(ray(x, y), lens.domain()).is_some())
+            };
+            assert!(is_shown(times) && !is_shown(times - 1e-6));
+            // Red and green are where the ray of each pixel of the photograph meets the plane z = 1, 150 levels a unit.
+            let mut photo = vec![255; 80 * 60 * 4];
+            for (i, pixel) in photo.chunks_exact_mut(4).enumerate() {
+                let uv = DVec2::new((i % 80) as f64 + 0.5, (i / 80) as f64 + 0.5);
+                let p = lens.distortion.undistort((uv - c) / f).unwrap();
+                pixel[0] = (150.0 * p.x + 128.0).round() as u8;
+                pixel[1] = (150.0 * p.y + 128.0).round() as u8;
+            }
+            let (picture, outside) = lens.rectify(&photo);
+            assert!(!outside && picture.chunks_exact(4).all(|pixel| pixel[3] == 255));
+            for (i, pixel) in picture.chunks_exact(4).enumerate() {
+                let ray = [
+                    ((i % 80) as f64 + 0.5 - pinhole.cx) / pinhole.fx,
+                    ((i / 80) as f64 + 0.5 - pinhole.cy) / pinhole.fy,
+                ];
+                for (level, p) in pixel.iter().zip(ray) {
+                    // A level of rounding; beyond the centres of the last pixels half a pixel of 2.5 levels.
+                    let off = (f64::from(*level) - (150.0 * p + 128.0)).abs();
+                    assert!(off <= 2.3, "{k1}, pixel {i}: {pixel:?} for {ray:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn other_lenses_keep_their_focal_length() {
+        // Their photographs show more than the frame on all sides.
+        for distortion in [0, 1, 3, 6, 7, 8, 9].map(|i| LENSES[i]) {
+            let lens = Lens { distortion, ..radial(0.0, 41.0) };
+            assert_eq!(lens.pinhole(), lens.intrinsics, "{distortion:?}");
+        }
+        // Half a pixel's worth is none: the centres of pixels are inside.
+        assert_eq!(radial(0.01, 41.0).pinhole(), radial(0.01, 41.0).intrinsics);
+        // What twice the focal length does not help, and nothing does where what is closer is farther out.
+        for lens in [radial(8.0, 41.0), radial(0.04, -20.0), radial(f64::NAN, 41.0)] {
+            assert_eq!(lens.pinhole(), lens.intrinsics, "{lens:?}");
+            let (picture, outside) = lens.rectify(&[255; 80 * 60 * 4]);
+            assert!(outside && picture.chunks_exact(4).any(|pixel| pixel == [0; 4]), "{lens:?}");
+        }
+        let empty = Intrinsics { width: 0, ..radial(0.3, 41.0).intrinsics };
+        assert_eq!(Lens { intrinsics: empty, ..radial(0.3, 41.0) }.pinhole(), empty);
     }
 }

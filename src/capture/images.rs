@@ -80,9 +80,10 @@ pub struct Photo {
     /// (255 = use this pixel) or their product. Colour is undefined where A is 0.
     pub rgba: Vec<u8>,
     /// Some pixel of the file is transparent: A is opacity over an unknown background. What an undistorted frame shows outside of such a
-    /// photograph is transparent, too, as what is around an object that was cut out.
+    /// photograph, if anything, is transparent, too, as what is around an object that was cut out.
     pub has_alpha: bool,
-    /// A mask was applied, or the undistorted frame reaches outside a photograph without alpha: A is how far a pixel counts.
+    /// A mask was applied, or the undistorted frame reaches outside a photograph without alpha, as it does only of the most distorted
+    /// (see [`Lens::pinhole`]): A is how far a pixel counts.
     pub masked: bool,
 }
 
@@ -361,7 +362,7 @@ fn resize(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
 #[cfg(test)]
 mod tests {
     use super::super::tests::{cameras_bin, write_capture};
-    use super::super::{Downscale, LoadOptions, open};
+    use super::super::{Downscale, LoadOptions, cameras, open};
     use super::*;
     use crate::format::test_scenes::{black_png, profiled_png};
     use image::RgbImage;
@@ -470,6 +471,41 @@ mod tests {
             ),
             "{said}"
         );
+    }
+
+    /// Nothing is masked without a mask, whatever the lens, unless that is extreme. Cameras are the same without photographs.
+    #[test]
+    fn pinholes_are_within_their_photographs() {
+        let folder = capture_of(&png(&DynamicImage::new_rgb8(160, 80)), 160, 80);
+        let options = |downscale, masks| LoadOptions { downscale, masks, ..LoadOptions::default() };
+        std::fs::create_dir(folder.path().join("masks")).unwrap();
+        for name in ["00.png", "01.png"] {
+            GrayImage::from_pixel(160, 80, image::Luma([255])).save(folder.path().join("masks").join(name)).unwrap();
+        }
+        let opened = |k: f64, options: LoadOptions| {
+            let cameras = cameras_bin(2, 160, 80, &[80.0, 80.0, 40.0, k]);
+            std::fs::write(folder.path().join("sparse/0/cameras.bin"), cameras).unwrap();
+            let view = open(folder.path(), &options).unwrap().views.remove(0);
+            (*view.camera.intrinsics(), decode(&view).unwrap())
+        };
+        for (k, is_closer, is_blank) in [(-0.04, false, false), (0.04, true, false), (20.0, false, true)] {
+            let (pinhole, photo) = opened(k, options(Downscale::Full, false));
+            assert_eq!((photo.masked, photo.has_alpha), (is_blank, false), "{k}");
+            assert_eq!(photo.rgba.chunks_exact(4).any(|pixel| pixel[3] < 255), is_blank, "{k}");
+            assert!(
+                if is_closer { (81.0..88.0).contains(&pinhole.fx) } else { pinhole.fx == 80.0 },
+                "{k}: {pinhole:?}"
+            );
+            assert_eq!(pinhole, Intrinsics { fy: pinhole.fx, cx: 80.0, cy: 40.0, ..pinhole });
+            let (half, photo) = opened(k, options(Downscale::Factor(2), true));
+            assert_eq!((half, photo.masked), (pinhole.resized(80, 40), true), "{k}");
+            let alone = || cameras(folder.path(), &options(Downscale::Full, false)).unwrap().cameras[0].1;
+            let with = alone();
+            let (photograph, away) = (folder.path().join("images/00.png"), folder.path().join("00.png"));
+            std::fs::rename(&photograph, &away).unwrap();
+            assert_eq!((*with.intrinsics(), alone()), (pinhole, with), "{k}");
+            std::fs::rename(away, photograph).unwrap();
+        }
     }
 
     /// Columns 0 to 4 of 16 are of the first colour.

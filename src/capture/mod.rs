@@ -84,7 +84,7 @@ struct Listed {
 pub struct View {
     /// Name in the capture, unique: COLMAP's image name or the `file_path` of a `transforms.json`.
     pub name: String,
-    /// Pinhole at the size of the decoded picture, undistorted and downscaled.
+    /// Pinhole at the size of the decoded picture: that of [`Lens::pinhole`], downscaled.
     pub camera: Camera,
     /// Where the picture comes from and what is done to it.
     pub source: ImageSource,
@@ -256,22 +256,40 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     Ok(Capture { name, views, points, points_files, passed_over })
 }
 
-/// What the list of the capture at `path` says, in the folder `root`, and the files that are passed over for it.
+/// What lists the views of a capture.
+enum Lists {
+    /// The COLMAP model in this folder.
+    Colmap(PathBuf),
+    /// These files, at least one, each with its part in the split if there are two.
+    Transforms(Vec<(PathBuf, Option<bool>)>),
+}
+
+/// What the list of the capture at `path` says, in the folder `root`, and what is passed over for it.
 fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Vec<PathBuf>), CaptureError> {
+    let (lists, passed_over) = lists(path, root)?;
+    let listed = match lists {
+        Lists::Colmap(model) => colmap::load(root, &model, (options, !options.without_points))?,
+        Lists::Transforms(files) => transforms::load(root, &files, options)?,
+    };
+    Ok((listed, passed_over))
+}
+
+/// Finds what lists the views of the capture at `path`, a file or the folder `root`, and what else in that does, which is passed over for it.
+fn lists(path: &Path, root: &Path) -> Result<(Lists, Vec<PathBuf>), CaptureError> {
     if path != root {
-        return Ok((transforms::load(root, &[(path.into(), None)], options)?, vec![]));
+        return Ok((Lists::Transforms(vec![(path.into(), None)]), vec![]));
     }
     let found = transforms::find(root);
     if let Some(model) = colmap::find_model(root) {
-        let listed = colmap::load(root, &model, (options, !options.without_points))?;
-        return Ok((listed, [colmap::further_models(&model), found.all()].concat()));
+        let passed_over = [colmap::further_models(&model), found.all()].concat();
+        return Ok((Lists::Colmap(model), passed_over));
     }
     if found.files.is_empty() {
         let expected =
             "a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself) or a transforms*.json";
         return Err(CaptureError::invalid(path, "capture", expected, "neither"));
     }
-    Ok((transforms::load(root, &found.files, options)?, found.passed_over))
+    Ok((Lists::Transforms(found.files), found.passed_over))
 }
 
 /// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is

@@ -270,7 +270,7 @@ fn camera_models_project_as_in_colmap() {
             let found = glam::DVec2::new(k.fx * d.x + k.cx, k.fy * d.y + k.cy);
             // Both sides compute in f64; 1e-9 of a pixel leaves room for another order of operations.
             assert!(found.distance(pixel.into()) < 1e-9, "{}: {found} for {pixel:?}", case.model);
-            let back = lens.undistort(found).unwrap();
+            let back = lens.undistort(found, &k).unwrap();
             let pinhole = glam::DVec2::new(k.fx * point[0] / point[2] + k.cx, k.fy * point[1] / point[2] + k.cy);
             assert!(back.distance(pinhole) < 1e-7, "{}: {back} for {pinhole}", case.model);
         }

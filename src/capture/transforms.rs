@@ -93,7 +93,6 @@ fn number(value: &Option<Value>) -> Option<f64> {
 }
 
 /// The files of a folder.
-#[derive(Default)]
 pub(super) struct Found {
     /// Those that are its capture, each with its part in the split if there are two.
     pub(super) files: Vec<(PathBuf, Option<bool>)>,

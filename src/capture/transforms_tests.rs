@@ -86,7 +86,7 @@ fn transforms_in_opengl_axes() {
     let file = root.join("transforms.json");
     std::fs::write(&file, frames(r#","k1":0.1,"p1":0.01,"test_filenames":["./train/r_1.png"]"#)).unwrap();
     let capture = open(&file, &full()).unwrap();
-    let k = capture.views[1].camera.intrinsics();
+    let k = capture.views[1].source.lens().intrinsics;
     // What a frame says of one axis it says of both, as in instant-ngp.
     assert_eq!((k.fx, k.fy, k.cx, k.cy), (5.0, 5.0, 4.5, 3.5));
     let brown = Distortion::Brown { k: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.01, 0.0] };
@@ -118,6 +118,7 @@ fn transforms_in_opengl_axes() {
     std::fs::write(&file, frames(r#","ply_file_path":"none.ply""#)).unwrap();
     let missing = open(&file, &full()).unwrap_err().to_string();
     assert!(missing.contains("none.ply: "), "{missing}");
+    assert!(open(&file, &LoadOptions { without_points: true, ..full() }).is_ok());
     for lists in [
         r#","test_filenames":null,"val_filenames":["train/r_0.png"]"#,
         r#","train_filenames":["train/r_1.png"],"val_filenames":["train/r_0.png"]"#,

@@ -152,7 +152,7 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
     })?;
     let lens = lens.resized(width, height);
     let camera =
-        Camera::new(lens.intrinsics, rotation, translation).map_err(|e| CaptureError::scene(&list, &place, e))?;
+        Camera::new(lens.pinhole(), rotation, translation).map_err(|e| CaptureError::scene(&list, &place, e))?;
     let size = options.downscale.size(width, height);
     let mask = mask.filter(|_| options.masks);
     let stores_alpha = header.has_alpha;

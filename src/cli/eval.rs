@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(background) = args.background {
         scene.composition.background = background.color();
     }
-    let capture = args.loading.open(&args.capture)?;
+    let capture = args.loading.open(&args.capture, true)?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));

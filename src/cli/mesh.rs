@@ -89,7 +89,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
     let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
-    let capture = args.loading.open(&args.capture)?;
+    // A given mesh needs points only to tell what of the truth is near.
+    let capture = args.loading.open(&args.capture, args.mesh.is_some() && args.truth.is_none())?;
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     let mut notes = Vec::from_iter(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
     let made = match (&args.mesh, &args.splats) {

@@ -58,8 +58,9 @@ pub(super) struct CaptureArgs {
 }
 
 impl CaptureArgs {
-    pub(super) fn open(&self, path: &Path) -> Result<Capture> {
-        Ok(capture::open(path, &self.options())?)
+    /// The capture, `without_points` as if it had none: where nobody needs them their file may be missing.
+    pub(super) fn open(&self, path: &Path, without_points: bool) -> Result<Capture> {
+        Ok(capture::open(path, &LoadOptions { without_points, ..self.options() })?)
     }
 
     pub(super) fn options(&self) -> LoadOptions {

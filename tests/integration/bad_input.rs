@@ -365,15 +365,34 @@ fn captures_that_name_no_points_start_from_random_splats_and_say_so() {
     write(&[("ply_file_path", "points.ply")]);
     let line = failure(folder.path(), &mut train(folder.path(), []));
     assert!(line.starts_with("error: capture/points.ply: expected points, found none"), "{line}");
+    write(&[("ply_file_path", "gone.ply")]);
+    let line = failure(folder.path(), &mut train(folder.path(), []));
+    let advice = "No such file or directory; --no-points begins with splats at random places that the cameras look at";
+    assert_eq!(line, format!("error: capture/gone.ply: cannot read: {advice}"));
 
     write(&[]);
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let note = "capture: has no points: splats begin at random places that its cameras look at";
-    assert_eq!(stderr(&output), format!("note: {note}\n"));
+    // The world is that of OpenGL.
+    let lies = "capture: has views for which +y is up: what shows glTF with +y up shows the scene upside down; centaur convert scene.glb OUT.glb \
+                --axes y-up:y-down writes one that stands";
+    assert_eq!(stderr(&output), format!("note: {note}\nnote: {lies}\n"));
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500", "--json"]).output().unwrap();
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!((stderr(&output), &outcome["notes"]), (String::new(), &serde_json::json!([note])));
+    assert_eq!((stderr(&output), &outcome["notes"]), (String::new(), &serde_json::json!([note, lies])));
+
+    // What takes no points does not miss them.
+    write(&[("ply_file_path", "gone.ply")]);
+    let tetrahedron =
+        "v 0.4 0 -0.3\nv -0.4 0.3 -0.3\nv -0.4 -0.3 -0.3\nv 0 0 0.4\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    std::fs::write(folder.path().join("mesh.obj"), tetrahedron).unwrap();
+    for args in
+        ["eval scene.glb capture --quiet", "mesh capture --mesh mesh.obj -o surface.glb --texture-size 64 --quiet"]
+    {
+        let output = centaur(folder.path()).args(args.split(' ')).output().unwrap();
+        assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()), "{args}");
+    }
 }
 
 #[test]

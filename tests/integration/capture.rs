@@ -111,7 +111,8 @@ fn reprojection(folder: &Path) -> (f64, usize) {
         .iter()
         .flat_map(|view| images[&view.name].iter().map(move |seen| (view, seen)))
         .map(|(view, (pixel, id))| {
-            let straight = view.source.lens().undistort(*pixel).expect("observations lie in the lens's domain");
+            let straight = view.source.lens().undistort(*pixel, view.camera.intrinsics());
+            let straight = straight.expect("observations lie in the lens's domain");
             view.camera.project(view.camera.to_camera(points[id])).distance(straight)
         })
         .collect();

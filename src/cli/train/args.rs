@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, bail, ensure};
-use centaur::capture::{self, Capture, LoadOptions, Split};
+use anyhow::{Result, anyhow, bail, ensure};
+use centaur::capture::{self, Capture, CaptureError, LoadOptions, Split};
 use centaur::format::mesh_import;
 use centaur::geometry::{MeshBvh, Surface};
 use centaur::optimize::{Background, Density, MeshSource, TrainOptions};
@@ -387,14 +387,16 @@ impl Args {
 
     pub(super) fn open(&self) -> Result<Capture> {
         let options = LoadOptions { without_points: self.no_points, ..self.loading.options() };
-        let capture = capture::open(&self.capture, &options)?;
+        let capture = capture::open(&self.capture, &options).map_err(|error| match error {
+            CaptureError::Points(_) => anyhow!("{error}; {WITHOUT_POINTS}"),
+            _ => error.into(),
+        })?;
         let files = capture.points_files.iter().map(PathBuf::as_path);
         self.ply.as_deref().map_or(Ok(()), |ply| output::spare(ply, files))?;
         match capture.points_files.first() {
-            Some(file) if capture.points.is_empty() && !self.no_points => bail!(
-                "{}: expected points, found none; --no-points begins with splats at random places that the cameras look at",
-                file.display()
-            ),
+            Some(file) if capture.points.is_empty() && !self.no_points => {
+                bail!("{}: expected points, found none; {WITHOUT_POINTS}", file.display())
+            }
             _ => Ok(capture),
         }
     }
@@ -426,6 +428,9 @@ impl Args {
         Ok((MeshSource::Given { surface, corner_uvs: mesh.corner_uvs }, notes))
     }
 }
+
+/// What there is to do where points are missing.
+const WITHOUT_POINTS: &str = "--no-points begins with splats at random places that the cameras look at";
 
 /// A point is at a surface that is no farther from it than this part of the extent of the cameras …
 const AT_SURFACE: f64 = 0.1;

@@ -8,6 +8,8 @@ use centaur::atomic::folder_of;
 use centaur::capture::Capture;
 use centaur::optimize::{self, RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
+use centaur::scene::Camera;
+use glam::DVec3;
 use image::ImageFormat;
 
 use super::args::{Args, DensityKind, SurfaceOf};
@@ -68,8 +70,11 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         format!("{beside}: {} {} no effect", flags.join(", "), if flags.len() == 1 { "has" } else { "have" })
     });
     let of_capture = said.map(|(_, what)| what.to_owned());
-    let of_capture =
-        of_capture.chain(shared::passed_over(&capture.passed_over)).chain(not_listed(args, capture)).chain(large);
+    let of_capture = of_capture
+        .chain(shared::passed_over(&capture.passed_over))
+        .chain(not_listed(args, capture))
+        .chain(large)
+        .chain(lies(args, capture));
     let most = optimize::most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
     let asks = args.max_splats.is_some_and(|asked| asked > most);
@@ -82,6 +87,42 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .chain(none_left)
         .chain(idle)
         .collect()
+}
+
+/// Where up may point in the world of a capture but for −y, and the right-handed frame of which it is up, as `centaur convert --axes` calls it.
+const UPS: [(&str, DVec3, &str); 5] = [
+    ("+z", DVec3::Z, "z-up"),
+    ("+y", DVec3::Y, "y-up"),
+    ("−z", DVec3::NEG_Z, "RBD"),
+    ("+x", DVec3::X, "UBR"),
+    ("−x", DVec3::NEG_X, "DRB"),
+];
+/// Cosine of the angle with −y of what is still taken for upright.
+const UPRIGHT: f64 = 0.5;
+/// Length of the mean of the views' unit vectors from which on they have an up in common: turned all ways they have none.
+const IN_COMMON: f64 = 0.3;
+
+/// The one of [`UPS`] that up is nearest to for these cameras; none if it is about −y, which half a turn about x makes the +y of glTF.
+fn up_of(cameras: &[Camera]) -> Option<(&'static str, &'static str)> {
+    let sum: DVec3 = cameras.iter().map(|camera| -camera.rotation().row(1)).sum();
+    let up = sum / cameras.len().max(1) as f64;
+    if up.length() < IN_COMMON || up.normalize().dot(DVec3::NEG_Y) >= UPRIGHT {
+        return None;
+    }
+    let nearest = UPS.iter().max_by(|a, b| up.dot(a.1).total_cmp(&up.dot(b.1)))?;
+    Some((nearest.0, nearest.2))
+}
+
+/// Where up is elsewhere in the world of a capture than COLMAP has it for photographs that were taken upright, as in those of many
+/// `transforms.json`: the scene keeps that world.
+fn lies(args: &Args, capture: &Capture) -> Option<String> {
+    let (axis, frame) = up_of(&capture.cameras())?;
+    let how = if axis == "+y" { "upside down" } else { "lying" };
+    let scene = args.output.display();
+    Some(format!(
+        "has views for which {axis} is up: what shows glTF with +y up shows the scene {how}; centaur convert {scene} OUT.glb \
+         --axes {frame}:y-down writes one that stands"
+    ))
 }
 
 /// How many photographs there are beside its own that it does not list: structure from motion may have found a part of the poses, or several
@@ -177,11 +218,48 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
 
 #[cfg(test)]
 mod tests {
+    use centaur::edit::Axes;
     use centaur::render::gpu::GpuError;
+    use centaur::scene::{HALF_TURN, Intrinsics};
     use clap::Parser as _;
+    use glam::DMat3;
 
     use super::*;
     use crate::cli::{Cli, Command};
+
+    /// Cameras around an axis, each of which looks down on it by half a right angle.
+    fn around(up: DVec3) -> Vec<Camera> {
+        let (x, y) = up.any_orthonormal_pair();
+        let intrinsics = Intrinsics { width: 8, height: 6, fx: 8.0, fy: 8.0, cx: 4.0, cy: 3.0 };
+        let camera = |i: u32| {
+            let (sin, cos) = (0.7 * f64::from(i)).sin_cos();
+            let ahead = (sin * x + cos * y - up).normalize();
+            let right = ahead.cross(up).normalize();
+            let rotation = DMat3::from_cols(right, ahead.cross(right), ahead).transpose();
+            Camera::new(intrinsics, rotation, DVec3::new(0.0, 0.0, 3.0)).unwrap()
+        };
+        (0..9).map(camera).collect()
+    }
+
+    #[test]
+    fn worlds_that_are_not_y_down_are_turned_upright() {
+        let y_down: Axes = "y-down".parse().unwrap();
+        for (axis, up, frame) in UPS {
+            // Also where it is not quite that axis.
+            for up in [up, (up + 0.4 * DVec3::new(0.5, -0.3, -0.6)).normalize()] {
+                assert_eq!(up_of(&around(up)), Some((axis, frame)), "{up}");
+            }
+            let turn = frame.parse::<Axes>().unwrap().to(y_down);
+            assert_eq!((HALF_TURN * (turn * up), turn.determinant()), (DVec3::Y, 1.0), "{axis}");
+        }
+        let leaning = 50_f64.to_radians();
+        for up in [DVec3::NEG_Y, DVec3::new(0.0, -leaning.cos(), leaning.sin())] {
+            assert_eq!(up_of(&around(up)), None, "{up}");
+        }
+        // One half of the views stands on its head.
+        let turned = [around(DVec3::Z), around(DVec3::NEG_Z)].concat();
+        assert_eq!((up_of(&turned), up_of(&[])), (None, None));
+    }
 
     /// That it is refused is tested where it is, of any adapter.
     #[test]
