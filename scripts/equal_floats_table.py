@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 VARIANTS = ("hybrid", "splats")
-# Columns without differences.
-SIZES = ("floats", "file, MB", "s/iteration")
+# Columns without differences, and what splats alone have none of.
+SIZES = ("triangles", "floats", "file, MB", "s/joint iteration")
+OF_HYBRIDS = ("triangles",)
 # Column, number of evaluation["…"] and its digits.
 COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 2),
@@ -17,9 +18,10 @@ COLUMNS = [
     ("FLIP", lambda e: e.get("flip"), 4),
     ("LPIPS 0…1", lambda e: (e.get("lpips") or {}).get("unnormalized"), 3),
     ("splats", lambda e: e["splats"], 0),
+    ("triangles", lambda e: e.get("triangles"), 0),
     ("floats", lambda e: e["total_floats"], 0),
     ("file, MB", lambda e: e["file_bytes"] / 1e6, 2),
-    ("s/iteration", lambda e: e.get("seconds_per_iteration"), 3),
+    ("s/joint iteration", lambda e: e.get("seconds_per_iteration"), 3),
 ]
 
 
@@ -66,10 +68,10 @@ def written(value, digits, sign=""):
 
 
 def cells(pairs):
-    """Of (value of hybrid, value of splats) per column, with their differences; splats as a share."""
+    """Of (value of hybrid, value of splats) per column, with their differences where there are; splats as a share."""
     row = []
     for (name, _, digits), (a, b) in zip(COLUMNS, pairs):
-        row += [written(a, digits), written(b, digits)]
+        row += [written(a, digits)] + ([] if name in OF_HYBRIDS else [written(b, digits)])
         if name == "splats":
             row.append("–" if None in (a, b) else f"{100 * (a / b - 1):+.0f} %")
         elif name not in SIZES:
@@ -80,7 +82,7 @@ def cells(pairs):
 def table(folders):
     head = ["capture", "budget", "seeds"]
     for name, _, _ in COLUMNS:
-        head += [f"{name}: hybrid", "splats alone"] + ([] if name in SIZES else ["difference"])
+        head += [f"{name}: hybrid"] + ([] if name in OF_HYBRIDS else ["splats alone"]) + ([] if name in SIZES else ["difference"])
     lines = [head, ["---"] * 3 + ["---:"] * (len(head) - 3)]
     budgets = {}
     for folder in folders:

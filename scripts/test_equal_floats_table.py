@@ -18,10 +18,12 @@ class Table(unittest.TestCase):
         self.addCleanup(temporary.cleanup)
         self.folder = Path(temporary.name) / "400000"
 
-    def put(self, variant, scene, seed, psnr, splats, lpips=None, at_a_time=1):
+    def put(self, variant, scene, seed, psnr, splats, lpips=None, at_a_time=1, triangles=None):
         file = self.folder / variant / f"{scene}-{seed}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
         evaluation = {"psnr": psnr, "ssim_inria": psnr / 100, "splats": splats, "total_floats": 400_000, "file_bytes": 2_345_678, "seconds_per_iteration": 0.5}
+        if triangles is not None:
+            evaluation["triangles"] = triangles
         if lpips is not None:
             evaluation["lpips"] = {"net": "vgg", "unnormalized": lpips, "normalized": 2 * lpips}
         job = {"scene": scene, "variant": variant, "seed": seed, "at_a_time": at_a_time}
@@ -32,8 +34,8 @@ class Table(unittest.TestCase):
 
     def test_differences_are_of_the_means_of_seeds(self):
         for seed, psnr in ((0, 26.0), (1, 27.0)):
-            self.put("hybrid", "demo", seed, psnr, 3000, 0.2)
-            self.put("splats", "demo", seed, 25.0, 6000, 0.25)
+            self.put("hybrid", "demo", seed, psnr, 3000, 0.2, triangles=1000 * seed)
+            self.put("splats", "demo", seed, 25.0, 6000, 0.25, triangles=0)
         head, _, demo, mean = self.rows()
         self.assertIn("LPIPS by vgg of pictures in 0…1", caption([self.folder]))
         self.assertEqual(len(demo), len(head))
@@ -41,7 +43,8 @@ class Table(unittest.TestCase):
         self.assertEqual(demo[:6], ["demo", "400000", "2", "26.50", "25.00", "+1.50"])
         self.assertEqual(demo[6:9], ["0.265", "0.250", "+0.015"])
         self.assertEqual(demo[9:15], ["–"] * 3 + ["0.200", "0.250", "-0.050"], "no FLIP in older results")
-        self.assertEqual(demo[15:], ["3,000", "6,000", "-50 %", "400,000", "400,000", "2.35", "2.35", "0.500", "0.500"])
+        self.assertEqual(head[18:20], ["triangles: hybrid", "floats: hybrid"])
+        self.assertEqual(demo[15:], ["3,000", "6,000", "-50 %", "500", "400,000", "400,000", "2.35", "2.35", "0.500", "0.500"])
         self.assertEqual([mean[0]] + mean[3:], ["**mean of 1**"] + demo[3:])
 
     def test_times_of_jobs_that_shared_a_machine_are_left_out(self):
@@ -64,6 +67,7 @@ class Table(unittest.TestCase):
         (_, _, demo, mean), said = self.said()
         self.assertEqual(said, "400000, skull: left out, splats alone has seed 0\n")
         self.assertEqual(demo[9:15], ["–"] * 6, "neither FLIP nor LPIPS")
+        self.assertEqual(demo[18], "–", "no triangles in older results")
         self.assertIn("and LPIPS of pictures", caption([self.folder]))
         self.assertEqual(mean[0], "**mean of 1**")
         self.assertEqual(mean[3:6], demo[3:6])

@@ -116,12 +116,13 @@ pub struct Evaluator<'a> {
 }
 
 impl<'a> Evaluator<'a> {
-    /// Uploads the scene and makes room for pictures of these views.
+    /// Uploads the scene and makes room for pictures of these views. The adapter's peak of memory begins anew, to be that of scoring.
     ///
     /// # Errors
     /// If the adapter cannot hold it, or its composition is not valid.
     pub fn new(gpu: &'a Gpu, scene: &'a HybridScene, views: &[&View]) -> Result<Self, EvaluateError> {
         let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        gpu.reset_peak();
         let renderer = Renderer::new(gpu, scene, &cameras)?;
         cameras.truncate(TIMED_VIEWS);
         Ok(Self { gpu, scene, renderer, cameras })

@@ -67,7 +67,8 @@ pub(super) struct Args {
     time: Option<f64>,
     #[command(flatten)]
     played: AnimationArgs,
-    /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file (.ply and .splat)
+    /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file (.splat, and .ply that is not
+    /// compressed; no other is read so, which is said)
     #[arg(long)]
     drop_invalid: bool,
     /// Version of .spz: 2 and 3 are for older readers [default: 4]
@@ -88,6 +89,9 @@ struct Input {
     /// Splats left out because they are invalid.
     dropped: usize,
     notes: Vec<String>,
+    /// Whether invalid splats can be left out of it.
+    #[serde(skip)]
+    can_drop: bool,
     /// Whether it says how it was trained.
     #[serde(skip)]
     has_record: bool,
@@ -192,6 +196,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mut report = write(args, files, &edited)?;
     // That of one input is not that of all.
     report.loss.record |= edited.record.is_none() && inputs.iter().any(|input| input.has_record);
+    report.notes.extend(idle(args, &inputs));
     bar.finish_and_clear();
     let outcome = Outcome {
         output: files.output,
@@ -242,8 +247,18 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
             read = read.moved(&Similarity::HALF_TURN).with_context(|| file.display().to_string())?;
         }
         let (splats, meshes) = (read.scene.splats.len(), read.scene.meshes.len());
+        let (can_drop, dropped) = (dropped.is_some(), dropped.unwrap_or(0));
         let has_record = own_record.is_some();
-        inputs.push(Input { file: file.clone(), splats, meshes, dropped, notes, has_record, states_composition });
+        inputs.push(Input {
+            file: file.clone(),
+            splats,
+            meshes,
+            dropped,
+            notes,
+            can_drop,
+            has_record,
+            states_composition,
+        });
         record = own_record.filter(|_| one);
         scenes.push(read.scene);
         cameras.extend(read.cameras);
@@ -259,6 +274,16 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
         input.notes.extend(overruled.map(|what| format!("left out on joining: its own {what}")));
     }
     Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
+}
+
+/// Says so where `--drop-invalid` is given for inputs that are read whole or not at all.
+fn idle(args: &Args, inputs: &[Input]) -> Option<String> {
+    let whole = inputs.iter().filter(|input| args.drop_invalid && !input.can_drop);
+    let names: Vec<String> = whole.map(|input| input.file.display().to_string()).collect();
+    (!names.is_empty()).then(|| {
+        let names = format::some_of(names.iter().map(String::as_str));
+        format!("--drop-invalid has no effect on {names}: it is of .splat, and of .ply that is not compressed")
+    })
 }
 
 /// What an input says of how it is shown that does not hold where it is joined with others.

@@ -1,11 +1,12 @@
 use std::collections::HashSet;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result};
 use centaur::capture::{Capture, View};
 use centaur::evaluate::{Evaluator, held_out};
-use centaur::format::{ReadOptions, atomic_write, read_file, stored_bytes};
+use centaur::format::{ReadOptions, atomic_write, read_file, some_of, stored_bytes};
 use centaur::metrics::{
     Evaluation, Lpips, Measured, Scores, ViewScore,
     report::{self, Picture, Report},
@@ -30,7 +31,7 @@ Examples:
 ///
 /// Prints PSNR, SSIM, FLIP and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
 /// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
-/// --max-side, --images and --masks as in training. Seconds per iteration and the curves of the training stand in scenes that
+/// --max-side, --images and --masks as in training. Time and memory of the training and its curves stand in scenes that
 /// `centaur train` wrote, and in what `centaur convert` made of them as glTF or USD, whatever it left out.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
@@ -95,6 +96,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     notes.extend(training.as_ref().and_then(|_| other_names(&file.cameras, &capture)));
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
     notes.extend(training.as_ref().filter(|_| !file.y_up).and_then(|_| other_places(&file.cameras, &capture)));
+    notes.extend(args.output.as_deref().and_then(|folder| leftover(folder, &capture)));
     if args.loading.masks && !capture.has_masks() {
         notes.push(format!("{}: has no masks: nothing is masked", args.capture.display()));
     }
@@ -209,6 +211,38 @@ pub(super) fn report_pictures(folder: &Path, capture: &Capture) -> Result<Vec<Pa
     Ok(pictures)
 }
 
+/// What tells of all views, in the folder of a report.
+const REPORT: &str = "report.html";
+const METRICS: &str = "metrics.json";
+
+/// Says so if the folder of a report has pictures of an earlier one that this one does not replace.
+pub(super) fn leftover(folder: &Path, capture: &Capture) -> Option<String> {
+    let metrics: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.join(METRICS)).ok()?).ok()?;
+    let before = metrics["views"].as_array()?.iter().filter_map(|view| view["name"].as_str());
+    let now = held_out(capture).unwrap_or_default();
+    let now = shared::picture_names(now.iter().map(|view| view.name.as_str()), "png");
+    let mut left = shared::picture_names(before, "png");
+    left.retain(|name| !now.contains(name) && folder.join(name).is_file());
+    (!left.is_empty()).then(|| {
+        let (folder, count) = (folder.display(), output::counted(left.len(), "picture"));
+        let names = some_of(left.iter().map(String::as_str));
+        format!("{folder}: has {count} of an earlier report, of views that this one does not score: {names}")
+    })
+}
+
+/// Takes away what tells of all views: should this report stay without, that of an earlier one is none of its pictures.
+fn clear(folder: &Path) -> Result<()> {
+    for file in [REPORT, METRICS].map(|name| folder.join(name)) {
+        match std::fs::remove_file(&file) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => {
+                return Err(e).with_context(|| format!("{}: cannot replace", file.display()));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 /// Scores every held-out view; writes the folder of `details`. `None` if that was stopped: pictures that are already there stay.
 pub(super) fn evaluate(
     gpu: &Gpu,
@@ -220,6 +254,7 @@ pub(super) fn evaluate(
     let files = details.folder.map(|folder| report_pictures(folder, capture)).transpose()?.unwrap_or_default();
     let _folder = details.folder.map(output::Folder::make).transpose()?;
     let mut evaluator = Evaluator::new(gpu, scene, &views)?;
+    details.folder.map_or(Ok(()), clear)?;
     let (mut scores, mut left_out, mut pictures) = (vec![], vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());
     for (i, view) in views.into_iter().enumerate() {
@@ -246,6 +281,8 @@ pub(super) fn evaluate(
     let measured = Measured {
         file_bytes: stored_bytes(details.scene_file).ok(),
         seconds_per_iteration: details.training.and_then(|t| t.seconds_per_iteration),
+        training_seconds: details.training.and_then(|t| t.training_seconds),
+        training_peak_gpu_bytes: details.training.and_then(|t| t.training_peak_gpu_bytes),
         trained_on: details.training.and_then(|t| t.adapter.clone()).filter(|name| name != gpu.adapter()),
         ..evaluation.measured
     };
@@ -258,8 +295,8 @@ pub(super) fn evaluate(
             plots: &details.training.map_or_else(Vec::new, Record::plots),
             pictures: &pictures,
         });
-        atomic_write(&folder.join("report.html"), page.as_bytes())?;
-        atomic_write(&folder.join("metrics.json"), &serde_json::to_vec_pretty(&evaluation)?)?;
+        atomic_write(&folder.join(REPORT), page.as_bytes())?;
+        atomic_write(&folder.join(METRICS), &serde_json::to_vec_pretty(&evaluation)?)?;
     }
     Ok(Some(evaluation))
 }
@@ -279,7 +316,7 @@ pub(super) fn write_png<P>(path: &Path, image: &ImageBuffer<P, Vec<u8>>) -> Resu
 where
     P: PixelWithColorType<Subpixel = u8>,
 {
-    let mut bytes = std::io::Cursor::new(vec![]);
+    let mut bytes = io::Cursor::new(vec![]);
     image.write_to(&mut bytes, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
     Ok(atomic_write(path, bytes.get_ref())?)
 }

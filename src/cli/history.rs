@@ -33,6 +33,12 @@ pub(super) struct Record {
     /// Mean wall time of a joint iteration.
     #[serde(default)]
     pub(super) seconds_per_iteration: Option<f64>,
+    /// Wall time of all phases and of what is between them.
+    #[serde(default)]
+    pub(super) training_seconds: Option<f64>,
+    /// Most GPU memory that the training held at once.
+    #[serde(default)]
+    pub(super) training_peak_gpu_bytes: Option<u64>,
     /// In the order of training.
     #[serde(default)]
     history: Vec<Curves>,
@@ -70,6 +76,8 @@ impl Record {
             settings: by_name(options)?,
             adapter: Some(adapter.to_owned()),
             seconds_per_iteration: trained.seconds_per_iteration,
+            training_seconds: Some(trained.training_seconds),
+            training_peak_gpu_bytes: Some(trained.peak_gpu_bytes),
             history: thinned(&trained.history),
         })
     }
@@ -266,7 +274,7 @@ mod tests {
     #[test]
     fn files_without_a_history_have_no_plots_and_other_extras_are_not_ours() {
         let old = record(&[]);
-        assert!(old.plots().is_empty() && old.seconds_per_iteration.is_none());
+        assert!(old.plots().is_empty() && old.seconds_per_iteration.is_none() && old.training_seconds.is_none());
         let row = |name: &str, value: &str| (name.to_owned(), value.to_owned());
         assert_eq!(old.settings(), [row("mode", "stable"), row("ssim weight", "0.2")]);
         for extras in [serde_json::json!("a note"), serde_json::json!({ "capture": "c", "settings": {}, "history": 3 })]

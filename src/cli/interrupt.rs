@@ -1,5 +1,6 @@
 //! Ctrl-C and, on Unix, terminations and hangups: a command that can stops by itself, any other leaves no temporary files behind.
 
+use std::io::{self, IsTerminal as _, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -47,12 +48,11 @@ pub(super) fn handle() -> Result<()> {
 /// Whether `nohup` or a shell has hangups ignored, which then remains so: by Linux's word or, elsewhere, where no message goes to a terminal.
 #[cfg(unix)]
 fn ignores_hangups() -> bool {
-    use std::io::IsTerminal as _;
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     match mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()) {
         Some(mask) => mask & (1 << (SIGHUP - 1)) != 0,
-        None => !std::io::stderr().is_terminal(),
+        None => !io::stderr().is_terminal(),
     }
 }
 
@@ -63,12 +63,29 @@ pub(super) fn stop_flag() -> Arc<AtomicBool> {
     flag
 }
 
+/// Says on stderr that the signal was heard, since a step may take minutes; with --quiet, too, which is of what nobody asked for. By a thread
+/// of its own: where nobody reads stderr, the next signal is heard all the same.
+fn acknowledge() {
+    let _ = std::thread::Builder::new().spawn(|| {
+        let mut stderr = io::stderr();
+        // Behind a progress bar and the `^C` of a terminal.
+        let start = if stderr.is_terminal() { "\n" } else { "" };
+        let _ = writeln!(
+            stderr,
+            "{start}note: stopping after the current step, and keeping what is done; a second time ends at once"
+        );
+    });
+}
+
 fn obey(signal: i32) {
     if let Some(stop) = &mut *STOP.lock().unwrap_or_else(PoisonError::into_inner) {
         // A terminal that goes away hangs up by itself and by its shell, and whoever ends a session terminates what is left: no second wish.
         let is_one_wish = |&mut (by, at): &mut (i32, Instant)| signal == by && at.elapsed() < ONE_WISH;
         if signal == SIGHUP || is_one_wish(stop.asked.get_or_insert_with(|| (signal, Instant::now()))) {
-            return stop.flag.store(true, Ordering::Relaxed);
+            if !stop.flag.swap(true, Ordering::Relaxed) {
+                acknowledge();
+            }
+            return;
         }
     }
     atomic::abandon_all();

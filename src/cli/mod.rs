@@ -1,4 +1,4 @@
-//! One file per subcommand. Exit codes: 0 done, 1 failure with one line on stderr, 2 wrong usage.
+//! One file per subcommand. Exit codes: 0 done, 1 failure, which the last line on stderr tells, 2 wrong usage.
 
 mod bench;
 mod cameras;
@@ -34,7 +34,7 @@ First steps:
   centaur render scene.glb -o frames                    # pictures
   centaur convert scene.glb scene.ply --no-mesh         # splats for other programs
 
-Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (one line on stderr), 2 wrong usage.";
+Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (the last line on stderr, which begins with `error:`, says why), 2 wrong usage.";
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
 #[derive(Parser)]

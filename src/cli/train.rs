@@ -38,6 +38,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     told.extend(aside.iter().map(|aside| {
         format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.path().display())
     }));
+    told.extend(args.report.as_deref().and_then(|folder| eval::leftover(folder, &capture)));
     tell(&told, args);
     let trained = train(args, (&capture, mesh, &options), &gpu, &stop, aside)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
@@ -205,7 +206,8 @@ fn print_json(
     let poses: BTreeMap<&str, &RefinedPose> = trained.poses.iter().map(|(name, pose)| (&**name, pose)).collect();
     output::print_json(&serde_json::json!({
         "outcome": "finished", "scene": args.output, "points": capture.points.len(), "masks": capture.has_masks(),
-        "seconds_per_iteration": trained.seconds_per_iteration,
+        "training_seconds": trained.training_seconds, "seconds_per_iteration": trained.seconds_per_iteration,
+        "training_peak_gpu_bytes": trained.peak_gpu_bytes,
         "repeated_iterations": trained.repeated_iterations, "surface": trained.surface,
         "selection": trained.selection, "shell_triangles": trained.shell_triangles, "faint_triangles": trained.faint_triangles,
         "occluded_splats": trained.occluded_splats,

@@ -30,8 +30,8 @@ pub struct SceneFile {
     pub y_up: bool,
     /// What else is known of every splat.
     pub attributes: Vec<Attribute>,
-    /// Splats that were left out, see [`ReadOptions::drop_invalid`].
-    pub dropped: usize,
+    /// Splats that were left out; `None` of a file whose layout [`ReadOptions::drop_invalid`] is not of.
+    pub dropped: Option<usize>,
     /// The document of a glTF, which says more than a scene holds.
     pub source: Option<gltf::Source>,
     /// What Centaur keeps of how the scene was made, as [`gltf::write_glb`] was given it as extras.
@@ -54,7 +54,7 @@ impl SceneFile {
             notes: vec![],
             y_up: false,
             attributes: vec![],
-            dropped: 0,
+            dropped: None,
             source: None,
             record: None,
         }
@@ -65,8 +65,8 @@ impl SceneFile {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
     /// Leave out splats with numbers that are not finite or rotations of zero, as failed trainings write them, instead
-    /// of refusing the file. Of `.ply` and `.splat`; files of other formats that hold such splats are
-    /// refused.
+    /// of refusing the file. Of `.ply` that is not compressed and `.splat`; files of other formats that hold such splats
+    /// are refused.
     pub drop_invalid: bool,
     /// Keep the document of a glTF in [`SceneFile::source`], so that [`write_scene`] can write it again. Its buffers stay in the
     /// file, which is kept open: it may be replaced meanwhile, but writing into it is an error when it is used.
@@ -122,7 +122,7 @@ pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, Fo
         Kind::Sog => SceneFile::noted(sog::read_noted(path)?),
         Kind::Splat => {
             let (splats, dropped) = splat::read_with(path, options.drop_invalid)?;
-            SceneFile { dropped, ..SceneFile::of_splats(splats) }
+            SceneFile { dropped: Some(dropped), ..SceneFile::of_splats(splats) }
         }
         Kind::Spz => SceneFile::noted(spz::read_noted(path)?),
         Kind::Usd => usd::read(path)?,

@@ -135,14 +135,18 @@ impl ViewScore {
 pub struct Measured {
     /// Size of the scene's file, where there is one to be measured.
     pub file_bytes: Option<u64>,
-    /// Mean wall time of a training iteration.
+    /// Mean wall time of a training iteration of the joint phase, in which splats and mesh are trained together; without a mesh, of any.
     pub seconds_per_iteration: Option<f64>,
+    /// Wall time of the whole training: all phases, and what is between them.
+    pub training_seconds: Option<f64>,
+    /// Most GPU memory held at once by the training, in bytes.
+    pub training_peak_gpu_bytes: Option<u64>,
     /// Name of the adapter that trained, if it is another than [`Self::adapter`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
     /// Rendered frames per second at the size of the views, reading pictures back excluded.
     pub fps: Option<f64>,
-    /// Most GPU memory held at once, in bytes.
+    /// Most GPU memory held at once by rendering for these scores, in bytes.
     pub peak_gpu_bytes: Option<u64>,
     /// Name of the adapter that rendered.
     pub adapter: String,
@@ -209,10 +213,17 @@ impl Evaluation {
         ];
         rows.extend(m.file_bytes.map(|bytes| ("file", format!("{} bytes", thousands(bytes)))));
         let on = m.trained_on.as_ref().map_or_else(String::new, |name| format!(" on {name}"));
-        rows.extend(m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s{on}"))));
+        rows.extend(m.training_seconds.map(|s| ("training time", format!("{s:.1} s{on}"))));
+        rows.extend(
+            m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s in the joint phase{on}"))),
+        );
         rows.extend(m.fps.map(|f| ("frames per second", format!("{f:.1}"))));
-        let mib = |b: u64| format!("{} MiB", thousands(b.div_ceil(1 << 20)));
-        rows.extend(m.peak_gpu_bytes.map(|b| ("peak GPU memory", mib(b))));
+        let peak = |bytes: Option<u64>, by: &str| bytes.map(|b| format!("{} MiB {by}", thousands(b.div_ceil(1 << 20))));
+        let peaks = [peak(m.peak_gpu_bytes, "rendering"), peak(m.training_peak_gpu_bytes, &format!("training{on}"))];
+        let peaks: Vec<String> = peaks.into_iter().flatten().collect();
+        if !peaks.is_empty() {
+            rows.push(("peak GPU memory", peaks.join(", ")));
+        }
         rows.push(("adapter", m.adapter.clone()));
         if !self.left_out.is_empty() {
             rows.push(("left out", format!("{}, of which masks leave nothing", self.left_out.join(", "))));
@@ -318,6 +329,29 @@ pub(super) mod tests {
         let text = Evaluation::new(&scene, e.views, e.measured).to_string();
         for part in ["LPIPS VGG −1…1  LPIPS VGG 0…1", "0.2500         0.1250", "LPIPS v0.1 VGG"] {
             assert!(text.contains(part), "{text}");
+        }
+    }
+
+    /// Those of rendering are of this adapter, those of training of the one that trained.
+    #[test]
+    fn times_and_memory_say_what_they_are_of() {
+        let measured = Measured {
+            seconds_per_iteration: Some(0.25),
+            training_seconds: Some(61.04),
+            training_peak_gpu_bytes: Some(3 << 20),
+            peak_gpu_bytes: Some(2 << 20),
+            ..Measured::default()
+        };
+        let text = |measured: Measured| Evaluation { measured, ..example() }.to_string();
+        let there = text(Measured { trained_on: Some("another".to_owned()), ..measured.clone() });
+        for (text, on) in [(text(measured), ""), (there, " on another")] {
+            for part in [
+                format!("training time       61.0 s{on}\n"),
+                format!("time per iteration  0.2500 s in the joint phase{on}\n"),
+                format!("peak GPU memory     2 MiB rendering, 3 MiB training{on}\n"),
+            ] {
+                assert!(text.contains(&part), "{part}: {text}");
+            }
         }
     }
 

@@ -49,6 +49,8 @@ impl Selection {
 /// Kept from the first iteration to the last.
 pub(super) struct Log {
     start: Instant,
+    /// Until then time is part of the past.
+    counted: Instant,
     /// What goes on in a run that is resumed.
     pub(super) past: Past,
     /// The last iteration.
@@ -62,13 +64,17 @@ pub(super) struct Log {
 pub(super) struct Past {
     /// The reports that are made without a stop.
     pub(super) history: Vec<Progress>,
+    /// Of all phases and of what is between them.
+    seconds: f64,
     joint_seconds: f64,
     joint_iterations: u32,
 }
 
 impl Log {
     pub(super) fn new() -> Self {
-        Self { start: Instant::now(), past: Past::default(), reached: (Phase::Surface, 0), repeated_iterations: 0 }
+        let start = Instant::now();
+        let reached = (Phase::Surface, 0);
+        Self { start, counted: start, past: Past::default(), reached, repeated_iterations: 0 }
     }
 
     /// Seconds since the run began.
@@ -78,6 +84,9 @@ impl Log {
 
     /// An iteration that began then is done.
     pub(super) fn count(&mut self, phase: Phase, begin: Instant) {
+        let now = Instant::now();
+        self.past.seconds += (now - self.counted).as_secs_f64();
+        self.counted = now;
         if phase == Phase::Joint {
             self.past.joint_seconds += begin.elapsed().as_secs_f64();
             self.past.joint_iterations = self.past.joint_iterations.saturating_add(1);
@@ -93,6 +102,11 @@ impl Log {
         }
     }
 
+    /// Of all phases and of what is between them, until now.
+    pub(super) fn training_seconds(&self) -> f64 {
+        self.past.seconds + self.counted.elapsed().as_secs_f64()
+    }
+
     /// Of the joint phase; `None` before it.
     pub(super) fn seconds_per_iteration(&self) -> Option<f64> {
         let Past { joint_seconds, joint_iterations, .. } = self.past;
@@ -106,8 +120,8 @@ const PHASES: [Phase; 3] = [Phase::Surface, Phase::Warmup, Phase::Joint];
 impl Past {
     /// For a checkpoint, bit for bit: some 40 bytes for each report.
     pub(super) fn to_words(&self) -> Vec<u32> {
-        let [low, high] = halves(self.joint_seconds);
-        let mut words = vec![low, high, self.joint_iterations];
+        let mut words = [self.seconds, self.joint_seconds].map(halves).as_flattened().to_vec();
+        words.push(self.joint_iterations);
         for Progress { phase, iteration, of, loss, splats, psnr, seconds } in &self.history {
             let phase = PHASES.iter().position(|p| p == phase).unwrap_or(0) as u32;
             words.extend([phase, *iteration, *of, u32::try_from(*splats).unwrap_or(u32::MAX)]);
@@ -118,7 +132,7 @@ impl Past {
 
     /// What [`Self::to_words`] made; `None` of anything else.
     pub(super) fn from_words(words: &[u32]) -> Option<Self> {
-        let ([low, high, joint_iterations], rows) = words.split_first_chunk()?;
+        let ([t0, t1, j0, j1, joint_iterations], rows) = words.split_first_chunk()?;
         let (rows, []) = rows.as_chunks() else { return None };
         let history = rows.iter().map(|&[phase, iteration, of, splats, l0, l1, p0, p1, s0, s1]| {
             Some(Progress {
@@ -131,8 +145,12 @@ impl Past {
                 seconds: whole(s0, s1),
             })
         });
-        let joint_seconds = whole(*low, *high);
-        Some(Self { history: history.collect::<Option<_>>()?, joint_seconds, joint_iterations: *joint_iterations })
+        Some(Self {
+            history: history.collect::<Option<_>>()?,
+            seconds: whole(*t0, *t1),
+            joint_seconds: whole(*j0, *j1),
+            joint_iterations: *joint_iterations,
+        })
     }
 }
 
@@ -146,6 +164,8 @@ fn whole(low: u32, high: u32) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
@@ -160,12 +180,27 @@ mod tests {
         let report =
             |phase, psnr| Progress { phase, iteration: 10, of: 90, loss: 0.1, splats: 7, psnr, seconds: 1.0 / 3.0 };
         let history = vec![report(Phase::Surface, None), report(Phase::Warmup, Some(20.1)), report(Phase::Joint, None)];
-        let past = Past { history, joint_seconds: 0.7, joint_iterations: 3 };
+        let past = Past { history, seconds: 0.9, joint_seconds: 0.7, joint_iterations: 3 };
         let words = past.to_words();
         assert_eq!(Past::from_words(&words), Some(past));
         assert_eq!(Past::from_words(&Past::default().to_words()), Some(Past::default()));
         assert_eq!(Past::from_words(&words[..words.len() - 1]), None);
         assert_eq!(Past::from_words(&[]), None);
-        assert_eq!(Past::from_words(&[0, 0, 0, 3, 1, 1, 1, 0, 0, 0, 0, 0, 0]), None, "no such phase");
+        assert_eq!(Past::from_words(&[0, 0, 0, 0, 0, 3, 1, 1, 1, 0, 0, 0, 0, 0, 0]), None, "no such phase");
+    }
+
+    /// Whatever the phase, and also what is between iterations.
+    #[test]
+    fn the_time_of_a_training_goes_on_where_it_was_stopped() {
+        let mut log = Log::new();
+        log.past = Past { seconds: 100.0, ..Past::default() };
+        std::thread::sleep(Duration::from_millis(3));
+        log.count(Phase::Warmup, Instant::now());
+        let kept = Past::from_words(&log.past.to_words()).unwrap().seconds;
+        assert!((100.003..200.0).contains(&kept), "{kept}");
+        assert!(log.training_seconds() >= kept && log.seconds_per_iteration().is_none());
+        log.count(Phase::Joint, Instant::now());
+        let counted = log.past.seconds - 100.0;
+        assert!(counted <= log.seconds() + 1e-9, "some of it counts twice: {counted} s");
     }
 }

@@ -94,6 +94,11 @@ pub struct Trained {
     pub cameras: Vec<Camera>,
     /// Seconds per joint iteration, those before the run was resumed included, without evaluation; `None` if there was none.
     pub seconds_per_iteration: Option<f64>,
+    /// Seconds of the whole training: all phases, evaluation, a surface being made and judged. Of what was before the run was resumed, until
+    /// its checkpoint.
+    pub training_seconds: f64,
+    /// Most bytes that buffers took at once on the adapter; of a run that was resumed, since then.
+    pub peak_gpu_bytes: u64,
     /// Iterations of this run that were taken again because their view, or one before it, needed longer lists, which were made then.
     pub repeated_iterations: u32,
 }
@@ -125,7 +130,7 @@ pub struct Session<'a> {
     pub gpu: &'a Gpu,
     /// Where the run is kept.
     pub checkpoints: Checkpoints,
-    /// Set from outside to end the run after the current iteration.
+    /// Set from outside to end the run after the current iteration, or the first one after a surface that is being made.
     pub stop: &'a AtomicBool,
     /// Receives every report.
     pub progress: &'a mut dyn FnMut(&Progress),
@@ -196,6 +201,8 @@ impl<'a> Run<'a> {
         source: &MeshSource,
         session: Session<'a>,
     ) -> Result<Self, TrainError> {
+        let log = Log::new();
+        session.gpu.reset_peak();
         let (train, test) = options.split.split(&capture.views);
         if train.len() < 2 {
             return Err(TrainError::TooFewViews { capture: capture.name.clone(), found: capture.views.len() });
@@ -236,7 +243,7 @@ impl<'a> Run<'a> {
             unit,
             distance,
             near,
-            log: Log::new(),
+            log,
             found: Found::default(),
             shell,
             given_hierarchy: OnceCell::new(),
@@ -465,6 +472,8 @@ impl<'a> Run<'a> {
             scene,
             outcome,
             seconds_per_iteration: self.log.seconds_per_iteration(),
+            training_seconds: self.log.training_seconds(),
+            peak_gpu_bytes: self.session.gpu.peak_bytes(),
             repeated_iterations: self.log.repeated_iterations,
             history: std::mem::take(&mut self.log.past.history),
         })

@@ -68,9 +68,12 @@ fn a_data_set_is_trained_once_and_tabled() {
     let rest = bench(folder.path(), &["--jobs", "2"], COARSE);
     let (table, _) = said(&rest);
     assert!(rest.status.success(), "{:?}", said(&rest));
-    for row in ["| hybrid | one | 1 |", "| hybrid | two | 1 |", "| **splats** | **mean** | 2 |"] {
+    let idle = "--no-mesh: --surface-iterations, --triangles, --warmup, --texture-size have no effect";
+    let note = format!("\n- splats, one, two: {idle}\n");
+    for row in ["| hybrid | one | 1 |", "| hybrid | two | 1 |", "| **splats** | **mean** | 2 |", &note] {
         assert!(table.contains(row), "{table}");
     }
+    assert!(said(&rest).1.contains(&format!("note: splats/one-0: {idle}\n")), "{:?}", said(&rest));
     assert_eq!(std::fs::read_to_string(at("out/table.md")).unwrap(), table);
     assert_eq!(at("out/splats/two-0.glb").metadata().unwrap().modified().unwrap(), written, "it was trained again");
     assert!(at("out/hybrid/one-0/report.html").is_file());
@@ -353,7 +356,8 @@ fn no_training_is_left_behind_or_done_twice() {
         let lock = std::fs::read_to_string(at("out/default/one-0.lock")).unwrap();
         assert!(lock.starts_with("jobs at a time: 1\n"), "{lock}");
         if signal == "INT" {
-            assert_eq!(said(&ended).1, "error: stopped; the same command goes on\n");
+            let heard = "note: stopping after the current step, and keeping what is done; a second time ends at once\n";
+            assert_eq!(said(&ended).1, format!("{heard}error: stopped; the same command goes on\n"));
         } else if signal == "KILL" {
             // It outlives its runner, and is still at it.
             is_left_to_another();

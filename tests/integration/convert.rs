@@ -559,6 +559,18 @@ fn invalid_splats_are_refused_or_dropped() {
     let left = ply::read_with(&folder.path().join("b.ply"), &format::ReadOptions::default()).unwrap();
     assert_eq!(left.attributes[0].values(), [1.0, 2.0, 4.0]);
     assert_eq!(as_json(folder.path(), "a.ply b.ply --drop-invalid")["inputs"][0]["dropped"].as_u64(), Some(2));
+    // What is read whole or not at all, where it is.
+    for whole in ["b.spz", "b.compressed.ply", "b.glb"] {
+        convert(folder.path(), &format!("b.ply {whole}"));
+        let note =
+            format!("--drop-invalid has no effect on {whole}: it is of .splat, and of .ply that is not compressed");
+        let said = convert(folder.path(), &format!("a.ply {whole} -o d.ply --drop-invalid"));
+        assert!(said.contains(&format!("\nnote: d.ply: {note}\n")), "{said}");
+        let said = as_json(folder.path(), &format!("{whole} d.splat --drop-invalid"));
+        assert_eq!((&said["inputs"][0]["dropped"], &said["notes"]), (&0.into(), &[note].into()));
+    }
+    let said = convert(folder.path(), "d.splat e.ply --drop-invalid");
+    assert!(!said.contains("no effect"), "{said}");
 }
 
 /// As clusters set it: no end without a word that leaves half a file.

@@ -93,6 +93,10 @@ impl Bench {
         let second = self.run(true, None);
         assert_eq!(second.outcome, Outcome::Finished);
         assert!(self.told.get() < second.history.len(), "nothing was resumed");
+        let last = |trained: &Trained| trained.history.last().map_or(0.0, |report| report.seconds);
+        // A look at held-out views lies between the last report and what is saved.
+        let both = 0.5 * last(&first) + last(&second);
+        assert!(second.training_seconds > both, "{} s in all, not {both}", second.training_seconds);
         let but_for_seconds = |trained: &Trained| -> Vec<_> {
             trained.history.iter().map(|p| (p.phase, p.iteration, p.of, p.loss, p.splats, p.psnr)).collect()
         };
@@ -292,7 +296,7 @@ fn all_views_are_trained_on_if_asked_for() {
     run(&format!("{few} --json --all-views"));
 }
 
-/// Splats, a surface of theirs, maps and vertices, by the command line: the same file but for what it says of time, in a second run and
+/// Splats, a surface of theirs, maps and vertices, by the command line: the same file but for what was measured, in a second run and
 /// with other numbers of threads, on the host and of a software adapter.
 #[test]
 fn a_seed_is_one_scene() {
@@ -310,8 +314,10 @@ fn a_seed_is_one_scene() {
         let bytes = std::fs::read(folder.path().join(name)).unwrap();
         let json = 20..20 + u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
         let mut document: serde_json::Value = serde_json::from_slice(&bytes[json.clone()]).unwrap();
-        let seconds = document.pointer_mut("/asset/extras/centaur/seconds_per_iteration").unwrap().take();
-        assert!(seconds.as_f64().unwrap() > 0.0);
+        for name in ["seconds_per_iteration", "training_seconds", "training_peak_gpu_bytes"] {
+            let measured = document.pointer_mut(&format!("/asset/extras/centaur/{name}")).unwrap().take();
+            assert!(measured.as_f64().unwrap() > 0.0, "{name}");
+        }
         (document, bytes[json.end..].to_vec())
     };
     let expected = trained("a.glb", "2");
@@ -374,9 +380,13 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
             }
         }
         // Reports are read on, so that the child does not wait for a full pipe.
-        let last = lines.last();
+        let rest: Vec<String> = lines.collect();
         let output = child.wait_with_output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{signals:?} {last:?}");
+        assert_eq!(output.status.code(), Some(0), "{signals:?} {:?}", rest.last());
+        // Once, at once, and on no line of progress.
+        let is_heard =
+            |line: &&String| line.starts_with("note: stopping after the current step, and keeping what is done;");
+        assert_eq!(rest.iter().filter(is_heard).count(), 1, "{signals:?} {rest:?}");
         let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(outcome["outcome"], "interrupted");
         assert_eq!(files(), ["scene.glb.checkpoint"]);
@@ -480,8 +490,52 @@ fn a_checkpoint_stays_until_all_is_written() {
     // Nothing was left to train: what is known of its time is of before.
     let outcome: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
     for of in [&outcome, &outcome["evaluation"]] {
-        assert!(of["seconds_per_iteration"].as_f64().unwrap() > 0.0, "{outcome}");
+        let [all, each] = ["training_seconds", "seconds_per_iteration"].map(|name| of[name].as_f64().unwrap());
+        assert!(each > 0.0 && all > 20.0 * each, "{outcome}");
     }
+}
+
+/// Where scoring fails, what is there is of no other run; and what else is, is told.
+#[test]
+fn a_report_has_no_pictures_of_another() {
+    let folder = tempfile::tempdir().unwrap();
+    common::write_capture(&folder.path().join("capture"), 10, (48, 32));
+    let at = |name: &str| folder.path().join(name);
+    let run = |line: &str| {
+        let output = common::centaur(folder.path()).args(line.split(' ')).output().unwrap();
+        (output.status.code(), common::stderr(&output))
+    };
+    let score = || run("eval scene.glb capture -o report --quiet");
+    let train = "train capture -o scene.glb --no-mesh --max-splats 50 --iterations 2 --report report --quiet";
+    assert_eq!(run(train), (Some(0), String::new()));
+    assert_eq!(score(), (Some(0), String::new()));
+    // Without the first view others are held out.
+    let list = at("capture/sparse/0/images.txt");
+    let views = std::fs::read_to_string(&list).unwrap();
+    let note = |left: &str| {
+        format!("note: report: has 2 pictures of an earlier report, of views that this one does not score: {left}\n")
+    };
+    std::fs::write(&list, views.split_once("\n\n").unwrap().1).unwrap();
+    let (code, said) = run(train);
+    assert!(code == Some(0) && said.contains(&note("000.png, 008.png")), "{said}");
+    std::fs::write(&list, &views).unwrap();
+    let (code, said) = score();
+    assert!(code == Some(0) && said.contains(&note("001.png, 009.png")), "{said}");
+    let all = ["000.png", "001.png", "008.png", "009.png"];
+    let left = || -> Vec<_> {
+        let entries = std::fs::read_dir(at("report")).unwrap().map(|entry| entry.unwrap().file_name());
+        let mut names: Vec<_> = entries.map(|name| name.into_string().unwrap()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(left(), [&all[..], &["metrics.json", "report.html"]].concat());
+    // The first of two is scored, the second is found broken after its header.
+    let last = at("capture/images/008.png");
+    let bytes = std::fs::read(&last).unwrap();
+    std::fs::write(&last, &bytes[..bytes.len() / 2]).unwrap();
+    let (code, said) = score();
+    assert!(code == Some(1) && said.lines().last().unwrap().starts_with("error: "), "{said}");
+    assert_eq!(left(), all);
 }
 
 /// The lines of progress on stderr.
@@ -516,15 +570,28 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
         assert!(line["seconds"].as_f64().unwrap() >= 0.0);
     }
     assert_eq!(told.iter().filter(|line| line["phase"] == "scoring").count(), views, "as after training");
-    assert_eq!(evaluated["seconds_per_iteration"], trained["seconds_per_iteration"]);
+    for name in ["seconds_per_iteration", "training_seconds", "training_peak_gpu_bytes"] {
+        assert!(trained[name].is_number(), "{name}: {trained}");
+        assert_eq!((&evaluated[name], &trained["evaluation"][name]), (&trained[name], &trained[name]));
+    }
+    // Training takes gradients and moments beside what rendering takes, which is the same right after it and later.
+    let peak = &evaluated["peak_gpu_bytes"];
+    assert_eq!(peak, &trained["evaluation"]["peak_gpu_bytes"]);
+    assert!(peak.as_u64().unwrap() < trained["training_peak_gpu_bytes"].as_u64().unwrap(), "{peak}");
     let metrics = std::fs::read(folder.path().join("scores/metrics.json")).unwrap();
     let mut said = evaluated.clone();
     said.as_object_mut().unwrap().remove("notes");
     assert_eq!(serde_json::from_slice::<serde_json::Value>(&metrics).unwrap(), said);
     let report = || std::fs::read_to_string(folder.path().join("scores/report.html")).unwrap();
-    for part in
-        ["time per iteration", "ssim weight", "aria-label=\"loss\"", "aria-label=\"held-out PSNR (dB)\"", "<polyline"]
-    {
+    for part in [
+        "training time",
+        "time per iteration",
+        " MiB training<",
+        "ssim weight",
+        "aria-label=\"loss\"",
+        "aria-label=\"held-out PSNR (dB)\"",
+        "<polyline",
+    ] {
         assert!(report().contains(part), "{part}");
     }
 

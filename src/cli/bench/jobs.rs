@@ -49,6 +49,20 @@ const OF_PROTOCOL: [&str; 4] = ["--images", "--downscale", "--max-side", "--mask
 /// Those of them that say the size, each in its way.
 const OF_SIZE: [&str; 2] = ["--downscale", "--max-side"];
 
+/// Says so of scenes of Mip-NeRF 360 whose pictures nothing makes smaller: they have up to 17 megapixels, and no table is of those.
+pub(super) fn of_full_size(jobs: &[&Job]) -> Option<String> {
+    let is_known = |scene: &str| MIPNERF360.iter().any(|(name, _)| *name == scene);
+    let is_sized = |job: &Job| job.given().any(|flag| is_one_of(flag, &OF_SIZE) || is_one_of(flag, &["--images"]));
+    let full = jobs.iter().filter(|job| job.protocol.is_none() && is_known(&job.scene) && !is_sized(job));
+    let scenes: BTreeSet<&str> = full.map(|job| job.scene.as_str()).collect();
+    (!scenes.is_empty()).then(|| {
+        let scenes = scenes.into_iter().collect::<Vec<_>>().join(", ");
+        format!(
+            "{scenes}: trained at full size, which takes long and compares with no published row: --protocol a or b takes that of tables"
+        )
+    })
+}
+
 /// Whether a word among flags of `centaur train` is one that decides which pictures are taken, of which size, or which part of them.
 pub(super) fn chooses_pictures(word: &str) -> bool {
     is_one_of(word, &OF_PROTOCOL)
@@ -564,6 +578,23 @@ mod tests {
         // As editors of Windows write it.
         write(&["\u{feff}", r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#].concat());
         assert_eq!(super::all(&args(folder.path(), &["--protocol", "b"])).unwrap()[0].scene_flags, ["--downscale=2"]);
+    }
+
+    #[test]
+    fn pictures_of_mipnerf360_that_nothing_makes_smaller_are_told() {
+        let folder = dataset(&["garden", "mine", "room"]);
+        let said = |more: &[&str]| {
+            let all = all(&args(folder.path(), more)).unwrap();
+            of_full_size(&all.iter().collect::<Vec<_>>())
+        };
+        for more in [&[][..], &["--", "--masks"], &["--variant", "a=--max-side 99", "--variant", "b"]] {
+            assert!(said(more).unwrap().starts_with("garden, room: trained at full size, "), "{more:?}");
+        }
+        assert_eq!(said(&["--scenes", "mine"]), None);
+        for flag in ["--downscale=4", "--max-side=99", "--images=images_4"] {
+            assert_eq!(said(&["--", flag]), None);
+        }
+        assert_eq!(said(&["--protocol", "a"]), None);
     }
 
     #[test]

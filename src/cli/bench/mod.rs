@@ -21,7 +21,7 @@ use super::shared::MessageArgs;
 const EXAMPLES: &str = "\
 Examples:
   centaur bench captures/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh
-  centaur bench captures/mipnerf360 -o m360-7k --scenes garden,room --jobs 2 -- --iterations 7000
+  centaur bench captures/mipnerf360 -o 7k --protocol b --scenes room --jobs 2 -- --iterations 7000
   centaur bench captures/mipnerf360 -o m360 --table
 
 By several runners, of which each is told the same, here as $JOBS:
@@ -41,8 +41,9 @@ By several runners, of which each is told the same, here as $JOBS:
 /// OUT/table.md has all results in OUT and their means over the scenes that every variant has, beside published rows where these are
 /// those of a known set: Mip-NeRF 360 by either protocol; train and truck of Tanks and Temples, or drjohnson and playroom of Deep Blending,
 /// with pictures as they come; Barn, Caterpillar, Ignatius, train and truck at that size, which may be the five of HERA's paper. The latter
-/// three not by protocol a, whose SSIM is another. What the rows are of is said below them. Scenes that were scored with masks are marked:
-/// they have no mean together with others, and no published rows beside them.
+/// three not by protocol a, whose SSIM is another. What the rows are of is said below them, and what trainings had to say, such as why a
+/// scene has no mesh. Scenes that were scored with masks are marked: they have no mean together with others, and no published rows beside them.
+/// Times are of training whole, and of an iteration in which splats and mesh, if there is one, are trained together.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -126,6 +127,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let _folder = output::Folder::make(&args.output)?;
     if !args.messages.quiet && !args.messages.json && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {
         output::note("LPIPS will not be scored: that needs -- --lpips-weights FILE");
+    }
+    if let Some(note) = jobs::of_full_size(&open) {
+        output::note(&note);
     }
     let Outcome { failed, is_stopped } = work::work(&open, args)?;
     let mut done = record::all(&args.output)?;

@@ -44,6 +44,11 @@ pub(super) struct Record {
     pub(super) result: Value,
 }
 
+/// What a training said besides its numbers.
+pub(super) fn notes(result: &Value) -> impl Iterator<Item = &str> {
+    result["notes"].as_array().into_iter().flatten().filter_map(Value::as_str)
+}
+
 /// All results in a folder, `*/*.json`, by name.
 pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
     let mut records = vec![];

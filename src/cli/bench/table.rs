@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::jobs::{self, Protocol};
 use super::published::{self, Known};
-use super::record::{Made, Record};
+use super::record::{self, Made, Record};
 
 /// One scene, or the mean of a variant's scenes.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -26,9 +26,13 @@ struct Row {
     flip: Option<f64>,
     lpips: Option<Lpips>,
     splats: Option<f64>,
+    /// Of meshes: 0 of splats alone.
+    triangles: Option<f64>,
     total_floats: Option<f64>,
     file_bytes: Option<f64>,
-    /// None of jobs that shared the machine, or may have, in any of their runs.
+    /// Of all phases. None of jobs that shared the machine, or may have, in any of their runs.
+    training_seconds: Option<f64>,
+    /// Of the joint phase. None of such jobs.
     seconds_per_iteration: Option<f64>,
     /// None of jobs that shared the machine, or may have.
     fps: Option<f64>,
@@ -59,9 +63,19 @@ struct Section {
     flags: Vec<String>,
     /// Of those scenes that have flags of their own, from `scenes.json`.
     scene_flags: BTreeMap<String, Vec<String>>,
+    notes: Vec<Note>,
     rows: Vec<Row>,
     /// Of the scenes that all variants have, if there are any.
     mean: Option<Row>,
+}
+
+/// What trainings of a variant said.
+#[derive(Clone, Debug, Serialize)]
+struct Note {
+    /// Without the capture's place, if it is called as its scene.
+    text: String,
+    /// By which it was said.
+    scenes: BTreeSet<String>,
 }
 
 /// What others print of the same scenes.
@@ -155,6 +169,29 @@ impl Table {
     }
 }
 
+/// Notes below the table. Numbers in them may make one of every job.
+const MOST_NOTES: usize = 20;
+
+impl Note {
+    /// All that are different, as they come.
+    fn of(own: &[&Record]) -> Vec<Self> {
+        let mut notes: Vec<Self> = vec![];
+        for Record { made: Made { scene, .. }, result, .. } in own {
+            for note in record::notes(result) {
+                let is_there = |place: &str| Path::new(place).file_name().is_some_and(|name| name == scene.as_str());
+                let text = note.split_once(": ").filter(|(place, _)| is_there(place)).map_or(note, |(_, what)| what);
+                match notes.iter_mut().find(|known| known.text == text) {
+                    Some(known) => {
+                        known.scenes.insert(scene.clone());
+                    }
+                    None => notes.push(Self { text: text.to_owned(), scenes: BTreeSet::from([scene.clone()]) }),
+                }
+            }
+        }
+        notes
+    }
+}
+
 impl Published {
     fn of(known: &Known, with_lpips: bool) -> Vec<Self> {
         let row = |mean: &published::Mean| Self {
@@ -184,7 +221,7 @@ impl Section {
         let flags = own.first().map_or(vec![], |r| r.made.flags.clone());
         let of_scenes = own.iter().map(|r| (r.made.scene.clone(), r.made.scene_flags.clone()));
         let scene_flags = of_scenes.filter(|(_, flags)| !flags.is_empty()).collect();
-        Self { variant: variant.to_owned(), flags, scene_flags, rows, mean }
+        Self { variant: variant.to_owned(), flags, scene_flags, notes: Note::of(own), rows, mean }
     }
 }
 
@@ -232,8 +269,10 @@ impl Row {
             flip: number("flip"),
             lpips,
             splats: number("splats"),
+            triangles: number("triangles"),
             total_floats: number("total_floats"),
             file_bytes: number("file_bytes"),
+            training_seconds: time("training_seconds"),
             seconds_per_iteration: time("seconds_per_iteration"),
             fps: time("fps"),
         }
@@ -261,8 +300,10 @@ impl Row {
             flip: score(&|r| r.flip),
             lpips: net.zip(distances).map(|(net, (normalized, unnormalized))| Lpips { net, normalized, unnormalized }),
             splats: mean(&|r| r.splats),
+            triangles: mean(&|r| r.triangles),
             total_floats: mean(&|r| r.total_floats),
             file_bytes: mean(&|r| r.file_bytes),
+            training_seconds: mean(&|r| r.training_seconds),
             seconds_per_iteration: mean(&|r| r.seconds_per_iteration),
             fps: mean(&|r| r.fps),
         }
@@ -281,12 +322,31 @@ impl Row {
             number(lpips.map(|l| l.normalized), 3),
             number(lpips.map(|l| l.unnormalized), 3),
             number(self.splats, 0),
+            number(self.triangles, 0),
             number(self.total_floats.map(|v| v / 1e6), 2),
             number(self.file_bytes.map(|v| v / 1e6), 1),
+            number(self.training_seconds, 1),
             number(self.seconds_per_iteration, 3),
             number(self.fps, 1),
         ]
         .join(" | ")
+    }
+}
+
+impl Table {
+    fn write_notes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let all = || self.variants.iter().flat_map(|of| of.notes.iter().map(move |note| (&of.variant, note)));
+        if all().next().is_some() {
+            writeln!(f, "\nWhat trainings said:\n")?;
+        }
+        for (variant, Note { text, scenes }) in all().take(MOST_NOTES) {
+            let scenes = scenes.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+            writeln!(f, "- {variant}, {}: {}", one_line(&scenes), one_line(text))?;
+        }
+        match all().count().saturating_sub(MOST_NOTES) {
+            0 => Ok(()),
+            more => writeln!(f, "- and {more} more, which table.json has"),
+        }
     }
 }
 
@@ -316,9 +376,9 @@ impl fmt::Display for Table {
         }
         writeln!(
             f,
-            "\n| variant | scene | runs | PSNR | SSIM | FLIP | LPIPS by | LPIPS −1…1 | LPIPS 0…1 | splats | M floats | MB | s/iteration | fps |"
+            "\n| variant | scene | runs | PSNR | SSIM | FLIP | LPIPS by | LPIPS −1…1 | LPIPS 0…1 | splats | triangles | M floats | MB | training, s | s/joint iteration | fps |"
         )?;
-        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for section in &self.variants {
             for row in &section.rows {
                 // A scene's name may be any that a folder has.
@@ -338,7 +398,7 @@ impl fmt::Display for Table {
             let over = p.over.map_or("published".to_owned(), |over| format!("published: {over}"));
             writeln!(
                 f,
-                "| *{}* | {over} | | {} | {} | | {net} | {a} | {b} | | | | | |",
+                "| *{}* | {over} | | {} | {} | | {net} | {a} | {b} | | | | | | | |",
                 p.method,
                 p.psnr,
                 number(p.ssim)
@@ -360,7 +420,7 @@ impl fmt::Display for Table {
         if let Some(note) = self.published_note {
             writeln!(f, "\nPublished rows: {note}.")?;
         }
-        Ok(())
+        self.write_notes(f)
     }
 }
 
@@ -448,6 +508,46 @@ mod tests {
         );
         records.push(record("c", "other", 0, 1.0));
         assert!(!table(&records).to_string().contains("mean"), "nothing is common");
+    }
+
+    /// One that asked for a mesh and has none says so in its notes alone.
+    #[test]
+    fn hybrids_have_triangles_and_trainings_their_say() {
+        let mut records: Vec<Record> = ["garden", "room"].map(|scene| record("a", scene, 0, 26.0)).into();
+        for (record, [triangles, seconds]) in records.iter_mut().zip([[0.0, 100.0], [900.0, 60.0]]) {
+            record.result["evaluation"]["triangles"] = json!(triangles);
+            record.result["evaluation"]["training_seconds"] = json!(seconds);
+            let masks = format!("captures/{}: has no masks: nothing is masked", record.made.scene);
+            record.result["notes"] = json!([masks, "--no-mesh: --warmup has no effect"]);
+        }
+        let more = [Value::Null, json!("captures/garden: the scene has no mesh:\nwhy")];
+        records[0].result["notes"].as_array_mut().unwrap().extend(more);
+        let text = table(&records).to_string();
+        for part in [
+            "| splats | triangles | M floats | MB | training, s | s/joint iteration | fps |\n",
+            "| a | garden | 1 | 26.00 | 0.800 | – | vgg | 0.300 | 0.200 | 1000 | 0 | – | – | 100.0 | – | 9.5 |\n",
+            "| 1000 | 450 | – | – | 80.0 | – | 9.5 |\n",
+            "\nWhat trainings said:\n\n- a, garden, room: has no masks: nothing is masked\n- a, garden, room: --no-mesh: --warmup",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let last = text.lines().last().unwrap();
+        assert!(last.starts_with("- a, garden: the scene has no mesh:") && last.ends_with("why"), "{text}");
+        let json = serde_json::to_value(table(&records)).unwrap();
+        assert_eq!(json["variants"][0]["rows"][1]["triangles"], 900.0);
+        assert_eq!(json["variants"][0]["notes"][0]["scenes"], json!(["garden", "room"]));
+        // As many as one can read; of results of before there are none.
+        records[1].result["notes"] = (0..30).map(|i| format!("note {i}")).collect();
+        records[0].result["notes"] = Value::Null;
+        let text = table(&records).to_string();
+        assert!(text.contains("- a, room: note 19\n- and 10 more, which table.json has\n"), "{text}");
+        records.truncate(1);
+        records[0].result["evaluation"]["triangles"] = Value::Null;
+        let text = table(&records).to_string();
+        assert!(text.contains("| 1000 | – | – | – | 100.0 |") && !text.contains("said"), "{text}");
+        // Times of jobs that shared the machine are none.
+        records[0].made.at_a_time = 2;
+        assert!(table(&records).to_string().contains("| 1000 | – | – | – | – | – | – |"));
     }
 
     #[test]

@@ -17,13 +17,13 @@ use serde_json::Value;
 
 use super::Args;
 use super::jobs::{self, Job};
-use super::record::Made;
+use super::record::{self, Made};
 use crate::cli::{interrupt, output};
 
 /// How a job ended that did not fail.
-#[derive(Clone, Copy, PartialEq, Eq)]
 enum Ended {
-    Done,
+    /// With what the training had to say.
+    Done(Vec<String>),
     /// By Ctrl-C; there is a checkpoint.
     Interrupted,
     /// Another runner does it, or has just done it.
@@ -56,12 +56,14 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
                     bar.set_message(one_line(&job.name()).into_owned());
                     let start = Instant::now();
                     match train(job, known, &stop) {
-                        Ok(Ended::Done) => {
+                        Ok(Ended::Done(notes)) => {
                             bar.println(format!(
                                 "{}: {:.1} min",
                                 one_line(&job.name()),
                                 start.elapsed().as_secs_f64() / 60.0
                             ));
+                            let say = |note: &String| output::note(&format!("{}: {note}", job.name()));
+                            bar.suspend(|| notes.iter().for_each(say));
                         }
                         Ok(Ended::Interrupted) => interrupted.store(true, Ordering::Relaxed),
                         Ok(Ended::Elsewhere) => elsewhere.store(true, Ordering::Relaxed),
@@ -170,7 +172,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
     // Whoever still has it open looks for the result first.
     let _ = std::fs::remove_file(path);
-    Ok(Ended::Done)
+    Ok(Ended::Done(record::notes(&result).map(str::to_owned).collect()))
 }
 
 /// What to do where a training does not go on from its checkpoint, such as after a change of the flags: as a job it always tries to.

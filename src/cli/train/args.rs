@@ -28,9 +28,9 @@ Examples:
 /// CAPTURE is a folder with images/ and a COLMAP model (sparse/0, sparse, colmap/sparse/0 or the folder itself; .bin or .txt), or with
 /// transforms*.json. Splats are trained alone first; then a mesh is made and judged, and both are trained together. Every 8th
 /// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and on Unix a
-/// terminal that goes away, stop after the current iteration and leave a checkpoint for --resume, or after the current view and leave the
-/// scene without scores; a second Ctrl-C stops at once. The method is HERA's ("the paper": Cai et al., CVPR 2025), on 3D Gaussian splatting
-/// (3DGS); docs/method.md lists the defaults that differ from theirs, and why.
+/// terminal that goes away, stop after the current step (an iteration, or a surface being made and judged) and leave a checkpoint for
+/// --resume, or after the current view and leave the scene without scores; a second Ctrl-C stops at once. The method is HERA's ("the
+/// paper": Cai et al., CVPR 2025), on 3D Gaussian splatting (3DGS); docs/method.md lists the defaults that differ from theirs, and why.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
@@ -342,6 +342,7 @@ impl Args {
             (self.no_mesh, "--no-mesh", of_meshes.clone()),
             (self.mesh.is_some(), "--mesh", of_meshes),
             (is_direct, "--mode direct", vec![(self.lambda != usual.lambda, "--lambda")]),
+            (self.all_views, "--all-views", vec![(self.eval_every != usual.eval_every, "--eval-every")]),
         ];
         let given = |flags: Vec<(bool, &'static str)>| -> Vec<&str> {
             flags.into_iter().filter(|(is_given, _)| *is_given).map(|(_, flag)| flag).collect()
@@ -496,6 +497,17 @@ mod tests {
         "quiet",
         "json",
     ];
+
+    #[test]
+    fn no_view_is_measured_where_none_is_held_out() {
+        let idle = |flags: &str| {
+            let words = "centaur train capture -o scene.glb".split(' ').chain(flags.split_whitespace());
+            let Command::Train(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
+            args.idle()
+        };
+        assert_eq!(idle("--all-views --eval-every 7"), [("--all-views", vec!["--eval-every"])]);
+        assert!(idle("--all-views").is_empty() && idle("--eval-every 7").is_empty());
+    }
 
     #[test]
     fn every_flag_sets_the_option_that_it_is_for_and_no_other() {

@@ -106,7 +106,7 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
         notes,
         y_up,
         attributes: vec![],
-        dropped: 0,
+        dropped: None,
         source: None,
         record: None,
     };

@@ -113,8 +113,8 @@ pub struct PlySplats {
     pub pixel_filter: PixelFilter,
     /// What the file has besides, and what was made part of the splats, one sentence each.
     pub notes: Vec<String>,
-    /// How many rows were left out, see [`ReadOptions::drop_invalid`].
-    pub dropped: usize,
+    /// How many rows were left out, see [`ReadOptions::drop_invalid`]; `None` of a compressed file, which is read whole or not at all.
+    pub dropped: Option<usize>,
 }
 
 /// As [`read`], with all other scalar properties of the splats but normals.
@@ -186,7 +186,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     let (pixel_filter, mut notes) = (pixel_filter_of(&header), left_out(&header));
     if compressed::is_compressed(&header) {
         let splats = compressed::parse(&header, &mut body)?;
-        return Ok(PlySplats { splats, attributes: vec![], pixel_filter, notes, dropped: 0 });
+        return Ok(PlySplats { splats, attributes: vec![], pixel_filter, notes, dropped: None });
     }
     let vertex = header.required("vertex")?;
     let means = vertex.columns(["x", "y", "z"])?;
@@ -259,7 +259,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             Ok(())
         })?;
     let splats = arrays.check().map_err(|e| body.locate(&header, "vertex", |i| i, e.into()))?;
-    Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped })
+    Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped: Some(dropped) })
 }
 
 /// Thickness of splats that have none.
@@ -592,7 +592,7 @@ mod tests {
         let path = folder.path().join("s.ply");
         write_with(&path, &splats, &attributes, PixelFilter::DILATION).unwrap();
         let back = read_with(&path, &ReadOptions::default()).unwrap();
-        assert_eq!((&back.attributes, back.dropped), (&attributes, 0));
+        assert_eq!((&back.attributes, back.dropped), (&attributes, Some(0)));
         assert_eq!(back.splats, splats);
         assert_eq!(read(&path).unwrap(), splats, "unknown to others, ignored");
 
@@ -620,7 +620,7 @@ mod tests {
         file[first_row + 4 * (18 * 5 + 13)..][..16].fill(0);
         assert!(parse(Cursor::new(&file), false).is_err());
         let left = parse(Cursor::new(&file), true).unwrap();
-        assert_eq!((left.dropped, left.attributes[0].values()), (4, &[1.0, 4.0][..]));
+        assert_eq!((left.dropped, left.attributes[0].values()), (Some(4), &[1.0, 4.0][..]));
         assert_eq!(left.splats.means(), [splats.means()[1], splats.means()[4]]);
     }
 

@@ -78,7 +78,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
         notes,
         y_up: !is_ours,
         attributes: vec![],
-        dropped: 0,
+        dropped: None,
         source: None,
         record,
     })

@@ -115,10 +115,15 @@ impl Gpu {
         self.is_unified
     }
 
-    /// Most bytes that were allocated at once since the device was opened.
+    /// Most bytes that were allocated at once since the device was opened, or since [`Self::reset_peak`].
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.memory.peak.load(Ordering::Relaxed)
+    }
+
+    /// From here on [`Self::peak_bytes`] is of what is allocated now, and of what comes.
+    pub fn reset_peak(&self) {
+        self.memory.peak.store(self.memory.now.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
     /// Most bytes that one binding can hold.
@@ -231,6 +236,18 @@ mod tests {
         assert!(error.is_lack_of_memory());
         let text = error.to_string();
         assert!(text.starts_with("training needs 1099511627776 MiB of memory, but ") && text.contains(LESS), "{text}");
+    }
+
+    #[test]
+    fn a_peak_begins_anew_with_what_is_there() {
+        let gpu = Gpu::open(None).unwrap();
+        let _stays = gpu.storage("stays", 100).unwrap();
+        drop(gpu.storage("goes", 1000).unwrap());
+        assert_eq!(gpu.peak_bytes(), 4400);
+        gpu.reset_peak();
+        assert_eq!(gpu.peak_bytes(), 400);
+        drop(gpu.storage("comes", 500).unwrap());
+        assert_eq!(gpu.peak_bytes(), 2400);
     }
 
     #[test]
