@@ -41,8 +41,8 @@ pub struct ClosestPoint {
 
 /// A bounding volume hierarchy over the triangles of one or several meshes, both sides visible.
 ///
-/// The boxes are f32, relative to the centre of the scene and padded so that rounding cannot lose a triangle; the
-/// intersections are f64 from the f32 vertices.
+/// The boxes are f32, relative to the centre of the scene, in units of its radius, and padded so that rounding cannot lose a
+/// triangle; the intersections are f64 from the f32 vertices.
 pub struct MeshBvh {
     /// Over distinct boxes: the builder takes time quadratic in those that are equal.
     tree: Bvh2,
@@ -51,6 +51,8 @@ pub struct MeshBvh {
     /// In the order of their boxes.
     triangles: Vec<Indexed>,
     center: DVec3,
+    /// The unit of the boxes: half their diagonal together, 1 where that is none. In units of the world their areas, by which the builder
+    /// pairs them, would be infinite from sides of 2e19 on and zero up to 1e-23, and all pairs alike: it takes time quadratic in these, too.
     radius: f64,
 }
 
@@ -75,7 +77,7 @@ const EDGE_TOLERANCE: f64 = 1e-9;
 /// Part of the ray parameter within which hits are at one place: at an edge, as far as its tolerance lets them differ.
 pub(super) const ONE_PLACE: f64 = 1e-8;
 
-/// Padding of the boxes in units of the scene radius: some 30 f32 roundings of coordinates up to 3 radii.
+/// Padding of the boxes, in their unit: some 30 f32 roundings of coordinates up to 3 radii.
 const BOX_PADDING: f64 = 1e-5;
 
 impl MeshBvh {
@@ -95,12 +97,13 @@ impl MeshBvh {
             corners().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
         let (center, radius) =
             if triangles.is_empty() { (DVec3::ZERO, 0.0) } else { ((low + high) / 2.0, low.distance(high) / 2.0) };
-        let padding = Vec3A::splat((radius * BOX_PADDING) as f32);
+        let radius = if radius > 0.0 { radius } else { 1.0 };
+        let padding = Vec3A::splat(BOX_PADDING as f32);
         let mut boxes: Vec<Boxed> = vec![];
         let mut known: HashMap<[u32; 6], usize> = HashMap::with_capacity(triangles.len());
         let mut in_boxes: Vec<(usize, Indexed)> = Vec::with_capacity(triangles.len());
         for t in triangles {
-            let local = t.corners.map(|p| (p.as_dvec3() - center).as_vec3a());
+            let local = t.corners.map(|p| ((p.as_dvec3() - center) / radius).as_vec3a());
             let tight = Aabb::from_points(&local);
             let padded = Aabb { min: tight.min - padding, max: tight.max + padding };
             let ([a, b, c], [d, e, f]) = (padded.min.to_array(), padded.max.to_array());
@@ -190,7 +193,7 @@ impl MeshBvh {
         }
         let distance_to = |node: usize| {
             let aabb = self.tree.nodes[node].aabb();
-            let (low, high) = (self.center + aabb.min.as_dvec3(), self.center + aabb.max.as_dvec3());
+            let [low, high] = [aabb.min, aabb.max].map(|corner| self.center + self.radius * corner.as_dvec3());
             point.distance_squared(point.clamp(low, high))
         };
         let mut best: Option<ClosestPoint> = None;
@@ -225,15 +228,14 @@ impl MeshBvh {
         let unit = dir.try_normalize()?;
         let shift = (self.center - origin).dot(dir) / dir.length_squared();
         let nearest = origin + dir * shift;
-        let to_nearest = nearest - self.center;
+        let to_nearest = (nearest - self.center) / self.radius;
         // 1 % more than the radius: boxes are padded and `nearest` is rounded.
-        if !nearest.is_finite() || to_nearest.length() > 1.01 * self.radius + f64::MIN_POSITIVE {
+        if !nearest.is_finite() || to_nearest.length() > 1.01 {
             return None;
         }
-        let start = to_nearest - unit * (2.0 * self.radius);
-        let mut boxes = Ray::new_inf(start.as_vec3a(), unit.as_vec3a());
+        let mut boxes = Ray::new_inf((to_nearest - 2.0 * unit).as_vec3a(), unit.as_vec3a());
         // Boxes are padded, and their ray starts two radii before its point nearest to the centre.
-        let length = (t_max - shift) * dir.length() + (2.0 + BOX_PADDING) * self.radius;
+        let length = (t_max - shift) * dir.length() / self.radius + 2.0 + BOX_PADDING;
         boxes.tmax = (length * (1.0 + BOX_PADDING)) as f32;
         Some(LocalRay { boxes, nearest, shift, dir })
     }
@@ -261,7 +263,7 @@ impl Indexed {
 
 /// A ray moved to where f32 and f64 resolve the scene well, however far away the camera is.
 struct LocalRay {
-    /// For the f32 boxes: unit direction, starts two radii before the centre, before every triangle.
+    /// For the f32 boxes, in their unit: unit direction, starts two radii before the centre, before every triangle.
     boxes: Ray,
     /// The point of the ray closest to the scene's centre, world space.
     nearest: DVec3,
@@ -440,6 +442,33 @@ mod tests {
         assert_eq!(hits[39_960..].iter().map(|h| h.triangle).collect::<Vec<_>>()[..2], [0, 1000]);
         assert!(tree.has_layers(2, Vec3::new(0.2, 0.2, -1.0), Vec3::Z, 0.0, f64::INFINITY));
         assert!(!tree.has_layers(3, Vec3::new(0.2, 0.2, -1.0), Vec3::Z, 0.0, f64::INFINITY));
+    }
+
+    /// Their areas are beyond f32, by which the builder orders boxes: without an order it takes time quadratic in them.
+    #[test]
+    fn extreme_scenes_have_the_hierarchy_of_ordinary_ones() {
+        let (positions, triangles) = random_soup(3000, 6, Vec3::ZERO);
+        let ordinary = bvh(&[(positions.clone(), triangles.clone())]);
+        // Powers of two, 1e25 and 1e-25: nothing is rounded otherwise.
+        for scale in [2f32.powi(83), 2f32.powi(-83)] {
+            let tree = bvh(&[(positions.iter().map(|p| *p * scale).collect(), triangles.clone())]);
+            assert_eq!(tree.tree.primitive_indices, ordinary.tree.primitive_indices);
+            let (scale, mut rng) = (f64::from(scale), rand_pcg::Pcg64::seed_from_u64(8));
+            for _ in 0..100 {
+                let [target, away] = [0; 2].map(|_| DVec3::from_array(rng.random::<[f64; 3]>()));
+                let dir = away - 0.5;
+                let origin = target - 2.0 * dir;
+                let scaled = |hits: Vec<Hit>| hits.into_iter().map(|h| Hit { t: h.t * scale, ..h }).collect::<Vec<_>>();
+                assert_eq!(tree.all_hits(scale * origin, dir), scaled(ordinary.all_hits(origin, dir)));
+                assert_eq!(
+                    tree.hits_before(scale * origin, dir, 2.0 * scale),
+                    scaled(ordinary.hits_before(origin, dir, 2.0))
+                );
+                let [there, here] =
+                    [(&tree, scale * origin), (&ordinary, origin)].map(|(tree, p)| tree.closest_point(p).unwrap());
+                assert_eq!((there.triangle, there.distance), (here.triangle, scale * here.distance));
+            }
+        }
     }
 
     #[test]

@@ -20,6 +20,8 @@ pub(super) struct Chart {
 const CONE: f64 = 0.5;
 /// Normals of single triangles, which noise disturbs, may be up to 75° off the chart's axis; never folded over.
 const STEEPEST: f64 = 0.26;
+/// Times that what lies on top of the rest is split off a chart. Of a spring, which does so with every turn, each would leave one turn.
+const MOST_PASSES: u32 = 32;
 /// No adjacent triangle on that side; in no chart.
 const NONE: u32 = u32::MAX;
 
@@ -258,11 +260,14 @@ fn merge(faces: &Faces, chart_of: &mut [u32], min_area: f64, max_side: f64) {
     }
 }
 
-/// Projects a chart and splits off what would lie on top of the rest, until nothing does.
+/// Projects a chart and splits off what would lie on top of the rest, until nothing does. What still does after [`MOST_PASSES`] is put into
+/// layers at once, so that the cost is linear in the triangles, however many there are.
 fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
+    let pieces =
+        |members: Vec<u32>, passes: u32| connected(faces, members).into_iter().map(move |piece| (piece, passes));
     let mut charts = Vec::new();
-    let mut pending = vec![members];
-    while let Some(members) = pending.pop() {
+    let mut pending = vec![(members, 0)];
+    while let Some((members, passes)) = pending.pop() {
         let mean = unit_or_x(members.iter().map(|&f| faces.normals[f as usize]).sum());
         let first = unit_or_x(faces.normals[members[0] as usize]);
         let all_fit = |axis: &DVec3| members.iter().all(|&f| faces.fits(f, *axis));
@@ -271,26 +276,35 @@ fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
             // ways and the first leads. Both sets are smaller than before.
             let axis = if members.iter().any(|&f| faces.fits(f, mean)) { mean } else { first };
             let (fit, rest): (Vec<u32>, Vec<u32>) = members.iter().partition(|&&f| faces.fits(f, axis));
-            pending.extend(connected(faces, rest));
-            pending.extend(connected(faces, fit));
+            pending.extend(pieces(rest, passes));
+            pending.extend(pieces(fit, passes));
             continue;
         };
         let plane = Extent::new(axis);
-        let ordered = connected(faces, members).concat();
-        let corners: Vec<[DVec2; 3]> =
-            ordered.iter().map(|&f| faces.corners[f as usize].map(|p| plane.project(p))).collect();
-        let low = corners.iter().flatten().copied().fold(DVec2::INFINITY, DVec2::min);
-        let high = corners.iter().flatten().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
-        // At most 2048² cells: 4 MiB.
+        let projected = |ordered: Vec<u32>| Chart {
+            corners: ordered.iter().map(|&f| faces.corners[f as usize].map(|p| plane.project(p))).collect(),
+            faces: ordered,
+        };
+        let chart = projected(connected(faces, members).concat());
+        let low = chart.corners.iter().flatten().copied().fold(DVec2::INFINITY, DVec2::min);
+        let high = chart.corners.iter().flatten().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+        // At most 2048² cells: 4 MiB, and for layers 16 MiB.
         let cell = (texel / 2.0).max((high - low).max_element() / 2047.0).max(f64::MIN_POSITIVE);
-        let clear = not_overlapping(&corners, low, cell);
+        let clear = not_overlapping(&chart.corners, low, cell);
         if clear.iter().all(|&c| c) {
-            charts.push(Chart { faces: ordered, corners });
-            continue;
+            charts.push(chart);
+        } else if passes == MOST_PASSES {
+            let mut in_layers: Vec<Vec<u32>> = vec![];
+            for (&face, layer) in chart.faces.iter().zip(layers(&chart.corners, low, cell)) {
+                in_layers.resize_with(in_layers.len().max(layer + 1), Vec::new);
+                in_layers[layer].push(face);
+            }
+            charts.extend(in_layers.into_iter().flat_map(|layer| connected(faces, layer)).map(projected));
+        } else {
+            let of = |wanted: bool| chart.faces.iter().zip(&clear).filter(move |c| *c.1 == wanted).map(|c| *c.0);
+            pending.extend(pieces(of(false).collect(), passes + 1));
+            pending.extend(pieces(of(true).collect(), passes + 1));
         }
-        let of = |wanted: bool| ordered.iter().zip(&clear).filter(move |c| *c.1 == wanted).map(|c| *c.0).collect();
-        pending.extend(connected(faces, of(false)));
-        pending.extend(connected(faces, of(true)));
     }
     charts
 }
@@ -350,27 +364,102 @@ fn not_overlapping(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<bool> {
     if corners.len() == 1 {
         return vec![true];
     }
-    let high = corners.iter().flatten().copied().fold(low, DVec2::max);
-    let width = ((high.x - low.x) / cell) as usize + 1;
-    let height = ((high.y - low.y) / cell) as usize + 1;
-    let mut taken = vec![false; width * height];
-    let mut clear = vec![true; corners.len()];
+    let grid = Grid::over(corners, low, cell);
+    let mut taken = vec![false; grid.width * grid.height];
     let mut covered = Vec::new();
-    for (triangle, clear) in corners.iter().zip(&mut clear) {
+    let is_clear = |triangle| {
+        grid.cover(triangle, &mut covered);
+        let is_clear = !covered.iter().any(|&i| taken[i]);
+        if is_clear {
+            covered.iter().for_each(|&i| taken[i] = true);
+        }
+        is_clear
+    };
+    corners.iter().map(is_clear).collect()
+}
+
+/// For each triangle the layer above all those before it that cover a cell with it: in no layer do two cover the same one. What covers none stays
+/// with the one before it.
+fn layers(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<usize> {
+    let grid = Grid::over(corners, low, cell);
+    let mut heights = vec![0_u32; grid.width * grid.height];
+    let (mut covered, mut layer) = (Vec::new(), 0);
+    let layer_of = |triangle| {
+        grid.cover(triangle, &mut covered);
+        layer = covered.iter().map(|&i| heights[i]).max().unwrap_or(layer);
+        covered.iter().for_each(|&i| heights[i] = layer + 1);
+        layer as usize
+    };
+    corners.iter().map(layer_of).collect()
+}
+
+/// Cells over the plane of a chart.
+struct Grid {
+    low: DVec2,
+    cell: f64,
+    width: usize,
+    height: usize,
+}
+
+impl Grid {
+    fn over(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Self {
+        let high = corners.iter().flatten().copied().fold(low, DVec2::max);
+        let [width, height] = ((high - low) / cell).to_array().map(|side| side as usize + 1);
+        Self { low, cell, width, height }
+    }
+
+    /// Makes `covered` the cells whose centres lie in a triangle.
+    fn cover(&self, triangle: &[DVec2; 3], covered: &mut Vec<usize>) {
         covered.clear();
-        let [a, b, c] = triangle.map(|p| (p - low) / cell);
-        for (x, y) in pixels_around(&[a, b, c].map(|p| p - 0.5), 0.0, [width, height], 0..height) {
+        let [a, b, c] = triangle.map(|p| (p - self.low) / self.cell);
+        let corners = [a, b, c].map(|p| p - 0.5);
+        for (x, y) in pixels_around(&corners, 0.0, [self.width, self.height], 0..self.height) {
             let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
             let side = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s);
             // Counter-clockwise by construction of the charts; a centre on an edge belongs to no triangle.
             if side(a, b) > 0.0 && side(b, c) > 0.0 && side(c, a) > 0.0 {
-                covered.push(y * width + x);
+                covered.push(y * self.width + x);
             }
         }
-        *clear = !covered.iter().any(|&i| taken[i]);
-        if *clear {
-            covered.iter().for_each(|&i| taken[i] = true);
-        }
     }
-    clear
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of 300 turns all face up, and each lies on all others.
+    #[test]
+    fn a_long_spring_is_cut_in_a_few_passes() {
+        const TURNS: f64 = 300.0;
+        // Five squares and a bit to a turn, so that no chart of whole ones has its axis in the middle.
+        let (squares, texel) = ((5.3 * TURNS) as usize, 0.05);
+        let at = |i: usize, radius: f64| {
+            let turn = std::f64::consts::TAU * i as f64 / 5.3;
+            DVec3::new(radius * turn.cos(), radius * turn.sin(), 0.01 * turn)
+        };
+        let square = |i: usize| {
+            let [a, b, c, d] = [at(i, 0.5), at(i, 1.0), at(i + 1, 1.0), at(i + 1, 0.5)];
+            [[a, b, d], [b, c, d]]
+        };
+        let corners: Vec<[DVec3; 3]> = (0..squares).flat_map(square).collect();
+        let charts = cut(corners.clone(), texel, 10.0);
+        let mut all: Vec<u32> = charts.iter().flat_map(|chart| chart.faces.iter().copied()).collect();
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..2 * squares as u32), "each triangle once");
+        for chart in &charts {
+            let low = chart.corners.iter().flatten().copied().fold(DVec2::INFINITY, DVec2::min);
+            assert!(not_overlapping(&chart.corners, low, texel / 2.0).iter().all(|&clear| clear));
+        }
+        // Those of layers lie in the plane of all, others in their own.
+        let is_in_own_plane = |chart: &&Chart| {
+            let normals = chart.faces.iter().map(|&f| corners[f as usize]).map(|[a, b, c]| (b - a).cross(c - a));
+            let plane = Extent::new(unit_or_x(normals.sum()));
+            let own = chart.faces.iter().map(|&f| corners[f as usize].map(|p| plane.project(p)));
+            own.eq(chart.corners.iter().copied())
+        };
+        let passes = charts.iter().filter(is_in_own_plane).count();
+        // Five squares each.
+        assert!((300..400).contains(&charts.len()) && passes <= MOST_PASSES as usize, "{passes} of {}", charts.len());
+    }
 }

@@ -18,6 +18,10 @@ const LEAST_COSINE: f64 = 0.5;
 /// Sharpest corner of triangles within, in degrees, where the edge allows it.
 const SHARPEST: f64 = 20.0;
 
+/// Vertices and cells that are looked at for what is in all holes, for each vertex of the surface. Of an even mesh a slit of [`MOST_EDGES`] has
+/// a thousand vertices around it, and of its own 40, so that all slits together look at 25 times as many as there are.
+const MOST_LOOKS: usize = 256;
+
 /// A boundary, in the direction that the triangles at it have.
 struct Edge {
     vertices: Vec<u32>,
@@ -52,17 +56,30 @@ impl From<Point2<f64>> for Corner {
 /// something is in stay open, and so do those at which boundaries touch. New triangles are about as large as those around, and
 /// wound alike.
 ///
-/// The cost is linear in the triangles, and for each hole in the vertices within its box: all are sorted along one axis.
+/// The cost is linear in the triangles: what is in a hole is looked for in the cells of a grid around it, in all with no more than
+/// [`MOST_LOOKS`]. Of holes whose surroundings are larger than that in sum the largest stay open.
 #[must_use]
-pub(super) fn without_holes(mut surface: Surface) -> (Surface, usize) {
+pub(super) fn without_holes(surface: Surface) -> (Surface, usize) {
+    let looks = MOST_LOOKS.saturating_mul(surface.positions.len());
+    closed_within(surface, looks)
+}
+
+/// The same with so many looks.
+fn closed_within(mut surface: Surface, mut looks: usize) -> (Surface, usize) {
     let edges = boundaries(&surface);
     let small = |edge: &&Edge| edge.vertices.len() <= MOST_EDGES;
     let holes: Vec<Hole> = edges.iter().filter(small).filter_map(|edge| Hole::new(&surface.positions, edge)).collect();
     // Not the mean: a single large one would make cells that hold all there is.
     let grid = Grid::new(&surface, median(holes.iter().map(|hole| hole.reach).collect()).unwrap_or(0.0));
-    let empty = holes.into_iter().filter(|hole| !grid.near(hole.center, hole.reach).any(|v| hole.holds(&surface, v)));
-    let empty: Vec<Hole> = empty.collect();
-    let closed = empty.iter().filter(|hole| hole.fill(&mut surface)).count();
+    let mut smallest_first: Vec<usize> = (0..holes.len()).collect();
+    smallest_first.sort_by(|&a, &b| holes[a].reach.total_cmp(&holes[b].reach));
+    let mut is_empty = vec![false; holes.len()];
+    for i in smallest_first {
+        let hole = &holes[i];
+        let Some(mut near) = grid.near(hole.center, hole.reach, &mut looks) else { break };
+        is_empty[i] = !near.any(|v| hole.holds(&surface, v));
+    }
+    let closed = holes.iter().zip(is_empty).filter(|(hole, is_empty)| *is_empty && hole.fill(&mut surface)).count();
     (surface, closed)
 }
 
@@ -88,21 +105,28 @@ impl Grid {
         (p / self.cell).floor().to_array().map(|v| v as i64)
     }
 
-    /// All vertices within this distance, and some beyond.
-    fn near(&self, center: DVec3, reach: f64) -> impl Iterator<Item = u32> {
+    /// All vertices within this distance, and some beyond. They and the cells they are looked for in are taken off `looks`; `None` where
+    /// nothing was left of those.
+    fn near(&self, center: DVec3, reach: f64, looks: &mut usize) -> Option<impl Iterator<Item = u32>> {
+        if *looks == 0 {
+            return None;
+        }
         let low = self.cell_of(center - reach);
         let high = self.cell_of(center + reach);
         let many = (0..3).map(|i| high[i].saturating_sub(low[i]).saturating_add(1)).fold(1i64, i64::saturating_mul);
         // Of a hole much larger than others it is cheaper to look into all cells that there are.
         let is_in = move |at: &[i64; 3]| (0..3).all(|i| (low[i]..=high[i]).contains(&at[i]));
-        let cells: Vec<&Vec<u32>> = if many as u64 > self.cells.len() as u64 {
+        let many = usize::try_from(many).unwrap_or(usize::MAX);
+        let cells: Vec<&Vec<u32>> = if many > self.cells.len() {
             self.cells.iter().filter(|(at, _)| is_in(at)).map(|(_, vertices)| vertices).collect()
         } else {
             let along = |i: usize| low[i]..=high[i];
             let all = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
             all.filter_map(|at| self.cells.get(&at)).collect()
         };
-        cells.into_iter().flatten().copied()
+        let vertices: usize = cells.iter().copied().map(Vec::len).sum();
+        *looks = looks.saturating_sub(many.min(self.cells.len()).saturating_add(vertices));
+        Some(cells.into_iter().flatten().copied())
     }
 }
 
@@ -285,6 +309,20 @@ mod tests {
         // About as large as those around.
         assert!(closed.triangles.len() > 162 && closed.triangles.len() < 200, "{}", closed.triangles.len());
         assert_eq!(without_holes(closed.clone()), (closed, 0));
+    }
+
+    /// Slits may each span all there is, so that the vertices around all of them are holes × vertices.
+    #[test]
+    fn the_largest_holes_stay_open_where_all_would_take_too_long() {
+        // A slit, and behind it in the order of vertices a hole.
+        let missing = |x: u32, y: u32| (y == 3 && (1..11).contains(&x)) || (y == 7 && x == 6);
+        let surface = sheet(12, |_, _| 0.0, missing);
+        let closed = |looks: usize| closed_within(surface.clone(), looks);
+        assert_eq!([0, 1, 10_000].map(|looks| closed(looks).1), [0, 1, 2]);
+        let left = boundaries(&closed(1).0).iter().map(|edge| edge.vertices.len()).collect::<Vec<_>>();
+        assert_eq!(left, [48, 22]);
+        // That is few for these.
+        assert_eq!(without_holes(surface.clone()), closed(10_000));
     }
 
     #[test]

@@ -12,7 +12,8 @@ use crate::scene::{Camera, LARGEST_COORDINATE};
 
 /// Views that must see a triangle of it: what one view alone sees may be near.
 const LEAST_VIEWS: u32 = 2;
-/// Radius in units of the cameras' spread, at most: beyond, f32 and viewers of others gain nothing.
+/// Radius that parallax asks for, in units of the cameras' spread, at most: beyond, f32 and viewers of others gain nothing. Points may ask for a
+/// larger one.
 const FARTHEST: f64 = 1000.0;
 /// So many times as far away as all but the outermost hundredth of the points.
 const BEYOND_POINTS: f64 = 4.0;
@@ -62,25 +63,26 @@ impl Shell {
 
     /// The surface with those triangles of the shell that at least two of the cameras see past it, wound to be seen from within. What of
     /// the surface is farther than a quarter of the way to the shell goes: depth hardly shows there, and the shell takes its place.
+    /// Cameras draw what is farther than `near`.
     #[must_use]
-    pub fn around_surface(&self, mut surface: Surface, cameras: &[Camera]) -> Surface {
-        let is_near = |p: &Vec3| p.as_dvec3().distance(self.center) <= FARTHEST_SURFACE * self.radius;
-        let near: Vec<bool> = surface.positions.iter().map(is_near).collect();
-        surface.triangles.retain(|t| t.iter().all(|&v| near[v as usize]));
+    pub fn around_surface(&self, mut surface: Surface, cameras: &[Camera], near: f64) -> Surface {
+        let is_within = |p: &Vec3| p.as_dvec3().distance(self.center) <= FARTHEST_SURFACE * self.radius;
+        let within: Vec<bool> = surface.positions.iter().map(is_within).collect();
+        surface.triangles.retain(|t| t.iter().all(|&v| within[v as usize]));
         let mut surface = compact(surface);
-        let far = self.seen_past(&surface, cameras);
+        let far = self.seen_past(&surface, cameras, near);
         let first = surface.positions.len() as u32;
         surface.positions.extend(far.positions);
         surface.triangles.extend(far.triangles.into_iter().map(|t| t.map(|v| first + v)));
         surface
     }
 
-    /// Its triangles that at least two of the cameras see past `near`.
-    fn seen_past(&self, near: &Surface, cameras: &[Camera]) -> Surface {
+    /// Its triangles that at least two of the cameras see past `rest`.
+    fn seen_past(&self, rest: &Surface, cameras: &[Camera], near: f64) -> Surface {
         let (directions, triangles) = icosphere(self.subdivisions);
         let corners: Vec<DVec3> = directions.iter().map(|d| self.center + *d * self.radius).collect();
-        let bvh = MeshBvh::new([(near.positions.as_slice(), near.triangles.as_slice())]);
-        let sees = |camera: &Camera, p: DVec3| Self::is_seen(camera, p, &bvh);
+        let bvh = MeshBvh::new([(rest.positions.as_slice(), rest.triangles.as_slice())]);
+        let sees = |camera: &Camera, p: DVec3| Self::is_seen(camera, p, &bvh, near);
         // By corner and camera, which six triangles share.
         let seen: Vec<Vec<bool>> =
             corners.par_iter().map(|p| cameras.iter().map(|camera| sees(camera, *p)).collect()).collect();
@@ -93,11 +95,12 @@ impl Shell {
         compact(Surface { positions: corners.iter().map(|p| p.as_vec3()).collect(), triangles })
     }
 
-    /// Whether a point is in the camera's picture and nothing `near` is before it.
+    /// Whether a point is in the camera's picture and nothing of the `rest` is before it. What is no farther than `near`, in camera-space z, is
+    /// not drawn and hides nothing.
     #[must_use]
-    pub fn is_seen(camera: &Camera, point: DVec3, near: &MeshBvh) -> bool {
-        let origin = camera.center();
-        is_in_picture(camera, point) && !near.any_hit(origin, point - origin, 0.0, 1.0)
+    pub fn is_seen(camera: &Camera, point: DVec3, rest: &MeshBvh, near: f64) -> bool {
+        let (origin, p) = (camera.center(), camera.to_camera(point));
+        camera.in_picture(p).is_some() && p.z > near && !rest.any_hit(origin, point - origin, near / p.z, 1.0)
     }
 }
 
@@ -105,10 +108,6 @@ impl Shell {
 fn field_of_view(camera: &Camera) -> f64 {
     let k = camera.intrinsics();
     2.0 * (0.5 * f64::from(k.width) / k.fx).max(0.5 * f64::from(k.height) / k.fy).atan()
-}
-
-fn is_in_picture(camera: &Camera, world: DVec3) -> bool {
-    camera.in_picture(camera.to_camera(world)).is_some()
 }
 
 /// Unit vectors and triangles, counter-clockwise from outside.
@@ -152,6 +151,8 @@ mod tests {
 
     use super::*;
     use crate::scene::Intrinsics;
+
+    const NEAR: f64 = 0.2;
 
     /// Cameras side by side at x = −1, 0, 1, that look along z with a field of view of 53° × 37°.
     fn cameras() -> Vec<Camera> {
@@ -202,7 +203,7 @@ mod tests {
     #[test]
     fn what_two_views_see_past_the_rest_is_kept() {
         let shell = Shell::around(&cameras(), &[]).unwrap();
-        let open = shell.seen_past(&Surface::default(), &cameras());
+        let open = shell.seen_past(&Surface::default(), &cameras(), NEAR);
         let bvh = MeshBvh::new([(open.positions.as_slice(), open.triangles.as_slice())]);
         // All of the picture of the middle camera, and hardly anything outside.
         for (x, y) in (0..15).flat_map(|x| (0..10).map(move |y| (x, y))) {
@@ -217,25 +218,27 @@ mod tests {
             assert!((b - a).cross(c - a).dot(a) < 0.0, "seen from within");
         }
         // Behind a wall there is nothing to see; beside one there is.
-        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras()), Surface::default());
-        let beside = shell.seen_past(&wall(9.0, 9.0), &cameras());
+        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras(), NEAR), Surface::default());
+        let beside = shell.seen_past(&wall(9.0, 9.0), &cameras(), NEAR);
         assert!(beside.triangles.len() > 10 && beside.triangles.len() < open.triangles.len() * 3 / 4);
+        // What is too near to be drawn hides nothing.
+        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras(), 3.1), open);
         // One view is too few.
-        assert_eq!(shell.seen_past(&Surface::default(), &cameras()[..1]), Surface::default());
+        assert_eq!(shell.seen_past(&Surface::default(), &cameras()[..1], NEAR), Surface::default());
     }
 
     #[test]
     fn it_takes_the_place_of_what_is_nearly_as_far() {
         let shell = Shell::around(&cameras(), &[]).unwrap();
-        let all = shell.around_surface(Surface::default(), &cameras());
+        let all = shell.around_surface(Surface::default(), &cameras(), NEAR);
         let at = |scale: f32| {
             let Surface { positions, triangles } = wall(0.0, 9.0);
             Surface { positions: positions.into_iter().map(|p| p * scale).collect(), triangles }
         };
         // Corners at 13.1 × scale; the radius is 150.
-        assert_eq!(shell.around_surface(at(2.9), &cameras()), all);
-        assert_eq!(shell.around_surface(at(2.8), &cameras()), at(2.8));
-        let beside = shell.around_surface(wall(9.0, 9.0), &cameras());
+        assert_eq!(shell.around_surface(at(2.9), &cameras(), NEAR), all);
+        assert_eq!(shell.around_surface(at(2.8), &cameras(), NEAR), at(2.8));
+        let beside = shell.around_surface(wall(9.0, 9.0), &cameras(), NEAR);
         assert_eq!(
             (&beside.positions[..4], &beside.triangles[..2]),
             (&*wall(9.0, 9.0).positions, &[[0, 1, 2], [0, 2, 3]][..])

@@ -38,21 +38,6 @@ impl Statistics<'_> {
     }
 }
 
-/// What a density step did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub(super) struct DensityReport {
-    /// Splats of which an exact copy was added.
-    pub(super) cloned: usize,
-    /// Splats replaced by two smaller ones.
-    pub(super) split: usize,
-    /// Splats removed.
-    pub(super) pruned: usize,
-    /// Dead splats moved onto living ones.
-    pub(super) relocated: usize,
-    /// Splats added by sampling.
-    pub(super) added: usize,
-}
-
 /// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (Every 3000 iterations of
 /// INRIA's strategy: what is not needed does not come back and is pruned.)
 pub(super) fn reset_opacity(splats: &mut Arrangement) {

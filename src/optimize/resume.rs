@@ -36,7 +36,7 @@ pub(super) struct Saved {
     /// Being refined, or as they were.
     pub(super) poses: Option<PoseState>,
     epoch: EpochWeight,
-    /// Lengths of the GPU's lists: a step whose lists are too short sees less of the scene.
+    /// Lengths of the GPU's lists: steps whose lists are too short change nothing and are taken again.
     lists: [usize; 2],
     pub(super) past: Past,
 }
@@ -100,7 +100,7 @@ impl Saved {
     /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.
     pub(super) fn restore(self, training: &mut Training) -> Result<EpochWeight, TrainError> {
         training.write_splats(&self.splats)?;
-        training.lengthen_lists(self.lists)?;
+        training.lengthen_lists(training.bindable(self.lists))?;
         training.write_statistics(&self.statistics);
         if let Some(exposures) = &self.exposures {
             training.expose(exposures)?;

@@ -4,7 +4,7 @@
 
 use glam::Vec3;
 
-use super::{DensityReport, Statistics};
+use super::Statistics;
 use crate::{
     optimize::{
         arrangement::Arrangement,
@@ -87,7 +87,7 @@ pub(in crate::optimize) fn densify(
     options: &InriaOptions,
     iteration: u32,
     seed: u64,
-) -> DensityReport {
+) {
     let n = splats.len();
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     let max_scale = options.max_scale.map_or(f32::INFINITY, |m| m * options.extent);
@@ -125,13 +125,6 @@ pub(in crate::optimize) fn densify(
     }
 
     let mut rng = random::generator(seed, Purpose::Density, iteration);
-    let count = |fate: Fate| fates.iter().filter(|&&f| f == fate).count();
-    let report = DensityReport {
-        cloned: count(Fate::Clone),
-        split: count(Fate::Split),
-        pruned: count(Fate::Prune),
-        ..DensityReport::default()
-    };
     for i in (0..n).filter(|&i| fates[i] == Fate::Clone) {
         splats.push_copy(i);
     }
@@ -145,7 +138,6 @@ pub(in crate::optimize) fn densify(
     let mut keep: Vec<bool> = fates.iter().map(|f| matches!(f, Fate::Keep | Fate::Clone)).collect();
     keep.resize(splats.len(), true);
     splats.retain(&keep);
-    report
 }
 
 /// Shrinks a copy of a parent and moves it by `offset` standard deviations along the parent's axes.
@@ -161,7 +153,10 @@ mod tests {
     use super::*;
     use crate::{
         optimize::density::tests::{arrangement, rearranged, state},
-        render::gpu::state::{OPACITY, logit},
+        render::gpu::{
+            rows::Source,
+            state::{OPACITY, logit},
+        },
     };
 
     const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean of exactly the threshold
@@ -169,6 +164,16 @@ mod tests {
 
     fn set_scale(s: &mut Arrangement, i: usize, scale: [f32; 3]) {
         Vec3::from(scale).ln().write_to_slice(&mut s.row_mut(i)[LOG_SCALE]);
+    }
+
+    /// Of `before` splats at their places: how many have a copy now, have become two smaller ones, and are gone.
+    fn fates(before: usize, splats: &Arrangement) -> [usize; 3] {
+        let sources = splats.sources().iter().copied();
+        let (kept, new): (Vec<Source>, Vec<Source>) =
+            sources.partition(|source| *source == Source::new(source.splat()));
+        let cloned = new.iter().filter(|source| kept.contains(&Source::new(source.splat()))).count();
+        let split = (new.len() - cloned) / 2;
+        [cloned, split, before - kept.len() - split]
     }
 
     #[test]
@@ -179,9 +184,8 @@ mod tests {
         }
         s.row_mut(5)[OPACITY] = logit(0.004);
         let before = s.clone();
-        let report =
-            densify(&mut s, Statistics(&[HOT, HOT, COLD, COLD, HOT, HOT]), &InriaOptions::new(1.001, 1000), 600, 7);
-        assert_eq!(report, DensityReport { cloned: 2, split: 1, pruned: 1, ..DensityReport::default() });
+        densify(&mut s, Statistics(&[HOT, HOT, COLD, COLD, HOT, HOT]), &InriaOptions::new(1.001, 1000), 600, 7);
+        assert_eq!(fates(6, &s), [2, 1, 1]);
         // 0, 2, 3, 4 survive; clones of 0 and 4; two children of 1.
         assert_eq!(s.len(), 8);
         let moments = rearranged(&state(6, 1), &s).geometry_m;
@@ -209,14 +213,14 @@ mod tests {
         // Two views; a mean gradient of 2e-4 or nothing, an absolute one of 4e-4 or less.
         let (mean, absolute) = ([4e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 8e-4]);
         let rows = [mean, absolute, absolute, mean];
-        let report = densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 100), 600, 7);
-        assert_eq!(report, DensityReport { cloned: 1, split: 1, ..DensityReport::default() });
+        densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 100), 600, 7);
+        assert_eq!(fates(4, &s), [1, 1, 0]);
         // With room for one, the stronger urge: the one that is split.
         let mut s = arrangement(2);
         set_scale(&mut s, 0, [0.0009; 3]);
         let rows = [[6e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 16e-4]];
-        let report = densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 3), 600, 7);
-        assert_eq!(report, DensityReport { split: 1, ..DensityReport::default() });
+        densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 3), 600, 7);
+        assert_eq!(fates(2, &s), [0, 1, 0]);
     }
 
     #[test]
@@ -255,11 +259,10 @@ mod tests {
         let rows = [COLD, COLD, COLD, HOT, HOT];
         let options = InriaOptions::new(1.0, 100).pruning_large();
         let mut early = s.clone();
-        let report = densify(&mut s, Statistics(&rows), &options, 4000, 7);
-        assert_eq!(report, DensityReport { split: 1, pruned: 3, ..DensityReport::default() });
-        assert_eq!(s.len(), 3);
-        let report = densify(&mut early, Statistics(&rows), &InriaOptions { max_scale: None, ..options }, 600, 7);
-        assert_eq!(report, DensityReport { split: 2, pruned: 1, ..DensityReport::default() });
+        densify(&mut s, Statistics(&rows), &options, 4000, 7);
+        assert_eq!((fates(5, &s), s.len()), ([0, 1, 3], 3));
+        densify(&mut early, Statistics(&rows), &InriaOptions { max_scale: None, ..options }, 600, 7);
+        assert_eq!(fates(5, &early), [0, 2, 1]);
     }
 
     #[test]
@@ -271,16 +274,15 @@ mod tests {
         }
         s.row_mut(99)[OPACITY] = logit(0.001);
         let rows: Vec<_> = (0..n).map(|i| [1e-3 * (1 + i) as f32, 1.0, 1.0, 1.0]).collect();
-        let report = densify(&mut s, Statistics(&rows), &InriaOptions::new(1.0, 109), 600, 7);
-        assert_eq!(report, DensityReport { cloned: 5, split: 5, pruned: 1, ..DensityReport::default() });
-        assert_eq!(s.len(), 109);
+        densify(&mut s, Statistics(&rows), &InriaOptions::new(1.0, 109), 600, 7);
+        assert_eq!((fates(n, &s), s.len()), ([5, 5, 1], 109));
         // 89 to 98 grow: odd ones have a clone, even ones are gone for their children.
         let near = |x: f32| (0..s.len()).filter(|&i| (s.row(i)[0] - x).abs() < 1e-6).count();
         assert_eq!([86.0, 87.0, 88.0, 89.0, 90.0, 97.0, 98.0].map(near), [1, 1, 1, 2, 0, 2, 0]);
         // Already above the cap: nothing grows.
-        let m = s.len();
-        let report = densify(&mut s, Statistics(&vec![HOT; m]), &InriaOptions::new(1.0, 50), 700, 7);
-        assert_eq!((report, s.len()), (DensityReport::default(), m));
+        let before = s.clone();
+        densify(&mut s, Statistics(&[HOT; 109]), &InriaOptions::new(1.0, 50), 700, 7);
+        assert_eq!(s, before);
     }
 
     #[test]
@@ -300,7 +302,7 @@ mod tests {
     #[test]
     fn nothing_to_do() {
         let mut s = Arrangement::default();
-        let report = densify(&mut s, Statistics(&[]), &InriaOptions::new(1.0, 10), 600, 7);
-        assert_eq!((report, s.len()), (DensityReport::default(), 0));
+        densify(&mut s, Statistics(&[]), &InriaOptions::new(1.0, 10), 600, 7);
+        assert_eq!(s.len(), 0);
     }
 }

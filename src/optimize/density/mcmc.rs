@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-use super::{DensityReport, Statistics};
+use super::Statistics;
 use crate::{
     optimize::{
         arrangement::Arrangement,
@@ -122,7 +122,7 @@ pub(in crate::optimize) fn relocate_and_add(
     options: &McmcOptions,
     iteration: u32,
     seed: u64,
-) -> DensityReport {
+) {
     let n = splats.len();
     assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
     // Of (k + 1)·n − 1 iterations any hold k whole epochs.
@@ -169,7 +169,6 @@ pub(in crate::optimize) fn relocate_and_add(
         epoch.weight.fill(0.0);
         epoch.iterations = 0;
     }
-    DensityReport { relocated: sources.len(), added: added.len(), ..DensityReport::default() }
 }
 
 /// Opacity and factor on the scale of each of `copies` splats at one place that together look like one of `opacity`
@@ -289,12 +288,18 @@ mod tests {
 
     const SEEN: [f32; 4] = [0.0, 2.0, 4.0, 1.0];
 
-    fn run(s: &mut Arrangement, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> (DensityReport, EpochWeight) {
+    fn run(s: &mut Arrangement, rows: &[[f32; 4]], options: &McmcOptions, seed: u64) -> EpochWeight {
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(rows), 100);
-        let report = relocate_and_add(s, &mut epoch, 50, options, 600, seed);
+        relocate_and_add(s, &mut epoch, 50, options, 600, seed);
         assert_eq!(s.first_non_finite(), None);
-        (report, epoch)
+        epoch
+    }
+
+    /// Of `before` splats at their places: how many are copies of others now, and how many have been added.
+    fn relocated_and_added(before: usize, s: &Arrangement) -> (usize, usize) {
+        let relocated = s.sources()[..before].iter().enumerate().filter(|(i, source)| source.splat() != *i).count();
+        (relocated, s.len() - before)
     }
 
     /// However much of all there is to see one of them shows.
@@ -355,8 +360,8 @@ mod tests {
             s.row_mut(i)[OPACITY] = logit(if i == 4 { 0.9 } else { 0.004 });
         }
         let before = s.clone();
-        let (report, _) = run(&mut s, &[SEEN; 10], &McmcOptions::new(n, false), 1);
-        assert_eq!(report, DensityReport { relocated: 9, ..DensityReport::default() });
+        run(&mut s, &[SEEN; 10], &McmcOptions::new(n, false), 1);
+        assert_eq!(relocated_and_added(n, &s), (9, 0));
         let (opacity, factor) = relocation(0.9, 10);
         let mean = |s: &Arrangement, i: usize| Vec3::from_slice(s.row(i)).as_dvec3();
         let center = (0..n).map(|i| mean(&s, i)).sum::<DVec3>() / n as f64;
@@ -407,18 +412,19 @@ mod tests {
     fn grows_by_a_twentieth_up_to_the_cap() {
         let mut s = arrangement(100);
         let before = s.clone();
-        let (report, epoch) = run(&mut s, &[SEEN; 100], &McmcOptions::new(103, false), 1);
-        assert_eq!(report, DensityReport { added: 3, ..DensityReport::default() });
-        assert_eq!((s.len(), epoch), (103, EpochWeight { weight: vec![0.0; 103], iterations: 0 }));
+        let epoch = run(&mut s, &[SEEN; 100], &McmcOptions::new(103, false), 1);
+        assert_eq!(relocated_and_added(100, &s), (0, 3));
+        assert_eq!(epoch, EpochWeight { weight: vec![0.0; 103], iterations: 0 });
         let moments = rearranged(&state(100, 0), &s).geometry_m;
         let untouched = (0..100).filter(|&i| s.row(i) == before.row(i) && moments[12 * i] != 0.0).count();
         assert!((97..100).contains(&untouched), "{untouched}");
-        let (report, _) = run(&mut s, &[SEEN; 103], &McmcOptions::new(1000, false), 1);
-        assert_eq!((report.added, s.len()), (5, 108));
-        let (report, _) = run(&mut s, &[SEEN; 108], &McmcOptions::new(50, false), 1);
-        assert_eq!((report.added, s.len()), (0, 108));
-        let report = run(&mut arrangement(5), &[SEEN; 5], &McmcOptions::new(50, false), 1).0;
-        assert_eq!(report.added, 1);
+        run(&mut s, &[SEEN; 103], &McmcOptions::new(1000, false), 1);
+        assert_eq!(s.len(), 108);
+        run(&mut s, &[SEEN; 108], &McmcOptions::new(50, false), 1);
+        assert_eq!(s.len(), 108);
+        let mut few = arrangement(5);
+        run(&mut few, &[SEEN; 5], &McmcOptions::new(50, false), 1);
+        assert_eq!(few.len(), 6);
     }
 
     /// In few steps faster than by a twentieth, in many no slower, and never more than twofold.
@@ -449,8 +455,8 @@ mod tests {
             s.row_mut(i)[SMOOTHING] = [0.01 * 3.0_f32.sqrt(), 0.0][i % 2];
         }
         s.row_mut(0)[SMOOTHING] = 1.0;
-        let (report, _) = run(&mut s, &vec![SEEN; n], &McmcOptions { growth: 1.5, ..McmcOptions::new(3000, false) }, 1);
-        assert_eq!((report.relocated, report.added), (1, 1000));
+        run(&mut s, &vec![SEEN; n], &McmcOptions { growth: 1.5, ..McmcOptions::new(3000, false) }, 1);
+        assert_eq!(relocated_and_added(n, &s), (1, 1000));
         let smoothed = (n..3000).filter(|&i| s.row(i)[SMOOTHING] > 0.0).count();
         // A ninth; five standard errors of a binomial distribution: 50.
         assert!((61..162).contains(&smoothed), "{smoothed}");
@@ -480,15 +486,16 @@ mod tests {
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&rows), 60);
         // Of 60 views in 60 iterations some may be in none, of 119 none.
-        let early = relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
-        assert_eq!(early, DensityReport::default());
+        relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
+        assert_eq!(relocated_and_added(8, &s), (0, 0));
         epoch.add(Statistics(&rows), 60);
-        let late = relocate_and_add(&mut s, &mut epoch, 60, &options, 660, 1);
-        assert_eq!(late, DensityReport { relocated: 2, ..DensityReport::default() });
+        relocate_and_add(&mut s, &mut epoch, 60, &options, 660, 1);
+        assert_eq!(relocated_and_added(8, &s), (2, 0));
         assert_ne!((s.row(2)[0], s.row(5)[0]), (2.0, 5.0));
         assert_eq!(epoch, EpochWeight { weight: vec![0.0; 8], iterations: 0 });
-        let (pure, _) = run(&mut arrangement(8), &rows, &McmcOptions::new(8, false), 1);
-        assert_eq!(pure, DensityReport::default());
+        let mut pure = arrangement(8);
+        run(&mut pure, &rows, &McmcOptions::new(8, false), 1);
+        assert_eq!(relocated_and_added(8, &pure), (0, 0));
     }
 
     #[test]
@@ -502,8 +509,8 @@ mod tests {
         // Five epochs of 60 views are in any 359 iterations.
         for (iterations, relocated) in [(300, 0), (59, 1)] {
             epoch.add(Statistics(&rows), iterations);
-            let report = relocate_and_add(&mut s, &mut epoch, 60, &of(0.2), 600, 1);
-            assert_eq!(report, DensityReport { relocated, ..DensityReport::default() });
+            relocate_and_add(&mut s, &mut epoch, 60, &of(0.2), 600, 1);
+            assert_eq!(relocated_and_added(8, &s), (relocated, 0));
         }
     }
 
@@ -516,8 +523,8 @@ mod tests {
         let options = McmcOptions { growth: 1.25, ..McmcOptions::new(5000, true) };
         let (mut s, mut epoch) = (arrangement(n), EpochWeight::default());
         epoch.add(Statistics(&rows), 60);
-        let report = relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
-        assert_eq!(report, DensityReport { added: 1000, ..DensityReport::default() });
+        relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
+        assert_eq!(relocated_and_added(n, &s), (0, 1000));
         let mut copies = [0; 4];
         (n..5000).for_each(|i| copies[s.row(i)[0].round() as usize % 4] += 1);
         // Five standard errors of a binomial distribution: 80.
@@ -525,12 +532,12 @@ mod tests {
         assert!((420..580).contains(&copies[0]), "{copies:?}");
         // Nothing was seen: all are alike.
         let mut s = arrangement(40);
-        let (report, _) = run(&mut s, &[[0.0; 4]; 40], &McmcOptions::new(50, true), 1);
-        assert_eq!(report, DensityReport::default(), "all are dead after an epoch");
+        run(&mut s, &[[0.0; 4]; 40], &McmcOptions::new(50, true), 1);
+        assert_eq!(relocated_and_added(40, &s), (0, 0), "all are dead after an epoch");
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&[[0.0; 4]; 40]), 60);
-        let report = relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
-        assert_eq!(report.added, 10);
+        relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
+        assert_eq!(s.len(), 50);
     }
 
     #[test]
@@ -549,10 +556,11 @@ mod tests {
     fn nothing_alive_or_nothing_at_all() {
         let mut s = arrangement(3);
         (0..3).for_each(|i| s.row_mut(i)[OPACITY] = -20.0);
-        let (report, _) = run(&mut s, &[SEEN; 3], &McmcOptions::new(100, false), 1);
-        assert_eq!((report, s.len()), (DensityReport::default(), 3));
-        let (report, _) = run(&mut Arrangement::default(), &[], &McmcOptions::new(100, true), 1);
-        assert_eq!(report, DensityReport::default());
+        run(&mut s, &[SEEN; 3], &McmcOptions::new(100, false), 1);
+        assert_eq!(relocated_and_added(3, &s), (0, 0));
+        let mut none = Arrangement::default();
+        run(&mut none, &[], &McmcOptions::new(100, true), 1);
+        assert_eq!(none.len(), 0);
         assert!(sigmoid(logit(1.0 - f32::EPSILON)) < 1.0, "the most opaque copy has a finite logit");
     }
 }

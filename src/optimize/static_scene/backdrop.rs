@@ -42,20 +42,21 @@ impl Run<'_> {
     /// Only views count that see all corners of a triangle past the rest.
     pub(super) fn painted(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
         let is_far = |t: &[u32; 3]| self.is_of_shell(&mesh, t);
-        let near: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
-        let bvh = MeshBvh::new([(mesh.positions(), near.as_slice())]);
+        let rest: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
+        let bvh = MeshBvh::new([(mesh.positions(), rest.as_slice())]);
         let base = mesh.atlas().base();
         let mut faces: Vec<Face> = (mesh.triangles().iter().zip(mesh.corner_uvs()))
             .filter(|(t, _)| is_far(t))
             .map(|(t, uvs)| Face::new(t.map(|v| mesh.positions()[v as usize].as_dvec3()), *uvs, base.width()))
             .collect();
-        let exposures = self.exposures.as_ref();
+        let (exposures, near) = (self.exposures.as_ref(), f64::from(self.near));
         for i in self.views(false) {
             let view = &self.capture.views[i];
             let photo = self.photos.whole(view)?;
             let camera = &self.cameras[i];
             let color = |rgb| exposures.map_or(rgb, |exposures| exposures.undo(i, rgb));
-            faces.par_iter_mut().for_each(|face| face.add(camera, &photo, &bvh, color));
+            let is_seen = |face: &&mut Face| face.corners.iter().all(|p| Shell::is_seen(camera, *p, &bvh, near));
+            faces.par_iter_mut().filter(is_seen).for_each(|face| face.add(camera, &photo, color));
         }
         let mut texels = base.texels().to_vec();
         for inside in [false, true] {
@@ -97,10 +98,7 @@ impl Face {
         Self { corners, spots }
     }
 
-    fn add(&mut self, camera: &Camera, photo: &Photo, near: &MeshBvh, color: impl Fn([f32; 3]) -> [f32; 3]) {
-        if self.corners.iter().any(|p| !Shell::is_seen(camera, *p, near)) {
-            return;
-        }
+    fn add(&mut self, camera: &Camera, photo: &Photo, color: impl Fn([f32; 3]) -> [f32; 3]) {
         for spot in &mut self.spots {
             let Some(rgb) = sample(photo, camera.project(camera.to_camera(spot.position))) else { continue };
             let rgb = color(rgb);

@@ -42,7 +42,7 @@ impl Run<'_> {
     /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
     fn textured(&self, training: &Training, surface: Surface) -> Result<Mesh, TrainError> {
         let surface = match &self.shell {
-            Some(shell) => match shell.around_surface(surface.clone(), &self.train_cameras) {
+            Some(shell) => match shell.around_surface(surface.clone(), &self.train_cameras, f64::from(self.near)) {
                 // All of it is far away, and no two views see the same part of the shell.
                 both if both.triangles.is_empty() => surface,
                 both => both,

@@ -103,6 +103,8 @@ impl Run<'_> {
             done += 1;
             let mut stop = self.session.stop.load(Ordering::Relaxed);
             let reports = self.reports_after(plan, done) || stop;
+            // After the last iteration of all there is nothing to stop, nor to go on from.
+            let is_last = done == plan.iterations && plan.phase == Phase::Joint;
             // Also at the end of a phase: what follows takes minutes, and writes files that may not fit on the disk.
             let ends = done == plan.iterations && self.options.checkpoint_every > 0;
             let saves = stop || ends || is_due(done, self.options.checkpoint_every);
@@ -131,13 +133,12 @@ impl Run<'_> {
                 let written = saved.write(path, &self.identity);
                 // Scores at the end of a phase take long enough for somebody to stop it there, and what follows longer.
                 stop |= ends && self.session.stop.load(Ordering::Relaxed);
-                // That of an end nobody has asked for: where there is no room for it, there may be for the scene.
-                if stop || is_due(done, self.options.checkpoint_every) {
+                // Not of the last iteration, or of an end nobody has asked for: where there is no room for it, there may be for the scene.
+                if !is_last && (stop || is_due(done, self.options.checkpoint_every)) {
                     written?;
                 }
             }
-            // After the last iteration of all there is nothing to stop.
-            if stop && (done < plan.iterations || plan.phase != Phase::Joint) {
+            if stop && !is_last {
                 return Ok(Outcome::Interrupted);
             }
         }

@@ -371,6 +371,29 @@ fn a_stop_at_the_end_of_a_phase_is_heeded_there() {
     assert_eq!(Checkpoint::read(&path).unwrap().meta["phase"], serde_json::to_value(Phase::Surface).unwrap());
 }
 
+/// Where a disk has no room for a checkpoint it may have for the scene, which is all that the last iteration leaves to do.
+#[test]
+fn the_last_checkpoint_may_fail() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("missing/checkpoint");
+    let outcome = |iterations: u32, checkpoint_every: u32, stop_after: u32| {
+        let stop = AtomicBool::new(false);
+        let progress = &mut |p: &Progress| stop.store(p.iteration == stop_after, Ordering::Relaxed);
+        let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, false), stop: &stop, progress };
+        let options = TrainOptions { iterations, checkpoint_every, ..options() };
+        train(&capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
+    };
+    // One that is due, also where the run is stopped after it, and one that is asked for in the last iteration.
+    for (iterations, every, stop_after) in [(10, 10, 0), (10, 10, 10), (11, 0, 10)] {
+        let outcome = outcome(iterations, every, stop_after).unwrap();
+        assert_eq!(outcome, Outcome::Finished, "{iterations}, {every}, {stop_after}");
+    }
+    for (every, stop_after) in [(10, 0), (0, 10)] {
+        assert!(matches!(outcome(20, every, stop_after), Err(TrainError::Checkpoint(_))), "{every}, {stop_after}");
+    }
+    assert!(!path.exists());
+}
+
 /// Nor do maps that have no room for its charts end the run.
 #[test]
 fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {

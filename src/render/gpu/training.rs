@@ -15,7 +15,7 @@ use super::{
     pose::{PoseState, PoseStep, Poses},
     rows::{RowGather, Rows, Source},
     smoothing::Smoothing,
-    splats::{GEOMETRY, SplatBuffers, longer_list},
+    splats::{GEOMETRY, SplatBuffers, longer_list, longest_list},
     state::SplatState,
     status::{ListCheck, Status, status_buffer},
     texels::TexelStep,
@@ -118,6 +118,11 @@ impl<'g> Training<'g> {
     /// As [`Front::list_lengths`].
     pub(crate) fn list_lengths(&self) -> [usize; 2] {
         self.pipeline.front.list_lengths()
+    }
+
+    /// `Front::list_lengths` of a run on another adapter, as far as this one binds such.
+    pub(crate) fn bindable(&self, lengths: [usize; 2]) -> [usize; 2] {
+        lengths.map(|length| length.min(longest_list(self.gpu)))
     }
 
     /// For a scene seen by `cameras`.

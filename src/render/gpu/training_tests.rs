@@ -242,6 +242,20 @@ fn depths_are_those_of_the_first_that_hides_half() {
     }
 }
 
+/// A checkpoint has those of the adapter that it was written on.
+#[test]
+fn lists_of_another_adapter_are_as_long_as_this_one_binds() {
+    let gpu = Gpu::open(None).unwrap().binding_at_most(256 << 10);
+    let near = camera(3.0).resized(64, 64);
+    let mut training = Training::new(&gpu, &scene(4, 1), &[near], 0.2).unwrap();
+    let longest = (256 << 10) / 8;
+    assert_eq!(training.bindable([usize::MAX, 7]), [longest, 7]);
+    training.lengthen_lists(training.bindable([usize::MAX; 2])).unwrap();
+    assert_eq!(training.list_lengths(), [longest; 2]);
+    step(&mut training, &near);
+    assert_eq!(training.grow_if_short().unwrap(), 0);
+}
+
 /// Pictures do not depend on the lists: what the last step left of them stays, and is not made anew.
 #[test]
 fn longer_lists_leave_pictures_alone() {
