@@ -3,7 +3,7 @@
 //
 // The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one
 // atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin. A thread takes no more rows of a triangle than
-// have MOST_BINS bins of the picture.
+// have MOST_BINS bins of the picture, unless that were more threads than can be numbered.
 
 //#import shared/view.wgsl
 //#import shared/workgroup_scan.wgsl
@@ -24,9 +24,10 @@ fn bins() -> vec2u {
     return (view.size + BIN - 1u) / BIN;
 }
 
-// Threads that share out the rows of a triangle.
+// Threads that share out the rows of a triangle, as `binning_shares` in render/gpu/mesh.rs says.
 fn shares() -> u32 {
-    return (bins().x * bins().y + MOST_BINS - 1u) / MOST_BINS;
+    let wanted = (bins().x * bins().y + MOST_BINS - 1u) / MOST_BINS;
+    return max(min(wanted, MOST_BINNING_THREADS / max(view.n_triangles, 1u)), 1u);
 }
 
 fn bin_at(packed: u32) -> vec2u {

@@ -27,7 +27,7 @@ struct Step {
 @group(0) @binding(6) var<storage, read> normals: array<vec4f>;         // [V]
 @group(0) @binding(7) var<storage, read_write> positions: array<f32>;   // [V, 3], world
 @group(0) @binding(8) var<storage, read_write> status: Status;
-@group(0) @binding(9) var<storage, read> peaks: array<u32>;
+@group(0) @binding(9) var<storage, read> peaks: array<u32>;             // see fixed_point.wgsl
 
 @compute @workgroup_size(256)
 fn start(

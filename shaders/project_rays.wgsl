@@ -13,7 +13,7 @@
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(2) var<storage, read> sh: array<f32>;
-// 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [squares, radius], [colour, 0].
+// 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [squares, 0], [colour, 0].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible: array<u32>;
@@ -96,7 +96,7 @@ fn main(
 //#end
     let least = max(t.z - (1.0 + ROUNDING) * sqrt(depth_variance) - ROUNDING * t.z, view.near);
     projected[3u * i] = vec4f(center, least, g.opacity);
-    projected[3u * i + 1u] = vec4f(squares, max(e.extent.x, e.extent.y));
+    projected[3u * i + 1u] = vec4f(squares, 0.0);
     projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 0.0);
     tile_count[i] = count;
     visible[i] = 1u;

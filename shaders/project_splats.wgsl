@@ -6,12 +6,12 @@
 //#import shared/projection.wgsl
 //#import shared/tile_rows.wgsl
 //#import shared/sh.wgsl
+//#import shared/sh_coefficients.wgsl
 //#import shared/random.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
-@group(0) @binding(2) var<storage, read> sh: array<f32>;
-// 3 per splat: [centre, depth, opacity], [squares, radius], [colour, disparity].
+// 3 per splat: [centre, depth, opacity], [squares, 0], [colour, disparity].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible: array<u32>;
@@ -49,15 +49,15 @@ fn main(
 
     let basis = sh_basis(normalize(g.mean - view.center));
     let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
-    let first = i * 3u * SH_TERMS;
+    let coefficients = sh_coefficients(i, active_terms);
     var color = vec3f(0.5);
 //#for k in 0..SH_TERMS
     if $ku < active_terms {
-        color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
+        color += basis[$k] * vec3f(coefficients[3u * $ku], coefficients[3u * $ku + 1u], coefficients[3u * $ku + 2u]);
     }
 //#end
     projected[3u * i] = vec4f(p.center, p.t.z, p.opacity);
-    projected[3u * i + 1u] = vec4f(p.squares, max(e.extent.x, e.extent.y));
+    projected[3u * i + 1u] = vec4f(p.squares, 0.0);
     projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 1.0 / p.t.z);
     tile_count[i] = count;
     visible[i] = 1u;

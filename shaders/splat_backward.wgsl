@@ -6,18 +6,12 @@
 //#import shared/projection.wgsl
 //#import shared/blend.wgsl
 //#import shared/sh.wgsl
+//#import shared/sh_coefficients.wgsl
 //#import shared/sh_gradient.wgsl
 //#import shared/status.wgsl
 
-//#if FOURS
-alias Floats = vec4f;                   // of SH: a splat's begin at multiples of four
-//#else
-alias Floats = f32;
-//#end
-
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
-@group(0) @binding(2) var<storage, read> sh: array<Floats>;
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read> visible: array<u32>;
 @group(0) @binding(5) var<storage, read> moments: array<f32>;
@@ -59,18 +53,7 @@ fn main(
     let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
     g_color = select(vec3f(0.0), g_color, projected[3u * i + 2u].xyz > vec3f(0.0));
     // Its coefficients, then what the loss asks of each.
-    var coefficients: array<f32, 3u * SH_TERMS>;
-//#for l in 0..SH_LOADS
-//#if FOURS
-    let loaded$l = sh[first + $lu];
-    coefficients[4u * $lu] = loaded$l.x;
-    coefficients[4u * $lu + 1u] = loaded$l.y;
-    coefficients[4u * $lu + 2u] = loaded$l.z;
-    coefficients[4u * $lu + 3u] = loaded$l.w;
-//#else
-    coefficients[$l] = sh[first + $lu];
-//#end
-//#end
+    var coefficients = sh_coefficients(i, SH_TERMS);
     var g_direction = vec3f(0.0);
 //#for k in 0..SH_TERMS
     {

@@ -2,7 +2,7 @@
 // of a layer.
 //
 // ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
-// times its trilinear weight, also at coarse levels; pull_mips and adam_texels hand those down to level 0. No gradient
+// times its trilinear weight, also at coarse levels; adam_texels hands those down to level 0. No gradient
 // flows to uv, mip level or direction.
 //
 // Neighbours see the same texels, those of the bands above all. So a subgroup takes the texels that its fragments see one by one,
@@ -37,7 +37,7 @@ fn backward(
     if all(at < view.size) {
         let i = (layer * view.size.y + at.y) * view.size.x + at.x;
         triangle = layer_triangle[i];
-        if triangle != 0u { g = fragment_gradient(i, fixed_scale(peaks[0])); }
+        if triangle != 0u { g = fragment_gradient(i, fixed_scale(map_peak(peaks[0], peaks[2], peaks[3]))); }
     }
     let is_seen = any(g != vec4f(0.0));
 //#if SUBGROUPS

@@ -34,7 +34,7 @@ fn backward(
     let layer = strip / strips;
     let top = (strip - layer * strips) * DOWN;
     if layer >= LAYERS { return; }
-    let scale = fixed_scale(peaks[0]);
+    let scale = fixed_scale(map_peak(peaks[0], peaks[2], peaks[3]));
 
     // By level (finer, coarser) and place of the footprint: the texel held there, as an index of floats, and its sum.
     //#for l in 0..2

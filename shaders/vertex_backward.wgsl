@@ -8,7 +8,7 @@
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [L, h, w], index + 1
 @group(0) @binding(2) var<storage, read> layer_gradient: array<vec4f>;  // [L, h, w]: of the triangle's vertices
 @group(0) @binding(3) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]; w: vertex
-@group(0) @binding(4) var<storage, read> peaks: array<u32>;             // of maps; largest of layer_gradient
+@group(0) @binding(4) var<storage, read> peaks: array<u32>;             // see fixed_point.wgsl
 @group(0) @binding(5) var<storage, read_write> vertex_gradient: array<atomic<u32>>;   // [V, 2], see fixed_point.wgsl
 
 @compute @workgroup_size(256)

@@ -26,7 +26,7 @@ const GROUPS: [(&str, &[&str]); 10] = [
     ("loss", &["loss", "loss_serial"]),
     (BACKWARD, &["blend_backward"]),
     ("splat backward", &["sum_moments", "splat_backward"]),
-    ("mesh backward", &["gradient_peak", "texel_backward", "texel_backward_serial", "pull_mips"]),
+    ("mesh backward", &["gradient_peak", "texel_backward", "texel_backward_serial"]),
     ("Adam, splats", &["adam_splats"]),
     ("Adam, texels", &["adam_texels", "build_mips"]),
 ];

@@ -2,12 +2,26 @@
 // The view's largest gradient of a fragment is FIXED_ONE units: 2,047 terms of that size fit, and what is 2⁻²¹ of it or less is
 // lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels that pull alike and as hard as the one that pulls most fit. A
 // texel of the bands, which are a quarter as wide, has 16 times the pixels: its terms are in units that are 8 times as large. Where more pixels see
-// one texel than that leaves room for, before a wall in a coarse map or where all corners of a triangle have one place there, units are larger
-// by as much (`gradient_peak.wgsl`). A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
+// one texel than that leaves room for, before a wall in a coarse map or where all corners of triangles have one place there, units are larger
+// by as much (`map_peak`). A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
 // one way: its sums have 64 bits, in two words, the low one first, and hold 2⁴³ terms of any size.
 
 const FIXED_ONE: f32 = 1048576.0;
 const BAND_UNIT: f32 = 8.0;
+
+// Pixels of a texel of the base map, of one that bands have, up to which their sum has room several times over:
+// each layer and each chart that lies on the same texel adds its own. A fragment is crowded if its texel has more.
+const CROWD: f32 = 1024.0;
+const BAND_CROWD: f32 = 2048.0;
+
+// Words of `peaks`, which `gradient_peak` leaves: 0, bits of the largest gradient of a fragment by what it sees of the map; 1, by its vertices;
+// 2, as 0, each times the pixels of its texel by those that there is room for; 3, how many fragments are crowded. FIXED_ONE units of the maps
+// are, bits again, the largest gradient, or more where crowded fragments see one texel: as many as each of them says of its own, and no more
+// than there are.
+fn map_peak(largest: u32, largest_crowded: u32, n_crowded: u32) -> u32 {
+    let of_all = bitcast<u32>(bitcast<f32>(largest) * (f32(n_crowded) / CROWD));
+    return max(largest, min(largest_crowded, of_all));
+}
 
 // Units per 1, by the bits of the largest term.
 fn fixed_scale(peak: u32) -> f32 {

@@ -3,7 +3,7 @@
 
 @group(0) @binding(5) var<storage, read> layer_color: array<vec4f>;     // [LAYERS, h, w]: rgb, alpha
 @group(0) @binding(6) var<storage, read> layer_gradient: array<vec4f>;  // [LAYERS, h, w]: of the loss by these
-@group(0) @binding(7) var<storage, read> peaks: array<u32>;             // largest of layer_gradient; of vertices
+@group(0) @binding(7) var<storage, read> peaks: array<u32>;             // see fixed_point.wgsl
 //#import shared/fixed_add.wgsl with TARGET=base_gradient BINDING=8
 //#if BANDS
 //#import shared/fixed_add.wgsl with TARGET=band_gradient BINDING=9

@@ -29,11 +29,3 @@ fn divide(i: u32, d: u32) -> vec2u {
     let step = select(0, 1, rest >= i32(d)) - select(0, 1, rest < 0);
     return vec2u(u32(quotient + step), u32(rest - step * i32(d)));
 }
-
-// The float of the next coarser level that float i of this level is averaged into.
-fn parent_of(map: Map, level: u32, i: u32) -> u32 {
-    let texel = divide(i, map.channels);                    // index, channel
-    let at = divide(texel.x, map.width >> level);           // row, column
-    let parent = at.x / 2u * (map.width >> (level + 1u)) + at.y / 2u;
-    return level_offset(map, level + 1u) + parent * map.channels + texel.y;
-}

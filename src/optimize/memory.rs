@@ -13,8 +13,8 @@ use crate::{
 /// Most bytes of photographs that stay on the adapter.
 const MOST_KEPT: u64 = 1 << 30;
 
-/// Error if the run would end for lack of memory once it has `max_splats`, as far as that can be told: longer lists, which are there beside the
-/// old ones while they take their place, are not counted. Else the bytes of photographs that may stay on the adapter: those of all cameras, or
+/// Error if the run would end for lack of memory once it has `max_splats`, as far as that can be told: lists that views with more pairs than there
+/// is room for at first make longer are not counted. Else the bytes of photographs that may stay on the adapter: those of all cameras, or
 /// [`MOST_KEPT`] of them, where half as much again as the run asks for is free beside them.
 ///
 /// # Errors

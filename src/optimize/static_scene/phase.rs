@@ -21,7 +21,7 @@ use crate::{
         adam::AdamStep,
         exposure::ExposureStep,
         texels::TexelStep,
-        training::{Show, Step, Training},
+        training::{Look, Show, Step, Training},
         vertices::VertexState,
         view::Dropout,
     },
@@ -108,13 +108,16 @@ impl Run<'_> {
             // Also at the end of a phase: what follows takes minutes, and writes files that may not fit on the disk.
             let ends = done == plan.iterations && self.options.checkpoint_every > 0;
             let saves = stop || ends || is_due(done, self.options.checkpoint_every);
+            let mut seen = None;
             if reports || saves || self.looks_after(plan, done) {
-                let again = training.grow_if_short()?;
+                let look = training.look()?;
+                let again = look.status.skipped;
                 if again > 0 {
                     done = done.saturating_sub(again).max(plan.from);
                     self.log.take_back(again, plan.phase, begin);
                     continue;
                 }
+                seen = Some(look);
             }
             self.log.reached = (plan.phase, done);
             self.after_step(training, plan, epoch, most, done)?;
@@ -123,8 +126,8 @@ impl Run<'_> {
                 self.session.gpu.wait()?;
             }
             self.log.count(plan.phase, begin);
-            if reports {
-                self.report(training, plan, done)?;
+            if reports && let Some(look) = seen {
+                self.report(training, plan, done, look)?;
             }
             if saves && let Some(path) = self.session.checkpoints.file() {
                 let found = self.found.clone();
@@ -294,8 +297,8 @@ impl Run<'_> {
         order[(age % n) as usize]
     }
 
-    fn report(&mut self, training: &mut Training, plan: &Plan, done: u32) -> Result<(), TrainError> {
-        let (values, status) = (training.loss()?, training.status()?);
+    fn report(&mut self, training: &mut Training, plan: &Plan, done: u32, look: Look) -> Result<(), TrainError> {
+        let Look { status, loss: values } = look;
         let weight = f64::from(self.options.ssim_weight);
         let loss = (1.0 - weight) * values.l1 + weight * (1.0 - values.ssim);
         if !loss.is_finite() || status.not_finite.is_some() {

@@ -5,7 +5,7 @@ use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     front::Front,
     pipeline::Pipeline,
-    splats::GEOMETRY,
+    splats::{GEOMETRY, with_sh},
     view::View,
 };
 use crate::scene::sh;
@@ -151,13 +151,7 @@ fn of_splats(
     Besides { absolute, by_pose }: Besides,
 ) -> Stage {
     let Front { view, splats, lists, .. } = &pipeline.front;
-    let terms = sh::coefficients(splats.sh_degree) as u32;
-    let fours = (3 * terms).is_multiple_of(4);
-    let defines = gpu
-        .defines()
-        .with("SH_TERMS", terms)
-        .with("FOURS", u32::from(fours))
-        .with("SH_LOADS", if fours { 3 * terms / 4 } else { 3 * terms })
+    let defines = with_sh(gpu.defines(), splats.sh_degree)
         .with("MOMENTS", moments(absolute) as u32)
         .with("ABSOLUTE", u32::from(absolute))
         .with("POSES", u32::from(by_pose));

@@ -82,16 +82,23 @@ impl Front {
     /// # Errors
     /// If the driver failed or the adapter cannot hold longer lists.
     pub(crate) fn grow_if_short(&mut self, gpu: &Gpu) -> Result<bool, GpuError> {
+        let needed = self.needed_lengths(gpu)?;
+        self.lengthen_lists(gpu, self.longer_lists(gpu, needed))
+    }
+
+    /// Entries that lists as of [`Self::list_lengths`] would have held in the last frame. Waits for it.
+    ///
+    /// # Errors
+    /// If the driver failed.
+    pub(crate) fn needed_lengths(&self, gpu: &Gpu) -> Result<[usize; 2], GpuError> {
         let (_, pairs) = self.lists.read_counts(gpu)?;
-        let mesh_grew = match &mut self.mesh {
-            Some(mesh) => mesh.grow_if_short(gpu, &self.view)?,
-            None => false,
-        };
-        let short = pairs > self.lists.pairs.capacity();
-        if short {
-            self.renew_lists(gpu, longer_list(gpu, pairs))?;
-        }
-        Ok(short || mesh_grew)
+        Ok([pairs, self.mesh.as_ref().map_or(Ok(0), |mesh| mesh.pairs_needed(gpu))?])
+    }
+
+    /// How long lists become of which so many entries are needed: 0 where they are long enough.
+    pub(crate) fn longer_lists(&self, gpu: &Gpu, needed: [usize; 2]) -> [usize; 2] {
+        let lengths = self.list_lengths();
+        [0, 1].map(|i| if needed[i] > lengths[i] { longer_list(gpu, needed[i]) } else { 0 })
     }
 
     /// Entries that the lists of (tile, splat) and (bin, triangle) pairs hold.

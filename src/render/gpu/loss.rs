@@ -36,6 +36,14 @@ pub(crate) struct LossValues {
     pub(crate) ssim: f64,
 }
 
+impl LossValues {
+    /// Of what [`Loss::means`] says of each tile.
+    pub(crate) fn of(means: &[[f32; 2]]) -> Self {
+        let sum = |i: usize| means.iter().map(|mean| f64::from(mean[i])).sum();
+        Self { l1: sum(1), ssim: sum(0) }
+    }
+}
+
 /// L1 + D-SSIM (Kerbl et al. 2023, eq. 7).
 pub(crate) struct Loss {
     forward: Stage,
@@ -102,14 +110,18 @@ impl Loss {
         take(frame, &self.backward, self.n_tiles);
     }
 
+    /// What the last frame's [`LossValues`] are made of, and how many elements.
+    pub(crate) fn means(&self) -> (&Buffer, usize) {
+        (&self.means, self.n_tiles)
+    }
+
     /// The values of the last frame. Waits for it.
     ///
     /// # Errors
     /// If the driver failed.
+    #[cfg(test)]
     pub(crate) fn read(&self, gpu: &Gpu) -> Result<LossValues, GpuError> {
-        let parts: Vec<[f32; 2]> = gpu.read(&self.means, self.n_tiles)?;
-        let sum = |i: usize| parts.iter().map(|p| f64::from(p[i])).sum();
-        Ok(LossValues { l1: sum(1), ssim: sum(0) })
+        Ok(LossValues::of(&gpu.read::<[f32; 2]>(&self.means, self.n_tiles)?))
     }
 }
 

@@ -7,11 +7,11 @@ use super::{
     memory::{TrainingSize, training_bytes},
     rows::Source,
     splats::GEOMETRY,
-    training::Training,
+    training::{Show, Training},
     vertices::VertexState,
 };
 use crate::render::contract::{ImageModel, ShDirection};
-use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
+use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, SplatArrays, Splats, Texture};
 
 const SH_DEGREE: u32 = 3;
 const SH_TERMS: f64 = 16.0;
@@ -113,28 +113,44 @@ fn growing_takes_what_the_larger_buffers_take() {
     assert!((0.99..1.01).contains(&(grown / made)), "{grown} bytes, not {made}");
 }
 
-/// Pairs of longer lists do not lie beside those before, neither when they grow nor when there are more splats for them.
+/// Pairs of longer lists do not lie beside those before, neither when they grow, for a step or for a picture, nor when there are more splats
+/// for them.
 #[test]
 fn longer_lists_take_what_they_hold() {
     let (before, after) = (20_000, 35_000);
     let pairs = 30 * before;
-    let with_pairs = |n: usize| {
+    let with_pairs = |n: usize, pairs: usize| {
         let more = pairs as f64 - 1.5 * 6.0 * n as f64;
         peak(n, 64, 64, Kind::Training) + TRAINING_PAIRS / 6.0 * more
     };
-    let (scene, camera) = seen(before, 64, 64);
+    // What lists and blend hold of each splat does, for a moment: 84 and 40 bytes, and four per layer.
+    let twice = 1.5 * (124.0 + 4.0 * f64::from(LAYERS)) * before as f64;
+    let (mut scene, camera) = seen(before, 64, 64);
+
+    // Before all of the picture's 16 tiles: 320,000 pairs, where there is room for 180,000.
+    let splats = scene.splats.clone().into_arrays();
+    let wide = SplatArrays { log_scales: vec![Vec3::ZERO; before], ..splats }.check().unwrap();
+    let narrow = std::mem::replace(&mut scene.splats, wide);
+    let gpu = Gpu::open(None).unwrap();
+    let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+    training.render(&camera, [0.0; 3], Show::SplatsAlone).unwrap();
+    let longer = training.list_lengths()[0];
+    assert_eq!(longer, 480_000, "half as many again as the picture needs");
+    let (found, stated) = (gpu.peak_bytes() as f64, with_pairs(before, longer) + twice);
+    assert!((0.99..1.01).contains(&(found / stated)), "{found} bytes, not {stated}");
+    drop(training);
+    scene.splats = narrow;
+
     let gpu = Gpu::open(None).unwrap();
     let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
     training.lengthen_lists([pairs, 0]).unwrap();
-    // What lists and blend hold of each splat does, for a moment: 84 and 40 bytes, and four per layer.
-    let twice = 1.5 * (124.0 + 4.0 * f64::from(LAYERS)) * before as f64;
-    let (found, stated) = (gpu.peak_bytes() as f64, with_pairs(before) + twice);
+    let (found, stated) = (gpu.peak_bytes() as f64, with_pairs(before, pairs) + twice);
     assert!((0.99..1.01).contains(&(found / stated)), "{found} bytes, not {stated}");
 
     let sources: Vec<Source> = (0..after).map(|i| Source::new(i % before)).collect();
     training.rearrange(&vec![0.0; after * GEOMETRY], &sources).unwrap();
     assert_eq!(training.list_lengths()[0], pairs, "they are as long as they were");
-    let (grown, stated) = (gpu.peak_bytes() as f64, with_pairs(after));
+    let (grown, stated) = (gpu.peak_bytes() as f64, with_pairs(after, pairs));
     assert!((0.99..1.01).contains(&(grown / stated)), "{grown} bytes, not {stated}");
 }
 

@@ -2,12 +2,11 @@
 //! back from the gradient of these to the texels.
 //!
 //! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.
-//! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters) → `pull_mips`; then `adam_texels` → `build_mips`. Without meshes nothing is
-//! dispatched.
+//! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters); then `adam_texels` → `build_mips`. Without
+//! meshes nothing is dispatched.
 
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;
-use super::splats::longer_list;
 #[cfg(test)]
 use super::texels::AtlasGradient;
 use super::texels::{PEAK_FRAGMENTS, TexelStep, Texels, peak_kernel};
@@ -98,6 +97,15 @@ fn most_bins(gpu: &Gpu) -> usize {
     gpu.loop_passes().map_or(4096, |passes| passes / 4 * 3)
 }
 
+/// Most threads that go through the bins of triangles. They are numbered by 32 bits, with those that fill up the last row of a dispatch.
+const MOST_BINNING_THREADS: usize = 1 << 31;
+
+/// Threads that share out the rows of each triangle, `most_bins` of a picture's bins to each. Of very many triangles in a very large picture
+/// fewer, with more bins to each: software adapters, where that may be too many ([`Gpu::loop_passes`]), bind no list of so many triangles.
+pub(super) fn binning_shares(triangles: usize, bins: usize, most_bins: usize) -> usize {
+    bins.div_ceil(most_bins).min(MOST_BINNING_THREADS / triangles.max(1)).max(1)
+}
+
 /// Bins of a picture.
 fn bins(k: &Intrinsics) -> usize {
     k.width.div_ceil(BIN) as usize * k.height.div_ceil(BIN) as usize
@@ -163,6 +171,7 @@ impl Kernels {
             .with("DOWN", down)
             .with("BIN", BIN)
             .with("MOST_BINS", most_bins(gpu) as u32)
+            .with("MOST_BINNING_THREADS", MOST_BINNING_THREADS as u32)
             .with("PER_THREAD", per_thread)
             .with("THREADS", BIN * BIN / per_thread);
         let kernel = |file, entry| Kernel::new(gpu, file, entry, &defines);
@@ -236,25 +245,17 @@ impl MeshStage {
             let (_, [w, h], threads) = texel_backward(gpu);
             let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
             (bound.bins, bound.fragments, bound.texel_threads) = (bins(k), layers * k.pixels(), layers * of_layer);
-            bound.binning_threads = self.n_triangles * bins(k).div_ceil(most_bins(gpu));
+            bound.binning_threads = self.n_triangles * binning_shares(self.n_triangles, bins(k), most_bins(gpu));
         }
         Ok(grew)
     }
 
-    /// Enlarges the list of (bin, triangle) pairs if a frame since the last call needed more than it holds: that
-    /// frame lacked triangles and should be rendered again. Waits for the adapter; meant for every few hundred frames.
+    /// Most (bin, triangle) pairs that a frame needed so far: one that needed more than there was room for lacks triangles. Waits.
     ///
     /// # Errors
-    /// If the driver failed or the list exceeds what the adapter binds.
-    pub(crate) fn grow_if_short(&mut self, gpu: &Gpu, view_uniform: &Buffer) -> Result<bool, GpuError> {
-        if self.bound.is_none() {
-            return Ok(false);
-        }
-        let needed = gpu.read::<u32>(&self.geometry.pairs_needed, 1)?[0] as usize;
-        if needed <= self.screen.capacity {
-            return Ok(false);
-        }
-        self.lengthen(gpu, view_uniform, longer_list(gpu, needed))
+    /// If the driver failed.
+    pub(crate) fn pairs_needed(&self, gpu: &Gpu) -> Result<usize, GpuError> {
+        Ok(gpu.read::<u32>(&self.geometry.pairs_needed, 1)?[0] as usize)
     }
 
     /// Pairs that fit.
@@ -420,7 +421,6 @@ impl MeshStage {
         self.texels.record_zero_gradients(frame);
         frame.dispatch_threads(peak, groups(*fragments, PEAK_FRAGMENTS));
         frame.dispatch_threads(texels, *texel_threads);
-        self.texels.record_pull(frame);
     }
 
     /// Gradients of free vertices from `layer_gradient`, which is used up, and the maps as they were rendered; after `record_backward`.

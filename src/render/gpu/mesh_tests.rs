@@ -3,7 +3,7 @@
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3};
 
 use super::device::{Buffer, Frame, Gpu, Timer};
-use super::mesh::{BIN, MeshStage};
+use super::mesh::{BIN, MeshStage, binning_shares};
 use super::status::status_buffer;
 use super::texels::TexelStep;
 use super::view::{VIEW_WORDS, View};
@@ -313,10 +313,30 @@ fn a_short_pair_list_grows() {
     let meshes = [Mesh::new(positions.collect(), triangles, uvs, atlas(&mut random, 0, 16)).unwrap()];
     let view = view(96, 64, DMat3::IDENTITY, 4, &meshes);
     let mut rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, false);
-    assert!(rig.stage.grow_if_short(&rig.gpu, &rig.uniform).unwrap());
+    let needed = rig.stage.pairs_needed(&rig.gpu).unwrap();
+    assert!(rig.stage.lengthen(&rig.gpu, &rig.uniform, needed).unwrap());
     rig.forward(&view);
-    assert!(!rig.stage.grow_if_short(&rig.gpu, &rig.uniform).unwrap());
+    assert_eq!(rig.stage.pairs_needed(&rig.gpu).unwrap(), needed);
+    assert!(!rig.stage.lengthen(&rig.gpu, &rig.uniform, needed).unwrap());
     rig.check(&view, &meshes, "after growing");
+}
+
+/// Numbers of threads do not come round to 0, in whichever rows they are dispatched: twice they would touch one bin of a triangle, and others never.
+#[test]
+fn threads_that_go_through_bins_can_be_numbered() {
+    let (large, most_bins, row) = (1920 * 1080, 4096, 65_535 * 256);
+    assert_eq!(binning_shares(1000, large, most_bins), 507);
+    assert_eq!(binning_shares(0, large, most_bins), 507);
+    assert_eq!(binning_shares(10, 1, most_bins), 1);
+    for triangles in [8_000_000, 8_470_001, 20_000_000, 80_000_000, usize::MAX] {
+        let shares = binning_shares(triangles, large, most_bins);
+        assert!(shares >= 1);
+        // No buffer has more triangles than that.
+        if triangles <= 80_000_000 {
+            let numbered = (triangles * shares).next_multiple_of(row);
+            assert!(numbered <= 1 << 32, "{triangles} triangles, {shares} shares: {numbered} threads");
+        }
+    }
 }
 
 /// The same surface with vertices of their own for each triangle.

@@ -109,21 +109,20 @@ impl Pipeline {
         })
     }
 
-    /// Median depth of the splats alone in a view, `[h·w]`, 0 where there is none; `None` if lists were too short for it and are longer now:
-    /// bind them anew wherever they are bound, and ask again.
-    pub(crate) fn median_depth(&mut self, gpu: &Gpu, camera: &Camera) -> Result<Option<Vec<f32>>, GpuError> {
-        let (view, renewed) = self.prepare(gpu, camera)?;
-        if renewed {
-            return Ok(None);
-        }
+    /// Median depth of the splats alone, `[h·w]`, 0 where there is none, in a view that all is bound for, as after a frame: not all of it where lists
+    /// were too short. Does not wait.
+    ///
+    /// # Errors
+    /// If the adapter has no memory left.
+    pub(crate) fn submit_median_depth(&self, gpu: &Gpu, view: &View) -> Result<Buffer, GpuError> {
         let depth = gpu.storage("median depth", view.pixels())?;
         let Front { view: uniform, splats, lists, .. } = &self.front;
         let buffers = [uniform, &lists.pairs.ranges, lists.pairs.splats(), &lists.projected, &depth, &splats.geometry];
         let blend = Stage::new(gpu, "blend_depth.wgsl", "main", &gpu.defines(), &buffers);
         let mut frame = Frame::new(gpu);
-        self.front.record(gpu, &mut frame, &view);
+        self.front.record(gpu, &mut frame, view);
         frame.dispatch(&blend, view.n_tiles());
         frame.submit();
-        if self.grow_if_short(gpu)? { Ok(None) } else { gpu.read(&depth, view.pixels()).map(Some) }
+        Ok(depth)
     }
 }

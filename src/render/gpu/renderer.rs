@@ -42,8 +42,10 @@ impl<'g> Renderer<'g> {
     pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
         self.pipeline.front.image.check(camera)?;
         loop {
-            if let Some(depths) = self.pipeline.median_depth(self.gpu, camera)? {
-                return Ok(depths);
+            let (view, _) = self.pipeline.prepare(self.gpu, camera)?;
+            let depth = self.pipeline.submit_median_depth(self.gpu, &view)?;
+            if !self.pipeline.grow_if_short(self.gpu)? {
+                return self.gpu.read(&depth, view.pixels());
             }
         }
     }

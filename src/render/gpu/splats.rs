@@ -3,6 +3,7 @@
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     scan::{DispatchSizes, Items, Scan},
+    shader::Defines,
     sort::{self, Sort},
     tile_pairs::{COUNT_PAIRS, COUNT_SPLATS, COUNT_VISIBLE, InView, PER_GROUP, TilePairs},
     view::TILE,
@@ -46,6 +47,16 @@ impl SplatBuffers {
         gpu.write(&self.geometry, 0, &pack_geometry(splats));
         gpu.write(&self.sh, 0, splats.sh());
     }
+}
+
+/// Adds what `shaders/shared/sh_coefficients.wgsl` is told of splats of a degree.
+pub(super) fn with_sh(defines: Defines, sh_degree: u32) -> Defines {
+    let terms = sh::coefficients(sh_degree) as u32;
+    let fours = (3 * terms).is_multiple_of(4);
+    defines
+        .with("SH_TERMS", terms)
+        .with("FOURS", u32::from(fours))
+        .with("SH_LOADS", if fours { 3 * terms / 4 } else { 3 * terms })
 }
 
 /// `[N·12]` floats in the layout of the geometry buffer.
@@ -180,9 +191,7 @@ impl SplatLists {
         let blocks = [PER_GROUP, sort::BLOCK, Scan::block(gpu)];
         let sizes = DispatchSizes::new(gpu, n, &blocks, &counts, COUNT_VISIBLE)?;
 
-        let defines = gpu
-            .defines()
-            .with("SH_TERMS", sh::coefficients(splats.sh_degree) as u32)
+        let defines = with_sh(gpu.defines(), splats.sh_degree)
             .with("LAYERS", layers)
             .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)));
         let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);

@@ -53,13 +53,23 @@ impl Status {
     /// # Errors
     /// If the driver failed.
     pub(crate) fn read(gpu: &Gpu, buffer: &Buffer) -> Result<Self, GpuError> {
-        let words: Vec<u32> = gpu.read(buffer, WORDS)?;
+        let (buffer, count) = Self::words(buffer);
+        Ok(Self::of(&gpu.read::<u32>(buffer, count)?))
+    }
+
+    /// The words of it that are to be read.
+    pub(crate) fn words(buffer: &Buffer) -> (&Buffer, usize) {
+        (buffer, WORDS)
+    }
+
+    /// What [`Self::words`] say.
+    pub(crate) fn of(words: &[u32]) -> Self {
         let not_finite = NOT_FINITE.iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
-        Ok(Self {
+        Self {
             skipped: words[1],
             not_finite: not_finite.map(|(_, (_, group))| *group),
             pairs: [words[2] as usize, words[3] as usize],
-        })
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use glam::{DMat3, DVec3, Quat, Vec3};
+use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -21,7 +21,8 @@ use crate::{
         testing,
     },
     scene::{
-        Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, PixelFilter, SplatArrays, Texture, sh,
+        Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, PixelFilter, SplatArrays, Splats,
+        Texture, sh,
     },
 };
 
@@ -436,6 +437,44 @@ fn gradients_equal_the_reference() {
                 assert!(error < GRADIENT, "scene {seed}, {name}: relative error {error:e}");
             }
         }
+    }
+}
+
+/// A small triangle whose corners have one place in the map, with the largest gradients: those of the wall around it are as fine as without it.
+#[test]
+fn a_face_at_one_place_of_the_map_leaves_others_their_gradients() {
+    const SIDE: usize = 64;
+    let k = Intrinsics { width: 320, height: 240, fx: 300.0, fy: 300.0, cx: 160.3, cy: 119.6 };
+    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let mut rng = Pcg32::seed_from_u64(7);
+    let texels = (0..4 * SIDE * SIDE).map(|_| rng.random_range(-0.5..0.5_f32)).collect();
+    let atlas = Atlas::new(Texture::new(SIDE as u32, SIDE as u32, 4, texels).unwrap(), None).unwrap();
+    let wall = [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]].map(|[x, y]| Vec3::new(x, y, 4.0));
+    let face = [[0.31, 0.22], [0.55, 0.27], [0.4, 0.47]].map(|[x, y]| Vec3::new(x, y, 3.0));
+    let uv = |v: usize| Vec2::new(0.4 + 0.12 * wall[v].x, 0.5 + 0.15 * wall[v].y);
+    let uvs = vec![[0, 1, 2].map(uv), [0, 2, 3].map(uv), [Vec2::splat(0.95); 3]];
+    let triangles = vec![[0, 1, 2], [0, 2, 3], [4, 5, 6]];
+    let meshes = vec![Mesh::new([&wall[..], &face].concat(), triangles, uvs, atlas).unwrap()];
+    let composition = Composition { layers: 1, ..Composition::default() };
+    let scene = HybridScene { splats: Splats::empty(0), meshes, composition };
+    let mut cotangent = random_cotangent(&camera, 3);
+    let mut pixels_of_face = 0;
+    for (rgb, layers) in cotangent.rgb.iter_mut().zip(reference::mesh_layers(&scene, &camera)) {
+        let is_face = layers[0].depth < 3.5;
+        *rgb = if is_face { [1.0; 3] } else { rgb.map(|g| 0.05 * g) };
+        pixels_of_face += usize::from(is_face);
+    }
+    assert!((200..400).contains(&pixels_of_face), "{pixels_of_face}");
+    // The wall does not reach the last columns of the map.
+    let of_wall = |p: &Parameters| -> Vec<f64> {
+        p.base[0].iter().enumerate().filter(|(i, _)| i / 4 % SIDE < 54).map(|(_, g)| *g).collect()
+    };
+    let expected = of_wall(&reference::backward(&scene, &camera, &cotangent));
+    for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()] {
+        let found = of_wall(&gpu_frame(&gpu, &scene, &camera, Some(&cotangent)).1.unwrap());
+        let error = relative(found.into_iter(), expected.iter().copied());
+        eprintln!("{:?}: {error:.1e}", gpu.profile());
+        assert!(error < GRADIENT, "{:?}: relative error {error:e}", gpu.profile());
     }
 }
 

@@ -1,6 +1,6 @@
 //! Gradients of texels against finite differences of the oracle of `mesh_tests`, and what Adam makes of them.
 
-use glam::{DMat3, DVec4, Vec3};
+use glam::{DMat3, DVec4, Vec2, Vec3};
 
 use super::{
     device::{Frame, Gpu},
@@ -92,6 +92,20 @@ fn texel_gradients_match_finite_differences() {
         }
         eprintln!("{case}: {checked:?} base and band texels with a gradient agree");
         assert!(checked[0] > 40 && checked[1] > 40, "{case}: too few texels are visible: {checked:?}");
+
+        // Adam has what coarser levels hand down, too: a tenth of it is its first moment.
+        let step = TexelStep { number: 1, base_rate: 0.0, band_rate: 0.0, visited_only: false, holds_opacity: false };
+        rig.stage.set_step(&rig.gpu, &step);
+        let mut frame = Frame::new(&rig.gpu);
+        rig.stage.record_adam(&mut frame);
+        frame.submit();
+        let (first, _) = rig.stage.read_moments(&rig.gpu).unwrap();
+        let (base, bands): (Vec<_>, Vec<_>) = gradients.into_iter().unzip();
+        let all = [base.concat(), bands.concat()].concat();
+        assert_eq!(first.len(), all.len());
+        for (i, (m, g)) in first.iter().zip(&all).enumerate() {
+            assert!((m - 0.1 * g).abs() <= 2e-6 * g.abs(), "{case}: float {i}: {m}, a tenth of {g}");
+        }
     }
 }
 
@@ -129,14 +143,42 @@ fn a_texel_as_large_as_the_picture_is_pulled_as_far_in_large_pictures() {
     }
 }
 
-/// A texel seen for the first time late in a run: by the sparse rule it moves by the rate, by the dense one by more,
-/// because its moments are not as old as the steps counted.
+/// A face whose corners have one place in the map, before a third of the picture: its 100,000 pixels all pull at four texels, whose sums have
+/// room for them as for those of a wall that fills it.
+#[test]
+fn a_face_at_one_place_of_the_map_pulls_with_all_of_its_pixels() {
+    let corners = [[-0.7, -0.7], [0.7, -0.7], [0.7, 0.7], [-0.7, 0.7]].map(|[x, y]| Vec3::new(x, y, 2.0));
+    let uvs = vec![[Vec2::splat(0.5); 3]; 2];
+    let maps = Atlas::new(Texture::zeros(16, 16, 4), Some(Texture::zeros(16, 16, 9))).unwrap();
+    let meshes = [Mesh::new(corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]], uvs, maps).unwrap()];
+    let view = view(600, 450, DMat3::IDENTITY, 1, &meshes);
+    for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()] {
+        let rig = Rig::new(gpu, &view, &meshes, true);
+        rig.gpu.write(rig.stage.layer_gradient(), 0, &vec![1.0_f32; 4 * view.pixels()]);
+        let mut frame = Frame::new(&rig.gpu);
+        rig.stage.record_backward(&mut frame);
+        frame.submit();
+        let base = rig.stage.read_gradients(&rig.gpu).unwrap().remove(0).0;
+        let shown = rig.stage.read_front_triangles(&rig.gpu, view.pixels()).unwrap();
+        let covered = shown.iter().filter(|triangle| **triangle != 0).count() as f64;
+        assert!((80_000.0..150_000.0).contains(&covered), "{covered} pixels");
+        // Y₀ of a colour, σ' = ¼ of a logit of 0.
+        for (channel, of_pixel) in [(0, 0.282_095), (3, 0.25)] {
+            let sum: f64 = base.iter().skip(channel).step_by(4).map(|g| f64::from(*g)).sum();
+            assert!((sum / (of_pixel * covered) - 1.0).abs() < 2e-3, "channel {channel}: {sum} of {covered} pixels");
+        }
+    }
+}
+
+/// A texel seen for the first time late in a run, of a map with mips or without: by the sparse rule it moves by the rate, by the dense one by
+/// more, because its moments are not as old as the steps counted.
 #[test]
 fn a_late_texel_moves_by_the_rate() {
     let mut random = Random(7);
-    let meshes = [sphere(24, 12, Vec3::new(0.0, 0.0, 2.0), 1.0, atlas(&mut random, 0, 16))];
-    let view = view(40, 40, DMat3::IDENTITY, 1, &meshes);
-    for (visited_only, expected) in [(true, 1.0), (false, 0.1 / (0.001_f32 / (1.0 - 0.999_f32.powi(500))).sqrt())] {
+    let dense = 0.1 / (0.001_f32 / (1.0 - 0.999_f32.powi(500))).sqrt();
+    for (side, visited_only, expected) in [(16, true, 1.0), (16, false, dense), (1, true, 1.0), (1, false, dense)] {
+        let meshes = [sphere(24, 12, Vec3::new(0.0, 0.0, 2.0), 1.0, atlas(&mut random, 0, side))];
+        let view = view(40, 40, DMat3::IDENTITY, 1, &meshes);
         let rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, true);
         let weights: Vec<f32> = (0..4 * view.pixels()).map(|_| random.signed()).collect();
         rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
@@ -151,7 +193,10 @@ fn a_late_texel_moves_by_the_rate() {
         let pairs = meshes[0].atlas().base().texels().iter().zip(after.base().texels());
         for (i, ((a, b), g)) in pairs.zip(&gradient).enumerate().filter(|(_, (_, g))| **g != 0.0) {
             let moved = (a - b) * g.signum() / 1e-3;
-            assert!((moved - expected).abs() < 2e-3 * expected, "float {i}: moved {moved} rates, not {expected}");
+            assert!(
+                (moved - expected).abs() < 2e-3 * expected,
+                "{side}: float {i} moved {moved} rates, not {expected}"
+            );
         }
     }
 }

@@ -19,12 +19,14 @@ pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
 pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
 #[cfg(test)]
 const BAND_UNIT: f32 = 8.0;
-/// Words of [`Texels::peaks`]: of the maps, of the vertices.
-pub(crate) const PEAKS: usize = 2;
+#[cfg(test)]
+const CROWD: f32 = 1024.0;
+/// Words of [`Texels::peaks`], see there.
+pub(crate) const PEAKS: usize = 4;
 /// Fragments of a thread of `gradient_peak.wgsl`.
 pub(crate) const PEAK_FRAGMENTS: usize = 16;
 
-/// Sets word `peak` of [`Texels::peaks`], 0 being that of the maps; `defines` are those of the mesh stage.
+/// Sets word `peak` of [`Texels::peaks`], 0 being that of the maps, with which go the last two; `defines` are those of the mesh stage.
 pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
     let of_maps = u32::from(peak == 0);
     let defines = (defines.clone().with("PEAK", peak).with("MAPS", of_maps)).with("FRAGMENTS", PEAK_FRAGMENTS as u32);
@@ -78,17 +80,25 @@ impl Map {
         (self.width >> level) as usize * (self.height >> level) as usize * self.channels as usize
     }
 
-    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` does; `unit` is that of fixed point.
+    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` has it; `unit` is that of fixed point.
     #[cfg(test)]
-    fn pulled(&self, all: &[u32], unit: f32) -> Vec<f32> {
-        let (level_0, coarser) = all[self.offset..].split_at(self.floats(0));
-        let (width, channels) = (self.width as usize, self.channels as usize);
-        let parent = |i: usize| {
-            let (row, column, channel) = (i / channels / width, i / channels % width, i % channels);
-            (row / 2 * (width / 2) + column / 2) * channels + channel
-        };
-        let inherited = |i: usize| if self.levels > 1 { 0.25 * f32::from_bits(coarser[parent(i)]) } else { 0.0 };
-        level_0.iter().enumerate().map(|(i, &g)| unit * (g.cast_signed() as f32 + inherited(i))).collect()
+    fn pulled(&self, all: &[i32], unit: f32) -> Vec<f32> {
+        let channels = self.channels as usize;
+        let mut end = self.offset + (0..self.levels).map(|level| self.floats(level)).sum::<usize>();
+        let mut coarser: Vec<f32> = vec![];
+        for level in (0..self.levels).rev() {
+            let start = end - self.floats(level);
+            let width = (self.width >> level) as usize;
+            let parent = |i: usize| {
+                let (row, column, channel) = (i / channels / width, i / channels % width, i % channels);
+                (row / 2 * (width / 2) + column / 2) * channels + channel
+            };
+            let inherited = |i: usize| if coarser.is_empty() { 0.0 } else { 0.25 * coarser[parent(i)] };
+            let own = all[start..end].iter().enumerate();
+            coarser = own.map(|(i, &g)| g as f32 + inherited(i)).collect();
+            end = start;
+        }
+        coarser.into_iter().map(|g| unit * g).collect()
     }
 
     /// Words of `Map` in shaders/shared/map.wgsl.
@@ -111,15 +121,12 @@ struct Pool {
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    /// `pull_mips` and its threads: every map's levels but level 0, coarse to fine.
-    pull: Vec<(Stage, usize)>,
     /// `adam_texels` and its threads: every map.
     adam: Vec<(Stage, usize)>,
 }
 
 struct Kernels {
     mips: Kernel,
-    pull: Kernel,
     adam: Kernel,
 }
 
@@ -168,7 +175,6 @@ impl Pool {
             pool.training = Some(Training {
                 gradients: gpu.storage("mesh texel gradients", offset)?,
                 moments: gpu.storage("mesh texel moments", 2 * moments)?,
-                pull: vec![],
                 adam: vec![],
             });
             pool.bind_training(gpu, kernels, [step, status, peaks])?;
@@ -184,10 +190,6 @@ impl Pool {
     ) -> Result<(), GpuError> {
         let Some(training) = &mut self.training else { return Ok(()) };
         for map in self.maps.iter().flatten() {
-            for level in (1..map.levels).rev() {
-                let stage = kernels.pull.bind(gpu, &[&uniform(gpu, map, level)?, &training.gradients]);
-                training.pull.push((stage, map.floats(level)));
-            }
             let uniform = uniform(gpu, map, 0)?;
             let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status, peaks];
             // A thread moves the floats that one of level 1 is the mean of.
@@ -209,11 +211,11 @@ impl Pool {
         Ok(self.maps.iter().map(level_0).collect())
     }
 
-    /// Of every map, with what level 1 hands down.
+    /// Of every map, with what coarser levels hand down.
     #[cfg(test)]
     fn read_gradients(&self, gpu: &Gpu, unit: f32) -> Result<Vec<Vec<f32>>, GpuError> {
         let Some(training) = &self.training else { return Ok(vec![]) };
-        let all: Vec<u32> = gpu.read(&training.gradients, self.floats())?;
+        let all: Vec<i32> = gpu.read(&training.gradients, self.floats())?;
         Ok(self.maps.iter().map(|map| map.map_or(vec![], |m| m.pulled(&all, unit))).collect())
     }
 
@@ -240,7 +242,6 @@ impl Texels {
     pub(crate) fn new(gpu: &Gpu, meshes: &[Mesh], status: Option<&Buffer>) -> Result<Self, GpuError> {
         let kernels = Kernels {
             mips: Kernel::new(gpu, "build_mips.wgsl", "build", &gpu.defines()),
-            pull: Kernel::new(gpu, "pull_mips.wgsl", "pull", &gpu.defines()),
             adam: Kernel::new(gpu, "adam_texels.wgsl", "adam", &adam::defines(gpu)),
         };
         let step = gpu.uniform("texel step", 8)?;
@@ -296,7 +297,7 @@ impl Texels {
         &self.bands.texels
     }
 
-    /// Largest gradients of fragments as the bits of floats, see `gradient_peak.wgsl`, by which sums in fixed point are scaled.
+    /// What sums in fixed point are scaled by, see `shaders/shared/fixed_point.wgsl`.
     pub(crate) fn peaks(&self) -> &Buffer {
         &self.peaks
     }
@@ -326,19 +327,12 @@ impl Texels {
         }
     }
 
-    /// Completes the gradients of level 1 by those of the coarser levels; Adam and `read_gradients` do level 0.
-    pub(crate) fn record_pull(&self, frame: &mut Frame) {
-        for (stage, threads) in self.training().flat_map(|t| &t.pull) {
-            frame.dispatch_threads(stage, *threads);
-        }
-    }
-
     /// Parameters of the next Adam step; takes effect before the next submission.
     pub(crate) fn set_step(&self, gpu: &Gpu, step: &TexelStep) {
         gpu.write(&self.step, 0, &step.words());
     }
 
-    /// One step of Adam on level 0, and level 1, then the other mips, which therefore always match it.
+    /// One step of Adam on level 0, by the gradients of all levels, and level 1, then the other mips, which therefore always match it.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
         for (stage, threads) in self.training().flat_map(|t| &t.adam) {
             frame.dispatch_threads(stage, *threads);
@@ -368,7 +362,9 @@ impl Texels {
     /// If the driver failed.
     #[cfg(test)]
     pub(crate) fn read_gradients(&self, gpu: &Gpu) -> Result<Vec<AtlasGradient>, GpuError> {
-        let unit = gpu.read::<f32>(&self.peaks, PEAKS)?[0] / FIXED_ONE;
+        let words: Vec<u32> = gpu.read(&self.peaks, PEAKS)?;
+        let (largest, crowded) = (f32::from_bits(words[0]), f32::from_bits(words[2]));
+        let unit = largest.max(crowded.min(largest * (words[3] as f32 / CROWD))) / FIXED_ONE;
         let bands = self.bands.read_gradients(gpu, BAND_UNIT * unit)?;
         Ok(self.base.read_gradients(gpu, unit)?.into_iter().zip(bands).collect())
     }

@@ -15,7 +15,7 @@ use super::{
     pose::{PoseState, PoseStep, Poses},
     rows::{RowGather, Rows, Source},
     smoothing::Smoothing,
-    splats::{GEOMETRY, SplatBuffers, longer_list, longest_list},
+    splats::{GEOMETRY, SplatBuffers, longest_list},
     state::SplatState,
     status::{ListCheck, Status, status_buffer},
     texels::TexelStep,
@@ -85,6 +85,14 @@ impl Show {
             Self::SplatsAlone => View { n_triangles: 0, ..view },
         }
     }
+}
+
+/// What the host learns of the steps so far.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Look {
+    pub(crate) status: Status,
+    /// Of the last one.
+    pub(crate) loss: LossValues,
 }
 
 /// Buffers and kernels of a training run.
@@ -346,10 +354,11 @@ impl<'g> Training<'g> {
     /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
     pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
         loop {
-            if let Some(depths) = self.pipeline.median_depth(self.gpu, camera)? {
-                return Ok(depths);
+            let view = self.prepare(camera)?;
+            let depth = self.pipeline.submit_median_depth(self.gpu, &view)?;
+            if !self.grow_after_frame()? {
+                return self.gpu.read(&depth, view.pixels());
             }
-            self.rebind()?;
         }
     }
 
@@ -361,6 +370,7 @@ impl<'g> Training<'g> {
     }
 
     /// Loss of the last step. Waits for it.
+    #[cfg(test)]
     pub(crate) fn loss(&self) -> Result<LossValues, GpuError> {
         self.loss.read(self.gpu)
     }
@@ -370,20 +380,26 @@ impl<'g> Training<'g> {
         Status::read(self.gpu, &self.backward.status)
     }
 
-    /// Waits for the last step and enlarges lists that were too short for any so far. Returns how many of the last steps changed nothing
-    /// for that and are to be taken again, in the same order.
-    pub(crate) fn grow_if_short(&mut self) -> Result<u32, GpuError> {
-        let Status { skipped, pairs: needed, .. } = self.status()?;
+    /// Waits for the last step and enlarges lists that were too short for any so far: if [`Status::skipped`] is not 0, so many of the last steps
+    /// changed nothing for that and are to be taken again, in the same order.
+    pub(crate) fn look(&mut self) -> Result<Look, GpuError> {
+        let (status, loss) = (Status::words(&self.backward.status), self.loss.means());
+        let (words, means) = self.gpu.read_both::<u32, [f32; 2]>(status, loss)?;
+        let look = Look { status: Status::of(&words), loss: LossValues::of(&means) };
+        let Status { skipped, pairs: needed, .. } = look.status;
         self.exposures.iter_mut().for_each(|exposures| exposures.settle(skipped));
         self.poses.iter_mut().for_each(|poses| poses.settle(skipped));
-        if skipped == 0 {
-            return Ok(0);
+        if skipped > 0 {
+            let longer = self.pipeline.front.longer_lists(self.gpu, needed);
+            self.lengthen_lists(longer)?;
+            Status::forget_skipped(self.gpu, &self.backward.status);
         }
-        let lengths = self.pipeline.front.list_lengths();
-        let longer = |i: usize| if needed[i] > lengths[i] { longer_list(self.gpu, needed[i]) } else { 0 };
-        self.lengthen_lists([longer(0), longer(1)])?;
-        Status::forget_skipped(self.gpu, &self.backward.status);
-        Ok(skipped)
+        Ok(look)
+    }
+
+    /// As [`Self::look`], for the steps to be taken again.
+    pub(crate) fn grow_if_short(&mut self) -> Result<u32, GpuError> {
+        Ok(self.look()?.status.skipped)
     }
 
     /// As [`Pipeline::prepare`], everything bound to what the pipeline has then.
@@ -397,24 +413,24 @@ impl<'g> Training<'g> {
 
     /// Waits for a forward frame and enlarges lists that were too short for it; true if so.
     fn grow_after_frame(&mut self) -> Result<bool, GpuError> {
-        let grew = self.pipeline.grow_if_short(self.gpu)?;
-        if grew {
-            self.rebind()?;
-        }
-        Ok(grew)
+        let needed = self.pipeline.front.needed_lengths(self.gpu)?;
+        let longer = self.pipeline.front.longer_lists(self.gpu, needed);
+        self.lengthen_lists(longer)
     }
 
-    /// Makes the lists at least as long as `Front::list_lengths` of another run said. What they held is lost.
-    pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<(), GpuError> {
+    /// Makes the lists at least as long as `Front::list_lengths` of another run said: the old ones go first, so that there is never room for both.
+    /// What they held is lost. True if they had to be made anew.
+    pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<bool, GpuError> {
         if lengths[0] > self.list_lengths()[0] {
             self.pipeline.empty_lists(self.gpu)?;
             self.rebind()?;
             self.gpu.wait()?;
         }
-        if self.pipeline.lengthen_lists(self.gpu, lengths)? {
+        let grew = self.pipeline.lengthen_lists(self.gpu, lengths)?;
+        if grew {
             self.rebind()?;
         }
-        Ok(())
+        Ok(grew)
     }
 
     /// Parameters and moments of all splats. Waits.

@@ -269,6 +269,7 @@ fn longer_lists_leave_pictures_alone() {
     let image = |training: &Training| training.pipeline.read_picture(&gpu, &near).unwrap().rgb;
     let (loss, seen) = (training.loss().unwrap(), image(&training));
     assert!(loss.l1 > 0.0);
+    assert_eq!(training.look().unwrap().loss, loss, "as it is read with the status");
     let lengths = training.pipeline.front.list_lengths();
     training.lengthen_lists(lengths.map(|n| 4 * n)).unwrap();
     assert!(training.pipeline.front.list_lengths()[0] > lengths[0]);

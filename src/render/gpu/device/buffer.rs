@@ -154,14 +154,41 @@ impl Gpu {
     /// # Errors
     /// If the driver failed on this or anything before.
     pub(crate) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, count: usize) -> Result<Vec<T>, GpuError> {
-        let bytes = (count * size_of::<T>()) as u64;
-        if bytes == 0 {
-            return Ok(vec![]);
+        let bytes = count * size_of::<T>();
+        self.fetch(&[(buffer, bytes)], |found| bytemuck::pod_collect_to_vec(&found[..bytes]))
+    }
+
+    /// As [`Self::read`], of two buffers with one wait.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(crate) fn read_both<T: bytemuck::Pod, U: bytemuck::Pod>(
+        &self,
+        (first, count): (&Buffer, usize),
+        (second, second_count): (&Buffer, usize),
+    ) -> Result<(Vec<T>, Vec<U>), GpuError> {
+        let (bytes, second_bytes) = (count * size_of::<T>(), second_count * size_of::<U>());
+        self.fetch(&[(first, bytes), (second, second_bytes)], |found| {
+            let rest = &found[bytes.next_multiple_of(4)..];
+            (bytemuck::pod_collect_to_vec(&found[..bytes]), bytemuck::pod_collect_to_vec(&rest[..second_bytes]))
+        })
+    }
+
+    /// Waits for everything submitted and takes so many bytes from the start of each buffer, one after the other, each at a multiple of four.
+    fn fetch<R>(&self, parts: &[(&Buffer, usize)], take: impl FnOnce(&[u8]) -> R) -> Result<R, GpuError> {
+        let padded = |bytes: usize| bytes.next_multiple_of(4) as u64;
+        let total: u64 = parts.iter().map(|(_, bytes)| padded(*bytes)).sum();
+        if total == 0 {
+            return Ok(take(&[]));
         }
         let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
-        let staging = self.create("read-back", bytes.next_multiple_of(4), usage)?;
+        let staging = self.create("read-back", total, usage)?;
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, bytes.next_multiple_of(4));
+        let mut offset = 0;
+        for (buffer, bytes) in parts.iter().filter(|(_, bytes)| *bytes > 0) {
+            encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, offset, padded(*bytes));
+            offset += padded(*bytes);
+        }
         self.queue.submit([encoder.finish()]);
         let failed = |reason: String| GpuError::Failed { adapter: self.adapter.clone(), reason };
         let outcome = Arc::new(Mutex::new(None));
@@ -177,6 +204,6 @@ impl Gpu {
             None => return Err(failed("read-back did not finish".to_owned())),
         }
         let view = staging.slice(..).get_mapped_range().map_err(|e| failed(e.to_string()))?;
-        Ok(bytemuck::pod_collect_to_vec(&view[..bytes as usize]))
+        Ok(take(&view[..]))
     }
 }

@@ -263,6 +263,20 @@ mod tests {
     }
 
     #[test]
+    fn two_buffers_are_read_with_one_wait() {
+        let gpu = Gpu::open(None).unwrap();
+        let bytes = gpu.storage_with("bytes", &[1_u8, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+        let words = gpu.storage_with("words", &[7_u32, 8, 9]).unwrap();
+        for (n, m) in [(8, 3), (5, 2), (0, 1), (3, 0), (0, 0)] {
+            let (found, others) = gpu.read_both::<u8, u32>((&bytes, n), (&words, m)).unwrap();
+            assert!(
+                found == [1_u8, 2, 3, 4, 5, 6, 7, 8][..n] && others == [7_u32, 8, 9][..m],
+                "{n}, {m}: {found:?}, {others:?}"
+            );
+        }
+    }
+
+    #[test]
     fn a_device_that_is_lost_while_it_is_waited_for_is_an_error() {
         let gpu = Gpu::open(None).unwrap();
         let lost = || -> Result<(), wgpu::PollError> { std::panic::resume_unwind(Box::new("as wgpu does")) };
