@@ -111,3 +111,28 @@ fn tells_programs(messages: &MessageArgs) -> bool {
 fn tell(progress: &impl serde::Serialize) {
     let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": progress }));
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    /// As if all iterations before the stop had been done in no time, little would seem to be left of a run that goes on.
+    #[test]
+    fn what_is_left_of_a_resumed_run_takes_as_long_as_its_own_iterations() {
+        let mut reporter = Reporter::new(&MessageArgs { quiet: true, json: false });
+        // At 10 iterations in 20 ms or more.
+        let pause = Duration::from_millis(20);
+        for (phase, iterations, left) in [(Phase::Warmup, [10, 20], 1980), (Phase::Joint, [1010, 1020], 980)] {
+            for iteration in iterations {
+                std::thread::sleep(pause);
+                let (loss, splats, psnr, seconds) = (0.1, 7, None, 0.0);
+                reporter.update(&Progress { phase, iteration, of: 2000, loss, splats, psnr, seconds });
+            }
+            let least = pause.mul_f64(f64::from(left) / 10.0);
+            let eta = reporter.bar.eta();
+            assert!(eta > least.mul_f64(0.9), "{phase:?}: {eta:?}, not {least:?}");
+        }
+    }
+}

@@ -34,7 +34,7 @@ const FARTHEST: f64 = 12.0;
 pub(super) const LEAST_VIEWS: f32 = 2.0;
 
 /// Memory for voxels, bytes.
-const MAX_BYTES: usize = 2 << 30;
+pub(super) const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
     /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels.

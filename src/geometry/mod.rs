@@ -35,6 +35,7 @@ pub use neighbors::mean_squared_distance_to_3_neighbors;
 pub use occluded::occluded_splats;
 pub use planar::PlanarStats;
 pub(crate) use quantile::{median, quantile};
+pub(crate) use reconstruct::surface_from_depths;
 pub use reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
 pub use shell::Shell;
 pub use smooth::{Rings, vertex_normals};

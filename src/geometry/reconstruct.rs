@@ -1,11 +1,16 @@
-//! From a fused volume to a surface that is ready to be unwrapped.
+//! From depth maps, or a volume in which they are fused, to a surface that is ready to be unwrapped.
 
-use super::fusion::Fusion;
+use std::ops::RangeInclusive;
+
+use glam::Vec3;
+
+use super::fusion::{Fusion, FusionOptions};
 use super::holes::without_holes;
 use super::planar::{PlanarStats, flatten};
 use super::smooth::{smooth, without_rough};
 use super::surface::{Surface, clean, simplify};
 use super::{Contraction, GeometryError};
+use crate::scene::Camera;
 
 /// What surface is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +47,29 @@ pub struct SurfaceStats {
     pub planar: PlanarStats,
     /// Triangles after simplification.
     pub simplified: usize,
+}
+
+/// The surface of the depth maps of all cameras, fused in voxels as [`FusionOptions::suggest`] has them by `points` and `contraction`, but with a
+/// truncation of so many voxels; at the last of `resolutions`, or at less where voxels do not fit into memory. `depth_of` is that of
+/// [`Fusion::of_depths`].
+///
+/// # Errors
+/// As there and of [`surface_from_fusion`].
+pub(crate) fn surface_from_depths<E: From<GeometryError>>(
+    cameras: &[Camera],
+    points: &[Vec3],
+    contraction: Option<Contraction>,
+    resolutions: RangeInclusive<u32>,
+    truncation: f64,
+    options: &SurfaceOptions,
+    depth_of: impl FnMut(usize) -> Result<Vec<f32>, E>,
+) -> Result<(Surface, SurfaceStats), E> {
+    let volume = |resolution: u32| {
+        let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
+        Ok(FusionOptions { truncation: truncation * suggested.voxel, ..suggested })
+    };
+    let fusion = Fusion::of_depths(cameras, resolutions, volume, depth_of)?;
+    Ok(surface_from_fusion(&fusion, options)?)
 }
 
 /// Extracts, cleans and simplifies the surface of a fused volume; in contracted space, if it is, so that what is far away is judged as it

@@ -4,16 +4,17 @@
 //! triangles are judged alike, rasterised to depth maps and fused.
 
 use std::collections::{HashMap, HashSet};
+use std::ops::Range;
 
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
 use super::bvh::MeshBvh;
-use super::fusion::{Fusion, FusionOptions};
+use super::fusion::MAX_BYTES;
 use super::quantile::median;
 use super::raster::pixels_in;
-use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
+use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_depths};
 use super::surface::Surface;
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
@@ -40,6 +41,8 @@ impl PointView {
 /// Voxels along the depth range, least and most.
 const LEAST_RESOLUTION: u32 = 48;
 const MAX_RESOLUTION: u32 = 384;
+/// Truncation in voxels (2DGS).
+const TRUNCATION: f64 = 5.0;
 /// Longer side in pixels of the depth maps that are fused. Points are some ten pixels apart in it.
 const SIDE: u32 = 320;
 
@@ -53,6 +56,8 @@ const LEAST_AGREEING: u32 = 5;
 const ALLOWED_RAYS: u32 = 1;
 /// A triangle is in the way if it is nearer than the point by more than this part of its depth.
 const IN_THE_WAY: f64 = 0.03;
+/// Triangles that are judged at once: a hierarchy takes some 400 bytes for each while it is made, as much for all of these as voxels may take.
+const MOST_AT_ONCE: usize = MAX_BYTES / 400;
 /// Triangles of the least connected piece of the fused surface (2DGS).
 const LEAST_FACES: usize = 50;
 /// Cells across the longer side of the picture in which [`visible_points`] compares depths.
@@ -87,6 +92,9 @@ impl SparseStats {
 
 /// Fuses a surface of at most about `triangles` triangles. With `planar` flat regions are made flat and meshed anew with few triangles.
 ///
+/// For a point that a view sees two triangles are lifted, at most about. They take some 60 bytes each, and up to 2 GiB together while they are
+/// judged: twice, by a ray to every such point, and of more than 5 million of them (some 500 views of 5,000 points) each 5 million by all rays.
+///
 /// # Errors
 /// Without cameras, if there are too few points, or if no surface is left.
 pub fn surface_from_points(
@@ -101,9 +109,9 @@ pub fn surface_from_points(
         let each = views.par_iter().zip(&seen).zip(constraints);
         each.map(|((view, seen), constraints)| lift(&view.camera, points, seen, constraints)).collect()
     };
-    let first = without_hiding(views, points, &seen, &lifted(&vec![vec![]; views.len()]));
+    let first = without_hiding(views, points, &seen, &lifted(&vec![vec![]; views.len()]), MOST_AT_ONCE);
     let lifted = lifted(&agreed(points.len(), &seen, &first));
-    let clear = without_hiding(views, points, &seen, &lifted);
+    let clear = without_hiding(views, points, &seen, &lifted, MOST_AT_ONCE);
     let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
     let mut stats = SparseStats {
         views: views.len(),
@@ -122,12 +130,12 @@ pub fn surface_from_points(
     // Half an edge: finer voxels only hold the same facets.
     let edge = median_edge(points, &clear, contraction.as_ref());
     let resolution = (2.0 * space.radius / edge).clamp(LEAST_RESOLUTION.into(), MAX_RESOLUTION.into()) as u32;
-    let options = |resolution: u32| FusionOptions::suggest(&cameras, points, resolution, contraction);
-    let depth_of = |i: usize| Ok::<_, GeometryError>(depth_map(&cameras[i], points, &clear[i]));
-    let fusion = Fusion::of_depths(&cameras, LEAST_RESOLUTION..=resolution, options, depth_of)?;
     let options = SurfaceOptions { min_component_faces: LEAST_FACES, planar, target_triangles: triangles };
-    let (surface, counts) = surface_from_fusion(&fusion, &options)?;
-    stats.surface = counts;
+    let resolutions = LEAST_RESOLUTION..=resolution;
+    let depth_of = |i: usize| Ok::<_, GeometryError>(depth_map(&cameras[i], points, &clear[i]));
+    let surface;
+    (surface, stats.surface) =
+        surface_from_depths(&cameras, points, contraction, resolutions, TRUNCATION, &options, depth_of)?;
     Ok((surface, stats))
 }
 
@@ -273,8 +281,36 @@ fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]
     delaunay.inner_faces().filter_map(surface).collect()
 }
 
-/// The triangles that stand in the way of no more than [`ALLOWED_RAYS`] rays from any camera to a point it sees.
+/// The triangles that stand in the way of no more than [`ALLOWED_RAYS`] rays from any camera to a point it sees, judged in parts of `most` of
+/// them: what is found of one does not depend on the others.
 fn without_hiding(
+    views: &[PointView],
+    points: &[Vec3],
+    seen: &[Vec<u32>],
+    lifted: &[Vec<[u32; 3]>],
+    most: usize,
+) -> Vec<Vec<[u32; 3]>> {
+    let counts: Vec<usize> = lifted.iter().map(Vec::len).collect();
+    let clear = |part: Range<usize>| judged_at_once(views, points, seen, &lifted[part]);
+    parts(&counts, most).into_iter().flat_map(clear).collect()
+}
+
+/// Runs of views that have `most` triangles together, by how many each has; one with more is alone.
+fn parts(counts: &[usize], most: usize) -> Vec<Range<usize>> {
+    let (mut parts, mut start, mut together) = (vec![], 0, 0_usize);
+    for (view, &count) in counts.iter().enumerate() {
+        if view > start && together + count > most {
+            parts.push(start..view);
+            (start, together) = (view, 0);
+        }
+        together += count;
+    }
+    parts.push(start..counts.len());
+    parts
+}
+
+/// [`without_hiding`] of the triangles of some views, by the rays of all.
+fn judged_at_once(
     views: &[PointView],
     points: &[Vec3],
     seen: &[Vec<u32>],
@@ -485,6 +521,29 @@ mod tests {
         let seen = visible_points(camera, &points);
         assert!(seen.len() <= (FINE_CELLS * FINE_CELLS) as usize && seen.len() > 500, "{}", seen.len());
         assert!(seen.is_sorted());
+    }
+
+    /// Memory for few of them leaves the same as memory for all.
+    #[test]
+    fn triangles_are_judged_in_parts_as_together() {
+        let parts_of = |counts: &[usize], most: usize| -> Vec<(usize, usize)> {
+            parts(counts, most).into_iter().map(|part| (part.start, part.end)).collect()
+        };
+        assert_eq!(parts_of(&[5, 3, 2, 9, 1], 10), [(0, 3), (3, 5)]);
+        assert_eq!(parts_of(&[5, 3, 2, 9, 1], 20), [(0, 5)]);
+        assert_eq!(parts_of(&[1, 20, 1], 10), [(0, 1), (1, 2), (2, 3)]);
+        assert_eq!(parts_of(&[0, 0], 0), [(0, 2)]);
+        assert_eq!(parts_of(&[], 10), [(0, 0)]);
+        let (points, views) = cloud(&cameras()[..8], 100);
+        let seen: Vec<Vec<u32>> = views.iter().map(|view| view.sees.clone()).collect();
+        let lifted: Vec<_> = views.iter().map(|view| lift(&view.camera, &points, &view.sees, &[])).collect();
+        let judged = |most: usize| without_hiding(&views, &points, &seen, &lifted, most);
+        let count = |of: &[Vec<[u32; 3]>]| of.iter().map(Vec::len).sum::<usize>();
+        let together = judged_at_once(&views, &points, &seen, &lifted);
+        assert!((1..count(&lifted)).contains(&count(&together)));
+        for most in [1, count(&lifted) / 3, MOST_AT_ONCE] {
+            assert!(judged(most) == together, "{most} at once");
+        }
     }
 
     #[test]

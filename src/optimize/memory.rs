@@ -1,6 +1,6 @@
 //! Whether a run fits the adapter's memory, before it begins.
 
-use super::{Density, MeshSource, TrainError, TrainOptions, surface};
+use super::{Density, MeshSource, TrainError, TrainOptions, maps};
 use crate::{
     geometry::Shell,
     render::gpu::{
@@ -105,11 +105,11 @@ pub(super) fn texture_size_within(options: &TrainOptions, wanted: u32, floats: u
     sizes.find(|&size| map_floats(options, size).iter().sum::<usize>() <= floats).unwrap_or(16)
 }
 
-/// Floats of the two maps that `surface::textured` makes.
+/// Floats of the two maps that `maps::textured` makes.
 fn map_floats(options: &TrainOptions, texture_size: u32) -> [usize; 2] {
     let texels = |side: u32| side as usize * side as usize;
     let bands = 3 * (sh::coefficients(options.band_degree.min(sh::MAX_DEGREE)) - 1);
-    [4 * texels(texture_size), bands * texels(surface::band_side(texture_size))]
+    [4 * texels(texture_size), bands * texels(maps::band_side(texture_size))]
 }
 
 #[cfg(test)]
@@ -131,8 +131,8 @@ mod tests {
         let surface = Surface { positions, triangles: vec![[0, 1, 2]] };
         for (band_degree, side) in [(0, 64), (2, 32), (3, 128)] {
             let options = TrainOptions { band_degree, ..TrainOptions::default() };
-            let mesh = surface::textured_as(crate::geometry::unwrap(&surface, None, side, 0).unwrap(), &options, side)
-                .unwrap();
+            let mesh =
+                maps::textured_as(crate::geometry::unwrap(&surface, None, side, 0).unwrap(), &options, side).unwrap();
             assert_eq!(map_floats(&options, side).iter().sum::<usize>(), mesh.atlas().floats());
         }
     }

@@ -8,27 +8,31 @@ mod background;
 mod cells;
 pub mod checkpoint;
 mod coverage;
+mod cut_out;
 mod density;
 mod finite;
+mod fused;
 pub mod initialize;
 mod log;
+mod maps;
 mod memory;
+mod mesh_source;
 mod options;
 mod random;
 mod resolution;
 mod resume;
 mod schedule;
+mod seen_points;
 mod size;
 mod static_scene;
-mod surface;
 
 pub use crate::render::gpu::memory::most_splats;
+pub use fused::{from_points as surface_from_points, from_splats as surface_from_splats};
 pub use log::{Progress, Selection};
+pub use mesh_source::{MeshSource, SurfaceOrigin};
 pub use options::{Background, Density, Phase, TrainOptions};
+pub use seen_points::point_views;
 pub use static_scene::{Checkpoints, Outcome, RefinedPose, Session, Trained, train};
-pub use surface::{
-    MeshSource, SurfaceOrigin, from_points as surface_from_points, from_splats as surface_from_splats, point_views,
-};
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
 
@@ -91,4 +95,13 @@ pub enum TrainError {
         /// Which parameters.
         group: String,
     },
+}
+
+/// What was made, or why it cannot be made of this geometry. What the splats have learnt is worth more than a mesh: that does not end a run.
+fn or_why_not<T>(made: Result<T, TrainError>) -> Result<Result<T, GeometryError>, TrainError> {
+    match made {
+        Ok(made) => Ok(Ok(made)),
+        Err(TrainError::Geometry(why)) => Ok(Err(why)),
+        Err(error) => Err(error),
+    }
 }

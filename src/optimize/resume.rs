@@ -26,7 +26,7 @@ pub(super) struct Saved {
     pub(super) phase: Phase,
     /// Iterations done in this phase.
     pub(super) iteration: u32,
-    pub(super) found: Found,
+    pub(super) found: SurfaceRecord,
     pub(super) meshes: Vec<Mesh>,
     splats: SplatState,
     statistics: Vec<f32>,
@@ -43,7 +43,7 @@ pub(super) struct Saved {
 
 /// What is known of how the mesh came to be.
 #[derive(Clone, Default, serde::Serialize, serde::Deserialize)]
-pub(super) struct Found {
+pub(super) struct SurfaceRecord {
     /// What it was made of.
     pub(super) surface: Option<SurfaceOrigin>,
     /// Why there is none, where making one failed.
@@ -68,7 +68,7 @@ impl Saved {
         training: &Training,
         scene: &HybridScene,
         (phase, iteration): (Phase, u32),
-        found: Found,
+        found: SurfaceRecord,
         poses: Option<&PoseState>,
         epoch: &EpochWeight,
         past: Past,
@@ -181,9 +181,15 @@ impl Saved {
         }
         let (splats, vertices) = (self.splats.len(), self.meshes.iter().map(|m| m.positions().len()).sum::<usize>());
         let moves = self.phase != Phase::Surface && run.finds_surface;
+        let has_phase = match self.phase {
+            Phase::Surface => run.finds_surface && self.meshes.is_empty(),
+            Phase::Warmup => !self.meshes.is_empty(),
+            Phase::Joint => true,
+        };
         let epoch = self.epoch.weight.len();
         let lengths = (self.vertices.normals.len(), self.vertices.moments.len());
         for (fits, what) in [
+            (has_phase, "phase"),
             (!moves || lengths == (3 * vertices, 2 * vertices), "vertices"),
             (self.splats.sh_degree == run.options.sh_degree, "sh_degree"),
             (self.statistics.len() == 4 * splats, "statistics"),

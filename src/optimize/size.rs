@@ -23,6 +23,11 @@ pub(super) fn extent(cameras: &[Camera], depth: Option<f64>) -> f64 {
     if extent > ONE_PLACE * depth.unwrap_or(0.0) { extent } else { depth.unwrap_or(1.0) }
 }
 
+/// Near plane of a scene of this extent ([`extent`]): as wanted, but no more than a twentieth of it.
+pub(super) fn near_plane(extent: f32, wanted: f32) -> f32 {
+    wanted.min(0.05 * extent)
+}
+
 /// How much smaller what cameras see is, beside how far away it is and how far they are apart, than through usual lenses: 1, and less through
 /// long ones, by the median of their angles of view along the longer side.
 pub(super) fn narrowness(cameras: &[Camera]) -> f64 {

@@ -11,12 +11,12 @@ mod density_step;
 mod finding;
 mod handover;
 mod identity;
-mod occluded;
 mod origin;
 mod phase;
 mod photographs;
 mod plan;
 mod poses;
+mod pruning;
 mod selection;
 mod start;
 mod unseen;
@@ -37,18 +37,16 @@ use self::{budget::Budget, origin::Origin, photographs::Photographs};
 use super::{
     Background, Density, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions,
     arrangement::Arrangement,
-    finite, initialize,
+    finite, fused, initialize,
     log::Log,
-    memory,
-    resume::{Found, Identity, Saved},
-    size, surface,
+    memory, or_why_not,
+    resume::{Identity, Saved, SurfaceRecord},
+    size,
 };
 use crate::{
     capture::Capture,
     geometry::{ChartSpace, Contraction, MeshBvh, Shell},
-    render::gpu::{
-        Gpu, exposure::ExposureState, memory::most_splats, pose::PoseState, state::SplatState, training::Training,
-    },
+    render::gpu::{Gpu, exposure::ExposureState, memory::most_splats, pose::PoseState, training::Training},
     scene::{Camera, Composition, HybridScene, Mesh, PixelFilter},
 };
 
@@ -183,7 +181,7 @@ struct Run<'a> {
     /// Near plane, by the poses as they were given.
     near: f32,
     log: Log,
-    found: Found,
+    found: SurfaceRecord,
     /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
     shell: Option<Shell>,
     /// Of the mesh that was given.
@@ -220,7 +218,7 @@ impl<'a> Run<'a> {
         let extent = (narrowness * size::extent(&train_cameras, depth)) as f32;
         let unit = size::unit_of_length(f64::from(extent), depth.map(|depth| narrowness * depth)) as f32;
         let distance = depth.map_or(extent, |depth| depth as f32);
-        let near = surface::near_plane(extent, NEAR);
+        let near = size::near_plane(extent, NEAR);
         let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
         let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
         // Without a warm-up nothing would be judged.
@@ -244,7 +242,7 @@ impl<'a> Run<'a> {
             distance,
             near,
             log,
-            found: Found::default(),
+            found: SurfaceRecord::default(),
             shell,
             given_hierarchy: OnceCell::new(),
             exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
@@ -257,8 +255,15 @@ impl<'a> Run<'a> {
             Checkpoints::Resume(file) => Some(Saved::read(file, &self.identity)?),
             Checkpoints::Off | Checkpoints::Save(_) => None,
         };
-        let resumes = saved.is_some();
-        self.log.past = saved.as_mut().map(|saved| std::mem::take(&mut saved.past)).unwrap_or_default();
+        // The phases before this one are done, and what was saved is of it.
+        let first = match &saved {
+            Some(saved) => saved.phase,
+            None if self.finds_surface() => Phase::Surface,
+            None => Phase::Warmup,
+        };
+        if let Some(saved) = &mut saved {
+            self.recall(saved);
+        }
         self.kept_photographs = memory::check(
             self.session.gpu,
             self.options,
@@ -267,17 +272,47 @@ impl<'a> Run<'a> {
             self.budget.splats_beside(&[]),
             self.budget.texture_size(),
         )?;
-        self.found = saved.as_ref().map(|saved| saved.found.clone()).unwrap_or_default();
-        self.log.reached = saved.as_ref().map_or(self.log.reached, |saved| (saved.phase, saved.iteration));
-        let after_surface = saved.take_if(|s| s.phase != Phase::Surface);
-        if let Some(saved) = after_surface.as_ref().filter(|saved| !self.refines_poses(saved.phase))
-            && let Some(poses) = saved.poses.clone()
+        let of_points = source == MeshSource::Points;
+        let mut scene = self.first_scene(source, saved.as_mut())?;
+        let mut training = if first == Phase::Surface {
+            match self.surface_phase(&mut scene, of_points, saved.take())? {
+                ControlFlow::Continue(training) => training,
+                ControlFlow::Break(interrupted) => return Ok(*interrupted),
+            }
+        } else {
+            self.training(&scene)?
+        };
+        if first != Phase::Joint {
+            if !scene.meshes.is_empty()
+                && self.run_phase(&mut training, &scene, Phase::Warmup, saved.take())? == Outcome::Interrupted
+            {
+                return self.finish(&mut training, &scene, Outcome::Interrupted);
+            }
+            if self.finds_surface() {
+                training = self.share_out(training, &mut scene)?;
+            }
+        }
+        let outcome = self.run_phase(&mut training, &scene, Phase::Joint, saved)?;
+        self.finish(&mut training, &scene, outcome)
+    }
+
+    /// Takes over what a run that goes on knows of itself, and its cameras if they are refined no further.
+    fn recall(&mut self, saved: &mut Saved) {
+        self.log.past = std::mem::take(&mut saved.past);
+        self.log.reached = (saved.phase, saved.iteration);
+        self.found = std::mem::take(&mut saved.found);
+        if !self.refines_poses(saved.phase)
+            && let Some(poses) = saved.poses.take()
         {
             self.fix_poses(poses);
         }
-        let of_points = source == MeshSource::Points;
-        let meshes = match (&after_surface, source) {
-            (Some(saved), _) => saved.meshes.clone(),
+    }
+
+    /// What the run begins or goes on with; in the latter case saved splats take the place of these when the phase begins.
+    fn first_scene(&mut self, source: MeshSource, saved: Option<&mut Saved>) -> Result<HybridScene, TrainError> {
+        let begins = saved.is_none();
+        let meshes = match (saved, source) {
+            (Some(saved), _) => std::mem::take(&mut saved.meshes),
             (None, MeshSource::Given { surface, corner_uvs }) => {
                 self.found.surface = Some(SurfaceOrigin::Given);
                 vec![self.given(surface, corner_uvs)?]
@@ -285,48 +320,23 @@ impl<'a> Run<'a> {
             (None, _) => vec![],
         };
         // A mesh that is there from the beginning takes its part of the budget from the beginning.
-        let splats = self.initial_splats(if self.finds_surface() { &[] } else { &meshes }, !resumes)?;
-        let mut scene = HybridScene { splats, meshes, composition: self.composition() };
-        let mut trained = None;
-        if self.finds_surface() && after_surface.is_none() {
-            match self.surface_phase(&mut scene, of_points, saved)? {
-                ControlFlow::Continue(splats) => trained = Some(splats),
-                ControlFlow::Break(interrupted) => return Ok(*interrupted),
-            }
-        }
-        let mut training = self.training(&scene)?;
-        if let Some(splats) = trained {
-            // With their moments. They are not rendered during the warm-up; the handover picks from them.
-            training.write_splats(&splats)?;
-        }
-        let joint = after_surface.as_ref().is_some_and(|s| s.phase == Phase::Joint);
-        let (warmup, rest) = if joint { (None, after_surface) } else { (after_surface, None) };
-        if !scene.meshes.is_empty()
-            && !joint
-            && self.run_phase(&mut training, &scene, Phase::Warmup, warmup)? == Outcome::Interrupted
-        {
-            return self.finish(&mut training, &scene, Outcome::Interrupted);
-        }
-        if self.finds_surface() && !joint {
-            training = self.share_out(training, &mut scene)?;
-        }
-        let outcome = self.run_phase(&mut training, &scene, Phase::Joint, rest)?;
-        self.finish(&mut training, &scene, outcome)
+        let splats = self.initial_splats(if self.finds_surface() { &[] } else { &meshes }, begins)?;
+        Ok(HybridScene { splats, meshes, composition: self.composition() })
     }
 
-    /// Trains splats alone and makes the mesh of the scene, if there is one to make. The splats go on, with their moments; what was
-    /// interrupted is done.
+    /// Trains splats alone and makes the mesh of the scene, if there is one to make. The splats go on in the training that it returns, with
+    /// their moments; what was interrupted is done.
     fn surface_phase(
         &mut self,
         scene: &mut HybridScene,
         of_points: bool,
         saved: Option<Saved>,
-    ) -> Result<ControlFlow<Box<Trained>, SplatState>, TrainError> {
+    ) -> Result<ControlFlow<Box<Trained>, Training<'a>>, TrainError> {
         let mut training = self.training(scene)?;
         if self.run_phase(&mut training, scene, Phase::Surface, saved)? == Outcome::Interrupted {
             return Ok(ControlFlow::Break(Box::new(self.finish(&mut training, scene, Outcome::Interrupted)?)));
         }
-        scene.meshes = match surface::or_why_not(self.find_surface(&mut training, of_points))? {
+        scene.meshes = match or_why_not(self.find_surface(&mut training, of_points))? {
             Ok(mesh) => vec![mesh],
             Err(why) => {
                 self.found.no_surface = Some(why.to_string());
@@ -340,7 +350,12 @@ impl<'a> Run<'a> {
         let splats = training.read_splats()?;
         finite::finite_splats(&splats, self.log.reached.0, self.log.reached.1)?;
         scene.splats = splats.to_splats()?;
-        Ok(ControlFlow::Continue(splats))
+        // Both at once are more than was asked for.
+        drop(training);
+        training = self.training(scene)?;
+        // With their moments. They are not rendered during the warm-up; the handover picks from them.
+        training.write_splats(&splats)?;
+        Ok(ControlFlow::Continue(training))
     }
 
     /// After the warm-up: keeps of the mesh what explains the photographs about as well as splats do, and of the splats those that
@@ -406,9 +421,9 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Points that say where the scene is, see [`surface::whereabouts`]. Beside an untrained mesh splats rest: these do not change.
+    /// Points that say where the scene is, see [`fused::whereabouts`]. Beside an untrained mesh splats rest: these do not change.
     fn whereabouts(&self, training: &Training) -> Result<Vec<Vec3>, TrainError> {
-        surface::whereabouts(self.capture, || Ok(training.read_splats()?.to_splats()?.means().to_vec()))
+        fused::whereabouts(self.capture, || Ok(training.read_splats()?.to_splats()?.means().to_vec()))
     }
 
     /// Where charts are laid out, if not in the world: the scene has no bounds, or there is a shell. By the cameras as they are now.

@@ -4,7 +4,7 @@ use super::Run;
 use crate::{
     capture::View,
     geometry::{GeometryError, Surface},
-    optimize::{SurfaceOrigin, TrainError, surface},
+    optimize::{SurfaceOrigin, TrainError, cut_out, fused, seen_points},
     render::gpu::training::Training,
     scene::Mesh,
 };
@@ -16,10 +16,10 @@ impl Run<'_> {
         if of_points {
             let photos = &self.photos;
             let photo_of = |view: &View| photos.are_cut_out.then(|| photos.whole(view)).transpose();
-            let views = surface::point_views(self.capture, &self.cameras, &self.train, photo_of)?;
+            let views = seen_points::point_views(self.capture, &self.cameras, &self.train, photo_of)?;
             // Else what is left would be guesses, where splats know better.
-            if !surface::are_few_left(self.capture, &self.train, &views) {
-                match surface::from_points(self.capture, &views, self.options.triangles, planar) {
+            if !seen_points::are_few_left(self.capture, &self.train, &views) {
+                match fused::from_points(self.capture, &views, self.options.triangles, planar) {
                     Ok((surface, _, origin)) => {
                         self.found.surface = Some(origin);
                         return self.textured(training, surface);
@@ -30,9 +30,9 @@ impl Run<'_> {
             }
         }
         let points = self.whereabouts(training)?;
-        let (surface, _) = surface::from_depths(&self.train_cameras, &points, self.options.triangles, planar, |i| {
+        let (surface, _) = fused::from_depths(&self.train_cameras, &points, self.options.triangles, planar, |i| {
             let mut depth = training.median_depth(&self.train_cameras[i])?;
-            surface::clear_unseen(&mut depth, &*self.photos.whole(&self.capture.views[self.train[i]])?);
+            cut_out::clear_unseen(&mut depth, &*self.photos.whole(&self.capture.views[self.train[i]])?);
             Ok(depth)
         })?;
         self.found.surface = Some(SurfaceOrigin::Splats);

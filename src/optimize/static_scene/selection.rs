@@ -6,7 +6,7 @@ use glam::Vec2;
 use super::Run;
 use crate::{
     geometry::{self, ChartSpace, Surface, UnwrappedMesh},
-    optimize::{Selection, TrainError, surface},
+    optimize::{Selection, TrainError, maps, or_why_not},
     render::gpu::training::Training,
     scene::{Atlas, Mesh, Texture},
 };
@@ -27,9 +27,6 @@ const COVERAGE: f64 = 0.6;
 const TEXELS_PER_PIXEL: f64 = 2.0;
 /// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
 const GUTTER: u32 = 4;
-
-/// Mean opacity below which a triangle goes after training: 0.02, at most 5 of 255 steps.
-const FAINT: f64 = 0.02;
 
 /// What the judging views say of a triangle.
 #[derive(Clone, Copy, Default)]
@@ -79,15 +76,6 @@ impl<'a> Run<'a> {
         Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size, gutter)?, selection))
     }
 
-    /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
-    /// [`geometry::faint_triangles`]. The maps stay as they are. `None` if nothing is left.
-    pub(super) fn without_faint(&self, mesh: Mesh) -> Option<Mesh> {
-        let near = f64::from(self.composition().near);
-        let faint = geometry::faint_triangles(&mesh, FAINT, &self.train_cameras, near);
-        let keep: Vec<bool> = faint.iter().map(|faint| !faint).collect();
-        if keep.contains(&false) { mesh.with_triangles(&keep) } else { Some(mesh) }
-    }
-
     /// Scores of all triangles by these views, and the number of pixels judged.
     fn score(
         &self,
@@ -128,8 +116,8 @@ impl Score {
 /// `pixels`, as far as a budget has room. With one, maps get a part of it in proportion to the `share` that they cover of the pictures, up to
 /// a limit: where splats are spread thinly, so are texels. At least 64 and at most as many as the maps of before have.
 fn side_for(pixels: f64, share: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
-    // Of all maps but the smallest, see `surface::band_side`.
-    let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(surface::BAND_TEXEL.pow(2));
+    // Of all maps but the smallest, see `maps::band_side`.
+    let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(maps::BAND_TEXEL.pow(2));
     let per_texel = 4.0 + before.bands().map_or(0.0, of_bands);
     let part = (MAPS_SHARE * share).min(MOST_FOR_MAPS);
     let affordable = max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
@@ -204,10 +192,10 @@ fn laid_out_anew(
     gutter: u32,
 ) -> Result<Option<Mesh>, TrainError> {
     let (part, uvs) = (geometry::compact(part(mesh, keep)), kept(mesh.corner_uvs(), keep));
-    let anew = surface::with_room_for_charts(size, mesh.atlas().base().width(), |size| {
+    let anew = maps::with_room_for_charts(size, mesh.atlas().base().width(), |size| {
         lay_out(geometry::unwrap(&part, charts_in, size, gutter)?, &uvs, mesh.atlas(), size)
     });
-    Ok(match surface::or_why_not(anew)? {
+    Ok(match or_why_not(anew)? {
         Ok(mesh) => Some(mesh),
         Err(_) => mesh.with_triangles(keep),
     })
@@ -217,7 +205,7 @@ fn laid_out_anew(
 fn lay_out(unwrapped: UnwrappedMesh, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
     let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
     let base = redrawn(atlas.base(), size, GUTTER)?;
-    let bands = atlas.bands().map(|bands| redrawn(bands, surface::band_side(size), GUTTER / 2)).transpose()?;
+    let bands = atlas.bands().map(|bands| redrawn(bands, maps::band_side(size), GUTTER / 2)).transpose()?;
     Ok(Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, Atlas::new(base, bands)?)?)
 }
 
@@ -340,7 +328,7 @@ mod tests {
     #[test]
     fn maps_grow_little_more_than_charts_need() {
         let grown = |needed: u32, largest| {
-            surface::with_room_for_charts(64, largest, |size| match size < needed {
+            maps::with_room_for_charts(64, largest, |size| match size < needed {
                 true => Err(geometry::GeometryError::AtlasTooSmall { charts: 9, atlas_size: size }.into()),
                 false => Ok(size),
             })

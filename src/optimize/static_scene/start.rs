@@ -10,7 +10,7 @@ use crate::{
         Background, Density, TrainError, background,
         coverage::{self, Known},
         initialize::{self, Initial},
-        surface,
+        maps,
     },
     scene::{Mesh, Splats},
 };
@@ -61,7 +61,7 @@ impl Run<'_> {
     /// The user's mesh with empty maps, transparent where no training view looks.
     pub(super) fn given(&self, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
         let mesh = match corner_uvs {
-            Some(uvs) => surface::textured(surface, uvs, self.options, self.budget.texture_size())?,
+            Some(uvs) => maps::textured(surface, uvs, self.options, self.budget.texture_size())?,
             None => self.in_charts(&surface, None)?,
         };
         self.budget.check(std::slice::from_ref(&mesh))?;
@@ -71,12 +71,8 @@ impl Run<'_> {
     /// Cut into charts, with empty maps that have room for them.
     pub(super) fn in_charts(&self, surface: &Surface, charts_in: Option<&ChartSpace>) -> Result<Mesh, TrainError> {
         let (size, largest) = (self.budget.texture_size(), self.budget.largest_texture());
-        surface::with_room_for_charts(size, largest, |size| {
-            surface::textured_as(
-                geometry::unwrap(surface, charts_in, size, geometry::WIDEST_GUTTER)?,
-                self.options,
-                size,
-            )
+        maps::with_room_for_charts(size, largest, |size| {
+            maps::textured_as(geometry::unwrap(surface, charts_in, size, geometry::WIDEST_GUTTER)?, self.options, size)
         })
     }
 }

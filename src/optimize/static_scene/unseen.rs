@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::Run;
 use crate::{
     geometry::{self, TexelSight, TexelVisibility, Viewers},
-    optimize::{TrainError, resolution::ResolutionSchedule, surface::LEAST_ALPHA},
+    optimize::{TrainError, cut_out::LEAST_ALPHA, resolution::ResolutionSchedule},
     scene::{Atlas, Mesh, Texture},
 };
 

@@ -1,7 +1,7 @@
 //! Options that no other test of the optimiser sets.
 
 use super::*;
-use crate::optimize::{density::mcmc::EpochWeight, resume::Saved};
+use crate::render::gpu::Renderer;
 
 /// Before any colour but its own, what is black and opaque has to hide the background, and what is transparent must not.
 #[test]
@@ -65,44 +65,6 @@ fn held_out_views_are_looked_at_as_often_as_asked() {
     let history = train(&capture, MeshSource::None, &options, session).unwrap().history;
     let reports: Vec<_> = history.iter().map(|p| (p.iteration, p.psnr.is_some())).collect();
     assert_eq!(reports, [(7, true), (10, false), (14, true), (20, true)]);
-}
-
-/// The iteration named is that of the phase, where the clock of the schedule has run on from the phase before, too.
-#[test]
-fn a_nan_at_a_density_step_is_named_by_its_phase() {
-    let options = TrainOptions { iterations: 60, surface_iterations: Some(40), ..options() };
-    with_run(&options, |run, training, scene| {
-        run.identity.finds_surface = true;
-        assert_eq!(run.plan(Phase::Joint, 0, true).clock, 40);
-        let mut arrays = training.read_splats().unwrap();
-        arrays.geometry[12 * 7] = f32::NAN;
-        training.write_splats(&arrays).unwrap();
-        let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err();
-        let TrainError::NotFinite { phase: Phase::Joint, iteration, group } = error else { panic!("{error}") };
-        assert!(iteration <= 20 && group == "means of splat 7", "iteration {iteration}: {group}");
-    });
-}
-
-/// Reports come at other iterations, and splats learn of an exposure at the next that sees its photograph.
-#[test]
-fn no_checkpoint_holds_an_exposure_that_is_no_number() {
-    let options = TrainOptions { exposure: true, ..options() };
-    with_run(&options, |run, training, scene| {
-        let plan = run.plan(Phase::Joint, 0, true);
-        let saved = |training: &Training| {
-            let (found, past) = (run.found.clone(), run.log.past.clone());
-            Saved::capture(training, scene, (Phase::Joint, 1), found, None, &EpochWeight::default(), past).map(drop)
-        };
-        run.step(training, &plan, 0).unwrap();
-        saved(training).unwrap();
-        let mut exposures = training.read_exposures().unwrap().unwrap();
-        exposures.moments[1].fill(f32::NAN);
-        training.expose(&exposures).unwrap();
-        run.step(training, &plan, 1).unwrap();
-        let error = saved(training).unwrap_err();
-        let TrainError::NotFinite { phase: Phase::Joint, iteration: 1, group } = error else { panic!("{error}") };
-        assert_eq!(group, "exposures of photographs");
-    });
 }
 
 /// That of an iteration after which there is no room for the splats that density control adds is known all the same.

@@ -2,8 +2,12 @@
 
 use std::sync::Arc;
 
+use glam::{DMat3, DVec2, DVec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
 use super::*;
-use crate::capture::View;
+use crate::{capture::View, geometry, optimize::seen_points};
 
 /// The demo, with its photographs changed: by name from 0.
 fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
@@ -108,7 +112,7 @@ fn a_surface_is_of_what_masks_leave() {
     let points = capture.positions();
     let (cameras, all) = (capture.cameras(), Vec::from_iter(0..capture.views.len()));
     let photo_of = |view: &View| capture::decode(view).map(|photo| Some(Arc::new(photo)));
-    let seen = |capture: &Capture| surface::point_views(capture, &cameras, &all, photo_of).unwrap();
+    let seen = |capture: &Capture| seen_points::point_views(capture, &cameras, &all, photo_of).unwrap();
     // The demo does not say what views see, of which masks leave no more in.
     let guessed = seen(&capture);
     capture.views.iter_mut().for_each(|view| view.sees = geometry::visible_points(&view.camera, &points));
@@ -117,8 +121,8 @@ fn a_surface_is_of_what_masks_leave() {
     assert_eq!(guessed.len(), views.len());
     // A surface of a part of them would be a guess.
     let few: Vec<usize> = all.iter().copied().filter(|i| judges(*i)).collect();
-    let left = surface::point_views(&capture, &cameras, &few, photo_of).unwrap();
-    assert!(surface::are_few_left(&capture, &few, &left) && !surface::are_few_left(&capture, &all, &views));
+    let left = seen_points::point_views(&capture, &cameras, &few, photo_of).unwrap();
+    assert!(seen_points::are_few_left(&capture, &few, &left) && !seen_points::are_few_left(&capture, &all, &views));
     for view in &views {
         let at = |p: DVec3| view.camera.project(view.camera.to_camera(p));
         let far = view.sees.iter().map(|&p| at(points[p as usize].as_dvec3())).filter(|p| p.x + p.y > 5.0);

@@ -1,4 +1,4 @@
-//! Splats that end behind an opaque mesh are dropped after training.
+//! What ends up showing nothing is dropped after training: splats behind an opaque mesh, and triangles that have become invisible.
 
 use glam::DVec2;
 
@@ -12,6 +12,8 @@ use crate::{
 
 /// Part of what a splat would show of itself without the mesh that it shows at most beside it.
 const SHOWN: f64 = 0.02;
+/// Mean opacity below which a triangle goes after training: 0.02, at most 5 of 255 steps.
+const FAINT: f64 = 0.02;
 
 impl Run<'_> {
     /// The trained splats without those that the mesh hides from all training views: by rays to them, see
@@ -42,6 +44,15 @@ impl Run<'_> {
         let is_seen = |i: &usize| !occluded[*i] || beside[*i] > SHOWN * alone[*i];
         let seen: Vec<usize> = (0..occluded.len()).filter(is_seen).collect();
         Ok(gather(splats, &seen))
+    }
+
+    /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
+    /// [`geometry::faint_triangles`]. The maps stay as they are. `None` if nothing is left.
+    pub(super) fn without_faint(&self, mesh: Mesh) -> Option<Mesh> {
+        let near = f64::from(self.composition().near);
+        let faint = geometry::faint_triangles(&mesh, FAINT, &self.train_cameras, near);
+        let keep: Vec<bool> = faint.iter().map(|faint| !faint).collect();
+        if keep.contains(&false) { mesh.with_triangles(&keep) } else { Some(mesh) }
     }
 
     /// Σ of the blend weights of every splat `[N]` over all pixels that the training views show.

@@ -1,0 +1,92 @@
+//! What is not finite is found and named, wherever it is.
+
+use super::*;
+use crate::optimize::{density::mcmc::EpochWeight, resume::Saved};
+
+#[test]
+fn a_nan_is_found_and_named() {
+    // Such a splat is not drawn, so that the loss says nothing; it is found by the first look at the run all the same.
+    for (geometry, at, value, group) in [
+        (true, 12 * 7, f32::NAN, "means of splat 7"),
+        (true, 12 * 8 + 3, f32::NAN, "opacity logits of splat 8"),
+        (true, 12 * 9 + 8, f32::INFINITY, "log-scales of splat 9"),
+        (false, 48 * 10, f32::NAN, "SH coefficients of splat 10"),
+    ] {
+        let error = error_with(geometry, at, value).to_string();
+        let expected = format!("iteration 10 (Joint): {group} not finite");
+        assert_eq!(error, expected);
+    }
+    // Filters do not hide it.
+    with_run(&TrainOptions { density: Density::Inria, antialias: true, ..options() }, |run, training, scene| {
+        training.smooth();
+        let mut arrays = training.read_splats().unwrap();
+        arrays.geometry[12 * 8 + 3] = f32::NAN;
+        training.write_splats(&arrays).unwrap();
+        let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err().to_string();
+        assert_eq!(error, "iteration 10 (Joint): opacity logits of splat 8 not finite");
+    });
+}
+
+/// Trains with `value` at float `at` of the geometry or the SH coefficients.
+fn error_with(geometry: bool, at: usize, value: f32) -> TrainError {
+    // Without a density step before the end, which finds geometry earlier.
+    let options = TrainOptions { density: Density::Inria, ..options() };
+    with_run(&options, |run, training, scene| {
+        let mut arrays = training.read_splats().unwrap();
+        let values = if geometry { &mut arrays.geometry } else { &mut arrays.sh };
+        values[at] = value;
+        training.write_splats(&arrays).unwrap();
+        run.run_phase(training, scene, Phase::Joint, None)
+            .and_then(|outcome| run.finish(training, scene, outcome))
+            .unwrap_err()
+    })
+}
+
+#[test]
+fn a_nan_in_a_map_is_found_and_named() {
+    with_run(&options(), |run, training, scene| {
+        let (mut first, second) = training.read_texel_moments().unwrap();
+        first[4 * 70 + 1] = f32::NAN;
+        assert!(training.write_texel_moments(&first, &second));
+        let error = run.run_phase(training, scene, Phase::Warmup, None).unwrap_err().to_string();
+        assert!(error.starts_with("iteration 10 (Warmup): a map of the mesh not finite"), "{error}");
+    });
+}
+
+/// The iteration named is that of the phase, where the clock of the schedule has run on from the phase before, too.
+#[test]
+fn a_nan_at_a_density_step_is_named_by_its_phase() {
+    let options = TrainOptions { iterations: 60, surface_iterations: Some(40), ..options() };
+    with_run(&options, |run, training, scene| {
+        run.identity.finds_surface = true;
+        assert_eq!(run.plan(Phase::Joint, 0, true).clock, 40);
+        let mut arrays = training.read_splats().unwrap();
+        arrays.geometry[12 * 7] = f32::NAN;
+        training.write_splats(&arrays).unwrap();
+        let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err();
+        let TrainError::NotFinite { phase: Phase::Joint, iteration, group } = error else { panic!("{error}") };
+        assert!(iteration <= 20 && group == "means of splat 7", "iteration {iteration}: {group}");
+    });
+}
+
+/// Reports come at other iterations, and splats learn of an exposure at the next that sees its photograph.
+#[test]
+fn no_checkpoint_holds_an_exposure_that_is_no_number() {
+    let options = TrainOptions { exposure: true, ..options() };
+    with_run(&options, |run, training, scene| {
+        let plan = run.plan(Phase::Joint, 0, true);
+        let saved = |training: &Training| {
+            let (found, past) = (run.found.clone(), run.log.past.clone());
+            Saved::capture(training, scene, (Phase::Joint, 1), found, None, &EpochWeight::default(), past).map(drop)
+        };
+        run.step(training, &plan, 0).unwrap();
+        saved(training).unwrap();
+        let mut exposures = training.read_exposures().unwrap().unwrap();
+        exposures.moments[1].fill(f32::NAN);
+        training.expose(&exposures).unwrap();
+        run.step(training, &plan, 1).unwrap();
+        let error = saved(training).unwrap_err();
+        let TrainError::NotFinite { phase: Phase::Joint, iteration: 1, group } = error else { panic!("{error}") };
+        assert_eq!(group, "exposures of photographs");
+    });
+}

@@ -1,0 +1,169 @@
+//! Runs that are stopped, their checkpoints, and runs that go on from these.
+
+use std::sync::atomic::Ordering;
+
+use super::*;
+use crate::optimize::checkpoint::Checkpoint;
+
+#[test]
+fn checkpoints_have_the_history() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("checkpoint");
+    let history = |resume: bool, stop: bool| -> Result<Vec<u32>, TrainError> {
+        let stop = AtomicBool::new(stop);
+        let checkpoints = checkpoints(&path, resume);
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress: &mut |_| {} };
+        train(&capture, MeshSource::None, &options(), session).map(|t| t.history.iter().map(|p| p.iteration).collect())
+    };
+    assert_eq!(history(false, true).unwrap(), Vec::<u32>::new(), "only what is reported without a stop");
+    let whole = Checkpoint::read(&path).unwrap();
+    let mut damaged = whole.clone();
+    damaged.indices.get_mut("log").unwrap().pop();
+    damaged.write(&path).unwrap();
+    assert!(history(true, false).unwrap_err().to_string().ends_with("log is missing or damaged"));
+    whole.write(&path).unwrap();
+    assert_eq!(history(true, false).unwrap(), [10, 20]);
+}
+
+/// Also where it was stopped after it had found out.
+#[test]
+fn a_resumed_run_says_why_it_has_no_surface() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
+    let options = TrainOptions { iterations: 40, surface_iterations: Some(10), max_splats: Some(5), ..options() };
+    let run = |resume: bool| {
+        let stop = AtomicBool::new(false);
+        let progress = &mut |p: &Progress| stop.store(!resume && p.phase == Phase::Joint, Ordering::Relaxed);
+        let checkpoints = checkpoints(&folder.path().join("checkpoint"), resume);
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress };
+        let trained = train(&capture, MeshSource::Splats, &options, session).unwrap();
+        (trained.outcome, trained.no_surface.unwrap())
+    };
+    let [(stopped, why), (finished, why_then)] = [false, true].map(run);
+    assert_eq!((stopped, finished), (Outcome::Interrupted, Outcome::Finished));
+    assert!(why.contains("surface") && why == why_then, "{why:?} {why_then:?}");
+}
+
+/// Also while the last scores of a phase are made: what follows takes minutes.
+#[test]
+fn a_stop_at_the_end_of_a_phase_is_heeded_there() {
+    let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
+    let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
+    let short = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: Some(5), ..options() };
+    let (options, path) = (TrainOptions { checkpoint_every: 1000, ..short }, folder.path().join("checkpoint"));
+    let stop = AtomicBool::new(false);
+    let progress = &mut |p: &Progress| stop.store((p.phase, p.iteration) == (Phase::Surface, 10), Ordering::Relaxed);
+    let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, false), stop: &stop, progress };
+    let trained = train(&capture, MeshSource::Splats, &options, session).unwrap();
+    assert_eq!((trained.outcome, trained.no_surface), (Outcome::Interrupted, None));
+    assert_eq!(Checkpoint::read(&path).unwrap().meta["phase"], serde_json::to_value(Phase::Surface).unwrap());
+}
+
+/// Where a disk has no room for a checkpoint it may have for the scene, which is all that the last iteration leaves to do.
+#[test]
+fn the_last_checkpoint_may_fail() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("missing/checkpoint");
+    let outcome = |iterations: u32, checkpoint_every: u32, stop_after: u32| {
+        let stop = AtomicBool::new(false);
+        let progress = &mut |p: &Progress| stop.store(p.iteration == stop_after, Ordering::Relaxed);
+        let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, false), stop: &stop, progress };
+        let options = TrainOptions { iterations, checkpoint_every, ..options() };
+        train(&capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
+    };
+    // One that is due, also where the run is stopped after it, and one that is asked for in the last iteration.
+    for (iterations, every, stop_after) in [(10, 10, 0), (10, 10, 10), (11, 0, 10)] {
+        let outcome = outcome(iterations, every, stop_after).unwrap();
+        assert_eq!(outcome, Outcome::Finished, "{iterations}, {every}, {stop_after}");
+    }
+    for (every, stop_after) in [(10, 0), (0, 10)] {
+        assert!(matches!(outcome(20, every, stop_after), Err(TrainError::Checkpoint(_))), "{every}, {stop_after}");
+    }
+    assert!(!path.exists());
+}
+
+/// Splats that were trained under other cameras are not trained on, nor those of other points.
+#[test]
+fn checkpoints_are_of_their_cameras_and_points() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let options = TrainOptions { iterations: 60, lambda: f32::INFINITY, ..options() };
+    let run = |capture: &Capture, resume: bool| {
+        let stop = AtomicBool::new(false);
+        let progress = &mut |_: &Progress| stop.store(true, Ordering::Relaxed);
+        let checkpoints = checkpoints(&folder.path().join("checkpoint"), resume);
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress };
+        train(capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
+    };
+    assert_eq!(run(&capture, false).unwrap(), Outcome::Interrupted);
+    assert_eq!(run(&capture, true).unwrap(), Outcome::Interrupted);
+    let mut moved = demo();
+    let camera = &mut moved.views[3].camera;
+    *camera = Camera::new(*camera.intrinsics(), camera.rotation(), camera.translation() + 1e-9).unwrap();
+    let mut other = demo();
+    other.points[7].position.x += 1e-9;
+    for capture in [moved, other] {
+        assert!(matches!(run(&capture, true), Err(TrainError::Resume(_))));
+    }
+}
+
+/// Neither a surface to look for nor a mesh to warm up is there without a mesh.
+#[test]
+fn checkpoints_of_phases_that_a_run_has_not_are_refused() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("checkpoint");
+    let run = |resume: bool| {
+        let (checkpoints, stop) = (checkpoints(&path, resume), AtomicBool::new(true));
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress: &mut |_| {} };
+        train(&capture, MeshSource::None, &options(), session).map(|trained| trained.outcome)
+    };
+    assert_eq!(run(false).unwrap(), Outcome::Interrupted);
+    let whole = Checkpoint::read(&path).unwrap();
+    for phase in [Phase::Surface, Phase::Warmup] {
+        let mut other = whole.clone();
+        other.meta["phase"] = serde_json::to_value(phase).unwrap();
+        other.write(&path).unwrap();
+        let error = run(true).unwrap_err().to_string();
+        assert!(error.ends_with("phase is missing or damaged"), "{phase:?}: {error}");
+    }
+}
+
+/// Whatever stands in its arrays, a checkpoint is taken or refused.
+#[test]
+fn damaged_checkpoints_are_refused() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("checkpoint");
+    let options = TrainOptions {
+        iterations: 30,
+        surface_iterations: Some(10),
+        warmup: 30,
+        exposure: true,
+        refine_poses: true,
+        ..options()
+    };
+    for (source, phase) in
+        [(MeshSource::Points, Phase::Warmup), (MeshSource::Splats, Phase::Warmup), (MeshSource::Splats, Phase::Joint)]
+    {
+        let run = |resume: bool| {
+            let stop = AtomicBool::new(false);
+            let progress = &mut |p: &Progress| stop.store(p.phase == phase, Ordering::Relaxed);
+            let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, resume), stop: &stop, progress };
+            train(&capture, source.clone(), &options, session)
+        };
+        assert_eq!(run(false).unwrap().outcome, Outcome::Interrupted);
+        let whole = Checkpoint::read(&path).unwrap();
+        assert_eq!(whole.meta["phase"], serde_json::to_value(phase).unwrap());
+        let names: Vec<String> = whole.tensors.keys().cloned().collect();
+        assert!(!whole.tensors["vertices/normals"].is_empty(), "{phase:?}: no vertex moves");
+        for name in names {
+            let mut damaged = whole.clone();
+            damaged.tensors.get_mut(&name).unwrap().pop();
+            damaged.write(&path).unwrap();
+            match run(true) {
+                Err(TrainError::Resume(_)) => {}
+                // An array of none lost nothing.
+                Ok(_) if damaged == whole => {}
+                other => panic!("{source:?}, {phase:?}, {name}: {:?}", other.map(|trained| trained.outcome)),
+            }
+        }
+    }
+}
