@@ -51,9 +51,16 @@ pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DM
         return true;
     }
     let Some(orthogonal) = orthogonal(transform) else { return false };
+    reshape(splats, these.clone(), transform);
+    turn(splats, these, orthogonal);
+    true
+}
+
+/// Moves means and shapes of some splats as [`place`] does, by a transform with an inverse, and leaves their harmonics as they are.
+pub(crate) fn reshape(splats: &mut SplatArrays, these: Range<usize>, transform: DMat4) {
     let moved = |mean: &mut Vec3| *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
     splats.means[these.clone()].par_iter_mut().for_each(moved);
-    let (rotations, log_scales) = (&mut splats.rotations[these.clone()], &mut splats.log_scales[these.clone()]);
+    let (rotations, log_scales) = (&mut splats.rotations[these.clone()], &mut splats.log_scales[these]);
     if let Some(Decomposed { scale, rotation, .. }) = similarity(transform) {
         rotations.par_iter_mut().for_each(|q| *q = (rotation * q.as_dquat()).as_quat());
         log_scales.par_iter_mut().for_each(|s| *s = (s.as_dvec3() + scale.ln()).as_vec3());
@@ -61,8 +68,6 @@ pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DM
         let linear = DMat3::from_mat4(transform);
         rotations.par_iter_mut().zip(log_scales).for_each(|(q, s)| (*q, *s) = stretched(linear, *q, *s));
     }
-    turn(splats, these, orthogonal);
-    true
 }
 
 /// Rotation and log-scales of an ellipsoid that a linear map with an inverse has gone over.

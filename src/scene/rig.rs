@@ -18,7 +18,7 @@ use std::ops::Range;
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::placement::{orthogonal, place, similarity, turn, turned};
+use super::placement::{orthogonal, reshape, similarity, turn, turned};
 use super::{HybridScene, Mesh, SceneError, SplatArrays, check_len};
 
 /// A moment of a rig.
@@ -263,9 +263,14 @@ impl Rig {
         if DMat3::from_mat4(now) == DMat3::ZERO {
             return Ok(Since::Gone);
         }
-        let transform = moved * now * (moved * rest).inverse();
+        let (now, rest) = (moved * now, moved * rest);
+        let transform = now * rest.inverse();
         // Of a bone without extent where it rests nothing can be told: the inverse is not finite.
-        let turn = Some(transform).filter(DMat4::is_finite).and_then(orthogonal);
+        let turn = Some(transform).filter(DMat4::is_finite).and_then(|transform| match similarity(transform) {
+            Some(by) => Some(DMat3::from_quat(by.rotation)),
+            // What is seen turns with the bone, which what lies between two of its transforms need not do where they stretch.
+            None => Some(orthogonal(now)? * orthogonal(rest)?.transpose()),
+        });
         turn.map(|turn| Since::Moved(transform, turn)).ok_or_else(|| {
             let expected = "a transform with an inverse, where it rests and now";
             SceneError::new(format!("bone {}", self.names[bone]), expected, "one without")
@@ -283,8 +288,9 @@ impl Rig {
         match self.since_rest(bone, pose, moved)? {
             Since::Rested => {}
             Since::Gone => splats.opacity_logits[these].fill(HIDDEN),
-            Since::Moved(transform, _) => {
-                place(splats, these, transform);
+            Since::Moved(transform, turned_by) => {
+                reshape(splats, these.clone(), transform);
+                turn(splats, these, turned_by);
             }
         }
         Ok(())

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "oracles"))
-from composition import KHR, View, contract_of, mesh_layers, rotations, scale_and_rotation, sh_basis
+from composition import KHR, View, contract_of, mesh_layers, orthogonal, rotations, sh_basis
 
 
 def splats_of(asset):
@@ -20,13 +20,11 @@ def splats_of(asset):
             if KHR not in primitive.get("extensions", {}):
                 continue
             get = lambda name: asset.accessor(primitive["attributes"][name])
-            scale, turn = scale_and_rotation(matrix)
             names = [f"{KHR}:SH_DEGREE_{l}_COEF_{m}" for l in range(4) for m in range(2 * l + 1)]
             sh = np.stack([get(n) for n in names if n in primitive["attributes"]], 1)
-            turn, node_turn = primitive.get("turn", turn), turn
-            axes = node_turn @ rotations(get(f"{KHR}:ROTATION"))
-            whiten = axes.transpose(0, 2, 1) / (scale * get(f"{KHR}:SCALE"))[:, :, None]
-            return get("POSITION") @ matrix[:3, :3].T + matrix[:3, 3], whiten, get(f"{KHR}:OPACITY"), sh, turn
+            axes = matrix[:3, :3] @ rotations(get(f"{KHR}:ROTATION")) * get(f"{KHR}:SCALE")[:, None, :]
+            mean, turn = get("POSITION") @ matrix[:3, :3].T + matrix[:3, 3], primitive.get("turn", orthogonal(matrix))
+            return mean, np.linalg.inv(axes), get(f"{KHR}:OPACITY"), sh, turn
     return None
 
 

@@ -34,8 +34,8 @@ MODES = ["stable", "surfaceConsistent", "direct"]
 
 
 def crowded(path):
-    """A harder scene from the file at `path`: its meshes several times over, through each other, more transparent; its
-    splats larger, more transparent, moved and turned by their node; 112 pixels wide,
+    """A harder scene from the file at `path`: its meshes several times over, through each other, one stretched and one
+    mirrored, more transparent; its splats larger, more transparent, moved, turned and stretched by their node; 112 pixels wide,
     with a background and cut by the near plane, and with a normalised footprint."""
     asset = Asset(path)
     json_ = asset.json
@@ -55,10 +55,11 @@ def crowded(path):
             factor = 112 / own["width"]
             own.update(width=112, height=round(factor * own["height"]), **{k: factor * own[k] for k in ["fx", "fy", "cx", "cy"]})
         elif KHR in json_["meshes"][node["mesh"]]["primitives"][0].get("extensions", {}):
-            node.update(rotation=[0.1, 0.2, -0.1, 0.94 ** 0.5], translation=[0.1, -0.2, 0.05], scale=[1.1] * 3)
+            node.update(rotation=[0.1, 0.2, -0.1, 0.94 ** 0.5], translation=[0.1, -0.2, 0.05], scale=[1.2, 0.9, 1.1])
         else:
-            for turn in ([0, 0.5, 0, 0.75 ** 0.5], [0.3, 0.1, 0, 0.9 ** 0.5], [0, 0, 0.8, 0.6]):
-                json_["nodes"].append({"mesh": node["mesh"], "rotation": turn, "scale": [0.9] * 3, "translation": [0.1, 0.05, 0.1]})
+            for turn, scale in (([0, 0.5, 0, 0.75 ** 0.5], [0.9] * 3), ([0.3, 0.1, 0, 0.9 ** 0.5], [1, 0.8, 0.9]),
+                                ([0, 0, 0.8, 0.6], [-0.9, 0.9, 0.9])):
+                json_["nodes"].append({"mesh": node["mesh"], "rotation": turn, "scale": scale, "translation": [0.1, 0.05, 0.1]})
                 root["children"].append(len(json_["nodes"]) - 1)
     for material in json_["materials"]:
         material["extensions"][EXT]["opacity"].update(offset=[-1], scale=[0.5])

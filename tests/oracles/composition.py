@@ -71,9 +71,10 @@ def rotations(q):
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def scale_and_rotation(matrix):
-    scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
-    return scale, matrix[:3, :3] / scale
+def orthogonal(matrix):
+    """The orthogonal polar factor of the linear part: a rotation, or where that mirrors one and a reflection."""
+    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    return u @ vt
 
 
 def sh_basis(d):
@@ -106,8 +107,7 @@ class View:
             self.fy, self.cx, self.cy = 0.5 * self.h / np.tan(0.5 * lens["yfov"]), self.w / 2, self.h / 2
             self.fx = self.w / (2 * lens["aspectRatio"] * np.tan(0.5 * lens["yfov"]))
         self.name, self.znear = node.get("name"), lens["znear"]
-        _, to_world = scale_and_rotation(matrix)
-        self.rotation = (to_world * [1, -1, -1]).T
+        self.rotation = (orthogonal(matrix) * [1, -1, -1]).T
         self.center = matrix[:3, 3]
 
     def to_camera(self, points):
@@ -128,14 +128,13 @@ def project_splats(asset, view, near, footprint={}):
             if KHR not in primitive.get("extensions", {}):
                 continue
             get = lambda name: asset.accessor(primitive["attributes"][name])
-            scale, turn = scale_and_rotation(matrix)
             mean = get("POSITION") @ matrix[:3, :3].T + matrix[:3, 3]
             names = [f"{KHR}:SH_DEGREE_{l}_COEF_{m}" for l in range(4) for m in range(2 * l + 1)]
             sh = np.stack([get(n) for n in names if n in primitive["attributes"]], 1)
             d = mean - view.center
-            d = d / np.linalg.norm(d, axis=1, keepdims=True) @ turn
+            d = d / np.linalg.norm(d, axis=1, keepdims=True) @ orthogonal(matrix)
             color = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis(d)[:, :sh.shape[1]], sh))
-            axes = turn @ rotations(get(f"{KHR}:ROTATION")) * (scale * get(f"{KHR}:SCALE"))[:, None, :]
+            axes = matrix[:3, :3] @ rotations(get(f"{KHR}:ROTATION")) * get(f"{KHR}:SCALE")[:, None, :]
             parts.append((mean, axes, get(f"{KHR}:OPACITY"), color))
     if not parts:
         return []
@@ -209,7 +208,7 @@ def mesh_layers(asset, view, near, layers):
             corners.append(view.to_camera(get("POSITION") @ matrix[:3, :3].T + matrix[:3, 3])[index])
             uvs.append(get("TEXCOORD_0")[index])
             primitive_of.append(np.full(len(index), len(primitives)))
-            primitives.append((primitive, scale_and_rotation(matrix)[1]))
+            primitives.append((primitive, orthogonal(matrix)))
     if not primitives:
         return depth, np.zeros_like(depth), np.zeros((*depth.shape, 3))
     corners, uvs, primitive_of = (np.concatenate(x) for x in (corners, uvs, primitive_of))

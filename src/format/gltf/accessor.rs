@@ -19,8 +19,6 @@ struct Elements<'a> {
     count: usize,
     stride: usize,
     size: usize,
-    kind: DataType,
-    normalized: bool,
     at: &'a str,
 }
 
@@ -50,22 +48,6 @@ impl Elements<'_> {
         }
         Ok(values)
     }
-
-    fn floats<const N: usize>(&self) -> Result<Vec<[f32; N]>, Fault> {
-        let (kind, size, normalized) = (self.kind, self.kind.size(), self.normalized);
-        self.map(|row| std::array::from_fn(|c| component(&row[c * size..], kind, normalized)))
-    }
-
-    /// First components; 0 for types that are not unsigned integers, which callers exclude.
-    fn indices(&self) -> Result<Vec<u32>, Fault> {
-        let kind = self.kind;
-        self.map(|b| match kind {
-            DataType::U8 => u32::from(b[0]),
-            DataType::U16 => u32::from(u16::from_le_bytes([b[0], b[1]])),
-            DataType::U32 => u32::from_le_bytes([b[0], b[1], b[2], b[3]]),
-            DataType::I8 | DataType::I16 | DataType::F32 => 0,
-        })
-    }
 }
 
 impl Asset {
@@ -74,13 +56,40 @@ impl Asset {
         accessor.sparse().is_some() || accessor.view().is_some_and(|view| self.has_view(&view))
     }
 
+    /// What the components of an accessor are stored as, if there is one, and whether integers are normalised.
+    pub(super) fn component(&self, accessor: usize) -> Option<(DataType, bool)> {
+        self.document.accessors().nth(accessor).map(|accessor| (accessor.data_type(), accessor.normalized()))
+    }
+
     /// Elements of a float or (normalised) integer accessor with `N` components, as floats; sparse ones included.
     pub(in crate::format) fn floats<const N: usize>(&self, accessor: usize) -> Result<Vec<[f32; N]>, Fault> {
         let accessor = self.accessor(accessor, N)?;
+        let (kind, normalized) = (accessor.data_type(), accessor.normalized());
+        self.decoded(&accessor, [0.0; N], |row| numbers(row, kind, normalized))
+    }
+
+    /// Elements of a SCALAR unsigned integer accessor; sparse ones included.
+    pub(in crate::format) fn indices(&self, accessor: usize) -> Result<Vec<u32>, Fault> {
+        let accessor = self.accessor(accessor, 1)?;
+        let kind = accessor.data_type();
+        if !matches!(kind, DataType::U8 | DataType::U16 | DataType::U32) {
+            let at = format!("/accessors/{}/componentType", accessor.index());
+            return Err(Fault::pointer(at, "an unsigned integer type", format!("{kind:?}")));
+        }
+        self.decoded(&accessor, 0, |row| unsigned(row, kind))
+    }
+
+    /// What `of` makes of the bytes of each element, and `zero` of those that nothing is stored of.
+    fn decoded<T: Clone>(
+        &self,
+        accessor: &gltf::Accessor<'_>,
+        zero: T,
+        of: impl Fn(&[u8]) -> T,
+    ) -> Result<Vec<T>, Fault> {
         let at = format!("/accessors/{}", accessor.index());
-        let (count, kind, normalized) = (accessor.count(), accessor.data_type(), accessor.normalized());
+        let (count, kind, components) = (accessor.count(), accessor.data_type(), accessor.dimensions().multiplicity());
         let mut values = match accessor.view().filter(|view| self.has_view(view)) {
-            Some(view) => self.elements(&view, accessor.offset(), count, N, (kind, normalized), &at)?.floats()?,
+            Some(view) => self.elements(&view, accessor.offset(), count, (components, kind), &at)?.map(&of)?,
             None => {
                 // All zero but for sparse elements (glTF 2.0, 3.6.2.3). Such an accessor goes with others that are stored in
                 // full, so a count above the number of bytes in the file is a lie.
@@ -88,8 +97,8 @@ impl Asset {
                     let expected = format!("at most {} elements without a bufferView", self.stored_bytes());
                     return Err(Fault::pointer(format!("{at}/count"), expected, count.to_string()));
                 }
-                self.spend((count * N * 4) as u64, &at)?;
-                vec![[0.0; N]; count]
+                self.spend((count * components * 4) as u64, &at)?;
+                vec![zero; count]
             }
         };
         if let Some(sparse) = accessor.sparse() {
@@ -101,10 +110,10 @@ impl Asset {
                 IndexType::U32 => DataType::U32,
             };
             let n = sparse.count();
-            let indices =
-                self.elements(&indices.view(), indices.offset(), n, 1, (index_kind, false), &at)?.indices()?;
+            let indices = self.elements(&indices.view(), indices.offset(), n, (1, index_kind), &at)?;
+            let indices = indices.map(|row| unsigned(row, index_kind))?;
             let (view, offset) = (replacements.view(), replacements.offset());
-            let replacements = self.elements(&view, offset, n, N, (kind, normalized), &at)?.floats()?;
+            let replacements = self.elements(&view, offset, n, (components, kind), &at)?.map(&of)?;
             for (index, value) in indices.into_iter().zip(replacements) {
                 let slot = values.get_mut(index as usize);
                 let slot =
@@ -124,24 +133,8 @@ impl Asset {
         let Some((accessor, view)) = stored.filter(|(_, view)| self.has_view(view)) else {
             return Err(Fault::pointer(at, "MAT4 of floats, stored in full", "another accessor"));
         };
-        let layout = (DataType::F32, false);
-        let elements = self.elements(&view, accessor.offset(), accessor.count(), 16, layout, &at)?;
-        Ok(elements.floats::<16>()?.iter().map(|m| DMat4::from_cols_array(&m.map(f64::from))).collect())
-    }
-
-    /// Elements of a SCALAR unsigned integer accessor.
-    pub(in crate::format) fn indices(&self, accessor: usize) -> Result<Vec<u32>, Fault> {
-        let accessor = self.accessor(accessor, 1)?;
-        let at = format!("/accessors/{}", accessor.index());
-        let kind = accessor.data_type();
-        if !matches!(kind, DataType::U8 | DataType::U16 | DataType::U32) {
-            return Err(Fault::pointer(format!("{at}/componentType"), "an unsigned integer type", format!("{kind:?}")));
-        }
-        let view = accessor.view().filter(|view| self.has_view(view));
-        let (Some(view), None) = (view, accessor.sparse()) else {
-            return Err(Fault::pointer(at, "indices stored in full", "a sparse or empty accessor"));
-        };
-        self.elements(&view, accessor.offset(), accessor.count(), 1, (kind, false), &at)?.indices()
+        let elements = self.elements(&view, accessor.offset(), accessor.count(), (16, DataType::F32), &at)?;
+        elements.map(|row| DMat4::from_cols_array(&numbers::<16>(row, DataType::F32, false).map(f64::from)))
     }
 
     /// Accessor `index`, known to have `components` components.
@@ -164,8 +157,7 @@ impl Asset {
         view: &gltf::buffer::View<'_>,
         offset: usize,
         count: usize,
-        components: usize,
-        (kind, normalized): (DataType, bool),
+        (components, kind): (usize, DataType),
         at: &'a str,
     ) -> Result<Elements<'a>, Fault> {
         let size = components * kind.size();
@@ -184,7 +176,7 @@ impl Asset {
             return Err(Fault::pointer(format!("{at}/count"), expected, format!("{length} bytes")));
         }
         self.spend((count as u64).saturating_mul(components as u64 * 4), at)?;
-        Ok(Elements { bytes, start: range.start.saturating_add(offset), count, stride, size, kind, normalized, at })
+        Ok(Elements { bytes, start: range.start.saturating_add(offset), count, stride, size, at })
     }
 
     /// The bytes of a buffer view, decompressed.
@@ -210,6 +202,21 @@ impl Asset {
             let expected = format!("{} bytes at offset {}", view.length(), view.offset());
             Fault::pointer(format!("/bufferViews/{}", view.index()), expected, format!("{length} bytes"))
         })
+    }
+}
+
+/// The components of an element.
+fn numbers<const N: usize>(row: &[u8], kind: DataType, normalized: bool) -> [f32; N] {
+    std::array::from_fn(|c| component(&row[c * kind.size()..], kind, normalized))
+}
+
+/// The first component of an element; 0 for types that are not unsigned integers, which callers exclude.
+fn unsigned(row: &[u8], kind: DataType) -> u32 {
+    match kind {
+        DataType::U8 => u32::from(row[0]),
+        DataType::U16 => u32::from(u16::from_le_bytes([row[0], row[1]])),
+        DataType::U32 => u32::from_le_bytes([row[0], row[1], row[2], row[3]]),
+        DataType::I8 | DataType::I16 | DataType::F32 => 0,
     }
 }
 

@@ -1,6 +1,7 @@
 //! Splats that are bound to triangles, by the extension.
 
-use glam::{DMat4, DQuat, Quat, Vec3};
+use glam::{DMat4, DQuat, Quat, Vec3, Vec4};
+use gltf::accessor::DataType;
 use serde_json::Value;
 
 use super::extension::{BindingObject, HYBRID, KHR_SPLATS, SplatExtension, extension_of};
@@ -8,6 +9,9 @@ use super::lift::Asset;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::orthogonal;
 use crate::scene::rig::{Binding, Frame, ShFrame};
+
+/// How far from 1 the length of a rotation may be, which 8-bit components are by half a step each.
+const UNIT_TOLERANCE: f32 = 0.01;
 
 /// A triangle primitive at a node, as splats are bound to it.
 pub(super) struct Bindable {
@@ -77,13 +81,19 @@ pub(super) fn read(
     if let Some(bad) = which.iter().find(|&&t| t as usize >= triangles) {
         return Err(format!("expected triangles below {triangles}, found {bad}"));
     }
+    for (key, accessor) in [("translations", object.translations), ("scales", object.scales)] {
+        if let Some((kind, _)) = asset.component(accessor).filter(|(kind, _)| *kind != DataType::F32) {
+            return Err(format!("expected {key} of Float, found {kind:?}"));
+        }
+    }
     let is_finite =
         translations.iter().chain(&scales).flatten().chain(rotations.iter().flatten()).all(|v| v.is_finite());
-    let is_turned = rotations.iter().all(|q| q.iter().any(|c| *c != 0.0));
-    if !is_finite || !is_turned || scales.iter().flatten().any(|s| *s < 0.0) {
-        return Err(
-            "expected finite numbers, rotations that are not zero, scales of at least 0, found others".to_owned()
-        );
+    if !is_finite || scales.iter().flatten().any(|s| *s < 0.0) {
+        return Err("expected finite numbers, scales of at least 0, found others".to_owned());
+    }
+    let lengths = rotations.iter().map(|q| Vec4::from(*q).length());
+    if let Some((i, length)) = lengths.enumerate().find(|(_, length)| (length - 1.0).abs() > UNIT_TOLERANCE) {
+        return Err(format!("expected rotations of length 1, found length {length:.4} of element {i}"));
     }
     let harmonics = match &object.spherical_harmonics_frame[..] {
         "node" => ShFrame::Bone(harmonics_bone),

@@ -6,6 +6,7 @@ use serde_json::Value;
 use super::extension::{EXTRAS, ExactCamera};
 use crate::format::DEFAULT_HEIGHT;
 use crate::format::cameras::short;
+use crate::format::error::from_value;
 use crate::format::placed::{Decomposed, similarity};
 use crate::scene::{Camera, Intrinsics};
 
@@ -27,23 +28,21 @@ pub(super) fn read(
     let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();
     let pose = (to_camera, -(to_camera * translation));
 
-    let extras = camera.extras.as_ref().and_then(|e| serde_json::from_str::<Value>(e.get()).ok());
-    let exact = extras.and_then(|e| serde_json::from_value::<ExactCamera>(e.get(EXTRAS)?.clone()).ok());
-    if let Some(c) = &exact
-        && !Intrinsics::is_size(c.width, c.height)
-    {
-        return Err(format!("its image of {}×{} pixels is empty or too large", c.width, c.height));
-    }
-    let reshaped = exact.is_some();
-    if let Some(c) = exact.and_then(|mut c| takes_lens_of(&mut c, camera).then_some(c)) {
-        let k = Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy };
-        let own = (DMat3::from_cols_array(&c.rotation).transpose(), DVec3::from(c.translation));
-        // glTF nodes are read in f32; a larger difference means that somebody has moved the camera.
-        let tolerance = 1e-5 * (1.0 + own.1.length());
-        let unmoved = own.0.abs_diff_eq(pose.0, 1e-5) && own.1.abs_diff_eq(pose.1, tolerance);
-        let (rotation, translation) = if unmoved { own } else { pose };
-        return Camera::new(k, rotation, translation).map(|c| (c, None)).map_err(|e| e.to_string());
-    }
+    let why = match exact(camera) {
+        None => "without an image size".to_owned(),
+        Some(Err(reason)) => format!("whose own numbers are not read ({reason})"),
+        Some(Ok(c)) if !Intrinsics::is_size(c.width, c.height) => {
+            return Err(format!("its image of {}×{} pixels is empty or too large", c.width, c.height));
+        }
+        Some(Ok(c)) => {
+            if let Some(c) = with_lens_of(c, camera) {
+                let k = Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy };
+                let (rotation, translation) = c.pose().filter(|own| is_unmoved(*own, pose)).unwrap_or(pose);
+                return Camera::new(k, rotation, translation).map(|c| (c, None)).map_err(|e| e.to_string());
+            }
+            "whose aspect ratio is not that of its own numbers".to_owned()
+        }
+    };
     let perspective = camera.perspective.as_ref().ok_or("it is orthographic, and cameras here are pinholes")?;
     let yfov = f64::from(perspective.yfov);
     if !(yfov > 0.0 && yfov < std::f64::consts::PI) {
@@ -51,30 +50,57 @@ pub(super) fn read(
     }
     let aspect = perspective.aspect_ratio.map(f64::from).filter(|a| a.is_finite() && *a > 0.0);
     let height = f64::from(DEFAULT_HEIGHT);
-    let width = (aspect.unwrap_or(16.0 / 9.0) * height).round().clamp(1.0, f64::from(Intrinsics::MAX_PICTURE_SIDE));
-    let f = 0.5 * height / (0.5 * yfov).tan();
+    let wide = aspect.unwrap_or(16.0 / 9.0) * height;
+    let width = wide.round().clamp(1.0, f64::from(Intrinsics::MAX_PICTURE_SIDE));
+    let fy = 0.5 * height / (0.5 * yfov).tan();
+    // As much is seen from side to side as the aspect ratio says, to whatever whole number of pixels that is rounded.
+    let is_rounded = aspect.is_some() && (width - wide).abs() <= 0.5;
+    let fx = if is_rounded { fy * (width / wide) } else { fy };
     let (cx, cy) = (0.5 * width, 0.5 * height);
-    let k = Intrinsics { width: width as u32, height: DEFAULT_HEIGHT, fx: f, fy: f, cx, cy };
-    let what = if reshaped { "whose aspect ratio was changed since Centaur wrote it" } else { "without an image size" };
-    let note = format!("a camera {what} is taken to have {}×{} pixels", k.width, k.height);
+    let k = Intrinsics { width: width as u32, height: DEFAULT_HEIGHT, fx, fy, cx, cy };
+    let note = format!("a camera {why} is taken to have {}×{} pixels", k.width, k.height);
     Camera::new(k, pose.0, pose.1).map(|c| (c, Some(note))).map_err(|e| e.to_string())
 }
 
-/// Gives the exact camera the field of view that the file has now: somebody may have changed that and kept the extras. False if the
-/// aspect ratio has changed, and with it the picture.
-fn takes_lens_of(exact: &mut ExactCamera, camera: &gltf::json::Camera) -> bool {
-    let Some(perspective) = camera.perspective.as_ref() else { return false };
+/// What Centaur, or whoever follows it, says of a camera in its extras; `Err` is why that cannot be read.
+fn exact(camera: &gltf::json::Camera) -> Option<Result<ExactCamera, String>> {
+    let extras = serde_json::from_str::<Value>(camera.extras.as_ref()?.get()).ok()?;
+    let read = from_value::<ExactCamera>(extras.get(EXTRAS)?, &format!("extras/{EXTRAS}"), "the numbers of a camera");
+    Some(read.map_err(|fault| {
+        let (location, _, found) = fault.into_parts();
+        short(&format!("{location}{found}"))
+    }))
+}
+
+impl ExactCamera {
+    /// World→camera rotation and translation, if it has both.
+    fn pose(&self) -> Option<(DMat3, DVec3)> {
+        Some((DMat3::from_cols_array(&self.rotation?).transpose(), DVec3::from(self.translation?)))
+    }
+}
+
+/// Whether a camera of this pose of its own is where its node is. Nodes are read in f32; a larger difference means that somebody has moved the
+/// camera.
+fn is_unmoved(own: (DMat3, DVec3), node: (DMat3, DVec3)) -> bool {
+    let tolerance = 1e-5 * (1.0 + own.1.length());
+    own.0.abs_diff_eq(node.0, 1e-5) && own.1.abs_diff_eq(node.1, tolerance)
+}
+
+/// The exact camera with the field of view that the file has now: somebody may have changed that and kept the extras. `None` if the
+/// aspect ratio is another, and with it the picture.
+fn with_lens_of(mut exact: ExactCamera, camera: &gltf::json::Camera) -> Option<ExactCamera> {
+    let perspective = camera.perspective.as_ref()?;
     let (width, height) = (f64::from(exact.width), f64::from(exact.height));
     // The file's are rounded to f32.
     let near = |found: f64, written: f64| (found - written).abs() <= 1e-5 * written.abs();
     let aspect = (width * exact.fy) / (height * exact.fx);
     if perspective.aspect_ratio.is_some_and(|found| !near(f64::from(found), aspect)) {
-        return false;
+        return None;
     }
     let yfov = f64::from(perspective.yfov);
     if yfov > 0.0 && yfov < std::f64::consts::PI && !near(yfov, 2.0 * (0.5 * height / exact.fy).atan()) {
         let factor = (0.5 * height / exact.fy) / (0.5 * yfov).tan();
         (exact.fx, exact.fy) = (factor * exact.fx, factor * exact.fy);
     }
-    true
+    Some(exact)
 }

@@ -188,6 +188,33 @@ fn sparse_elements_with_and_without_a_base() {
 }
 
 #[test]
+fn indices_may_be_sparse_or_not_stored() {
+    let (mut b, attributes) = triangle();
+    let indices = b.accessor(5121, "SCALAR", 3, &[0, 1, 1]);
+    let (places, values) = (b.view(&[1, 2]), b.view(&[2, 1]));
+    b.accessors[indices]["sparse"] = json!({
+        "count": 2, "indices": { "bufferView": places, "componentType": 5121 }, "values": { "bufferView": values },
+    });
+    let read = |b: &Builder| {
+        let primitive = json!({ "attributes": attributes, "indices": indices });
+        let file = b.read(json!({ "meshes": [{ "primitives": [primitive] }] }));
+        file.map(|file| file.scene.meshes[0].triangles().to_vec())
+    };
+    assert_eq!(read(&b).unwrap(), [[0, 2, 1]]);
+    b.accessors[indices].as_object_mut().unwrap().remove("bufferView");
+    assert_eq!(read(&b).unwrap(), [[0, 2, 1]], "zeros but for two");
+    b.accessors[indices]["sparse"]["indices"]["bufferView"] = json!(values);
+    b.accessors[indices]["count"] = json!(2);
+    assert!(read(&b).unwrap_err().ends_with("/accessors/2/sparse: expected indices below 2, found 2"));
+    b.accessors[indices].as_object_mut().unwrap().remove("sparse");
+    b.accessors[indices]["count"] = json!(3);
+    assert_eq!(read(&b).unwrap(), [[0, 0, 0]]);
+    b.accessors[indices]["count"] = json!(4_000_000_000u32);
+    let message = read(&b).unwrap_err();
+    assert!(message.starts_with("f: /accessors/2/count: expected at most "), "{message}");
+}
+
+#[test]
 fn accessors_without_data_are_zeros_unless_draco_has_it() {
     let (mut b, attributes) = triangle();
     let read = |b: &Builder, extensions: &Value| {

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -267,6 +268,8 @@ pub(crate) struct Surface {
 #[derive(Deserialize)]
 pub(crate) struct SplatExtension {
     pub(crate) binding: Option<BindingObject>,
+    /// Which field deforms them: fields are not played.
+    pub(crate) deformation: Option<IgnoredAny>,
 }
 
 /// What its splats follow.
@@ -301,9 +304,11 @@ pub(crate) struct ExactCamera {
     pub(crate) fy: f64,
     pub(crate) cx: f64,
     pub(crate) cy: f64,
-    /// World→camera rotation, row-major; `OpenCV` axes, frame of the capture.
-    pub(crate) rotation: [f64; 9],
-    pub(crate) translation: [f64; 3],
+    /// World→camera rotation, row-major; `OpenCV` axes, frame of the capture. Without it or the translation the node says where the camera is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) rotation: Option<[f64; 9]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) translation: Option<[f64; 3]>,
 }
 
 pub(crate) fn parse_color_space(token: &str, at: &str) -> Result<ColorSpace, Fault> {

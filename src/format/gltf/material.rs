@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use gltf::accessor::DataType;
 use gltf::material::AlphaMode;
 use gltf::texture::MagFilter;
 use rayon::prelude::*;
@@ -172,7 +173,7 @@ fn exact(
     }
     if harmonics.frame == TRIANGLE {
         notes.push(format!(
-            "{at_sh}/frame: {TRIANGLE} is read as node, which is the same while the mesh is not deformed"
+            "{at_sh}/frame: {TRIANGLE} is read as node, which differs where the mesh is skinned, deformed, mirrored or stretched"
         ));
     }
     let (document, first) = (&asset.document, format!("{at_sh}/coefficients/0"));
@@ -242,6 +243,10 @@ fn plane<const N: usize>(
             if values.len() as u64 != u64::from(width) * u64::from(height) {
                 let found = format!("an accessor of {} elements", values.len());
                 return Err(Fault::pointer(at, format!("{width}×{height} texels"), found));
+            }
+            if let Some((kind, false)) = asset.component(accessor).filter(|(kind, _)| *kind != DataType::F32) {
+                let expected = format!("{N} component(s), of Float or a normalised type");
+                return Err(Fault::pointer(format!("{at}/accessor"), expected, format!("{N} of {kind:?}")));
             }
             spend(budget, N * values.len(), at)?;
             Plane { width, height, values }

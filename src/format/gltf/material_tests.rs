@@ -110,6 +110,78 @@ fn texel_sources_are_transformed_and_repeat() {
     );
 }
 
+#[test]
+fn texels_of_plain_integers_are_refused() {
+    let (mut b, attributes) = triangle();
+    let (plain, normalized) =
+        (b.accessor(5121, "VEC3", 1, &[10, 20, 30, 0]), b.normalized(5121, "VEC3", 1, &[10, 20, 30, 0]));
+    let read = |accessor: usize| {
+        let coefficients = [json!({ "accessor": accessor, "width": 1, "height": 1 })];
+        let harmonics = json!({ "degree": 0, "coefficients": coefficients });
+        let radiance = json!({ "colorSpace": "srgb_rec709_display", "sphericalHarmonics": harmonics });
+        b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [{ "extensions": { HYBRID: radiance } }],
+        }))
+    };
+    assert!(read(normalized).is_ok());
+    let message = read(plain).unwrap_err();
+    let said = "/coefficients/0/accessor: expected 3 component(s), of Float or a normalised type, found 3 of U8";
+    assert!(message.ends_with(said), "{message}");
+}
+
+#[test]
+fn what_is_cut_out_of_the_one_layer_is_noted() {
+    let (b, attributes) = triangle();
+    let notes = |alpha: f32, stated: Value| {
+        let file = b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [{
+                "alphaMode": "MASK", "doubleSided": true, "extensions": { "KHR_materials_unlit": {} },
+                "pbrMetallicRoughness": { "baseColorFactor": [1, 1, 1, alpha] },
+            }],
+            "scenes": [{ "nodes": [0], "extensions": stated }],
+        }));
+        file.unwrap().notes
+    };
+    let layers = |layers: u32| json!({ HYBRID: { "colorSpace": "srgb_rec709_display", "layers": layers } });
+    let said = "/materials/0: what its mask cuts out takes up the one layer stated: what is behind may be missing";
+    assert_eq!(notes(0.2, layers(1)), [said]);
+    assert_eq!(notes(0.2, json!({ HYBRID: { "colorSpace": "srgb_rec709_display" } })), [said], "one is the default");
+    for (alpha, stated) in [(0.2, layers(2)), (0.9, layers(1)), (0.2, json!({}))] {
+        assert_eq!(notes(alpha, stated), Vec::<String>::new());
+    }
+}
+
+/// Core glTF gives the transform of a skinned mesh's own node no effect; what takes a scene to its frame has one.
+#[test]
+fn what_is_seen_of_a_skinned_mesh_does_not_turn_with_its_node() {
+    let (mut b, mut attributes) = triangle();
+    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
+    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0]; 3]));
+    let coefficients =
+        [0.1f32, 0.2, 0.3, 0.4].map(|v| json!({ "accessor": b.floats(&[[v, -v, 0.5]]), "width": 1, "height": 1 }));
+    let harmonics = json!({ "degree": 1, "coefficients": coefficients });
+    let radiance = json!({ "colorSpace": "srgb_rec709_display", "sphericalHarmonics": harmonics });
+    let bands = |root: Value| {
+        let file = b.read(json!({
+            "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
+            "materials": [{ "extensions": { HYBRID: radiance } }],
+            "skins": [{ "joints": [1] }],
+            "scenes": [{ "nodes": [2] }],
+            "nodes": [{ "mesh": 0, "skin": 0, "rotation": [0, 0, 0.6, 0.8] }, {}, root],
+        }));
+        file.unwrap().scene.meshes[0].atlas().bands().unwrap().texels().to_vec()
+    };
+    let stored = [0.2, -0.2, 0.5, 0.3, -0.3, 0.5, 0.4, -0.4, 0.5];
+    near(&bands(json!({ "children": [0, 1], "rotation": [0, 1, 0, 0] })), &stored, 1e-6);
+    // Of y, z and x the first two point the other way in the frame of a capture.
+    let turned = [-0.2, 0.2, -0.5, -0.3, 0.3, -0.5, 0.4, -0.4, 0.5];
+    let ours =
+        json!({ "children": [0, 1], "rotation": [1, 0, 0, 0], "name": "centaur_world", "extras": { "centaur": {} } });
+    near(&bands(ours), &turned, 1e-6);
+}
+
 /// One picture may stand for all coefficients, each of which takes as much as it does.
 #[test]
 fn maps_are_counted_coefficient_by_coefficient() {

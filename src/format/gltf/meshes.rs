@@ -5,6 +5,8 @@ use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 
 use glam::{DMat3, DMat4, Vec2, Vec3};
+use gltf::material::AlphaMode;
+use gltf::mesh::Mode;
 
 use super::binding::{Bindable, wanted};
 use super::extension::{HYBRID, Surface};
@@ -13,9 +15,11 @@ use super::lift::Asset;
 use super::material::{self, BaseColour, Made, Maps};
 use super::motion::Motion;
 use super::pose::Poses;
+use super::transform::frame_of;
 use super::triangles::{self, Triangles};
 use super::uv::Unrolling;
 use super::vertex_color;
+use crate::format::activation;
 use crate::format::error::{Fault, from_value};
 use crate::format::map_budget::MapBudget;
 use crate::format::placed::{orthogonal, turned};
@@ -39,6 +43,9 @@ pub(super) struct Meshes<'a> {
     common: HashSet<usize>,
     bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
+    stated_layers: Option<u32>,
+    /// From glTF's frame to the scene's.
+    frame: DMat4,
     maps: HashMap<Option<usize>, Maps>,
     /// The maps of textured materials times a colour, and their floats.
     tinted: HashMap<(Option<usize>, Tint), Atlas>,
@@ -80,7 +87,13 @@ pub(super) struct Finished {
 }
 
 impl<'a> Meshes<'a> {
-    pub(super) fn new(asset: &'a Asset, motion: &'a Motion, space: ColorSpace) -> Result<Self, Fault> {
+    /// `stated_layers`: how many mesh layers the scene states that a pixel has.
+    pub(super) fn new(
+        asset: &'a Asset,
+        motion: &'a Motion,
+        space: ColorSpace,
+        stated_layers: Option<u32>,
+    ) -> Result<Self, Fault> {
         let poses = Poses::new(&asset.document, motion)?;
         Ok(Self {
             asset,
@@ -90,6 +103,8 @@ impl<'a> Meshes<'a> {
             common: common_positions(&asset.document),
             bindable: HashMap::new(),
             space,
+            stated_layers,
+            frame: frame_of(&asset.document),
             maps: HashMap::new(),
             tinted: HashMap::new(),
             tinted_floats: 0,
@@ -187,7 +202,8 @@ impl<'a> Meshes<'a> {
         let look = self.look((node, transform), primitive, &geometry, notes)?;
         let moves = self.poses.animates(&geometry.rest_surface, self.motion);
         let id = (node.index(), primitive.index());
-        let undeformed = self.wanted.contains(&id).then(|| undeformed(&geometry));
+        let is_bindable = self.wanted.contains(&id) && primitive.mode() == Mode::Triangles;
+        let undeformed = is_bindable.then(|| undeformed(&geometry));
         if let Some(source) = surface_vertices(self.asset, node, primitive, &geometry.positions)? {
             join_copies(&mut geometry, &source, moves);
         }
@@ -216,9 +232,14 @@ impl<'a> Meshes<'a> {
         let index = material.index();
         if !self.maps.contains_key(&index) {
             let maps = material::maps(self.asset, material, self.space, (&mut self.budget, &mut self.made), notes)?;
-            if material.alpha_mode() != gltf::material::AlphaMode::Opaque && !material.double_sided() {
-                let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
+            let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
+            if material.alpha_mode() != AlphaMode::Opaque && !material.double_sided() {
                 notes.push(format!("{name}single-sided, but drawn from both sides"));
+            }
+            if material.alpha_mode() == AlphaMode::Mask && self.stated_layers == Some(1) && has_holes(&maps.atlas) {
+                notes.push(format!(
+                    "{name}what its mask cuts out takes up the one layer stated: what is behind may be missing"
+                ));
             }
             self.maps.insert(index, maps);
         }
@@ -281,8 +302,10 @@ impl<'a> Meshes<'a> {
             notes
                 .push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
         }
-        if maps.atlas.sh_degree() > 0 && transform != DMat4::IDENTITY && node.skin().is_none() {
-            let turn = orthogonal(transform).ok_or_else(|| {
+        // The transform of a skinned mesh's own node has no effect on what is seen of it either.
+        let seen_by = if node.skin().is_some() { self.frame } else { transform };
+        if maps.atlas.sh_degree() > 0 && seen_by != DMat4::IDENTITY {
+            let turn = orthogonal(seen_by).ok_or_else(|| {
                 let expected = "a transform with an inverse above a mesh with view-dependent colour";
                 Fault::pointer(&at, expected, "one without")
             })?;
@@ -374,6 +397,12 @@ fn one_colour(colors: &[[f32; 4]], triangles: &[[u32; 3]]) -> Option<[f32; 4]> {
     let mut of_corners = triangles.as_flattened().iter().filter_map(|&v| colors.get(v as usize));
     let first = of_corners.next()?;
     of_corners.all(|colour| colour == first).then_some(*first)
+}
+
+/// Whether some texels show nothing.
+fn has_holes(atlas: &Atlas) -> bool {
+    let nothing = activation::map_logit(0.0);
+    atlas.base().texels().chunks_exact(4).any(|texel| texel[3] <= nothing)
 }
 
 /// A map of one texel.

@@ -130,7 +130,8 @@ pub(super) fn write_over(
 /// | primitives without `POSITION` | nothing, with a note |
 /// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
 /// | animations | what [`Source::at`] poses the scene by |
-/// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored |
+/// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored; those that do not hold are ignored, with a note |
+/// | deformation fields | nothing, with a note |
 /// | materials | the hybrid extension's maps, else the base colour (by `KHR_materials_pbrSpecularGlossiness` the diffuse colour), or the emission of what is black or has no other picture, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps; pictures of the core that cannot be had are left out, with a note |
 /// | `COLOR_0` | a map; beside a texture a factor where it is one colour, else it is left out, with a note |
 /// | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |

@@ -222,9 +222,15 @@ fn translations_of_the_extension_come_after_morph_targets() {
     }
 }
 
+/// Accessors of every document of [`bound`] that a binding may not have: a VEC3 of integers, a VEC4 of length ½.
+const INTEGERS: usize = 2;
+const HALF: usize = 3;
+
 /// Two splats on a triangle that turns and one that hangs on a node of its own; `harmonics` is the frame of the bound ones.
 fn bound(harmonics: &str, damage: impl Fn(&mut Value)) -> File {
     let (mut b, attributes) = triangle();
+    let unfit = [b.accessor(5123, "VEC3", 1, &[0; 8]), b.floats(&[[0.0f32, 0.0, 0.0, 0.5]])];
+    assert_eq!(unfit, [INTEGERS, HALF]);
     let half = std::f32::consts::FRAC_1_SQRT_2;
     let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
     let lift = b.floats(&[[0.0f32, 0.0, 0.0], [0.0, 0.0, 2.0]]);
@@ -325,8 +331,27 @@ fn bindings_that_do_not_hold_are_ignored_and_said() {
     assert!(with("sphericalHarmonicsFrame", json!("other")).contains("found `other`"));
     assert!(with("translations", json!(0)).contains("expected 1 elements, one per splat, found 3"));
     assert!(with("scales", json!(99)).contains("/accessors"));
+    assert!(with("scales", json!(INTEGERS)).contains("binding: ignored: expected scales of Float, found U16"));
+    assert!(with("translations", json!(INTEGERS)).contains("expected translations of Float, found U16"));
+    let said = with("rotations", json!(HALF));
+    assert!(said.contains("expected rotations of length 1, found length 0.5000 of element 0"), "{said}");
+    // One triangle, too, with the same digest.
+    let strip = bound("node", |document| document["meshes"][0]["primitives"][0]["mode"] = json!(5)).rest();
+    let said = "expected triangles at node 0, primitive 0, of mode 4, found none in the scene";
+    assert!(strip.notes.iter().any(|note| note.ends_with(said)), "{:?}", strip.notes);
+    assert_eq!(strip.scene.meshes[0].triangles().len(), 1);
     let mirrored = bound("triangle", |document| document["nodes"][1]["scale"] = json!([1, 1, -1]));
     assert!(mirrored.rest().notes.join("; ").contains("binding: ignored: expected a node that does not mirror"));
+}
+
+#[test]
+fn fields_are_not_played_and_that_is_said() {
+    let object = "/meshes/2/primitives/0/extensions/KHR_gaussian_splatting/extensions";
+    let file = bound("node", |document| {
+        *document.pointer_mut(object).unwrap() = json!({ HYBRID: { "deformation": 0 } });
+    });
+    let said = format!("{object}/{HYBRID}/deformation: not played: its splats are shown undeformed");
+    assert!(file.rest().notes.contains(&said), "{:?}", file.rest().notes);
 }
 
 #[test]

@@ -40,8 +40,9 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     let space = composition.color_space;
     let motion = Motion::chosen(asset, animations)?;
     notes.extend(motion.notes());
-    let (mut parts, mut meshes, mut hung) = (vec![], Meshes::new(asset, &motion, space)?, vec![]);
-    let mut count = 0;
+    let stated_layers = is_stated.then_some(composition.layers);
+    let mut meshes = Meshes::new(asset, &motion, space, stated_layers)?;
+    let (mut parts, mut hung, mut count) = (vec![], vec![], 0);
     let placed = placements(&asset.document)?;
     notes.extend(not_placed(asset)?);
     let single = Single::of(&asset.root);
@@ -134,11 +135,14 @@ impl Hung<'_> {
         let Self { splats, node, transform, id, khr } = self;
         let object = binding::object(khr, id)?;
         let moves = read.poses.moves(node);
+        if let Some((at, SplatExtension { deformation: Some(_), .. })) = &object {
+            notes.push(format!("{at}/deformation: not played: its splats are shown undeformed"));
+        }
         if let Some((at, SplatExtension { binding: Some(object), .. })) = &object {
             let to = read.bindable.get(&(object.node, object.primitive));
             let bound = to.ok_or_else(|| {
                 let BindingObject { node, primitive, .. } = object;
-                format!("expected triangles at node {node}, primitive {primitive}, found none in the scene")
+                format!("expected triangles at node {node}, primitive {primitive}, of mode 4, found none in the scene")
             });
             // Also where nothing of it moves: a fault is to be told.
             match bound.and_then(|to| {

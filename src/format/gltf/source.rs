@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 use super::buffer::Buffer;
 use super::container::Bin;
-use super::extension::{EXTRAS, HYBRID, MOVED_NODE, SceneContract, extension_of};
+use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SceneContract, extension_of};
 use super::image::media_type;
 use super::lift::{Asset, give_scene};
 use super::motion::Clip;
@@ -33,7 +33,7 @@ use crate::scene::{Camera, Composition, HybridScene, SceneError};
 /// |---|---|
 /// | nothing | it is written as it is, in one buffer |
 /// | moved, turned, scaled ([`Source::follow`]) | a node above it moves it |
-/// | another rule of blending | the rule is set in it |
+/// | another rule of blending | the rule is set in it, unless it has none and splats of several colour spaces, or splats and triangles in one mesh: with a rule no reader takes these, and it is dropped |
 /// | all cameras left out | they are taken out of it |
 /// | cropped, thinned, fewer harmonics, joined, mirrored, other cameras | it is dropped: the scene is written anew, and [`Source::remainder`] says what is not in it. Copyright and the extras of asset, document and scene go on |
 ///
@@ -226,6 +226,7 @@ impl Source {
             && similarity(self.moved).is_some()
             && (cameras.is_empty() || self.cameras == fingerprint_of_cameras(cameras))
             && self.composition.color_space == scene.composition.color_space
+            && (self.composition == scene.composition || self.takes_contract())
             && self.splats_and_meshes == fingerprint(scene)
     }
 
@@ -236,6 +237,21 @@ impl Source {
 
     fn contract(&self) -> Option<&Value> {
         extension_of(self.root.get("scenes")?.get(self.scene())?, HYBRID)
+    }
+
+    /// Whether a rule of blending may be set: splats are of its colour space then, and not in one mesh with triangles.
+    fn takes_contract(&self) -> bool {
+        fn items<'a>(object: &'a Value, key: &str) -> &'a [Value] {
+            object.get(key).and_then(Value::as_array).map_or(&[], Vec::as_slice)
+        }
+        let space = self.composition.color_space.name();
+        let is_other = |khr: &Value| khr.get("colorSpace").and_then(Value::as_str).is_some_and(|own| own != space);
+        let is_apart = |mesh: &Value| {
+            let primitives = items(mesh, "primitives");
+            let splats: Vec<&Value> = primitives.iter().filter_map(|p| extension_of(p, KHR_SPLATS)).collect();
+            [0, primitives.len()].contains(&splats.len()) && !splats.into_iter().any(is_other)
+        };
+        self.contract().is_some() || items(&self.root, "meshes").iter().all(is_apart)
     }
 
     /// The document as it was read, whatever has become of the scene, and its one buffer.

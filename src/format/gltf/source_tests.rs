@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
-use super::extension::{EXTRAS, HYBRID, SPECULAR_GLOSSINESS};
+use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, SPECULAR_GLOSSINESS};
 use super::remainder::remainder;
 use super::tests::{fuzzed_values, leaves};
 use super::*;
@@ -293,6 +293,50 @@ fn cameras_and_the_rule_change_within_the_document() {
     let error = read_file(&at("damaged.gltf"), &KEEP).unwrap_err().to_string();
     let place = format!("/scenes/0/extensions/{HYBRID}/footprint/variance: expected a number ≥ 0, found -1");
     assert!(error.ends_with(&place), "{error}");
+}
+
+/// Elsewhere the scene is written anew, which every reader takes.
+#[test]
+fn a_rule_is_set_only_in_documents_that_may_have_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut b, attributes) = triangle();
+    let of_splats = json!({
+        "POSITION": b.floats(&[[0.0f32; 3]]),
+        format!("{KHR_SPLATS}:ROTATION"): b.floats(&[[0.0f32, 0.0, 0.0, 1.0]]),
+        format!("{KHR_SPLATS}:SCALE"): b.floats(&[[0.1f32; 3]]),
+        format!("{KHR_SPLATS}:OPACITY"): b.floats(&[[0.7f32]]),
+        format!("{KHR_SPLATS}:SH_DEGREE_0_COEF_0"): b.floats(&[[0.1f32; 3]]),
+    });
+    let splats = |space: &str| {
+        let khr = json!({ "kernel": "ellipse", "colorSpace": space });
+        json!({ "mode": 0, "attributes": of_splats, "extensions": { KHR_SPLATS: khr } })
+    };
+    let [srgb, linear] = ["srgb_rec709_display", "lin_rec709_display"].map(splats);
+    let surface = json!({ "attributes": attributes });
+    for (name, meshes, is_set) in [
+        ("apart", [json!([srgb]), json!([surface])], true),
+        ("spaces", [json!([srgb]), json!([linear])], false),
+        ("mixed", [json!([srgb, surface]), json!([srgb])], false),
+    ] {
+        let document = json!({
+            "meshes": meshes.map(|primitives| json!({ "primitives": primitives })),
+            "nodes": [{ "mesh": 0 }, { "mesh": 1 }], "scenes": [{ "nodes": [0, 1] }], "extensionsUsed": [KHR_SPLATS],
+        });
+        let [path, out] = ["in", "out"].map(|place| folder.path().join(format!("{place}_{name}.gltf")));
+        std::fs::write(&path, b.file(&document)).unwrap();
+        let file = read_file(&path, &KEEP).unwrap();
+        let source = file.source.unwrap();
+        assert!(source.stands(&file.scene, &[]), "{name}: as it was");
+        let mut scene = file.scene;
+        scene.composition.layers = 2;
+        assert_eq!(source.stands(&scene, &[]), is_set, "{name}");
+        let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
+        write_scene(&out, &scene, &options).unwrap();
+        assert_eq!(read_file(&out, &KEEP).unwrap().scene.composition, scene.composition, "{name}");
+        let findings = crate::format::validate(&out).unwrap().findings;
+        let is_refused = |code: &str| ["HYBRID_MIXED_MESH", "HYBRID_COLOR_SPACE"].contains(&code);
+        assert!(!findings.iter().any(|finding| is_refused(finding.code)), "{name}: {findings:?}");
+    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::*;
 use crate::format::FormatError;
 use crate::format::test_scenes::{camera, random_mesh, random_scene, random_splats};
-use crate::scene::{Composition, Splats, sh};
+use crate::scene::{Composition, Intrinsics, Splats, sh};
 
 fn bytes_of(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
@@ -127,7 +127,8 @@ fn choices_that_are_not_known_give_way_to_defaults() {
     }
     let of_material = |key: &str| format!("/materials/0/extensions/{hybrid}/{key}");
     let (note, found) = changed(&of_material("sphericalHarmonics/frame"), "triangle");
-    assert_eq!(note, "triangle is read as node, which is the same while the mesh is not deformed");
+    let expected = "triangle is read as node, which differs where the mesh is skinned, deformed, mirrored or stretched";
+    assert_eq!(note, expected);
     assert_eq!(found.meshes, scene.meshes);
     for key in ["sphericalHarmonics/frame", "opacity/activation"] {
         let (note, found) = changed(&of_material(key), "other");
@@ -182,7 +183,63 @@ fn a_lens_that_was_changed_is_taken() {
     assert_eq!((wide.width, wide.height, wide.cx, wide.cy), (k.width, k.height, k.cx, k.cy));
     let other = changed("aspectRatio", 2.0);
     assert_eq!(other.cameras[0].1.intrinsics().width, 2160);
-    assert!(other.notes[0].contains("whose aspect ratio was changed since Centaur wrote it"), "{:?}", other.notes);
+    assert!(other.notes[0].contains("whose aspect ratio is not that of its own numbers"), "{:?}", other.notes);
+}
+
+/// As the extension's text lists them; whoever writes these need not know where in the capture the camera is.
+#[test]
+fn six_numbers_of_a_camera_are_enough() {
+    let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
+    let read = |damage: &dyn Fn(&mut Value)| {
+        let mut json = json_of(&glb);
+        damage(&mut json["cameras"][0]["extras"][extension::EXTRAS]);
+        let file = read_bytes(&with_json(&glb, &json)).unwrap();
+        (file.cameras[0].1, file.notes)
+    };
+    let (exact, _) = read(&|_| ());
+    for without in [&["rotation", "translation"][..], &["rotation"], &["translation"]] {
+        let (found, notes) = read(&|own| own.as_object_mut().unwrap().retain(|key, _| !without.contains(&&key[..])));
+        assert_eq!((found.intrinsics(), notes), (exact.intrinsics(), vec![]));
+        // The node says it in f32.
+        assert!(found.rotation().abs_diff_eq(exact.rotation(), 1e-6));
+        assert!(found.center().abs_diff_eq(exact.center(), 1e-5), "{} {}", found.center(), exact.center());
+    }
+    let said = |damage: &dyn Fn(&mut Value)| {
+        let notes = read(damage).1;
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        assert!(notes[0].contains(": a camera whose own numbers are not read (extras/centaur"), "{notes:?}");
+        notes[0].clone()
+    };
+    assert!(said(&|own| drop(own.as_object_mut().unwrap().remove("cx"))).contains("centaur: missing field `cx`)"));
+    assert!(said(&|own| own["fy"] = json!("x")).contains("centaur/fy: invalid type: string \"x\", expected f64)"));
+    assert!(said(&|own| own["rotation"] = json!([1])).contains("centaur/rotation"));
+    assert!(said(&|own| *own = json!("x".repeat(1000))).len() < 300);
+}
+
+#[test]
+fn pictures_are_as_wide_as_the_aspect_ratio_says() {
+    let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
+    let read = |aspect: Option<f32>| {
+        let mut json = json_of(&glb);
+        let camera = json["cameras"][0].as_object_mut().unwrap();
+        camera.remove("extras");
+        camera["perspective"] = json!({ "yfov": 1.0, "znear": 0.1 });
+        if let Some(aspect) = aspect {
+            camera["perspective"]["aspectRatio"] = json!(aspect);
+        }
+        *read_bytes(&with_json(&glb, &json)).unwrap().cameras[0].1.intrinsics()
+    };
+    for aspect in [1.5, 1.2341, 0.777] {
+        let k = read(Some(aspect));
+        let expected = f64::from(k.width) / (2.0 * f64::from(aspect) * 0.5f64.tan());
+        assert!((k.fx - expected).abs() < 1e-9 * expected, "{aspect}: {} {expected}", k.fx);
+        assert_eq!((k.width, k.fx == k.fy), ((aspect * 1080.0).round() as u32, aspect == 1.5));
+    }
+    let usual = read(None);
+    assert_eq!((usual.width, usual.fx), (1920, usual.fy));
+    // Of what is wider than any picture the middle is seen.
+    let cut = read(Some(1e9));
+    assert_eq!((cut.width, cut.fx), (Intrinsics::MAX_PICTURE_SIDE, cut.fy));
 }
 
 #[test]

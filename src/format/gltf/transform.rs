@@ -52,7 +52,7 @@ pub(super) fn all_placements_by<'a>(
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else { return Ok(vec![]) };
     let nodes: Vec<gltf::Node<'_>> = document.nodes().collect();
     let mut stack: Vec<(usize, DMat4, Visibility)> = vec![];
-    let frame = if is_ours(document) { FLIP } else { DMat4::IDENTITY };
+    let frame = frame_of(document);
     stack.extend(scene.nodes().map(|node| (node.index(), frame, Visibility::Shown)));
     stack.reverse();
     let mut seen = HashSet::new();
@@ -80,6 +80,11 @@ pub(super) fn all_placements_by<'a>(
 
 fn is_invisible(node: &gltf::Node<'_>) -> bool {
     node.extension_value(VISIBILITY).and_then(|own| own.get("visible")?.as_bool()) == Some(false)
+}
+
+/// From glTF's frame to the one that the scene of a document is read in.
+pub(super) fn frame_of(document: &gltf::Document) -> DMat4 {
+    if is_ours(document) { FLIP } else { DMat4::IDENTITY }
 }
 
 /// Whether it has our root node: then its frame is that of the capture, else glTF's.

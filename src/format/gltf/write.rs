@@ -300,8 +300,8 @@ pub(super) fn camera_and_node(name: &str, camera: &Camera, near: f32, index: usi
         fy: k.fy,
         cx: k.cx,
         cy: k.cy,
-        rotation: camera.rotation().transpose().to_cols_array(),
-        translation: camera.translation().to_array(),
+        rotation: Some(camera.rotation().transpose().to_cols_array()),
+        translation: Some(camera.translation().to_array()),
     };
     let [width, height] = k.size().to_array();
     let optics = json!({

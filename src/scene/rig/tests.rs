@@ -3,6 +3,7 @@
 use glam::Vec2;
 
 use super::*;
+use crate::scene::placement::place;
 use crate::scene::{Atlas, Composition, Splats, Texture, sh};
 
 fn mesh(positions: &[Vec3], degree: u32) -> Mesh {
@@ -237,6 +238,39 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     let expected = "bone joint 0: expected a transform with an inverse, where it rests and now, found one without";
     assert_eq!(error, expected);
     assert!(only_mesh.pose(&scene, &plane, DMat4::IDENTITY).is_err());
+}
+
+/// View dependence is that of the transform alone, however the bone rests: what turns below a node that stretches, and what is mirrored.
+#[test]
+fn what_is_seen_turns_by_the_orthogonal_part_of_a_bone() {
+    let seen = |bone: DMat4| {
+        let splats = one_splat(Vec3::new(1.0, 2.0, 3.0), Quat::from_rotation_x(0.2), 0.3);
+        let mut splats = splats.into_arrays();
+        assert!(place(&mut splats, 0..1, bone));
+        let positions = CORNERS.map(|p| bone.transform_point3(p.as_dvec3()).as_vec3());
+        let flat = mesh(&positions, 2);
+        let atlas = turned(flat.atlas(), orthogonal(bone).unwrap()).unwrap();
+        let turned = Mesh::new(positions.to_vec(), flat.triangles().to_vec(), flat.corner_uvs().to_vec(), atlas);
+        scene(splats.check().unwrap(), vec![turned.unwrap()])
+    };
+    let stretch = DMat4::from_scale(DVec3::new(1.0, 0.5, 3.0));
+    let turn = DMat4::from_quat(DQuat::from_euler(glam::EulerRot::YXZ, 0.9, -0.4, 0.3));
+    let mirror = DMat4::from_scale(DVec3::new(1.0, -2.0, 1.0));
+    for (rest_bone, bone) in [(stretch, stretch * turn), (turn, mirror * stretch * turn), (mirror, turn * stretch)] {
+        let rest_surface = RestSurface { base: CORNERS.to_vec(), targets: vec![], skinning: Skinning::Bone(0) };
+        let rest = Pose { bones: vec![rest_bone], weights: vec![] };
+        let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0) }];
+        let rig = Rig::new(vec![Some(rest_surface)], attached, rest.clone(), names(&rest)).unwrap();
+        let posed = rig.pose(&seen(rest_bone), &Pose { bones: vec![bone], weights: vec![] }, DMat4::IDENTITY).unwrap();
+        let expected = seen(bone);
+        near(posed.splats.means()[0].as_dvec3(), expected.splats.means()[0].as_dvec3(), 3e-6);
+        let [found, wanted] = [&posed, &expected].map(|scene| {
+            let bands = scene.meshes[0].atlas().bands().unwrap().texels().iter().copied();
+            scene.splats.sh().iter().flatten().copied().chain(bands).collect::<Vec<f32>>()
+        });
+        assert_eq!(found.len(), wanted.len());
+        assert!(found.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 3e-6), "{found:?}, expected {wanted:?}");
+    }
 }
 
 #[test]

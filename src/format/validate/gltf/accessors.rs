@@ -18,9 +18,24 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (i, (at, accessor)) in objects(document.root, "accessors", "").enumerate() {
         check_layout(document, accessor, &at, findings);
         check_sparse(document, i, accessor, &at, findings);
-        if let Some(elements) = document.elements(i) {
+        // Bounds of what is not stored may be any (glTF 2.0, 3.6.2.5).
+        if let Some(elements) = document.elements(i).filter(Elements::is_stored) {
             check_values(&elements, accessor, &at, findings);
         }
+    }
+}
+
+/// Reports an accessor that lacks bounds where glTF demands them (2.0, 3.6.2.5).
+pub(super) fn check_bounds(
+    document: &Document<'_>,
+    accessor: usize,
+    code: &'static str,
+    of: &str,
+    findings: &mut Findings,
+) {
+    let Some(object) = document.object("accessors", accessor) else { return };
+    if object.get("min").is_none() || object.get("max").is_none() {
+        findings.error(code, format!("/accessors/{accessor}"), format!("min and max, as for every {of}"), "none");
     }
 }
 

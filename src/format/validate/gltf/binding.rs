@@ -36,8 +36,12 @@ fn check_poses(document: &Document<'_>, primitive: &Value, binding: &Value, at: 
         if e.count != splats || e.components != components {
             let expected = format!("{splats} elements of {components} component(s), one per splat");
             findings.error("HYBRID_BINDING_COUNT", at, expected, format!("{} of {}", e.count, e.components));
-        } else if components == 3 && e.kind != Component::Float {
-            findings.error("HYBRID_BINDING_TYPE", at, "Float", format!("{:?}", e.kind));
+            continue;
+        }
+        let is_turn = key == "rotations" && e.normalized && matches!(e.kind, Component::Byte | Component::Short);
+        if key != "triangles" && e.kind != Component::Float && !is_turn {
+            let expected = if key == "rotations" { "Float, or normalised Byte or Short" } else { "Float" };
+            findings.error("HYBRID_BINDING_TYPE", at, expected, format!("{:?}", e.kind));
         }
     }
     check_unit::<4>(elements("rotations"), &format!("{at}/rotations"), "HYBRID_BINDING_ROTATION", findings);

@@ -1,6 +1,6 @@
 //! Buffers, and accessors as numbers.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,7 +9,11 @@ use serde_json::Value;
 use super::super::Findings;
 use super::index;
 use crate::format::error::{Fault, Location};
+use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, extension_of};
 use crate::format::gltf::{Loaded, meshopt::decompress};
+
+/// Elements that an accessor may have without as many bytes behind it.
+const FEW: usize = 1 << 16;
 
 /// A document with its buffers.
 pub(super) struct Document<'a> {
@@ -18,6 +22,8 @@ pub(super) struct Document<'a> {
     buffers: Vec<Option<Content>>,
     /// Buffer views that are stored compressed, decompressed.
     plain_views: HashMap<usize, Vec<u8>>,
+    /// Accessors that an extension of a primitive may have the values of.
+    supplied: HashSet<usize>,
     pub(super) folder: &'a Path,
 }
 
@@ -39,7 +45,7 @@ pub(super) struct Elements<'a> {
     pub(super) components: usize,
     pub(super) kind: Component,
     pub(super) normalized: bool,
-    /// `None`: all zero but for the sparse elements.
+    /// `None`: all zero but for the sparse elements, if there are any.
     base: Option<Run<'a>>,
     sparse: Option<Sparse<'a>>,
 }
@@ -115,6 +121,11 @@ impl Component {
 }
 
 impl Elements<'_> {
+    /// Whether any value is in a buffer.
+    pub(super) fn is_stored(&self) -> bool {
+        self.base.is_some() || self.sparse.is_some()
+    }
+
     /// Component `c` of element `i` as stored.
     pub(super) fn raw(&self, i: usize, c: usize) -> f64 {
         if let Some(sparse) = &self.sparse
@@ -172,6 +183,24 @@ fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usi
     Some((rows * column, Some((column, rows))))
 }
 
+/// Accessors of primitives with an extension that may have their values, as compressions do: what is not stored is not zero.
+fn supplied(root: &Value) -> HashSet<usize> {
+    let has_others = |object: &Value, known: &[&str]| {
+        let names = object.get("extensions").and_then(Value::as_object);
+        names.is_some_and(|names| names.keys().any(|name| !known.contains(&name.as_str())))
+    };
+    let mut supplied = HashSet::new();
+    for (_, primitive) in super::primitives(root) {
+        let splats = extension_of(primitive, KHR_SPLATS);
+        if has_others(primitive, &[KHR_SPLATS, HYBRID]) || splats.is_some_and(|khr| has_others(khr, &[HYBRID])) {
+            let attributes = primitive.get("attributes").and_then(Value::as_object).into_iter().flatten();
+            let named = attributes.map(|(_, accessor)| accessor).chain(primitive.get("indices"));
+            supplied.extend(named.filter_map(Value::as_u64).map(|i| i as usize));
+        }
+    }
+    supplied
+}
+
 impl<'a> Document<'a> {
     /// Loads the buffers, and reports those that are missing or too short.
     pub(super) fn load(root: &'a Value, bin: Option<&[u8]>, folder: &'a Path, findings: &mut Findings) -> Self {
@@ -224,7 +253,7 @@ impl<'a> Document<'a> {
                 }
             }
         }
-        Self { root, buffers, plain_views, folder }
+        Self { root, buffers, plain_views, supplied: supplied(root), folder }
     }
 
     /// True if `name` stands in `extensionsUsed`.
@@ -254,9 +283,11 @@ impl<'a> Document<'a> {
         self.buffers.get(index(view, "buffer")?)?.as_ref()?.bytes().get(start..end)
     }
 
-    /// `None` if something about it is broken, which [`super::accessors`] reports.
+    /// `None` if something about it is broken, which [`super::accessors`] reports, or if an extension may have its values.
     pub(super) fn elements(&self, accessor: usize) -> Option<Elements<'_>> {
+        let is_supplied = self.supplied.contains(&accessor);
         let accessor = self.object("accessors", accessor)?;
+        let is_supplied = is_supplied || accessor.get("extensions").is_some();
         let kind = Component::of(accessor.get("componentType")?.as_u64()?)?;
         let shape = accessor.get("type")?.as_str()?;
         let count = index(accessor, "count")?;
@@ -268,10 +299,10 @@ impl<'a> Document<'a> {
             Some(sparse) => Some(self.sparse(sparse, kind, shape)?),
             None => None,
         };
-        // Without any bytes behind it, a count could be any number.
+        // What is stored nowhere is zero. Without any bytes behind it, a count could be any number.
         let stored = self.buffers.iter().flatten().map(|content| content.length);
         let stored = stored.chain(self.plain_views.values().map(Vec::len)).sum::<usize>();
-        if base.is_none() && (sparse.is_none() || count > stored) {
+        if base.is_none() && (sparse.is_none() && is_supplied || count > stored.max(FEW)) {
             return None;
         }
         let normalized = accessor.get("normalized") == Some(&Value::Bool(true)) && kind != Component::Float;

@@ -6,6 +6,7 @@ use super::super::Findings;
 use super::document::{Component, Document};
 use super::splats::check_token;
 use super::{index, objects};
+use crate::format::gltf::extension::{HYBRID, KHR_SPLATS};
 
 /// Axes of the planes in order: xy, xz, xt, yz, yt, zt.
 const PLANES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
@@ -40,6 +41,21 @@ pub(super) fn check(document: &Document<'_>, own: &Value, at: &str, findings: &m
     }
 }
 
+/// Whether the field that deforms a primitive changes as many SH coefficients as its splats have.
+pub(super) fn check_degree(root: &Value, primitive: &Value, bound: &Value, at: &str, findings: &mut Findings) {
+    let field = index(bound, "deformation")
+        .and_then(|i| root.pointer(&format!("/extensions/{HYBRID}/deformationFields/{i}/heads/sphericalHarmonics")));
+    let Some(outputs) = field.and_then(|layers| index(layers.as_array()?.last()?, "outputs")) else { return };
+    let prefix = format!("{KHR_SPLATS}:SH_DEGREE_");
+    let attributes = primitive.get("attributes").and_then(Value::as_object).into_iter().flatten();
+    // Compressed splats have them elsewhere.
+    let stored = attributes.filter(|(name, _)| name.starts_with(&prefix)).count();
+    if stored > 0 && outputs != 3 * stored {
+        let expected = format!("a field of {} outputs for {stored} SH coefficients", 3 * stored);
+        findings.error("HYBRID_LAYER_CHAIN", format!("{at}/deformation"), expected, outputs);
+    }
+}
+
 fn check_planes(document: &Document<'_>, level: &Value, features: usize, at: &str, findings: &mut Findings) {
     let sizes: Vec<usize> = level
         .get("resolution")
@@ -55,15 +71,10 @@ fn check_planes(document: &Document<'_>, level: &Value, features: usize, at: &st
     for (k, (plane, [a, b])) in planes.iter().zip(PLANES).enumerate() {
         let Some(elements) = plane.as_u64().and_then(|i| document.elements(i as usize)) else { continue };
         let expected = features.saturating_mul(sizes[a]).saturating_mul(sizes[b]);
-        let found = elements.count.saturating_mul(elements.components);
-        if found != expected || elements.kind != Component::Float {
-            let expected = format!("{features} features × {} × {} floats", sizes[a], sizes[b]);
-            findings.error(
-                "HYBRID_PLANE_SIZE",
-                format!("{at}/planes/{k}"),
-                expected,
-                format!("{found} of {:?}", elements.kind),
-            );
+        if elements.count != expected || elements.components != 1 || elements.kind != Component::Float {
+            let expected = format!("{features} features × {} × {} SCALAR floats", sizes[a], sizes[b]);
+            let found = format!("{} of {} component(s) of {:?}", elements.count, elements.components, elements.kind);
+            findings.error("HYBRID_PLANE_SIZE", format!("{at}/planes/{k}"), expected, found);
         }
     }
 }

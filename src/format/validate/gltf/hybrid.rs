@@ -1,6 +1,6 @@
 //! `EXT_gaussian_splatting_hybrid`: schemas, and what they cannot say.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use serde_json::Value;
 
@@ -8,6 +8,7 @@ use super::super::{Findings, Offenders};
 use super::binding::is_unsigned;
 use super::document::{Component, Document, Elements};
 use super::moving::check_times;
+use super::pictures::Pictures;
 use super::schema::{self, Unknown};
 use super::splats::check_token;
 use super::{binding, extension, fields, index, objects, primitives};
@@ -50,21 +51,26 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for Unknown { at, name, known } in unknown(root) {
         findings.warning("HYBRID_PROPERTY", at, format!("no other than {}", known.join(", ")), shown(name.as_bytes()));
     }
+    let mut composed = BTreeSet::new();
     for (at, scene) in objects(root, "scenes", "") {
         if let Some((at, contract)) = extension(scene, HYBRID, &at) {
-            check_scene(root, contract, &at, findings);
+            let reached = Reached::by(root, scene);
+            check_scene(root, contract, &reached, &at, findings);
+            composed.extend(reached.meshes);
         }
     }
+    check_mixed(root, &composed, findings);
     let mut shown_by: HashMap<usize, Vec<(String, &Value)>> = HashMap::new();
     for (at, primitive) in primitives(root) {
         if let Some(material) = index(primitive, "material") {
             shown_by.entry(material).or_default().push((at, primitive));
         }
     }
+    let mut pictures = Pictures::new(document);
     for (i, (at, material)) in objects(root, "materials", "").enumerate() {
         if let Some((at_radiance, radiance)) = extension(material, HYBRID, &at) {
             let shown = shown_by.get(&i).map_or(&[][..], Vec::as_slice);
-            check_material(document, (i, material, shown), radiance, &at_radiance, findings);
+            check_material(document, &mut pictures, (i, material, shown), radiance, &at_radiance, findings);
         }
     }
     for (at, primitive) in primitives(root) {
@@ -73,21 +79,49 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
         }
         if let Some((at_khr, khr)) = extension(primitive, KHR_SPLATS, &at)
             && let Some((at, bound)) = extension(khr, HYBRID, &at_khr)
-            && let Some(own) = bound.get("binding")
         {
-            binding::check(document, primitive, own, &format!("{at}/binding"), findings);
+            if let Some(own) = bound.get("binding") {
+                binding::check(document, primitive, own, &format!("{at}/binding"), findings);
+            }
+            fields::check_degree(root, primitive, bound, &at, findings);
         }
     }
-    check_mixed(root, findings);
     if let Some((at, own)) = extension(root, HYBRID, "") {
         fields::check(document, own, &at, findings);
     }
 }
 
-/// Splats and other primitives in one mesh: some viewers refuse the whole file.
-fn check_mixed(root: &Value, findings: &mut Findings) {
-    let is_used = objects(root, "scenes", "").any(|(at, scene)| extension(scene, HYBRID, &at).is_some());
-    for (at, mesh) in objects(root, "meshes", "").filter(|_| is_used) {
+/// What the nodes of a scene show: indices of meshes, and of the materials that these have.
+#[derive(Default)]
+struct Reached {
+    meshes: BTreeSet<usize>,
+    materials: BTreeSet<usize>,
+}
+
+impl Reached {
+    fn by(root: &Value, scene: &Value) -> Self {
+        let item = |array: &str, i: usize| root.get(array).and_then(|array| array.get(i));
+        let indices = |object: &Value, key: &str| -> Vec<usize> {
+            let list = object.get(key).and_then(Value::as_array).into_iter().flatten();
+            list.filter_map(Value::as_u64).map(|i| i as usize).collect()
+        };
+        let (mut reached, mut met, mut next) = (Self::default(), HashSet::new(), indices(scene, "nodes"));
+        while let Some(i) = next.pop() {
+            let Some(node) = item("nodes", i).filter(|_| met.insert(i)) else { continue };
+            next.extend(indices(node, "children"));
+            reached.meshes.extend(index(node, "mesh"));
+        }
+        for mesh in reached.meshes.iter().filter_map(|&mesh| item("meshes", mesh)) {
+            let materials = objects(mesh, "primitives", "").filter_map(|(_, primitive)| index(primitive, "material"));
+            reached.materials.extend(materials);
+        }
+        reached
+    }
+}
+
+/// Splats and other primitives in one mesh of a scene that says how they are blended: some viewers refuse the whole file.
+fn check_mixed(root: &Value, composed: &BTreeSet<usize>, findings: &mut Findings) {
+    for (_, (at, mesh)) in objects(root, "meshes", "").enumerate().filter(|(i, _)| composed.contains(i)) {
         let parts = || objects(mesh, "primitives", &at).map(|(at, p)| extension(p, KHR_SPLATS, &at).is_some());
         if parts().any(|is_splats| is_splats) && !parts().all(|is_splats| is_splats) {
             findings.error("HYBRID_MIXED_MESH", at, "splats and triangles in different meshes", "both");
@@ -95,17 +129,28 @@ fn check_mixed(root: &Value, findings: &mut Findings) {
     }
 }
 
-fn check_scene(root: &Value, contract: &Value, at: &str, findings: &mut Findings) {
+fn check_scene(root: &Value, contract: &Value, reached: &Reached, at: &str, findings: &mut Findings) {
     check_token(contract, "colorSpace", &ColorSpace::ALL.map(ColorSpace::name), "HYBRID_TOKEN", at, findings);
     check_token(contract, "mode", &["stable", "surfaceConsistent", "direct"], "HYBRID_TOKEN", at, findings);
     check_token(contract, "sortKey", &["viewZ"], "HYBRID_TOKEN", at, findings);
     let Some(space) = contract.get("colorSpace").and_then(Value::as_str) else { return };
-    let splats = primitives(root).filter_map(|(at, primitive)| extension(primitive, KHR_SPLATS, &at));
-    let materials = objects(root, "materials", "").filter_map(|(at, material)| extension(material, HYBRID, &at));
-    for (place, object) in splats.chain(materials) {
+    let mut demand = |place: &str, object: &Value| {
         if let Some(other) = object.get("colorSpace").and_then(Value::as_str).filter(|&other| other != space) {
             let expected = format!("{space}, as in {at}");
             findings.error("HYBRID_COLOR_SPACE", format!("{place}/colorSpace"), expected, other);
+        }
+    };
+    let (meshes, materials) = (&reached.meshes, &reached.materials);
+    for (_, (at, mesh)) in objects(root, "meshes", "").enumerate().filter(|(i, _)| meshes.contains(i)) {
+        for (at, primitive) in objects(mesh, "primitives", &at) {
+            if let Some((at, khr)) = extension(primitive, KHR_SPLATS, &at) {
+                demand(&at, khr);
+            }
+        }
+    }
+    for (_, (at, material)) in objects(root, "materials", "").enumerate().filter(|(i, _)| materials.contains(i)) {
+        if let Some((at, radiance)) = extension(material, HYBRID, &at) {
+            demand(&at, radiance);
         }
     }
 }
@@ -115,6 +160,7 @@ type Primitives<'a> = [(String, &'a Value)];
 
 fn check_material(
     document: &Document<'_>,
+    pictures: &mut Pictures<'_>,
     (i, material, shown): (usize, &Value, &Primitives<'_>),
     radiance: &Value,
     at: &str,
@@ -123,7 +169,7 @@ fn check_material(
     check_token(radiance, "colorSpace", &ColorSpace::ALL.map(ColorSpace::name), "HYBRID_TOKEN", at, findings);
     if let Some(opacity) = radiance.get("opacity") {
         check_token(opacity, "activation", &["none", "logistic"], "HYBRID_TOKEN", &format!("{at}/opacity"), findings);
-        check_texels(document, (opacity, shown), 1, &format!("{at}/opacity"), findings);
+        check_texels(document, pictures, (opacity, shown), 1, &format!("{at}/opacity"), findings);
         let mode = material.get("alphaMode").and_then(Value::as_str).unwrap_or("OPAQUE");
         if mode != "BLEND" {
             let expected = "alphaMode BLEND, so that other viewers blend as well";
@@ -139,9 +185,9 @@ fn check_material(
         findings.error("HYBRID_SH_COUNT", format!("{at}/coefficients"), expected, stored);
     }
     for (at, source) in objects(harmonics, "coefficients", &at) {
-        check_texels(document, (source, shown), 3, &at, findings);
+        check_texels(document, pictures, (source, shown), 3, &at, findings);
     }
-    check_sizes(radiance.get("opacity"), harmonics, &at, findings);
+    check_sizes(pictures, (radiance.get("opacity"), harmonics), &at, findings);
     check_coordinates(radiance.get("opacity"), harmonics, &at, findings);
 }
 
@@ -160,10 +206,12 @@ impl Coordinates {
         let part =
             |key: &str, i: usize, usual: f64| transform.get(key).and_then(|v| v.get(i)?.as_f64()).unwrap_or(usual);
         let rotation = transform.get("rotation").and_then(Value::as_f64).unwrap_or(0.0);
-        let set =
-            index(transform, "texCoord").or(index(texture, "texCoord")).or(index(source, "texCoord")).unwrap_or(0);
+        let set = match source.get("texture") {
+            Some(texture) => index(transform, "texCoord").or(index(texture, "texCoord")),
+            None => index(source, "texCoord"),
+        };
         let [offset, scale] = [("offset", 0.0), ("scale", 1.0)].map(|(key, usual)| [0, 1].map(|i| part(key, i, usual)));
-        Self { set, transform: [offset[0], offset[1], scale[0], scale[1], rotation] }
+        Self { set: set.unwrap_or(0), transform: [offset[0], offset[1], scale[0], scale[1], rotation] }
     }
 }
 
@@ -182,10 +230,15 @@ fn check_coordinates(opacity: Option<&Value>, harmonics: &Value, at: &str, findi
     }
 }
 
-/// One size for coefficient 0 and the opacity, one for all other coefficients. Sizes of images are not looked at.
-fn check_sizes(opacity: Option<&Value>, harmonics: &Value, at: &str, findings: &mut Findings) {
-    let size = |source: &Value| Some((index(source, "width")?, index(source, "height")?));
-    let mut sizes = objects(harmonics, "coefficients", at).map(|(at, source)| (at, size(source)));
+/// One size for coefficient 0 and the opacity, one for all other coefficients.
+fn check_sizes(
+    pictures: &mut Pictures<'_>,
+    (opacity, harmonics): (Option<&Value>, &Value),
+    at: &str,
+    findings: &mut Findings,
+) {
+    let of_opacity = opacity.and_then(|source| pictures.size(source));
+    let mut sizes = objects(harmonics, "coefficients", at).map(|(at, source)| (at, pictures.size(source)));
     let Some((at_first, first)) = sizes.next() else { return };
     let mut demand = |at: String, found: Option<(usize, usize)>, expected: Option<(usize, usize)>, like: &str| {
         if let (Some((w, h)), Some((width, height))) = (found, expected)
@@ -195,15 +248,28 @@ fn check_sizes(opacity: Option<&Value>, harmonics: &Value, at: &str, findings: &
             findings.error("HYBRID_MAP_SIZE", at, expected, format!("{w}×{h}"));
         }
     };
-    demand(at_first, first, opacity.and_then(size), "the opacity");
+    demand(at_first, first, of_opacity, "the opacity");
     if let Some((like, bands)) = sizes.next() {
         sizes.for_each(|(at, found)| demand(at, found, bands, &like));
+    }
+}
+
+/// What a texel source has of a texture or of an accessor alone, beside the other: viewers pass over it.
+fn check_strays(source: &Value, at: &str, findings: &mut Findings) {
+    let (form, strays): (&str, &[&str]) = match source.get("texture") {
+        Some(_) => ("a texture", &["width", "height", "sampler", "texCoord"]),
+        None => ("an accessor", &["channel"]),
+    };
+    for key in strays.iter().filter(|key| source.get(**key).is_some()) {
+        let expected = format!("no `{key}` beside {form}");
+        findings.warning("HYBRID_TEXEL_UNUSED", format!("{at}/{key}"), expected, "one, which is passed over");
     }
 }
 
 /// A texel source with `channels` values per texel, of a material of these primitives.
 fn check_texels(
     document: &Document<'_>,
+    pictures: &mut Pictures<'_>,
     (source, shown): (&Value, &Primitives<'_>),
     channels: usize,
     at: &str,
@@ -212,6 +278,10 @@ fn check_texels(
     if source.get("accessor").is_some() == source.get("texture").is_some() {
         // The schema has said so; what the one or the other should be like is anybody's guess.
         return;
+    }
+    check_strays(source, at, findings);
+    if let Some(loss) = pictures.of(source).and_then(|picture| picture.loss) {
+        findings.error("HYBRID_TEXEL_LOSS", format!("{at}/texture"), "a picture without loss, such as PNG", loss);
     }
     if let Some(accessor) = index(source, "accessor")
         && let Some(elements) = document.elements(accessor)
@@ -271,9 +341,11 @@ fn check_surface(
     check_times(&times, &format!("{at}/times"), findings);
     if let Some(moved) = index(surface, "translations").and_then(|i| document.elements(i)) {
         let expected = times.count.saturating_mul(positions.count);
-        if moved.count != expected || moved.components != 3 {
-            let expected = format!("{expected} elements of 3 components: {} times {}", times.count, positions.count);
-            let found = format!("{} of {}", moved.count, moved.components);
+        let is_number = moved.kind == Component::Float || document.uses("KHR_mesh_quantization");
+        if moved.count != expected || moved.components != 3 || !is_number {
+            let expected =
+                format!("{expected} elements of 3 components of Float: {} times {}", times.count, positions.count);
+            let found = format!("{} of {} of {:?}", moved.count, moved.components, moved.kind);
             findings.error("HYBRID_TRANSLATIONS", format!("{at}/translations"), expected, found);
         }
     }

@@ -8,6 +8,7 @@ mod extensions;
 mod fields;
 mod hybrid;
 mod moving;
+mod pictures;
 mod references;
 mod scenes;
 mod schema;
@@ -33,6 +34,7 @@ pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     let document = Document::load(&root, bin, folder, findings);
     accessors::check(&document, findings);
     scenes::check(&document, findings);
+    pictures::check(&document, findings);
     moving::check(&document, findings);
     splats::check(&document, findings);
     hybrid::check(&document, findings);

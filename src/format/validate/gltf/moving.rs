@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
+use super::accessors::check_bounds;
 use super::document::{Component, Document, Elements};
 use super::{index, objects, primitives};
 
@@ -100,14 +101,24 @@ fn check_targets(document: &Document<'_>, primitive: &Value, at: &str, findings:
             if ["POSITION", "NORMAL", "TANGENT"].contains(&name.as_str()) && kind != "VEC3" {
                 findings.error("TARGET_TYPE", place(), "VEC3", kind);
             }
+            if name == "POSITION" {
+                let of = "POSITION of a morph target";
+                check_bounds(document, value.as_u64().unwrap_or_default() as usize, "TARGET_BOUNDS", of, findings);
+            }
         }
     }
 }
 
 fn check_animations(document: &Document<'_>, findings: &mut Findings) {
+    // Many samplers may have one.
+    let mut bounded = HashSet::new();
     for (at, animation) in objects(document.root, "animations", "") {
         for (at, sampler) in objects(animation, "samplers", &at) {
-            if let Some(times) = index(sampler, "input").and_then(|i| document.elements(i)) {
+            let Some(input) = index(sampler, "input") else { continue };
+            if bounded.insert(input) {
+                check_bounds(document, input, "ANIMATION_BOUNDS", "input of an animation", findings);
+            }
+            if let Some(times) = document.elements(input) {
                 check_times(&times, &format!("{at}/input"), findings);
             }
         }

@@ -1,12 +1,14 @@
-//! Nodes, primitives and images of core glTF.
+//! Nodes and primitives of core glTF.
+
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
+use super::accessors::check_bounds;
 use super::document::{Component, Document, Elements, components};
 use super::{extension, index, objects, primitives};
 use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
-use crate::format::gltf::media_type;
 
 /// How far from 1 the length of a unit vector or quaternion may be. 8-bit components are half a step of 1/127 off each.
 pub(super) const UNIT_TOLERANCE: f64 = 0.01;
@@ -19,9 +21,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (at, primitive) in primitives(document.root) {
         check_primitive(document, primitive, &at, findings);
     }
-    for (i, (at, image)) in objects(document.root, "images", "").enumerate() {
-        check_image(document, (i, image), &at, findings);
-    }
+    check_strides(document, findings);
 }
 
 fn check_nodes(root: &Value, findings: &mut Findings) {
@@ -128,14 +128,9 @@ fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, finding
     let quantized = document.uses("KHR_mesh_quantization");
     let positions = attributes.get("POSITION").and_then(accessor);
     let vertices = positions.and_then(|p| index(p, "count"));
-    match positions {
+    match attributes.get("POSITION").and_then(Value::as_u64).filter(|_| positions.is_some()) {
         None => findings.warning("PRIMITIVE_POSITION", format!("{at}/attributes"), "POSITION", "none"),
-        Some(positions) => {
-            if positions.get("min").is_none() || positions.get("max").is_none() {
-                let place = format!("/accessors/{}", attributes["POSITION"]);
-                findings.error("PRIMITIVE_BOUNDS", place, "min and max, as for every POSITION", "none");
-            }
-        }
+        Some(accessor) => check_bounds(document, accessor as usize, "PRIMITIVE_BOUNDS", "POSITION", findings),
     }
     for (name, value) in attributes {
         let place = || format!("{at}/attributes/{}", super::schema::escaped(name));
@@ -185,6 +180,27 @@ fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -
     if !stride.is_multiple_of(4) || !offset.is_multiple_of(4) {
         let expected = "elements that begin at multiples of 4 bytes of the view";
         findings.error("ATTRIBUTE_ALIGNMENT", place(), expected, format!("byte {offset}, then every {stride} bytes"));
+    }
+}
+
+/// A view in which several vertex attributes lie says how far apart their elements are (glTF 2.0, 3.6.2.4).
+fn check_strides(document: &Document<'_>, findings: &mut Findings) {
+    let mut inside: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    for (_, primitive) in primitives(document.root) {
+        let targets = primitive.get("targets").and_then(Value::as_array).into_iter().flatten();
+        let lists = targets.chain(primitive.get("attributes")).filter_map(Value::as_object);
+        for accessor in lists.flatten().filter_map(|(_, accessor)| accessor.as_u64()).map(|i| i as usize) {
+            let view = document.object("accessors", accessor).and_then(|accessor| index(accessor, "bufferView"));
+            if let Some(view) = view {
+                inside.entry(view).or_default().insert(accessor);
+            }
+        }
+    }
+    for (view, accessors) in inside.into_iter().filter(|(_, accessors)| accessors.len() > 1) {
+        if document.object("bufferViews", view).is_some_and(|view| view.get("byteStride").is_none()) {
+            let expected = format!("a byteStride, as {} vertex attributes are in it", accessors.len());
+            findings.error("VIEW_STRIDE", format!("/bufferViews/{view}"), expected, "none");
+        }
     }
 }
 
@@ -249,30 +265,5 @@ pub(super) fn check_unit<const N: usize>(
     }
     if let Some(found) = offenders.summary(elements.count) {
         findings.error(code, at, "length 1", found);
-    }
-}
-
-fn check_image(document: &Document<'_>, (i, image): (usize, &Value), at: &str, findings: &mut Findings) {
-    let content = match (image.get("uri").and_then(Value::as_str), index(image, "bufferView")) {
-        (Some(uri), None) => match crate::format::gltf::resolve(uri, document.folder) {
-            Ok(content) => content,
-            Err((expected, found)) => return findings.error("IMAGE_URI", format!("{at}/uri"), expected, found),
-        },
-        (None, Some(view)) => match document.view(view) {
-            Some(content) => content.to_vec(),
-            None => return,
-        },
-        _ => return,
-    };
-    let found = media_type(&content);
-    // What textures have in the core; an extension's is beside that, or in its place.
-    let is_of_core = || objects(document.root, "textures", "").any(|(_, t)| index(t, "source") == Some(i));
-    let is_usual = found.is_some_and(|found| ["image/png", "image/jpeg"].contains(&found));
-    let Some(found) = found.filter(|_| is_usual || !is_of_core()) else {
-        return findings.error("IMAGE_CONTENT", at, "PNG or JPEG", found.unwrap_or("other content"));
-    };
-    let declared = image.get("mimeType").and_then(Value::as_str);
-    if let Some(declared) = declared.filter(|&declared| declared != found) {
-        findings.error("IMAGE_TYPE", format!("{at}/mimeType"), found, declared);
     }
 }

@@ -92,6 +92,11 @@ impl File {
         check_bytes(&self.glb())
     }
 
+    /// The rules that are broken.
+    fn codes(&self) -> Vec<&'static str> {
+        self.findings().iter().map(|finding| finding.code).collect()
+    }
+
     /// The bytes of element `i` of an accessor.
     fn element(&mut self, accessor: usize, i: usize, size: usize) -> &mut [u8] {
         let view = self.json["accessors"][accessor]["bufferView"].as_u64().unwrap() as usize;
@@ -131,6 +136,8 @@ fn everything() -> File {
     let matrices = file.floats("MAT4", &identity);
     file.push("skins", json!({ "joints": [0], "inverseBindMatrices": matrices }));
     let times = file.floats("SCALAR", &[0.0, 0.5, 2.0]);
+    file.json["accessors"][times]["min"] = json!([0]);
+    file.json["accessors"][times]["max"] = json!([2]);
     let turns = file.floats("VEC4", &[0., 0., 0., 1.].repeat(3));
     file.push(
         "animations",

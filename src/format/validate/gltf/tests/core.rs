@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::{Planted, SPLATS, SURFACE, U16, copied, declare, primitive, skinned, surface_node};
+use super::{FLOAT, Planted, SPLATS, SURFACE, U16, copied, declare, everything, primitive, skinned, surface_node};
 
 pub(super) const PLANTED: &[Planted] = &[
     // The schema.
@@ -133,6 +133,21 @@ pub(super) const PLANTED: &[Planted] = &[
         let moved = f.push("accessors", moved);
         primitive(f, SURFACE)["targets"] = json!([{ "POSITION": moved }]);
     }),
+    // A second attribute among the bytes of the first.
+    ("VIEW_STRIDE", "/bufferViews/0", |f| {
+        let position = f.json["accessors"][f.attribute(SURFACE, "POSITION")].clone();
+        let again = f.push("accessors", position);
+        primitive(f, SURFACE)["targets"] = json!([{ "POSITION": again }]);
+    }),
+    ("TARGET_BOUNDS", "/accessors/", |f| {
+        let count = f.json["accessors"][f.attribute(SURFACE, "POSITION")]["count"].as_u64().unwrap() as usize;
+        let moved = f.floats("VEC3", &vec![0.0; 3 * count]);
+        primitive(f, SURFACE)["targets"] = json!([{ "POSITION": moved }]);
+    }),
+    ("ANIMATION_BOUNDS", "/accessors/", |f| {
+        let input = f.json["animations"][0]["samplers"][0]["input"].as_u64().unwrap() as usize;
+        drop(f.json["accessors"][input].as_object_mut().unwrap().remove("max"));
+    }),
     ("ANIMATION_PATH", "/channels/0/target/path", |f| {
         f.json["animations"][0]["channels"][0]["target"]["path"] = json!("colour");
     }),
@@ -148,3 +163,19 @@ pub(super) const PLANTED: &[Planted] = &[
         f.json["animations"][0]["samplers"][0]["input"] = output;
     }),
 ];
+
+/// An accessor without data is zero, unless an extension may have the data; its bounds may be any.
+#[test]
+fn what_is_stored_nowhere_is_zero() {
+    let mut file = everything();
+    let count = file.json["accessors"][file.attribute(SURFACE, "POSITION")]["count"].clone();
+    let bounds = [9, 9, 9];
+    let normals = json!({ "componentType": FLOAT, "type": "VEC3", "count": count, "min": bounds, "max": bounds });
+    let normals = file.push("accessors", normals);
+    primitive(&mut file, SURFACE)["attributes"]["NORMAL"] = json!(normals);
+    assert_eq!(file.codes(), ["NORMAL_NORM"]);
+    declare(&mut file, "KHR_draco_mesh_compression");
+    let compressed = json!({ "bufferView": 0, "attributes": { "NORMAL": 0 } });
+    primitive(&mut file, SURFACE)["extensions"]["KHR_draco_mesh_compression"] = compressed;
+    assert_eq!(file.codes(), [""; 0]);
+}

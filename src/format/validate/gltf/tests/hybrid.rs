@@ -2,7 +2,8 @@
 
 use serde_json::{Value, json};
 
-use super::{File, HYBRID, KHR, Planted, SPLATS, SURFACE, U16, U32, binding, everything, primitive};
+use super::{File, HYBRID, KHR, Planted, SPLATS, SURFACE, U16, U32, binding, declare, everything, primitive};
+use crate::base64;
 
 fn contract(file: &mut File) -> &mut Value {
     &mut file.json["scenes"][0]["extensions"][HYBRID]
@@ -21,6 +22,13 @@ fn flatten(source: &mut Value) {
     let texels = source["width"].as_u64().unwrap() * source["height"].as_u64().unwrap();
     source["width"] = json!(1);
     source["height"] = json!(texels);
+}
+
+/// Coefficient `i`, read from the picture of the base colour.
+fn pictured(file: &mut File, i: usize) -> &mut Value {
+    let coefficient = &mut hybrid_material(file)["sphericalHarmonics"]["coefficients"][i];
+    *coefficient = json!({ "texture": { "index": 0 } });
+    coefficient
 }
 
 pub(super) const PLANTED: &[Planted] = &[
@@ -72,6 +80,10 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_CHOICE", "/coefficients/1", |f| {
         drop(hybrid_material(f)["sphericalHarmonics"]["coefficients"][1].as_object_mut().unwrap().remove("accessor"));
     }),
+    ("SCHEMA_CHOICE", "/coefficients/1", |f| pictured(f, 1)["accessor"] = json!(0)),
+    ("SCHEMA_REQUIRED", "/opacity", |f| {
+        drop(hybrid_material(f)["opacity"].as_object_mut().unwrap().remove("width"));
+    }),
     ("SCHEMA_RANGE", "/binding/triangleCount", |f| binding(f)["triangleCount"] = json!(0)),
     ("SCHEMA_TYPE", "/binding/geometryDigest", |f| binding(f)["geometryDigest"] = json!(7)),
     ("SCHEMA_LENGTH", "/planes", |f| drop(field(f)["levels"][0]["planes"].as_array_mut().unwrap().pop())),
@@ -119,9 +131,19 @@ pub(super) const PLANTED: &[Planted] = &[
         let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
         f.element(source, 1, 4).copy_from_slice(&2u32.to_le_bytes());
     }),
+    // All of them copies of vertex 0.
+    ("HYBRID_SURFACE_POSITION", "/surfaceVertices", |f| {
+        let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
+        drop(f.json["accessors"][source].as_object_mut().unwrap().remove("bufferView"));
+    }),
     ("HYBRID_SURFACE_GAP", "/surfaceVertices", |f| {
         let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
         f.element(source, 5, 4).copy_from_slice(&99u32.to_le_bytes());
+    }),
+    ("HYBRID_TRANSLATIONS", "/translations", |f| {
+        let count = f.json["accessors"][f.attribute(SURFACE, "POSITION")]["count"].as_u64().unwrap() as usize;
+        let coarse = f.accessor("VEC3", U16, &vec![0.0; 2 * 3 * count]);
+        primitive(f, SURFACE)["extensions"][HYBRID]["translations"] = json!(coarse);
     }),
     ("HYBRID_TRANSLATIONS", "/translations", |f| {
         let longer = f.floats("SCALAR", &[0.0, 1.0, 2.0]);
@@ -142,6 +164,14 @@ pub(super) const PLANTED: &[Planted] = &[
     ("HYBRID_BINDING_MESH", "/binding/triangleCount", |f| binding(f)["triangleCount"] = json!(5)),
     ("HYBRID_BINDING_MESH", "/binding/node", |f| binding(f)["primitive"] = json!(5)),
     ("HYBRID_PLANE_SIZE", "/planes/4", |f| field(f)["levels"][0]["resolution"][3] = json!(6)),
+    ("HYBRID_PLANE_SIZE", "/planes/0", |f| {
+        let pairs = f.floats("VEC2", &[0.5; 12]);
+        field(f)["levels"][0]["planes"][0] = json!(pairs);
+    }),
+    // Three outputs for the four coefficients of degree 1.
+    ("HYBRID_LAYER_CHAIN", "/deformation", |f| {
+        field(f)["heads"]["sphericalHarmonics"] = field(f)["heads"]["translation"].clone();
+    }),
     ("HYBRID_LAYER_CHAIN", "/trunk/0/inputs", |f| field(f)["features"] = json!(3)),
     ("HYBRID_LAYER_CHAIN", "/heads/logScale", |f| {
         field(f)["heads"]["logScale"] = field(f)["heads"]["rotation"].clone();
@@ -174,6 +204,21 @@ pub(super) const PLANTED: &[Planted] = &[
     ("HYBRID_MAP_SIZE", "/coefficients/3", |f| {
         flatten(&mut hybrid_material(f)["sphericalHarmonics"]["coefficients"][3]);
     }),
+    // Of 8×16 texels, as coefficient 0; the others have 4×2.
+    ("HYBRID_MAP_SIZE", "/coefficients/2", |f| _ = pictured(f, 1)),
+    ("HYBRID_TEXEL_UNUSED", "/coefficients/1/sampler", |f| pictured(f, 1)["sampler"] = json!(0)),
+    ("HYBRID_TEXEL_UNUSED", "/opacity/channel", |f| hybrid_material(f)["opacity"]["channel"] = json!(1)),
+    ("HYBRID_TEXEL_LOSS", "/coefficients/0/texture", |f| {
+        pictured(f, 0);
+        let mut jpeg = std::io::Cursor::new(vec![]);
+        image::RgbImage::new(8, 16).write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+        f.json["images"][0] = json!({ "uri": format!("data:image/jpeg;base64,{}", base64::encode(jpeg.get_ref())) });
+    }),
+    ("HYBRID_TEXEL_LOSS", "/coefficients/0/texture", |f| {
+        pictured(f, 0);
+        declare(f, "KHR_texture_basisu");
+        f.json["textures"][0]["extensions"] = json!({ "KHR_texture_basisu": { "source": 0 } });
+    }),
     ("HYBRID_TEXEL_TYPE", "/coefficients/2/accessor", |f| {
         let accessor =
             hybrid_material(f)["sphericalHarmonics"]["coefficients"][2]["accessor"].as_u64().unwrap() as usize;
@@ -189,6 +234,10 @@ pub(super) const PLANTED: &[Planted] = &[
     ("HYBRID_BINDING_TYPE", "/binding/scales", |f| {
         let coarse = f.accessor("VEC3", U16, &[1.0; 18]);
         binding(f)["scales"] = json!(coarse);
+    }),
+    ("HYBRID_BINDING_TYPE", "/binding/rotations", |f| {
+        let coarse = f.accessor("VEC4", U16, &[0., 0., 0., 1.].repeat(6));
+        binding(f)["rotations"] = json!(coarse);
     }),
     ("HYBRID_BINDING_MESH", "/binding/node", |f| primitive(f, SURFACE)["mode"] = json!(5)),
     // Another order of triangles, another order of corners, a vertex moved, a digest of something else.
@@ -223,4 +272,63 @@ fn a_source_that_many_primitives_lack_coordinates_for_is_one_finding() {
     let found: Vec<_> = file.findings().into_iter().filter(|finding| finding.code == "HYBRID_TEXCOORD").collect();
     let expected = "none in 40 of 40, the first: /meshes/0/primitives/0";
     assert!(found.len() == 1 && found[0].found == expected, "{found:?}");
+}
+
+#[test]
+fn a_set_of_coordinates_beside_a_texture_is_passed_over() {
+    let mut file = everything();
+    pictured(&mut file, 0)["texCoord"] = json!(1);
+    assert_eq!(file.codes(), ["HYBRID_TEXEL_UNUSED"]);
+}
+
+/// Adds a scene of one node with a mesh; returns its index.
+fn scene_of(file: &mut File, mesh: usize) -> usize {
+    let node = file.push("nodes", json!({ "mesh": mesh }));
+    file.push("scenes", json!({ "nodes": [node] }))
+}
+
+#[test]
+fn a_scene_is_held_to_what_its_nodes_reach() {
+    let mut file = everything();
+    let composed = contract(&mut file).clone();
+    let in_linear_light = |object: &mut Value| object["colorSpace"] = json!("lin_rec709_display");
+    // Splats of a scene of its own, and a material that nothing has.
+    let mut splats = file.json["meshes"][SPLATS].clone();
+    let own = &mut splats["primitives"][0];
+    own["attributes"].as_object_mut().unwrap().remove("COLOR_0");
+    own["extensions"] = json!({ KHR: { "kernel": "ellipse" } });
+    in_linear_light(&mut own["extensions"][KHR]);
+    let splats = file.push("meshes", splats);
+    let other = scene_of(&mut file, splats);
+    file.json["scenes"][other]["extensions"] = json!({ HYBRID: composed });
+    in_linear_light(&mut file.json["scenes"][other]["extensions"][HYBRID]);
+    let mut unused = file.json["materials"][0].clone();
+    in_linear_light(&mut unused["extensions"][HYBRID]);
+    file.push("materials", unused);
+    assert_eq!(file.codes(), [""; 0]);
+
+    // Splats and a surface of the first scene, below a node of the second.
+    let children = [SPLATS, SURFACE].map(|mesh| file.push("nodes", json!({ "mesh": mesh })));
+    let above = file.push("nodes", json!({ "children": children }));
+    file.json["scenes"][other]["nodes"].as_array_mut().unwrap().push(json!(above));
+    let said: Vec<String> = file.findings().iter().map(ToString::to_string).collect();
+    let places = ["/meshes/1/primitives/0/extensions/KHR_gaussian_splatting", "/materials/0/extensions/"];
+    assert!(said.len() == 2, "{said:?}");
+    for (said, place) in said.iter().zip(places) {
+        assert!(said.starts_with(&format!("error HYBRID_COLOR_SPACE: {place}")), "{said}");
+        assert!(said.contains(&format!("as in /scenes/{other}/extensions/{HYBRID}")), "{said}");
+    }
+}
+
+#[test]
+fn meshes_of_splats_and_triangles_are_wrong_where_they_are_composed() {
+    let mut file = everything();
+    let mut mixed = file.json["meshes"][SURFACE].clone();
+    let splats = primitive(&mut file, SPLATS).clone();
+    mixed["primitives"].as_array_mut().unwrap().push(splats);
+    let mixed = file.push("meshes", mixed);
+    let scene = scene_of(&mut file, mixed);
+    assert_eq!(file.codes(), [""; 0]);
+    file.json["scenes"][scene]["extensions"] = file.json["scenes"][0]["extensions"].clone();
+    assert_eq!(file.codes(), ["HYBRID_MIXED_MESH"]);
 }
