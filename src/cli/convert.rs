@@ -67,7 +67,7 @@ pub(super) struct Args {
     time: Option<f64>,
     #[command(flatten)]
     played: AnimationArgs,
-    /// Leave out splats with NaN, infinite numbers or rotations of zero, instead of refusing the file (.splat, and .ply that is not
+    /// Leave out splats with NaN, infinite numbers, negative scales or rotations of zero, instead of refusing the file (.splat, and .ply that is not
     /// compressed; no other is read so, which is said)
     #[arg(long)]
     drop_invalid: bool,
@@ -268,7 +268,12 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
     }
     let attributes = joined(&attributes, &mut inputs);
     let own: Vec<Composition> = scenes.iter().map(|s| s.composition).collect();
-    let scene = if one { scenes.remove(0) } else { edit::join(scenes).context("joining the inputs")? };
+    let scene = if one {
+        scenes.remove(0)
+    } else {
+        let stated = inputs.iter().map(|input| input.states_composition);
+        edit::join(scenes.into_iter().zip(stated).collect()).context("joining the inputs")?
+    };
     for (input, own) in inputs.iter_mut().zip(&own) {
         let overruled = overruled(input, own, &scene.composition);
         input.notes.extend(overruled.map(|what| format!("left out on joining: its own {what}")));
@@ -289,11 +294,13 @@ fn idle(args: &Args, inputs: &[Input]) -> Option<String> {
 /// What an input says of how it is shown that does not hold where it is joined with others.
 fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<String> {
     let order = |c: &Composition| (c.mode, c.lambda);
+    // Most formats say nothing of what is behind a scene, and are read as the default.
+    let states_background = input.states_composition || own.background != Composition::default().background;
     let parts = [
         ("pixel filter", input.splats > 0 && own.pixel_filter != of_all.pixel_filter),
         ("order of splats and meshes", input.states_composition && input.meshes > 0 && order(own) != order(of_all)),
-        // Most formats say nothing of what is behind a scene, and are read as the default.
-        ("background", ![of_all.background, Composition::default().background].contains(&own.background)),
+        ("background", states_background && own.background != of_all.background),
+        ("near plane", input.states_composition && own.near != of_all.near),
     ];
     let named: Vec<&str> = parts.iter().filter(|(_, differs)| *differs).map(|(name, _)| *name).collect();
     (!named.is_empty()).then(|| named.join(" and "))

@@ -26,25 +26,33 @@ pub fn with_mesh_sh_degree(mesh: Mesh, degree: u32) -> Mesh {
     mesh.with_atlas(atlas)
 }
 
-/// All scenes as one: splats one after the other, at the highest SH degree among them, and all meshes. It is blended by
-/// the rule of the first scene with a mesh, else of the first, with the most layers among them, by the pixel filter of the first with splats,
-/// from the nearest near plane among them on.
+/// All scenes as one: splats one after the other, at the highest SH degree among them, and all meshes. With each scene goes whether it is
+/// stated how it is blended, as its file may leave that open (`format::SceneFile::states_composition`).
+///
+/// The whole is blended by the rule of the first scene that states one and has a mesh, else of the first that states one, of the first with a
+/// mesh, of the first; but with the most layers among those with meshes, by the pixel filter of the first with splats, and from the nearest near plane on among
+/// those that state their rule, or among all if none does.
 ///
 /// # Errors
 /// If the scenes blend in different colour spaces: colours of one would be wrong in the other.
-pub fn join(scenes: Vec<HybridScene>) -> Result<HybridScene, SceneError> {
-    let degree = scenes.iter().map(|s| s.splats.sh_degree()).max().unwrap_or(0);
-    let rule = scenes.iter().find(|s| !s.meshes.is_empty()).or(scenes.first());
-    let mut composition = rule.map(|s| s.composition).unwrap_or_default();
-    if let Some(with_splats) = scenes.iter().find(|s| !s.splats.is_empty()) {
+pub fn join(scenes: Vec<(HybridScene, bool)>) -> Result<HybridScene, SceneError> {
+    let degree = scenes.iter().map(|(s, _)| s.splats.sh_degree()).max().unwrap_or(0);
+    let has_mesh = |s: &HybridScene| !s.meshes.is_empty();
+    let states_any = scenes.iter().any(|(_, states)| *states);
+    // From the end, as the last of equals is taken.
+    let rule = scenes.iter().rev().max_by_key(|(s, states)| (*states, has_mesh(s)));
+    let mut composition = rule.map(|(s, _)| s.composition).unwrap_or_default();
+    if let Some((with_splats, _)) = scenes.iter().find(|(s, _)| !s.splats.is_empty()) {
         composition.pixel_filter = with_splats.composition.pixel_filter;
     }
-    let with_mesh = scenes.iter().filter(|s| !s.meshes.is_empty());
-    composition.layers = with_mesh.map(|s| s.composition.layers).fold(composition.layers, u32::max);
-    composition.near = scenes.iter().map(|s| s.composition.near).fold(composition.near, f32::min);
+    let with_mesh = scenes.iter().filter(|(s, _)| has_mesh(s));
+    composition.layers = with_mesh.map(|(s, _)| s.composition.layers).fold(composition.layers, u32::max);
+    // What others have is the usual one, in whatever unit.
+    let with_near = scenes.iter().filter(|(_, states)| *states || !states_any);
+    composition.near = with_near.map(|(s, _)| s.composition.near).fold(composition.near, f32::min);
     let mut all = SplatArrays { sh_degree: degree, ..SplatArrays::default() };
     let mut meshes = vec![];
-    for (i, scene) in scenes.into_iter().enumerate() {
+    for (i, (scene, _)) in scenes.into_iter().enumerate() {
         let (expected, found) = (composition.color_space, scene.composition.color_space);
         if found != expected {
             let field = format!("scene {} of those to be joined", i + 1);

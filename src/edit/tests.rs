@@ -270,32 +270,68 @@ fn scenes_join_at_the_highest_degree_and_by_the_rule_of_the_first_mesh() {
         meshes: vec![],
         composition: Composition::default(),
     };
-    let joined = join(vec![plain.clone(), hybrid.clone(), other.clone()]).unwrap();
+    // All state their rule, as scenes that were made here do.
+    let joined_of = |scenes: Vec<HybridScene>| join(scenes.into_iter().map(|scene| (scene, true)).collect());
+    let joined = joined_of(vec![plain.clone(), hybrid.clone(), other.clone()]).unwrap();
     assert_eq!((joined.splats.len(), joined.splats.sh_degree(), joined.meshes.len()), (10, 3, 3));
     assert_eq!(joined.composition, hybrid.composition);
     // What is behind four surfaces of one is not lost for another's two.
     let most = Composition { layers: 4, ..other.composition };
-    assert_eq!((hybrid.composition.layers, join(vec![other.clone(), hybrid.clone()]).unwrap().composition), (4, most));
+    assert_eq!(
+        (hybrid.composition.layers, joined_of(vec![other.clone(), hybrid.clone()]).unwrap().composition),
+        (4, most)
+    );
     let mut close = plain.clone();
     close.composition.near = 0.01;
     let from_there = Composition { near: 0.01, ..hybrid.composition };
-    assert_eq!(join(vec![plain.clone(), hybrid.clone(), close]).unwrap().composition, from_there);
+    assert_eq!(joined_of(vec![plain.clone(), hybrid.clone(), close]).unwrap().composition, from_there);
     // A mesh without splats has no pixel filter of its own.
     let mut mip = plain.clone();
     mip.composition.pixel_filter = PixelFilter::MIP;
     let mesh_alone = HybridScene { splats: Splats::empty(0), ..hybrid.clone() };
     for scenes in [[mip.clone(), mesh_alone.clone()], [mesh_alone, mip]] {
         assert_eq!(
-            join(scenes.to_vec()).unwrap().composition,
+            joined_of(scenes.to_vec()).unwrap().composition,
             Composition { pixel_filter: PixelFilter::MIP, ..hybrid.composition }
         );
     }
     assert_eq!(joined.splats.means()[2..7], *hybrid.splats.means());
     assert_eq!(joined.splats.sh_of(9)[..9], *other.splats.sh_of(2));
-    assert_eq!(join(vec![plain.clone()]).unwrap(), plain);
-    assert!(join(vec![]).unwrap().splats.is_empty());
+    assert_eq!(joined_of(vec![plain.clone()]).unwrap(), plain);
+    assert!(joined_of(vec![]).unwrap().splats.is_empty());
 
     let mut linear = hybrid;
     linear.composition.color_space = ColorSpace::LinearDisplay;
-    assert!(join(vec![linear, other]).unwrap_err().to_string().contains("colours in LinearDisplay"));
+    assert!(joined_of(vec![linear, other]).unwrap_err().to_string().contains("colours in LinearDisplay"));
+}
+
+#[test]
+fn what_states_a_rule_comes_before_what_states_none() {
+    let of = |composition| HybridScene { splats: splats_at(&[Vec3::ONE], &[0.0], 0), meshes: vec![], composition };
+    let (with_mesh, _) = random_scene(1, 5, 1, 1, 1, OrderMode::Stable);
+    let usual = Composition::default();
+    let unstated = HybridScene { composition: usual, ..with_mesh.clone() };
+    let own = Composition { mode: OrderMode::Direct, lambda: 0.5, background: [1.0; 3], near: 3.0, ..usual };
+    let stated = HybridScene { composition: own, ..with_mesh };
+    // A mesh of others, whose file says nothing, on either side.
+    for scenes in
+        [[(unstated.clone(), false), (stated.clone(), true)], [(stated.clone(), true), (unstated.clone(), false)]]
+    {
+        assert_eq!(join(scenes.to_vec()).unwrap().composition, own);
+    }
+    // Splats alone that state one come before meshes that do not, and after those that do.
+    let splats_alone = of(Composition { background: [0.5; 3], near: 5.0, ..usual });
+    for scenes in [
+        [(unstated.clone(), false), (splats_alone.clone(), true)],
+        [(splats_alone.clone(), true), (unstated.clone(), false)],
+    ] {
+        assert_eq!(join(scenes.to_vec()).unwrap().composition, splats_alone.composition);
+    }
+    for scenes in [[(stated.clone(), true), (splats_alone.clone(), true)], [(splats_alone, true), (stated, true)]] {
+        assert_eq!(join(scenes.to_vec()).unwrap().composition, own);
+    }
+    // Where none states one, it is that of the first mesh, and the nearest near plane.
+    let close = of(Composition { near: 0.1, background: [1.0; 3], ..usual });
+    let joined = join(vec![(close, false), (unstated, false)]).unwrap().composition;
+    assert_eq!(joined, Composition { near: 0.1, ..usual });
 }

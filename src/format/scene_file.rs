@@ -64,7 +64,7 @@ impl SceneFile {
 /// How to read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
-    /// Leave out splats with numbers that are not finite or rotations of zero, as failed trainings write them, instead
+    /// Leave out splats with numbers that are not finite, rotations of zero or negative scales, as failed trainings write them, instead
     /// of refusing the file. Of `.ply` that is not compressed and `.splat`; files of other formats that hold such splats
     /// are refused.
     pub drop_invalid: bool,
@@ -194,8 +194,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
         }
         "ply" => {
             let bytes = ply::write_with(path, splats, options.attributes, scene.composition.pixel_filter)?;
-            let stated = if antialiased { PixelFilter::MIP } else { PixelFilter::DILATION };
-            let loss = beside_splats(scene, options, stated, Loss::default());
+            let loss = beside_splats(scene, options, extension, Loss::default());
             return Ok(WriteReport { bytes, loss, ..WriteReport::default() });
         }
         "sog" => sog::write_with(path, splats, antialiased)?,
@@ -208,12 +207,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
             return Err(fault.in_file(path));
         }
     };
-    let stated = match extension {
-        "sog" | "spz" if antialiased => PixelFilter::NORMALIZED_DILATION,
-        "ply" if antialiased => PixelFilter::MIP,
-        _ => PixelFilter::DILATION,
-    };
-    let loss = Loss { attributes: names(options.attributes), ..beside_splats(scene, options, stated, report.loss) };
+    let loss = Loss { attributes: names(options.attributes), ..beside_splats(scene, options, extension, report.loss) };
     Ok(WriteReport { loss, ..report })
 }
 
@@ -234,9 +228,14 @@ fn of_linear_values(splats: &Splats) -> Loss {
 
 /// Adds what formats of splats alone leave out. Without meshes only the background, the near plane, the colour space
 /// and the pixel filter are left of the rule of blending; that these formats cannot state them matters where they are not the usual ones.
-fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, stated_filter: PixelFilter, loss: Loss) -> Loss {
-    let usual = Composition { pixel_filter: stated_filter, ..Composition::default() };
+fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, extension: &str, loss: Loss) -> Loss {
     let is = &scene.composition;
+    let pixel_filter = match extension {
+        "sog" | "spz" if is.pixel_filter.normalized => PixelFilter::NORMALIZED_DILATION,
+        "ply" if is.pixel_filter.normalized => is.pixel_filter,
+        _ => PixelFilter::DILATION,
+    };
+    let usual = Composition { pixel_filter, ..Composition::default() };
     let stated = |c: &Composition| (c.background, c.near, c.color_space, c.pixel_filter);
     let plain = stated(is) == stated(&usual);
     let composition = !scene.meshes.is_empty() || !plain;
@@ -320,9 +319,14 @@ mod tests {
         assert!(loss.is_rounding() && !loss.is_none(), "{loss}");
         assert!(write("a.ply", &scene).unwrap().is_none());
         scene.composition.pixel_filter = PixelFilter::NORMALIZED_DILATION;
-        for (name, is_lost) in
-            [("a.spz", false), ("a.sog", false), ("a.ply", true), ("a.splat", true), ("a.glb", false)]
-        {
+        for (name, is_lost) in [
+            ("a.spz", false),
+            ("a.sog", false),
+            ("a.ply", false),
+            ("a.compressed.ply", false),
+            ("a.splat", true),
+            ("a.glb", false),
+        ] {
             assert_eq!(write(name, &scene).unwrap().composition, is_lost, "{name}");
             let back = read_file(&folder.path().join(name), &ReadOptions::default()).unwrap().scene.composition;
             assert_eq!(back.pixel_filter != scene.composition.pixel_filter, is_lost, "{name}");

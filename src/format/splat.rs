@@ -18,7 +18,7 @@ use glam::{Quat, Vec3};
 use super::blocks::{in_waves, read_in_blocks};
 use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::splat_record::{SplatRecord, color_bytes, dc_of_bytes, logit_of_byte, opacity_byte};
+use super::splat_record::{SplatRecord, color_bytes, dc_of_bytes, log_of_scale, logit_of_byte, opacity_byte};
 use super::{FormatError, activation, atomic_write_with};
 use crate::scene::{SplatArrays, Splats};
 
@@ -29,7 +29,7 @@ const ROWS: usize = 1 << 14;
 /// Reads splats. Opacities of 0 and 1 and scales of 0 become the nearest finite parameters.
 ///
 /// # Errors
-/// If the file cannot be read, its length is not a multiple of 32, or it holds values that [`Splats::new`] refuses.
+/// If the file cannot be read, its length is not a multiple of 32, or it holds values that [`Splats::new`] refuses or negative scales.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
     Ok(read_with(path, false)?.0)
 }
@@ -112,7 +112,7 @@ fn decode(row: &[u8; BYTES]) -> SplatRecord {
     SplatRecord {
         mean: Vec3::new(float(0), float(1), float(2)),
         rotation: Quat::from_xyzw(x, y, z, w),
-        log_scale: Vec3::from([3, 4, 5].map(|k| activation::log_scale(float(k)).0)),
+        log_scale: Vec3::from([3, 4, 5].map(|k| log_of_scale(float(k)))),
         opacity_logit: logit_of_byte(alpha),
         sh_degree: 0,
         sh,
@@ -187,8 +187,13 @@ mod tests {
             message(&bytes[..63]),
             "a.splat: byte 32: expected 32 bytes per splat, found 31 bytes after splat 1"
         );
-        bytes[28..32].fill(128);
         bytes[32..36].fill(0);
+        bytes[52..56].copy_from_slice(&(-0.5_f32).to_le_bytes());
+        assert_eq!(message(&bytes), "a.splat: byte 32: expected finite numbers, found NaN in log_scales[1]");
+        let (left, dropped) = super::parse(Cursor::new(&bytes), true).unwrap();
+        assert_eq!((left.len(), dropped), (1, 1), "a negative scale");
+        bytes[28..32].fill(128);
+        bytes[52..56].fill(0);
         assert!(message(&bytes).contains("byte 0: expected a non-zero quaternion"), "{}", message(&bytes));
     }
 

@@ -6,6 +6,9 @@ use rayon::prelude::*;
 use super::activation;
 use crate::scene::{SplatArrays, Splats, sh};
 
+/// What a note says of splats that their file wants drawn as those of 2DGS.
+pub(super) const SEEN_IN_3D: &str = "splats are seen as 3DGS has them";
+
 /// One splat in the parameters of [`Splats`]. The rotation need not be normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SplatRecord {
@@ -119,6 +122,11 @@ pub(super) fn opacity_byte(logit: f32) -> u8 {
 /// Inverse of [`opacity_byte`]; 0 and 255 become the logits next to −∞ and ∞ that [`activation::logit`] knows.
 pub(super) fn logit_of_byte(byte: u8) -> f32 {
     activation::logit(f32::from(byte) / 255.0).0
+}
+
+/// Logarithm of a scale as it is stored; NaN, which no scene holds, of a negative one.
+pub(super) fn log_of_scale(scale: f32) -> f32 {
+    if scale < 0.0 { f32::NAN } else { activation::log_scale(scale).0 }
 }
 
 /// The displayed colour of SH coefficient 0 alone in 255 steps; what lies outside of 0..1 is clipped.

@@ -285,7 +285,8 @@ fn several_inputs_become_one_scene() {
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: mip };
     format::write_scene(&folder.path().join("m.glb"), &scene, &WriteOptions::default()).unwrap();
     let said = convert(folder.path(), "a.ply m.glb -o b.glb");
-    assert!(said.starts_with("note: m.glb: left out on joining: its own pixel filter and background\n"), "{said}");
+    assert!(said.starts_with("note: m.glb: left out on joining: its own pixel filter\n"), "{said}");
+    assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.background, [1.0; 3]);
     let line = failure(folder.path(), "a.ply m.glb -o b.glb --strict");
     assert!(line.contains("pixel filter"), "{line}");
     assert!(!convert(folder.path(), "m.glb m.glb -o b.glb").contains("left out"));
@@ -299,6 +300,24 @@ fn several_inputs_become_one_scene() {
     // A .ply says nothing of a background that could be left out.
     let said = convert(folder.path(), "m.glb a.ply -o b.glb");
     assert!(said.starts_with("note: a.ply: left out on joining: its own pixel filter\n"), "{said}");
+
+    // What states a rule and has a mesh comes first, wherever it stands; black that is stated is as good as any other.
+    for inputs in ["h.glb m.glb", "m.glb h.glb"] {
+        let said = convert(folder.path(), &format!("{inputs} -o b.glb"));
+        assert!(said.contains("note: m.glb: left out on joining: its own ") && said.contains("background\n"), "{said}");
+        assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.background, [0.0; 3]);
+    }
+    let black = Composition { near: 0.5, ..Composition::default() };
+    let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: black };
+    format::write_scene(&folder.path().join("k.glb"), &scene, &WriteOptions::default()).unwrap();
+    let said = convert(folder.path(), "m.glb k.glb -o b.glb");
+    assert!(
+        said.starts_with("note: k.glb: left out on joining: its own pixel filter and background and near plane\n"),
+        "{said}"
+    );
+    // The near plane of a .ply is none of its own.
+    convert(folder.path(), "a.ply k.glb -o b.glb --strict");
+    assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.near, 0.5);
 
     let linear = Composition { color_space: centaur::scene::ColorSpace::LinearDisplay, ..Composition::default() };
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: linear };

@@ -5,10 +5,9 @@ use glam::{DVec3, Quat, Vec3};
 use half::f16;
 
 use super::{CENTER, DEFAULT_SH_RANGE, HEADER, Level, MAX_DEGREE, MEAN_RANGE, SECTION_HEADER};
-use crate::format::activation;
 use crate::format::blocks::read_in_blocks;
 use crate::format::error::{Fault, Location};
-use crate::format::splat_record::{SplatRecord, dc_of_bytes, logit_of_byte};
+use crate::format::splat_record::{SplatRecord, dc_of_bytes, log_of_scale, logit_of_byte};
 use crate::scene::{SplatArrays, Splats, sh};
 
 /// How the numbers of a splat are stored.
@@ -197,7 +196,7 @@ pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> SplatRe
     SplatRecord {
         mean,
         rotation: Quat::from_xyzw(x, y, z, w),
-        log_scale: Vec3::from([3, 4, 5].map(|k| activation::log_scale(number(k)).0)),
+        log_scale: Vec3::from([3, 4, 5].map(|k| log_of_scale(number(k)))),
         opacity_logit: logit_of_byte(row[colors + 3]),
         sh_degree: layout.sh_degree,
         sh: all,

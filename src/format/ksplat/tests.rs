@@ -131,6 +131,14 @@ fn messages_name_place_expected_and_found() {
     assert!(with(HEADER + 20, 4).contains("byte 4116: expected at least 12 bytes per bucket, found 4"));
     assert!(with(HEADER + SECTION_HEADER, 0).contains("byte 5120: expected buckets for 300 splats, found for "));
     assert!(message(&good[..good.len() - 1]).contains("ends within the file's"));
+    let (mut negative, _) = encode(&random_splats(2, 0, 1), Level::Float);
+    let scale = HEADER + SECTION_HEADER + 12;
+    negative[scale..scale + 4].copy_from_slice(&(-0.5_f32).to_le_bytes());
+    assert!(
+        message(&negative).ends_with(": expected finite numbers, found NaN in log_scales[0]"),
+        "{}",
+        message(&negative)
+    );
 }
 
 proptest! {

@@ -12,10 +12,10 @@ use glam::{DVec3, Quat, Vec3};
 use serde::Serialize;
 
 pub use self::attribute::Attribute;
-use self::table::{Column, Element, Header};
+use self::table::{Column, Element, Header, Scalar};
 use super::blocks::in_waves;
 use super::error::{Fault, FormatError, open_file, shown};
-use super::splat_record::SplatRecord;
+use super::splat_record::{SEEN_IN_3D, SplatRecord};
 use super::{ReadOptions, activation, atomic_write_with};
 use crate::scene::{PixelFilter, SplatArrays, Splats, sh, smoothed_parameters};
 
@@ -30,7 +30,8 @@ pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
 }
 
 /// As [`write()`], followed by what else is known of every splat. That they keep their integral over a picture is said in a comment, as Brush and
-/// splat-transform have it: `SplatRenderMode: mip`.
+/// splat-transform have it: `SplatRenderMode: mip`; and by which variance they are widened in one of our own. A filter that does not
+/// keep it is not stated.
 ///
 /// # Errors
 /// If the file cannot be written, or an attribute has not as many values as there are splats.
@@ -52,9 +53,12 @@ pub fn write_with(
     let names = names.map(|name| ("float", name)).chain(attributes.iter().map(|a| (a.kind.name(), a.name.clone())));
     let properties: String = names.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     atomic_write_with(path, |out| {
-        let comment = if pixel_filter.normalized { MIP_COMMENT } else { "" };
+        let comments = filter_comments(pixel_filter);
         let count = splats.len();
-        write!(out, "ply\nformat binary_little_endian 1.0\n{comment}element vertex {count}\n{properties}end_header\n")?;
+        write!(
+            out,
+            "ply\nformat binary_little_endian 1.0\n{comments}element vertex {count}\n{properties}end_header\n"
+        )?;
         let block = |i: usize| i * ROWS..splats.len().min((i + 1) * ROWS);
         in_waves(
             splats.len().div_ceil(ROWS),
@@ -64,8 +68,16 @@ pub fn write_with(
     })
 }
 
-/// Line of a header of splats that keep their integral over a picture.
-const MIP_COMMENT: &str = "comment SplatRenderMode: mip\n";
+/// What the comment begins with in which we state the variance of a pixel filter.
+const VARIANCE: &str = "Centaur filter variance:";
+
+/// Lines of a header of splats that keep their integral over a picture.
+fn filter_comments(filter: PixelFilter) -> String {
+    if !filter.normalized {
+        return String::new();
+    }
+    format!("comment SplatRenderMode: mip\ncomment {VARIANCE} {}\n", filter.variance)
+}
 
 /// Rows that are encoded as one task: about 1 MB.
 const ROWS: usize = 1 << 12;
@@ -109,7 +121,8 @@ pub struct PlySplats {
     pub splats: Splats,
     /// Properties that are no parameters, as many values each as there are splats.
     pub attributes: Vec<Attribute>,
-    /// What they were trained to be seen with: [`PixelFilter::MIP`] where a comment or Mip-Splatting's `filter_3D` says so.
+    /// What they were trained to be seen with: [`PixelFilter::MIP`] where Mip-Splatting's `filter_3D` is there or Brush says so,
+    /// [`PixelFilter::NORMALIZED_DILATION`] where others do, and exactly what Centaur has stated.
     pub pixel_filter: PixelFilter,
     /// What the file has besides, and what was made part of the splats, one sentence each.
     pub notes: Vec<String>,
@@ -117,7 +130,8 @@ pub struct PlySplats {
     pub dropped: Option<usize>,
 }
 
-/// As [`read`], with all other scalar properties of the splats but normals.
+/// As [`read`], with all other scalar properties of the splats but normals, of which a note is made where they are not zero, as of positions in
+/// double precision that lose more than a millionth of the scene's size.
 ///
 /// # Errors
 /// As [`read`].
@@ -183,7 +197,8 @@ pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, F
 fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySplats, Fault> {
     let (header, mut body) = table::open(file)?;
     header.repeated_property().map_or(Ok(()), Err)?;
-    let (pixel_filter, mut notes) = (pixel_filter_of(&header), left_out(&header));
+    let mut notes = left_out(&header);
+    let pixel_filter = pixel_filter_of(&header, &mut notes);
     if compressed::is_compressed(&header) {
         let splats = compressed::parse(&header, &mut body)?;
         return Ok(PlySplats { splats, attributes: vec![], pixel_filter, notes, dropped: None });
@@ -236,13 +251,27 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             sh,
         }
     };
+    let is_double =
+        vertex.scalar_properties().any(|(_, name, kind)| ["x", "y", "z"].contains(&name) && kind == Scalar::F64);
+    let normals: Vec<Column> = ["nx", "ny", "nz"].iter().filter_map(|name| vertex.column(name)).collect();
+    let (mut rounding, mut has_normals) = (0.0_f64, false);
+    let mut look = |row: &[u8]| {
+        has_normals = has_normals || normals.iter().any(|column| column.f64(row) != 0.0);
+        if is_double {
+            let error = |column: Column| (column.f64(row) - f64::from(column.f32(row))).abs();
+            rounding = means.map(error).into_iter().fold(rounding, f64::max);
+        }
+    };
     let reserve = |n| {
         attributes.iter_mut().for_each(|a| a.values.reserve_exact(n));
         (SplatArrays::with_capacity(n, sh_degree), attributes, 0)
     };
     let (arrays, attributes, dropped) =
         body.blocks(&header, "vertex", reserve, |(arrays, attributes, dropped), rows| {
-            let mut also = |row: &[u8]| attributes.iter_mut().zip(&extra).for_each(|(a, c)| a.values.push(c.f64(row)));
+            let mut also = |row: &[u8]| {
+                look(row);
+                attributes.iter_mut().zip(&extra).for_each(|(a, c)| a.values.push(c.f64(row)));
+            };
             if !drop_invalid {
                 let bytes: Vec<&[u8]> = rows.collect();
                 arrays.extend(bytes.len(), |i| decode(bytes[i]));
@@ -259,7 +288,20 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             Ok(())
         })?;
     let splats = arrays.check().map_err(|e| body.locate(&header, "vertex", |i| i, e.into()))?;
+    if has_normals {
+        notes.push("nx, ny, nz: normals are left out".to_owned());
+    }
+    if rounding > 1e-6 * diagonal(splats.means()) {
+        notes.push(format!("positions in double precision are rounded to single, by {rounding:.1e} at most"));
+    }
     Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped: Some(dropped) })
+}
+
+/// Of the box around points; 0 of none.
+fn diagonal(points: &[Vec3]) -> f64 {
+    let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (low, high) = points.iter().fold(start, |(low, high), &p| (low.min(p), high.max(p)));
+    if points.is_empty() { 0.0 } else { (high.as_dvec3() - low.as_dvec3()).length() }
 }
 
 /// Thickness of splats that have none.
@@ -277,12 +319,75 @@ const PARAMETERS: [&str; 15] = [
     "rot_3", FILTER_3D,
 ];
 
-/// What the header says of how splats are to be seen: Brush's comment, which splat-transform has from there, or what Mip-Splatting adds.
-fn pixel_filter_of(header: &Header) -> PixelFilter {
-    let says_mip = |comment: &String| comment.to_lowercase().contains("splatrendermode: mip");
-    let has_filter = header.element("vertex").is_some_and(|vertex| vertex.scalar(FILTER_3D).is_some());
-    let is_filtered = has_filter && !compressed::is_compressed(header);
-    if is_filtered || header.comments().iter().any(says_mip) { PixelFilter::MIP } else { PixelFilter::DILATION }
+/// How the comments of a header want splats to be seen.
+#[derive(Clone, Copy)]
+enum Mode {
+    Usual,
+    /// `SplatRenderMode: mip`, of Brush and of splat-transform, which mean different filters.
+    Mip,
+    /// Postshot's `antialiased 1`.
+    Antialiased,
+    /// `SplatRenderMode: 2dgs`.
+    Flat,
+}
+
+/// What the header says of how splats are to be seen: what Mip-Splatting adds, else the last comment that says so.
+fn pixel_filter_of(header: &Header, notes: &mut Vec<String>) -> PixelFilter {
+    let is_compressed = compressed::is_compressed(header);
+    if !is_compressed && header.element("vertex").is_some_and(|vertex| vertex.scalar(FILTER_3D).is_some()) {
+        return PixelFilter::MIP;
+    }
+    let (mut mode, mut unknown) = (Mode::Usual, None);
+    for comment in header.comments() {
+        let comment = comment.to_lowercase();
+        mode = match (comment.strip_prefix("splatrendermode:").map(str::trim), comment.as_str()) {
+            (Some("mip"), _) => Mode::Mip,
+            (Some("2dgs"), _) => Mode::Flat,
+            (Some("default"), _) | (None, "antialiased 0") => Mode::Usual,
+            (None, "antialiased 1") => Mode::Antialiased,
+            (None, _) => mode,
+            (Some(other), _) => {
+                unknown = Some(shown(other.as_bytes()));
+                mode
+            }
+        };
+    }
+    notes.extend(unknown.map(|name| format!("SplatRenderMode {name}: not known, left out")));
+    match mode {
+        Mode::Usual => PixelFilter::DILATION,
+        Mode::Antialiased => PixelFilter::NORMALIZED_DILATION,
+        Mode::Flat => {
+            notes.push(format!("SplatRenderMode 2dgs: {SEEN_IN_3D}"));
+            PixelFilter::DILATION
+        }
+        Mode::Mip => mip_filter_of(header).unwrap_or_else(|| {
+            notes.push(
+                "SplatRenderMode mip, by neither Brush nor Centaur: taken as antialiased with 0.3 px², as in SPZ and SOG, not with Mip-Splatting's 0.1"
+                    .to_owned(),
+            );
+            PixelFilter::NORMALIZED_DILATION
+        }),
+    }
+}
+
+/// Which filter *mip* is, if it can be told: splat-transform writes the word for whatever is antialiased.
+fn mip_filter_of(header: &Header) -> Option<PixelFilter> {
+    let stated =
+        header.comments().iter().find_map(|comment| comment.strip_prefix(VARIANCE)?.trim().parse::<f32>().ok());
+    if let Some(variance) = stated.filter(|variance| variance.is_finite() && *variance >= 0.0) {
+        return Some(PixelFilter { variance, normalized: true });
+    }
+    let is_of_brush = header.comments().iter().any(|comment| comment.eq_ignore_ascii_case("exported from brush"));
+    (is_of_brush || is_of_former_centaur(header)).then_some(PixelFilter::MIP)
+}
+
+/// Whether the header is as Centaur wrote it before it stated the variance: that comment alone, which splat-transform has above a table with
+/// properties in another order, or of a compressed one below its own name.
+fn is_of_former_centaur(header: &Header) -> bool {
+    let first = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0"];
+    let is_inrias = |vertex: &Element| vertex.scalar_properties().map(|(_, name, _)| name).take(first.len()).eq(first);
+    header.comments() == ["SplatRenderMode: mip"]
+        && (compressed::is_compressed(header) || header.element("vertex").is_some_and(is_inrias))
 }
 
 /// What the file has besides splats: other tables, and lists. Scalars of splats are attributes, of compressed ones left out.
@@ -407,7 +512,7 @@ mod tests {
     fn mip_splatting_is_read_as_it_is_seen() {
         let splats = random_splats(9, 1, 5);
         let values = (0..9).map(|i| 0.01 * f64::from(i)).collect();
-        let filter = Attribute { name: FILTER_3D.to_owned(), kind: table::Scalar::F32, values };
+        let filter = Attribute { name: FILTER_3D.to_owned(), kind: Scalar::F32, values };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
         write_with(&path, &splats, &[filter], PixelFilter::DILATION).unwrap();
@@ -431,11 +536,11 @@ mod tests {
         let splats = random_splats(3, 0, 5);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
-        let time = Attribute { name: "scale_t".to_owned(), kind: table::Scalar::F32, values: vec![1.0, 2.0, 3.0] };
+        let time = Attribute { name: "scale_t".to_owned(), kind: Scalar::F32, values: vec![1.0, 2.0, 3.0] };
         write_with(&path, &splats, std::slice::from_ref(&time), PixelFilter::MIP).unwrap();
         let content = std::fs::read(&path).unwrap();
         let text = String::from_utf8_lossy(&content);
-        assert!(text.contains("\ncomment SplatRenderMode: mip\n"));
+        assert!(text.contains("\ncomment SplatRenderMode: mip\ncomment Centaur filter variance: 0.1\n"));
         let end = content.windows(10).position(|w| w == b"end_header").unwrap();
         let more = b"element extrinsic 1\nproperty float a\nelement empty 0\nproperty list uchar int b\n";
         let mut content = [&content[..end], more, &content[end..]].concat();
@@ -443,6 +548,89 @@ mod tests {
         let read = parse(Cursor::new(&content), false).unwrap();
         assert_eq!((read.pixel_filter, &read.attributes[..]), (PixelFilter::MIP, std::slice::from_ref(&time)));
         assert_eq!(read.notes, ["`extrinsic`, 1 of it: left out"]);
+    }
+
+    /// `SplatRenderMode: mip` is what others make of every *antialiased*; the last comment counts, as for splat-transform.
+    #[test]
+    fn comments_say_how_splats_are_seen() {
+        let file = written(&random_splats(2, 0, 5));
+        let end = file.windows(14).position(|w| w == b"element vertex").unwrap();
+        let with = |comments: &str| {
+            let lines: String = comments.split_terminator('|').map(|line| format!("comment {line}\n")).collect();
+            parse(Cursor::new([&file[..end], lines.as_bytes(), &file[end..]].concat()), false).unwrap()
+        };
+        let (usual, mip, wide) = (PixelFilter::DILATION, PixelFilter::MIP, PixelFilter::NORMALIZED_DILATION);
+        for (comments, expected, note) in [
+            ("", usual, ""),
+            ("SplatRenderMode: mip", mip, ""),
+            ("splatrendermode:  MIP|Exported from Brush", mip, ""),
+            ("SplatRenderMode: mip|Generated by splat-transform", wide, "SplatRenderMode mip, by neither Brush"),
+            (
+                "SplatRenderMode: mip|Centaur filter variance: 0.25",
+                PixelFilter { variance: 0.25, normalized: true },
+                "",
+            ),
+            ("SplatRenderMode: mip|Centaur filter variance: NaN", wide, "SplatRenderMode mip, by neither Brush"),
+            ("SplatRenderMode: default|Centaur filter variance: 0.25", usual, ""),
+            ("antialiased 1", wide, ""),
+            ("antialiased 0", usual, ""),
+            ("antialiased 1|SplatRenderMode: default", usual, ""),
+            ("Exported from Brush|SplatRenderMode: mip|antialiased 0", usual, ""),
+            ("SplatRenderMode: default|Antialiased 1", wide, ""),
+            ("antialiased 1|SplatRenderMode: banana", wide, "SplatRenderMode `banana`: not known, left out"),
+            ("SplatRenderMode: 2dgs", usual, "SplatRenderMode 2dgs: splats are seen as 3DGS has them"),
+        ] {
+            let read = with(comments);
+            assert_eq!(read.pixel_filter, expected, "{comments}");
+            assert_eq!(read.notes.len(), usize::from(!note.is_empty()), "{comments}: {:?}", read.notes);
+            assert!(read.notes.iter().all(|said| said.starts_with(note)), "{comments}: {:?}", read.notes);
+        }
+    }
+
+    #[test]
+    fn every_filter_that_keeps_integrals_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, splats) = (folder.path().join("s.ply"), random_splats(2, 0, 5));
+        for variance in [0.1, 0.3, 0.123_456_79, 0.0, 2e-9] {
+            let filter = PixelFilter { variance, normalized: true };
+            write_with(&path, &splats, &[], filter).unwrap();
+            let read = read_with(&path, &ReadOptions::default()).unwrap();
+            assert_eq!((read.pixel_filter, read.notes.len()), (filter, 0));
+            compressed::write_with(&path, &splats, filter).unwrap();
+            let read = read_with(&path, &ReadOptions::default()).unwrap();
+            assert_eq!((read.pixel_filter, read.notes.len()), (filter, 0));
+            // As it was written before; and by splat-transform, of whatever is antialiased.
+            let content = std::fs::read(&path).unwrap();
+            let text = format!("comment {VARIANCE} {variance}\n");
+            let at = content.windows(text.len()).position(|w| w == text.as_bytes()).unwrap();
+            for (line, expected) in [
+                ("", PixelFilter::MIP),
+                ("comment Generated by splat-transform 3.2.0\n", PixelFilter::NORMALIZED_DILATION),
+            ] {
+                let file = [&content[..at], line.as_bytes(), &content[at + text.len()..]].concat();
+                assert_eq!(parse(Cursor::new(file), false).unwrap().pixel_filter, expected);
+            }
+        }
+    }
+
+    #[test]
+    fn normals_and_digits_that_are_lost_are_named() {
+        let names = ["x", "y", "z", "nx", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+        let notes = |kind: &str, first: &str, second: &str| {
+            let properties: String = names.iter().map(|name| format!("property {kind} {name}\n")).collect();
+            let text = format!(
+                "ply\nformat ascii 1.0\nelement vertex 2\n{properties}property float rot_0\nproperty float rot_1\n\
+                 property float rot_2\nproperty float rot_3\nend_header\n{first} 0 0 0 0 0 0 0 1 0 0 0\n{second} 0 0 0 0 0 0 0 1 0 0 0\n"
+            );
+            parse(Cursor::new(text), false).unwrap().notes
+        };
+        // Half a unit in the last place is 0.016 m there, of a scene of 1 m.
+        let far = ["500000.01 0 0 0", "500001.01 0 0 0"];
+        let said = notes("double", far[0], far[1]);
+        assert_eq!(said, ["positions in double precision are rounded to single, by 1.0e-2 at most"]);
+        assert!(notes("double", "0.01 0 0 0", "1.01 0 0 0").is_empty());
+        assert!(notes("float", far[0], far[1]).is_empty(), "text may have more digits than the value");
+        assert_eq!(notes("float", "0 0 0 0", "1 0 0 -1"), ["nx, ny, nz: normals are left out"]);
     }
 
     #[test]
@@ -583,10 +771,10 @@ mod tests {
         let attribute =
             |name: &str, kind, values: [f64; 3]| Attribute { name: name.to_owned(), kind, values: values.to_vec() };
         let attributes = vec![
-            attribute("label", table::Scalar::U8, [0.0, 7.0, 255.0]),
-            attribute("time", table::Scalar::F64, [0.1, -2.5e300, f64::MIN_POSITIVE]),
-            attribute("shift", table::Scalar::I16, [-32768.0, 1.0, 32767.0]),
-            attribute("confidence", table::Scalar::F32, [0.25, f64::INFINITY, -1.0]),
+            attribute("label", Scalar::U8, [0.0, 7.0, 255.0]),
+            attribute("time", Scalar::F64, [0.1, -2.5e300, f64::MIN_POSITIVE]),
+            attribute("shift", Scalar::I16, [-32768.0, 1.0, 32767.0]),
+            attribute("confidence", Scalar::F32, [0.25, f64::INFINITY, -1.0]),
         ];
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
@@ -606,8 +794,7 @@ mod tests {
     #[test]
     fn invalid_rows_are_refused_or_dropped_with_their_attributes() {
         let splats = random_splats(6, 0, 4);
-        let order =
-            Attribute { name: "order".to_owned(), kind: table::Scalar::I32, values: (0..6).map(f64::from).collect() };
+        let order = Attribute { name: "order".to_owned(), kind: Scalar::I32, values: (0..6).map(f64::from).collect() };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
         write_with(&path, &splats, &[order], PixelFilter::DILATION).unwrap();

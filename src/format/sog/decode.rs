@@ -3,11 +3,12 @@
 use glam::{DQuat, Quat, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use super::files::FileSet;
 use super::texels::Texels;
-use crate::format::error::Fault;
-use crate::format::splat_record::{SplatRecord, logit_of_byte};
+use crate::format::error::{Fault, shown};
+use crate::format::splat_record::{SEEN_IN_3D, SplatRecord, logit_of_byte};
 use crate::scene::{SplatArrays, Splats, sh};
 
 /// `meta.json` of both versions.
@@ -17,18 +18,24 @@ pub(super) struct Meta {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) version: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) asset: Option<serde_json::Value>,
+    pub(super) asset: Option<Value>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) count: Option<u64>,
     /// Version 2: splats are to keep their integral over a picture.
     #[serde(default, skip_serializing_if = "is_false")]
     pub(super) antialias: bool,
+    /// What splat-transform has written in its place since 3.2: `default`, `antialiased` or `2dgs`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) model: Option<Value>,
     pub(super) means: Field,
     pub(super) scales: Field,
     pub(super) quats: Field,
     pub(super) sh0: Field,
     #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
     pub(super) sh_n: Option<Field>,
+    /// What else there is, of which splats know nothing.
+    #[serde(flatten)]
+    pub(super) rest: Map<String, Value>,
 }
 
 fn is_false(value: &bool) -> bool {
@@ -79,6 +86,20 @@ impl Meta {
     pub(super) fn files(&self) -> Vec<&str> {
         let fields = [&self.means, &self.scales, &self.quats, &self.sh0].into_iter().chain(&self.sh_n);
         fields.flat_map(|field| field.files.iter().map(String::as_str)).collect()
+    }
+
+    /// Whether splats are to keep their integral over a picture; and a sentence where they are to be seen as nothing here shows them.
+    pub(super) fn antialiased(&self) -> (bool, Option<String>) {
+        let Some(model) = &self.model else { return (self.antialias, None) };
+        match model.as_str() {
+            Some("antialiased") => (true, None),
+            Some("default") => (false, None),
+            Some("2dgs") => (false, Some(format!("model 2dgs: {SEEN_IN_3D}"))),
+            name => {
+                let name = name.map_or_else(|| model.to_string(), str::to_owned);
+                (self.antialias, Some(format!("model {}: not known, left out", shown(name.as_bytes()))))
+            }
+        }
     }
 }
 
@@ -340,15 +361,20 @@ fn range_table(name: &str, field: &Field, channel: usize) -> Result<Table, Fault
 /// Version 2.
 fn codebook_table(name: &str, field: &Field) -> Result<Table, Fault> {
     let at = format!("/{name}/codebook");
-    let fault = |found: String| Fault::pointer(&at, "256 numbers", found);
+    let fault = |found: String| Fault::pointer(&at, "1 to 256 numbers", found);
     let codebook = field.codebook.as_ref().ok_or_else(|| fault("none".to_owned()))?;
-    let values: &[Option<f32>; 256] = codebook.as_slice().try_into().map_err(|_| fault(codebook.len().to_string()))?;
-    let mut table = [0.0; 256];
-    for (slot, value) in table.iter_mut().zip(values).skip(1) {
-        *slot = value.ok_or_else(|| fault("null".to_owned()))?;
-    }
+    let (first, rest) = match codebook.as_slice() {
+        [first, rest @ ..] if rest.len() < 256 => (first, rest),
+        other => return Err(fault(other.len().to_string())),
+    };
+    let rest: Result<Vec<f32>, Fault> = rest.iter().map(|v| v.ok_or_else(|| fault("null".to_owned()))).collect();
+    let rest = rest?;
+    // Of fewer values than a byte can name, as there may be of few splats, bytes name no other.
+    let last = rest.last().copied().or(*first).ok_or_else(|| fault("null".to_owned()))?;
+    let mut table = [last; 256];
+    table[1..=rest.len()].copy_from_slice(&rest);
     // A missing first value is taken to be one mean step below the second, as PlayCanvas' own reader does.
-    table[0] = values[0].unwrap_or(table[1] - (table[255] - table[1]) / 255.0);
+    table[0] = first.unwrap_or(table[1] - (table[255] - table[1]) / 255.0);
     Ok(table)
 }
 

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use serde_json::json;
+use serde_json::{Map, json};
 
 use super::codebook::Codebook;
 use super::decode::{ENTRIES_PER_ROW, Field, Meta, Numbers, compress, rotation_texel};
@@ -73,7 +73,9 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
         version: Some(2),
         asset: Some(json!({ "generator": concat!("Centaur ", env!("CARGO_PKG_VERSION")) })),
         count: Some(n as u64),
+        // What readers of the format's description know, and what splat-transform does.
         antialias,
+        model: antialias.then(|| json!("antialiased")),
         means: Field {
             mins: Some(Numbers::Many(range.mins.to_vec())),
             maxs: Some(Numbers::Many(range.maxs.to_vec())),
@@ -84,6 +86,7 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
         quats: Field { files: files(&["quats"]), ..Field::default() },
         sh0: table("sh0", &colors),
         sh_n: sh_n.map(|field| Field { files: files(&["shN_centroids", "shN_labels"]), ..field }),
+        rest: Map::new(),
     };
     Ok(Encoded { meta, images, order })
 }

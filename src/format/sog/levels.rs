@@ -5,15 +5,17 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use serde_json::{Map, Value};
 
 use super::files::FileSet;
+use super::left_out;
 use crate::atomic::folder_of;
 use crate::format::NotedSplats;
 use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
 use crate::format::inside::inside;
 use crate::format::length::file_bytes;
 use crate::format::splat_record::SplatRecord;
-use crate::scene::{SplatArrays, Splats};
+use crate::scene::SplatArrays;
 
 pub(super) const INDEX: &str = "lod-meta.json";
 
@@ -24,7 +26,14 @@ struct Index {
     /// Each a `meta.json`, relative to the index.
     filenames: Vec<String>,
     tree: Node,
+    /// Splats of each level in the whole tree.
+    counts: Option<Vec<usize>>,
+    #[serde(flatten)]
+    rest: Map<String, Value>,
 }
+
+/// Keys of an index that say nothing more of the finest level.
+const OF_LEVELS: [&str; 5] = ["asset", "count", "lodErrors", "lodLevels", "version"];
 
 #[derive(Deserialize)]
 struct Node {
@@ -33,6 +42,13 @@ struct Node {
     /// By level; 0 is the finest.
     #[serde(default)]
     lods: BTreeMap<u32, Part>,
+}
+
+impl Node {
+    /// The least level of any leaf.
+    fn finest(&self) -> Option<u32> {
+        self.children.iter().filter_map(Self::finest).chain(self.lods.keys().next().copied()).min()
+    }
 }
 
 /// Consecutive splats of a file.
@@ -60,17 +76,35 @@ pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     Ok(sets.iter().filter_map(bytes).sum())
 }
 
-/// The splats of every leaf of the tree at the finest level whose file is there, and a sentence on what is missing.
+/// The splats of the finest level; of parts whose file of it is missing, those of the finest that is there. With a sentence each on what is
+/// missing, is left out, or says otherwise.
 pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     let index = Index::read(path)?;
     let folder = folder_of(path);
     let there: Vec<Option<_>> = index.filenames.iter().map(|name| inside(folder, name).ok()).collect();
-    let (mut parts, mut coarser) = (vec![], 0);
-    collect(&index.tree, "/tree", &there, &mut parts, &mut coarser).map_err(|fault| fault.in_file(path))?;
+    let (mut found, level) = (Finest::default(), index.tree.finest());
+    if let Some(level) = level {
+        collect(&index.tree, "/tree", level, &there, &mut found).map_err(|fault| fault.in_file(path))?;
+    }
+    let mut notes = vec![];
+    if found.coarser > 0 {
+        notes.push(format!(
+            "the files of the finest level are missing for {} part(s) of the scene; coarser ones are read",
+            found.coarser
+        ));
+    }
+    let stated = index.counts.as_ref().zip(level).and_then(|(counts, level)| counts.get(level as usize));
+    if let Some(stated) = stated.filter(|&&stated| stated != found.stated) {
+        notes.push(format!("counts says {stated} splats of the finest level, its parts {}", found.stated));
+    }
+    let unknown = index.rest.keys().map(String::as_str).filter(|key| !OF_LEVELS.contains(key));
+    notes.extend(left_out(INDEX, unknown));
 
     let mut by_file: BTreeMap<usize, Vec<Part>> = BTreeMap::new();
-    parts.into_iter().for_each(|part| by_file.entry(part.file).or_default().push(part));
+    found.parts.into_iter().for_each(|part| by_file.entry(part.file).or_default().push(part));
     let (mut sources, mut antialiased) = (vec![], false);
+    // Most files say the same.
+    let mut of_sets = BTreeSet::new();
     let mut taken = HashSet::new();
     for (file, mut own) in by_file {
         let Some(meta) = &there[file] else { continue };
@@ -79,15 +113,17 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
             return Err(Fault::pointer(at, "each file once", format!("{found} again")).in_file(path));
         }
         own.sort_by_key(|part| part.offset);
-        let (splats, antialias) = set_of(meta)?;
-        antialiased |= antialias;
+        let NotedSplats { splats, pixel_filter, notes: said } = set_of(meta)?;
+        antialiased |= pixel_filter.normalized;
+        of_sets.extend(said);
         check_parts(&own, splats.len(), file).map_err(|fault| fault.in_file(path))?;
         sources.push((splats, own));
     }
     if let Some(name) = &index.environment {
         let fault = |(expected, found): (String, String)| Fault::pointer("/environment", expected, found).in_file(path);
-        let (splats, antialias) = set_of(&inside(folder, name).map_err(fault)?)?;
-        antialiased |= antialias;
+        let NotedSplats { splats, pixel_filter, notes: said } = set_of(&inside(folder, name).map_err(fault)?)?;
+        antialiased |= pixel_filter.normalized;
+        of_sets.extend(said);
         let all = Part { file: 0, offset: 0, count: splats.len() };
         sources.push((splats, vec![all]));
     }
@@ -97,40 +133,40 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
         let indices = parts.iter().flat_map(|part| part.offset..part.offset + part.count);
         indices.for_each(|i| arrays.push(&SplatRecord::of(splats, i)));
     }
-    let notes = (coarser > 0).then(|| {
-        format!("the files of the finest level are missing for {coarser} part(s) of the scene; coarser ones are read")
-    });
+    notes.extend(of_sets);
     let splats = arrays.check().map_err(|e| Fault::from(e).under("/tree").in_file(path))?;
-    Ok(NotedSplats::new(splats, antialiased, notes.into_iter().collect()))
+    Ok(NotedSplats::new(splats, antialiased, notes))
 }
 
 /// The splats of one folder or bundle, never of another index: a circle of them would have no end.
-fn set_of(path: &Path) -> Result<(Splats, bool), FormatError> {
+fn set_of(path: &Path) -> Result<NotedSplats, FormatError> {
     FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
 }
 
-/// The finest part of each leaf of which the file is there; counts the leaves for which that is not the finest of all.
-fn collect(
-    node: &Node,
-    at: &str,
-    there: &[Option<impl Sized>],
-    parts: &mut Vec<Part>,
-    coarser: &mut usize,
-) -> Result<(), Fault> {
-    let is_there = |part: &Part| there.get(part.file).is_some_and(Option::is_some);
-    match node.lods.values().position(is_there) {
-        Some(position) => {
-            parts.extend(node.lods.values().nth(position));
-            *coarser += usize::from(position > 0);
-        }
-        None if node.lods.is_empty() => {}
-        None => {
+/// What is read of the finest level.
+#[derive(Default)]
+struct Finest {
+    parts: Vec<Part>,
+    /// How many of them are of a coarser one, as their file is missing.
+    coarser: usize,
+    /// Splats that the tree has of it, be their files there or not.
+    stated: usize,
+}
+
+/// Takes the parts of `level`, which is the finest. A leaf without it has no splats there: what coarser levels show in its place lies in others.
+fn collect(node: &Node, at: &str, level: u32, there: &[Option<impl Sized>], found: &mut Finest) -> Result<(), Fault> {
+    if let Some(finest) = node.lods.get(&level) {
+        let is_there = |part: &Part| there.get(part.file).is_some_and(Option::is_some);
+        let part = node.lods.values().find(|part| is_there(part)).ok_or_else(|| {
             let expected = "the file of at least one level of detail of every part";
-            return Err(Fault::pointer(format!("{at}/lods"), expected, "none of this part"));
-        }
+            Fault::pointer(format!("{at}/lods"), expected, "none of this part")
+        })?;
+        found.parts.push(*part);
+        found.coarser += usize::from(!is_there(finest));
+        found.stated = found.stated.saturating_add(finest.count);
     }
     let mut children = node.children.iter().enumerate();
-    children.try_for_each(|(i, child)| collect(child, &format!("{at}/children/{i}"), there, parts, coarser))
+    children.try_for_each(|(i, child)| collect(child, &format!("{at}/children/{i}"), level, there, found))
 }
 
 /// Parts of one file, by offset, must lie in it and not overlap, so that no splat is there twice.
@@ -148,7 +184,7 @@ fn check_parts(parts: &[Part], count: usize, file: usize) -> Result<(), Fault> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::{Value, json};
+    use serde_json::json;
 
     use super::*;
     use crate::format::test_scenes::random_splats;
@@ -186,6 +222,46 @@ mod tests {
         assert!(notes[0].contains("for 2 part(s)"), "{notes:?}");
         std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();
         assert!(read(&path).unwrap_err().to_string().contains("expected the file of at least one level"));
+    }
+
+    /// As splat-transform writes them where thinning has moved all splats of a part into another.
+    #[test]
+    fn a_part_without_the_finest_level_has_no_splats_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        let mut index: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        index["tree"]["children"][1]["lods"].as_object_mut().unwrap().remove("0");
+        index["counts"] = json!([6, 4]);
+        index["version"] = json!(1);
+        std::fs::write(&path, index.to_string()).unwrap();
+        let NotedSplats { splats, notes, .. } = read(&path).unwrap();
+        assert_eq!((splats.len(), notes), (6 + 2, vec![]));
+        index["counts"] = json!([9, 4]);
+        index["camera"] = json!({ "fov": 60 });
+        std::fs::write(&path, index.to_string()).unwrap();
+        assert_eq!(
+            read(&path).unwrap().notes,
+            ["counts says 9 splats of the finest level, its parts 6", "`camera` of lod-meta.json: left out"]
+        );
+        // Nobody needs the file of the part that is not taken.
+        std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();
+        assert_eq!(read(&path).unwrap().splats.len(), 6 + 2);
+    }
+
+    #[test]
+    fn what_the_files_say_besides_is_told_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        for name in ["0_0", "env"] {
+            let meta = folder.path().join(name).join("meta.json");
+            let mut content: Value = serde_json::from_slice(&std::fs::read(&meta).unwrap()).unwrap();
+            content["model"] = json!("antialiased");
+            content["extras"] = json!({ "a": [1, 2.5] });
+            std::fs::write(&meta, content.to_string()).unwrap();
+        }
+        let NotedSplats { pixel_filter, notes, .. } = read(&path).unwrap();
+        assert!(pixel_filter.normalized);
+        assert_eq!(notes, ["`extras` of meta.json: left out"]);
     }
 
     #[test]

@@ -21,16 +21,16 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::files::FileSet;
-use super::NotedSplats;
-use super::error::{Fault, FormatError};
+use super::error::{Fault, FormatError, shown};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::SplatRecord;
+use super::{NotedSplats, some_of};
 use crate::scene::Splats;
 
 /// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
 /// to 3. Frame and colour space are the file's own: the format cannot state them.
 ///
-/// Of a scene in levels of detail (`lod-meta.json`) every part is read at the finest level that is there.
+/// Of a scene in levels of detail (`lod-meta.json`) the finest is read; of parts whose file of it is missing, the finest that is there.
 ///
 /// # Errors
 /// If a file cannot be read or is missing, names a path outside of the folder, holds lossy images or images of another
@@ -40,7 +40,7 @@ pub fn read(path: &Path) -> Result<Splats, FormatError> {
     read_noted(path).map(|read| read.splats)
 }
 
-/// As [`read`], with the pixel filter, and a sentence on levels of detail that are missing.
+/// As [`read`], with the pixel filter, and a sentence each on levels of detail that are missing and on what else the file has, as a camera.
 ///
 /// # Errors
 /// As [`read`].
@@ -48,8 +48,13 @@ pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
     if path.file_name().is_some_and(|name| name == levels::INDEX) {
         return levels::read(path);
     }
-    let (splats, antialiased) = FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))?;
-    Ok(NotedSplats::new(splats, antialiased, vec![]))
+    FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
+}
+
+/// A sentence on the keys of `file` of which splats know nothing, if there are any.
+fn left_out<'a>(file: &str, keys: impl Iterator<Item = &'a str>) -> Option<String> {
+    let keys: Vec<String> = keys.map(|key| shown(key.as_bytes())).collect();
+    (!keys.is_empty()).then(|| format!("{} of {file}: left out", some_of(keys.iter().map(String::as_str))))
 }
 
 /// True if the file's name alone says that it is SOG.
@@ -66,13 +71,15 @@ pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
 }
 
 impl FileSet {
-    /// And whether the file says *antialias*.
-    fn splats(&mut self) -> Result<(Splats, bool), Fault> {
+    fn splats(&mut self) -> Result<NotedSplats, Fault> {
         let meta = self.meta()?;
         let scheme = decode::Scheme::parse(&meta, self.bytes()).map_err(|fault| self.in_meta(fault))?;
         let images = scheme.fetch(self)?;
         let splats = scheme.decoder(&images).and_then(|decoder| decoder.splats());
-        Ok((splats.map_err(|fault| self.in_meta(fault))?, meta.antialias))
+        let (antialiased, of_model) = meta.antialiased();
+        let of_rest = left_out(files::META, meta.rest.keys().map(String::as_str));
+        let notes = of_model.into_iter().chain(of_rest).collect();
+        Ok(NotedSplats::new(splats.map_err(|fault| self.in_meta(fault))?, antialiased, notes))
     }
 }
 

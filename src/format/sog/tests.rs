@@ -1,5 +1,6 @@
 use std::io::{Cursor, Write as _};
 
+use glam::Vec3;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use zip::write::SimpleFileOptions;
@@ -21,7 +22,7 @@ fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
 
 fn parse(zip: Vec<u8>) -> Result<Splats, String> {
     let set = FileSet::bundle(zip);
-    set.and_then(|mut set| Ok(set.splats()?.0)).map_err(|fault| fault.in_file(Path::new("s.sog")).to_string())
+    set.and_then(|mut set| Ok(set.splats()?.splats)).map_err(|fault| fault.in_file(Path::new("s.sog")).to_string())
 }
 
 fn unzip(zip: &[u8]) -> Files {
@@ -191,6 +192,65 @@ fn a_codebook_may_lack_its_first_value() {
 }
 
 #[test]
+fn a_codebook_may_be_short() {
+    let zip = written(&random_splats(500, 0, 4)).0;
+    let patched = |codebook: Value| parse(with_meta(&zip, |meta| meta["scales"]["codebook"] = codebook));
+    let scales = |back: &Splats| {
+        let values = back.log_scales().iter().flat_map(Vec3::to_array);
+        values.map(|v| v.to_string()).collect::<std::collections::BTreeSet<_>>().into_iter().collect::<Vec<_>>()
+    };
+    assert_eq!(scales(&patched(json!([-2.0])).unwrap()), ["-2"]);
+    // Bytes beyond those that are there name the last.
+    assert_eq!(scales(&patched(json!([-3.0, -2.0])).unwrap()), ["-2", "-3"]);
+    assert!(patched(json!([null])).unwrap_err().contains("/scales/codebook: expected 1 to 256 numbers"));
+}
+
+#[test]
+fn antialiasing_is_said_as_every_reader_knows_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.sog");
+    write_with(&path, &random_splats(9, 0, 4), true).unwrap();
+    let zip = std::fs::read(&path).unwrap();
+    let read = |change: &dyn Fn(&mut Value)| {
+        let NotedSplats { pixel_filter, notes, .. } =
+            FileSet::bundle(with_meta(&zip, change)).and_then(|mut set| set.splats()).unwrap();
+        (pixel_filter.normalized, notes)
+    };
+    let both =
+        |meta: &mut Value| assert_eq!((&meta["antialias"], &meta["model"]), (&json!(true), &json!("antialiased")));
+    assert_eq!(read(&both), (true, vec![]));
+    let with = |antialias: Value, model: Value| {
+        read(&|meta| {
+            meta["antialias"] = antialias.clone();
+            meta["model"] = model.clone();
+        })
+    };
+    assert_eq!(with(json!(false), json!("antialiased")), (true, vec![]));
+    assert_eq!(with(json!(true), json!("default")), (false, vec![]));
+    assert_eq!(with(json!(true), Value::Null), (true, vec![]), "the description's own key");
+    let (antialiased, notes) = with(json!(false), json!("2dgs"));
+    assert!(!antialiased && notes.len() == 1 && notes[0].starts_with("model 2dgs: "), "{notes:?}");
+    assert_eq!(with(json!(true), json!("3dgs")), (true, vec!["model `3dgs`: not known, left out".to_owned()]));
+    assert_eq!(with(json!(false), json!(3)), (false, vec!["model `3`: not known, left out".to_owned()]));
+    // Without either there is neither.
+    write(&path, &random_splats(9, 0, 4)).unwrap();
+    let none = |meta: &mut Value| assert!(meta.get("antialias").is_none() && meta.get("model").is_none());
+    with_meta(&std::fs::read(&path).unwrap(), none);
+}
+
+#[test]
+fn what_a_file_has_besides_is_named() {
+    let zip = written(&random_splats(9, 0, 4)).0;
+    let more = with_meta(&zip, |meta| {
+        meta["camera"] = json!({ "fov": 60, "position": [0, 1, 2.5] });
+        meta["extras"] = json!("a");
+    });
+    let read = FileSet::bundle(more).and_then(|mut set| set.splats()).unwrap();
+    assert_eq!(read.notes, ["`camera`, `extras` of meta.json: left out"]);
+    assert_eq!(read.splats, parse(zip).unwrap());
+}
+
+#[test]
 fn planted_faults_are_named() {
     let zip = written(&random_splats(500, 2, 4)).0;
     let message = |change: &dyn Fn(&mut Value)| parse(with_meta(&zip, change)).unwrap_err();
@@ -206,8 +266,12 @@ fn planted_faults_are_named() {
         (&|m| m["means"]["files"] = json!(["means_l.webp"]), "/means/files: expected 2 file(s), found 1"),
         (&|m| m["means"]["mins"] = json!([0, 0]), "/means/mins: expected a number for channel 2, found none"),
         (&|m| m["means"]["maxs"] = json!([1e3, 1e3, 1e3]), "/means: expected finite numbers, found inf in means["),
-        (&|m| m["scales"]["codebook"] = json!([1.0]), "/scales/codebook: expected 256 numbers, found 1"),
-        (&|m| m["sh0"]["codebook"][9] = Value::Null, "/sh0/codebook: expected 256 numbers, found null"),
+        (&|m| m["scales"]["codebook"] = json!([]), "/scales/codebook: expected 1 to 256 numbers, found 0"),
+        (
+            &|m| m["scales"]["codebook"] = json!(vec![1.0; 257]),
+            "/scales/codebook: expected 1 to 256 numbers, found 257",
+        ),
+        (&|m| m["sh0"]["codebook"][9] = Value::Null, "/sh0/codebook: expected 1 to 256 numbers, found null"),
         (&|m| m["shN"]["bands"] = json!(3), "/shN/bands: expected 3 as by the palette's width"),
         (&|m| m["shN"]["bands"] = json!(7), "/shN/bands: expected 1 to 3"),
         (&|m| m["shN"]["count"] = json!(1 << 17), "/shN/count: expected at most 65536"),

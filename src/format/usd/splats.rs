@@ -5,7 +5,7 @@ use glam::{Quat, Vec3};
 use super::names;
 use super::stage::Stage;
 use crate::format::activation;
-use crate::format::error::Fault;
+use crate::format::error::{Fault, shown};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
 /// Colour space that a prim states by `ColorSpaceAPI`; on failure, the name that is not known.
@@ -33,6 +33,9 @@ pub(super) fn coefficients_stated(stage: &Stage<'_>, prim: usize) -> Option<usiz
 /// schema's idea of nothing said.
 pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<SplatArrays, Fault> {
     let at = stage.path(prim);
+    if let Some(hint) = stage.text(prim, "projectionModeHint").filter(|hint| *hint != "perspective") {
+        notes.push(format!("{at}.projectionModeHint: {}, read as perspective", shown(hint.as_bytes())));
+    }
     let means = either::<3>(stage, prim, "positions")?.unwrap_or_default();
     let n = means.len();
     let mut fitted = |name: &str, found: usize, expected: usize| {

@@ -35,6 +35,17 @@ fn refusal(text: &str) -> String {
 }
 
 #[test]
+fn a_projection_of_its_own_is_named() {
+    let notes = |hint: &str| {
+        let body = format!("uniform token projectionModeHint = \"{hint}\" point3f[] positions = [(1, 2, 3)]");
+        read_text(&format!("def ParticleField3DGaussianSplat \"S\" {{ {body} }}")).notes
+    };
+    let of_hint = |hint| notes(hint).into_iter().filter(|note| note.contains("projectionModeHint")).collect::<Vec<_>>();
+    assert!(of_hint("perspective").is_empty());
+    assert_eq!(of_hint("tangential"), ["/S.projectionModeHint: `tangential`, read as perspective"]);
+}
+
+#[test]
 fn round_trip() {
     let folder = tempfile::tempdir().unwrap();
     for seed in 0..8 {

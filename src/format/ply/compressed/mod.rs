@@ -76,7 +76,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     write_with(path, splats, PixelFilter::DILATION)
 }
 
-/// As [`write()`], with the comment of [`super::write_with`].
+/// As [`write()`], with the comments of [`super::write_with`].
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -86,8 +86,8 @@ pub fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Re
     let chunks = splats.len().div_ceil(CHUNK);
     let properties =
         |kind: &str, names: &[&str]| names.iter().map(|name| format!("property {kind} {name}\n")).collect::<String>();
-    let comment = if pixel_filter.normalized { super::MIP_COMMENT } else { "" };
-    let mut header = format!("ply\nformat binary_little_endian 1.0\n{comment}element chunk {chunks}\n");
+    let comments = super::filter_comments(pixel_filter);
+    let mut header = format!("ply\nformat binary_little_endian 1.0\n{comments}element chunk {chunks}\n");
     header += &properties("float", &BOUNDS);
     header += &format!("element vertex {}\n", splats.len());
     header += &properties("uint", &PACKED);
